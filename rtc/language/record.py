@@ -1,0 +1,105 @@
+"""What a sentence means, whatever its wording: the record every later phase works on (R117).
+
+Units are SI (m, rad, N, N·m, s, kg); names are upper case with '-'. Two sentences that mean the same
+give equal records; nothing here remembers the words but `Quantity.text`, which does not count in a
+comparison because it is not part of the record.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+Kind = Literal["task", "control", "data", "operator"]
+
+
+class Quantity(msgspec.Struct, frozen=True):
+    """A number and its SI unit: m, rad, N, N.m, N/m, m/s, rad/s, s, Hz, kg, turn (kept as turns), ratio."""
+
+    value: float
+    unit: str
+
+
+class Place(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Where to: exactly one of the fields is set."""
+
+    name: str | None = None  # a named place or object
+    joints: list[float] | None = None  # rad, one per joint
+    position: list[float] | None = None  # m, world frame: x y z
+    neighborhood_of: str | None = None  # an object's neighbourhood (section 5 of the paper)
+    grasp_point_of: str | None = None
+    by: Quantity | None = None  # a relative step ...
+    along: str | None = None  # ... along this axis: TOOL-Z, X, UP ...; None = the tool's axis
+
+
+class Condition(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """An event, or a measured value beyond a bound. Either `event` or (`measure`, `bound`, `quantity`)."""
+
+    event: str | None = None  # CONTACT NO-CONTACT COLLISION SLIP OBJECT-LOST JOINT-LIMIT TIMEOUT
+    measure: str | None = None  # FORCE TORQUE GRIP-FORCE DISTANCE
+    along: str | None = None  # axis of the measure; None = magnitude
+    bound: Literal["above", "below"] | None = None
+    quantity: Quantity | None = None
+
+
+class ReflexItem(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """UNLESS condition THEN action [AND TRY script] (A8)."""
+
+    condition: Condition
+    action: Literal["stop", "back_off", "comply", "release"]
+    by: Quantity | None = None  # how far to back off
+    trim: str | None = None  # the script to try after the reflex
+
+
+class Constraint(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One MAINTAIN item: the reserved word, and what it is given if anything."""
+
+    slot: str  # SAFE-WORK-RANGE AVOID-TASK-REGION AVOID-NEIGHBORS POSE-DURING-MOTION SPEED FORCE-LIMIT ...
+    name: str | None = None  # region, attitude or shared part
+    value: Quantity | None = None
+
+
+class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What the report shall hold beyond the standard one."""
+
+    joints: bool = False
+    forces: bool = False
+    pose: bool = False
+    every_s: float | None = None
+
+
+class ParsedCommand(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="ParsedCommand"):
+    """The record of one sentence.
+
+    `verb` is the canonical verb after synonyms (RELEASE for UNGRASP, STOW for PARK, HALT for a lone STOP).
+    A hand is always given by its arm: LEFT-ARM, RIGHT-ARM, BOTH-ARMS or the name of a further arm, so that
+    `GRASP RIGHT-END-EFF X` and `GRASP X WITH RIGHT-ARM` are equal. Fields a verb does not use stay None.
+    """
+
+    kind: Kind
+    verb: str  # GRASP MOVE ... HALT PAUSE ... SHOW SET ... GIVE DONE ...
+    test: bool = False  # TEST + sentence: hypothesis, no motion
+    hand: str | None = None  # LEFT-ARM | RIGHT-ARM | BOTH-ARMS | name; None = the RTC chooses
+    to_hand: str | None = None  # HANDOFF ... TO hand
+    object: str | None = None  # the object, mechanism, seat, command or table the verb is about
+    grasp_point: str | None = None
+    target: str | None = None  # ON / INTO / FROM / TO (ALIGN, CARRY) / AT (VERIFY) / LOAD ... INTO
+    place: Place | None = None  # MOVE ... TO / BY
+    path: Literal["straight_line", "joint"] | None = None
+    through: list[str] = []
+    amount: Quantity | None = None  # BY
+    until: Condition | None = None
+    duration_s: float | None = None  # FOR
+    constraints: list[Constraint] = []  # sorted by slot, so that the order of words does not count
+    guarded: bool = False
+    reflexes: list[ReflexItem] = []
+    performer: str | None = None  # VIA name, or OPERATOR for VIA OPERATOR-INTERVENTION
+    report: Report | None = None
+    after: str | None = None  # AFTER C-n
+    together_with: str | None = None
+    now: bool = False
+    attribute: str | None = None  # SET object attribute value
+    value: list[float | str] | None = None  # SET ... datum, SI numbers or one name
+    value_unit: str | None = None
+    reason: str | None = None  # CANNOT "..."
