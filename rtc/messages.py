@@ -1,0 +1,679 @@
+"""All that processes say to each other, in the order of a command's journey.
+
+Reading this file from top to bottom is reading the system. Every message is a frozen struct, on the wire a
+MessagePack map whose key "type" holds the name of the class (see `rtc.wire`, which alone knows how it
+becomes bytes). Unknown keys are ignored, missing keys take their defaults: that is how versions meet (R42).
+
+Times that end in `_at_s` are CLOCK_MONOTONIC seconds of the machine they were taken on, comparable between
+the processes of one host; `_s` is a duration. Poses are [x y z qx qy qz qw] (m, unit quaternion), in world
+axes unless a `frame` says otherwise. A wrench is [Fx Fy Fz Tx Ty Tz] (N, N.m) that the surroundings exert on
+the hand, in tool axes at the tcp. Names are upper case.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Any, Literal
+
+import msgspec
+
+from rtc.language.record import ParsedCommand, ReflexItem
+from rtc.outcomes import Outcome, Refusal, StopReason
+from rtc.primitive import Primitive
+
+
+class Message(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag=True):
+    """Base of all: map on the wire, tagged with the name of the class."""
+
+
+# --- 1. client -> broker (front door) -----------------------------------------------------------------
+
+
+class CommandText(Message):
+    """A sentence. The same (client, request) sent twice is one command: a client may repeat it after a reconnect."""
+
+    request: str  # chosen by the client, unique for it
+    text: str
+    source: Literal["operator", "aip"] = "operator"  # told apart in records only (R133)
+    progress: bool = True  # send ProgressNotes too, not only the end
+    halt_if_lost: bool = False  # halt this command when the client goes away
+
+
+class StatusQuery(Message):
+    request: str
+
+
+class TraceQuery(Message):
+    request: str
+    command: str  # C-n
+
+
+class ProgramText(Message):
+    """LOAD: put this program document in place of, or into, the one of a kind of worker."""
+
+    request: str
+    kind: WorkerKind
+    name: str  # of the file, for messages
+    body: bytes  # YAML
+
+
+class ClientHello(Message):
+    """First word of a client; its `client` name survives reconnects. Answered with Welcome."""
+
+    client: str
+
+
+class Shutdown(Message):
+    """Ask the cluster to end itself in order (from `rtc down`, or to a worker that retires)."""
+
+    request: str = ""
+
+
+# --- broker -> client ---------------------------------------------------------------------------------
+
+
+class Welcome(Message):
+    cluster: str  # the run's id
+    pid: int
+
+
+class Accepted(Message):
+    request: str
+    command: str  # C-n
+
+
+class Declined(Message):
+    """The request itself was no good (not a command's outcome): unknown command, queue full, bad message."""
+
+    request: str
+    refusal: Refusal
+
+
+class Phase(StrEnum):
+    """Where a command is. ENDED is final; HALTING and CLOSING lead only there."""
+
+    PARSING = "parsing"
+    ELABORATING = "elaborating"
+    HELD = "held"  # in line for its resources
+    BINDING = "binding"
+    EXECUTING = "executing"
+    ANALYZING = "analyzing"
+    PAUSED = "paused"  # between two steps
+    HALTING = "halting"  # told to stop; waiting for rest to be confirmed
+    CLOSING = "closing"  # a last analysis, whose advice is ignored: what was touched becomes suspect
+    ENDED = "ended"
+
+
+class ProgressNote(Message):
+    """One step of one command's way, as it happens; also the line of a trace."""
+
+    seq: int  # of the broker's event stream, rises by one
+    at_s: float
+    command: str
+    phase: Phase  # the phase it is in now
+    step: str = ""  # "5 of 9: feel GP1"
+    node: str = ""  # who did the work that just ended: "binder@2", "MCM"
+    took_s: float = 0.0  # how long that work took, from dispatch to answer
+    note: str = ""  # what came of it, in words
+
+
+class CommandEnded(Message):
+    seq: int
+    at_s: float
+    command: str
+    request: str
+    text: str
+    outcome: Outcome
+    took_s: float
+
+
+class StatusReply(Message):
+    request: str
+    status: dict[str, Any]  # see docs/protocol.md; plain JSON types
+
+
+class CommandRecord(Message):
+    """A command's whole story: live or archived."""
+
+    command: str
+    text: str
+    source: str
+    request: str
+    accepted_at_s: float
+    phase: Phase
+    notes: list[ProgressNote] = []
+    outcome: Outcome | None = None
+    ended_at_s: float | None = None
+
+
+class TraceReply(Message):
+    request: str
+    record: CommandRecord
+
+
+class ProgramLoaded(Message):
+    request: str
+    kind: WorkerKind
+    digest: str
+
+
+# --- 2. broker <-> workers ----------------------------------------------------------------------------
+
+
+class WorkerKind(StrEnum):
+    """The four phases; the value's place is the two low bits of a node's address in the cube."""
+
+    PARSER = "parser"
+    ELABORATOR = "elaborator"
+    BINDER = "binder"
+    ANALYZER = "analyzer"
+
+
+class Lease(msgspec.Struct, frozen=True, kw_only=True):
+    """Leave to write these locations, for this job. Signed by the broker, checked by the world database (A25)."""
+
+    job: str
+    locations: list[str]
+    signature: bytes
+
+
+class Job(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One stateless piece of work. Its bytes and the world version it read are enough to do it again (R10)."""
+
+    id: str  # "C-7/12": command and a number
+    attempt: int  # 1, 2, 3: an answer to an older attempt is stale
+    program: str  # digest
+    input: msgspec.Raw  # ParserInput | ElaboratorInput | BinderInput | AnalyzerInput
+    lease: Lease | None = None  # analyzers only
+
+
+class JobBatch(Message):
+    jobs: list[Job]
+
+
+class Drop(Message):
+    """These jobs are no longer wanted; one not begun need not be done."""
+
+    jobs: list[str]
+
+
+class ProgramBody(Message):
+    digest: str
+    body: bytes | None  # None: no such program
+
+
+class WorkerHello(Message):
+    """A worker is ready. `node` is its address in the cube, `name` "binder@2"."""
+
+    name: str
+    node: int
+    kind: WorkerKind
+    pid: int
+
+
+class Heartbeat(Message):
+    """Alive, and this is the job in hand, if any."""
+
+    name: str
+    job: str = ""
+
+
+class JobDone(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="done"):
+    id: str
+    attempt: int
+    product: msgspec.Raw  # ParsedCommand | Script | BoundStep | Assessment
+    took_s: float = 0.0
+    world_version: int = 0  # the version of the world the job has read; 0 = none
+
+
+class JobRefused(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="refused"):
+    id: str
+    attempt: int
+    refusal: Refusal
+    took_s: float = 0.0
+    world_version: int = 0
+
+
+class JobCrashed(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="crashed"):
+    """The worker function raised: a bug, told with its evidence. Counts like a death of the worker."""
+
+    id: str
+    attempt: int
+    evidence: str  # traceback, cut to some kB
+
+
+JobResult = JobDone | JobRefused | JobCrashed
+
+
+class ResultBatch(Message):
+    name: str  # of the worker
+    results: list[JobResult]
+
+
+class ProgramWanted(Message):
+    digest: str
+
+
+# --- 3. what jobs carry -------------------------------------------------------------------------------
+
+
+class Binding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A named parameter of a script: joints, a pose (in the axes of the object `frame`, if one is named), a
+    number, or a name. Exactly one is set."""
+
+    joints: list[float] | None = None  # rad
+    pose: list[float] | None = None  # of the tcp
+    frame: str | None = None  # the object whose axes the pose is in; None = world
+    number: float | None = None
+    name: str | None = None
+
+
+class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One line of a script (Figure 4): do, resource, destination, stop class, interpolation space, trims."""
+
+    do: str  # "proc", "move", "let", "grip", "hold": a row of the binder's program
+    label: str  # in words, for people: "feel one side of the handle (GP1)"
+    name: str = ""  # of the procedure, or of the value that is set
+    who: str = "active_arm"
+    to: str = ""  # a binding's name
+    stop: str = ""  # stop class: move_free, move_to_contact ...
+    space: str = ""  # move_joint, move_task
+    value: str = ""  # of a "let": an expression over bindings
+    op: str = ""  # of a "grip": open, close
+    expect: list[StopReason] = msgspec.field(
+        default_factory=lambda: [StopReason.GOAL]
+    )  # the stop reasons that count as success (A13)
+    keep: dict[str, str] = {}  # binding to set from the report on success: {"GP1": "report.pose"}
+    trims: list[int] = []  # entries of the trimming stack that may mend it, in order (A9)
+    args: dict[str, float | str] = {}  # what else the row of the program needs: speeds, thresholds, widths
+
+
+class Trim(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One entry of the trimming stack: a corrective piece of script, and what follows it (A16)."""
+
+    n: int
+    label: str
+    steps: list[Step]
+    then: Literal["retry_step", "restart_script", "skip", "replace_rest"] = "retry_step"
+    fits: list[StopReason] = []  # the failures it may mend; empty = any
+
+
+class Limits(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """MAINTAIN, as numbers. None = the program's default."""
+
+    speed_m_s: float | None = None
+    speed_ratio: float | None = None
+    force_n: float | None = None
+    torque_nm: float | None = None
+    grip_force_n: float | None = None
+    stiffness_n_m: float | None = None
+    time_s: float | None = None
+    clearance_m: float | None = None  # AVOID-NEIGHBORS
+    keep_out: list[str] = []  # regions
+    work_range: str | None = None
+    attitude: str | None = None  # POSE-DURING-MOTION
+
+
+class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What every step of a script is bound with. Opaque to the Decision Unit."""
+
+    verb: str
+    script: str  # its name: grasp-centering
+    arm: str = ""  # active_arm
+    object: str = ""  # active_object
+    grasp_point: str = ""
+    target: str = ""
+    limits: Limits = Limits()
+    guarded: bool = False
+    reflexes: list[ReflexItem] = []
+
+
+class Script(Message):
+    """Product of an elaborator: what to do, what may go wrong, what it needs (R118)."""
+
+    context: ScriptContext
+    case: int  # 1-4 (R68)
+    steps: list[Step]
+    trims: list[Trim] = []
+    bindings: dict[str, Binding] = {}  # decided backwards from the goal (R134)
+    resources: list[str] = []  # non-sharable, all or none
+    queues: list[str] = []  # queue resources: one at a time, in line
+    writes: list[str] = []  # locations of the world that analyzers of this command may write
+    reads: list[str] = []  # further locations that its plan relies on
+    candidates: list[str] = []  # what was ranked, the chosen one first (R75)
+    notes: list[str] = []  # the story of the planning, for people: generated, tested, modified (R92)
+
+
+class EvaluationContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What the binder expects of a primitive; the analyzer judges the report by it (paper, L152). Opaque to the
+    Decision Unit and never sent to a subsystem."""
+
+    context: ScriptContext
+    step: Step
+    arm: str = ""
+    goal_pose: list[float] | None = None  # of the tcp, predicted at the goal
+    goal_joints: list[float] | None = None
+    held: str = ""  # the object in the hand before the primitive, if any
+    predicted_s: float = 0.0
+    width_m: list[float] | None = None  # for a grip: [least, most] that count as success
+    force_n: float | None = None
+    no_contact_is_failure: bool = False
+    start_joints: list[float] | None = None
+
+
+class ParserInput(msgspec.Struct, frozen=True, kw_only=True):
+    text: str
+
+
+class ElaboratorInput(msgspec.Struct, frozen=True, kw_only=True):
+    command: str
+    parsed: ParsedCommand
+
+
+class BinderInput(msgspec.Struct, frozen=True, kw_only=True):
+    primitive_id: str
+    context: ScriptContext
+    step: Step
+    bindings: dict[str, Binding]
+
+
+class AnalyzerInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """`closing`: the command is being ended, so no advice is wanted; only the world is put right (R151)."""
+
+    evaluation: EvaluationContext
+    report: EndReport
+    trims_used: list[int] = []  # for this step
+    closing: bool = False
+
+
+class BoundStep(Message):
+    """Product of a binder: a primitive with what is expected of it; or, for a step that moves nothing, bindings."""
+
+    subsystem: str = ""  # "MCM"; empty = nothing to execute
+    primitive: Primitive | None = None
+    evaluation: EvaluationContext | None = None
+    bindings: dict[str, Binding] = {}
+    limit_s: float = 0.0  # longest time until an end report, with the arm's own limit well inside
+    note: str = ""
+
+
+class Validity(StrEnum):
+    UNKNOWN = "unknown"
+    VALID = "valid"
+    CHANGING = "changing"
+    SUSPECT = "suspect"
+    INVALID = "invalid"
+
+
+class WorldChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One fact to be written. `key` is LOCATION.attribute, e.g. MACS-OLD.frame. Without a value only the
+    validity changes."""
+
+    key: str
+    value: Any = None
+    validity: Validity = Validity.VALID
+    keep_value: bool = False  # leave the value as it is, change the validity
+
+
+class Assessment(Message):
+    """Product of an analyzer (R122): go on, mend, or give up; and what the world is like now."""
+
+    verdict: Literal["continue", "trim", "abort"]
+    reason: StopReason  # after derivation: NO_CONTACT where goal was reached and a touch expected
+    message: str = ""
+    trim: int = 0  # the entry to push
+    keep: dict[str, Binding] = {}  # measured values for later steps
+    changes: list[WorldChange] = []
+    clears: str = ""  # what would clear the trouble
+
+
+# --- 4. broker <-> subsystems -------------------------------------------------------------------------
+
+
+class SubsystemHello(Message):
+    """A subsystem is there. `outstanding` are the primitives it executes or has an unacknowledged report of."""
+
+    name: str  # MCM
+    pid: int
+    performers: list[str]  # LEFT-ARM, RIGHT-ARM
+    outstanding: list[str] = []
+    at_rest: bool = True
+
+
+class Execute(Message):
+    primitive: Primitive
+
+
+class HaltOrder(Message):
+    """Stop now. `scope`: ALL, a performer, or a command number, which stops the primitives that begin with it."""
+
+    halt: str
+    scope: str = "ALL"
+    called_at_s: float = 0.0  # when the operator called
+
+
+class ReportAck(Message):
+    """The end report of this primitive is journalled; it need not be kept any longer."""
+
+    primitive: str
+
+
+class Started(Message):
+    primitive: str
+    at_s: float
+
+
+class ProgressReport(Message):
+    """An event report while moving (R)."""
+
+    primitive: str
+    at_s: float
+    joints: list[float]
+    wrench: list[float]
+    tcp_pose: list[float]
+
+
+class EndReport(Message):
+    """The one end report of a primitive: what, where, why (R65). Repeated until it is acknowledged."""
+
+    primitive: str
+    performer: str
+    reason: StopReason
+    at_s: float
+    duration_s: float  # in the time of the simulation
+    joints: list[float]  # rad, after coming to rest
+    tcp_pose: list[float]  # at rest
+    wrench: list[float]  # at rest
+    hand_width_m: float
+    hand_force_n: float  # pressed by the fingers, the smaller of the two
+    peak_force_n: float = 0.0  # while moving
+    peak_torque_nm: float = 0.0
+    trip_pose: list[float] | None = None  # of the tcp, in the tick that tripped
+    trip_wrench: list[float] | None = None
+    measured: float | None = None  # the figure that tripped, and
+    limit: float | None = None  # the limit it passed
+    message: str = ""  # for REFUSED: why; for COLLISION: the bodies' link names
+
+
+class HaltStarted(Message):
+    """The first decelerating tick of a halt (the figure `rtc halt` prints)."""
+
+    halt: str
+    subsystem: str
+    received_at_s: float
+    decelerating_at_s: float
+    moving: list[str]  # performers that were in motion
+
+
+class HaltAtRest(Message):
+    """All performers in the scope of the halt are at rest (or not: `at_rest`)."""
+
+    halt: str
+    subsystem: str
+    at_s: float
+    at_rest: bool
+    performers: list[str]
+
+
+# --- 5. workers and others <-> world database ---------------------------------------------------------
+
+
+class Fact(msgspec.Struct, frozen=True, kw_only=True):
+    key: str  # LOCATION.attribute
+    value: Any
+    validity: Validity
+    version: int  # of the world when it was written
+    source: str  # who told: "cell", "C-7/12", ...
+    at_s: float
+
+
+class ReadView(Message):
+    """One grouped read (R147): all facts, or those of some keys or locations; only what is newer than `since`."""
+
+    request: str
+    keys: list[str] | None = None
+    since: int = 0
+
+
+class View(Message):
+    request: str
+    version: int
+    facts: list[Fact]
+
+
+class Commit(Message):
+    """Write, once per job: the same job again gets the same answer and changes nothing."""
+
+    request: str
+    lease: Lease
+    changes: list[WorldChange]
+    source: str
+
+
+class Committed(Message):
+    request: str
+    version: int
+    again: bool = False  # this job had been committed before
+
+
+class WorldHistory(Message):
+    request: str
+    key: str
+    limit: int = 100
+
+
+class WorldRefused(Message):
+    request: str
+    refusal: Refusal
+
+
+# --- 6. supervisor <-> broker -------------------------------------------------------------------------
+
+
+class SupervisorHello(Message):
+    pid: int
+
+
+class ProcessExited(Message):
+    """A process of the cluster has ended; the supervisor saw it first."""
+
+    name: str  # "binder@2", "MCM", "world"
+    pid: int
+    status: int  # as from waitpid: negative = signal
+    restarting: bool
+
+
+class ProcessTable(Message):
+    """What runs: for `rtc status`."""
+
+    processes: list[dict[str, Any]]  # name, pid, state, restarts, since_s
+
+
+class KillProcess(Message):
+    """Ask the supervisor to kill -9 a hung process and start it anew."""
+
+    name: str
+    pid: int
+    why: str
+
+
+class SpawnWorker(Message):
+    kind: WorkerKind
+
+
+class RetireWorker(Message):
+    name: str
+
+
+# --- 7. subsystem -> anybody: telemetry (PUB) ---------------------------------------------------------
+
+
+class ArmSample(msgspec.Struct, frozen=True, kw_only=True):
+    joints: list[float]
+    velocities: list[float]
+    wrench: list[float]
+    tcp_pose: list[float]
+    hand_width_m: float
+    primitive: str  # being executed; empty = holding
+
+
+class Telemetry(Message):
+    subsystem: str
+    at_s: float
+    sim_s: float
+    late_ticks: int  # since the start
+    ticks: int
+    arms: dict[str, ArmSample]
+
+
+# --- 8. test bench <-> simulator: what no real subsystem would tell -----------------------------------
+
+
+class SimTruth(Message):
+    request: str
+
+
+class SimTruthReply(Message):
+    request: str
+    sim_s: float
+    poses: dict[str, list[float]]  # every object of the cell, world frame
+    velocities: dict[str, list[float]]  # linear, angular
+    tcp: dict[str, list[float]]
+    joints: dict[str, list[float]]
+    fingers: dict[str, list[float]]  # the two finger joints, m
+    held: dict[str, list[str]]  # arm -> objects that both its fingers press on
+
+
+class SimDisplace(Message):
+    """Move an object, with the seat it sits in, without telling the RTC: a belief error."""
+
+    request: str
+    object: str
+    offset: list[float]  # x y z roll pitch yaw: m, rad; world axes about the object's origin
+
+
+class SimDone(Message):
+    request: str
+    error: str = ""
+
+
+# --- who may say what: one union per socket and direction ----------------------------------------------
+
+ClientToBroker = ClientHello | CommandText | StatusQuery | TraceQuery | ProgramText | Shutdown
+BrokerToClient = (
+    Welcome | Accepted | Declined | ProgressNote | CommandEnded | StatusReply | TraceReply | ProgramLoaded
+)
+WorkerToBroker = WorkerHello | Heartbeat | ResultBatch | ProgramWanted
+BrokerToWorker = JobBatch | Drop | ProgramBody | Shutdown
+SubsystemToBroker = (
+    SubsystemHello | Heartbeat | Started | ProgressReport | EndReport | HaltStarted | HaltAtRest
+)
+BrokerToSubsystem = Execute | HaltOrder | ReportAck
+ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
+FromHalt = HaltStarted | HaltAtRest | Declined
+ToWorld = ReadView | Commit | WorldHistory
+FromWorld = View | Committed | WorldRefused
+SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable
+BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | Shutdown
+ToSim = SimTruth | SimDisplace
+FromSim = SimTruthReply | SimDone

@@ -1,0 +1,172 @@
+"""The primitive T = (P, M, F, R): the one thing the RTC may send to a subsystem (paper, section 4; R60-R67).
+
+    P  trajectory      what to do: positions over time, or what the hand shall do
+    M  control_law     how the servo follows it
+    F  stop_functions  when to stop, and what to do then; complete, in fixed priority
+    R  reporting       what to tell beyond the standard report
+
+Frames and numbers only: no object, no verb, no sentence stands in a primitive (R15). All values SI.
+Joint order is that of the arm's URDF. `tcp` is the tool centre point; tool z points out of the palm, the
+fingers close along tool y. A primitive checks itself when made: what the MCM gets is already whole.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from rtc.outcomes import PRIORITY, Reflex, StopReason
+
+Vector = list[float]
+
+
+class JointTrajectory(msgspec.Struct, frozen=True, kw_only=True, tag="joint-trajectory"):
+    """P for an arm: knots, joined by quintic Hermite polynomials. Starts and ends at rest.
+
+    `positions[k][j]` rad at `time_s[k]`; velocities rad/s, accelerations rad/s^2 of the same shape.
+    `space` tells what the path is a line in; the knots are joint values in both cases.
+    """
+
+    space: Literal["joint", "task"]
+    time_s: Vector
+    positions: list[Vector]
+    velocities: list[Vector]
+    accelerations: list[Vector]
+
+    def __post_init__(self) -> None:
+        n = len(self.time_s)
+        if n < 2 or self.time_s[0] != 0.0:
+            raise ValueError("a trajectory needs two knots or more, the first at time 0")
+        if any(b <= a for a, b in zip(self.time_s, self.time_s[1:], strict=False)):
+            raise ValueError("time_s must rise from knot to knot")
+        dof = len(self.positions[0]) if self.positions else 0
+        for name in ("positions", "velocities", "accelerations"):
+            rows = getattr(self, name)
+            if len(rows) != n or any(len(row) != dof for row in rows):
+                raise ValueError(f"{name} must hold {n} knots of {dof} joints")
+
+    @property
+    def duration_s(self) -> float:
+        return self.time_s[-1]
+
+
+class HandMotion(msgspec.Struct, frozen=True, kw_only=True, tag="hand-motion"):
+    """P for a parallel gripper: bring the opening to `width_m` at `speed_m_s`, pressing with at most `force_n`.
+
+    Closing on something goes on until `force_n` is pressed by both fingers, which then is held.
+    """
+
+    width_m: float
+    force_n: float
+    speed_m_s: float = 0.05
+
+
+class HoldStill(msgspec.Struct, frozen=True, kw_only=True, tag="hold-still"):
+    """P for an arm: stay where it is; None = until stopped or its time limit."""
+
+    duration_s: float | None = None
+
+
+Trajectory = JointTrajectory | HandMotion | HoldStill
+
+
+class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """M: the registered name of a control law ('position': computed torque) and what it may be given."""
+
+    name: str = "position"
+    gains: dict[str, float] = {}
+
+
+# --- F: predicates over the current sample only (R66) ------------------------------------------------
+
+
+class GoalReached(msgspec.Struct, frozen=True, tag="goal-reached"):
+    """The trajectory is done and the arm has settled; or the hand has its width, or presses with its force."""
+
+
+class TimeAbove(msgspec.Struct, frozen=True, tag="time-above"):
+    limit_s: float  # since the start of the primitive, in the time of the simulation
+
+
+class ForceAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="force-above"):
+    """Wrist force beyond a limit: its magnitude, or its part along `axis` (unit vector, tool axes)."""
+
+    limit_n: float
+    axis: Vector | None = None
+
+
+class TorqueAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="torque-above"):
+    limit_nm: float
+    axis: Vector | None = None
+
+
+class JointMarginBelow(msgspec.Struct, frozen=True, tag="joint-margin-below"):
+    margin_rad: float  # of the nearest joint limit, moving towards it
+
+
+class BodyTouch(msgspec.Struct, frozen=True, tag="body-touch"):
+    """A link of the arm (not palm or fingers, which may touch) is in contact with anything."""
+
+
+class GripForceBelow(msgspec.Struct, frozen=True, tag="grip-force-below"):
+    limit_n: float
+
+
+class HandWidthBelow(msgspec.Struct, frozen=True, tag="hand-width-below"):
+    limit_m: float  # narrower than the thing held: nothing is held
+
+
+class TcpNear(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-near"):
+    point: Vector  # world frame, m
+    distance_m: float
+
+
+Predicate = (
+    GoalReached
+    | TimeAbove
+    | ForceAbove
+    | TorqueAbove
+    | JointMarginBelow
+    | BodyTouch
+    | GripForceBelow
+    | HandWidthBelow
+    | TcpNear
+)
+
+
+class StopFunction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One condition, the reason it gives, and the reflex it triggers."""
+
+    reason: StopReason
+    when: Predicate
+    reflex: Reflex = Reflex.STOP
+    back_off_m: float = 0.0  # for BACK_OFF: along the way it came
+
+
+class Reporting(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """R: the standard end report always holds joints, wrench and reason (R140); this adds to it."""
+
+    every_s: float | None = None  # progress reports at this period
+
+
+class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="Primitive"):
+    """T = (P, M, F, R) for one performer. Refuses to exist without a goal and a time limit in F (R82)."""
+
+    id: str  # unique; echoed by every report. "C-7.5": begins with its command's number
+    performer: str  # which arm of the subsystem, e.g. RIGHT-ARM
+    trajectory: Trajectory
+    stop_functions: list[StopFunction]
+    control_law: ControlLaw = ControlLaw()
+    reporting: Reporting = Reporting()
+
+    def __post_init__(self) -> None:
+        kinds = [type(stop.when) for stop in self.stop_functions]
+        if TimeAbove not in kinds:
+            raise ValueError("F is not complete: no TimeAbove (R82)")
+        if GoalReached not in kinds:
+            raise ValueError("F is not complete: no GoalReached (R82)")
+
+    def by_priority(self) -> list[StopFunction]:
+        """F in the fixed order in which it is evaluated every tick; the first that is true wins (A21)."""
+        return sorted(self.stop_functions, key=lambda stop: PRIORITY[stop.reason])

@@ -1,0 +1,79 @@
+"""One typed set of settings per cluster, read once in `main` and passed down; nothing else reads the environment."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import msgspec
+
+from rtc.outcomes import ClusterError
+
+SUN_PATH_LIMIT = 107  # bytes of a Unix socket's path on Linux
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """How one cluster is made up. Written to `settings.json` in the run directory by whoever starts it."""
+
+    run_dir: str
+    cell: str = "swapout"  # name or file
+    dim: int = 2  # of the cube: 2^dim workers
+    mcm: str = "bullet"  # or "kinematic"
+    speed: float = 1.0  # simulated seconds per second; 0 = as fast as possible
+    seed: int = 0
+
+    @property
+    def path(self) -> Path:
+        return Path(self.run_dir)
+
+    def endpoint(self, name: str) -> str:
+        """The ZeroMQ address of one of the cluster's sockets; see ENDPOINTS."""
+        assert name in ENDPOINTS, name
+        return f"ipc://{self.path / ENDPOINTS[name]}"
+
+    def save(self) -> None:
+        (self.path / "settings.json").write_bytes(msgspec.json.format(msgspec.json.encode(self)))
+
+    @staticmethod
+    def load(run_dir: str | Path) -> Settings:
+        """The settings of the cluster in `run_dir`. Raises FileNotFoundError when there is none."""
+        return msgspec.json.decode((Path(run_dir) / "settings.json").read_bytes(), type=Settings)
+
+
+# socket -> file in the run directory, who binds it, and its kind
+ENDPOINTS: dict[str, str] = {
+    "front": "front.sock",  # broker ROUTER: clients
+    "halt": "halt.sock",  # broker ROUTER: halts and nothing else
+    "workers": "workers.sock",  # broker ROUTER
+    "subsystems": "subsystems.sock",  # broker ROUTER
+    "supervisor": "supervisor.sock",  # broker ROUTER: the supervisor
+    "events": "events.sock",  # broker PUB: ProgressNote, CommandEnded
+    "world": "world.sock",  # world database ROUTER
+    "estop": "estop.sock",  # MCM ROUTER: halts and nothing else
+    "telemetry": "telemetry.sock",  # MCM PUB
+    "bench": "bench.sock",  # MCM ROUTER: truth and belief errors, simulators only
+}
+
+
+def default_run_dir() -> Path:
+    """RTC_RUN_DIR, or a directory of this user alone."""
+    if given := os.environ.get("RTC_RUN_DIR"):
+        return Path(given)
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    return Path(base) / "rtc" if base else Path(f"/tmp/rtc-{os.getuid()}")
+
+
+def prepare_run_dir(run_dir: Path) -> Path:
+    """Make the directory, for its owner alone (0700). Raises ClusterError when sockets in it would not work."""
+    run_dir = run_dir.absolute()
+    longest = max(len(str(run_dir / file).encode()) for file in ENDPOINTS.values())
+    if longest > SUN_PATH_LIMIT:
+        raise ClusterError(
+            f"run directory too long for sockets: {run_dir} makes paths of {longest} bytes, "
+            f"{SUN_PATH_LIMIT} is the limit; choose a shorter --run-dir"
+        )
+    run_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if run_dir.stat().st_uid != os.getuid():
+        raise ClusterError(f"run directory {run_dir} belongs to another user; choose another --run-dir")
+    run_dir.chmod(0o700)
+    return run_dir
