@@ -29,7 +29,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag
 # --- 1. client -> broker (front door) -----------------------------------------------------------------
 
 
-class CommandText(Message):
+class CommandText(Message, frozen=True, kw_only=True):
     """A sentence. The same (client, request) sent twice is one command: a client may repeat it after a reconnect."""
 
     request: str  # chosen by the client, unique for it
@@ -39,16 +39,16 @@ class CommandText(Message):
     halt_if_lost: bool = False  # halt this command when the client goes away
 
 
-class StatusQuery(Message):
+class StatusQuery(Message, frozen=True, kw_only=True):
     request: str
 
 
-class TraceQuery(Message):
+class TraceQuery(Message, frozen=True, kw_only=True):
     request: str
     command: str  # C-n
 
 
-class ProgramText(Message):
+class ProgramText(Message, frozen=True, kw_only=True):
     """LOAD: put this program document in place of, or into, the one of a kind of worker."""
 
     request: str
@@ -57,13 +57,13 @@ class ProgramText(Message):
     body: bytes  # YAML
 
 
-class ClientHello(Message):
+class ClientHello(Message, frozen=True, kw_only=True):
     """First word of a client; its `client` name survives reconnects. Answered with Welcome."""
 
     client: str
 
 
-class Shutdown(Message):
+class Shutdown(Message, frozen=True, kw_only=True):
     """Ask the cluster to end itself in order (from `rtc down`, or to a worker that retires)."""
 
     request: str = ""
@@ -72,17 +72,17 @@ class Shutdown(Message):
 # --- broker -> client ---------------------------------------------------------------------------------
 
 
-class Welcome(Message):
+class Welcome(Message, frozen=True, kw_only=True):
     cluster: str  # the run's id
     pid: int
 
 
-class Accepted(Message):
+class Accepted(Message, frozen=True, kw_only=True):
     request: str
     command: str  # C-n
 
 
-class Declined(Message):
+class Declined(Message, frozen=True, kw_only=True):
     """The request itself was no good (not a command's outcome): unknown command, queue full, bad message."""
 
     request: str
@@ -104,7 +104,7 @@ class Phase(StrEnum):
     ENDED = "ended"
 
 
-class ProgressNote(Message):
+class ProgressNote(Message, frozen=True, kw_only=True):
     """One step of one command's way, as it happens; also the line of a trace."""
 
     seq: int  # of the broker's event stream, rises by one
@@ -117,7 +117,7 @@ class ProgressNote(Message):
     note: str = ""  # what came of it, in words
 
 
-class CommandEnded(Message):
+class CommandEnded(Message, frozen=True, kw_only=True):
     seq: int
     at_s: float
     command: str
@@ -127,12 +127,12 @@ class CommandEnded(Message):
     took_s: float
 
 
-class StatusReply(Message):
+class StatusReply(Message, frozen=True, kw_only=True):
     request: str
     status: dict[str, Any]  # see docs/protocol.md; plain JSON types
 
 
-class CommandRecord(Message):
+class CommandRecord(Message, frozen=True, kw_only=True):
     """A command's whole story: live or archived."""
 
     command: str
@@ -146,12 +146,12 @@ class CommandRecord(Message):
     ended_at_s: float | None = None
 
 
-class TraceReply(Message):
+class TraceReply(Message, frozen=True, kw_only=True):
     request: str
     record: CommandRecord
 
 
-class ProgramLoaded(Message):
+class ProgramLoaded(Message, frozen=True, kw_only=True):
     request: str
     kind: WorkerKind
     digest: str
@@ -187,22 +187,22 @@ class Job(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     lease: Lease | None = None  # analyzers only
 
 
-class JobBatch(Message):
+class JobBatch(Message, frozen=True, kw_only=True):
     jobs: list[Job]
 
 
-class Drop(Message):
+class Drop(Message, frozen=True, kw_only=True):
     """These jobs are no longer wanted; one not begun need not be done."""
 
     jobs: list[str]
 
 
-class ProgramBody(Message):
+class ProgramBody(Message, frozen=True, kw_only=True):
     digest: str
     body: bytes | None  # None: no such program
 
 
-class WorkerHello(Message):
+class WorkerHello(Message, frozen=True, kw_only=True):
     """A worker is ready. `node` is its address in the cube, `name` "binder@2"."""
 
     name: str
@@ -211,7 +211,7 @@ class WorkerHello(Message):
     pid: int
 
 
-class Heartbeat(Message):
+class Heartbeat(Message, frozen=True, kw_only=True):
     """Alive, and this is the job in hand, if any."""
 
     name: str
@@ -245,12 +245,12 @@ class JobCrashed(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, 
 JobResult = JobDone | JobRefused | JobCrashed
 
 
-class ResultBatch(Message):
+class ResultBatch(Message, frozen=True, kw_only=True):
     name: str  # of the worker
     results: list[JobResult]
 
 
-class ProgramWanted(Message):
+class ProgramWanted(Message, frozen=True, kw_only=True):
     digest: str
 
 
@@ -328,7 +328,7 @@ class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     reflexes: list[ReflexItem] = []
 
 
-class Script(Message):
+class Script(Message, frozen=True, kw_only=True):
     """Product of an elaborator: what to do, what may go wrong, what it needs (R118)."""
 
     context: ScriptContext
@@ -386,7 +386,7 @@ class AnalyzerInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     closing: bool = False
 
 
-class BoundStep(Message):
+class BoundStep(Message, frozen=True, kw_only=True):
     """Product of a binder: a primitive with what is expected of it; or, for a step that moves nothing, bindings."""
 
     subsystem: str = ""  # "MCM"; empty = nothing to execute
@@ -415,7 +415,7 @@ class WorldChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     keep_value: bool = False  # leave the value as it is, change the validity
 
 
-class Assessment(Message):
+class Assessment(Message, frozen=True, kw_only=True):
     """Product of an analyzer (R122): go on, mend, or give up; and what the world is like now."""
 
     verdict: Literal["continue", "trim", "abort"]
@@ -430,7 +430,7 @@ class Assessment(Message):
 # --- 4. broker <-> subsystems -------------------------------------------------------------------------
 
 
-class SubsystemHello(Message):
+class SubsystemHello(Message, frozen=True, kw_only=True):
     """A subsystem is there. `outstanding` are the primitives it executes or has an unacknowledged report of."""
 
     name: str  # MCM
@@ -440,11 +440,11 @@ class SubsystemHello(Message):
     at_rest: bool = True
 
 
-class Execute(Message):
+class Execute(Message, frozen=True, kw_only=True):
     primitive: Primitive
 
 
-class HaltOrder(Message):
+class HaltOrder(Message, frozen=True, kw_only=True):
     """Stop now. `scope`: ALL, a performer, or a command number, which stops the primitives that begin with it."""
 
     halt: str
@@ -452,18 +452,18 @@ class HaltOrder(Message):
     called_at_s: float = 0.0  # when the operator called
 
 
-class ReportAck(Message):
+class ReportAck(Message, frozen=True, kw_only=True):
     """The end report of this primitive is journalled; it need not be kept any longer."""
 
     primitive: str
 
 
-class Started(Message):
+class Started(Message, frozen=True, kw_only=True):
     primitive: str
     at_s: float
 
 
-class ProgressReport(Message):
+class ProgressReport(Message, frozen=True, kw_only=True):
     """An event report while moving (R)."""
 
     primitive: str
@@ -473,7 +473,7 @@ class ProgressReport(Message):
     tcp_pose: list[float]
 
 
-class EndReport(Message):
+class EndReport(Message, frozen=True, kw_only=True):
     """The one end report of a primitive: what, where, why (R65). Repeated until it is acknowledged."""
 
     primitive: str
@@ -495,7 +495,7 @@ class EndReport(Message):
     message: str = ""  # for REFUSED: why; for COLLISION: the bodies' link names
 
 
-class HaltStarted(Message):
+class HaltStarted(Message, frozen=True, kw_only=True):
     """The first decelerating tick of a halt (the figure `rtc halt` prints)."""
 
     halt: str
@@ -505,7 +505,7 @@ class HaltStarted(Message):
     moving: list[str]  # performers that were in motion
 
 
-class HaltAtRest(Message):
+class HaltAtRest(Message, frozen=True, kw_only=True):
     """All performers in the scope of the halt are at rest (or not: `at_rest`)."""
 
     halt: str
@@ -527,7 +527,7 @@ class Fact(msgspec.Struct, frozen=True, kw_only=True):
     at_s: float
 
 
-class ReadView(Message):
+class ReadView(Message, frozen=True, kw_only=True):
     """One grouped read (R147): all facts, or those of some keys or locations; only what is newer than `since`."""
 
     request: str
@@ -535,13 +535,13 @@ class ReadView(Message):
     since: int = 0
 
 
-class View(Message):
+class View(Message, frozen=True, kw_only=True):
     request: str
     version: int
     facts: list[Fact]
 
 
-class Commit(Message):
+class Commit(Message, frozen=True, kw_only=True):
     """Write, once per job: the same job again gets the same answer and changes nothing."""
 
     request: str
@@ -550,19 +550,19 @@ class Commit(Message):
     source: str
 
 
-class Committed(Message):
+class Committed(Message, frozen=True, kw_only=True):
     request: str
     version: int
     again: bool = False  # this job had been committed before
 
 
-class WorldHistory(Message):
+class WorldHistory(Message, frozen=True, kw_only=True):
     request: str
     key: str
     limit: int = 100
 
 
-class WorldRefused(Message):
+class WorldRefused(Message, frozen=True, kw_only=True):
     request: str
     refusal: Refusal
 
@@ -570,11 +570,11 @@ class WorldRefused(Message):
 # --- 6. supervisor <-> broker -------------------------------------------------------------------------
 
 
-class SupervisorHello(Message):
+class SupervisorHello(Message, frozen=True, kw_only=True):
     pid: int
 
 
-class ProcessExited(Message):
+class ProcessExited(Message, frozen=True, kw_only=True):
     """A process of the cluster has ended; the supervisor saw it first."""
 
     name: str  # "binder@2", "MCM", "world"
@@ -583,13 +583,13 @@ class ProcessExited(Message):
     restarting: bool
 
 
-class ProcessTable(Message):
+class ProcessTable(Message, frozen=True, kw_only=True):
     """What runs: for `rtc status`."""
 
     processes: list[dict[str, Any]]  # name, pid, state, restarts, since_s
 
 
-class KillProcess(Message):
+class KillProcess(Message, frozen=True, kw_only=True):
     """Ask the supervisor to kill -9 a hung process and start it anew."""
 
     name: str
@@ -597,11 +597,11 @@ class KillProcess(Message):
     why: str
 
 
-class SpawnWorker(Message):
+class SpawnWorker(Message, frozen=True, kw_only=True):
     kind: WorkerKind
 
 
-class RetireWorker(Message):
+class RetireWorker(Message, frozen=True, kw_only=True):
     name: str
 
 
@@ -617,7 +617,7 @@ class ArmSample(msgspec.Struct, frozen=True, kw_only=True):
     primitive: str  # being executed; empty = holding
 
 
-class Telemetry(Message):
+class Telemetry(Message, frozen=True, kw_only=True):
     subsystem: str
     at_s: float
     sim_s: float
@@ -629,11 +629,11 @@ class Telemetry(Message):
 # --- 8. test bench <-> simulator: what no real subsystem would tell -----------------------------------
 
 
-class SimTruth(Message):
+class SimTruth(Message, frozen=True, kw_only=True):
     request: str
 
 
-class SimTruthReply(Message):
+class SimTruthReply(Message, frozen=True, kw_only=True):
     request: str
     sim_s: float
     poses: dict[str, list[float]]  # every object of the cell, world frame
@@ -644,7 +644,7 @@ class SimTruthReply(Message):
     held: dict[str, list[str]]  # arm -> objects that both its fingers press on
 
 
-class SimDisplace(Message):
+class SimDisplace(Message, frozen=True, kw_only=True):
     """Move an object, with the seat it sits in, without telling the RTC: a belief error."""
 
     request: str
@@ -652,7 +652,7 @@ class SimDisplace(Message):
     offset: list[float]  # x y z roll pitch yaw: m, rad; world axes about the object's origin
 
 
-class SimDone(Message):
+class SimDone(Message, frozen=True, kw_only=True):
     request: str
     error: str = ""
 
@@ -660,14 +660,10 @@ class SimDone(Message):
 # --- who may say what: one union per socket and direction ----------------------------------------------
 
 ClientToBroker = ClientHello | CommandText | StatusQuery | TraceQuery | ProgramText | Shutdown
-BrokerToClient = (
-    Welcome | Accepted | Declined | ProgressNote | CommandEnded | StatusReply | TraceReply | ProgramLoaded
-)
+BrokerToClient = Welcome | Accepted | Declined | ProgressNote | CommandEnded | StatusReply | TraceReply | ProgramLoaded
 WorkerToBroker = WorkerHello | Heartbeat | ResultBatch | ProgramWanted
 BrokerToWorker = JobBatch | Drop | ProgramBody | Shutdown
-SubsystemToBroker = (
-    SubsystemHello | Heartbeat | Started | ProgressReport | EndReport | HaltStarted | HaltAtRest
-)
+SubsystemToBroker = SubsystemHello | Heartbeat | Started | ProgressReport | EndReport | HaltStarted | HaltAtRest
 BrokerToSubsystem = Execute | HaltOrder | ReportAck
 ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined
