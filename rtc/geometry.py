@@ -1,0 +1,201 @@
+"""Poses: seven floats [x y z qx qy qz qw] in metres and a unit quaternion, right-handed.
+
+Pure arithmetic, in plain `math` where seven numbers are too few to pay for numpy. Every function takes any
+sequence of floats and gives a fresh float64 array (or a float), so that results can be stored, sent and compared.
+`compose(a, b)` reads "b, given in the axes of a, in the axes a is given in". This file knows no robot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Floats = Sequence[float] | Array  # what the functions accept
+
+IDENTITY: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+# The attitude in which a vertical bar is straddled: tool z = world +x, tool y = world +y, tool x = world -z.
+LEVEL: tuple[float, ...] = (0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5))
+
+
+def make_pose(position: Floats, quaternion: Floats = (0.0, 0.0, 0.0, 1.0)) -> Array:
+    """A pose of a position (m) and a quaternion (xyzw, made unit here)."""
+    return normalise((*_floats(position), *_floats(quaternion)))
+
+
+def normalise(pose: Floats) -> Array:
+    """The same pose with a unit quaternion whose w is not negative (one orientation, one spelling)."""
+    x, y, z, qx, qy, qz, qw = _floats(pose)
+    norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
+    if norm < 1e-9:
+        raise ValueError(f"a quaternion of length zero is no orientation: {[qx, qy, qz, qw]}")
+    norm = -norm if qw < 0 else norm
+    return np.array((x, y, z, qx / norm, qy / norm, qz / norm, qw / norm))
+
+
+def compose(a: Floats, b: Floats) -> Array:
+    """`b`, given in the axes of `a`, expressed where `a` is expressed."""
+    ax, ay, az, *qa = _floats(a)
+    bx, by, bz, *qb = _floats(b)
+    rx, ry, rz = _turn(qa, bx, by, bz)
+    return np.array((ax + rx, ay + ry, az + rz, *_multiply(qa, qb)))
+
+
+def inverse(a: Floats) -> Array:
+    """The pose of the outer frame in the axes of `a`."""
+    x, y, z, qx, qy, qz, qw = _floats(a)
+    back = (-qx, -qy, -qz, qw)
+    rx, ry, rz = _turn(back, x, y, z)
+    return np.array((-rx, -ry, -rz, *back))
+
+
+def relative(frame: Floats, pose: Floats) -> Array:
+    """`pose` in the axes of `frame`; `compose(frame, relative(frame, pose))` is `pose` again."""
+    return compose(inverse(frame), pose)
+
+
+def transform_point(pose: Floats, point: Floats) -> Array:
+    """A point given in the axes of `pose`, expressed where `pose` is expressed."""
+    x, y, z, *q = _floats(pose)
+    rx, ry, rz = _turn(q, *_floats(point))
+    return np.array((x + rx, y + ry, z + rz))
+
+
+def rotate(pose: Floats, vector: Floats) -> Array:
+    """A direction given in the axes of `pose`, turned but not moved."""
+    return np.array(_turn(_floats(pose)[3:], *_floats(vector)))
+
+
+def translate(pose: Floats, by: Floats) -> Array:
+    """`pose` moved by a vector of the outer frame, attitude kept."""
+    x, y, z, *q = _floats(pose)
+    dx, dy, dz = _floats(by)
+    return np.array((x + dx, y + dy, z + dz, *q))
+
+
+def interpolate(a: Floats, b: Floats, s: float) -> Array:
+    """The pose a fraction `s` (0..1) of the straight way from `a` to `b`; attitude by the shorter slerp."""
+    pa, pb = _floats(a), _floats(b)
+    qa, qb = pa[3:], pb[3:]
+    cosine = sum(m * n for m, n in zip(qa, qb, strict=True))
+    if cosine < 0:  # the same attitude spelt the other way round is nearer
+        qb, cosine = [-n for n in qb], -cosine
+    if cosine > 0.99999:  # the arc is as good as its chord, and sin(angle) is nearly 0
+        wa, wb = 1.0 - s, s
+    else:
+        angle = math.acos(cosine)
+        wa, wb = math.sin((1.0 - s) * angle) / math.sin(angle), math.sin(s * angle) / math.sin(angle)
+    position = [m + s * (n - m) for m, n in zip(pa[:3], pb[:3], strict=True)]
+    return normalise((*position, *(wa * m + wb * n for m, n in zip(qa, qb, strict=True))))
+
+
+def mean_pose(poses: Sequence[Floats]) -> Array:
+    """The middle of several poses: mean position, and the attitude nearest to all (Markley's quaternion mean)."""
+    if not poses:
+        raise ValueError("the mean of no poses")
+    table = np.asarray([_floats(p) for p in poses])
+    quaternions = table[:, 3:]
+    _, vectors = np.linalg.eigh(quaternions.T @ quaternions)  # q and -q count alike in the outer product
+    return normalise((*table[:, :3].mean(axis=0), *vectors[:, -1]))
+
+
+def distance(a: Floats, b: Floats) -> float:
+    """Metres between the origins of two poses (or between two points)."""
+    return math.dist(_floats(a)[:3], _floats(b)[:3])
+
+
+def angle(a: Floats, b: Floats) -> float:
+    """Radians (0..pi) of the turn from the attitude of `a` to that of `b`."""
+    x, y, z, w = _multiply([-n for n in _floats(a)[3:6]] + [_floats(a)[6]], _floats(b)[3:])
+    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
+
+
+def to_matrix(pose: Floats) -> Array:
+    """The 4x4 matrix of a pose."""
+    px, py, pz, x, y, z, w = _floats(pose)
+    return np.array(
+        (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), px),
+            (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), py),
+            (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), pz),
+            (0.0, 0.0, 0.0, 1.0),
+        )
+    )
+
+
+def from_matrix(matrix: Array) -> Array:
+    """The pose of a 4x4 matrix whose upper left is a rotation."""
+    (a, b, c, px), (d, e, f, py), (g, h, i, pz) = np.asarray(matrix, dtype=float)[:3].tolist()
+    # Shepperd: divide by the largest of the four, which is never near zero.
+    candidates = (1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i)
+    largest = max(range(4), key=candidates.__getitem__)
+    quaternion = (
+        (candidates[0], b + d, c + g, h - f),
+        (b + d, candidates[1], f + h, c - g),
+        (c + g, f + h, candidates[2], d - b),
+        (h - f, c - g, d - b, candidates[3]),
+    )[largest]
+    return normalise((px, py, pz, *quaternion))
+
+
+def from_rpy(position: Floats, rpy: Floats) -> Array:
+    """The pose of a position and roll, pitch, yaw (rad) about the fixed axes x, y, z, as URDF means it."""
+    roll, pitch, yaw = (0.5 * n for n in _floats(rpy))
+    cr, sr, cp, sp, cy, sy = (f(n) for n in (roll, pitch, yaw) for f in (math.cos, math.sin))
+    quaternion = (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+    return normalise((*_floats(position), *quaternion))
+
+
+def to_rpy(pose: Floats) -> Array:
+    """Roll, pitch, yaw (rad) about the fixed axes x, y, z; at pitch +-90 deg the yaw is taken to be 0."""
+    _, _, _, x, y, z, w = _floats(pose)
+    sine = max(-1.0, min(1.0, 2 * (w * y - z * x)))
+    if abs(sine) > 1 - 1e-12:
+        return np.array((2 * math.atan2(x, w), math.asin(sine), 0.0))
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    return np.array((roll, math.asin(sine), math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))))
+
+
+def rotation_vector(a: Floats, b: Floats) -> Array:
+    """The turn from `a` to `b` as axis times angle (rad), in the outer frame; length at most pi."""
+    qa = _floats(a)[3:]
+    x, y, z, w = _multiply(_floats(b)[3:], [-qa[0], -qa[1], -qa[2], qa[3]])
+    if w < 0:
+        x, y, z, w = -x, -y, -z, -w
+    sine = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 if sine < 1e-12 else 2.0 * math.atan2(sine, w) / sine
+    return np.array((scale * x, scale * y, scale * z))
+
+
+def _floats(values: Floats) -> Sequence[float]:
+    return values.tolist() if isinstance(values, np.ndarray) else values  # Python floats: 5x quicker than numpy's
+
+
+def _multiply(p: Sequence[float], q: Sequence[float]) -> tuple[float, float, float, float]:
+    a, b, c, d = p
+    e, f, g, h = q
+    return (
+        d * e + a * h + b * g - c * f,
+        d * f - a * g + b * h + c * e,
+        d * g + a * f - b * e + c * h,
+        d * h - a * e - b * f - c * g,
+    )
+
+
+def _turn(q: Sequence[float], x: float, y: float, z: float) -> tuple[float, float, float]:
+    a, b, c, w = q
+    tx, ty, tz = 2 * (b * z - c * y), 2 * (c * x - a * z), 2 * (a * y - b * x)
+    return (
+        x + w * tx + b * tz - c * ty,
+        y + w * ty + c * tx - a * tz,
+        z + w * tz + a * ty - b * tx,
+    )
