@@ -183,6 +183,7 @@ class Job(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     id: str  # "C-7/12": command and a number
     attempt: int  # 1, 2, 3: an answer to an older attempt is stale
     program: str  # digest
+    cell: str = ""  # digest of the cell; empty = this kind of worker needs none
     input: msgspec.Raw  # ParserInput | ElaboratorInput | BinderInput | AnalyzerInput
     lease: Lease | None = None  # analyzers only
 
