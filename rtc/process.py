@@ -1,0 +1,237 @@
+"""What every process of a cluster shares: how it starts, listens, waits, says it is ready, and ends.
+
+    with process.start("world", run_dir) as me:
+        requests = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True)
+        me.ready()
+        while not me.stopping:
+            for socket in me.wait(timeout_s=0.5):
+                for parts in inbox(socket):
+                    ...
+
+SIGTERM and SIGINT only set `stopping` and wake `wait` (or any poll that holds `me.wake_fd`); the loop ends by itself.
+Logs go to stderr, which the supervisor keeps in the run directory; stdout carries one word, `ready`. That nothing
+outlives a killed supervisor is the business of the parent, who calls `die_with_parent` in the child it forks (SIGKILL
+for every kind of process: whoever wants an orderly end sends SIGTERM first). This file knows no message and no kind of
+process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import faulthandler
+import gc
+import logging
+import os
+import signal
+import socket as sockets
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from rtc import wire
+
+QUEUE_LENGTH = 10_000  # messages per peer that ZeroMQ holds before it drops (ROUTER, PUB) or says no (DEALER)
+LINGER_MS = 200  # how long the last words of a process may take to leave it
+RECONNECT_MS, RECONNECT_MAX_MS = 10, 100  # a restarted peer is found again within this
+PR_SET_PDEATHSIG = 1
+
+
+class Process:
+    """One process's sockets, its wake-up call and whether it is to end. Made by `start`; by hand only in tests."""
+
+    def __init__(self, name: str, run_dir: Path) -> None:
+        self.name = name
+        self.run_dir = run_dir
+        self.log = logging.getLogger(name)
+        self.stopping = False
+        self.context = zmq.Context()
+        self._wake_end, self._wake_start = sockets.socketpair()
+        for end in (self._wake_end, self._wake_start):
+            end.setblocking(False)
+        self.wake_fd = self._wake_end.fileno()
+        self.poller = zmq.Poller()
+        self.poller.register(self.wake_fd, zmq.POLLIN)
+
+    def socket(
+        self,
+        kind: int,
+        endpoint: str,
+        *,
+        bind: bool = False,
+        identity: str = "",
+        queue_length: int = QUEUE_LENGTH,
+        poll: bool = True,
+    ) -> zmq.Socket[bytes]:
+        """A bounded socket on `endpoint`, watched by `wait` unless `poll` is False.
+
+        A ROUTER hands an identity over to its newest bearer, so that a restarted process is heard at once.
+        Raises `zmq.ZMQError` when the endpoint cannot be bound.
+        """
+        made = open_socket(self.context, kind, endpoint, bind=bind, identity=identity, queue_length=queue_length)
+        if poll:
+            self.poller.register(made, zmq.POLLIN)
+        return made
+
+    def wait(self, timeout_s: float | None = None) -> list[Any]:
+        """The sockets with something to read, in the order of their making; none: the time is up, or a signal came."""
+        timeout_ms = None if timeout_s is None else max(0, int(timeout_s * 1000 + 0.999))
+        readable = dict(self.poller.poll(timeout_ms))
+        if readable.pop(self.wake_fd, 0):
+            self.slept_enough()
+        return [socket for socket, _ in self.poller.sockets if socket in readable]
+
+    def slept_enough(self) -> None:
+        """Empty the wake-up call; for a poll of one's own that found `wake_fd` readable."""
+        with contextlib.suppress(BlockingIOError):
+            while self._wake_end.recv(4096):
+                pass
+
+    def stop(self) -> None:
+        """Ask the loop to end and wake it. Safe in a signal handler and from another thread."""
+        self.stopping = True
+        with contextlib.suppress(OSError):
+            self._wake_start.send(b"\0")
+
+    def ready(self) -> None:
+        """Tell the supervisor, once, that the sockets are there and work can begin."""
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.write("ready\n")
+            sys.stdout.flush()
+        self.log.info("ready")
+
+    def close(self) -> None:
+        self.context.destroy(linger=LINGER_MS)
+        self._wake_end.close()
+        self._wake_start.close()
+
+
+@contextlib.contextmanager
+def start(name: str, run_dir: Path | str) -> Iterator[Process]:
+    """Make this operating system process the cluster's process `name`, until the block ends."""
+    os.umask(0o077)  # sockets and files of a cluster are its owner's alone
+    log_to_stderr()
+    faulthandler.enable()  # a crash inside a C++ library leaves its stack in the log
+    me = Process(name, Path(run_dir))
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: me.stop())
+        # A handler runs only between two bytecodes; the byte written here ends a poll that is under way.
+        signal.set_wakeup_fd(me._wake_start.fileno(), warn_on_full_buffer=False)
+    try:
+        yield me
+        me.log.info("ended in order")
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.set_wakeup_fd(-1)
+        me.close()
+
+
+def log_to_stderr(level: int = logging.INFO) -> None:
+    """One line per event: time, process, level, text."""
+    logging.basicConfig(
+        level=level,
+        stream=sys.stderr,
+        format="%(asctime)s.%(msecs)03d %(name)s %(levelname)s %(message)s",
+        datefmt="%H:%M:%S",
+    )
+
+
+def open_socket(
+    context: zmq.Context[Any],
+    kind: int,
+    endpoint: str,
+    *,
+    bind: bool = False,
+    identity: str = "",
+    queue_length: int = QUEUE_LENGTH,
+) -> zmq.Socket[bytes]:
+    """A socket with our limits set: length of its queues, size of a frame, time to linger, pace of reconnecting."""
+    made: zmq.Socket[bytes] = context.socket(kind)
+    made.setsockopt(zmq.SNDHWM, queue_length)
+    made.setsockopt(zmq.RCVHWM, queue_length)
+    made.setsockopt(zmq.LINGER, LINGER_MS)
+    made.setsockopt(zmq.MAXMSGSIZE, wire.MAX_BYTES)
+    made.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
+    made.setsockopt(zmq.RECONNECT_IVL_MAX, RECONNECT_MAX_MS)
+    if kind == zmq.ROUTER:
+        made.setsockopt(zmq.ROUTER_HANDOVER, 1)
+    if identity:
+        made.setsockopt(zmq.IDENTITY, identity.encode())
+    if bind:
+        made.bind(endpoint)
+    else:
+        made.connect(endpoint)
+    return made
+
+
+def send(socket: zmq.Socket[bytes], message: Any, to: bytes | None = None) -> bool:
+    """Put a message on its way (to one peer of a ROUTER), never wait. False: no room in the queue, or no such peer."""
+    parts = wire.frames(message)
+    try:
+        socket.send_multipart(parts if to is None else [to, *parts], flags=zmq.NOBLOCK)
+    except zmq.ZMQError as error:
+        if error.errno in (zmq.EAGAIN, zmq.EHOSTUNREACH):
+            return False
+        raise
+    return True
+
+
+def inbox(socket: zmq.Socket[bytes], limit: int = 1000) -> Iterator[Sequence[bytes]]:
+    """The messages that lie ready, as their frames; at most `limit`, so that no peer can keep a loop to itself."""
+    for _ in range(limit):
+        try:
+            yield socket.recv_multipart(flags=zmq.NOBLOCK)
+        except zmq.Again:
+            return
+
+
+class Every:
+    """A period: `due(now)` is true once per period, and never twice in a row to catch up."""
+
+    def __init__(self, period_s: float, first_at_s: float = 0.0) -> None:
+        self.period_s = period_s
+        self._next_s = first_at_s
+
+    def due(self, now_s: float) -> bool:
+        if now_s < self._next_s:
+            return False
+        self._next_s = now_s + self.period_s
+        return True
+
+    def left_s(self, now_s: float) -> float:
+        """How long to wait for the next time; never negative."""
+        return max(0.0, self._next_s - now_s)
+
+
+def now_s() -> float:
+    """CLOCK_MONOTONIC, in which all `_at_s` of messages are given."""
+    return time.monotonic()
+
+
+def nice(by: int) -> bool:
+    """Make this process yield more (by > 0) or less (by < 0, needs leave) than others. Best effort."""
+    try:
+        os.nice(by)
+    except OSError:
+        return False
+    return True
+
+
+def freeze_heap() -> None:
+    """Take all that is imported and built so far out of the garbage collector's rounds: shorter pauses in a loop."""
+    gc.collect()
+    gc.freeze()
+
+
+def die_with_parent(parent: int) -> None:
+    """In a child just forked by `parent`'s main thread: let the kernel kill it when the parent dies. Survives exec."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:  # it died between fork and prctl
+        os._exit(1)

@@ -1,0 +1,137 @@
+"""A process's sockets, its wake-up call, and its end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+
+import pytest
+import zmq
+
+from rtc import process, wire
+from rtc.messages import Heartbeat
+from rtc.process import Every, Process, inbox, send
+
+
+@pytest.fixture
+def me(tmp_path):
+    made = Process("test", tmp_path)
+    yield made
+    made.close()
+
+
+def test_stop_from_another_thread_ends_a_wait_at_once(me):
+    threading.Timer(0.01, me.stop).start()
+    assert me.wait(timeout_s=30) == []
+    assert me.stopping
+
+
+def test_a_message_travels_to_a_named_peer_and_back(me, tmp_path):
+    endpoint = f"ipc://{tmp_path}/x.sock"
+    router = me.socket(zmq.ROUTER, endpoint, bind=True)
+    dealer = me.socket(zmq.DEALER, endpoint, identity="binder@2")
+    assert send(dealer, Heartbeat(name="binder@2"))
+    assert me.wait(5) == [router]
+    ((who, *parts),) = inbox(router)
+    assert who == b"binder@2"
+    assert wire.reader(Heartbeat)(parts) == Heartbeat(name="binder@2")
+    assert send(router, Heartbeat(name="answer"), to=who)
+    assert me.wait(5) == [dealer]
+
+
+def test_sending_never_waits(me, tmp_path):
+    nobody = me.socket(zmq.DEALER, f"ipc://{tmp_path}/nobody.sock", queue_length=2)
+    said = [send(nobody, Heartbeat(name="x")) for _ in range(10)]
+    assert said[0] is True
+    assert said[-1] is False
+
+
+def test_a_newer_bearer_of_an_identity_is_the_one_that_is_heard(me, tmp_path):
+    endpoint = f"ipc://{tmp_path}/x.sock"
+    router = me.socket(zmq.ROUTER, endpoint, bind=True)
+    old = me.socket(zmq.DEALER, endpoint, identity="w")
+    send(old, Heartbeat(name="old"))
+    assert me.wait(5) == [router]
+    list(inbox(router))
+    new = me.socket(zmq.DEALER, endpoint, identity="w")
+    send(new, Heartbeat(name="new"))
+    assert me.wait(5) == [router]
+    list(inbox(router))
+    send(router, Heartbeat(name="for the new one"), to=b"w")
+    assert me.wait(5) == [new]
+
+
+def test_an_oversized_frame_never_arrives(me, tmp_path):
+    endpoint = f"ipc://{tmp_path}/x.sock"
+    router = me.socket(zmq.ROUTER, endpoint, bind=True)
+    big = me.socket(zmq.DEALER, endpoint, identity="big")
+    big.send_multipart([wire.PROTOCOL, bytes(wire.MAX_BYTES + 1)])
+    small = me.socket(zmq.DEALER, endpoint, identity="small")
+    send(small, Heartbeat(name="small"))
+    assert me.wait(5) == [router]
+    assert [parts[0] for parts in inbox(router)] == [b"small"]
+
+
+def test_a_period_is_due_once_and_does_not_catch_up():
+    every = Every(0.5)
+    assert [every.due(t) for t in (0.0, 0.1, 0.5, 3.0, 3.1, 3.5)] == [True, False, True, True, False, True]
+    assert every.left_s(3.6) == pytest.approx(0.4)
+    assert every.left_s(9.0) == 0.0
+
+
+LOOP = textwrap.dedent("""
+    import sys
+    from rtc import process
+    with process.start("loop", sys.argv[1]) as me:
+        me.ready()
+        while not me.stopping:
+            me.wait(timeout_s=60)
+""")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_the_loop_in_order(tmp_path, number):
+    child = subprocess.Popen(
+        [sys.executable, "-c", LOOP, str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert child.stdout.readline() == "ready\n"
+    child.send_signal(number)
+    out, log = child.communicate(timeout=10)
+    assert (child.returncode, out) == (0, "")
+    assert "ended in order" in log
+
+
+@pytest.mark.slow
+def test_a_child_dies_with_its_parent(tmp_path):
+    parent_code = textwrap.dedent("""
+        import os, subprocess, sys, time
+        from rtc.process import die_with_parent
+        me = os.getpid()
+        child = subprocess.Popen([sys.executable, "-c", "import time; print('up', flush=True); time.sleep(600)"],
+                                 stdout=subprocess.PIPE, preexec_fn=lambda: die_with_parent(me))
+        child.stdout.readline()
+        print(child.pid, flush=True)
+        time.sleep(600)
+    """)
+    parent = subprocess.Popen([sys.executable, "-c", parent_code], stdout=subprocess.PIPE, text=True)
+    pid = int(parent.stdout.readline())
+    gone = os.pidfd_open(pid)
+    parent.kill()
+    parent.wait(10)
+    poller = zmq.Poller()
+    poller.register(gone, zmq.POLLIN)
+    assert poller.poll(10_000), "the child outlived its parent"
+    os.close(gone)
+
+
+def test_nice_never_raises(monkeypatch):
+    def refuse(by: int) -> int:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "nice", refuse)
+    assert process.nice(-5) is False
