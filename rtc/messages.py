@@ -37,6 +37,7 @@ class CommandText(Message, frozen=True, kw_only=True):
     source: Literal["operator", "aip"] = "operator"  # told apart in records only (R133)
     progress: bool = True  # send ProgressNotes too, not only the end
     halt_if_lost: bool = False  # halt this command when the client goes away
+    sent_at_s: float = 0.0  # a sentence sent before a HALT ALL does not start after it; 0 = not told
 
 
 class StatusQuery(Message, frozen=True, kw_only=True):
@@ -442,7 +443,10 @@ class SubsystemHello(Message, frozen=True, kw_only=True):
 
 
 class Execute(Message, frozen=True, kw_only=True):
+    """Perform this. The same primitive twice is executed once; one issued before a halt is not begun after it."""
+
     primitive: Primitive
+    issued_at_s: float = 0.0
 
 
 class HaltOrder(Message, frozen=True, kw_only=True):

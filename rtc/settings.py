@@ -16,6 +16,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """How one cluster is made up. Written to `settings.json` in the run directory by whoever starts it."""
 
     run_dir: str
+    run: str = ""  # identifies this run: what an earlier run left in the directory is not continued
     cell: str = "swapout"  # name or file
     dim: int = 2  # of the cube: 2^dim workers
     mcm: str = "bullet"  # or "kinematic"
