@@ -1,0 +1,472 @@
+"""What each production means: from its parts to fields of the record (one small function per meaning).
+
+The grammar names these functions (`-> word`); the table `MEANING` at the end is all it may name. Nothing
+here knows where words may stand. Most clauses give a dict of record fields, and the clause above merges
+them; what the words can not express is checked here: the kind and sense of each quantity, and that nothing
+is said twice. A fault is a `Wrong` at its column.
+
+Lists come up from the right (the grammar is right-recursive), so they are built last item first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, Literal, NamedTuple
+
+from lark.lexer import Token
+
+from rtc.language.record import Condition, Constraint, Place, Quantity, ReflexItem, Report
+from rtc.language.refuse import Wrong, quoted
+from rtc.language.units import KINDS, UNITS, such_as, to_si
+from rtc.language.words import Measured, measured
+
+Fields = dict[str, Any]
+Parts = list[Any]
+Sense = Literal["any", "not negative", "more than nothing"]
+
+NOTHING: Fields = {}  # shared by every empty clause; merged from, never changed
+
+
+class Takes(NamedTuple):
+    """What a word takes after it: SI units, and which sense of number."""
+
+    units: tuple[str, ...]
+    sense: Sense = "more than nothing"
+
+
+LENGTH = Takes(("m",))
+TIME = Takes(("s",))
+
+ANYTHING = Takes(tuple(KINDS), "any")  # for words that only a grammar loaded later knows
+
+#: verb -> what BY gives it. A negative MOVE or TURN goes the other way; a negative LIFT means nothing.
+AMOUNTS: dict[str, Takes] = {
+    "RETRACT": LENGTH,
+    "LIFT": LENGTH,
+    "PUSH": LENGTH,
+    "PULL": LENGTH,
+    "OPEN": Takes(("rad", "m")),  # a door, or a drawer
+    "CLOSE": Takes(("rad", "m")),
+    "LOOSEN": Takes(("turn", "rad")),
+    "TIGHTEN": Takes(("turn", "rad")),
+    "TURN": Takes(("rad", "turn"), "any"),
+}
+STEP = Takes(("m", "rad"), "any")  # MOVE ... BY: along an axis, or about it
+
+CONSTRAINTS: dict[str, Takes] = {
+    "AVOID-NEIGHBORS": Takes(("m",), "not negative"),
+    "SPEED": Takes(("m/s", "rad/s", "ratio")),
+    "FORCE-LIMIT": Takes(("N",)),
+    "TORQUE-LIMIT": Takes(("N.m",)),
+    "GRIP-FORCE": Takes(("N",)),
+    "STIFFNESS": Takes(("N/m",)),
+    "TIME-LIMIT": TIME,
+}
+
+MEASURES: dict[str, Takes] = {
+    "FORCE": Takes(("N",), "not negative"),
+    "TORQUE": Takes(("N.m",), "not negative"),
+    "GRIP-FORCE": Takes(("N",), "not negative"),
+    "DISTANCE": Takes(("m",), "not negative"),
+}
+
+ARMS = {"LEFT-END-EFF": "LEFT-ARM", "RIGHT-END-EFF": "RIGHT-ARM"}
+ACTIONS = {"STOP": "stop", "BACK-OFF": "back_off", "COMPLY": "comply", "RELEASE": "release"}
+SHARED_PARTS = {"ORIENTATION": "WRIST"}  # two names of one part of a shared motion
+POSITION_NUMBERS = 3  # x y z
+
+
+class Hand(dict[str, Any]):
+    """Fields of a hand, which remember their column: only hands can contradict each other."""
+
+    column: int = 0
+
+
+# --- quantities ---------------------------------------------------------------------------------------
+
+
+def checked(said: Measured, takes: Takes, by: str) -> Quantity:
+    """The quantity in SI, if it is of a kind and sense that the word `by` takes."""
+    if said.unit is None:
+        raise Wrong(said.column, f"{quoted(said.text)} has no unit.", map(such_as, takes.units))
+    si = UNITS[said.unit].si
+    if si not in takes.units:
+        kinds = " or ".join(KINDS[u].word for u in takes.units)
+        message = f"{by} takes {kinds}; {quoted(said.text)} is {KINDS[si].word}."
+        raise Wrong(said.column, message, map(such_as, takes.units))
+    value = to_si(said.number, said.unit)
+    if (value < 0 and takes.sense != "any") or (value == 0 and takes.sense == "more than nothing"):
+        message = f"{by} {quoted(said.text)} makes no sense: it must be {takes.sense}."
+        raise Wrong(said.column, message, map(such_as, takes.units))
+    if si == "ratio" and value > 1:
+        raise Wrong(said.column, f"{by} {quoted(said.text)} makes no sense: at most 100 PERCENT.", ["100 PERCENT"])
+    return Quantity(value, si)
+
+
+def in_one_unit(last_first: list[Measured]) -> list[tuple[Measured, str | None]]:
+    """Each number, first one first, with its unit: its own, or that of the next one that has any
+    (`60 -20 35 CM`). A list without any unit is in SI."""
+    unit: str | None = None
+    bare: Measured | None = None  # the leftmost number seen so far that no unit closes
+    result = []
+    for said in last_first:
+        if said.unit is None and unit is None:
+            bare = said
+        elif bare is not None and unit is None:
+            message = f"{quoted(bare.text)} has no unit, but the number before it has one."
+            raise Wrong(bare.column, message, [f"a quantity such as {bare.text[:20]} {said.unit}"])
+        unit = said.unit or unit
+        result.append((said, unit))
+    result.reverse()
+    return result
+
+
+def si_numbers(last_first: list[Measured], takes: tuple[str, ...], word: Token) -> list[float]:
+    """The numbers after JOINTS or POSITION, in SI."""
+    if not last_first:
+        raise Wrong(word.end_pos or 0, f"{word.value} is followed by no numbers.", ["a number", such_as(takes[0])])
+    return in_si(in_one_unit(last_first), takes, word.value)
+
+
+def in_si(numbers: list[tuple[Measured, str | None]], units: tuple[str, ...], by: str) -> list[float]:
+    """The SI values of numbers of these kinds; a wrong kind is shown where its unit is written."""
+    for said, _ in numbers:
+        if said.unit is not None:
+            checked(said, Takes(units, "any"), by)
+    return [said.number + 0.0 if unit is None else to_si(said.number, unit) for said, unit in numbers]
+
+
+# --- what many clauses share --------------------------------------------------------------------------
+
+
+def nil(_: Parts) -> Fields:
+    return NOTHING
+
+
+def same(parts: Parts) -> Any:
+    return parts[0]
+
+
+def no_items(_: Parts) -> Parts:
+    return []
+
+
+def items(parts: Parts) -> Parts:
+    """`item list` and `AND item list`."""
+    rest: Parts = parts[-1]
+    rest.append(parts[-2])
+    return rest
+
+
+def merge(parts: Iterable[Any]) -> Fields:
+    """The fields of all parts; reserved words have said what they had to say."""
+    fields: Fields = {}
+    for part in parts:
+        if isinstance(part, dict):
+            fields.update(part)
+    return fields
+
+
+def command(parts: Parts) -> Fields:
+    """A verb and its clauses. Its first lone name is the object, the second the target."""
+    verb = parts[0].value
+    fields: Fields = {"verb": verb}
+    for part in parts:
+        if isinstance(part, dict):
+            if "hand" in fields and part.__class__ is Hand and part["hand"] != fields["hand"]:
+                said = f"{fields['hand']} is named first, then {part['hand']}: {verb} is done by one of them."
+                raise Wrong(part.column, said, [fields["hand"]])
+            fields.update(part)
+        elif part.__class__ is str:
+            fields["target" if "object" in fields else "object"] = part
+    if "amount" in fields:
+        takes = AMOUNTS.get(verb, ANYTHING) if "object" in fields else LENGTH  # a hand opens by a width
+        fields["amount"] = checked(fields["amount"], takes, f"{verb} BY")
+    return fields
+
+
+# --- hands, objects, places -----------------------------------------------------------------------------
+
+
+def arm(parts: Parts) -> Hand:
+    """A hand is always told by its arm; ARM <name> by the name."""
+    hand = Hand(hand=ARMS.get(parts[-1], str(parts[-1])))
+    hand.column = parts[0].start_pos
+    return hand
+
+
+def with_hand(parts: Parts) -> Hand:
+    hand: Hand = parts[1]
+    return hand
+
+
+def of_object(parts: Parts) -> Fields:
+    fields = merge(parts)
+    fields["object"] = next(p for p in parts if p.__class__ is str)
+    return fields
+
+
+def at_point(parts: Parts) -> Fields:
+    return {"grasp_point": parts[-1]}
+
+
+def destination(parts: Parts) -> Fields:
+    return {"place": parts[1]}
+
+
+def neighborhood(parts: Parts) -> Fields:
+    return {"place": Place(neighborhood_of=parts[1])}
+
+
+def grasp_point_place(parts: Parts) -> Fields:
+    return {"place": Place(grasp_point_of=parts[1])}
+
+
+def relative_step(parts: Parts) -> Fields:
+    return {"place": Place(by=checked(parts[1], STEP, "MOVE BY"), **parts[2])}
+
+
+def named_place(parts: Parts) -> Place:
+    return Place(name=parts[0])
+
+
+def joint_place(parts: Parts) -> Place:
+    return Place(joints=si_numbers(parts[1], ("rad", "m"), parts[0]))  # m: a joint of a gantry slides
+
+
+def position_place(parts: Parts) -> Place:
+    position = si_numbers(parts[1], ("m",), parts[0])
+    if len(position) != POSITION_NUMBERS:
+        first_too_many = parts[1][::-1][POSITION_NUMBERS:]
+        column = first_too_many[0].column if first_too_many else parts[1][0].column + len(parts[1][0].text)
+        raise Wrong(column, f"POSITION takes three numbers, not {len(position)}.", ["x y z such as 60 -20 35 CM"])
+    return Place(position=position)
+
+
+def straight_line(_: Parts) -> Fields:
+    return {"path": "straight_line"}
+
+
+def joint_motion(_: Parts) -> Fields:
+    return {"path": "joint"}
+
+
+def through(parts: Parts) -> Fields:
+    rest: Fields = parts[2]
+    return {**rest, "through": [parts[1], *rest.get("through", ())]}
+
+
+def amount(parts: Parts) -> Fields:
+    """Checked by the clause above, which knows what is measured."""
+    return {"amount": parts[-1]}
+
+
+def duration(parts: Parts) -> Fields:
+    return {"duration_s": checked(parts[1], TIME, "FOR").value}
+
+
+def handoff(parts: Parts) -> Fields:
+    verb, name, _from, giver, _to, taker, *rest = parts
+    if giver == taker:
+        raise Wrong(taker.column, f"A hand can not hand {name} to itself.", ["another hand"])
+    return command([verb, name, giver, {"to_hand": taker["hand"]}, *rest])
+
+
+def verify(parts: Parts) -> Fields:
+    verb, name, _at, thing = parts
+    where = thing if "hand" in thing else {"target": thing["object"]}
+    return command([verb, name, where])
+
+
+# --- MAINTAIN -------------------------------------------------------------------------------------------
+
+
+def maintain(parts: Parts) -> Fields:
+    said: list[tuple[Token, Constraint]] = items(parts)[::-1]
+    seen = set()
+    for word, constraint in said:
+        if constraint.slot in seen:
+            raise Wrong(word.start_pos or 0, f"{word.value} is said twice.", ["each constraint once"])
+        seen.add(constraint.slot)
+    return {"constraints": sorted((c for _, c in said), key=lambda c: c.slot)}
+
+
+def named_constraint(parts: Parts) -> tuple[Token, Constraint]:
+    word, region = parts
+    return word, Constraint(slot=word.value, name=region or None)
+
+
+def shared_constraint(parts: Parts) -> tuple[Token, Constraint]:
+    word, part = parts
+    return word, Constraint(slot=word.value, name=SHARED_PARTS.get(part, part) if part else None)
+
+
+def measured_constraint(parts: Parts) -> tuple[Token, Constraint]:
+    word, value = parts
+    slot = word.value
+    if not value:
+        return word, Constraint(slot=slot)
+    return word, Constraint(slot=slot, value=checked(value["amount"], CONSTRAINTS.get(slot, ANYTHING), slot))
+
+
+# --- conditions and reflexes ----------------------------------------------------------------------------
+
+
+def until(parts: Parts) -> Fields:
+    return {"until": parts[1]}
+
+
+def guarded(parts: Parts) -> Fields:
+    return {"guarded": True, "reflexes": parts[1][::-1]}
+
+
+def unguarded(parts: Parts) -> Fields:
+    return {"reflexes": parts[0][::-1]} if parts[0] else NOTHING
+
+
+def reflex_item(parts: Parts) -> ReflexItem:
+    return ReflexItem(condition=parts[1], **parts[3])
+
+
+def event(parts: Parts) -> Condition:
+    return Condition(event=parts[0].value)
+
+
+def measured_condition(parts: Parts) -> Condition:
+    measure, direction, bound, said = parts
+    takes = MEASURES.get(measure.value, ANYTHING)
+    if direction:
+        takes = takes._replace(sense="any")  # along an axis a force has a sign, as a magnitude it has none
+    quantity = checked(said, takes, f"{measure.value} {bound[0]}")
+    return Condition(measure=measure.value, bound=bound[1], quantity=quantity, **direction)
+
+
+def along(parts: Parts) -> Fields:
+    return {"along": parts[1]}
+
+
+def above(parts: Parts) -> tuple[str, str]:
+    return parts[0].value, "above"
+
+
+def below(parts: Parts) -> tuple[str, str]:
+    return parts[0].value, "below"
+
+
+def action(parts: Parts) -> Fields:
+    word, *rest = parts
+    fields = merge(rest)
+    if "amount" in fields:
+        fields["by"] = checked(fields.pop("amount"), LENGTH, f"{word.value} BY")
+    return {**fields, "action": ACTIONS[word.value]}
+
+
+def trim(parts: Parts) -> Fields:
+    return {"trim": parts[2]}
+
+
+# --- performer, report, order -----------------------------------------------------------------------------
+
+
+def performer(parts: Parts) -> Fields:
+    return {"performer": parts[1]}
+
+
+def operator_agent(_: Parts) -> str:
+    return "OPERATOR"
+
+
+def report(parts: Parts) -> Fields:
+    return {"report": Report(**merge(parts))}
+
+
+def reported(parts: Parts) -> Fields:
+    return {parts[0].value.lower(): True}
+
+
+def reported_every(parts: Parts) -> Fields:
+    period = checked(parts[1], Takes(("s", "Hz")), "EVERY")
+    return {"every_s": 1 / period.value if period.unit == "Hz" else period.value}
+
+
+def after(parts: Parts) -> Fields:
+    return {"after": parts[1]}
+
+
+def together_with(parts: Parts) -> Fields:
+    return {"together_with": parts[1]}
+
+
+def now(_: Parts) -> Fields:
+    return {"now": True}
+
+
+# --- control, data, operator ------------------------------------------------------------------------------
+
+
+def everything(_: Parts) -> Fields:
+    return {"object": "ALL"}
+
+
+def set_value(parts: Parts) -> Fields:
+    verb, name, attribute, datum = parts
+    return {"verb": verb.value, "object": name, "attribute": attribute, **datum}
+
+
+def name_datum(parts: Parts) -> Fields:
+    return {"value": [parts[0]]}
+
+
+def number_datum(parts: Parts) -> Fields:
+    said = in_one_unit([*parts[1], parts[0]])
+    first, unit = said[0]
+    si = None if unit is None else UNITS[unit].si
+    values = in_si(said, (si,) if si else (), f"SET after {quoted(first.text)}")
+    return {"value": values, "value_unit": si}
+
+
+def cannot(parts: Parts) -> Fields:
+    return {"verb": parts[0].value, "reason": parts[1].value[1:-1]}
+
+
+def task_sentence(parts: Parts) -> Fields:
+    return {**merge(parts), "kind": "task"}
+
+
+def control_sentence(parts: Parts) -> Fields:
+    return {**merge(parts), "kind": "control"}
+
+
+def data_sentence(parts: Parts) -> Fields:
+    return {**parts[0], "kind": "data"}
+
+
+def operator_sentence(parts: Parts) -> Fields:
+    return {**parts[0], "kind": "operator"}
+
+
+def test_sentence(parts: Parts) -> Fields:
+    return {**parts[1], "test": True}
+
+
+def name(word: Token) -> str:
+    """A name as a plain string: the record outlives the parse, the word need not."""
+    return str(word.value)
+
+
+_MEANINGS: tuple[Callable[[Parts], Any], ...] = (
+    nil, same, no_items, items, merge, command, arm, with_hand, of_object, at_point, destination, neighborhood,
+    grasp_point_place, relative_step, named_place, joint_place, position_place, straight_line, joint_motion, through,
+    amount, duration, handoff, verify, maintain, named_constraint, shared_constraint, measured_constraint, until,
+    guarded, unguarded, reflex_item, event, measured_condition, along, above, below, action, trim, performer,
+    operator_agent, report, reported, reported_every, after, together_with, now, everything, set_value, name_datum,
+    number_datum, cannot, task_sentence, control_sentence, data_sentence, operator_sentence, test_sentence,
+)  # fmt: skip
+
+#: What a grammar may name: a meaning for each production, and a reader for each token class but strings.
+MEANING: dict[str, Callable[[Any], Any]] = {
+    **{function.__name__: function for function in _MEANINGS},
+    "NAME": name,
+    "NUMBER": measured,
+    "QUANTITY": measured,
+}

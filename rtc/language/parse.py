@@ -1,0 +1,63 @@
+"""One sentence in, its record or a located refusal out. Nothing is raised, whatever the sentence.
+
+Pure but for `default_grammar`, which reads the grammar of this package once. Names are not looked up here:
+whether a MACS-OLD exists is known to the world, not to the language.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from importlib import resources
+
+from lark.exceptions import UnexpectedToken
+
+from rtc.language.complain import complaint
+from rtc.language.grammar import END, Grammar
+from rtc.language.record import ParsedCommand
+from rtc.language.refuse import Wrong
+from rtc.language.words import Word, one_line
+from rtc.outcomes import Refusal
+
+__all__ = ["Grammar", "default_grammar", "parse"]
+
+
+def parse(grammar: Grammar, sentence: str | bytes) -> ParsedCommand | Refusal:
+    """The meaning of one sentence (R117). A refusal has the column of the first offending character."""
+    text = one_line(sentence)
+    if isinstance(text, Refusal):
+        return text
+    feed = grammar.begin().feed_token
+    words = grammar.vocabulary.words(text)
+    taken: list[Word] = []
+    word = _end(taken)
+    try:
+        for word in words:
+            feed(word)
+            taken.append(word)
+        word = _end(taken)
+        fields = feed(word)
+    except Wrong as wrong:
+        return wrong.refusal
+    except UnexpectedToken:
+        return complaint(grammar, taken, word, _next(words))
+    return ParsedCommand(**fields)
+
+
+@lru_cache(maxsize=1)
+def default_grammar() -> Grammar:
+    """The grammar of this package, compiled once per process."""
+    return Grammar(resources.files("rtc.language").joinpath("command.lark").read_text("utf-8"))
+
+
+def _end(taken: list[Word]) -> Word:
+    """The end of the sentence is just behind its last word: there something is missing."""
+    column = (taken[-1].end_pos or 0) if taken else 0
+    return Word(END, "", column, column)
+
+
+def _next(words: Iterator[Word]) -> Word | None:
+    try:
+        return next(words, None)
+    except Wrong:
+        return None

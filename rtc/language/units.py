@@ -1,0 +1,73 @@
+"""Units: the words people write after a number, the SI unit a record keeps, and what a unit measures.
+
+Knows no clause and no verb. Turns stay turns, because a bolt is counted in turns, not in radians.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+
+class Unit(NamedTuple):
+    si: str  # the unit in the record
+    times: float = 1.0  # SI value = number * times / over; two factors so that 35 CM is exactly 0.35 m
+    over: float = 1.0
+
+
+class Kind(NamedTuple):
+    word: str  # "a length"
+    example: str  # "10 CM"
+
+
+UNITS: dict[str, Unit] = {
+    "MM": Unit("m", over=1000),
+    "CM": Unit("m", over=100),
+    "M": Unit("m"),
+    "DEG": Unit("rad", times=math.pi, over=180),
+    "RAD": Unit("rad"),
+    "TURN": Unit("turn"),
+    "TURNS": Unit("turn"),
+    "N": Unit("N"),
+    "NM": Unit("N.m"),
+    "N/M": Unit("N/m"),
+    "MM/S": Unit("m/s", over=1000),
+    "CM/S": Unit("m/s", over=100),
+    "M/S": Unit("m/s"),
+    "DEG/S": Unit("rad/s", times=math.pi, over=180),
+    "RAD/S": Unit("rad/s"),
+    "MS": Unit("s", over=1000),
+    "SEC": Unit("s"),
+    "S": Unit("s"),
+    "HZ": Unit("Hz"),
+    "KG": Unit("kg"),
+    "PERCENT": Unit("ratio", over=100),
+    "%": Unit("ratio", over=100),
+}
+
+KINDS: dict[str, Kind] = {
+    "m": Kind("a length", "10 CM"),
+    "rad": Kind("an angle", "90 DEG"),
+    "turn": Kind("a number of turns", "6 TURNS"),
+    "N": Kind("a force", "20 N"),
+    "N.m": Kind("a torque", "3 NM"),
+    "N/m": Kind("a stiffness", "400 N/M"),
+    "m/s": Kind("a speed", "10 CM/S"),
+    "rad/s": Kind("a turning speed", "20 DEG/S"),
+    "s": Kind("a time", "30 SEC"),
+    "Hz": Kind("a rate", "10 HZ"),
+    "kg": Kind("a mass", "2 KG"),
+    "ratio": Kind("a share", "50 PERCENT"),
+}
+
+
+def to_si(number: float, unit: str) -> float:
+    """The value in `UNITS[unit].si`. Minus nothing is nothing, so that equal records are equal bytes."""
+    _, times, over = UNITS[unit]
+    return number * times / over + 0.0
+
+
+def such_as(si: str) -> str:
+    """`a length such as 10 CM`."""
+    kind = KINDS[si]
+    return f"{kind.word} such as {kind.example}"

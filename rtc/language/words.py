@@ -1,0 +1,155 @@
+"""The lexer: from one line to its words, each with its type and its column in the line as it was typed.
+
+It knows what a word looks like, not where it may stand. The shapes and the reserved words come from the
+grammar's terminals; this file adds what the language leaves out: blanks, commas, comments, a final '.'.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Iterator
+from typing import NamedTuple
+
+from lark.lexer import PatternStr, TerminalDef, Token
+
+from rtc.language.refuse import Wrong, quoted, refusal
+from rtc.language.units import UNITS
+from rtc.outcomes import ProgramError, Refusal
+
+MAX_CHARACTERS = 2000
+TOKEN_CLASSES = ("NAME", "STRING", "NUMBER", "QUANTITY")
+
+_UNIT_LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz/%"
+_MALFORMED_NUMBER = re.compile(r"[-+]?\.?\d[^\s,\"]*")
+
+
+class Word(Token):
+    """A Lark token without line numbers: a sentence is one line, and this halves the price of a token."""
+
+    def __new__(cls, kind: str, value: str, start: int, end: int) -> Word:
+        word = str.__new__(cls, value)
+        word.type = kind
+        word.value = value
+        word.start_pos = start
+        word.end_pos = end
+        return word
+
+
+class Measured(NamedTuple):
+    """A number as written. `unit` is a key of `UNITS`, or None for a lone number."""
+
+    number: float
+    unit: str | None
+    column: int
+    text: str
+
+
+class Vocabulary:
+    """What the words of one grammar look like, compiled once."""
+
+    def __init__(self, terminals: Collection[TerminalDef]) -> None:
+        shapes = {t.name: t.pattern.to_regexp() for t in terminals}
+        missing = [name for name in TOKEN_CLASSES if name not in shapes]
+        if missing:
+            raise ProgramError(f"the grammar lacks the token class {missing[0]}")
+        reserved = [t for t in terminals if t.name not in TOKEN_CLASSES]
+        #: spelling -> (terminal, the spelling it is printed with); synonyms are further spellings
+        self.reserved = {s: (t.name, t.name.replace("_", "-")) for t in reserved for s in _spellings(t)}
+        self.scanner = re.compile(
+            r"[ \t,]*(?:(?P<NAME>{NAME})|(?P<QUANTITY>{QUANTITY})|(?P<NUMBER>{NUMBER})|(?P<STRING>{STRING})"
+            r"|--.*|\.[ \t,]*(?=--|$)|(?P<WRONG>[^ \t,]))".format(**shapes),
+            re.IGNORECASE | re.ASCII,
+        )
+
+    def words(self, text: str) -> Iterator[Word]:
+        """The words from left to right. Raises `Wrong` at the first character that begins none."""
+        reserved = self.reserved
+        opening = True  # no word yet but TEST: here a lone STOP means HALT
+        for match in self.scanner.finditer(text):
+            kind = match.lastgroup
+            if kind is None:  # a comment or the final '.'
+                continue
+            start, end = match.span(kind)
+            value = match[kind]
+            if kind == "NAME":
+                value = value.upper().replace("_", "-")
+                kind, value = reserved.get(value, ("NAME", value))
+                if opening:
+                    if kind == "STOP":
+                        kind = value = "HALT"
+                    opening = kind == "TEST"
+            elif kind == "WRONG":
+                raise _malformed(text, start)
+            yield Word(kind, value, start, end)
+
+
+def one_line(sentence: str | bytes) -> str | Refusal:
+    """The sentence as one line of readable text, or where it is not: too long, not UTF-8, invisible."""
+    bad_byte = None
+    if isinstance(sentence, bytes):
+        try:
+            text = sentence.decode()
+        except UnicodeDecodeError as error:
+            text = sentence[: error.start].decode()
+            bad_byte = sentence[error.start]
+    else:
+        text = sentence
+    if bad_byte is None:
+        text = text.rstrip("\r\n")
+    if len(text) > MAX_CHARACTERS:
+        limit = f"at most {MAX_CHARACTERS:,} characters"
+        return refusal(MAX_CHARACTERS, f"The sentence is too long: it may have {limit}.", [limit])
+    if not text.isprintable():
+        for column, character in enumerate(text):
+            if not character.isprintable() and character != "\t":
+                return _invisible(column, character)
+    if bad_byte is not None:
+        return refusal(len(text), f"The byte 0x{bad_byte:02X} here is not UTF-8 text.", ["readable text in UTF-8"])
+    return text
+
+
+def measured(word: Token) -> Measured:
+    """Read a number or quantity. Raises `Wrong` when it is too large to be a number at all."""
+    figure = word.value.rstrip(_UNIT_LETTERS)
+    unit = word.value[len(figure) :].upper() or None
+    number = float(figure)
+    column = word.start_pos or 0
+    if not math.isfinite(number):
+        raise Wrong(column, f"{quoted(word.value)} is too large a number.", ["a number within reason"])
+    return Measured(number, unit, column, word.value)
+
+
+def _spellings(terminal: TerminalDef) -> list[str]:
+    """`STOW: "STOW" | "PARK"` arrives from Lark as the pattern `(?:STOW|PARK)`."""
+    pattern = terminal.pattern
+    value = pattern.value if isinstance(pattern, PatternStr) else pattern.to_regexp()
+    spellings = value.removeprefix("(?:").removesuffix(")").replace("\\", "").split("|")
+    for spelling in spellings:
+        if not re.fullmatch(r"[A-Z]+(-[A-Z]+)*", spelling):
+            raise ProgramError(f"the reserved word {terminal.name} is spelt {spelling!r}: capitals and '-' only")
+    return spellings
+
+
+def _invisible(column: int, character: str) -> Refusal:
+    if character in "\r\n":
+        return refusal(column, "A sentence is one line; here another begins.", ["the end of the sentence"])
+    return refusal(column, f"The invisible character U+{ord(character):04X} here is no text.", ["readable text"])
+
+
+def _malformed(text: str, column: int) -> Wrong:
+    number = _MALFORMED_NUMBER.match(text, column)
+    if number:
+        return Wrong(
+            column,
+            f"{quoted(number[0])} is neither a number nor a number with a known unit.",
+            ["a number", "a quantity such as 10 CM"],
+            [u for u in UNITS if u == number[0].upper().lstrip("+-.0123456789")[: len(u)]][:3],
+        )
+    if text[column] == '"':
+        return Wrong(column, "The quotation that begins here does not end.", ['a closing "'])
+    return Wrong(
+        column,
+        f"The character {quoted(text[column])} can not stand here.",
+        ["words of letters, digits and '-'"],
+    )
