@@ -1,0 +1,67 @@
+"""The world database process: `python -m rtc.world --run-dir D`. A socket round `server.Server`; it decides nothing.
+
+A database found in the run directory is gone on with; otherwise it begins with what the cell says.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from rtc import process, wire
+from rtc.cell import Cell
+from rtc.messages import ToWorld
+from rtc.outcomes import WireError
+from rtc.process import Process, inbox, now_s, send
+from rtc.settings import Settings
+from rtc.world import lease
+from rtc.world.model import initial_facts
+from rtc.world.server import Server
+from rtc.world.store import Store
+
+FILE = "world.db"
+PER_TURN = 256  # requests in one turn of the loop, and so in one transaction
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m rtc.world", description="The world database of one cluster.")
+    parser.add_argument("--run-dir", required=True, type=Path)
+    run_dir = parser.parse_args().run_dir
+    with process.start("world", run_dir) as me:
+        settings = Settings.load(run_dir)
+        store = Store(run_dir / FILE)
+        if store.version == 0:
+            store.write("cell", initial_facts(Cell.load(settings.cell)), source="cell", at_s=now_s())
+            store.save()
+        socket = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True)
+        server = Server(store, (run_dir / lease.KEY_FILE).read_bytes())
+        process.freeze_heap()
+        me.ready()
+        serve(me, socket, server)
+        store.close()
+
+
+def serve(me: Process, socket: zmq.Socket[bytes], server: Server) -> None:
+    """Answer until told to stop. A turn's commits are on disk, in one transaction, before any of its answers go."""
+    read = wire.reader(ToWorld)
+    dropped = 0
+    while not me.stopping:
+        me.wait()
+        answers: list[tuple[bytes, Any]] = []
+        for who, *parts in inbox(socket, PER_TURN):
+            try:
+                answers.append((who, server.answer(read(parts), now_s())))
+            except WireError as error:
+                dropped += 1
+                if dropped & (dropped - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: a flood must not fill the log
+                    me.log.warning("dropped message %d, from %r: %s", dropped, who[:40], error)
+        server.store.save()
+        for who, answer in answers:
+            send(socket, answer, to=who)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""Asking the world database, with a limit on every wait. Reads and commits may be repeated without harm, so a request
+that a restarted server never saw is simply sent again."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterable
+from typing import Any
+
+import zmq
+
+from rtc import process, wire
+from rtc.messages import (
+    Commit,
+    Committed,
+    Fact,
+    FromWorld,
+    Lease,
+    ReadView,
+    View,
+    WorldChange,
+    WorldHistory,
+    WorldRefused,
+)
+from rtc.outcomes import ClusterError, Refusal, RtcError, WireError
+from rtc.process import now_s
+
+FIRST_TRY_S = 0.1  # then twice as long, and so on, until the limit
+LIMIT_S = 5.0  # longer than a restart of the server takes
+
+_read = wire.reader(FromWorld)
+
+
+class WorldClient:
+    """One asker; one thread. `endpoint` is the cluster's "world"."""
+
+    def __init__(self, endpoint: str, context: zmq.Context[Any] | None = None, limit_s: float = LIMIT_S) -> None:
+        self._context = context or zmq.Context.instance()
+        self._socket = process.open_socket(self._context, zmq.DEALER, endpoint, identity=f"w{os.urandom(8).hex()}")
+        self._numbers = itertools.count(1)
+        self._limit_s = limit_s
+
+    def view(self, since: int = 0, keys: Iterable[str] | None = None) -> View:
+        """All facts newer than version `since`, or those of some keys or locations, of one version of the world.
+
+        Raises ClusterError when nobody answers within the limit.
+        """
+        wanted = None if keys is None else list(keys)
+        answer = self._ask(ReadView(request=self._request(), keys=wanted, since=since))
+        return _expect(answer, View)
+
+    def history(self, key: str, limit: int = 100) -> list[Fact]:
+        """What was believed under this key, newest first. Raises ClusterError as `view` does."""
+        return _expect(self._ask(WorldHistory(request=self._request(), key=key, limit=limit)), View).facts
+
+    def commit(self, lease: Lease, changes: list[WorldChange], source: str) -> Committed | Refusal:
+        """Write under a lease; the same job twice writes once. Raises ClusterError as `view` does."""
+        answer = self._ask(Commit(request=self._request(), lease=lease, changes=changes, source=source))
+        return answer.refusal if isinstance(answer, WorldRefused) else _expect(answer, Committed)
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def _request(self) -> str:
+        return str(next(self._numbers))
+
+    def _ask(self, message: Any) -> Any:
+        end_s, patience_s = now_s() + self._limit_s, FIRST_TRY_S
+        while (left_s := end_s - now_s()) > 0:
+            process.send(self._socket, message)
+            answer = self._answer_to(message.request, min(patience_s, left_s))
+            if answer is not None:
+                return answer
+            patience_s *= 2
+        raise ClusterError(f"the world database did not answer within {self._limit_s:g} s")
+
+    def _answer_to(self, request: str, patience_s: float) -> Any:
+        end_s = now_s() + patience_s
+        while self._socket.poll(max(0, int(1000 * (end_s - now_s()) + 0.999))):
+            try:
+                answer = _read(self._socket.recv_multipart(flags=zmq.NOBLOCK))
+            except (WireError, zmq.Again):
+                continue
+            if answer.request == request:  # else a late answer to an earlier try
+                return answer
+        return None
+
+
+def _expect(answer: Any, kind: Any) -> Any:
+    if isinstance(answer, kind):
+        return answer
+    said = answer.refusal.message if isinstance(answer, WorldRefused) else type(answer).__name__
+    raise RtcError(f"the world database answered {said!r} where a {kind.__name__} was due")

@@ -1,0 +1,160 @@
+"""What is believed about the cell: facts with a value, a validity, a version and a source. Pure.
+
+A fact's key is LOCATION.attribute (MACS-OLD.frame). `World` is one consistent view of all facts; nothing changes one,
+a newer view or an overlay makes another. What a value may look like is the table `ATTRIBUTES`. This file knows neither
+the database that keeps the facts nor who may write them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from rtc.cell import Cell
+from rtc.messages import Fact, Validity, View, WorldChange
+
+UNIT_TOLERANCE = 1e-4  # how far from 1 the length of a pose's quaternion may be
+MAX_DEPTH = 8  # of lists in lists, in values of attributes that have no row below
+
+
+@dataclass(frozen=True)
+class World:
+    """One consistent view. `version` rises with every commit; `facts` by key, not to be changed."""
+
+    version: int = 0
+    facts: Mapping[str, Fact] = field(default_factory=dict)
+
+    def get(self, key: str) -> Fact | None:
+        return self.facts.get(key)
+
+    def value(self, key: str, default: Any = None) -> Any:
+        """The value alone, whatever its validity; `default` when there is no such fact."""
+        fact = self.facts.get(key)
+        return default if fact is None else fact.value
+
+    def updated(self, view: View) -> World:
+        """This world with what a view brought. A view of an older version is of another database: it replaces all."""
+        if view.version < self.version:
+            return World(view.version, {fact.key: fact for fact in view.facts})
+        if not view.facts:
+            return self if view.version == self.version else World(view.version, self.facts)
+        return World(view.version, {**self.facts, **{fact.key: fact for fact in view.facts}})
+
+    def overlay(self, changes: Iterable[WorldChange], source: str = "overlay", at_s: float = 0.0) -> World:
+        """What the world would be after these changes (hypothesis tests): same version, nothing is written anywhere."""
+        facts = dict(self.facts)
+        for change in changes:
+            facts[change.key] = changed(facts.get(change.key), change, self.version, source, at_s)
+        return World(self.version, facts)
+
+
+def changed(old: Fact | None, change: WorldChange, version: int, source: str, at_s: float) -> Fact:
+    """The fact after the change. A change without a value keeps the old one."""
+    value = (None if old is None else old.value) if change.keep_value else change.value
+    return Fact(key=change.key, value=value, validity=change.validity, version=version, source=source, at_s=at_s)
+
+
+def location(key: str) -> str:
+    """MACS-OLD of MACS-OLD.frame: what leases are given for."""
+    return key.rpartition(".")[0]
+
+
+def selected(facts: Mapping[str, Fact], keys: Iterable[str] | None, since: int = 0) -> list[Fact]:
+    """The facts newer than version `since`: all, or those of some keys or whole locations."""
+    if keys is None:
+        found: Iterable[Fact] = facts.values()
+    else:
+        wanted = list(keys)
+        found = [facts[key] for key in wanted if key in facts]
+        locations = {key for key in wanted if key not in facts}
+        if locations:
+            found = [*found, *(fact for key, fact in facts.items() if location(key) in locations)]
+    return [fact for fact in found if fact.version > since] if since else list(found)
+
+
+def initial_facts(cell: Cell) -> list[WorldChange]:
+    """What is believed before anything was sensed: arms at home with open, empty hands, objects as in the cell file."""
+    changes = []
+    for arm in cell.arms:
+        changes += [
+            WorldChange(key=f"{arm.name}.joints", value=list(arm.home_rad)),
+            WorldChange(key=f"{arm.name}.hand_width", value=arm.gripper.max_opening_m),
+            WorldChange(key=f"{arm.name}.holding", value=""),
+        ]
+    for thing in cell.objects:
+        changes += [
+            WorldChange(key=f"{thing.name}.frame", value=cell.object_pose(thing.name).tolist()),
+            WorldChange(key=f"{thing.name}.seat", value=thing.seat or ""),
+            WorldChange(key=f"{thing.name}.held_by", value=""),
+            WorldChange(key=f"{thing.name}.grasp", value=None),
+            WorldChange(key=f"{thing.name}.mass", value=thing.mass_kg),
+        ]
+    return changes
+
+
+# --- what a value may look like ------------------------------------------------------------------------
+
+
+def problem(change: WorldChange) -> str:
+    """Why this change cannot be written, in words; empty when it can."""
+    place, _, attribute = change.key.rpartition(".")
+    if not place or not attribute or len(change.key) > 200:
+        return f"{change.key!r} is no key: LOCATION.attribute is"
+    if change.keep_value:
+        return ""
+    if change.value is None and change.validity != Validity.VALID:
+        return ""  # "not known" needs no value
+    wrong = ATTRIBUTES.get(attribute, _plain)(change.value)
+    return wrong and f"{change.key} {wrong}"
+
+
+def _finite(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _numbers(value: Any) -> str:
+    whole = isinstance(value, list | tuple) and len(value) > 0 and all(_finite(n) for n in value)
+    return "" if whole else f"must be a list of finite numbers, not {value!r:.80}"
+
+
+def _pose(value: Any) -> str:
+    if _numbers(value) or len(value) != 7:
+        return f"must be a pose of 7 finite numbers [x y z qx qy qz qw], not {value!r:.80}"
+    length = math.hypot(*value[3:])
+    return "" if abs(length - 1.0) <= UNIT_TOLERANCE else f"must have a unit quaternion, its length is {length:.6g}"
+
+
+def _pose_or_none(value: Any) -> str:
+    return "" if value is None else _pose(value)
+
+
+def _length(value: Any) -> str:
+    return "" if _finite(value) and value >= 0 else f"must be a finite number, not negative, not {value!r:.80}"
+
+
+def _text(value: Any) -> str:
+    return "" if isinstance(value, str) and len(value) <= 200 else f"must be a name or empty, not {value!r:.80}"
+
+
+def _plain(value: Any, depth: int = 0) -> str:
+    """An attribute that others may add: any plain value, as long as it can be compared and shown."""
+    if value is None or isinstance(value, str | bool) or _finite(value):
+        return ""
+    if isinstance(value, list | tuple | dict) and depth < MAX_DEPTH:
+        parts = value.values() if isinstance(value, dict) else value
+        return next((wrong for part in parts if (wrong := _plain(part, depth + 1))), "")
+    return f"must be plain text, finite numbers, or lists of them, not {value!r:.80}"
+
+
+ATTRIBUTES: dict[str, Callable[[Any], str]] = {
+    "joints": _numbers,  # rad
+    "hand_width": _length,  # m
+    "holding": _text,  # object
+    "frame": _pose,  # world frame
+    "seat": _text,
+    "held_by": _text,  # arm
+    "grasp": _pose_or_none,  # of the object's frame, in tcp axes, while held
+    "mass": _length,  # kg
+}

@@ -1,0 +1,68 @@
+"""The world database's answers: message in, message out, over a `Store`. No socket here; `__main__` has them.
+
+Reads are grouped and can be limited to what is newer than a version. A commit is written only under a lease of this
+cluster's broker, only in the leased locations, only with sound values, and only once per job.
+"""
+
+from __future__ import annotations
+
+from rtc.messages import Commit, Committed, ReadView, View, WorldHistory, WorldRefused
+from rtc.outcomes import Refusal, RefusalReason
+from rtc.world import lease as leases
+from rtc.world.model import location, problem, selected
+from rtc.world.store import Store
+
+Answer = View | Committed | WorldRefused
+
+
+class Server:
+    """Give it requests; after a turn's requests call `store.save()`, and only then send the answers."""
+
+    def __init__(self, store: Store, key: bytes) -> None:
+        self.store = store
+        self._key = key
+
+    def answer(self, request: ReadView | Commit | WorldHistory, at_s: float) -> Answer:
+        match request:
+            case ReadView():
+                return self._view(request)
+            case Commit():
+                return self._commit(request, at_s)
+            case WorldHistory():
+                facts = self.store.history(request.key, request.limit)
+                return View(request=request.request, version=self.store.version, facts=facts)
+
+    def _view(self, request: ReadView) -> View:
+        version = self.store.version
+        if request.since == version:
+            return View(request=request.request, version=version, facts=[])
+        since = request.since if request.since < version else 0  # from the future: the reader knew another database
+        return View(request=request.request, version=version, facts=selected(self.store.facts, request.keys, since))
+
+    def _commit(self, request: Commit, at_s: float) -> Committed | WorldRefused:
+        if refusal := self._no(request):
+            return WorldRefused(request=request.request, refusal=refusal)
+        job = request.lease.job
+        before = self.store.committed(job)
+        if before is not None:
+            return Committed(request=request.request, version=before, again=True)
+        version = self.store.write(job, request.changes, request.source, at_s)
+        return Committed(request=request.request, version=version)
+
+    def _no(self, request: Commit) -> Refusal | None:
+        lease = request.lease
+        if not leases.check(self._key, lease):
+            return _not_allowed("the lease was not given by this cluster's broker", lease.job)
+        for change in request.changes:
+            if location(change.key) not in lease.locations:
+                allowed = ", ".join(lease.locations) or "nothing"
+                return _not_allowed(
+                    f"{change.key} is outside the lease of {lease.job}, which is for {allowed}", change.key
+                )
+            if wrong := problem(change):
+                return _not_allowed(wrong, change.key)
+        return None
+
+
+def _not_allowed(message: str, where: str) -> Refusal:
+    return Refusal(reason=RefusalReason.NOT_ALLOWED, message=message, where=where)

@@ -1,0 +1,96 @@
+"""The world on disk: what is believed, all that ever was, and which job wrote it. SQLite, in WAL mode.
+
+    facts    key, value, validity, version, source, at_s            what is believed now
+    history  the same, one row per key and version                  never changed, never deleted
+    commits  job, version                                           so that no job writes twice
+
+Values are JSON text, so that any tool can read them. One thread, one connection; whoever writes calls `save` once per
+turn of its loop, and answers only after it: a row that was answered for survives `kill -9`.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterable
+from pathlib import Path
+
+import msgspec
+
+from rtc.messages import Fact, Validity, WorldChange
+from rtc.world.model import changed
+
+SCHEMA = """
+CREATE TABLE IF NOT EXISTS facts (key TEXT PRIMARY KEY, value TEXT, validity TEXT, version INTEGER,
+                                  source TEXT, at_s REAL);
+CREATE TABLE IF NOT EXISTS history (key TEXT, value TEXT, validity TEXT, version INTEGER, source TEXT, at_s REAL,
+                                    PRIMARY KEY (key, version)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS commits (job TEXT PRIMARY KEY, version INTEGER) WITHOUT ROWID;
+"""
+ROW = "(key, value, validity, version, source, at_s) VALUES (?, ?, ?, ?, ?, ?)"
+COLUMNS = "key, value, validity, version, source, at_s"
+
+
+class Store:
+    """`version` and `facts` are what is believed now, in memory; the file always has them or is one `save` behind."""
+
+    def __init__(self, path: Path | str) -> None:
+        self._db = sqlite3.connect(path, isolation_level=None)  # we say when a transaction begins
+        self._db.execute("PRAGMA journal_mode=WAL")
+        self._db.execute("PRAGMA synchronous=NORMAL")  # a killed process loses nothing; only a lost power might
+        self._db.executescript(SCHEMA)
+        self.facts: dict[str, Fact] = {row[0]: _fact(row) for row in self._db.execute(f"SELECT {COLUMNS} FROM facts")}
+        (self.version,) = self._db.execute("SELECT coalesce(max(version), 0) FROM commits").fetchone()
+
+    def committed(self, job: str) -> int | None:
+        """The version this job has written; None if it has not."""
+        row = self._db.execute("SELECT version FROM commits WHERE job = ?", (job,)).fetchone()
+        return None if row is None else row[0]
+
+    def write(self, job: str, changes: Iterable[WorldChange], source: str, at_s: float) -> int:
+        """Make these facts the ones believed, as one new version. On disk after the next `save`."""
+        if not self._db.in_transaction:
+            self._db.execute("BEGIN")
+        self.version += 1
+        written: dict[str, Fact] = {}
+        for change in changes:
+            before = written.get(change.key, self.facts.get(change.key))
+            written[change.key] = changed(before, change, self.version, source, at_s)
+        rows = [_row(fact) for fact in written.values()]
+        self._db.executemany(f"INSERT OR REPLACE INTO facts {ROW}", rows)
+        self._db.executemany(f"INSERT INTO history {ROW}", rows)
+        self._db.execute("INSERT INTO commits VALUES (?, ?)", (job, self.version))
+        self.facts.update(written)
+        return self.version
+
+    def save(self) -> None:
+        """End the turn's transaction, if it wrote anything."""
+        if self._db.in_transaction:
+            self._db.execute("COMMIT")
+
+    def history(self, key: str, limit: int) -> list[Fact]:
+        """What was believed under this key, newest first."""
+        rows = self._db.execute(
+            f"SELECT {COLUMNS} FROM history WHERE key = ? ORDER BY version DESC LIMIT ?", (key, max(0, limit))
+        )
+        return [_fact(row) for row in rows]
+
+    def close(self) -> None:
+        self.save()
+        self._db.close()
+
+
+def _row(fact: Fact) -> tuple[str, str, str, int, str, float]:
+    value = msgspec.json.encode(fact.value).decode()
+    return (fact.key, value, fact.validity.value, fact.version, fact.source, fact.at_s)
+
+
+def _fact(row: tuple[str, str, str, int, str, float]) -> Fact:
+    key, value, validity, version, source, at_s = row
+    return Fact(
+        key=key,
+        value=msgspec.json.decode(value),
+        validity=Validity(validity),
+        version=version,
+        source=source,
+        at_s=at_s,
+    )

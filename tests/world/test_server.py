@@ -1,0 +1,70 @@
+"""What the world database answers: reads, commits, and every way to be refused one."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtc.messages import Commit, Committed, ReadView, View, WorldChange, WorldHistory
+from rtc.outcomes import RefusalReason
+from rtc.world.lease import sign
+from rtc.world.server import Server
+from rtc.world.store import Store
+
+KEY = b"k" * 32
+
+
+@pytest.fixture
+def server(tmp_path):
+    store = Store(tmp_path / "world.db")
+    begin = [WorldChange(key="A.seat", value="BAY-1"), WorldChange(key="B.seat", value="BAY-2")]
+    store.write("cell", begin, "cell", 0.0)
+    return Server(store, KEY)
+
+
+def commit(job, changes, locations=("A",), key=KEY):
+    changes = [WorldChange(key=k, value=v) for k, v in changes.items()]
+    return Commit(request="r", lease=sign(key, job, locations), changes=changes, source=job)
+
+
+def test_a_commit_is_a_new_version_that_a_delta_shows(server):
+    assert server.answer(commit("C-1/4", {"A.seat": "RACK-1"}), 5.0) == Committed(request="r", version=2)
+    view = server.answer(ReadView(request="q", since=1), 6.0)
+    assert [(f.key, f.value, f.version, f.source, f.at_s) for f in view.facts] == [
+        ("A.seat", "RACK-1", 2, "C-1/4", 5.0)
+    ]
+
+
+def test_the_same_job_again_writes_nothing(server):
+    server.answer(commit("C-1/4", {"A.seat": "RACK-1"}), 0.0)
+    again = server.answer(commit("C-1/4", {"A.seat": "elsewhere"}), 0.0)
+    assert again == Committed(request="r", version=2, again=True)
+    assert (server.store.version, server.store.facts["A.seat"].value) == (2, "RACK-1")
+
+
+@pytest.mark.parametrize(
+    ("request_", "said"),
+    [
+        (commit("j", {"A.seat": "X"}, key=b"other" * 7), "not given by this cluster's broker"),
+        (commit("j", {"B.seat": "X"}), "B.seat is outside the lease of j, which is for A"),
+        (commit("j", {"A.seat": "X", "A.frame": [0.0] * 7}), "unit quaternion"),
+    ],
+)
+def test_a_refused_commit_writes_nothing_at_all(server, request_, said):
+    answer = server.answer(request_, 0.0)
+    assert answer.refusal.reason == RefusalReason.NOT_ALLOWED
+    assert said in answer.refusal.message
+    assert (server.store.version, server.store.facts["A.seat"].value) == (1, "BAY-1")
+
+
+def test_a_reader_who_is_up_to_date_gets_nothing(server):
+    assert server.answer(ReadView(request="q", since=1), 0.0) == View(request="q", version=1, facts=[])
+
+
+def test_a_reader_from_another_database_gets_everything(server):
+    assert len(server.answer(ReadView(request="q", since=99), 0.0).facts) == 2
+
+
+def test_history(server):
+    server.answer(commit("C-1/4", {"A.seat": "RACK-1"}), 0.0)
+    story = server.answer(WorldHistory(request="h", key="A.seat"), 0.0)
+    assert [f.value for f in story.facts] == ["RACK-1", "BAY-1"]
