@@ -9,7 +9,9 @@ Three kinds of failing are never mixed:
     RtcError
     ├── WireError          bytes that are no message of ours
     ├── ClusterError       no cluster, or it did not come up / go down
-    │   └── NoCluster      nothing answers in that run directory
+    │   ├── NoCluster      nothing answers in that run directory
+    │   └── TimedOut       no answer, or no outcome, in time
+    ├── RequestDeclined    the cluster did not take a request; carries the refusal
     ├── ProgramError       a program, script or cell file does not check
     └── SubsystemError     a simulator or device did not do what it must
 """
@@ -35,6 +37,18 @@ class ClusterError(RtcError):
 
 class NoCluster(ClusterError):
     """Nothing answers in this run directory."""
+
+
+class TimedOut(ClusterError, TimeoutError):
+    """No answer, or no outcome, within the time the caller gave."""
+
+
+class RequestDeclined(RtcError):
+    """The cluster did not take a request (unknown command, queue full, bad program); `refusal` says why."""
+
+    def __init__(self, refusal: Refusal) -> None:
+        super().__init__(refusal.message)
+        self.refusal = refusal
 
 
 class ProgramError(RtcError):

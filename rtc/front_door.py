@@ -1,0 +1,115 @@
+"""A client's end of the front door: a DEALER that says hello, repeats what was not answered, survives a lost broker.
+
+It knows requests and their answers, not what they mean. Rule 1: a request is forgotten only when its last answer has
+been heard (for a sentence that is the `CommandEnded`), so that everything open can be said again to a new broker.
+Rule 2: repeating is harmless, because the broker knows a request by (client, request).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+import zmq
+from zmq.utils.monitor import recv_monitor_message
+
+from rtc import messages as m
+from rtc.outcomes import NoCluster, WireError
+from rtc.wire import MAX_BYTES, frames, reader
+
+HELLO_S = 0.8  # longest wait for the first Welcome
+SILENCE_S = 2.0  # nothing heard for so long: say what is open again
+LAST_ANSWERS = (m.Declined, m.CommandEnded, m.StatusReply, m.TraceReply, m.ProgramLoaded)
+
+_read = reader(m.BrokerToClient)
+
+
+class FrontDoor:
+    """Not thread-safe: one thread sends and hears."""
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], address: str, name: str) -> None:
+        self.name = name
+        self.welcome: m.Welcome | None = None
+        self.bad_messages = 0
+        self._open: dict[str, m.ClientToBroker] = {}  # request -> message, until its last answer
+        self._heard_at_s = time.monotonic()
+        self._socket = context.socket(zmq.DEALER)
+        self._socket.setsockopt(zmq.IDENTITY, name.encode())
+        self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
+        self._socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
+        self._socket.setsockopt(zmq.SNDHWM, 10_000)
+        self._socket.setsockopt(zmq.RCVHWM, 100_000)
+        self._monitor = self._socket.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED)
+        self._poller = zmq.Poller()
+        self._poller.register(self._socket, zmq.POLLIN)
+        self._poller.register(self._monitor, zmq.POLLIN)
+        self._handshakes = 0
+        self._socket.connect(address)
+        self._say(m.ClientHello(client=name))
+
+    def knock(self, run_dir: str) -> m.Welcome:
+        """Wait for the Welcome. Raises NoCluster when nobody opens within `HELLO_S`."""
+        limit_s = time.monotonic() + HELLO_S
+        while self.welcome is None:
+            left_s = limit_s - time.monotonic()
+            if left_s <= 0:
+                raise NoCluster(
+                    f"no broker answers in {run_dir}; look at `rtc status`, or start a cluster with: rtc up -d"
+                )
+            self.hear(left_s)
+        return self.welcome
+
+    def ask(self, request: str, message: m.ClientToBroker) -> None:
+        """Send a request and keep it open until its last answer."""
+        self._open[request] = message
+        self._say(message)
+
+    def tell(self, message: m.ClientToBroker) -> None:
+        """Send something that has no answer."""
+        self._say(message)
+
+    def forget(self, request: str) -> None:
+        """Nobody waits for this answer any more."""
+        self._open.pop(request, None)
+
+    def hear(self, timeout_s: float) -> m.BrokerToClient | None:
+        """The next message, or None when there was none in time (or only news of the connection)."""
+        ready = dict(self._poller.poll(max(0, math.ceil(min(timeout_s, SILENCE_S) * 1000))))
+        if self._monitor in ready:
+            self._watch_connection()
+        if self._socket not in ready:
+            if self._open and time.monotonic() - self._heard_at_s > SILENCE_S:
+                self._repeat()
+            return None
+        self._heard_at_s = time.monotonic()
+        try:
+            message: m.BrokerToClient = _read(self._socket.recv_multipart())
+        except WireError:
+            self.bad_messages += 1
+            return None
+        if isinstance(message, m.Welcome):
+            self.welcome = message
+        if isinstance(message, LAST_ANSWERS):
+            self._open.pop(message.request, None)
+        return message
+
+    def close(self) -> None:
+        self._socket.disable_monitor()
+        self._monitor.close(linger=0)
+        self._socket.close()
+
+    def _say(self, message: m.ClientToBroker) -> None:
+        self._socket.send_multipart(frames(message))
+
+    def _watch_connection(self) -> None:
+        event = recv_monitor_message(self._monitor)
+        if event["event"] == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+            self._handshakes += 1
+            if self._handshakes > 1:  # a new broker, or the old one again: it may have lost what was under way
+                self._repeat()
+
+    def _repeat(self) -> None:
+        self._heard_at_s = time.monotonic()
+        self._say(m.ClientHello(client=self.name))
+        for message in self._open.values():
+            self._say(message)

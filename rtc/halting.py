@@ -1,0 +1,175 @@
+"""The halt line: the same order to the broker's halt socket and to the MCM's estop socket, at once.
+
+It shares nothing with the front door: own sockets, own thread lock, connected in advance, so that a halt never waits
+behind anything else and works when the broker is dead, stopped or busy. Latency is measured by two clocks that are
+one: CLOCK_MONOTONIC when the operator called, and when the first joint began to decelerate.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+import uuid
+from collections.abc import Collection
+
+import msgspec
+import zmq
+
+from rtc import messages as m
+from rtc.outcomes import ClusterError, WireError
+from rtc.settings import Settings
+from rtc.wire import frames, reader
+
+CONNECT_S = 0.5  # longest wait for a first connection
+RETRY_S = 0.02  # how often the order is offered to a door that was closed
+DOORS = ("halt", "estop")  # who is told: broker, MCM
+
+_read = reader(m.FromHalt)
+
+
+class SubsystemHalt(msgspec.Struct, kw_only=True):
+    """What one subsystem said."""
+
+    name: str
+    latency_s: float | None = None  # call -> first decelerating tick
+    moving: list[str] = []  # performers that were in motion
+    at_rest: bool | None = None  # None: it has not said
+    rest_s: float | None = None  # call -> rest
+
+
+class HaltResult(msgspec.Struct, kw_only=True):
+    """What became of one halt."""
+
+    halt: str
+    scope: str
+    latency_s: float | None  # the first decelerating tick of all; None: no subsystem answered
+    confirmed: bool  # every subsystem that answered is at rest, and one did
+    told: list[str]  # the sockets that took the order: "halt" (broker), "estop" (MCM)
+    subsystems: list[SubsystemHalt]
+    message: str = ""  # why it is not confirmed
+
+    @property
+    def moving(self) -> list[str]:
+        return sorted({name for sub in self.subsystems for name in sub.moving})
+
+
+class HaltLine:
+    """Thread-safe: `halt` may be called from any thread, one call after the other."""
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], settings: Settings, name: str) -> None:
+        self._lock = threading.Lock()
+        self._poller = zmq.Poller()
+        self._doors: dict[str, zmq.Socket[bytes]] = {}
+        for door in DOORS:
+            socket = context.socket(zmq.DEALER)
+            socket.setsockopt(zmq.IDENTITY, f"{name}.{door}".encode())
+            socket.setsockopt(zmq.LINGER, 0)
+            socket.setsockopt(zmq.IMMEDIATE, 1)  # never kept for later: a stale halt would stop what comes after it
+            socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
+            socket.connect(settings.endpoint(door))
+            self._doors[door] = socket
+            self._poller.register(socket, zmq.POLLIN)
+
+    def halt(self, scope: str = "ALL", timeout_s: float = 2.0) -> HaltResult:
+        """Send the order, wait for rest. Raises ClusterError when neither the broker nor the MCM could be told."""
+        with self._lock:
+            called_at_s = time.monotonic()
+            order = m.HaltOrder(halt=f"H-{uuid.uuid4().hex[:12]}", scope=scope.upper(), called_at_s=called_at_s)
+            told = self._tell(order, self._doors)
+            if not told:
+                told = self._tell_whoever_comes(order, called_at_s + CONNECT_S)
+            if not told:
+                raise ClusterError("halt not sent: neither the broker nor the MCM answers; use the emergency stop")
+            return self._await_rest(order, told, called_at_s + timeout_s)
+
+    def ready(self, timeout_s: float = CONNECT_S) -> bool:
+        """True when both doors are connected. Benchmarks ask, so that the first figure is like the others."""
+        with self._lock:
+            limit_s = time.monotonic() + timeout_s
+            return all(socket.poll(_ms(limit_s - time.monotonic()), zmq.POLLOUT) for socket in self._doors.values())
+
+    def close(self) -> None:
+        for socket in self._doors.values():
+            socket.close()
+
+    def _tell(self, order: m.HaltOrder, doors: dict[str, zmq.Socket[bytes]]) -> list[str]:
+        parts, told = frames(order), []
+        for name, socket in doors.items():
+            try:
+                socket.send_multipart(parts, flags=zmq.NOBLOCK)
+                told.append(name)
+            except zmq.Again:  # not connected now
+                continue
+        return told
+
+    def _tell_whoever_comes(self, order: m.HaltOrder, limit_s: float) -> list[str]:
+        poller = zmq.Poller()
+        for socket in self._doors.values():
+            poller.register(socket, zmq.POLLOUT)
+        while (left_s := limit_s - time.monotonic()) > 0:
+            if poller.poll(_ms(left_s)) and (told := self._tell(order, self._doors)):
+                return told
+        return []
+
+    def _await_rest(self, order: m.HaltOrder, told: list[str], limit_s: float) -> HaltResult:
+        """Hear both doors until rest is confirmed and the broker has been told, so that nothing queued starts."""
+        subsystems: dict[str, SubsystemHalt] = {}
+        declined = ""
+        while (left_s := limit_s - time.monotonic()) > 0 and not (_at_rest(subsystems.values()) and "halt" in told):
+            untold = {name: socket for name, socket in self._doors.items() if name not in told}
+            ready = self._poller.poll(_ms(min(left_s, RETRY_S) if untold else left_s))
+            told += self._tell(order, untold)
+            for socket, _ in ready:
+                declined = self._hear(socket, order, subsystems) or declined
+            if declined and not subsystems and len(told) == len(DOORS):
+                break
+        return _result(order, told, list(subsystems.values()), declined)
+
+    def _hear(self, socket: zmq.Socket[bytes], order: m.HaltOrder, subsystems: dict[str, SubsystemHalt]) -> str:
+        """Take in one answer; the words of a refusal, if it was one."""
+        try:
+            answer: m.FromHalt = _read(socket.recv_multipart())
+        except WireError:
+            return ""
+        if isinstance(answer, m.Declined):
+            return answer.refusal.message if answer.request in ("", order.halt) else ""
+        if answer.halt != order.halt:
+            return ""  # late news of an earlier halt
+        said = subsystems.setdefault(answer.subsystem, SubsystemHalt(name=answer.subsystem))
+        if isinstance(answer, m.HaltStarted):
+            if said.latency_s is None:
+                said.latency_s = answer.decelerating_at_s - order.called_at_s
+                said.moving = answer.moving
+        else:
+            said.at_rest = answer.at_rest
+            said.rest_s = answer.at_s - order.called_at_s
+        return ""
+
+
+def _ms(seconds: float) -> int:
+    return max(0, math.ceil(seconds * 1000))
+
+
+def _at_rest(subsystems: Collection[SubsystemHalt]) -> bool:
+    return bool(subsystems) and all(sub.at_rest for sub in subsystems)
+
+
+def _result(order: m.HaltOrder, told: list[str], subsystems: list[SubsystemHalt], declined: str) -> HaltResult:
+    latencies = [sub.latency_s for sub in subsystems if sub.latency_s is not None]
+    confirmed = _at_rest(subsystems)
+    message = ""
+    if not confirmed:
+        silent = [sub.name for sub in subsystems if not sub.at_rest]
+        message = declined or (
+            f"{', '.join(silent)} has not come to rest in time" if silent else "no subsystem answered in time"
+        )
+    return HaltResult(
+        halt=order.halt,
+        scope=order.scope,
+        latency_s=min(latencies) if latencies else None,
+        confirmed=confirmed,
+        told=sorted(told),
+        subsystems=sorted(subsystems, key=lambda sub: sub.name),
+        message=message,
+    )

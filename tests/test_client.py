@@ -1,0 +1,280 @@
+"""The client against a small broker of real sockets that speaks the real messages: what is said, repeated, and told."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import zmq
+
+from rtc import messages as m
+from rtc.client import Client
+from rtc.outcomes import NoCluster, Outcome, OutcomeKind, Refusal, RefusalReason, RequestDeclined, TimedOut
+from rtc.settings import Settings
+from rtc.wire import frames, reader
+
+Answer = Callable[[m.ClientToBroker], list[object]]
+read_client = reader(m.ClientToBroker)
+read_halt = reader(m.ToHalt)
+
+
+class SmallBroker(threading.Thread):
+    """Binds front and halt (as broker) and estop (as MCM); answers by plain functions; remembers what it heard."""
+
+    def __init__(self, run_dir: Path, answer: Answer, *, halts: bool = True, front: bool = True) -> None:
+        super().__init__(daemon=True)
+        self.heard: list[m.ClientToBroker] = []
+        self.halted: list[tuple[str, m.HaltOrder]] = []
+        self.at_rest: bool | None = True
+        self._answer = answer
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._stop_in = self._context.socket(zmq.PAIR)
+        self._stop_in.bind("inproc://stop")
+        self._stop_out = self._context.socket(zmq.PAIR)
+        self._stop_out.connect("inproc://stop")
+        self._doors: dict[zmq.Socket[bytes], str] = {}
+        for name in (["front"] if front else []) + (["halt", "estop"] if halts else []):
+            socket = self._context.socket(zmq.ROUTER)
+            socket.bind(Settings.load(run_dir).endpoint(name))
+            self._doors[socket] = name
+        self.start()
+
+    def run(self) -> None:
+        poller = zmq.Poller()
+        for socket in (self._stop_in, *self._doors):
+            poller.register(socket, zmq.POLLIN)
+        while self._stop_in not in (ready := dict(poller.poll())):
+            for socket in ready:
+                who, *parts = socket.recv_multipart()
+                if self._doors[socket] == "front":
+                    message = read_client(parts)
+                    self.heard.append(message)
+                    answers = self._answer(message)
+                else:
+                    order = read_halt(parts)
+                    self.halted.append((self._doors[socket], order))
+                    answers = self._obey(order)
+                for answer in answers:
+                    socket.send_multipart([who, *frames(answer)])
+        for socket in (self._stop_in, *self._doors):
+            socket.close(linger=100)
+
+    def _obey(self, order: m.HaltOrder) -> list[object]:
+        started = m.HaltStarted(
+            halt=order.halt,
+            subsystem="MCM",
+            received_at_s=order.called_at_s + 0.001,
+            decelerating_at_s=order.called_at_s + 0.002,
+            moving=["RIGHT-ARM"],
+        )
+        if self.at_rest is None:
+            return [started]
+        rest = m.HaltAtRest(
+            halt=order.halt, subsystem="MCM", at_s=time.monotonic(), at_rest=self.at_rest, performers=["RIGHT-ARM"]
+        )
+        return [started, rest]
+
+    def stop(self) -> None:
+        self._stop_out.send(b"")
+        self.join(5)
+        self._stop_out.close()
+        self._context.term()
+
+    def sentences(self) -> list[m.CommandText]:
+        return [message for message in self.heard if isinstance(message, m.CommandText)]
+
+
+def ended(request: str, command: str, text: str = "", kind: OutcomeKind = OutcomeKind.SUCCEEDED) -> m.CommandEnded:
+    return m.CommandEnded(
+        seq=9, at_s=0.0, command=command, request=request, text=text, outcome=Outcome(kind=kind), took_s=0.1
+    )
+
+
+def obliging(message: m.ClientToBroker) -> list[object]:
+    """Accepts every sentence under the number its text ends with, and ends it at once."""
+    match message:
+        case m.ClientHello():
+            return [m.Welcome(cluster="test", pid=1)]
+        case m.CommandText(request=request, text=text):
+            command = f"C-{text.split()[-1]}"
+            note = m.ProgressNote(seq=1, at_s=0.0, command=command, phase=m.Phase.PARSING)
+            return [m.Accepted(request=request, command=command), note, ended(request, command, text)]
+        case m.StatusQuery(request=request):
+            return [m.StatusReply(request=request, status={"cluster": "test"})]
+        case m.TraceQuery(request=request, command=command):
+            refusal = Refusal(reason=RefusalReason.NAME, message=f"no command {command}")
+            return [m.Declined(request=request, refusal=refusal)]
+    return []
+
+
+def accepting(message: m.ClientToBroker) -> list[object]:
+    """Accepts, and says no more."""
+    return obliging(message)[:1]
+
+
+@pytest.fixture
+def run_dir(tmp_path: Path) -> Path:
+    Settings(run_dir=str(tmp_path)).save()
+    return tmp_path
+
+
+@pytest.fixture
+def broker(run_dir: Path) -> Iterator[SmallBroker]:
+    broker = SmallBroker(run_dir, obliging)
+    yield broker
+    broker.stop()
+
+
+def test_no_cluster_is_told_within_a_second_with_what_to_do(tmp_path: Path, run_dir: Path) -> None:
+    started_s = time.monotonic()
+
+    with pytest.raises(NoCluster, match="rtc up -d"):
+        Client(tmp_path / "nowhere")
+    with pytest.raises(NoCluster, match="not running any more; start one with: rtc up -d"):
+        Client(run_dir)
+
+    assert time.monotonic() - started_s < 1
+
+
+def test_a_broker_that_listens_and_says_nothing_is_no_cluster(run_dir: Path) -> None:
+    broker = SmallBroker(run_dir, lambda message: [])
+    started_s = time.monotonic()
+
+    with pytest.raises(NoCluster, match="no broker answers"):
+        Client(run_dir)
+
+    assert time.monotonic() - started_s < 1
+    broker.stop()
+
+
+def test_run_gives_the_outcome_and_tells_the_progress(broker: SmallBroker, run_dir: Path) -> None:
+    notes: list[m.ProgressNote] = []
+
+    with Client(run_dir) as rtc:
+        outcome = rtc.run("STOW LEFT-ARM 1", on_progress=notes.append, timeout_s=5)
+
+    assert (outcome.command, outcome.text, outcome.outcome.kind) == ("C-1", "STOW LEFT-ARM 1", OutcomeKind.SUCCEEDED)
+    assert [note.command for note in notes] == ["C-1"]
+    assert broker.sentences()[0].progress
+
+
+def test_submit_then_wait(broker: SmallBroker, run_dir: Path) -> None:
+    with Client(run_dir, source="aip") as rtc:
+        command = rtc.submit("STOW LEFT-ARM 7")
+        outcome = rtc.wait(command, timeout_s=5)
+
+    assert (command, outcome.command) == ("C-7", "C-7")
+    assert broker.sentences()[0].source == "aip"
+
+
+@pytest.mark.parametrize("parallel", [True, False])
+def test_outcomes_come_in_the_order_of_the_sentences(run_dir: Path, parallel: bool) -> None:
+    """Given a broker that ends the sentences it has in reverse order, when it has two or is asked for one at a time."""
+    held: list[m.CommandText] = []
+
+    def backwards(message: m.ClientToBroker) -> list[object]:
+        if not isinstance(message, m.CommandText):
+            return obliging(message)
+        held.append(message)
+        if parallel and len(held) < 3:
+            return [m.Accepted(request=message.request, command=f"C-{len(held)}")]
+        return [ended(said.request, f"C-{n}", said.text) for n, said in reversed(list(enumerate(held, 1)))]
+
+    broker = SmallBroker(run_dir, backwards)
+    order: list[int] = []
+    with Client(run_dir) as rtc:
+        outcomes = rtc.run_many(["A", "B", "C"], parallel, on_end=lambda n, _: order.append(n), timeout_s=5)
+
+    assert [outcome.text for outcome in outcomes] == ["A", "B", "C"]
+    assert sorted(order) == [0, 1, 2]
+    broker.stop()
+
+
+def test_a_declined_sentence_is_an_exception_of_submit_and_a_refusal_of_run(run_dir: Path) -> None:
+    def full(message: m.ClientToBroker) -> list[object]:
+        if isinstance(message, m.CommandText):
+            return [m.Declined(request=message.request, refusal=Refusal(reason=RefusalReason.OVERLOAD, message="full"))]
+        return obliging(message)
+
+    broker = SmallBroker(run_dir, full)
+    with Client(run_dir) as rtc:
+        with pytest.raises(RequestDeclined, match="full"):
+            rtc.submit("STOW LEFT-ARM")
+        outcome = rtc.run("STOW LEFT-ARM", timeout_s=5).outcome
+
+    assert outcome.kind == OutcomeKind.REFUSED
+    assert outcome.refusal is not None
+    assert outcome.refusal.reason == RefusalReason.OVERLOAD
+    broker.stop()
+
+
+def test_a_command_that_does_not_end_in_time_is_told_and_goes_on(run_dir: Path) -> None:
+    broker = SmallBroker(run_dir, accepting)
+    with Client(run_dir) as rtc:
+        command = rtc.submit("STOW LEFT-ARM 1")
+        with pytest.raises(TimedOut, match="C-1 has not ended; it goes on"):
+            rtc.wait(command, timeout_s=0.05)
+    broker.stop()
+
+
+def test_a_lost_broker_hears_the_same_requests_again(run_dir: Path) -> None:
+    """Given a sentence accepted by a broker that dies, when a new one comes, then the same request reaches it."""
+    first = SmallBroker(run_dir, accepting)
+    with Client(run_dir) as rtc:
+        command = rtc.submit("STOW LEFT-ARM 1")
+        first.stop()
+        second = SmallBroker(run_dir, obliging)
+        outcome = rtc.wait(command, timeout_s=5)
+        assert rtc.status() == {"cluster": "test"}
+
+    assert outcome.outcome.kind == OutcomeKind.SUCCEEDED
+    assert {said.request for said in second.sentences()} == {first.sentences()[0].request}
+    assert isinstance(second.heard[0], m.ClientHello)
+    second.stop()
+
+
+def test_an_unknown_command_has_no_trace(broker: SmallBroker, run_dir: Path) -> None:
+    with Client(run_dir) as rtc, pytest.raises(RequestDeclined, match="no command C-99"):
+        rtc.trace("c-99")
+
+
+def test_a_halt_goes_to_broker_and_mcm_with_one_name(broker: SmallBroker, run_dir: Path) -> None:
+    with Client(run_dir) as rtc:
+        assert rtc.halt_ready()
+        result = rtc.halt("right-arm")
+
+    assert result.confirmed
+    assert result.latency_s == pytest.approx(0.002)
+    assert (result.scope, result.moving, result.told) == ("RIGHT-ARM", ["RIGHT-ARM"], ["estop", "halt"])
+    assert {door for door, _ in broker.halted} == {"halt", "estop"}
+    assert {order.halt for _, order in broker.halted} == {result.halt}
+
+
+@pytest.mark.parametrize(("at_rest", "why"), [(False, "has not come to rest"), (None, "has not come to rest")])
+def test_a_halt_without_rest_is_not_confirmed(broker: SmallBroker, run_dir: Path, at_rest: bool, why: str) -> None:
+    broker.at_rest = at_rest
+
+    with Client(run_dir) as rtc:
+        result = rtc.halt(timeout_s=0.2)
+
+    assert not result.confirmed
+    assert why in result.message
+    assert result.latency_s is not None
+
+
+def test_a_halt_works_from_another_thread_while_a_command_runs(run_dir: Path) -> None:
+    broker = SmallBroker(run_dir, accepting)
+    results = []
+    with Client(run_dir) as rtc:
+        command = rtc.submit("STOW LEFT-ARM 1")
+        other = threading.Thread(target=lambda: results.append(rtc.halt()))
+        other.start()
+        with pytest.raises(TimedOut):
+            rtc.wait(command, timeout_s=0.1)
+        other.join(5)
+
+    assert [result.confirmed for result in results] == [True]
+    broker.stop()
