@@ -1,0 +1,159 @@
+"""All bodies of a cell as pinocchio geometry: arms on their bases, seats, objects and regions, and the pairs of them.
+
+Building only; asking is `rtc.robot.collision`. Every piece knows its owner (RIGHT-ARM, RACK-1, MACS-OLD, a region)
+and its own name, so that a collision reads "RIGHT-ARM forearm / RACK-1 left-wall".
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, field
+
+import coal
+import pinocchio as pin
+
+from rtc import cell as cells
+from rtc.geometry import Floats
+from rtc.outcomes import ProgramError
+
+_SHAPES = {
+    cells.Box: lambda s: coal.Box(*s.size_m),
+    cells.Cylinder: lambda s: coal.Cylinder(s.radius_m, s.length_m),
+    cells.Sphere: lambda s: coal.Sphere(s.radius_m),
+    cells.Capsule: lambda s: coal.Capsule(s.radius_m, s.length_m),
+}
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One convex piece; its index is that of the geometry object."""
+
+    owner: str
+    part: str
+    kind: str  # "arm", "fixed", "movable", "region"
+    in_owner: pin.SE3  # in the owner's axes (in the parent joint's, for an arm)
+
+    @property
+    def label(self) -> str:
+        return f"{self.owner} {self.part}"
+
+
+@dataclass
+class ArmSlots:
+    """Where an arm's numbers are in the model of the whole cell."""
+
+    joints: list[int]  # index of each joint's value in the configuration vector
+    fingers: list[int]
+    hand_joint: int  # the joint that carries the hand
+    tcp: pin.SE3  # in the axes of that joint
+    hand_links: set[str]
+
+
+@dataclass
+class Bodies:
+    model: pin.Model
+    geometry: pin.GeometryModel
+    pieces: list[Piece]
+    pairs: list[tuple[int, int]]  # in the order of `geometry.collisionPairs`
+    arms: dict[str, ArmSlots] = field(default_factory=dict)
+
+
+def build(cell: cells.Cell) -> Bodies:
+    model, geometry = pin.Model(), pin.GeometryModel()
+    pieces: list[Piece] = []
+    slots: dict[str, ArmSlots] = {}
+    disabled: set[frozenset[str]] = set()
+    for arm in cell.arms:
+        text = _prefixed(cell.urdf(arm.name), arm.name)
+        own = pin.buildModelFromXML(text)
+        shapes = pin.buildGeomFromUrdfString(own, text, pin.GeometryType.COLLISION)
+        model, geometry = pin.appendModel(model, own, geometry, shapes, 0, se3(arm.base.pose))
+        disabled |= _disabled_pairs(cell.srdf(arm.name), arm.name)
+    for item in geometry.geometryObjects:
+        owner, part = item.name.rsplit("_", 1)[0].split(" ", 1)  # pinocchio adds _0, _1 to the link's name
+        pieces.append(Piece(owner, part, "arm", item.placement.copy()))
+    for arm in cell.arms:
+        slots[arm.name] = _slots(model, arm)
+    for seat in cell.seats:
+        _add(geometry, pieces, seat.name, "fixed", seat.frame.pose, seat.shapes)
+    for thing in cell.objects:
+        kind = "fixed" if thing.fixed else "movable"
+        _add(geometry, pieces, thing.name, kind, cell.object_pose(thing.name), thing.shapes)
+    for region in cell.regions:
+        box = cells.Box(name="region", size_m=region.size_m)
+        _add(geometry, pieces, region.name, "region", region.frame.pose, [box])
+    pairs = [pair for pair in _candidates(pieces) if not _is_disabled(pieces, pair, disabled)]
+    for pair in pairs:
+        geometry.addCollisionPair(pin.CollisionPair(*pair))
+    # pinocchio keeps its own order; ours must be the same.
+    pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
+    return Bodies(model, geometry, pieces, pairs, slots)
+
+
+def _add(
+    geometry: pin.GeometryModel,
+    pieces: list[Piece],
+    owner: str,
+    kind: str,
+    pose: Floats,
+    shapes: list[cells.AnyShape],
+) -> None:
+    for shape in shapes:
+        piece = Piece(owner, shape.name, kind, se3(shape.frame.pose))
+        solid = _SHAPES[type(shape)](shape)
+        geometry.addGeometryObject(pin.GeometryObject(piece.label, 0, se3(pose) * piece.in_owner, solid))
+        pieces.append(piece)
+
+
+def _candidates(pieces: list[Piece]) -> list[tuple[int, int]]:
+    """Pairs that can ever matter: an arm with anything, a movable object with any other body."""
+    moving = ("arm", "movable")
+    return [
+        (i, j)
+        for i, a in enumerate(pieces)
+        for j, b in enumerate(pieces[i + 1 :], i + 1)
+        if (a.kind in moving or b.kind in moving)
+        and (a.owner != b.owner or a.kind == "arm")
+        and not (a.part == "pedestal" and b.part == "pedestal")
+    ]
+
+
+def _is_disabled(pieces: list[Piece], pair: tuple[int, int], disabled: set[frozenset[str]]) -> bool:
+    a, b = (pieces[n] for n in pair)
+    return a.kind == b.kind == "arm" and (a.label == b.label or frozenset((a.label, b.label)) in disabled)
+
+
+def _slots(model: pin.Model, arm: cells.Arm) -> ArmSlots:
+    def place(joint: str) -> int:
+        name = f"{arm.name} {joint}"
+        if not model.existJointName(name):
+            raise ProgramError(f"{arm.name}: its URDF has no joint {joint}")
+        return int(model.joints[model.getJointId(name)].idx_q)
+
+    tcp = model.frames[model.getFrameId(f"{arm.name} {arm.tcp_link}")]
+    return ArmSlots(
+        joints=[place(joint) for joint in arm.joints],
+        fingers=[place(joint) for joint in arm.gripper.finger_joints],
+        hand_joint=int(tcp.parentJoint),
+        tcp=tcp.placement.copy(),
+        hand_links={arm.gripper.palm_link, *arm.gripper.finger_links},
+    )
+
+
+def _prefixed(urdf: str, name: str) -> str:
+    """The URDF with every link and joint named after the arm, so that two of one kind fit into one model."""
+    root = ET.fromstring(urdf)
+    for element in root.iter():
+        for tag, attribute in (("link", "name"), ("joint", "name"), ("parent", "link"), ("child", "link")):
+            if element.tag == tag and attribute in element.attrib:
+                element.set(attribute, f"{name} {element.get(attribute)}")
+    return ET.tostring(root, encoding="unicode")
+
+
+def _disabled_pairs(srdf: str, name: str) -> set[frozenset[str]]:
+    rows = ET.fromstring(srdf).iter("disable_collisions")
+    return {frozenset((f"{name} {row.get('link1')}", f"{name} {row.get('link2')}")) for row in rows}
+
+
+def se3(pose: Floats) -> pin.SE3:
+    return pin.XYZQUATToSE3(list(pose))

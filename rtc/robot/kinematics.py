@@ -1,0 +1,222 @@
+"""One arm's kinematics, from its URDF and where it stands: forward, Jacobian, inverse, and why an inverse fails.
+
+Joint vectors are float64 arrays (rad) in the order of the cell's `joints`; poses are seven floats of the tcp in the
+world frame. The inverse gives every branch: closed form for a PUMA-like arm, seeded numeric search for any other.
+Collisions are not its business (see `rtc.robot.collision`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from rtc import cell as cells
+from rtc import geometry
+from rtc.geometry import Array, Floats
+from rtc.outcomes import ProgramError, Refusal, RefusalReason
+from rtc.robot import numeric_ik, puma_ik
+
+_TURN = 2 * math.pi
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Arrays in joint order: rad, rad/s, rad/s^2, N.m."""
+
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+
+
+class ArmModel:
+    """Kinematics of one arm of a cell. Not thread-safe: pinocchio's working memory is reused."""
+
+    def __init__(
+        self,
+        urdf_text: str,
+        base_pose: Floats = geometry.IDENTITY,
+        *,
+        name: str = "ARM",
+        joints: Sequence[str] | None = None,
+        tcp_link: str = "tcp",
+        acceleration_rad_s2: Floats | None = None,
+    ) -> None:
+        full = pin.buildModelFromXML(urdf_text)
+        names = list(joints) if joints is not None else _revolute(full)
+        unknown = [n for n in names if not full.existJointName(n)]
+        if unknown or not full.existFrame(tcp_link):
+            raise ProgramError(f"{name}: the URDF lacks {', '.join(unknown) or tcp_link}")
+        others = [i for i in range(1, full.njoints) if full.names[i] not in names]
+        model = pin.buildReducedModel(full, others, pin.neutral(full))  # fingers do not move the tcp
+        if list(model.names)[1:] != names:
+            raise ProgramError(f"{name}: joints {names} are not in the URDF's order {list(model.names)[1:]}")
+        model.gravity.linear[:] = 0  # pinocchio assumes the earth
+        self.name = name
+        self.joints = names
+        self.model = model
+        self.base_pose = geometry.normalise(base_pose)
+        self._data = model.createData()
+        self._tcp = model.getFrameId(tcp_link)
+        self._base = pin.SE3(geometry.to_matrix(self.base_pose))
+        self.limits = JointLimits(
+            lower=model.lowerPositionLimit.copy(),
+            upper=model.upperPositionLimit.copy(),
+            velocity=model.velocityLimit.copy(),
+            acceleration=np.asarray(acceleration_rad_s2 or [5.0] * model.nq, dtype=float),
+            effort=model.effortLimit.copy(),
+        )
+        self._lower, self._upper = self.limits.lower.tolist(), self.limits.upper.tolist()
+        self._base_inverse = np.linalg.inv(geometry.to_matrix(self.base_pose))
+        tip = model.frames[self._tcp]
+        self._tool_inverse = np.linalg.inv(tip.placement.homogeneous)
+        self._puma = puma_ik.recognise([model.jointPlacements[i].homogeneous for i in range(1, model.njoints)])
+        if tip.parentJoint != model.njoints - 1:
+            raise ProgramError(f"{name}: the {tcp_link} must hang on the last joint")
+
+    @classmethod
+    def of(cls, cell: cells.Cell, arm: str) -> ArmModel:
+        """The model of an arm of a cell."""
+        spec = cell.arm(arm)
+        return cls(
+            cell.urdf(arm),
+            spec.base.pose,
+            name=spec.name,
+            joints=spec.joints,
+            tcp_link=spec.tcp_link,
+            acceleration_rad_s2=spec.acceleration_rad_s2,
+        )
+
+    # --- forward -----------------------------------------------------------------------------------------
+
+    def fk(self, joints: Floats) -> Array:
+        """Pose of the tcp, world frame."""
+        return _pose_of(self._base * self._placement(joints))
+
+    def jacobian(self, joints: Floats) -> Array:
+        """6 x n: tcp velocity [linear m/s, angular rad/s] in world axes per joint velocity (rad/s)."""
+        q = np.asarray(joints, dtype=float)
+        local = pin.computeFrameJacobian(self.model, self._data, q, self._tcp, pin.LOCAL_WORLD_ALIGNED)
+        turn = self._base.rotation
+        return np.vstack((turn @ local[:3], turn @ local[3:]))
+
+    def sigma_min(self, joints: Floats) -> float:
+        """Least singular value of the Jacobian: 0 in a singularity. Metres and radians are mixed, so compare only."""
+        return float(np.linalg.svd(self.jacobian(joints), compute_uv=False)[-1])
+
+    def limit_margin(self, joints: Floats) -> float:
+        """Distance (rad) of the joint nearest to one of its limits; negative beyond it."""
+        q = np.asarray(joints, dtype=float)
+        return float(min((q - self.limits.lower).min(), (self.limits.upper - q).min()))
+
+    # --- inverse -----------------------------------------------------------------------------------------
+
+    def ik(self, target: Floats, near: Floats | None = None, margin_rad: float = 0.0) -> list[Array]:
+        """All joint vectors that bring the tcp to `target`, each at least `margin_rad` from every limit.
+
+        Nearest to `near` first (weighted like the motion times they take); without it nearest to mid-range. Empty when
+        there are none: `why_no_ik` tells why.
+        """
+        reference = np.asarray(near, dtype=float) if near is not None else self.middle
+        within = [q for raw in self._branches(target, reference) for q in self._spellings(raw, margin_rad)]
+        return sorted(within, key=lambda q: self.travel(reference, q))
+
+    def travel(self, a: Floats, b: Floats) -> float:
+        """How long (s) the slowest joint takes from `a` to `b` at full speed: the distance that `ik` sorts by."""
+        return float((np.abs(np.asarray(b) - np.asarray(a)) / self.limits.velocity).max())
+
+    @property
+    def middle(self) -> Array:
+        return 0.5 * (self.limits.lower + self.limits.upper)
+
+    def why_no_ik(self, target: Floats, margin_rad: float = 0.0) -> Refusal | None:
+        """The cause in figures: out of reach by how much, or which joint would pass which limit. None: it can."""
+        raws = self._branches(target, self.middle)
+        if any(self._spellings(raw, margin_rad) for raw in raws):
+            return None
+        if not raws:
+            return self._out_of_reach(target)
+        _, joint, value, limit = min((self._worst_joint(raw, margin_rad) for raw in raws), key=lambda worst: worst[0])
+        side = "upper" if value > limit else "lower"
+        return Refusal(
+            reason=RefusalReason.INFEASIBLE,
+            message=(
+                f"{self.name} would have to turn {self.joints[joint]} to {math.degrees(value):.1f} deg; "
+                f"its {side} limit is {math.degrees(limit):.1f} deg"
+                + (f" less a margin of {math.degrees(margin_rad):.1f} deg" if margin_rad else "")
+            ),
+            clears="another attitude, arm or grasp point",
+            detail={
+                "cause": "joint_limit",
+                "arm": self.name,
+                "joint": self.joints[joint],
+                "value_rad": value,
+                "limit_rad": limit,
+                "margin_rad": margin_rad,
+                "excess_rad": abs(value - limit) + margin_rad,
+                "branches": float(len(raws)),
+            },
+        )
+
+    # --- inside --------------------------------------------------------------------------------------------
+
+    def _placement(self, joints: Floats) -> pin.SE3:
+        pin.framesForwardKinematics(self.model, self._data, np.asarray(joints, dtype=float))
+        return self._data.oMf[self._tcp]
+
+    def _branches(self, target: Floats, reference: Array) -> list[list[float]]:
+        last_link = self._base_inverse @ geometry.to_matrix(target) @ self._tool_inverse
+        if self._puma is not None:
+            return puma_ik.branches(self._puma, last_link, float(reference[3]))
+        goal = pin.SE3(self._base_inverse @ geometry.to_matrix(target))
+        return numeric_ik.branches(self.model, self._data, self._tcp, goal, reference)
+
+    def _spellings(self, raw: list[float], margin: float) -> list[Array]:
+        """The same posture with each angle a full turn more or less, as far as the limits allow."""
+        choices = []
+        for angle, lower, upper in zip(raw, self._lower, self._upper, strict=True):
+            fits = [a for a in (angle, angle - _TURN, angle + _TURN) if lower + margin <= a <= upper - margin]
+            if not fits:
+                return []
+            choices.append(fits)
+        return [np.array(q) for q in itertools.product(*choices)]
+
+    def _worst_joint(self, raw: list[float], margin: float) -> tuple[float, int, float, float]:
+        """(excess, joint, value, limit) of the joint farthest beyond its limits, in its best spelling."""
+        worst = (-math.inf, 0, 0.0, 0.0)
+        for n, (angle, lower, upper) in enumerate(zip(raw, self._lower, self._upper, strict=True)):
+            best = min(
+                max((lower + margin - a, n, a, lower), (a - upper + margin, n, a, upper))
+                for a in (angle, angle - _TURN, angle + _TURN)
+            )
+            worst = max(worst, best)
+        return worst
+
+    def _out_of_reach(self, target: Floats) -> Refusal:
+        words, missing = "out of reach", 0.0
+        if self._puma is not None:
+            last_link = self._base_inverse @ geometry.to_matrix(target) @ self._tool_inverse
+            words, missing = puma_ik.shortfall(self._puma, last_link[:3, 3])
+        by = f" by {missing * 1000:.0f} mm" if missing else ""
+        return Refusal(
+            reason=RefusalReason.INFEASIBLE,
+            message=f"{self.name} cannot reach: the wrist would have to be {words}{by}",
+            clears="another arm, or a nearer place",
+            detail={"cause": "reach", "arm": self.name, "which": words, "distance_m": missing},
+        )
+
+
+def _revolute(model: pin.Model) -> list[str]:
+    """The joints of an arm when nobody names them: all that turn."""
+    return [model.names[i] for i in range(1, model.njoints) if model.joints[i].shortname().startswith("JointModelR")]
+
+
+def _pose_of(placement: pin.SE3) -> Array:
+    pose: Array = pin.SE3ToXYZQUAT(placement)
+    return geometry.normalise(pose)

@@ -1,0 +1,116 @@
+"""Closed-form inverse kinematics of a PUMA-like arm: an offset shoulder, an elbow, a spherical wrist.
+
+The chain: Rz(q1) Tz(d1) Rx(90) | Rz(q2) Tx(a2) | Rz(q3) Tx(a3) Tz(d3) Rx(-90) | Rz(q4) Tz(d4) Rx(90) |
+Rz(q5) Rx(-90) | Rz(q6), from frame 0 at the foot to frame 6 in the wrist.
+Up to eight branches: shoulder left or right, elbow up or down, wrist flipped or not. Plain arithmetic on plain floats;
+joint limits are not its business, and neither are base and tool.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+_RX = {s: np.array(((1, 0, 0), (0, 0, -s), (0, s, 0)), dtype=float) for s in (1, -1)}  # Rx(+90), Rx(-90)
+
+
+@dataclass(frozen=True)
+class PumaGeometry:
+    """The five lengths (m) of the chain."""
+
+    d1: float
+    a2: float
+    a3: float
+    d3: float
+    d4: float
+
+    @property
+    def forearm(self) -> float:
+        """From the elbow's axis to the wrist's centre."""
+        return math.hypot(self.a3, self.d4)
+
+
+def recognise(placements: list[NDArray[np.float64]]) -> PumaGeometry | None:
+    """The lengths, if six 4x4 joint placements (child joint in parent joint) are those of such an arm; else None."""
+    if len(placements) != 6:
+        return None
+    rotations = [np.eye(3), _RX[1], np.eye(3), _RX[-1], _RX[1], _RX[-1]]
+    p = [placement[:3, 3] for placement in placements]
+    offsets = [(0, 0, 0), (0, 0, p[1][2]), (p[2][0], 0, 0), (p[3][0], 0, p[3][2]), (0, 0, p[4][2]), (0, 0, 0)]
+    fits = all(
+        np.allclose(placement[:3, :3], rotation, atol=1e-9) and np.allclose(at, offset, atol=1e-9)
+        for placement, rotation, at, offset in zip(placements, rotations, p, offsets, strict=True)
+    )
+    lengths = (float(n) for n in (p[1][2], p[2][0], p[3][0], p[3][2], p[4][2]))  # numpy floats would be slow
+    return PumaGeometry(*lengths) if fits else None
+
+
+def branches(g: PumaGeometry, flange: NDArray[np.float64], wrist_roll: float) -> list[list[float]]:
+    """All joint vectors (rad, each angle in -pi..pi) that put frame 6 at the 4x4 `flange`, given in frame 0.
+
+    Where the wrist is straight only joint 4 + joint 6 is determined: joint 4 is then `wrist_roll`.
+    """
+    (r00, r01, r02, x), (r10, r11, r12, y), (r20, r21, r22, z) = flange[:3].tolist()
+    z -= g.d1
+    radial = x * x + y * y - g.d3 * g.d3
+    if radial < 0:
+        return []
+    bend = (radial + z * z - g.a2 * g.a2 - g.forearm**2) / (2 * g.a2 * g.forearm)
+    if abs(bend) > 1:
+        return []
+    phase, bend = math.atan2(g.d4, g.a3), math.acos(bend)
+    found = []
+    for u in (math.sqrt(radial), -math.sqrt(radial)):
+        q1 = math.atan2(y, x) - math.atan2(-g.d3, u)
+        c1, s1 = math.cos(q1), math.sin(q1)
+        for q3 in (bend - phase, -bend - phase):
+            c3, s3 = math.cos(q3), math.sin(q3)
+            q2 = math.atan2(z, u) - math.atan2(g.a3 * s3 + g.d4 * c3, g.a2 + g.a3 * c3 - g.d4 * s3)
+            c, s = math.cos(q2 + q3), math.sin(q2 + q3)
+            # Rows of R03^T = (x3, y3, z3): x3 along the turned x, y3 against the elbow's axis, z3 along the forearm.
+            e00, e01, e02 = c1 * c, s1 * c, s
+            e10, e11 = -s1, c1
+            e20, e21, e22 = -c1 * s, -s1 * s, c
+            w02 = e00 * r02 + e01 * r12 + e02 * r22
+            w12 = e10 * r02 + e11 * r12
+            w22 = e20 * r02 + e21 * r12 + e22 * r22
+            s5 = math.hypot(w02, w12)
+            if s5 < 1e-9:  # wrist straight (or, beyond any limit, folded)
+                w00 = e00 * r00 + e01 * r10 + e02 * r20
+                w10 = e10 * r00 + e11 * r10
+                q5 = 0.0 if w22 > 0 else math.pi
+                sum46 = math.atan2(w10, w00) if w22 > 0 else -math.atan2(w10, -w00)
+                wrists = [(wrist_roll, q5, sum46 - wrist_roll if w22 > 0 else sum46 + wrist_roll)]
+            else:
+                w20 = e20 * r00 + e21 * r10 + e22 * r20
+                w21 = e20 * r01 + e21 * r11 + e22 * r21
+                q4, q5, q6 = math.atan2(-w12, -w02), math.atan2(s5, w22), math.atan2(-w21, w20)
+                wrists = [(q4, q5, q6), (q4 + math.pi, -q5, q6 + math.pi)]
+            found += [[_wrap(n) for n in (q1, q2, q3, *wrist)] for wrist in wrists]
+    return found
+
+
+def shortfall(g: PumaGeometry, wrist: NDArray[np.float64]) -> tuple[str, float]:
+    """How far (m) the wrist's centre, given in frame 0, is from where links of these lengths could bring it.
+
+    The words say which way; ("", 0.0) when it is within reach.
+    """
+    x, y, z = wrist.tolist()
+    z -= g.d1
+    across = math.hypot(x, y)
+    if across < abs(g.d3):
+        return "too near the shoulder's axis", abs(g.d3) - across
+    from_shoulder = math.sqrt(across * across - g.d3 * g.d3 + z * z)
+    farthest, nearest = g.a2 + g.forearm, abs(g.a2 - g.forearm)
+    if from_shoulder > farthest:
+        return "too far from the shoulder", from_shoulder - farthest
+    if from_shoulder < nearest:
+        return "too near the shoulder", nearest - from_shoulder
+    return "", 0.0
+
+
+def _wrap(angle: float) -> float:
+    return math.remainder(angle, 2 * math.pi)
