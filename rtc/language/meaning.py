@@ -51,6 +51,8 @@ AMOUNTS: dict[str, Takes] = {
     "TIGHTEN": Takes(("turn", "rad")),
     "TURN": Takes(("rad", "turn"), "any"),
 }
+JOINTS = Takes(("rad", "m"), "any")  # m: a joint of a gantry slides
+PERIOD = Takes(("s", "Hz"))
 STEP = Takes(("m", "rad"), "any")  # MOVE ... BY: along an axis, or about it
 
 CONSTRAINTS: dict[str, Takes] = {
@@ -231,11 +233,11 @@ def named_place(parts: Parts) -> Place:
 
 
 def joint_place(parts: Parts) -> Place:
-    return Place(joints=si_numbers(parts[1], ("rad", "m"), parts[0]))  # m: a joint of a gantry slides
+    return Place(joints=si_numbers(parts[1], JOINTS.units, parts[0]))
 
 
 def position_place(parts: Parts) -> Place:
-    position = si_numbers(parts[1], ("m",), parts[0])
+    position = si_numbers(parts[1], LENGTH.units, parts[0])
     if len(position) != POSITION_NUMBERS:
         first_too_many = parts[1][::-1][POSITION_NUMBERS:]
         column = first_too_many[0].column if first_too_many else parts[1][0].column + len(parts[1][0].text)
@@ -385,7 +387,7 @@ def reported(parts: Parts) -> Fields:
 
 
 def reported_every(parts: Parts) -> Fields:
-    period = checked(parts[1], Takes(("s", "Hz")), "EVERY")
+    period = checked(parts[1], PERIOD, "EVERY")
     return {"every_s": 1 / period.value if period.unit == "Hz" else period.value}
 
 

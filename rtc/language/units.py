@@ -57,7 +57,7 @@ KINDS: dict[str, Kind] = {
     "s": Kind("a time", "30 SEC"),
     "Hz": Kind("a rate", "10 HZ"),
     "kg": Kind("a mass", "2 KG"),
-    "ratio": Kind("a share", "50 PERCENT"),
+    "ratio": Kind("a percentage", "50 PERCENT"),
 }
 
 

@@ -1,0 +1,98 @@
+"""`rtc parse`, `rtc dictionary`, `rtc grammar`: the language, without a cluster.
+
+Plain functions; the app registers them. They print, and decide nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+import typer
+
+from rtc.language import dictionary as entries
+from rtc.language.caret import show
+from rtc.language.parse import default_grammar
+from rtc.language.parse import parse as parse_sentence
+from rtc.language.record import ParsedCommand
+from rtc.outcomes import Refusal
+
+REFUSED = 2  # exit status
+
+
+def parse(
+    sentence: Annotated[str, typer.Argument(help="One sentence of the command language, in quotes.")],
+    json: Annotated[bool, typer.Option("--json", help="Print the record or the refusal as JSON.")] = False,
+) -> None:
+    """Parse a sentence and show how it is understood, or where it is wrong.
+
+    Nothing is sent anywhere, and no cluster is needed. Exit status: 0 a sentence, 2 none.
+
+    Example: rtc parse "grasp Macs_old with Right_arm maintain speed 10 cm/s."
+    """
+    result = parse_sentence(default_grammar(), sentence)
+    if json:
+        typer.echo(msgspec.json.encode(result).decode())
+    elif isinstance(result, ParsedCommand):
+        typer.echo(understood(result))
+    else:
+        typer.echo(show(sentence, result), err=True)
+    if isinstance(result, Refusal):
+        raise typer.Exit(REFUSED)
+
+
+def dictionary(
+    verb: Annotated[str | None, typer.Argument(help="A verb such as GRASP; without it, all verbs.")] = None,
+) -> None:
+    """Print the dictionary entry of a verb in the paper's Figure 2 notation, or the list of verbs.
+
+    Example: rtc dictionary GRASP
+    """
+    if verb is None:
+        for word in entries.verbs():
+            typer.echo(f"{word:<10} {entries.meanings().words[word]}")
+        return
+    result = entries.entry(verb)
+    if isinstance(result, Refusal):
+        typer.echo(show(verb, result), err=True)
+        raise typer.Exit(REFUSED)
+    typer.echo(result, nl=False)
+
+
+def grammar(
+    stats: Annotated[bool, typer.Option("--stats", help="Count terminals, clauses and productions.")] = False,
+) -> None:
+    """Print the grammar of the command language, or its counts and clauses.
+
+    Example: rtc grammar --stats
+    """
+    if not stats:
+        typer.echo(entries.bnf(), nl=False)
+        return
+    for name, productions in entries.clauses().items():
+        typer.echo(f"{name:<20} {len(productions):>2}  {entries.meanings().clauses[name]}")
+    typer.echo()
+    for what, count in entries.stats().items():
+        typer.echo(f"{what.replace('_', ' '):<15} {count:>4}")
+
+
+def understood(record: ParsedCommand) -> str:
+    """The record as lines `field: value`, only what the sentence said (SI units)."""
+    said = msgspec.to_builtins(record)
+    lines = [f"{said.pop('verb')} ({said.pop('kind')})"]
+    said.pop("type", None)
+    for field, value in said.items():
+        shown = value if isinstance(value, list) else [value]
+        for item in shown:
+            lines.append(f"  {field:<14} {_in_words(item)}")
+    return "\n".join(lines)
+
+
+def _in_words(value: object) -> str:
+    if isinstance(value, dict):
+        if set(value) == {"value", "unit"}:
+            return f"{value['value']:g} {value['unit']}"
+        return ", ".join(f"{k} {_in_words(v)}" for k, v in value.items())
+    if isinstance(value, list):
+        return " ".join(_in_words(v) for v in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,53 @@
+"""A refused sentence as a person sees it: the line, a caret under the fault, what would have been right.
+
+Prints nothing itself and knows no grammar.
+"""
+
+from __future__ import annotations
+
+import textwrap
+
+from rtc.language.refuse import visible
+from rtc.outcomes import Refusal
+
+WIDTH = 100  # columns of the whole picture
+INDENT = "  "
+CUT = "..."
+
+
+def show(sentence: str | bytes, refusal: Refusal) -> str:
+    """The lines, without an end of line after the last. Without a column there is no caret."""
+    lines = []
+    if refusal.column is not None:
+        line, place = _window(_line(sentence), refusal.column)
+        lines += [INDENT + line, INDENT + " " * place + "^"]
+    lines.append(refusal.message)
+    for label, words in (("expected", refusal.expected), ("nearest", refusal.nearest)):
+        if words:
+            lines.append(_wrapped(f"{label}: ", words))
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _line(sentence: str | bytes) -> str:
+    text = sentence.decode(errors="replace") if isinstance(sentence, bytes) else sentence
+    return visible(text.rstrip("\r\n"))
+
+
+def _window(line: str, column: int) -> tuple[str, int]:
+    """A piece of the line that has the column in it, and where in the piece the column is."""
+    room = WIDTH - len(INDENT) - 2 * len(CUT)
+    if len(line) <= room:
+        return line, column
+    begin = min(max(column - room // 2, 0), len(line) - room)
+    before, after = CUT if begin else "", CUT if begin + room < len(line) else ""
+    return f"{before}{line[begin : begin + room]}{after}", column - begin + len(before)
+
+
+def _wrapped(label: str, words: list[str]) -> str:
+    # A word with '-' is one word, and 'a name' too: glued while the line is broken.
+    text = ", ".join(w.replace(" ", "\0") for w in words)
+    wrapped = textwrap.fill(
+        text, WIDTH, initial_indent=label, subsequent_indent=" " * len(label),
+        break_on_hyphens=False, break_long_words=False,
+    )  # fmt: skip
+    return wrapped.replace("\0", " ")

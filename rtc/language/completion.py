@@ -1,0 +1,95 @@
+"""What may come next at the end of a sentence that is still being typed.
+
+Pure; the names that exist come from the caller, the rest from the grammar.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from lark.exceptions import UnexpectedInput
+
+from rtc.language.complain import allowed_after
+from rtc.language.grammar import Grammar
+from rtc.language.meaning import AMOUNTS, CONSTRAINTS, JOINTS, LENGTH, MEASURES, PERIOD, STEP, TIME, Takes
+from rtc.language.refuse import Wrong
+from rtc.language.units import UNITS
+from rtc.language.words import TOKEN_CLASSES, Word, one_line
+from rtc.outcomes import Refusal
+
+_UNFINISHED = re.compile(r"[A-Za-z0-9_%/-]*$")
+#: the word before a number -> what may be measured there; BY is looked up by the verb
+_TAKES: dict[str, Takes] = {
+    **CONSTRAINTS,
+    **MEASURES,
+    "FOR": TIME,
+    "EVERY": PERIOD,
+    "JOINTS": JOINTS,
+    "POSITION": LENGTH,
+}
+_BY: dict[str, Takes] = {**AMOUNTS, "MOVE": STEP}
+
+
+def complete(grammar: Grammar, text_so_far: str, names: Iterable[str] = ()) -> list[str]:
+    """Whole words that may stand at the end, in capitals, sorted; the last word typed is their beginning.
+
+    Empty where nothing can follow, inside quotes and comments, and after a mistake.
+    """
+    unfinished = _UNFINISHED.search(text_so_far)
+    beginning = unfinished[0] if unfinished else ""
+    words = _whole_words(grammar, text_so_far[: len(text_so_far) - len(beginning)])
+    if words is None:
+        return []
+    allowed = _allowed(grammar, words)
+    choices = {grammar.reserved[t] for t in allowed if t in grammar.reserved}
+    if "NAME" in allowed:
+        reserved = grammar.vocabulary.reserved
+        choices |= {n for n in map(_spelt, names) if n not in reserved}
+    if words and words[-1].type == "NUMBER" and "QUANTITY" in _allowed(grammar, words[:-1]):
+        choices |= set(_units(words))
+    prefix = _spelt(beginning)
+    return sorted(c for c in choices if c.startswith(prefix))
+
+
+def _allowed(grammar: Grammar, words: list[Word]) -> set[str]:
+    try:
+        return allowed_after(grammar, words)
+    except (UnexpectedInput, Wrong):
+        return set()
+
+
+def _spelt(word: str) -> str:
+    return word.upper().replace("_", "-")
+
+
+def _whole_words(grammar: Grammar, text: str) -> list[Word] | None:
+    """The words before the unfinished one; None where no word is being typed."""
+    line = one_line(text)
+    if isinstance(line, Refusal) or "--" in _without_quotes(line) or line.rstrip(" \t,").endswith("."):
+        return None
+    try:
+        return list(grammar.vocabulary.words(line))
+    except Wrong:
+        return None
+
+
+def _without_quotes(line: str) -> str:
+    return re.sub(r'"[^"]*"', "", line)
+
+
+def _units(words: list[Word]) -> list[str]:
+    """The units that fit the words before the number; all of them when that is not known."""
+    said = [w.value for w in words if w.type not in TOKEN_CLASSES]
+    word, previous = said[-1], said[-2:-1]
+    if word == "BY":  # right behind BACK-OFF and AVOID-NEIGHBORS, else it belongs to the verb
+        takes = LENGTH if previous[0] in ("BACK-OFF", "AVOID-NEIGHBORS") else _BY.get(_verb(said))
+    elif word in ("EXCEEDS", "BELOW"):
+        takes = next((MEASURES[w] for w in reversed(said) if w in MEASURES), None)
+    else:
+        takes = _TAKES.get(word)
+    return [u for u, unit in UNITS.items() if takes is None or unit.si in takes.units]
+
+
+def _verb(said: list[str]) -> str:
+    return next(word for word in said if word != "TEST")

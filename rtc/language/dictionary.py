@@ -1,0 +1,192 @@
+"""The command dictionary: each verb's entry as Figure 2 of the paper prints one, and the counts of the grammar.
+
+Made from command.bnf (the clauses), dictionary.yaml (their meaning) and the spellings in command.lark. It
+parses no sentence and compiles no grammar, so that asking it is quick.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable
+from functools import lru_cache
+from importlib import resources
+
+import msgspec
+
+from rtc.outcomes import Refusal, RefusalReason
+
+NIL = "nil"
+ARROW = "-->"
+RESERVED = re.compile(r"[A-Z][A-Z-]*")  # in the bnf: capitals are reserved words, <x> token classes
+
+Production = list[str]
+
+
+class Way(msgspec.Struct, frozen=True, rename={"kind": "class"}):
+    """One way a verb works: a line of the table of commands."""
+
+    kind: str
+    resources: str  # non-sharable, held while it runs
+    steps: str
+    success: str
+    guarded: str  # the reflexes GUARDED stands for
+    trims: str
+    of: str = ""  # what it is done to, when there are two ways
+
+
+class Meanings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    words: dict[str, str]
+    clauses: dict[str, str]
+    verbs: dict[str, list[Way]]
+
+
+def entry(verb: str) -> str | Refusal:
+    """The entry of one verb in the notation of Figure 2: its clause, and every clause that one needs.
+
+    A synonym gives the entry of its verb. An unknown verb is a refusal with the nearest ones.
+    """
+    verb = verb.strip().upper().replace("_", "-")
+    verb = next((word for word, others in synonyms().items() if verb in others), verb)
+    if verb not in verbs():
+        return Refusal(
+            reason=RefusalReason.NAME,
+            message=f"{verb!r} is no verb of the language.",
+            expected=verbs(),
+            nearest=difflib.get_close_matches(verb, verbs()),
+        )
+    clause, production = _first_clause(verb)
+    lines = [_heading(verb), "", *print_clause(clause, [production])]
+    for name in _closure(production, [clause]):
+        lines += print_clause(name, clauses()[name])
+    if clause not in ("sentence", "control", "data", "operator"):
+        lines += ["", f"After every task: {' '.join(_task_production()[1:])} (see `rtc grammar`)."]
+    return "\n".join(lines) + "\n" + _ways(verb)
+
+
+def verbs() -> list[str]:
+    """Every word a sentence may begin with, in the order of the grammar."""
+    firsts: list[str] = []
+    for production in clauses()["sentence"]:
+        _add_firsts(production[0], firsts)
+    return firsts
+
+
+def stats() -> dict[str, int]:
+    """Counts of the grammar. A terminal is a reserved word or a token class, a clause a left-hand side."""
+    symbols = {s for productions in clauses().values() for p in productions for s in p}
+    classes = {s for s in symbols if s.startswith("<")}
+    reserved = {s for s in symbols if RESERVED.fullmatch(s)}
+    return {
+        "terminals": len(reserved) + len(classes),
+        "reserved_words": len(reserved),
+        "token_classes": len(classes),
+        "clauses": len(clauses()),
+        "productions": sum(map(len, clauses().values())),
+        "synonyms": sum(map(len, synonyms().values())),
+    }
+
+
+def print_clause(name: str, productions: Iterable[Production]) -> list[str]:
+    """Lines as in Figure 2: the clause once, an arrow before each alternative."""
+    blank = " " * len(name)
+    return [f"{blank if i else name} {ARROW} {' '.join(p) or NIL}" for i, p in enumerate(productions)]
+
+
+@lru_cache(maxsize=1)
+def clauses() -> dict[str, list[Production]]:
+    """Clause -> its productions, each a list of symbols (empty for nil), as in command.bnf."""
+    found: dict[str, list[Production]] = {}
+    name = ""
+    for line in bnf().splitlines():
+        if ARROW not in line or line.startswith("--"):
+            continue
+        left, right = line.split(ARROW)
+        name = left.strip() or name
+        found.setdefault(name, []).append([s for s in right.split() if s != NIL])
+    return found
+
+
+@lru_cache(maxsize=1)
+def meanings() -> Meanings:
+    return msgspec.yaml.decode(_text("dictionary.yaml"), type=Meanings)
+
+
+@lru_cache(maxsize=1)
+def synonyms() -> dict[str, list[str]]:
+    """Reserved word -> its other spellings, where it has any. A lone STOP is one only there (see docs)."""
+    found = {}
+    for line in _text("command.lark").splitlines():
+        spelt = re.fullmatch(r'[A-Z_]+: "([A-Z-]+)"((?: \| "[A-Z-]+")+)', line)
+        if spelt:
+            found[spelt[1]] = re.findall(r'"([A-Z-]+)"', spelt[2])
+    return found
+
+
+@lru_cache(maxsize=1)
+def bnf() -> str:
+    return _text("command.bnf")
+
+
+def _text(name: str) -> str:
+    return resources.files("rtc.language").joinpath(name).read_text("utf-8")
+
+
+def _add_firsts(symbol: str, firsts: list[str]) -> None:
+    if RESERVED.fullmatch(symbol):
+        if symbol not in firsts:
+            firsts.append(symbol)
+        return
+    for production in clauses()[symbol]:
+        if production:
+            _add_firsts(production[0], firsts)
+
+
+def _first_clause(verb: str) -> tuple[str, Production]:
+    """Where the entry begins. A verb that is a production by itself begins with the sentence it opens."""
+    for name, productions in clauses().items():
+        for production in productions:
+            if production and production[0] == verb:
+                if production != [verb]:
+                    return name, production
+                opened = next(p for p in clauses()["sentence"] if p[0] == name)
+                return "sentence", [verb, *opened[1:]]
+    raise AssertionError(f"{verb} is in verbs() but begins no production")
+
+
+def _closure(production: Production, known: list[str]) -> list[str]:
+    """The clauses the production needs beyond those known, each with what it needs itself right behind it
+    (the order of Figure 2)."""
+    found: list[str] = []
+    for symbol in production:
+        if symbol in clauses() and symbol not in known + found:
+            found.append(symbol)
+            needed = [s for p in clauses()[symbol] for s in p]
+            found += _closure(needed, known + found)
+    return found
+
+
+def _task_production() -> Production:
+    return next(p for p in clauses()["sentence"] if p[0] == "task")
+
+
+def _heading(verb: str) -> str:
+    others = synonyms().get(verb, [])
+    also = f" (also {', '.join(others)})" if others else ""
+    return f"{verb}{also}: {meanings().words[verb]}"
+
+
+def _ways(verb: str) -> str:
+    text = ""
+    for way in meanings().verbs.get(verb, []):
+        text += f"\n{verb} {way.of}\n" if way.of else "\n"
+        rows = {
+            "class": way.kind,
+            "resources": way.resources,
+            "steps": way.steps,
+            "success": way.success,
+            "GUARDED": way.guarded,
+            "trims": way.trims,
+        }
+        text += "".join(f"  {what:<10} {value}\n" for what, value in rows.items())
+    return text
