@@ -1,0 +1,306 @@
+"""One worker's shell between a real broker's socket and a real world database, with a tiny function inside."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+
+import msgspec
+import pytest
+import zmq
+
+from rtc import wire
+from rtc.messages import (
+    Assessment,
+    Drop,
+    Heartbeat,
+    Job,
+    JobBatch,
+    JobCrashed,
+    JobDone,
+    JobRefused,
+    ParserInput,
+    ProgramBody,
+    ProgramWanted,
+    ResultBatch,
+    Shutdown,
+    WorkerHello,
+    WorkerKind,
+    WorkerToBroker,
+    WorldChange,
+)
+from rtc.outcomes import ProgramError, Refusal, RefusalReason, StopReason
+from rtc.process import Process, send
+from rtc.world.__main__ import serve
+from rtc.world.client import WorldClient
+from rtc.world.lease import sign
+from rtc.world.server import Server
+from rtc.world.store import Store
+from workers import shell as shells
+from workers.shell import Shell
+
+KEY = b"k" * 32
+HELLO = WorkerHello(name="parser@0", node=0, kind=WorkerKind.PARSER, pid=1)
+
+
+class Function:
+    """The worker function of these tests: what it does is in the text of the job."""
+
+    INPUT = ParserInput
+    NEEDS_WORLD = True
+    NEEDS_CELL = False
+
+    def __init__(self):
+        self.compiled = []
+        self.began = threading.Event()
+        self.go_on = threading.Event()
+
+    def compile(self, program):
+        self.compiled.append(program)
+        if program == b"bad":
+            raise ProgramError("$.steps[3]: no such word")
+        return program.decode()
+
+    def run(self, compiled, cell, world, data):
+        match data.text.split():
+            case ["seat", key]:
+                return [compiled, world.value(key), world.version]
+            case ["refuse"]:
+                return Refusal(reason=RefusalReason.STATE, message="hand not empty")
+            case ["raise"]:
+                raise ZeroDivisionError("a bug")
+            case ["write", key, value]:
+                changes = [WorldChange(key=key, value=value)]
+                return Assessment(verdict="continue", reason=StopReason.GOAL, changes=changes)
+            case ["wait"]:
+                self.began.set()
+                assert self.go_on.wait(10)
+                self.socket.poll(1000)  # what the broker said meanwhile has arrived
+                return "waited"
+        return data.text
+
+
+class Broker:
+    """The broker's end of the workers' socket."""
+
+    def __init__(self, process, path):
+        self.process = process
+        self.socket = process.socket(zmq.ROUTER, f"ipc://{path}/workers.sock", bind=True)
+        self.read = wire.reader(WorkerToBroker)
+
+    def hear(self):
+        """The next message that is no heartbeat."""
+        while True:
+            assert self.process.wait(10), "the worker said nothing"
+            _, *parts = self.socket.recv_multipart()
+            message = self.read(parts)
+            if not isinstance(message, Heartbeat):
+                return message
+
+    def say(self, message):
+        assert send(self.socket, message, to=b"parser@0")
+
+    def give(self, *texts, program="p1", lease=None, first=1):
+        jobs = [
+            Job(id=f"C-1/{n}", attempt=1, program=program, input=wire.raw(ParserInput(text=text)), lease=lease)
+            for n, text in enumerate(texts, first)
+        ]
+        self.say(JobBatch(jobs=jobs))
+
+    def provide(self, body=b"v1"):
+        wanted = self.hear()
+        assert isinstance(wanted, ProgramWanted)
+        self.say(ProgramBody(digest=wanted.digest, body=body))
+
+    def results(self, count):
+        found = []
+        while len(found) < count:
+            batch = self.hear()
+            assert isinstance(batch, ResultBatch)
+            found += batch.results
+        return found
+
+
+def value(result):
+    assert isinstance(result, JobDone), result
+    return msgspec.msgpack.decode(result.product)
+
+
+@pytest.fixture
+def world(tmp_path):
+    process = Process("world", tmp_path)
+    socket = process.socket(zmq.ROUTER, f"ipc://{tmp_path}/world.sock", bind=True)
+
+    def run():
+        store = Store(":memory:")
+        store.write("cell", [WorldChange(key="A.seat", value="BAY-1")], "cell", 0.0)
+        serve(process, socket, Server(store, KEY))
+        store.close()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    yield f"ipc://{tmp_path}/world.sock"
+    process.stop()
+    thread.join(5)
+    process.close()
+
+
+@pytest.fixture
+def at(tmp_path, world):
+    """A shell at work in a thread, its broker, and its function; hello has been said."""
+    process, mine = Process("parser@0", tmp_path), Process("broker", tmp_path)
+    broker = Broker(mine, tmp_path)
+    socket = process.socket(zmq.DEALER, f"ipc://{tmp_path}/workers.sock", identity="parser@0")
+    client = WorldClient(world, process.context)
+    function = Function()
+    function.socket = socket
+    shell = Shell(process, HELLO, function, socket, client, lambda cell: None)
+    thread = threading.Thread(target=shell.run)
+    thread.start()
+    assert broker.hear() == HELLO
+    yield SimpleNamespace(broker=broker, function=function, thread=thread, process=process)
+    function.go_on.set()
+    process.stop()
+    thread.join(5)
+    assert not thread.is_alive()
+    client.close()
+    process.close()
+    mine.close()
+
+
+def test_a_job_gets_its_program_and_the_world_and_answers(at):
+    at.broker.give("seat A.seat")
+    at.broker.provide(b"v1")
+    (done,) = at.broker.results(1)
+    assert (done.id, done.attempt, done.world_version, value(done)) == ("C-1/1", 1, 1, ["v1", "BAY-1", 1])
+    assert 0 < done.took_s < 10
+
+
+def test_a_program_is_fetched_and_compiled_once(at):
+    at.broker.give("a", "b")
+    at.broker.provide(b"v1")
+    at.broker.results(2)
+    at.broker.give("c")
+    at.broker.results(1)
+    at.broker.give("d", program="p2")
+    at.broker.provide(b"v2")
+    at.broker.results(1)
+    assert at.function.compiled == [b"v1", b"v2"]
+
+
+def test_a_program_that_does_not_check_is_refused_each_time_and_compiled_once(at):
+    at.broker.give("a", "b", program="p-bad")
+    at.broker.provide(b"bad")
+    results = at.broker.results(2)
+    assert [(type(r), r.refusal.reason) for r in results] == [(JobRefused, RefusalReason.PROGRAM)] * 2
+    assert "$.steps[3]" in results[0].refusal.message
+    assert at.function.compiled == [b"bad"]
+
+
+def test_a_program_that_the_broker_has_not_is_a_refusal(at):
+    at.broker.give("a")
+    at.broker.provide(None)
+    (refused,) = at.broker.results(1)
+    assert refused.refusal.reason == RefusalReason.PROGRAM
+
+
+def test_a_program_that_never_comes_is_asked_for_again_and_then_refused(at, monkeypatch):
+    monkeypatch.setattr(shells, "PROGRAM_LIMIT_S", 0.1)
+    monkeypatch.setattr(shells, "ASK_AGAIN_S", 0.03)
+    at.broker.give("a")
+    assert [at.broker.hear() for _ in range(2)] == [ProgramWanted(digest="p1")] * 2
+    while isinstance(said := at.broker.hear(), ProgramWanted):
+        pass
+    assert said.results[0].refusal.reason == RefusalReason.PROGRAM
+
+
+def test_a_refusal_and_a_crash_are_results_and_the_worker_lives_on(at):
+    at.broker.give("refuse", "raise", "hello")
+    at.broker.provide()
+    refused, crashed, done = at.broker.results(3)
+    assert refused.refusal.message == "hand not empty"
+    assert isinstance(crashed, JobCrashed)
+    assert "ZeroDivisionError: a bug" in crashed.evidence
+    assert value(done) == "hello"
+
+
+def test_an_input_of_another_kind_is_a_crash_with_evidence(at):
+    job = Job(id="C-1/1", attempt=1, program="p1", input=wire.raw({"text": 7}))
+    at.broker.say(JobBatch(jobs=[job]))
+    at.broker.provide()
+    (crashed,) = at.broker.results(1)
+    assert "$.text" in crashed.evidence
+
+
+def test_changes_are_committed_before_the_answer_and_seen_by_the_next_job(at):
+    at.broker.give("write A.seat RACK-1", "seat A.seat", lease=sign(KEY, "C-1/1", ["A"]))
+    at.broker.provide()
+    assessment, after = at.broker.results(2)
+    assert value(assessment)["verdict"] == "continue"
+    assert value(after)[1:] == ["RACK-1", 2]
+
+
+def test_a_commit_outside_the_lease_is_a_refusal(at):
+    at.broker.give("write B.seat RACK-1", lease=sign(KEY, "C-1/1", ["A"]))
+    at.broker.provide()
+    (refused,) = at.broker.results(1)
+    assert refused.refusal.reason == RefusalReason.NOT_ALLOWED
+
+
+def test_without_a_lease_nothing_is_written(at):
+    at.broker.give("write A.seat RACK-1", "seat A.seat")
+    at.broker.provide()
+    assert value(at.broker.results(2)[1])[1:] == ["BAY-1", 1]
+
+
+def test_a_dropped_job_that_has_not_begun_is_not_done(at):
+    at.broker.give("wait", "never", "last")
+    at.broker.provide()
+    assert at.function.began.wait(10)
+    at.broker.say(Drop(jobs=["C-1/2"]))
+    at.function.go_on.set()
+    assert [value(r) for r in at.broker.results(2)] == ["waited", "last"]
+
+
+def test_a_broker_begun_anew_gets_a_hello_and_no_work_of_the_old_one(at):
+    at.broker.give("wait", "old")
+    at.broker.provide()
+    assert at.function.began.wait(10)
+    at.broker.say(JobBatch(jobs=[]))
+    at.broker.give("new", first=7)
+    at.function.go_on.set()
+    heard = [at.broker.hear(), at.broker.hear(), at.broker.hear()]
+    assert HELLO in heard
+    done = [r.id for message in heard if isinstance(message, ResultBatch) for r in message.results]
+    assert done == ["C-1/1", "C-1/7"]
+
+
+def test_results_of_quick_jobs_travel_together_and_in_order(at):
+    at.broker.give(*["x"] * 500)
+    at.broker.provide()
+    at.broker.results(500)
+    at.broker.give(*(str(n) for n in range(500)))
+    messages, results = 0, []
+    while len(results) < 500:
+        messages += 1
+        results += at.broker.hear().results
+    assert [value(r) for r in results] == [str(n) for n in range(500)]
+    assert messages < 250
+
+
+def test_a_retiring_worker_does_what_it_has_and_ends(at):
+    at.broker.give("a", "b")
+    at.broker.provide()
+    at.broker.say(Shutdown())
+    assert [value(r) for r in at.broker.results(2)] == ["a", "b"]
+    at.thread.join(5)
+    assert not at.thread.is_alive()
+
+
+def test_a_worker_told_to_end_while_it_waits_for_a_program_answers_nothing(at):
+    at.broker.give("a")
+    assert isinstance(at.broker.hear(), ProgramWanted)
+    at.process.stop()
+    at.thread.join(5)
+    assert not at.thread.is_alive()
+    assert at.broker.socket.poll(0) == 0

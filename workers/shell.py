@@ -1,0 +1,272 @@
+"""The shell round a worker function, the same for all four kinds: jobs in, one call each, results out.
+
+It fetches what the function needs (its program, the cell's models, one grouped view of the world), commits an
+analyzer's changes before it answers, and turns whatever the function does into a result: a product, a refusal, or the
+evidence of a crash. It decides nothing, and knows neither commands nor scripts.
+
+Jobs are done in order. Results of quick jobs travel together, for at most FLUSH_S; a result never waits for a job that
+may be slow. The broker that does not know us sends an empty JobBatch: whatever it gave us before is void, and we say
+hello again.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import msgspec
+import zmq
+
+from rtc import wire
+from rtc.cell import Cell
+from rtc.messages import (
+    Assessment,
+    BrokerToWorker,
+    Drop,
+    Heartbeat,
+    Job,
+    JobBatch,
+    JobCrashed,
+    JobDone,
+    JobRefused,
+    JobResult,
+    Lease,
+    ProgramBody,
+    ProgramWanted,
+    ResultBatch,
+    Shutdown,
+    WorkerHello,
+)
+from rtc.outcomes import ClusterError, ProgramError, Refusal, RefusalReason, WireError
+from rtc.process import Every, Process, inbox, now_s, send
+from rtc.world.client import WorldClient
+from rtc.world.model import World
+
+HEARTBEAT_S = 0.5
+FLUSH_S = 0.002  # the longest that a quick job's result waits for company
+QUICK_S = 0.0005  # a worker whose jobs have lately taken less than this is quick
+FRESH_S = 0.002  # a view of the world is good for jobs that were here when it was read, for so long
+PROGRAM_LIMIT_S = 5.0  # to get a program from the broker; a restart of it fits in
+ASK_AGAIN_S = 0.5
+KEPT = 16  # programs and cells
+EVIDENCE_CHARS = 4000
+
+
+class WorkerFunction(Protocol):
+    """What a worker module offers."""
+
+    INPUT: Any
+    NEEDS_WORLD: bool
+    NEEDS_CELL: bool
+
+    def compile(self, program: bytes) -> Any:
+        """The program, checked and made quick. Raises ProgramError."""
+
+    def run(self, compiled: Any, cell: Any, world: World | None, data: Any) -> Any:
+        """The product, or a Refusal. Pure."""
+
+
+class Stopped(Exception):
+    """Told to end in the middle of a job: it is not answered, and will be given to another."""
+
+
+class Shell:
+    """One worker. `socket` is its DEALER to the broker; `build_cell` makes the models of a cell."""
+
+    def __init__(
+        self,
+        me: Process,
+        hello: WorkerHello,
+        function: WorkerFunction,
+        socket: zmq.Socket[bytes],
+        world: WorldClient,
+        build_cell: Callable[[Cell], Any],
+    ) -> None:
+        self._me, self._hello, self._function = me, hello, function
+        self._socket = socket
+        self._read = wire.reader(BrokerToWorker)
+        self._read_input = wire.decoder(function.INPUT)
+        self._queue: deque[tuple[Job, float]] = deque()  # with the time they came
+        self._results: list[JobResult] = []
+        self._first_result_s = 0.0
+        self._slow_s = 1.0  # how long jobs lately took, at worst; forgets slowly
+        self._wanted = ""  # the digest being waited for, and what has come for it
+        self._came: list[bytes | None] = []
+        self._programs = Kept(function.compile)
+        self._cells = Kept(lambda body: build_cell(Cell.from_bytes(body)))
+        self._view = WorldView(world)
+        self._retiring = False
+        self._heartbeat = Every(HEARTBEAT_S)
+
+    def run(self) -> None:
+        """Work until told to stop, or until the last job is done after being told to retire."""
+        self._say(self._hello)
+        while not self._me.stopping and not (self._retiring and not self._queue):
+            if not self._queue:
+                self._me.wait(self._heartbeat.left_s(now_s()))
+                if self._heartbeat.due(now_s()):
+                    self._say(Heartbeat(name=self._hello.name))
+            self._listen()
+            if self._queue:
+                job, came_s = self._queue.popleft()
+                self._do(job, came_s)
+            self._flush(late=not self._queue)
+
+    # --- to and from the broker ------------------------------------------------------------------------
+
+    def _say(self, message: Any) -> None:
+        if not send(self._socket, message):
+            self._me.log.error("no room for %s: dropped", type(message).__name__)
+
+    def _listen(self) -> None:
+        for parts in inbox(self._socket):
+            try:
+                self._hear(self._read(parts))
+            except WireError as error:
+                self._me.log.warning("dropped a message of the broker: %s", error)
+
+    def _hear(self, message: BrokerToWorker) -> None:
+        match message:
+            case JobBatch(jobs=[]):
+                self._queue.clear()
+                self._results.clear()
+                self._say(self._hello)
+            case JobBatch(jobs=jobs):
+                came_s = now_s()
+                self._queue.extend((job, came_s) for job in jobs)
+            case Drop(jobs=unwanted):
+                self._queue = deque(entry for entry in self._queue if entry[0].id not in unwanted)
+            case ProgramBody(digest=digest, body=body):
+                if digest == self._wanted:
+                    self._came.append(body)
+            case Shutdown():
+                self._retiring = True
+
+    def _flush(self, late: bool) -> None:
+        """Send the results, unless more of them will come very soon."""
+        if not self._results:
+            return
+        if late or self._slow_s > QUICK_S or now_s() - self._first_result_s > FLUSH_S:
+            self._say(ResultBatch(name=self._hello.name, results=self._results))
+            self._results = []
+
+    # --- one job ---------------------------------------------------------------------------------------
+
+    def _do(self, job: Job, came_s: float) -> None:
+        started_s = time.perf_counter()
+        self._view.version_read = 0
+        try:
+            product = self._work(job, came_s)
+        except Stopped:
+            return
+        except ClusterError as error:
+            product = Refusal(reason=RefusalReason.TIMEOUT, message=str(error))
+        except Exception:
+            self._me.log.exception("job %s attempt %d crashed", job.id, job.attempt)
+            evidence = traceback.format_exc()[-EVIDENCE_CHARS:]
+            self._answer(JobCrashed(id=job.id, attempt=job.attempt, evidence=evidence))
+            return
+        took_s = time.perf_counter() - started_s
+        self._slow_s = max(took_s, 0.9 * self._slow_s)
+        about: dict[str, Any] = {"id": job.id, "attempt": job.attempt, "took_s": took_s}
+        about["world_version"] = self._view.version_read
+        if isinstance(product, Refusal):
+            self._answer(JobRefused(refusal=product, **about))
+        else:
+            self._answer(JobDone(product=product, **about))
+
+    def _work(self, job: Job, came_s: float) -> msgspec.Raw | Refusal:
+        """The function's product, as bytes; what it wrote is committed."""
+        function = self._function
+        program = self._made(self._programs, job.program)
+        if isinstance(program, Refusal):
+            return program
+        cell = self._made(self._cells, job.cell) if function.NEEDS_CELL and job.cell else None
+        if isinstance(cell, Refusal):
+            return cell
+        world = self._view.at(came_s) if function.NEEDS_WORLD else None
+        product = function.run(program, cell, world, self._read_input(job.input))
+        if isinstance(product, Refusal):
+            return product
+        if job.lease is not None and isinstance(product, Assessment) and product.changes:
+            refusal = self._view.commit(job.lease, product, source=job.id)
+            if refusal is not None:
+                return refusal
+        return wire.raw(product)
+
+    def _answer(self, result: JobResult) -> None:
+        if not self._results:
+            self._first_result_s = now_s()
+        self._results.append(result)
+
+    def _made(self, kept: Kept, digest: str) -> Any:
+        """The program or cell of this digest, made from its body once; or the Refusal that says why it cannot be."""
+        if digest not in kept:
+            self._flush(late=True)
+            body = self._body(digest)
+            if isinstance(body, Refusal):
+                return body
+            kept.make(digest, body)
+        return kept[digest]
+
+    def _body(self, digest: str) -> bytes | Refusal:
+        """Ask the broker, and wait for its answer alone; other messages take their usual way meanwhile."""
+        self._wanted, self._came = digest, []
+        end_s, again = now_s() + PROGRAM_LIMIT_S, Every(ASK_AGAIN_S)
+        while not self._came and now_s() < end_s:
+            if self._me.stopping:
+                raise Stopped
+            if again.due(now_s()):
+                self._say(ProgramWanted(digest=digest))
+            self._me.wait(again.left_s(now_s()))
+            self._listen()
+        self._wanted = ""
+        body = self._came[0] if self._came else None
+        if body is None:
+            message = f"the broker has no program or cell {digest}, or did not send it within {PROGRAM_LIMIT_S:g} s"
+            return Refusal(reason=RefusalReason.PROGRAM, message=message, where=digest)
+        return body
+
+
+class Kept(dict[str, Any]):
+    """What was made from a body, by digest: the last KEPT ones. One that does not check is kept as its Refusal."""
+
+    def __init__(self, maker: Callable[[bytes], Any]) -> None:
+        super().__init__()
+        self._maker = maker
+
+    def make(self, digest: str, body: bytes) -> None:
+        try:
+            self[digest] = self._maker(body)
+        except ProgramError as error:
+            self[digest] = Refusal(reason=RefusalReason.PROGRAM, message=str(error), where=digest)
+        while len(self) > KEPT:
+            del self[next(iter(self))]
+
+
+class WorldView:
+    """The worker's copy of the world, brought up to date by one read of what is new."""
+
+    def __init__(self, client: WorldClient) -> None:
+        self._client = client
+        self._world = World()
+        self._read_at_s = -1.0
+        self.version_read = 0  # of the world the job in hand has seen; 0 = none
+
+    def at(self, came_s: float) -> World:
+        """The world as it is now. What was committed before a job was sent is in a view read after the job came, so
+        the jobs of one batch share a read while it is fresh. Raises ClusterError when the database is away."""
+        if came_s > self._read_at_s or now_s() - self._read_at_s > FRESH_S:
+            read_at_s = now_s()
+            self._world = self._world.updated(self._client.view(since=self._world.version))
+            self._read_at_s = read_at_s
+        self.version_read = self._world.version
+        return self._world
+
+    def commit(self, lease: Lease, assessment: Assessment, source: str) -> Refusal | None:
+        self._read_at_s = -1.0  # a later job of this batch must see it
+        answer = self._client.commit(lease, assessment.changes, source)
+        return answer if isinstance(answer, Refusal) else None
