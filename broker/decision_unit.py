@@ -1,0 +1,375 @@
+"""The Decision Unit: `decide(state, event) -> effects`, the one pure machine that every command passes through.
+
+Rule 1: no clock, socket, log, random number or setting in here; the time is in the event. The same events give the
+same state and effects, so a journal of events is all that a restart needs.
+Rule 2: what may follow what stands in `broker.transitions`, and is checked after every action.
+Rule 3: `state` is changed in place, by `decide` alone.
+
+An answer to a job that is no longer wanted, or to an older attempt of it, is stale: counted, nothing else. The
+same holds for every empty cell of the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from broker import ending, journey
+from broker.effects import AcknowledgeReport, DeclineHalt, Effect, SendHalt, TellClient
+from broker.events import (
+    BrokerRestarted,
+    ClientGone,
+    CommandReceived,
+    Event,
+    HaltCalled,
+    HaltConfirmed,
+    JobDeclined,
+    JobFinished,
+    JobLost,
+    PrimitiveEnded,
+    PrimitiveStarted,
+    ProgramInstalled,
+    SubsystemConnected,
+    SubsystemGone,
+    TimerFired,
+)
+from broker.state import Command, Ending, Link, PendingJob, State, Subsystem, Trial
+from broker.transitions import TABLE, Stimulus
+from broker.turn import Turn
+from rtc.language.fastpath import halt_scope
+from rtc.messages import Accepted, Declined, Phase, WorkerKind
+from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
+
+MAX_COMMANDS = 10_000  # live at once; more are declined
+MAX_TEXT = 20_000  # characters kept of a sentence (the parser refuses far shorter ones, with the place)
+HALTS_KEPT = 64
+
+ACTIONS: dict[str, Callable[[Turn, Command, Any], None]] = {
+    name: getattr(module, name)
+    for name, module in (
+        ("parsed", journey),
+        ("released", journey),
+        ("granted", journey),
+        ("elaborated", journey),
+        ("bound", journey),
+        ("reported", journey),
+        ("assessed", journey),
+        ("pause_later", journey),
+        ("resume_now", journey),
+        ("resume_paused", journey),
+        ("refused", ending),
+        ("again", ending),
+        ("stop", ending),
+        ("stop_subsystem", ending),
+        ("stop_after_analysis", ending),
+        ("overdue", ending),
+        ("rested", ending),
+        ("rest_confirmed", ending),
+        ("unconfirmed", ending),
+        ("lost_subsystem", ending),
+        ("lost_while_halting", ending),
+        ("closed", ending),
+    )
+}
+assert {action for action, _ in TABLE.values()} == set(ACTIONS), "every action of the table is here, and no other"
+
+
+class InvalidTransition(AssertionError):
+    """A bug: an action led where the table does not allow. Tells the story that led there."""
+
+    def __init__(self, command: Command, before: Phase, stimulus: Stimulus) -> None:
+        story = "\n".join(f"  {n.at_s:.3f} {n.phase.value} {n.step} {n.note}" for n in command.notes[-20:])
+        super().__init__(
+            f"{command.id}: {stimulus.value} in {before.value} led to {command.phase.value}, "
+            f"which the table does not allow\n{story}"
+        )
+
+
+def decide(state: State, event: Event) -> list[Effect]:
+    """What is to be done about one event. Changes `state`; effects are in the order they must happen."""
+    turn = Turn(state, event.at_s)
+    HEARD[type(event)](turn, event)
+    while turn.followups:
+        name, stimulus, payload = turn.followups.popleft()
+        turn.node, turn.took_s = "", 0.0
+        command = state.commands.get(name)
+        if command is not None:
+            stimulate(turn, command, stimulus, payload)
+    return turn.effects
+
+
+def stimulate(turn: Turn, command: Command, stimulus: Stimulus, payload: Any = None) -> None:
+    before = command.phase
+    cell = TABLE.get((before, stimulus))
+    if cell is None:
+        turn.count("stale")
+        return
+    action, following = cell
+    ACTIONS[action](turn, command, payload)
+    if command.phase not in following:
+        raise InvalidTransition(command, before, stimulus)
+
+
+# --- clients -----------------------------------------------------------------------------------------
+
+
+def on_command(turn: Turn, event: CommandReceived) -> None:
+    state = turn.state
+    key = f"{event.client} {event.request}"
+    if known := state.requests.get(key):
+        turn.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=known)))
+        if known in state.ended:
+            turn.effects.append(TellClient(client=event.client, message=state.ended[known]))  # type: ignore[arg-type]
+        return
+    if len(state.commands) >= MAX_COMMANDS:
+        turn.count("declined")
+        message = f"{len(state.commands)} commands are live, which is the limit"
+        refusal = Refusal(reason=RefusalReason.OVERLOAD, message=message, clears="wait until some have ended")
+        turn.effects.append(TellClient(client=event.client, message=Declined(request=event.request, refusal=refusal)))
+        return
+    state.accepted += 1
+    command = Command(
+        id=f"C-{state.accepted}",
+        client=event.client,
+        request=event.request,
+        text=event.text[:MAX_TEXT],
+        source=event.source,
+        progress=event.progress,
+        halt_if_lost=event.halt_if_lost,
+        accepted_at_s=event.at_s,
+    )
+    state.commands[command.id] = command
+    state.requests[key] = command.id
+    turn.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
+    if scope := halt_scope(event.text):
+        journey.halt_by_command(turn, command, scope)
+    elif 0 < event.sent_at_s <= state.halted_at_s.get("ALL", 0.0):
+        message = "sent before HALT ALL, so it does not start after it"
+        ending.end(turn, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)
+    else:
+        turn.give_out(command, WorkerKind.PARSER, {"text": command.text})
+        turn.enter(command, Phase.PARSING)
+
+
+def on_halt(turn: Turn, event: HaltCalled) -> None:
+    halts = turn.state.halts
+    if event.halt in halts:
+        return
+    halts[event.halt] = event.at_s
+    if len(halts) > HALTS_KEPT:
+        del halts[next(iter(halts))]
+    turn.count("halts")
+    if not journey.halt(turn, event.halt, event.scope, event.called_at_s):
+        message = f"nothing live is called {event.scope}"
+        turn.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
+
+
+def on_client_gone(turn: Turn, event: ClientGone) -> None:
+    gone = Ending(kind=OutcomeKind.HALTED, message="its client went away", stop=StopReason.HALT)
+    for command in turn.state.commands.values():
+        if command.client == event.client and command.halt_if_lost:
+            turn.follow(command.id, Stimulus.STOP, gone)
+
+
+# --- workers -----------------------------------------------------------------------------------------
+
+
+def _pending(turn: Turn, job: str, attempt: int) -> tuple[Command, PendingJob] | None:
+    """The command that waits for just this answer; None (and counted) when the answer is stale."""
+    command = turn.state.commands.get(job.partition("/")[0])
+    if command is None or command.job is None or (command.job.id, command.job.attempt) != (job, attempt):
+        turn.count("stale")
+        return None
+    return command, command.job
+
+
+def on_job_finished(turn: Turn, event: JobFinished) -> None:
+    if (found := _pending(turn, event.job, event.attempt)) is None:
+        return
+    command, job = found
+    turn.node, turn.took_s = event.node, event.at_s - job.since_s
+    command.job = None
+    if (trial := turn.state.trials.get(job.kind)) and trial.new == job.program:
+        del turn.state.trials[job.kind]
+    try:
+        stimulate(turn, command, Stimulus.PRODUCT, event.product)
+    except WireError as error:
+        message = f"the {job.kind.value} delivered what is no product: {error}"
+        stimulate(turn, command, Stimulus.REFUSAL, Refusal(reason=RefusalReason.PROGRAM, message=message))
+
+
+def on_job_declined(turn: Turn, event: JobDeclined) -> None:
+    if (found := _pending(turn, event.job, event.attempt)) is None:
+        return
+    command, job = found
+    turn.node, turn.took_s = event.node, event.at_s - job.since_s
+    if event.refusal.reason is RefusalReason.PROGRAM and _roll_back(turn, command, job, event.refusal.message):
+        return
+    command.job = None
+    stimulate(turn, command, Stimulus.REFUSAL, event.refusal)
+
+
+def on_job_lost(turn: Turn, event: JobLost) -> None:
+    if (found := _pending(turn, event.job, event.attempt)) is None:
+        return
+    command, job = found
+    turn.node, turn.took_s = event.node, event.at_s - job.since_s
+    if event.blamed and _roll_back(turn, command, job, event.evidence):
+        return
+    stimulate(turn, command, Stimulus.LOSS, event)
+
+
+def _roll_back(turn: Turn, command: Command, job: PendingJob, why: str) -> bool:
+    """The first job of a new program failed: back to the old one, and the job again."""
+    state = turn.state
+    trial = state.trials.get(job.kind)
+    if trial is None or trial.new != job.program:
+        return False
+    del state.trials[job.kind]
+    state.programs[job.kind] = trial.old
+    job.program = trial.old
+    job.attempt += 1
+    turn.count("programs_rolled_back")
+    turn.note(command, f"the new {job.kind.value} program {trial.new} failed ({why}); back to {trial.old}")
+    turn.dispatch(job)
+    return True
+
+
+def on_program(turn: Turn, event: ProgramInstalled) -> None:
+    kind = event.kind or "cell"
+    programs = turn.state.programs
+    if event.kind and kind in programs and programs[kind] != event.digest:
+        turn.state.trials[kind] = Trial(new=event.digest, old=programs[kind])
+    programs[kind] = event.digest
+
+
+# --- subsystems --------------------------------------------------------------------------------------
+
+
+def on_started(turn: Turn, event: PrimitiveStarted) -> None:
+    command = turn.state.commands.get(event.primitive.partition(".")[0])
+    if command is not None and command.primitive == event.primitive and command.phase is Phase.EXECUTING:
+        turn.node = event.subsystem
+        turn.note(command, "started")
+
+
+def on_ended(turn: Turn, event: PrimitiveEnded) -> None:
+    report = event.report
+    command = turn.state.commands.get(report.primitive.partition(".")[0])
+    awaited = (
+        command is not None
+        and command.primitive == report.primitive
+        and command.phase in (Phase.EXECUTING, Phase.HALTING)
+    )
+    if not awaited or command is None:
+        # Late or double. It is acknowledged, or it would be repeated for ever; and it proves rest.
+        turn.count("stale")
+        turn.effects.append(AcknowledgeReport(subsystem=event.subsystem, primitive=report.primitive))
+        if command is None:
+            turn.confirm_rest(event.subsystem)
+        return
+    turn.node, turn.took_s = event.subsystem, event.at_s - command.sent_at_s
+    stimulate(turn, command, Stimulus.REPORT, report)
+
+
+def on_halt_confirmed(turn: Turn, event: HaltConfirmed) -> None:
+    if event.at_rest:
+        turn.confirm_rest(event.subsystem)
+    command = turn.state.commands.get(event.halt)
+    if command is not None:
+        turn.node = event.subsystem
+        stimulate(turn, command, Stimulus.REST, event.at_rest)
+
+
+def on_subsystem(turn: Turn, event: SubsystemConnected) -> None:
+    """Come, or come back. What it does not know any more it never got, or it forgot by dying."""
+    state = turn.state
+    before = state.subsystems.get(event.subsystem)
+    reborn = before is not None and before.pid != event.pid
+    if reborn:
+        _gone(turn, event.subsystem, "it was restarted")
+    rest_known = event.at_rest or (before is not None and before.rest_known)
+    state.subsystems[event.subsystem] = Subsystem(pid=event.pid, performers=event.performers, rest_known=rest_known)
+    known = {c.primitive for c in state.commands.values() if c.phase in (Phase.EXECUTING, Phase.HALTING)}
+    for primitive in event.outstanding:
+        if primitive not in known:
+            _order_halt(turn, event.subsystem, f"orphan-{primitive}", primitive)
+    if event.at_rest:
+        turn.confirm_rest(event.subsystem)
+    elif not event.outstanding:
+        _order_halt(turn, event.subsystem, f"rejoin-{event.subsystem}-{event.pid}", "ALL")
+    if reborn:
+        return
+    for command in state.commands.values():
+        if command.subsystem == event.subsystem and command.primitive_body is not None:
+            if command.phase is Phase.HALTING:
+                ending.order_halt(turn, command)
+            elif command.phase is Phase.EXECUTING and command.primitive not in event.outstanding:
+                journey.send(turn, command)
+
+
+def _order_halt(turn: Turn, subsystem: str, halt: str, scope: str) -> None:
+    turn.effects.append(SendHalt(subsystem=subsystem, halt=halt, scope=scope, called_at_s=turn.now))
+
+
+def on_subsystem_gone(turn: Turn, event: SubsystemGone) -> None:
+    subsystem = turn.state.subsystems.get(event.subsystem)
+    if subsystem is not None and subsystem.link is not Link.LOST:
+        subsystem.link = Link.LOST
+        subsystem.rest_known = False
+        turn.count("subsystems_lost")
+        _gone(turn, event.subsystem, event.why)
+
+
+def _gone(turn: Turn, name: str, why: str) -> None:
+    """A global error (A30): every command that has worked through this subsystem ends."""
+    lost = Ending(kind=OutcomeKind.LOST_SUBSYSTEM, message=f"{name} was lost: {why}", stop=StopReason.SUBSYSTEM_LOST)
+    for command in turn.state.commands.values():
+        if command.subsystem == name:
+            moving = command.phase in (Phase.EXECUTING, Phase.HALTING)
+            turn.follow(command.id, Stimulus.GONE if moving else Stimulus.STOP, why if moving else lost)
+        elif command.phase is Phase.HALTING and not command.primitive:
+            turn.follow(command.id, Stimulus.GONE, why)
+
+
+# --- time and restart --------------------------------------------------------------------------------
+
+
+def on_timer(turn: Turn, event: TimerFired) -> None:
+    command = turn.state.commands.get(event.timer)
+    if command is not None:
+        stimulate(turn, command, Stimulus.OVERDUE)
+
+
+def on_restart(turn: Turn, event: BrokerRestarted) -> None:
+    """Everything that was given out is given out again; subsystems are waited for, they know what they do."""
+    turn.count("broker_restarts")
+    for subsystem in turn.state.subsystems.values():
+        if subsystem.link is Link.CONNECTED:
+            subsystem.link = Link.AWAITED
+    for command in turn.state.commands.values():
+        if command.job is not None:
+            command.job.attempt += 1
+            turn.dispatch(command.job)
+        if command.phase is Phase.EXECUTING:
+            turn.start_timer(command, command.limit_s * turn.state.patience + journey.REPORT_MARGIN_S)
+        elif command.phase in (Phase.HALTING, Phase.CLOSING):
+            turn.start_timer(command, ending.HALT_LIMIT_S + journey.REPORT_MARGIN_S)
+
+
+HEARD: dict[type[Event], Callable[[Turn, Any], None]] = {
+    CommandReceived: on_command,
+    HaltCalled: on_halt,
+    JobFinished: on_job_finished,
+    JobDeclined: on_job_declined,
+    JobLost: on_job_lost,
+    PrimitiveStarted: on_started,
+    PrimitiveEnded: on_ended,
+    HaltConfirmed: on_halt_confirmed,
+    SubsystemConnected: on_subsystem,
+    SubsystemGone: on_subsystem_gone,
+    ClientGone: on_client_gone,
+    TimerFired: on_timer,
+    ProgramInstalled: on_program,
+    BrokerRestarted: on_restart,
+}

@@ -1,0 +1,266 @@
+"""How commands end: refused, stopped, lost, closed. Each function is one action of `broker.transitions`.
+
+Rule 1: a command that was moving something is not over before its subsystem has come to rest (HALTING), or has
+been given up. Rule 2: what it touched is put right in the world by one last analysis, whose advice is ignored
+(CLOSING, R138, R151). Rule 3: `end` is the only way to ENDED, and nothing is done for a command after it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from broker.effects import AcknowledgeReport, CancelJob, ReportEnd, SendHalt
+from broker.state import Command, Ending
+from broker.transitions import Stimulus
+from broker.turn import Turn, step_in_words
+from rtc import wire
+from rtc.messages import CommandEnded, CommandRecord, EndReport, Phase, WorkerKind
+from rtc.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
+
+HALT_LIMIT_S = 2.0  # for a subsystem to confirm rest
+CLOSING_LIMIT_S = 10.0  # for the last analysis; then the command ends without it
+MAX_DEATHS = 3  # of workers with the same job in hand: it is poison
+ENDED_KEPT = 4096  # results kept for clients that ask again
+
+UNCONFIRMED = (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM)
+
+
+def end(
+    turn: Turn,
+    command: Command,
+    kind: OutcomeKind,
+    *,
+    message: str = "",
+    stop: StopReason | None = None,
+    refusal: Refusal | None = None,
+) -> None:
+    """The only way to ENDED: free everything, tell everybody."""
+    state = turn.state
+    outcome = Outcome(
+        kind=kind,
+        message=message,
+        stop=stop,
+        refusal=refusal,
+        step=step_in_words(command) if kind is not OutcomeKind.SUCCEEDED else "",
+        trims=command.trims_told,
+        steps_done=command.steps_done,
+    )
+    command.job = None
+    turn.enter(command, Phase.ENDED, f"{kind.value}{': ' + message if message else ''}")
+    subsystem = state.subsystems.get(command.subsystem)
+    quarantine_for = command.subsystem if kind in UNCONFIRMED and subsystem and not subsystem.rest_known else ""
+    turn.grant(state.resources.release(command.id, quarantine_for, frozenset(command.performers)))
+    for waiting in state.awaiting.pop(command.id, ()):
+        turn.follow(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
+    for waiting in state.joining.pop(command.id, ()):
+        turn.follow(waiting, Stimulus.RELEASE, False)
+    turn.count(kind.value)
+    state.seq += 1
+    ended = CommandEnded(
+        seq=state.seq,
+        at_s=turn.now,
+        command=command.id,
+        request=command.request,
+        text=command.text,
+        outcome=outcome,
+        took_s=turn.now - command.accepted_at_s,
+    )
+    record = CommandRecord(
+        command=command.id,
+        text=command.text,
+        source=command.source,
+        request=command.request,
+        accepted_at_s=command.accepted_at_s,
+        phase=Phase.ENDED,
+        notes=command.notes,
+        outcome=outcome,
+        ended_at_s=turn.now,
+    )
+    turn.effects.append(ReportEnd(client=command.client, ended=ended, record=record))
+    del state.commands[command.id]
+    _remember(turn, command, ended)
+
+
+def _remember(turn: Turn, command: Command, ended: CommandEnded) -> None:
+    """Keep the result for a client that comes back for it; forget the oldest."""
+    state = turn.state
+    state.ended[command.id] = wire.raw(ended)
+    state.successes[command.id] = ended.outcome.kind is OutcomeKind.SUCCEEDED
+    if len(state.ended) > ENDED_KEPT:
+        oldest = next(iter(state.ended))
+        del state.ended[oldest]
+        del state.successes[oldest]
+    while len(state.requests) > ENDED_KEPT + len(state.commands):
+        del state.requests[next(iter(state.requests))]
+
+
+# --- refused -----------------------------------------------------------------------------------------
+
+
+def refuse(turn: Turn, command: Command, refusal: Refusal) -> None:
+    end(turn, command, OutcomeKind.REFUSED, message=refusal.message, refusal=refusal)
+
+
+def refused(turn: Turn, command: Command, refusal: Refusal) -> None:
+    refuse(turn, command, refusal)
+
+
+# --- a worker lost -----------------------------------------------------------------------------------
+
+
+def again(turn: Turn, command: Command, loss: Any) -> None:
+    """Give the job out anew: it is stateless. A job that was in hand at three deaths is poison."""
+    job = command.job
+    assert job is not None
+    if loss.blamed:
+        job.deaths.append(f"{loss.node}: {loss.evidence}")
+    if len(job.deaths) < MAX_DEATHS:
+        job.attempt += 1
+        turn.count("jobs_again")
+        turn.note(
+            command, f"{loss.node} lost ({loss.evidence.splitlines()[-1] if loss.evidence else 'gone'}); job again"
+        )
+        turn.dispatch(job)
+        return
+    message = f"the {job.kind.value}'s job {job.id} killed its worker {len(job.deaths)} times"
+    refusal = Refusal(
+        reason=RefusalReason.POISON,
+        message=message,
+        where=step_in_words(command),
+        clears="the evidence is in the trace; change the sentence or the program",
+        detail={f"death {n}": evidence[-800:] for n, evidence in enumerate(job.deaths, 1)},
+    )
+    if command.phase is Phase.CLOSING:
+        closed(turn, command, None)
+    elif command.phase is Phase.ANALYZING:
+        end(turn, command, OutcomeKind.FAILED, message=message, refusal=refusal)
+    else:
+        refuse(turn, command, refusal)
+
+
+# --- stopped -----------------------------------------------------------------------------------------
+
+
+def stop(turn: Turn, command: Command, ending: Ending) -> None:
+    """Nothing moves for it: it ends at once, and an answer still under way will be stale."""
+    cancel(turn, command)
+    end(turn, command, ending.kind, message=ending.message, stop=ending.stop)
+
+
+def cancel(turn: Turn, command: Command) -> None:
+    if command.job is not None:
+        turn.effects.append(CancelJob(job=command.job.id))
+        command.job = None
+
+
+def stop_subsystem(turn: Turn, command: Command, ending: Ending) -> None:
+    """Its primitive is being executed: stop that, and wait for rest."""
+    command.ending = ending
+    order_halt(turn, command)
+    turn.enter(command, Phase.HALTING, ending.message)
+
+
+def order_halt(turn: Turn, command: Command) -> None:
+    turn.effects.append(
+        SendHalt(subsystem=command.subsystem, halt=f"stop-{command.id}", scope=command.id, called_at_s=turn.now)
+    )
+    turn.start_timer(command, HALT_LIMIT_S * max(1.0, turn.state.patience))
+
+
+def overdue(turn: Turn, command: Command, _: Any) -> None:
+    """The subsystem has not reported within the primitive's own limit. F is complete, so this is its fault."""
+    message = f"{command.subsystem} gave no end report within {command.limit_s:.1f} s"
+    stop_subsystem(turn, command, Ending(kind=OutcomeKind.FAILED, message=message, stop=StopReason.TIMEOUT))
+
+
+def rested(turn: Turn, command: Command, report: EndReport) -> None:
+    """An end report comes after rest, whatever its reason: the motion may have ended by itself meanwhile."""
+    turn.stop_timer(command)
+    turn.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
+    command.primitive_body = None
+    close(turn, command, report, f"at rest: {report.reason.value}")
+
+
+def rest_confirmed(turn: Turn, command: Command, at_rest: bool) -> None:
+    """Of a HALT sentence. A command that moved waits for its end report, which says more."""
+    assert command.ending is not None
+    if command.primitive:
+        return
+    turn.stop_timer(command)
+    if at_rest:
+        end(turn, command, command.ending.kind, message=command.ending.message)
+    else:
+        end(turn, command, OutcomeKind.HALT_NOT_CONFIRMED, message="the subsystem is not at rest")
+
+
+def unconfirmed(turn: Turn, command: Command, _: Any) -> None:
+    who = command.subsystem or "any subsystem"
+    if subsystem := turn.state.subsystems.get(command.subsystem):
+        subsystem.rest_known = False
+    message = f"halted, but rest was not confirmed by {who} within {HALT_LIMIT_S:.0f} s"
+    end(turn, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
+
+
+# --- a subsystem lost --------------------------------------------------------------------------------
+
+
+def lost_subsystem(turn: Turn, command: Command, why: str) -> None:
+    message = f"{command.subsystem} was lost while executing: {why}"
+    command.ending = Ending(kind=OutcomeKind.LOST_SUBSYSTEM, message=message, stop=StopReason.SUBSYSTEM_LOST)
+    close(turn, command, nobody_reports(turn, command), message)
+
+
+def lost_while_halting(turn: Turn, command: Command, why: str) -> None:
+    message = f"{command.subsystem} was lost before it confirmed rest: {why}"
+    command.ending = Ending(kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST)
+    if command.primitive:
+        close(turn, command, nobody_reports(turn, command), message)
+    else:
+        turn.enter(command, Phase.CLOSING)
+        closed(turn, command, None)
+
+
+def nobody_reports(turn: Turn, command: Command) -> EndReport:
+    """What stands in for the report of a subsystem that is gone: no figures, only the reason."""
+    return EndReport(
+        primitive=command.primitive,
+        performer=command.performers[0],
+        reason=StopReason.SUBSYSTEM_LOST,
+        at_s=turn.now,
+        duration_s=0.0,
+        joints=[],
+        tcp_pose=[],
+        wrench=[],
+        hand_width_m=0.0,
+        hand_force_n=0.0,
+    )
+
+
+# --- closing -----------------------------------------------------------------------------------------
+
+
+def close(turn: Turn, command: Command, report: EndReport, note: str) -> None:
+    """One last analysis, for the world's sake alone."""
+    assert command.script is not None
+    turn.stop_timer(command)
+    command.primitive_body = None
+    data = {"evaluation": command.evaluation, "report": report, "closing": True}
+    turn.give_out(command, WorkerKind.ANALYZER, data, locations=command.script.writes)
+    turn.start_timer(command, CLOSING_LIMIT_S)
+    turn.enter(command, Phase.CLOSING, note)
+
+
+def stop_after_analysis(turn: Turn, command: Command, ending: Ending) -> None:
+    """The report is in the analyzer's hands: let the world have it, ignore the advice (R138)."""
+    command.ending = ending
+    turn.start_timer(command, CLOSING_LIMIT_S)
+    turn.enter(command, Phase.CLOSING, f"{ending.message}; the analysis is let finish, its advice ignored")
+
+
+def closed(turn: Turn, command: Command, product: Any) -> None:
+    """`product` is the ignored advice; None or a refusal when the world could not be put right."""
+    assert command.ending is not None
+    turn.stop_timer(command)
+    cancel(turn, command)
+    ending = command.ending
+    end(turn, command, ending.kind, message=ending.message, stop=ending.stop, refusal=ending.refusal)

@@ -1,0 +1,129 @@
+"""What the Decision Unit hears. Past tense; each carries the time it was heard (`at_s`, CLOCK_MONOTONIC).
+
+The journal holds exactly these, in order: replaying them gives the same decisions. Nothing here knows sockets.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from rtc.messages import EndReport, WorkerKind
+from rtc.outcomes import Refusal
+
+
+class Event(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag=True, gc=False):
+    at_s: float
+
+
+class CommandReceived(Event, frozen=True, kw_only=True, gc=False):
+    client: str
+    request: str
+    text: str
+    source: str = "operator"
+    progress: bool = True
+    halt_if_lost: bool = False
+    sent_at_s: float = 0.0
+
+
+class HaltCalled(Event, frozen=True, kw_only=True, gc=False):
+    client: str
+    halt: str
+    scope: str
+    called_at_s: float = 0.0
+
+
+class JobFinished(Event, frozen=True, kw_only=True, gc=False):
+    job: str
+    attempt: int
+    node: str
+    product: msgspec.Raw
+    took_s: float = 0.0
+
+
+class JobDeclined(Event, frozen=True, kw_only=True, gc=False):
+    """A worker refused: an answer, not a failure of the worker."""
+
+    job: str
+    attempt: int
+    node: str
+    refusal: Refusal
+
+
+class JobLost(Event, frozen=True, kw_only=True, gc=False):
+    """The worker is gone, hung or raised. `blamed`: it had this very job in hand, so the job may be the cause."""
+
+    job: str
+    attempt: int
+    node: str
+    evidence: str
+    blamed: bool = True
+
+
+class PrimitiveStarted(Event, frozen=True, kw_only=True, gc=False):
+    subsystem: str
+    primitive: str
+
+
+class PrimitiveEnded(Event, frozen=True, kw_only=True, gc=False):
+    subsystem: str
+    report: EndReport
+
+
+class HaltConfirmed(Event, frozen=True, kw_only=True, gc=False):
+    """A subsystem says that all in the scope of a halt is at rest, or that it is not."""
+
+    subsystem: str
+    halt: str
+    at_rest: bool
+
+
+class SubsystemConnected(Event, frozen=True, kw_only=True, gc=False):
+    """A subsystem said hello. A new `pid` has forgotten all primitives but those it names."""
+
+    subsystem: str
+    pid: int
+    performers: list[str]
+    outstanding: list[str] = []
+    at_rest: bool = True
+
+
+class SubsystemGone(Event, frozen=True, kw_only=True, gc=False):
+    subsystem: str
+    why: str
+
+
+class ClientGone(Event, frozen=True, kw_only=True, gc=False):
+    client: str
+
+
+class TimerFired(Event, frozen=True, kw_only=True, gc=False):
+    timer: str  # as asked for by StartTimer
+
+
+class ProgramInstalled(Event, frozen=True, kw_only=True, gc=False):
+    """A program (or the cell, kind None) has a new body, by its digest."""
+
+    kind: WorkerKind | None
+    digest: str
+
+
+class BrokerRestarted(Event, frozen=True, kw_only=True, gc=False):
+    """The broker came up with a replayed journal: nobody has the jobs it gave out any more."""
+
+
+AnyEvent = (
+    CommandReceived
+    | HaltCalled
+    | JobFinished
+    | JobDeclined
+    | JobLost
+    | PrimitiveStarted
+    | PrimitiveEnded
+    | HaltConfirmed
+    | SubsystemConnected
+    | SubsystemGone
+    | ClientGone
+    | TimerFired
+    | ProgramInstalled
+    | BrokerRestarted
+)

@@ -1,0 +1,428 @@
+"""The nominal way of a command, action by action, in the order of the journey (docs/journey.md).
+
+Each function is one row's action in `broker.transitions`. They know phases, resources, steps as opaque bytes, and
+outcomes; they know no skill, no geometry, and no socket.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from broker.effects import AcknowledgeReport, SendHalt, SendPrimitive
+from broker.ending import HALT_LIMIT_S, close, end, refuse
+from broker.resources import Claim
+from broker.state import (
+    NOMINAL,
+    AssessmentHead,
+    BoundHead,
+    Command,
+    Ending,
+    Link,
+    ParsedHead,
+    PrimitiveHead,
+    ScriptHead,
+    StepHead,
+)
+from broker.transitions import Stimulus
+from broker.turn import Turn, step_body
+from rtc import wire
+from rtc.messages import EndReport, Phase, WorkerKind
+from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
+
+MAX_TRIMS = 6  # of one command (A17)
+MAX_ELABORATIONS = 20  # a command whose needs change each time it gets them
+REPORT_MARGIN_S = 2.0  # beyond the limit of a primitive, before silence is taken for trouble
+
+read_parsed = wire.decoder(ParsedHead)
+read_script = wire.decoder(ScriptHead)
+read_step = wire.decoder(StepHead)
+read_bound = wire.decoder(BoundHead)
+read_primitive = wire.decoder(PrimitiveHead)
+read_assessment = wire.decoder(AssessmentHead)
+
+
+# --- parsed ------------------------------------------------------------------------------------------
+
+
+def parsed(turn: Turn, command: Command, product: msgspec.Raw) -> None:
+    command.parsed = product
+    command.head = head = read_parsed(product)
+    if head.kind == "control":
+        control(turn, command, head)
+    elif head.test:
+        message = "hypothesis tests (TEST ...) are not in this release"
+        refuse(turn, command, Refusal(reason=RefusalReason.NO_SCRIPT, message=message))
+    elif not _wait_for_another(turn, command, head):
+        plan(turn, command)
+
+
+def control(turn: Turn, command: Command, head: ParsedHead) -> None:
+    """PAUSE, RESUME, ABORT, HALT of a command, of whatever uses an arm, or of all."""
+    scope = head.object or head.hand or "ALL"
+    if head.verb == "HALT":
+        halt_by_command(turn, command, scope)
+        return
+    targets = [c.id for c in in_scope(turn, scope) if c.id != command.id]
+    if not targets and scope != "ALL":
+        refuse(turn, command, _no_target(turn, scope))
+        return
+    stimulus = {"PAUSE": Stimulus.PAUSE, "RESUME": Stimulus.RESUME, "ABORT": Stimulus.STOP}[head.verb]
+    ending = Ending(kind=OutcomeKind.ABORTED, message=f"aborted by {command.id}")
+    for target in targets:
+        turn.follow(target, stimulus, ending if stimulus is Stimulus.STOP else None)
+    end(turn, command, OutcomeKind.SUCCEEDED, message=f"{head.verb} told to {', '.join(targets) or 'nobody'}")
+
+
+def halt_by_command(turn: Turn, command: Command, scope: str) -> None:
+    """A halt that came as a sentence. It ends when rest is confirmed, and not by its own halt."""
+    if scope != "ALL" and not in_scope(turn, scope) and not _subsystem_of(turn, scope):
+        refuse(turn, command, _no_target(turn, scope))
+        return
+    command.ending = Ending(kind=OutcomeKind.SUCCEEDED, message=f"{scope} at rest")
+    turn.enter(command, Phase.HALTING, f"halt {scope}")
+    turn.start_timer(command, HALT_LIMIT_S * turn.state.patience)
+    halt(turn, command.id, scope, turn.now, spare=command.id)
+
+
+def halt(turn: Turn, halt_id: str, scope: str, called_at_s: float, spare: str = "") -> bool:
+    """Stop all in scope: tell the subsystems first, then end the commands. False: nothing is called that."""
+    state = turn.state
+    targets = in_scope(turn, scope)
+    performer = _subsystem_of(turn, scope)
+    if scope != "ALL" and not targets and not performer:
+        return False
+    state.halted_at_s[scope] = min(called_at_s or turn.now, turn.now)
+    for name, subsystem in state.subsystems.items():
+        concerned = scope == "ALL" or name == performer or any(c.subsystem == name for c in targets)
+        if concerned and subsystem.link is not Link.LOST:
+            turn.effects.append(SendHalt(subsystem=name, halt=halt_id, scope=scope, called_at_s=called_at_s))
+    ending = Ending(kind=OutcomeKind.HALTED, message=f"halted ({scope})", stop=StopReason.HALT)
+    for command in targets:
+        if command.id != spare:
+            turn.follow(command.id, Stimulus.STOP, ending)
+    return True
+
+
+def in_scope(turn: Turn, scope: str) -> list[Command]:
+    """The live commands a scope means: all, one by its number, or those that hold, want or name a resource."""
+    state = turn.state
+    if scope == "ALL":
+        return list(state.commands.values())
+    if scope in state.commands:
+        return [state.commands[scope]]
+    held, waiting = state.resources.held, state.resources.waiting
+    return [
+        c
+        for c in state.commands.values()
+        if scope in held.get(c.id, ()) or scope in waiting.get(c.id, ()) or (c.head and scope in _named(turn, c.head))
+    ]
+
+
+def _subsystem_of(turn: Turn, performer: str) -> str:
+    return next((n for n, s in turn.state.subsystems.items() if performer in s.performers), "")
+
+
+def _no_target(turn: Turn, scope: str) -> Refusal:
+    if scope in turn.state.successes:
+        return Refusal(reason=RefusalReason.STATE, message=f"{scope} has ended already")
+    known = [*turn.state.commands, *(p for s in turn.state.subsystems.values() for p in s.performers)]
+    return Refusal(reason=RefusalReason.NAME, message=f"nothing live is called {scope}", expected=["ALL", *known[:20]])
+
+
+def _wait_for_another(turn: Turn, command: Command, head: ParsedHead) -> bool:
+    """AFTER and TOGETHER-WITH (R116). True when the command waits, or has been refused."""
+    other = head.after or head.together_with
+    if other is None:
+        return False
+    state = turn.state
+    target = state.commands.get(other)
+    if target is None or target is command:
+        done = state.successes.get(other)
+        if head.after and done:
+            return False
+        message = (
+            f"{command.id} cannot come after itself"
+            if target is command
+            else f"{other} has ended without success"
+            if done is False
+            else f"{other} has ended, it cannot be joined"
+            if done
+            else f"there is no command {other}"
+        )
+        reason = RefusalReason.NAME if target is None and done is None else RefusalReason.STATE
+        refuse(turn, command, Refusal(reason=reason, message=message))
+        return True
+    if command.id in _waits_for(turn, target):
+        message = f"{command.id} and {other} would wait for each other for ever"
+        refuse(turn, command, Refusal(reason=RefusalReason.STATE, message=message, owner=other))
+        return True
+    if head.together_with and target.primitives:
+        return False
+    line = state.awaiting if head.after else state.joining
+    line.setdefault(other, []).append(command.id)
+    turn.enter(command, Phase.HELD, f"waits for {other} to {'succeed' if head.after else 'begin'}")
+    return True
+
+
+def _waits_for(turn: Turn, command: Command | None) -> list[str]:
+    """The chain of commands that this one waits for by AFTER or TOGETHER-WITH, itself first."""
+    chain: list[str] = []
+    while command is not None and command.id not in chain:
+        chain.append(command.id)
+        other = command.head and (command.head.after or command.head.together_with)
+        command = turn.state.commands.get(other) if other else None
+    return chain
+
+
+def released(turn: Turn, command: Command, begun_or_succeeded: bool) -> None:
+    if begun_or_succeeded:
+        plan(turn, command)
+        return
+    assert command.head is not None
+    other = command.head.after or command.head.together_with
+    what = "ended without success" if command.head.after else "ended before it began to move"
+    refuse(turn, command, Refusal(reason=RefusalReason.STATE, message=f"{other} {what}", owner=other or ""))
+
+
+# --- elaborated, held --------------------------------------------------------------------------------
+
+
+def _named(turn: Turn, head: ParsedHead) -> Claim:
+    """What the sentence itself names: hands for itself alone, an object against being changed by others."""
+    claim: Claim = {}
+    if head.kind == "task":
+        if head.object:
+            claim[head.object] = False
+        for hand in (head.hand, head.to_hand):
+            if hand == "BOTH-ARMS":
+                claim.update({p: True for s in turn.state.subsystems.values() for p in s.performers})
+            elif hand:
+                claim[hand] = True
+    return claim
+
+
+def plan(turn: Turn, command: Command) -> None:
+    """Elaborate with the named resources in hand, so that the plan rests on facts nobody else is changing."""
+    assert command.head is not None
+    if claim_or_wait(turn, command, _named(turn, command.head)):
+        elaborate(turn, command)
+
+
+def claim_or_wait(turn: Turn, command: Command, claim: Claim) -> bool:
+    """True: it holds the claim. False: it stands in line, or was refused because it said NOW."""
+    assert command.head is not None
+    resources = turn.state.resources
+    blocked = resources.take(command.id, claim)
+    if blocked is None:
+        return True
+    name, owner = blocked
+    if command.head.now:
+        message = f"{name} is in use by {owner}, and NOW was said"
+        clears = f"wait for {owner}, abort it, or leave out NOW"
+        refuse(turn, command, Refusal(reason=RefusalReason.RESOURCE, message=message, owner=owner, clears=clears))
+        return False
+    turn.grant(resources.wait(command.id, claim))
+    turn.enter(command, Phase.HELD, f"{name} is in use by {owner}")
+    return False
+
+
+def granted(turn: Turn, command: Command, _: Any) -> None:
+    """Its turn has come. The world may have changed while it waited: plan anew, now holding all it claimed."""
+    resources = turn.state.resources
+    if resources.take(command.id, resources.waiting.get(command.id, {})) is None:
+        elaborate(turn, command)
+
+
+def elaborate(turn: Turn, command: Command) -> None:
+    command.elaborations += 1
+    if command.elaborations > MAX_ELABORATIONS:
+        message = f"its needs changed {MAX_ELABORATIONS} times while it waited for them"
+        refuse(turn, command, Refusal(reason=RefusalReason.OVERLOAD, message=message))
+        return
+    turn.give_out(command, WorkerKind.ELABORATOR, {"command": command.id, "parsed": command.parsed})
+    turn.enter(command, Phase.ELABORATING)
+
+
+def elaborated(turn: Turn, command: Command, product: msgspec.Raw) -> None:
+    command.script = script = read_script(product)
+    claim: Claim = dict.fromkeys(script.reads, False)
+    claim.update(dict.fromkeys(script.resources, True))
+    claim.update(dict.fromkeys(script.writes, True))
+    halted = [r for r in script.resources if turn.state.halted_at_s.get(r, -1.0) > command.accepted_at_s]
+    if halted:
+        message = f"{halted[0]} was halted after this command was given"
+        end(turn, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)
+        return
+    if not claim_or_wait(turn, command, claim):
+        return
+    command.bindings = dict(script.bindings)
+    command.labels = [read_step(step).label for step in script.steps]
+    command.stack = [(NOMINAL, index) for index in reversed(range(len(script.steps)))]
+    if script.notes:
+        turn.note(command, "; ".join(script.notes))
+    next_step(turn, command)
+
+
+# --- bound, executing --------------------------------------------------------------------------------
+
+
+def next_step(turn: Turn, command: Command) -> None:
+    """The loop of the paper (L148-167): while the Action_Stack is not empty, bind its top."""
+    if not command.stack:
+        end(turn, command, OutcomeKind.SUCCEEDED)
+    elif command.pause_wanted:
+        turn.enter(command, Phase.PAUSED, "paused between two steps")
+    else:
+        assert command.script is not None
+        command.step = command.stack.pop()
+        data = {
+            "primitive_id": f"{command.id}.{command.primitives + 1}",
+            "context": command.script.context,
+            "step": step_body(command, command.step),
+            "bindings": command.bindings,
+        }
+        turn.give_out(command, WorkerKind.BINDER, data)
+        turn.enter(command, Phase.BINDING)
+
+
+def bound(turn: Turn, command: Command, product: msgspec.Raw) -> None:
+    result = read_bound(product)
+    command.bindings.update(result.bindings)
+    if not result.subsystem or result.primitive is None:
+        command.steps_done += 1
+        turn.note(command, result.note or "nothing to execute")
+        next_step(turn, command)
+        return
+    subsystem = turn.state.subsystems.get(result.subsystem)
+    if subsystem is None or subsystem.link is Link.LOST:
+        lost = f"{result.subsystem} is not connected"
+        end(turn, command, OutcomeKind.LOST_SUBSYSTEM, message=lost, stop=StopReason.SUBSYSTEM_LOST)
+        return
+    primitive = read_primitive(result.primitive)
+    command.primitives += 1
+    command.primitive = primitive.id
+    command.primitive_body = result.primitive
+    command.performers = [primitive.performer]
+    command.subsystem = result.subsystem
+    command.evaluation = result.evaluation
+    command.limit_s = result.limit_s
+    send(turn, command)
+    turn.enter(command, Phase.EXECUTING, result.note)
+    if command.primitives == 1:
+        for waiting in turn.state.joining.pop(command.id, ()):
+            turn.follow(waiting, Stimulus.RELEASE, True)
+
+
+def send(turn: Turn, command: Command) -> None:
+    """The primitive goes to its subsystem, which answers for it from now on (R58). Only silence is watched.
+    One that is awaited gets it when it says hello."""
+    assert command.primitive_body is not None
+    command.sent_at_s = turn.now
+    if turn.state.subsystems[command.subsystem].link is Link.CONNECTED:
+        turn.effects.append(
+            SendPrimitive(
+                subsystem=command.subsystem,
+                id=command.primitive,
+                primitive=command.primitive_body,
+                issued_at_s=turn.now,
+            )
+        )
+    turn.start_timer(command, command.limit_s * turn.state.patience + REPORT_MARGIN_S)
+
+
+def reported(turn: Turn, command: Command, report: EndReport) -> None:
+    turn.stop_timer(command)
+    acknowledge(turn, command)
+    note = f"ended: {report.reason.value}" + (f" ({report.message})" if report.message else "")
+    if report.reason is StopReason.HALT:
+        command.ending = Ending(kind=OutcomeKind.HALTED, message="halted at its subsystem", stop=StopReason.HALT)
+        close(turn, command, report, note)
+        return
+    analyze(turn, command, report, closing=False)
+    turn.enter(command, Phase.ANALYZING, note)
+
+
+def acknowledge(turn: Turn, command: Command) -> None:
+    """Effects follow the journal, so what is acknowledged is never needed from the subsystem again."""
+    turn.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
+    command.primitive_body = None
+
+
+def analyze(turn: Turn, command: Command, report: EndReport, *, closing: bool) -> None:
+    assert command.script is not None
+    assert command.step is not None
+    data = {
+        "evaluation": command.evaluation,
+        "report": report,
+        "trims_used": command.trims_used.get(_step_key(command), []),
+        "closing": closing,
+    }
+    turn.give_out(command, WorkerKind.ANALYZER, data, locations=command.script.writes)
+
+
+def _step_key(command: Command) -> str:
+    assert command.step is not None
+    return f"{command.step[0]}/{command.step[1]}"
+
+
+# --- analysed ----------------------------------------------------------------------------------------
+
+
+def assessed(turn: Turn, command: Command, product: msgspec.Raw) -> None:
+    assessment = read_assessment(product)
+    command.bindings.update(assessment.keep)
+    if assessment.verdict == "continue":
+        command.steps_done += 1
+        turn.note(command, assessment.message or f"{assessment.reason.value}: as expected")
+        next_step(turn, command)
+    elif assessment.verdict == "trim" and push_trim(turn, command, assessment):
+        next_step(turn, command)
+    else:
+        message = assessment.message or f"{assessment.reason.value} where it was not expected"
+        refusal = None
+        if assessment.clears:
+            refusal = Refusal(reason=RefusalReason.STATE, message=message, clears=assessment.clears)
+        end(turn, command, OutcomeKind.FAILED, message=message, stop=assessment.reason, refusal=refusal)
+
+
+def push_trim(turn: Turn, command: Command, assessment: AssessmentHead) -> bool:
+    """Put a corrective piece of script on the Action_Stack (paper, L163; A16, A17). False: none may be used."""
+    assert command.script is not None
+    assert command.step is not None
+    trim = next((t for t in command.script.trims if t.n == assessment.trim), None)
+    used = command.trims_used.setdefault(_step_key(command), [])
+    if trim is None or trim.n in used or len(command.trims_told) >= MAX_TRIMS:
+        return False
+    used.append(trim.n)
+    command.trims_told.append(trim.label)
+    turn.count("trims")
+    if trim.then == "retry_step":
+        command.stack.append(command.step)
+    elif trim.then == "restart_script":
+        command.stack = [(NOMINAL, index) for index in reversed(range(len(command.script.steps)))]
+        command.bindings = dict(command.script.bindings)
+    elif trim.then == "replace_rest":
+        command.stack = []
+    command.stack += [(trim.n, index) for index in reversed(range(len(trim.steps)))]
+    turn.note(command, f"{assessment.message or assessment.reason.value}: trim {trim.n}, {trim.label}")
+    return True
+
+
+# --- pause and resume --------------------------------------------------------------------------------
+
+
+def pause_later(turn: Turn, command: Command, _: Any) -> None:
+    command.pause_wanted = True
+    turn.note(command, "will pause before its next step")
+
+
+def resume_now(turn: Turn, command: Command, _: Any) -> None:
+    command.pause_wanted = False
+
+
+def resume_paused(turn: Turn, command: Command, _: Any) -> None:
+    command.pause_wanted = False
+    turn.note(command, "resumed")
+    next_step(turn, command)

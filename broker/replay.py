@@ -1,0 +1,56 @@
+"""Replay: from a journal to the state its broker was in, by deciding everything again.
+
+`python -m broker.replay JOURNAL` re-runs a journal twice and proves that the decisions are the same both times, and
+the same as the ones whose stories were kept.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+from broker.decision_unit import decide
+from broker.effects import ReportEnd
+from broker.journal import Journal
+from broker.state import State
+from rtc import wire
+from rtc.messages import CommandRecord
+
+
+def replay(journal: Journal) -> tuple[State, dict[str, CommandRecord]]:
+    """The state after all that the journal holds, and the stories of the commands that ended on the way. No effect is
+    carried out: they were, or their answers are asked for anew."""
+    after, state = journal.last_snapshot()
+    ended = {}
+    for turn in journal.turns(after):
+        for event in turn:
+            for effect in decide(state, event):
+                if isinstance(effect, ReportEnd):
+                    ended[effect.record.command] = effect.record
+    return state, ended
+
+
+def main(argv: list[str]) -> int:
+    if len(argv) != 1 or argv[0] in ("-h", "--help"):
+        print("usage: python -m broker.replay JOURNAL\n\nexample: python -m broker.replay /tmp/rtc-1000/journal.db")
+        return 0 if argv and argv[0] in ("-h", "--help") else 2
+    path = Path(argv[0])
+    if not path.exists():
+        print(f"no journal at {path}")
+        return 2
+    journal = Journal.read_only(path)
+    began = time.perf_counter()
+    (first, ended), (second, _) = replay(journal), replay(journal)
+    differing = [name for name, record in ended.items() if (kept := journal.story(name)) and kept != record]
+    took_s = time.perf_counter() - began
+    same = wire.encode(first) == wire.encode(second) and not differing
+    print(
+        f"{len(ended)} commands ended in the journal; decided twice in {took_s:.2f} s; {len(first.commands)} live at its end"
+    )
+    print("same decisions" if same else f"DIFFERENT decisions: {', '.join(differing) or 'states differ'}")
+    return 0 if same else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,102 @@
+"""Who holds what, and who is next (R46, R110, A27-A29). Pure; knows names of commands and resources, no more.
+
+A claim is all or nothing: a command holds every name it claims, or stands in line and holds none. So no
+command ever waits while holding, and there can be no deadlock. The line is fair: a claim is granted only when
+nobody before it in line wants any of the same names, so nobody starves.
+
+Two modes: exclusive (non-sharable resources, locations that will be written) and shared (locations a plan
+relies on). A name may also be in quarantine: its holder has ended, but nobody has confirmed rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import msgspec
+
+Claim = dict[str, bool]  # name -> exclusive?
+
+
+class Resources(msgspec.Struct, kw_only=True):
+    held: dict[str, Claim] = {}  # command -> what it holds
+    waiting: dict[str, Claim] = {}  # command -> what it waits for
+    holders: dict[str, Claim] = {}  # name -> {command: exclusive?}
+    lines: dict[str, Claim] = {}  # name -> {command: exclusive?}, in order of arrival
+    quarantine: dict[str, str] = {}  # name -> the subsystem that must confirm rest
+
+    def blocker(self, command: str, claim: Claim) -> tuple[str, str] | None:
+        """(name, owner) of the first thing in the way of a claim: held by another, or wanted by one earlier in line."""
+        for name, exclusive in claim.items():
+            if name in self.quarantine:
+                return name, f"{self.quarantine[name]}, which has not confirmed rest"
+            for holder, theirs in self.holders.get(name, {}).items():
+                if holder != command and (exclusive or theirs):
+                    return name, holder
+            for earlier, theirs in self.lines.get(name, {}).items():
+                if earlier == command:
+                    break
+                if exclusive or theirs:
+                    return name, earlier
+        return None
+
+    def take(self, command: str, claim: Claim) -> tuple[str, str] | None:
+        """Swap what the command holds for this claim. Returns None when granted; else the blocker, with what the
+        command held before unchanged."""
+        blocked = self.blocker(command, claim)
+        if blocked is None:
+            self._let_go(command)
+            self._leave_line(command)
+            self.held[command] = claim
+            for name, exclusive in claim.items():
+                self.holders.setdefault(name, {})[command] = exclusive
+        return blocked
+
+    def wait(self, command: str, claim: Claim) -> list[str]:
+        """Let go of everything and stand at the end of the line. Returns who can be granted now."""
+        freed = self._let_go(command) + self._leave_line(command)
+        self.waiting[command] = claim
+        for name, exclusive in claim.items():
+            self.lines.setdefault(name, {})[command] = exclusive
+        return self._grantable(freed)
+
+    def release(self, command: str, quarantine_for: str = "", names: frozenset[str] = frozenset()) -> list[str]:
+        """The command is over; returns who can be granted now, in order. With `quarantine_for`, those of `names`
+        that it held stay closed until that subsystem has confirmed rest."""
+        freed = self._let_go(command) + self._leave_line(command)
+        if quarantine_for:
+            self.quarantine.update((name, quarantine_for) for name in freed if name in names)
+        return self._grantable(freed)
+
+    def confirm_rest(self, subsystem: str) -> list[str]:
+        """Open what waited for this subsystem; returns who can be granted now."""
+        freed = [name for name, by in self.quarantine.items() if by == subsystem]
+        for name in freed:
+            del self.quarantine[name]
+        return self._grantable(freed)
+
+    def _grantable(self, freed: Iterable[str]) -> list[str]:
+        """The first in each line that has moved (and those who share with the first), if nothing else blocks them.
+        Each must still be granted by `take`, which may refuse the second of two that want the same."""
+        found: dict[str, None] = {}
+        for name in freed:
+            for command, exclusive in self.lines.get(name, {}).items():
+                if command not in found and self.blocker(command, self.waiting[command]) is None:
+                    found[command] = None
+                if exclusive:
+                    break
+        return list(found)
+
+    def _let_go(self, command: str) -> list[str]:
+        return self._forget(self.held, self.holders, command)
+
+    def _leave_line(self, command: str) -> list[str]:
+        return self._forget(self.waiting, self.lines, command)
+
+    @staticmethod
+    def _forget(claims: dict[str, Claim], index: dict[str, Claim], command: str) -> list[str]:
+        names = list(claims.pop(command, {}))
+        for name in names:
+            del index[name][command]
+            if not index[name]:
+                del index[name]
+        return names

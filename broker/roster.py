@@ -1,0 +1,150 @@
+"""Who is alive, and who gets the job. Pure: the time is an argument; it knows neither commands nor sockets.
+
+Workers of a kind share one queue. A worker that answers in microseconds is given several jobs in one message and
+one such handful ahead, so that it never waits for the broker; a slow one is given one job at a time, so that none
+lies with a busy worker while another is idle. Jobs are done in the order given, so the first one a worker holds is
+the one in its hands.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from broker.effects import DispatchJob
+from rtc.messages import WorkerKind
+
+HANDFUL_S = 0.002  # of work that may go to a worker in one message
+HANDFUL_MAX = 64
+SLOW_S = 0.005  # jobs longer than this are given one at a time
+DEADLINE_S = {WorkerKind.PARSER: 3.0, WorkerKind.ELABORATOR: 15.0, WorkerKind.BINDER: 15.0, WorkerKind.ANALYZER: 5.0}
+SILENCE_S = 3.0  # an idle worker says something every half second
+QUEUE_LIMIT_S = 60.0  # longest wait of a job for a worker of its kind
+
+
+class Lost(NamedTuple):
+    """A job whose worker is gone. `in_hand`: it was being worked on."""
+
+    job: DispatchJob
+    in_hand: bool
+
+
+class Worker:
+    __slots__ = ("done", "heard_at_s", "held", "kind", "mean_s", "name", "node", "pid", "since_s")
+
+    def __init__(self, name: str, node: int, kind: WorkerKind, pid: int, now: float) -> None:
+        self.name, self.node, self.kind, self.pid = name, node, kind, pid
+        self.held: dict[str, DispatchJob] = {}  # in order; the first is in its hands
+        self.since_s = now  # since when the first has been in its hands
+        self.heard_at_s = now
+        self.done = 0
+        self.mean_s = 1.0  # of a job; unknown is slow, until shown otherwise
+
+    @property
+    def handful(self) -> int:
+        return max(1, min(HANDFUL_MAX, int(HANDFUL_S / max(self.mean_s, 1e-6))))
+
+    @property
+    def room(self) -> int:
+        most = 1 if self.mean_s > SLOW_S else 2 * self.handful
+        return most - len(self.held)
+
+
+class Roster:
+    def __init__(self) -> None:
+        self.workers: dict[str, Worker] = {}
+        self.queues: dict[WorkerKind, deque[tuple[float, DispatchJob]]] = {kind: deque() for kind in WorkerKind}
+        self._cancelled: set[str] = set()  # queued jobs nobody wants any more
+
+    # --- workers come and go --------------------------------------------------------------------------
+
+    def hello(self, name: str, node: int, kind: WorkerKind, pid: int, now: float) -> list[Lost]:
+        """A worker is ready. What its name held before is lost, whether the process is a new one or not."""
+        lost = self.gone(name)
+        self.workers[name] = Worker(name, node, kind, pid, now)
+        return lost
+
+    def gone(self, name: str) -> list[Lost]:
+        worker = self.workers.pop(name, None)
+        if worker is None:
+            return []
+        return [Lost(job, in_hand=first == 0) for first, job in enumerate(worker.held.values())]
+
+    def heard(self, name: str, now: float) -> bool:
+        """Any sign of life. False: nobody of that name is known, it should say hello."""
+        worker = self.workers.get(name)
+        if worker is not None:
+            worker.heard_at_s = now
+        return worker is not None
+
+    def answered(self, name: str, job: str, took_s: float, now: float) -> None:
+        worker = self.workers.get(name)
+        if worker is None:
+            return
+        worker.heard_at_s = worker.since_s = now
+        if worker.held.pop(job, None) is not None:
+            worker.done += 1
+            worker.mean_s = took_s if worker.done == 1 else 0.8 * worker.mean_s + 0.2 * took_s
+
+    # --- jobs -----------------------------------------------------------------------------------------
+
+    def submit(self, job: DispatchJob, now: float) -> None:
+        self._cancelled.discard(job.job)
+        self.queues[job.kind].append((now, job))
+
+    def cancel(self, job: str) -> str:
+        """Nobody wants it any more. Returns the worker that holds it and should be told, or an empty name."""
+        for worker in self.workers.values():
+            if job in worker.held:
+                return worker.name
+        self._cancelled.add(job)
+        return ""
+
+    def assign(self, now: float) -> Iterator[tuple[str, list[DispatchJob]]]:
+        """Give out what can be given out: (worker, jobs) pairs, the least loaded worker first."""
+        for kind, queue in self.queues.items():
+            while queue:
+                free = [w for w in self.workers.values() if w.kind is kind and w.room > 0]
+                if not free:
+                    break
+                worker = min(free, key=lambda w: len(w.held))
+                jobs = self._take(queue, min(worker.handful, worker.room))
+                if not jobs:
+                    continue
+                if not worker.held:
+                    worker.since_s = now
+                worker.held.update((job.job, job) for job in jobs)
+                yield worker.name, jobs
+
+    def _take(self, queue: deque[tuple[float, DispatchJob]], most: int) -> list[DispatchJob]:
+        jobs: list[DispatchJob] = []
+        while queue and len(jobs) < most:
+            job = queue.popleft()[1]
+            if job.job in self._cancelled:
+                self._cancelled.discard(job.job)
+            else:
+                jobs.append(job)
+        return jobs
+
+    # --- trouble --------------------------------------------------------------------------------------
+
+    def hung(self, now: float) -> list[tuple[Worker, str]]:
+        """Workers that are alive and make no progress, with the evidence."""
+        found = []
+        for worker in self.workers.values():
+            in_hand_s = now - max(worker.since_s, 0.0)
+            if worker.held and in_hand_s > DEADLINE_S[worker.kind]:
+                job = next(iter(worker.held))
+                found.append((worker, f"hung: job {job} in hand for {in_hand_s:.1f} s"))
+            elif not worker.held and now - worker.heard_at_s > SILENCE_S:
+                found.append((worker, f"hung: silent for {now - worker.heard_at_s:.1f} s"))
+        return found
+
+    def waited_too_long(self, now: float) -> list[DispatchJob]:
+        """Jobs taken out of a queue because no worker of their kind took them within the limit."""
+        expired = []
+        for queue in self.queues.values():
+            while queue and now - queue[0][0] > QUEUE_LIMIT_S:
+                expired.append(queue.popleft()[1])
+        return [job for job in expired if job.job not in self._cancelled]

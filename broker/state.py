@@ -1,0 +1,177 @@
+"""All that the Decision Unit remembers. Plain data, encodable as it stands: a snapshot is one `encode`.
+
+What the Decision Unit must not look into (contexts, steps, values, primitives) is kept as `msgspec.Raw`, the
+bytes as they came; the *Head types below name the few fields of a product that it does read.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import msgspec
+
+from broker.resources import Resources
+from rtc.messages import Phase, ProgressNote, WorkerKind
+from rtc.outcomes import OutcomeKind, Refusal, StopReason
+
+NOTES_KEPT = 400  # of one command's story; a longer one loses its middle
+NOMINAL = 0  # the "trim" number of the script's own steps
+
+StepRef = tuple[int, int]  # (NOMINAL or number of a trim, index of the step in it)
+
+
+class ParsedHead(msgspec.Struct, frozen=True, kw_only=True):
+    """Of a ParsedCommand: how the command relates to others, never what it does."""
+
+    kind: str
+    verb: str
+    test: bool = False
+    hand: str | None = None
+    to_hand: str | None = None
+    object: str | None = None
+    after: str | None = None
+    together_with: str | None = None
+    now: bool = False
+
+
+class StepHead(msgspec.Struct, frozen=True, kw_only=True):
+    label: str
+
+
+class TrimHead(msgspec.Struct, frozen=True, kw_only=True):
+    n: int
+    label: str
+    steps: list[msgspec.Raw]
+    then: str = "retry_step"
+
+
+class ScriptHead(msgspec.Struct, frozen=True, kw_only=True):
+    context: msgspec.Raw
+    steps: list[msgspec.Raw]
+    trims: list[TrimHead] = []
+    bindings: dict[str, msgspec.Raw] = {}
+    resources: list[str] = []
+    queues: list[str] = []
+    writes: list[str] = []
+    reads: list[str] = []
+    notes: list[str] = []
+
+
+class PrimitiveHead(msgspec.Struct, frozen=True, kw_only=True):
+    id: str
+    performer: str
+
+
+class BoundHead(msgspec.Struct, frozen=True, kw_only=True, tag="BoundStep"):
+    subsystem: str = ""
+    primitive: msgspec.Raw | None = None
+    evaluation: msgspec.Raw | None = None
+    bindings: dict[str, msgspec.Raw] = {}
+    limit_s: float = 0.0
+    note: str = ""
+
+
+class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment"):
+    verdict: str
+    reason: StopReason
+    message: str = ""
+    trim: int = 0
+    keep: dict[str, msgspec.Raw] = {}
+    clears: str = ""
+
+
+class PendingJob(msgspec.Struct, kw_only=True):
+    """The one job of a command that is given out. Its input is kept: it may have to be given out again."""
+
+    id: str
+    attempt: int
+    kind: WorkerKind
+    program: str
+    input: msgspec.Raw
+    locations: list[str] | None = None
+    since_s: float = 0.0
+    deaths: list[str] = []  # evidence of the workers it was in the hands of when they died
+
+
+class Ending(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """How a command that cannot end at once (HALTING, CLOSING) will end."""
+
+    kind: OutcomeKind
+    message: str
+    stop: StopReason | None = None
+    refusal: Refusal | None = None
+
+
+class Command(msgspec.Struct, kw_only=True, omit_defaults=True):
+    id: str
+    client: str
+    request: str
+    text: str
+    source: str
+    progress: bool
+    halt_if_lost: bool
+    accepted_at_s: float
+    phase: Phase = Phase.PARSING
+    jobs: int = 0  # given out so far; numbers the next
+    job: PendingJob | None = None
+    parsed: msgspec.Raw | None = None
+    head: ParsedHead | None = None
+    script: ScriptHead | None = None
+    labels: list[str] = []  # of the nominal steps
+    bindings: dict[str, msgspec.Raw] = {}
+    stack: list[StepRef] = []  # the Action_Stack; its last element is next
+    step: StepRef | None = None  # being bound, executed or analysed
+    trims_used: dict[str, list[int]] = {}  # "trim/index" of a step -> entries used for it
+    trims_told: list[str] = []
+    steps_done: int = 0
+    elaborations: int = 0
+    primitive: str = ""  # being executed
+    primitives: int = 0
+    primitive_body: msgspec.Raw | None = None  # until its end is reported: it may have to be sent again
+    subsystem: str = ""
+    performers: list[str] = []
+    evaluation: msgspec.Raw | None = None
+    sent_at_s: float = 0.0
+    limit_s: float = 0.0
+    pause_wanted: bool = False  # takes effect between two steps
+    ending: Ending | None = None
+    notes: list[ProgressNote] = []
+
+
+class Link(StrEnum):
+    CONNECTED = "connected"
+    AWAITED = "awaited"  # the broker has restarted and has not heard of it yet; it goes on by itself meanwhile
+    LOST = "lost"
+
+
+class Subsystem(msgspec.Struct, kw_only=True):
+    pid: int
+    performers: list[str]
+    link: Link = Link.CONNECTED
+    rest_known: bool = True  # nothing has been lost or unconfirmed since it last confirmed rest
+
+
+class Trial(msgspec.Struct, frozen=True):
+    """A program just loaded, and the one to go back to if its first job fails."""
+
+    new: str
+    old: str
+
+
+class State(msgspec.Struct, kw_only=True):
+    commands: dict[str, Command] = {}  # live ones, by id, in order of acceptance
+    accepted: int = 0
+    seq: int = 0  # of the event stream
+    requests: dict[str, str] = {}  # "client request" -> command, live or recently ended
+    ended: dict[str, msgspec.Raw] = {}  # recently ended: command -> CommandEnded, for clients that ask again
+    successes: dict[str, bool] = {}  # recently ended: command -> did it succeed (for AFTER)
+    resources: Resources = msgspec.field(default_factory=Resources)
+    awaiting: dict[str, list[str]] = {}  # command -> those that start after its end
+    joining: dict[str, list[str]] = {}  # command -> those that start when it begins to move
+    subsystems: dict[str, Subsystem] = {}
+    programs: dict[str, str] = {}  # kind (or "cell") -> digest
+    trials: dict[str, Trial] = {}
+    halted_at_s: dict[str, float] = {}  # scope of a halt -> when: what was sent before it does not start
+    halts: dict[str, float] = {}  # halt id -> when, the last few: a halt told twice is one
+    patience: float = 1.0  # seconds of ours per simulated second: limits of primitives are in simulated time
+    counts: dict[str, int] = {}  # ended by outcome, stale answers, trims, ...

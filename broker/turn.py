@@ -1,0 +1,128 @@
+"""One call of `decide`: the state, the time, the effects so far, and what is to be stimulated next.
+
+The few things every action needs (give out a job, write a note) are here; what is decided is elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import msgspec
+
+from broker.effects import (
+    DispatchJob,
+    Effect,
+    PublishNote,
+    StartTimer,
+    StopTimer,
+)
+from broker.state import NOMINAL, NOTES_KEPT, Command, PendingJob, State, StepRef
+from broker.transitions import Stimulus
+from rtc import wire
+from rtc.messages import Phase, ProgressNote, WorkerKind
+
+
+class Turn:
+    __slots__ = ("effects", "followups", "node", "now", "state", "took_s")
+
+    def __init__(self, state: State, now: float) -> None:
+        self.state = state
+        self.now = now
+        self.effects: list[Effect] = []
+        self.followups: deque[tuple[str, Stimulus, Any]] = deque()  # command, stimulus, what comes with it
+        self.node = ""  # who did the work that is being heard of
+        self.took_s = 0.0
+
+    def follow(self, command: str, stimulus: Stimulus, payload: Any = None) -> None:
+        """Stimulate another command, after this action is done."""
+        self.followups.append((command, stimulus, payload))
+
+    def grant(self, commands: list[str]) -> None:
+        for command in commands:
+            self.followups.append((command, Stimulus.GRANT, None))
+
+    def confirm_rest(self, subsystem: str) -> None:
+        """It is known to be at rest: what was closed for its sake is open again."""
+        if found := self.state.subsystems.get(subsystem):
+            found.rest_known = True
+        self.grant(self.state.resources.confirm_rest(subsystem))
+
+    def count(self, what: str) -> None:
+        self.state.counts[what] = self.state.counts.get(what, 0) + 1
+
+    def enter(self, command: Command, phase: Phase, note: str = "") -> None:
+        """Change the phase, and tell it."""
+        command.phase = phase
+        self.note(command, note)
+
+    def note(self, command: Command, text: str = "") -> None:
+        state = self.state
+        state.seq += 1
+        note = ProgressNote(
+            seq=state.seq,
+            at_s=self.now,
+            command=command.id,
+            phase=command.phase,
+            step=step_in_words(command),
+            node=self.node,
+            took_s=self.took_s,
+            note=text,
+        )
+        command.notes.append(note)
+        if len(command.notes) > NOTES_KEPT:
+            del command.notes[NOTES_KEPT // 2]
+        self.effects.append(PublishNote(client=command.client if command.progress else "", note=note))
+
+    def give_out(self, command: Command, kind: WorkerKind, data: Any, locations: list[str] | None = None) -> None:
+        """One more job for this command."""
+        command.jobs += 1
+        command.job = PendingJob(
+            id=f"{command.id}/{command.jobs}",
+            attempt=1,
+            kind=kind,
+            program=self.state.programs.get(kind, ""),
+            input=wire.raw(data),
+            locations=locations,
+            since_s=self.now,
+        )
+        self.dispatch(command.job)
+
+    def dispatch(self, job: PendingJob) -> None:
+        self.effects.append(
+            DispatchJob(
+                job=job.id,
+                attempt=job.attempt,
+                kind=job.kind,
+                program=job.program,
+                cell=self.state.programs.get("cell", ""),
+                input=job.input,
+                locations=job.locations,
+            )
+        )
+
+    def start_timer(self, command: Command, limit_s: float) -> None:
+        self.effects.append(StartTimer(timer=command.id, at_s=self.now + limit_s))
+
+    def stop_timer(self, command: Command) -> None:
+        self.effects.append(StopTimer(timer=command.id))
+
+
+def step_body(command: Command, step: StepRef) -> msgspec.Raw:
+    """The step as the elaborator wrote it."""
+    trim, index = step
+    assert command.script is not None
+    if trim == NOMINAL:
+        return command.script.steps[index]
+    return next(t for t in command.script.trims if t.n == trim).steps[index]
+
+
+def step_in_words(command: Command) -> str:
+    """ "5 of 9: feel one side", or "trim 2, 1 of 1: ..."; empty outside of the steps."""
+    if command.step is None or command.script is None:
+        return ""
+    trim, index = command.step
+    if trim == NOMINAL:
+        return f"{index + 1} of {len(command.labels)}: {command.labels[index]}"
+    entry = next(t for t in command.script.trims if t.n == trim)
+    return f"trim {trim}, {index + 1} of {len(entry.steps)}: {entry.label}"
