@@ -45,9 +45,7 @@ def main(argv: list[str]) -> int:
     differing = [name for name, record in ended.items() if (kept := journal.story(name)) and kept != record]
     took_s = time.perf_counter() - began
     same = wire.encode(first) == wire.encode(second) and not differing
-    print(
-        f"{len(ended)} commands ended in the journal; decided twice in {took_s:.2f} s; {len(first.commands)} live at its end"
-    )
+    print(f"{len(ended)} commands ended in the journal, {len(first.commands)} live; decided twice in {took_s:.2f} s")
     print("same decisions" if same else f"DIFFERENT decisions: {', '.join(differing) or 'states differ'}")
     return 0 if same else 1
 

@@ -1,0 +1,51 @@
+"""`python -m broker --run-dir DIR`: the broker process of one cluster, new or restarted."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from broker.events import BrokerRestarted, ProgramInstalled
+from broker.journal import Journal
+from broker.program_store import ProgramStore
+from broker.replay import replay
+from broker.router import Router
+from broker.state import State
+from rtc import process, program
+from rtc.cell import Cell
+from rtc.messages import WorkerKind
+from rtc.settings import Settings
+from rtc.world.lease import KEY_FILE
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(prog="python -m broker", description=__doc__)
+    arguments.add_argument("--run-dir", required=True, type=Path, help="of the cluster, as made by `rtc up`")
+    run_dir = arguments.parse_args().run_dir
+    settings = Settings.load(run_dir)
+    with process.start("broker", run_dir) as me:
+        process.nice(-5)
+        first = State(patience=1.0 / settings.speed if 0 < settings.speed < 1 else 1.0)
+        journal = Journal.open(run_dir / "journal.db", settings.run, first)
+        state, ended = replay(journal)
+        store = ProgramStore(journal)
+        router = Router(me, settings, journal, state, store, (run_dir / KEY_FILE).read_bytes())
+        now = time.monotonic()
+        if state.programs:
+            me.log.info("restarted: %d commands live, %d ended in the journal", len(state.commands), len(ended))
+            router.hear(BrokerRestarted(at_s=now))
+        else:
+            for kind in WorkerKind:
+                router.hear(ProgramInstalled(at_s=now, kind=kind, digest=store.keep(program.default(kind))))
+            cell = Cell.load(settings.cell).encode()
+            router.hear(ProgramInstalled(at_s=now, kind=None, digest=store.keep(cell)))
+        router.turn()
+        process.freeze_heap()
+        me.ready()
+        router.run()
+        journal.close()
+
+
+if __name__ == "__main__":
+    main()

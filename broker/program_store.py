@@ -1,0 +1,32 @@
+"""The bodies of programs and of the cell, by digest: workers fetch from here what they have not cached."""
+
+from __future__ import annotations
+
+from broker.journal import Journal
+from rtc import program
+from rtc.messages import ProgramText
+from rtc.outcomes import ProgramError, Refusal, RefusalReason
+
+
+class ProgramStore:
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+        self._bodies = journal.programs()
+
+    def keep(self, body: bytes) -> str:
+        """Keep a body, through restarts too; returns its digest."""
+        digest = program.digest(body)
+        if digest not in self._bodies:
+            self._bodies[digest] = body
+            self._journal.keep_program(digest, body)
+        return digest
+
+    def body(self, digest: str) -> bytes | None:
+        return self._bodies.get(digest)
+
+    def load(self, current: str, text: ProgramText) -> str | Refusal:
+        """Put a file into the program of a kind (LOAD). Returns the new digest, or why it does not check."""
+        try:
+            return self.keep(program.merge(text.kind, self._bodies[current], text.name, text.body))
+        except ProgramError as error:
+            return Refusal(reason=RefusalReason.PROGRAM, message=str(error), where=text.name)

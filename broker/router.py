@@ -1,0 +1,411 @@
+"""The broker's shell: sockets, journal and clock round the Decision Unit. It turns bytes into events and effects into
+bytes, and decides nothing.
+
+Every turn of the loop drains the sockets in order of priority: halts, subsystems, supervisor, workers, clients. Halts
+are a turn of their own: decided, journalled and sent before anything else is even read. The events of a turn are
+journalled in one transaction before any of its effects goes out (invariant 9).
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter, OrderedDict, deque
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import zmq
+
+from broker import effects as do
+from broker import events as heard
+from broker.decision_unit import decide
+from broker.journal import Journal
+from broker.program_store import ProgramStore
+from broker.roster import Lost, Roster
+from broker.state import Link, State
+from broker.status import status
+from broker.timers import Timers
+from rtc import messages as m
+from rtc import wire
+from rtc.outcomes import Refusal, RefusalReason, WireError
+from rtc.process import Every, Process, inbox, send
+from rtc.settings import Settings
+from rtc.world.lease import sign
+
+WORKERS_PER_TURN = 200  # messages read from a socket in one turn: the loop comes back to the halts soon
+CLIENTS_PER_TURN = 64
+SUBSYSTEM_SILENCE_S = 2.0
+SNAPSHOT_TURNS = 20_000
+HALTS_KEPT = 64
+
+
+class Router:
+    def __init__(
+        self, me: Process, settings: Settings, journal: Journal, state: State, store: ProgramStore, lease_key: bytes
+    ) -> None:
+        self.me, self.settings, self.journal, self.state = me, settings, journal, state
+        self.store, self.lease_key = store, lease_key
+        self.roster = Roster()
+        self.timers = Timers()
+        self.dropped: Counter[str] = Counter()  # malformed messages, by socket
+        self.processes: list[dict[str, Any]] = []  # as the supervisor told last
+        self.turn_times_s: deque[float] = deque(maxlen=4096)
+        self.began_s = time.monotonic()
+        self._halt_callers: OrderedDict[str, set[bytes]] = OrderedDict()
+        self._subsystem_heard_s: dict[str, float] = {}
+        self._supervisor = False
+        self._listeners = 0
+        self._audit = Every(0.1)
+        self._socket: dict[str, zmq.Socket[bytes]] = {}
+        for name in ("halt", "subsystems", "supervisor", "workers", "front"):
+            self._socket[name] = me.socket(zmq.ROUTER, settings.endpoint(name), bind=True, queue_length=100_000)
+        self._socket["events"] = me.socket(zmq.XPUB, settings.endpoint("events"), bind=True)
+        self._events: list[heard.Event] = []
+
+    # --- the loop -------------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        while not self.me.stopping:
+            self.me.wait(self._patience_s())
+            self.turn()
+        self.journal.snapshot(self.state)
+
+    def _patience_s(self) -> float:
+        now = time.monotonic()
+        next_s = self.timers.next_at_s()
+        return min(self._audit.left_s(now), max(0.0, next_s - now) if next_s is not None else 1.0)
+
+    def turn(self) -> None:
+        began = time.monotonic()
+        self._drain("halt", _read_halt, self._from_halt, 1000, began)
+        if self._events:
+            self._settle(began)
+        self._drain("subsystems", _read_subsystem, self._from_subsystem, 1000, began)
+        self._drain("supervisor", _read_supervisor, self._from_supervisor, 1000, began)
+        self._drain("workers", _read_worker, self._from_worker, WORKERS_PER_TURN, began)
+        self._drain("front", _read_client, self._from_client, CLIENTS_PER_TURN, began)
+        for frame in inbox(self._socket["events"]):
+            self._listeners += 1 if frame[0][:1] == b"\x01" else -1
+        self._events += [heard.TimerFired(at_s=began, timer=name) for name in self.timers.due(began)]
+        if self._audit.due(began):
+            self._look_after(began)
+        if self._events:
+            self._settle(began)
+            self.turn_times_s.append(time.monotonic() - began)
+        else:
+            self._give_out(began)
+
+    def _settle(self, now: float) -> None:
+        """Decide about all events of this turn, journal them, then do what was decided."""
+        events, self._events = self._events, []
+        effects: list[do.Effect] = []
+        for event in events:
+            effects += decide(self.state, event)
+        self.journal.append(events, [e.record for e in effects if type(e) is do.ReportEnd])
+        for effect in effects:
+            _PERFORM[type(effect)](self, effect)
+        self._give_out(now)
+        if self.journal.turns_since_snapshot >= SNAPSHOT_TURNS:
+            self.journal.snapshot(self.state)
+
+    def hear(self, event: heard.Event) -> None:
+        """An event that comes from nobody's socket: start-up."""
+        self._events.append(event)
+
+    def _drain(
+        self,
+        name: str,
+        read: Callable[[Any], Any],
+        take: Callable[[bytes, Any, float], None],
+        most: int,
+        now: float,
+    ) -> None:
+        for peer, *parts in inbox(self._socket[name], most):
+            try:
+                message = read(parts)
+            except WireError as error:
+                self.dropped[name] += 1
+                if self.dropped[name] <= 20 or self.dropped[name] % 1000 == 0:
+                    self.me.log.warning("dropped a message on %s from %r: %s", name, peer[:40], error)
+                if name == "front":
+                    refusal = Refusal(reason=RefusalReason.SENTENCE, message=f"no message of this protocol: {error}")
+                    send(self._socket[name], m.Declined(request="", refusal=refusal), peer)
+                continue
+            take(peer, message, now)
+
+    # --- bytes into events ----------------------------------------------------------------------------
+
+    def _from_halt(self, peer: bytes, order: m.HaltOrder, now: float) -> None:
+        self._halt_callers.setdefault(order.halt, set()).add(peer)
+        if len(self._halt_callers) > HALTS_KEPT:
+            self._halt_callers.popitem(last=False)
+        self._events.append(
+            heard.HaltCalled(
+                at_s=now, client=_name(peer), halt=order.halt, scope=order.scope, called_at_s=order.called_at_s
+            )
+        )
+
+    def _from_subsystem(self, peer: bytes, message: Any, now: float) -> None:
+        name = _name(peer)
+        self._subsystem_heard_s[name] = now
+        match message:
+            case m.EndReport():
+                self._events.append(heard.PrimitiveEnded(at_s=now, subsystem=name, report=message))
+            case m.Started():
+                self._events.append(heard.PrimitiveStarted(at_s=now, subsystem=name, primitive=message.primitive))
+            case m.HaltStarted():
+                self._tell_halt_callers(message)
+            case m.HaltAtRest():
+                self._tell_halt_callers(message)
+                self._events.append(
+                    heard.HaltConfirmed(at_s=now, subsystem=name, halt=message.halt, at_rest=message.at_rest)
+                )
+            case m.SubsystemHello():
+                self.me.log.info("%s is here, pid %d, %s", name, message.pid, ", ".join(message.performers))
+                self._events.append(
+                    heard.SubsystemConnected(
+                        at_s=now,
+                        subsystem=name,
+                        pid=message.pid,
+                        performers=message.performers,
+                        outstanding=message.outstanding,
+                        at_rest=message.at_rest,
+                    )
+                )
+            case m.Heartbeat():
+                known = self.state.subsystems.get(name)
+                if known is None or known.link is not Link.CONNECTED:
+                    send(self._socket["subsystems"], m.ReportAck(primitive=""), peer)
+            case m.ProgressReport():
+                pass  # for the telemetry's listeners; the Decision Unit lives on events alone
+
+    def _from_supervisor(self, peer: bytes, message: Any, now: float) -> None:
+        self._supervisor = True
+        match message:
+            case m.ProcessExited():
+                self.me.log.warning("%s (pid %d) ended with status %d", message.name, message.pid, message.status)
+                worker = self.roster.workers.get(message.name)
+                if worker is not None and worker.pid == message.pid:
+                    self._lose(message.name, self.roster.gone(message.name), f"exit status {message.status}", now)
+                subsystem = self.state.subsystems.get(message.name)
+                if subsystem is not None and subsystem.pid == message.pid:
+                    why = f"its process ended with status {message.status}"
+                    self._events.append(heard.SubsystemGone(at_s=now, subsystem=message.name, why=why))
+            case m.ProcessTable():
+                self.processes = message.processes
+
+    def _from_worker(self, peer: bytes, message: Any, now: float) -> None:
+        name = _name(peer)
+        match message:
+            case m.ResultBatch():
+                known = self.roster.heard(name, now)
+                for result in message.results:
+                    self.roster.answered(name, result.id, getattr(result, "took_s", 0.0), now)
+                    self._events.append(_result(name, result, now))
+                if not known:
+                    send(self._socket["workers"], m.JobBatch(jobs=[]), peer)
+            case m.Heartbeat():
+                if not self.roster.heard(name, now):
+                    send(self._socket["workers"], m.JobBatch(jobs=[]), peer)  # who are you? say hello
+            case m.WorkerHello():
+                lost = self.roster.hello(name, message.node, message.kind, message.pid, now)
+                self._lose(name, lost, "its process was replaced", now)
+            case m.ProgramWanted():
+                body = self.store.body(message.digest)
+                send(self._socket["workers"], m.ProgramBody(digest=message.digest, body=body), peer)
+
+    def _lose(self, name: str, lost: Iterable[Lost], why: str, now: float) -> None:
+        for job, in_hand in lost:
+            self._events.append(
+                heard.JobLost(at_s=now, job=job.job, attempt=job.attempt, node=name, evidence=why, blamed=in_hand)
+            )
+
+    def _from_client(self, peer: bytes, message: Any, now: float) -> None:
+        match message:
+            case m.CommandText():
+                self._events.append(
+                    heard.CommandReceived(
+                        at_s=now,
+                        client=_name(peer),
+                        request=message.request,
+                        text=message.text,
+                        source=message.source,
+                        progress=message.progress,
+                        halt_if_lost=message.halt_if_lost,
+                        sent_at_s=message.sent_at_s,
+                    )
+                )
+            case m.ClientHello():
+                self._answer(peer, m.Welcome(cluster=self.settings.run, pid=os.getpid()))
+            case m.StatusQuery():
+                self._answer(peer, m.StatusReply(request=message.request, status=status(self)))
+            case m.TraceQuery():
+                self._answer(peer, self._trace(message))
+            case m.ProgramText():
+                self._answer(peer, self._load(message, now))
+            case m.Shutdown():
+                self.me.log.info("told to shut the cluster down")
+                send(self._socket["supervisor"], m.Shutdown(request=message.request), b"supervisor")
+
+    def _answer(self, peer: bytes, message: m.BrokerToClient) -> None:
+        send(self._socket["front"], message, peer)
+
+    def _trace(self, query: m.TraceQuery) -> m.TraceReply | m.Declined:
+        live = self.state.commands.get(query.command)
+        if live is not None:
+            record = m.CommandRecord(
+                command=live.id,
+                text=live.text,
+                source=live.source,
+                request=live.request,
+                accepted_at_s=live.accepted_at_s,
+                phase=live.phase,
+                notes=live.notes,
+            )
+            return m.TraceReply(request=query.request, record=record)
+        if (story := self.journal.story(query.command)) is not None:
+            return m.TraceReply(request=query.request, record=story)
+        last = f"the last one accepted is C-{self.state.accepted}" if self.state.accepted else "none was accepted yet"
+        message = f"there is no command {query.command}; {last}"
+        return m.Declined(request=query.request, refusal=Refusal(reason=RefusalReason.NAME, message=message))
+
+    def _load(self, text: m.ProgramText, now: float) -> m.ProgramLoaded | m.Declined:
+        result = self.store.load(self.state.programs.get(text.kind, ""), text)
+        if isinstance(result, Refusal):
+            return m.Declined(request=text.request, refusal=result)
+        self._events.append(heard.ProgramInstalled(at_s=now, kind=text.kind, digest=result))
+        return m.ProgramLoaded(request=text.request, kind=text.kind, digest=result)
+
+    # --- what only the clock tells --------------------------------------------------------------------
+
+    def _look_after(self, now: float) -> None:
+        for worker, why in self.roster.hung(now):
+            self.me.log.warning("%s (pid %d) %s", worker.name, worker.pid, why)
+            send(
+                self._socket["supervisor"],
+                m.KillProcess(name=worker.name, pid=worker.pid, why=why),
+                b"supervisor",
+            )
+            self._lose(worker.name, self.roster.gone(worker.name), why, now)
+        for job in self.roster.waited_too_long(now):
+            message = f"no {job.kind.value} took the job within the limit; is one alive? see `rtc status`"
+            refusal = Refusal(reason=RefusalReason.TIMEOUT, message=message)
+            self._events.append(
+                heard.JobDeclined(at_s=now, job=job.job, attempt=job.attempt, node="broker", refusal=refusal)
+            )
+        for name, subsystem in self.state.subsystems.items():
+            silent_s = now - self._subsystem_heard_s.get(name, self.began_s)
+            if subsystem.link is not Link.LOST and silent_s > SUBSYSTEM_SILENCE_S:
+                why = f"silent for {silent_s:.1f} s"
+                self._events.append(heard.SubsystemGone(at_s=now, subsystem=name, why=why))
+
+    # --- effects into bytes ---------------------------------------------------------------------------
+
+    def _give_out(self, now: float) -> None:
+        for worker, jobs in self.roster.assign(now):
+            batch = [
+                m.Job(
+                    id=job.job,
+                    attempt=job.attempt,
+                    program=job.program,
+                    cell=job.cell,
+                    input=job.input,
+                    lease=None if job.locations is None else sign(self.lease_key, job.job, job.locations),
+                )
+                for job in jobs
+            ]
+            if not send(self._socket["workers"], m.JobBatch(jobs=batch), worker.encode()):
+                self._lose(worker, self.roster.gone(worker), "its connection is gone", now)
+
+    def _dispatch(self, effect: do.DispatchJob) -> None:
+        self.roster.submit(effect, time.monotonic())
+
+    def _cancel(self, effect: do.CancelJob) -> None:
+        if worker := self.roster.cancel(effect.job):
+            send(self._socket["workers"], m.Drop(jobs=[effect.job]), worker.encode())
+
+    def _send_primitive(self, effect: do.SendPrimitive) -> None:
+        message = {"type": "Execute", "primitive": effect.primitive, "issued_at_s": effect.issued_at_s}
+        send(self._socket["subsystems"], message, effect.subsystem.encode())
+
+    def _send_halt(self, effect: do.SendHalt) -> None:
+        order = m.HaltOrder(halt=effect.halt, scope=effect.scope, called_at_s=effect.called_at_s)
+        send(self._socket["subsystems"], order, effect.subsystem.encode())
+
+    def _acknowledge(self, effect: do.AcknowledgeReport) -> None:
+        send(self._socket["subsystems"], m.ReportAck(primitive=effect.primitive), effect.subsystem.encode())
+
+    def _start_timer(self, effect: do.StartTimer) -> None:
+        self.timers.start(effect.timer, effect.at_s)
+
+    def _stop_timer(self, effect: do.StopTimer) -> None:
+        self.timers.stop(effect.timer)
+
+    def _tell(self, effect: do.TellClient) -> None:
+        send(self._socket["front"], effect.message, _peer(effect.client))
+
+    def _publish(self, effect: do.PublishNote) -> None:
+        if effect.client:
+            send(self._socket["front"], effect.note, _peer(effect.client))
+        if self._listeners:
+            self._socket["events"].send_multipart(wire.frames(effect.note))
+
+    def _report_end(self, effect: do.ReportEnd) -> None:
+        send(self._socket["front"], effect.ended, _peer(effect.client))
+        if self._listeners:
+            self._socket["events"].send_multipart(wire.frames(effect.ended))
+
+    def _decline_halt(self, effect: do.DeclineHalt) -> None:
+        refusal = Refusal(reason=RefusalReason.NAME, message=effect.message)
+        send(self._socket["halt"], m.Declined(request=effect.halt, refusal=refusal), _peer(effect.client))
+
+    def _tell_halt_callers(self, message: m.HaltStarted | m.HaltAtRest) -> None:
+        for peer in self._halt_callers.get(message.halt, ()):
+            send(self._socket["halt"], message, peer)
+
+
+def _result(node: str, result: m.JobResult, now: float) -> heard.Event:
+    match result:
+        case m.JobDone():
+            return heard.JobFinished(
+                at_s=now,
+                job=result.id,
+                attempt=result.attempt,
+                node=node,
+                product=result.product,
+                took_s=result.took_s,
+            )
+        case m.JobRefused():
+            return heard.JobDeclined(at_s=now, job=result.id, attempt=result.attempt, node=node, refusal=result.refusal)
+        case m.JobCrashed():
+            return heard.JobLost(at_s=now, job=result.id, attempt=result.attempt, node=node, evidence=result.evidence)
+
+
+def _name(peer: bytes) -> str:
+    """A routing identity as text, and back by `_peer`; any bytes survive."""
+    return peer.decode("latin-1")
+
+
+def _peer(name: str) -> bytes:
+    return name.encode("latin-1")
+
+
+_read_halt = wire.reader(m.ToHalt)
+_read_subsystem = wire.reader(m.SubsystemToBroker)
+_read_supervisor = wire.reader(m.SupervisorToBroker)
+_read_worker = wire.reader(m.WorkerToBroker)
+_read_client = wire.reader(m.ClientToBroker)
+
+_PERFORM: dict[type[do.Effect], Callable[[Router, Any], None]] = {
+    do.DispatchJob: Router._dispatch,
+    do.CancelJob: Router._cancel,
+    do.SendPrimitive: Router._send_primitive,
+    do.SendHalt: Router._send_halt,
+    do.AcknowledgeReport: Router._acknowledge,
+    do.StartTimer: Router._start_timer,
+    do.StopTimer: Router._stop_timer,
+    do.TellClient: Router._tell,
+    do.PublishNote: Router._publish,
+    do.ReportEnd: Router._report_end,
+    do.DeclineHalt: Router._decline_halt,
+}
