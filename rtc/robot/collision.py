@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtc import cell as cells
-from rtc.geometry import Floats
+from rtc.geometry import Array, Floats
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.robot import bodies
 
@@ -106,7 +106,7 @@ class CollisionWorld:
     def check_path(
         self,
         arm: str,
-        configurations: Sequence[Floats],
+        configurations: Sequence[Floats] | Array,
         others: Mapping[str, Floats],
         scene: Scene = AS_BUILT,
     ) -> PathCollision | None:

@@ -135,34 +135,40 @@ class ArmModel:
     def middle(self) -> Array:
         return 0.5 * (self.limits.lower + self.limits.upper)
 
+    def follow(self, target: Floats, near: Floats) -> Array | None:
+        """The branch nearest to `near`, each angle spelt nearest to it, *regardless of limits*; None out of reach.
+
+        For going along a line in small steps, where leaving the branch would mean a leap.
+        """
+        reference = np.asarray(near, dtype=float)
+        raws = self._branches(target, reference)
+        if not raws:
+            return None
+        table = np.array(raws)
+        table -= _TURN * np.round((table - reference) / _TURN)
+        costs = (np.abs(table - reference) / self.limits.velocity).max(axis=1)
+        best: Array = table[int(costs.argmin())]
+        return best
+
     def why_no_ik(self, target: Floats, margin_rad: float = 0.0) -> Refusal | None:
         """The cause in figures: out of reach by how much, or which joint would pass which limit. None: it can."""
         raws = self._branches(target, self.middle)
-        if any(self._spellings(raw, margin_rad) for raw in raws):
-            return None
         if not raws:
             return self._out_of_reach(target)
-        _, joint, value, limit = min((self._worst_joint(raw, margin_rad) for raw in raws), key=lambda worst: worst[0])
-        side = "upper" if value > limit else "lower"
-        return Refusal(
-            reason=RefusalReason.INFEASIBLE,
-            message=(
-                f"{self.name} would have to turn {self.joints[joint]} to {math.degrees(value):.1f} deg; "
-                f"its {side} limit is {math.degrees(limit):.1f} deg"
-                + (f" less a margin of {math.degrees(margin_rad):.1f} deg" if margin_rad else "")
-            ),
-            clears="another attitude, arm or grasp point",
-            detail={
-                "cause": "joint_limit",
-                "arm": self.name,
-                "joint": self.joints[joint],
-                "value_rad": value,
-                "limit_rad": limit,
-                "margin_rad": margin_rad,
-                "excess_rad": abs(value - limit) + margin_rad,
-                "branches": float(len(raws)),
-            },
-        )
+        if any(self._spellings(raw, margin_rad) for raw in raws):
+            return None
+        least = min((self._worst_joint(raw, margin_rad) for raw in raws), key=lambda worst: worst[0])
+        return self._limit_passed(*least[1:], margin_rad)
+
+    def why_not_within(self, joints: Floats, margin_rad: float = 0.0) -> Refusal | None:
+        """The joint of this very posture that is farthest beyond its limits; None: all are within."""
+        q = np.asarray(joints, dtype=float)
+        below, above = self.limits.lower + margin_rad - q, q - self.limits.upper + margin_rad
+        if max(below.max(), above.max()) <= 0:
+            return None
+        n = int(np.maximum(below, above).argmax())
+        limit = self._lower[n] if below[n] > above[n] else self._upper[n]
+        return self._limit_passed(n, float(q[n]), limit, margin_rad)
 
     # --- inside --------------------------------------------------------------------------------------------
 
@@ -197,6 +203,27 @@ class ArmModel:
             )
             worst = max(worst, best)
         return worst
+
+    def _limit_passed(self, joint: int, value: float, limit: float, margin: float) -> Refusal:
+        side = "upper" if limit == self._upper[joint] else "lower"
+        less = f" less a margin of {math.degrees(margin):.1f} deg" if margin else ""
+        return Refusal(
+            reason=RefusalReason.INFEASIBLE,
+            message=(
+                f"{self.name} would have to turn {self.joints[joint]} to {math.degrees(value):.1f} deg; "
+                f"its {side} limit is {math.degrees(limit):.1f} deg{less}"
+            ),
+            clears="another attitude, arm or grasp point",
+            detail={
+                "cause": "joint_limit",
+                "arm": self.name,
+                "joint": self.joints[joint],
+                "value_rad": value,
+                "limit_rad": limit,
+                "margin_rad": margin,
+                "excess_rad": (value - limit if side == "upper" else limit - value) + margin,
+            },
+        )
 
     def _out_of_reach(self, target: Floats) -> Refusal:
         words, missing = "out of reach", 0.0

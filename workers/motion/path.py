@@ -1,0 +1,134 @@
+"""Where a motion goes, without regard to time: lines in joint space, lines in task space, curves through way-points.
+
+A `Path` gives joint values over a parameter s from 0 to `length`. Along a task line s counts metres of the tcp, or
+`METRES_PER_RAD` for each radian where it turns more than it moves; along a joint path it has no unit. Pure: a line
+that cannot be followed is a Refusal that tells how far along it ends, and why.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import msgspec
+import numpy as np
+from toppra import SplineInterpolator
+
+from rtc import geometry
+from rtc.geometry import Array, Floats
+from rtc.outcomes import Refusal, RefusalReason
+from rtc.robot.kinematics import ArmModel
+
+KNOT_M = 0.025  # between inverse solutions: a cubic through them is straight to some micrometres
+KNOT_RAD = 0.10
+LEAP_RAD = 0.60  # more than this in one knot is no following any more: a singularity, or another branch
+METRES_PER_RAD = 0.25  # so that 0.25 m/s means 1 rad/s where the hand only turns
+CHECK_RAD = 0.025  # between collision checks, weighted below: some 2 cm at the hand
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Joint values (rad) over s. `knots[k]` at `s[k]`; straight between two knots, a cubic spline through more."""
+
+    space: Literal["joint", "task"]
+    s: Array  # rises from 0 to `length`
+    knots: Array  # [len(s)][joints]
+    curve: SplineInterpolator | None
+
+    @property
+    def length(self) -> float:
+        return float(self.s[-1])
+
+    def at(self, s: Array) -> tuple[Array, Array, Array]:
+        """Joints, and their first and second derivative by s, each [len(s)][joints]."""
+        if self.curve is not None:
+            return self.curve(s), self.curve(s, 1), self.curve(s, 2)
+        slope = (self.knots[-1] - self.knots[0]) / self.length
+        return self.knots[0] + np.outer(s, slope), np.tile(slope, (len(s), 1)), np.zeros((len(s), len(slope)))
+
+    def dense(self, step_rad: float = CHECK_RAD) -> tuple[Array, Array]:
+        """(s, joints) so close together that nothing can slip between: no joint moves more than `step_rad` from one
+        to the next, the three of the wrist, which move little mass, three times that."""
+        weights = np.where(np.arange(self.knots.shape[1]) < 3, 1.0, 1.0 / 3.0)
+        turned = (np.abs(np.diff(self.knots, axis=0)) * weights).max(axis=1)
+        pieces = np.maximum(1, np.ceil(turned / step_rad)).astype(int)
+        spans = zip(self.s[:-1], self.s[1:], pieces, strict=True)
+        s = np.append(np.concatenate([np.linspace(a, b, n, endpoint=False) for a, b, n in spans]), self.length)
+        return s, self.at(s)[0]
+
+
+def joint_line(start: Floats, goal: Floats) -> Path:
+    """All joints in proportion, from `start` to `goal`."""
+    return Path("joint", np.array((0.0, 1.0)), np.array((start, goal), dtype=float), None)
+
+
+def through(waypoints: list[Floats]) -> Path:
+    """A smooth curve through joint way-points, evenly paced by the joint that moves farthest."""
+    knots = np.array(waypoints, dtype=float)
+    if len(knots) == 2:
+        return joint_line(knots[0], knots[1])
+    steps = np.maximum(np.abs(np.diff(knots, axis=0)).max(axis=1), 1e-6)
+    s = np.concatenate(((0.0,), np.cumsum(steps))) / steps.sum()
+    return Path("joint", s, knots, SplineInterpolator(s, knots, bc_type="natural"))
+
+
+def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float = 0.0) -> Path | Refusal:
+    """The tcp straight from where `start` has it to `goal_pose`, turning evenly, on one branch of the inverse."""
+    start_pose = arm.fk(start)
+    metres, turn = geometry.distance(start_pose, goal_pose), geometry.angle(start_pose, goal_pose)
+    length = max(metres, METRES_PER_RAD * turn, 1e-9)
+    count = max(4, math.ceil(metres / KNOT_M), math.ceil(turn / KNOT_RAD)) + 1
+    fractions = np.linspace(0.0, 1.0, count)
+    knots = [np.asarray(start, dtype=float)]
+    for fraction in fractions[1:].tolist():
+        pose = geometry.interpolate(start_pose, goal_pose, fraction)
+        q = arm.follow(pose, knots[-1])
+        problem = _problem(arm, pose, q, knots[-1], margin_rad)
+        if problem is not None:
+            return _at(problem, fraction, fraction * metres)
+        assert q is not None
+        knots.append(q)
+    table = np.array(knots)
+    return Path("task", fractions * length, table, SplineInterpolator(fractions * length, table))
+
+
+def backwards(path: Path) -> Path:
+    """The same way from its end to its start."""
+    s = path.length - path.s[::-1]
+    knots = path.knots[::-1].copy()
+    return replace(path, s=s, knots=knots, curve=None if path.curve is None else SplineInterpolator(s, knots))
+
+
+def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_rad: float) -> Refusal | None:
+    if q is None:
+        return arm.why_no_ik(pose, margin_rad)
+    leap = np.abs(q - before)
+    if leap.max() > LEAP_RAD:
+        joint = int(leap.argmax())
+        return Refusal(
+            reason=RefusalReason.INFEASIBLE,
+            message=(
+                f"{arm.name} would have to leap: {arm.joints[joint]} by {math.degrees(leap[joint]):.0f} deg at once, "
+                f"near a singularity"
+            ),
+            clears="another branch or attitude at the start",
+            detail={
+                "cause": "singularity",
+                "arm": arm.name,
+                "joint": arm.joints[joint],
+                "leap_rad": float(leap[joint]),
+                "sigma_min": arm.sigma_min(before),
+            },
+        )
+    return arm.why_not_within(q, margin_rad)
+
+
+def _at(problem: Refusal, fraction: float, metres: float) -> Refusal:
+    where = f"{fraction:.0%} along the line, {metres * 1000:.0f} mm from its start"
+    return msgspec.structs.replace(
+        problem,
+        message=f"{problem.message} ({where})",
+        where=where,
+        detail={**problem.detail, "fraction": fraction, "along_m": metres},
+    )

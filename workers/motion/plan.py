@@ -1,0 +1,144 @@
+"""A whole motion: a way that is free and keeps the rules, in time; or the cause why there is none.
+
+`plan_task_motion` goes straight, or refuses. `plan_joint_motion` is free in the way it takes and follows the paper's
+"generate, test and modify" (R92): the direct way first, then the same with the hand raised, drawn back, or both, in
+the order of `_modified`; the first that passes is taken, and `notes` tell the story. Pure and repeatable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+
+from rtc import geometry
+from rtc.geometry import Array, Floats
+from rtc.outcomes import Refusal
+from rtc.robot.collision import AS_BUILT, CollisionWorld, Scene
+from rtc.robot.kinematics import ArmModel
+from workers.motion import path as paths
+from workers.motion.constraints import FREE, Rules
+from workers.motion.path import Path
+from workers.motion.timing import FREE_PACE, Pace, Timed, time_path
+
+RAISE_M = (0.15, 0.30)  # how far the hand is raised
+BACK_M = (0.10, 0.20)  # how far it is drawn back along its own axis
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """Where a motion is planned: whose, among what, from where."""
+
+    arm: ArmModel
+    world: CollisionWorld
+    joints: Mapping[str, Floats]  # of every arm of the cell, now; the planned one starts there
+    scene: Scene = AS_BUILT
+    rules: Rules = FREE
+    pace: Pace = FREE_PACE
+    margin_rad: float = 0.0  # kept from every joint limit
+
+    @property
+    def start(self) -> Array:
+        return np.asarray(self.joints[self.arm.name], dtype=float)
+
+    @property
+    def way_margin_rad(self) -> float:
+        """Along the way: an arm that stands nearer to a limit than the margin may leave from there."""
+        return max(0.0, min(self.margin_rad, self.arm.limit_margin(self.start)))
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    path: Path
+    timed: Timed
+    goal_joints: Array
+    goal_pose: Array
+    notes: list[str] = field(default_factory=list)
+
+
+def plan_task_motion(at: Setting, goal_pose: Floats) -> Motion | Refusal:
+    """The tcp in a straight line to `goal_pose`."""
+    line = paths.task_line(at.arm, at.start, goal_pose, at.way_margin_rad)
+    if isinstance(line, Refusal):
+        return line
+    return fault(at, line) or _motion(at, line, ["generated a straight line of the hand; tested: free"])
+
+
+def plan_joint_motion(at: Setting, goal: Floats) -> Motion | Refusal:
+    """To the joint values `goal`, the way being free."""
+    problem = at.arm.why_not_within(goal, at.margin_rad) or free_posture(at)(np.asarray(goal, dtype=float))
+    if problem is not None:
+        return problem
+    direct = paths.joint_line(at.start, goal)
+    first = fault(at, direct)
+    if first is None:
+        return _motion(at, direct, ["generated a line in joint space; tested: free"])
+    notes = [f"generated a line in joint space; tested: {first.message}"]
+    for words, candidate in _modified(at, np.asarray(goal, dtype=float)):
+        problem = fault(at, candidate)
+        notes.append(f"modified: {words}; tested: {problem.message if problem else 'free'}")
+        if problem is None:
+            return _motion(at, candidate, notes)
+    return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(notes))})
+
+
+def free_posture(at: Setting) -> Callable[[Array], Refusal | None]:
+    """A test for `ik.choose`: the posture is free of collisions and keeps the rules, the other arms where they are."""
+
+    def test(joints: Array) -> Refusal | None:
+        hit = at.world.check({**at.joints, at.arm.name: joints}, at.scene)
+        return hit.refusal() if hit is not None else at.rules.broken_by(at.arm, joints)
+
+    return test
+
+
+def fault(at: Setting, way: Path) -> Refusal | None:
+    """The first thing wrong along a way, with how far along it is; None: it can be gone."""
+    s, configurations = way.dense()
+    hit = at.world.check_path(at.arm.name, configurations, at.joints, at.scene)
+    free = configurations if hit is None else configurations[: hit.index]
+    margin = at.way_margin_rad - 1e-9
+    for n, joints in enumerate(free):
+        problem = at.arm.why_not_within(joints, margin) or at.rules.broken_by(at.arm, joints)
+        if problem is not None:
+            return _at(problem, float(s[n]) / way.length)
+    return None if hit is None else _at(hit.collision.refusal(), float(s[hit.index]) / way.length)
+
+
+def _modified(at: Setting, goal: Array) -> Iterator[tuple[str, Path]]:
+    """Other ways, the least detour first: straight for the hand; then over way-points above or behind both ends."""
+    start_pose, goal_pose = at.arm.fk(at.start), at.arm.fk(goal)
+    straight = paths.task_line(at.arm, at.start, goal_pose, at.way_margin_rad)
+    if not isinstance(straight, Refusal) and np.abs(straight.knots[-1] - goal).max() < 1e-6:
+        yield "a straight line of the hand", straight
+    for back in (0.0, *BACK_M):
+        for up in (0.0, *RAISE_M):
+            if back == up == 0.0:
+                continue
+            words = " and ".join([f"raised by {up:.2f} m"] * (up > 0) + [f"drawn back by {back:.2f} m"] * (back > 0))
+            moved = [
+                geometry.translate(geometry.compose(p, (0, 0, -back, 0, 0, 0, 1)), (0, 0, up))
+                for p in (start_pose, goal_pose)
+            ]
+            corners = [at.arm.follow(moved[0], at.start), at.arm.follow(moved[1], goal)]
+            if any(c is None or at.arm.why_not_within(c, at.margin_rad) is not None for c in corners):
+                continue
+            first, second = (np.asarray(c) for c in corners)
+            yield f"by way of both ends {words}", paths.through([at.start, first, second, goal])
+            yield f"by way of the start {words}", paths.through([at.start, first, goal])
+            yield f"by way of the goal {words}", paths.through([at.start, second, goal])
+
+
+def _motion(at: Setting, way: Path, notes: list[str]) -> Motion:
+    goal = way.knots[-1]
+    return Motion(way, time_path(at.arm, way, at.pace), goal, at.arm.fk(goal), notes)
+
+
+def _at(problem: Refusal, fraction: float) -> Refusal:
+    where = "at the start" if fraction <= 0 else "at the goal" if fraction >= 1 else f"{fraction:.0%} along the way"
+    message = f"{problem.message} ({where})"
+    return msgspec.structs.replace(
+        problem, message=message, where=where, detail={**problem.detail, "fraction": fraction}
+    )

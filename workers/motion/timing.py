@@ -1,0 +1,158 @@
+"""When a motion is where: a path becomes knots in time, at rest at both ends, within every limit.
+
+A line gets a jerk-limited profile along its own parameter (ruckig from rest to rest: 0.02 ms); a curve through
+way-points the quickest one that the joints allow (toppra: some 10 ms), because there one pace for the whole would be
+that of the sharpest bend. Joint limits of speed and acceleration are kept everywhere; the tcp's speed limit too.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import ruckig
+import toppra
+import toppra.algorithm
+import toppra.constraint
+
+from rtc.geometry import Array
+from rtc.primitive import JointTrajectory
+from rtc.robot.kinematics import ArmModel
+from workers.motion.path import Path
+
+KNOT_S = 0.03  # quintic Hermite between knots this far apart is off by some micrometres
+MOST_KNOTS = 400  # a very slow motion gets wider knots; it needs no closer ones
+RAMP_S = 0.1  # from no acceleration to the full one
+SAMPLES = 33  # of the path, where limits are looked at
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast: the tcp's speed and acceleration, and what part of the joints' own limits may be used."""
+
+    speed_m_s: float = 0.25
+    acceleration_m_s2: float = 1.0
+    ratio: float = 1.0
+
+
+FREE_PACE = Pace()
+
+
+@dataclass(frozen=True, eq=False)
+class Timed:
+    """Knots of a motion: rad, rad/s, rad/s^2, each [len(time_s)][joints]. Quintic Hermite in between."""
+
+    space: Literal["joint", "task"]
+    time_s: Array
+    positions: Array
+    velocities: Array
+    accelerations: Array
+
+    @property
+    def duration_s(self) -> float:
+        return float(self.time_s[-1])
+
+    def trajectory(self) -> JointTrajectory:
+        return JointTrajectory(
+            space=self.space,
+            time_s=self.time_s.tolist(),
+            positions=self.positions.tolist(),
+            velocities=self.velocities.tolist(),
+            accelerations=self.accelerations.tolist(),
+        )
+
+
+def time_path(arm: ArmModel, path: Path, pace: Pace = FREE_PACE) -> Timed:
+    """The path in time. A path of no length is a motion of one knot spacing that stays."""
+    if np.abs(path.knots - path.knots[0]).max() < 1e-9:
+        return _staying(path)
+    if path.space == "joint" and len(path.knots) > 2:
+        return _time_curve(arm, path, pace)
+    return _time_line(arm, path, pace)
+
+
+def _time_line(arm: ArmModel, path: Path, pace: Pace) -> Timed:
+    s = np.linspace(0.0, path.length, SAMPLES)
+    q, slope, bend = path.at(s)
+    rate = 1.0 if path.space == "task" else float(_tcp_rate(arm, q, slope).max())
+    velocity, acceleration = arm.limits.velocity * pace.ratio, arm.limits.acceleration * pace.ratio
+    slope, bend = np.abs(slope) + 1e-12, np.abs(bend) + 1e-12
+    # Half of a joint's acceleration may go into following the bend at full pace; the rest is for changing the pace.
+    pace_limit = min(
+        pace.speed_m_s / max(rate, 1e-9),
+        float((velocity / slope).min()),
+        float(np.sqrt(acceleration / (2 * bend)).min()),
+    )
+    change_limit = min(
+        pace.acceleration_m_s2 / max(rate, 1e-9), float(((acceleration - bend * pace_limit**2) / slope).min())
+    )
+    profile = _rest_to_rest(path.length, pace_limit, change_limit)
+    time_s = _knot_times(profile.duration)
+    along, along_v, along_a = np.array([profile.at_time(t) for t in time_s.tolist()])[:, :, 0].T
+    q, slope, bend = path.at(along)
+    accelerations = bend * along_v[:, None] ** 2 + slope * along_a[:, None]
+    return _at_rest(Timed(path.space, time_s, q, slope * along_v[:, None], accelerations), path)
+
+
+def _rest_to_rest(length: float, speed: float, acceleration: float) -> ruckig.Trajectory:
+    """State to state only: ruckig's way-points would be computed by a web service."""
+    ask = ruckig.InputParameter(1)
+    ask.current_position, ask.target_position = [0.0], [length]
+    ask.max_velocity, ask.max_acceleration, ask.max_jerk = [speed], [acceleration], [acceleration / RAMP_S]
+    profile = ruckig.Trajectory(1)
+    result = ruckig.Ruckig(1).calculate(ask, profile)
+    assert result in (ruckig.Result.Working, ruckig.Result.Finished), result
+    return profile
+
+
+def _time_curve(arm: ArmModel, path: Path, pace: Pace) -> Timed:
+    assert path.curve is not None
+    s = np.linspace(0.0, path.length, SAMPLES)
+    q, slope, _ = path.at(s)
+    velocity, acceleration = arm.limits.velocity * pace.ratio, arm.limits.acceleration * pace.ratio
+    levers = np.max([np.linalg.norm(arm.jacobian(row)[:3], axis=0) for row in q[::4]], axis=0)
+    acceleration = np.minimum(acceleration, pace.acceleration_m_s2 / np.maximum(levers, 0.05))
+    rate = np.maximum(_tcp_rate(arm, q, slope), 1e-6)
+
+    def speed_limits(at: float) -> Array:
+        """[joints][least, most]: the joints' own, and what keeps the tcp below its speed (2 % for the samples)."""
+        tcp = np.abs(path.curve(at, 1)) * 0.98 * pace.speed_m_s / np.interp(at, s, rate) + 1e-6  # type: ignore[misc]
+        most = np.minimum(velocity, tcp)
+        return np.stack((-most, most), axis=1)
+
+    constraints = [
+        toppra.constraint.JointVelocityConstraintVarying(speed_limits),
+        toppra.constraint.JointAccelerationConstraint(
+            np.stack((-acceleration, acceleration), axis=1),
+            discretization_scheme=toppra.constraint.DiscretizationType.Interpolation,
+        ),
+    ]
+    solver = toppra.algorithm.TOPPRA(constraints, path.curve, gridpoints=np.linspace(0, path.length, 61))
+    curve = solver.compute_trajectory(0.0, 0.0)
+    assert curve is not None, "from rest to rest within limits there is always a way: slowly"
+    time_s = _knot_times(curve.duration)
+    return _at_rest(Timed(path.space, time_s, curve(time_s), curve(time_s, 1), curve(time_s, 2)), path)
+
+
+def _tcp_rate(arm: ArmModel, q: Array, slope: Array) -> Array:
+    """Metres (or METRES_PER_RAD times rad) that the tcp moves per unit of s, at each row."""
+    return np.array([float(np.linalg.norm(arm.jacobian(row)[:3] @ by)) for row, by in zip(q, slope, strict=True)])
+
+
+def _knot_times(duration_s: float) -> Array:
+    pieces = min(MOST_KNOTS, max(2, math.ceil(duration_s / KNOT_S)))
+    return np.linspace(0.0, duration_s, pieces + 1)
+
+
+def _at_rest(timed: Timed, path: Path) -> Timed:
+    """Rounding removed from both ends: exactly where the path begins and ends, exactly still."""
+    timed.positions[0], timed.positions[-1] = path.knots[0], path.knots[-1]
+    timed.velocities[[0, -1]] = 0.0
+    return timed
+
+
+def _staying(path: Path) -> Timed:
+    still = np.zeros((2, path.knots.shape[1]))
+    return Timed(path.space, np.array((0.0, KNOT_S)), np.tile(path.knots[-1], (2, 1)), still, still)
