@@ -40,6 +40,7 @@ QUEUE_LENGTH = 10_000  # messages per peer that ZeroMQ holds before it drops (RO
 LINGER_MS = 200  # how long the last words of a process may take to leave it
 RECONNECT_MS, RECONNECT_MAX_MS = 10, 100  # a restarted peer is found again within this
 PR_SET_PDEATHSIG = 1
+_libc = ctypes.CDLL(None)  # opened here: between fork and exec as little as can be is done
 
 
 class Process:
@@ -231,7 +232,6 @@ def freeze_heap() -> None:
 
 def die_with_parent(parent: int) -> None:
     """In a child just forked by `parent`'s main thread: let the kernel kill it when the parent dies. Survives exec."""
-    libc = ctypes.CDLL(None, use_errno=True)
-    libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:  # it died between fork and prctl
         os._exit(1)

@@ -46,6 +46,7 @@ from rtc.world.client import WorldClient
 from rtc.world.model import World
 
 HEARTBEAT_S = 0.5
+HELLO_AGAIN_S = 0.3  # less than a heartbeat: a broker that still does not know us asks again
 FLUSH_S = 0.002  # the longest that a quick job's result waits for company
 QUICK_S = 0.0005  # a worker whose jobs have lately taken less than this is quick
 FRESH_S = 0.002  # a view of the world is good for jobs that were here when it was read, for so long
@@ -100,10 +101,11 @@ class Shell:
         self._view = WorldView(world)
         self._retiring = False
         self._heartbeat = Every(HEARTBEAT_S)
+        self._said_hello_s = 0.0
 
     def run(self) -> None:
         """Work until told to stop, or until the last job is done after being told to retire."""
-        self._say(self._hello)
+        self._say_hello()
         while not self._me.stopping and not (self._retiring and not self._queue):
             if not self._queue:
                 self._me.wait(self._heartbeat.left_s(now_s()))
@@ -131,19 +133,40 @@ class Shell:
     def _hear(self, message: BrokerToWorker) -> None:
         match message:
             case JobBatch(jobs=[]):
-                self._queue.clear()
-                self._results.clear()
-                self._say(self._hello)
+                self._begin_anew()
             case JobBatch(jobs=jobs):
                 came_s = now_s()
                 self._queue.extend((job, came_s) for job in jobs)
             case Drop(jobs=unwanted):
-                self._queue = deque(entry for entry in self._queue if entry[0].id not in unwanted)
+                self._drop(unwanted)
             case ProgramBody(digest=digest, body=body):
                 if digest == self._wanted:
                     self._came.append(body)
             case Shutdown():
                 self._retiring = True
+
+    def _begin_anew(self) -> None:
+        """The broker does not know us. Several of our heartbeats may have made it ask: one hello is the answer to all."""
+        if now_s() - self._said_hello_s < HELLO_AGAIN_S:
+            return
+        self._queue.clear()
+        self._results.clear()
+        self._say_hello()
+
+    def _say_hello(self) -> None:
+        self._said_hello_s = now_s()
+        self._say(self._hello)
+
+    def _drop(self, unwanted: list[str]) -> None:
+        """Jobs not begun are answered without being done, so that the broker sees the room they leave."""
+        entries, self._queue = self._queue, deque()
+        for entry in entries:
+            job = entry[0]
+            if job.id in unwanted:
+                refusal = Refusal(reason=RefusalReason.STATE, message="dropped: no longer wanted")
+                self._answer(JobRefused(id=job.id, attempt=job.attempt, refusal=refusal))
+            else:
+                self._queue.append(entry)
 
     def _flush(self, late: bool) -> None:
         """Send the results, unless more of them will come very soon."""

@@ -1,0 +1,148 @@
+"""One process of the cluster, as its parent sees it: started, heard to be ready, seen to end. It decides nothing."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+from collections import deque
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from deploy.restarts import Death
+from rtc.process import die_with_parent, now_s
+
+LOG_LIMIT = 10 << 20  # bytes; then the log becomes NAME.log.1 and begins anew
+REMEMBERED_DEATHS = 100
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What to run under which name. It must write the line `ready` to its stdout."""
+
+    name: str
+    command: tuple[str, ...]
+    node: int | None = None  # a worker's address
+
+
+class State(StrEnum):
+    """Where a process is; the word `rtc status` shows."""
+
+    STARTING = "starting"
+    READY = "ready"
+    WAITING = "restarting"  # until its next start
+    FAILED = "failed"  # given up
+    ENDING = "ending"  # told to end
+    ENDED = "ended"
+
+
+class Child:
+    """`exited_fd` becomes readable when the process ends, `output_fd` when it says something."""
+
+    def __init__(self, spec: Spec, log: Path) -> None:
+        self.spec = spec
+        self.log = log
+        self.state = State.WAITING
+        self.since_s = now_s()
+        self.restarts = 0
+        self.deaths: deque[Death] = deque(maxlen=REMEMBERED_DEATHS)
+        self.start_at_s = 0.0  # while WAITING: when to start it
+        self.kill_at_s = 0.0  # while ENDING: when patience ends
+        self.exited_fd = self.output_fd = -1
+        self._popen: subprocess.Popen[bytes] | None = None
+        self.output_over = False  # it has closed its stdout
+        self._line = b""
+
+    @property
+    def pid(self) -> int:
+        """0 = none."""
+        return self._popen.pid if self._popen else 0
+
+    def become(self, state: State) -> None:
+        self.state, self.since_s = state, now_s()
+
+    def start(self) -> None:
+        """Fork it, its stderr going to the log. Raises OSError when the command cannot be run."""
+        me = os.getpid()
+        limit_log(self.log)
+        with open(self.log, "ab") as log:
+            self._popen = subprocess.Popen(
+                self.spec.command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                start_new_session=True,  # Ctrl-C is for the supervisor, who ends the others in order
+                preexec_fn=lambda: die_with_parent(me),
+                env=os.environ | ONE_THREAD,
+            )
+        assert self._popen.stdout is not None
+        self.output_fd = self._popen.stdout.fileno()
+        os.set_blocking(self.output_fd, False)
+        self.exited_fd = os.pidfd_open(self._popen.pid)
+        self._line, self.output_over = b"", False
+        self.become(State.STARTING)
+
+    def heard_ready(self) -> bool:
+        """Read what it said; True when `ready` was among it. Anything else it prints goes to its log."""
+        said = self._read()
+        *lines, self._line = (self._line + said).split(b"\n")
+        other = [line for line in lines if line.strip() != b"ready"]
+        if other:
+            with open(self.log, "ab") as log:
+                log.write(b"\n".join([*other, b""]))
+        return len(other) < len(lines)
+
+    def _read(self) -> bytes:
+        try:
+            said = os.read(self.output_fd, 1 << 16)
+        except BlockingIOError:
+            return b""
+        self.output_over = not said
+        return said
+
+    def signal(self, number: signal.Signals) -> None:
+        if self._popen and self._popen.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                self._popen.send_signal(number)
+
+    def reap(self) -> int:
+        """Its exit status, negative for a signal, once `exited_fd` says it is over."""
+        assert self._popen is not None
+        assert self._popen.stdout is not None
+        status = self._popen.wait()
+        self._popen.stdout.close()
+        os.close(self.exited_fd)
+        self._popen = None
+        self.exited_fd = self.output_fd = -1
+        return status
+
+    def log_tail(self, lines: int = 15) -> str:
+        """The last words of its log."""
+        try:
+            with open(self.log, "rb") as log:
+                log.seek(max(0, log.seek(0, os.SEEK_END) - 8192))
+                return "\n".join(log.read().decode(errors="replace").splitlines()[-lines:])
+        except OSError:
+            return ""
+
+
+# Numeric libraries start a thread per core when they are imported; many workers on few cores only lose by that.
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+def limit_log(log: Path) -> None:
+    """Put a log that has grown too long aside. Its writer has it open for appending and goes on at the beginning."""
+    with contextlib.suppress(FileNotFoundError):
+        if log.stat().st_size > LOG_LIMIT:
+            shutil.copyfile(log, log.with_suffix(".log.1"))
+            os.truncate(log, 0)
+
+
+def in_words(status: int) -> str:
+    """An exit status for people: `killed by SIGKILL`, `ended with status 1`."""
+    if status < 0:
+        return f"killed by {signal.Signals(-status).name}"
+    return f"ended with status {status}"

@@ -1,0 +1,262 @@
+"""One cluster in its run directory: who may start it, what lies there, which processes it has, how it is ended.
+
+    settings.json  supervisor.json  lease.key  logs/NAME.log  *.sock  *.db
+    previous/         databases and logs of the cluster before
+    supervisor.lock   held by the supervisor as long as it lives; the kernel lets go of it however it dies
+
+A cluster begins with a clean world: its predecessor's databases and logs are put into previous/.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import zmq
+
+from deploy import hypercube
+from deploy.child import Spec
+from deploy.supervisor import END_LIMIT_S, Supervisor
+from rtc import process
+from rtc.outcomes import ClusterError, NoCluster
+from rtc.settings import ENDPOINTS, Settings, prepare_run_dir
+from rtc.world import lease
+
+REPORT = "supervisor.json"
+LOCK = "supervisor.lock"
+LOGS = "logs"
+PREVIOUS = "previous"
+DETACHED_LIMIT_S = 45.0  # of the one who waits; the supervisor itself gives up sooner
+
+
+def specs(settings: Settings) -> list[Spec]:
+    """The processes of a cluster."""
+    return [
+        _spec("broker", "broker", settings),
+        _spec("world", "rtc.world", settings),
+        _spec("MCM", "sim_mcm", settings),
+        *(worker(settings, address) for address in hypercube.addresses(settings.dim)),
+    ]
+
+
+def worker(settings: Settings, address: int) -> Spec:
+    kind = hypercube.kind_of(address)
+    return _spec(hypercube.name_of(address), "workers", settings, "--kind", kind, "--node", str(address), node=address)
+
+
+def _spec(name: str, module: str, settings: Settings, *more: str, node: int | None = None) -> Spec:
+    # -P: a folder called `broker` where the user happens to stand must not be taken for ours.
+    return Spec(name, (sys.executable, "-P", "-m", module, "--run-dir", settings.run_dir, *more), node)
+
+
+# --- up ------------------------------------------------------------------------------------------------
+
+
+def up(settings: Settings, say: Any = print, detach_output: bool = False) -> None:
+    """Start the cluster and stay with it until it is told to end. `detach_output`: once it is ready, let go of the
+    stdout and stderr we were given. Raises ClusterError, everything stopped, when it does not come up."""
+    begun_s = process.now_s()
+    settings = msgspec.structs.replace(settings, run=secrets.token_hex(4))
+    run_dir = prepare_run_dir(settings.path)
+    with _lock(run_dir):
+        _clean(run_dir)
+        settings.save()
+        _new_key(run_dir)
+        logs = run_dir / LOGS
+        logs.mkdir(mode=0o700)
+        report = _Report(run_dir, settings.run)
+        report.save([])
+        with process.start("supervisor", run_dir) as me:
+            supervisor = Supervisor(
+                me,
+                specs(settings),
+                logs,
+                settings.endpoint("supervisor"),
+                pid=os.getpid(),
+                new_worker=lambda address: worker(settings, address),
+                say=say,
+                save=report.save,
+            )
+            try:
+                _start(supervisor, settings)
+                say(f"ready in {process.now_s() - begun_s:.2f} s: cluster {report.cluster} in {run_dir}")
+                if detach_output:
+                    _let_go(logs / "supervisor.log")
+                process.freeze_heap()
+                supervisor.run()
+            finally:
+                supervisor.stop()
+                _remove_traces(run_dir)
+
+
+def _start(supervisor: Supervisor, settings: Settings) -> None:
+    try:
+        supervisor.start()
+    except ClusterError:
+        # Most often it is the cell file; then say so in one line. Imported only now: it brings numpy, and nothing
+        # should stand between `up` and the start of the processes.
+        from rtc.cell import Cell
+
+        Cell.load(settings.cell)
+        raise
+
+
+def up_detached(command: list[str], say: Any = print) -> None:
+    """Start `command` (an `up` that detaches its output) in a session of its own; return when its cluster is ready.
+    Raises ClusterError with its last words when it fails."""
+    starter = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+        text=True,
+    )
+    assert starter.stdout is not None
+    ready = False
+    try:
+        for line in starter.stdout:  # ends when it lets go of its output, or dies
+            say(line.rstrip())
+            ready = ready or line.startswith("ready in")
+    except KeyboardInterrupt:
+        starter.terminate()
+        raise
+    if not ready:
+        raise ClusterError(f"the cluster did not come up (status {starter.wait(DETACHED_LIMIT_S)})")
+
+
+class _Report:
+    """supervisor.json: who the supervisor is and what it runs. Always whole: written aside, then renamed."""
+
+    def __init__(self, run_dir: Path, cluster: str) -> None:
+        self._path = run_dir / REPORT
+        self.cluster = cluster
+        self._started_at = time.time()
+
+    def save(self, table: list[dict[str, Any]]) -> None:
+        document = {
+            "pid": os.getpid(),
+            "cluster": self.cluster,
+            "started_at": self._started_at,  # seconds since 1970
+            "processes": table,
+        }
+        aside = self._path.with_suffix(".new")
+        aside.write_bytes(msgspec.json.format(msgspec.json.encode(document)))
+        os.replace(aside, self._path)
+
+
+def _let_go(log: Path) -> None:
+    """Go on writing into a log: whoever started us sees the end of our output, and knows."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    fd = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+    os.dup2(fd, 1)
+    os.dup2(fd, 2)
+    os.close(fd)
+
+
+# --- down ----------------------------------------------------------------------------------------------
+
+
+def down(run_dir: Path, limit_s: float = END_LIMIT_S + 3.0) -> int:
+    """End the cluster in this directory; the pid of its supervisor. Raises NoCluster when there is none."""
+    running = _running(run_dir)
+    if running is None:
+        if run_dir.is_dir():
+            with _lock(run_dir):  # refused while one is just starting
+                _remove_traces(run_dir)
+        raise NoCluster(f"no cluster is running in {run_dir}")
+    pid, gone = running
+    try:
+        for number, patience_s in ((signal.SIGTERM, limit_s), (signal.SIGKILL, 2.0)):
+            with contextlib.suppress(ProcessLookupError):
+                signal.pidfd_send_signal(gone, number)
+            if _ended(gone, patience_s):
+                break
+    finally:
+        os.close(gone)
+    with contextlib.suppress(ClusterError), _lock(run_dir):  # unless the next one is already there
+        _remove_traces(run_dir)
+    return pid
+
+
+def _running(run_dir: Path) -> tuple[int, int] | None:
+    """(pid, pidfd) of the supervisor that holds this directory."""
+    try:
+        pid = msgspec.json.decode((run_dir / REPORT).read_bytes())["pid"]
+        gone = os.pidfd_open(pid)
+    except (OSError, KeyError, msgspec.DecodeError):
+        return None
+    # The pid may be of an unrelated process by now: only while somebody holds the lock is it the supervisor's.
+    try:
+        with _lock(run_dir):
+            os.close(gone)
+            return None
+    except ClusterError:
+        return pid, gone
+
+
+def _ended(pidfd: int, patience_s: float) -> bool:
+    poller = zmq.Poller()
+    poller.register(pidfd, zmq.POLLIN)
+    return bool(poller.poll(int(1000 * patience_s)))
+
+
+# --- the directory -------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _lock(run_dir: Path) -> Iterator[None]:
+    """Be the only one to run a cluster here. Raises ClusterError that names who does."""
+    with open(run_dir / LOCK, "a") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ClusterError(
+                f"a cluster is already running in {run_dir}: {_owner(run_dir)}; end it with: rtc down"
+            ) from None
+        yield
+
+
+def _owner(run_dir: Path) -> str:
+    try:
+        return f"supervisor pid {msgspec.json.decode((run_dir / REPORT).read_bytes())['pid']}"
+    except (OSError, KeyError, msgspec.DecodeError):
+        return "its supervisor is just starting or ending"
+
+
+def _clean(run_dir: Path) -> None:
+    """Take away what a cluster that was here before has left."""
+    _remove_traces(run_dir)
+    previous = run_dir / PREVIOUS
+    shutil.rmtree(previous, ignore_errors=True)
+    previous.mkdir(mode=0o700)
+    for left in (*run_dir.glob("*.db"), *run_dir.glob("*.db-wal"), *run_dir.glob("*.db-shm"), run_dir / LOGS):
+        if left.exists():
+            left.rename(previous / left.name)
+
+
+def _remove_traces(run_dir: Path) -> None:
+    """What says that a cluster is here: its sockets, which killed processes leave behind, and the report."""
+    (run_dir / REPORT).unlink(missing_ok=True)
+    for file in ENDPOINTS.values():
+        (run_dir / file).unlink(missing_ok=True)
+
+
+def _new_key(run_dir: Path) -> None:
+    path = run_dir / lease.KEY_FILE
+    path.unlink(missing_ok=True)
+    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with open(fd, "wb") as file:
+        file.write(secrets.token_bytes(lease.KEY_BYTES))

@@ -1,0 +1,283 @@
+"""The supervisor: starts the processes of a cluster, hears them become ready, sees them end, starts them again.
+
+It watches file descriptors (a pidfd and a pipe for each process), so a death is known, and told to the broker, within
+a millisecond, without any polling. When to restart is `restarts.delay_s`'s decision. What the processes are it does
+not know: it is given a list of `Spec`s, and a function that makes the spec of a new worker.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from deploy import hypercube
+from deploy.child import Child, Spec, State, in_words, limit_log
+from deploy.restarts import DEFAULT, Death, Policy, delay_s
+from rtc import wire
+from rtc.messages import (
+    BrokerToSupervisor,
+    KillProcess,
+    ProcessExited,
+    ProcessTable,
+    RetireWorker,
+    Shutdown,
+    SpawnWorker,
+    SupervisorHello,
+)
+from rtc.outcomes import ClusterError, WireError
+from rtc.process import Every, Process, inbox, now_s, send
+
+START_LIMIT_S = 30.0  # until every process is ready
+END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL
+TABLE_S = 2.0
+
+
+class Supervisor:
+    """`start`, then `run` until told to stop, then `stop`; `stop` also after an exception.
+
+    `say` gets one line for people at a time, `save` the process table after every change of it.
+    """
+
+    def __init__(
+        self,
+        me: Process,
+        specs: Sequence[Spec],
+        logs: Path,
+        broker: str,
+        *,
+        pid: int,
+        new_worker: Callable[[int], Spec],
+        say: Callable[[str], None] = lambda line: None,
+        save: Callable[[list[dict[str, Any]]], None] = lambda table: None,
+        policy: Policy = DEFAULT,
+    ) -> None:
+        self._me = me
+        self._logs = logs
+        self._pid = pid
+        self._new_worker, self._say, self._save = new_worker, say, save
+        self._policy = policy
+        self._children = {spec.name: Child(spec, logs / f"{spec.name}.log") for spec in specs}
+        self._by_fd: dict[int, Child] = {}
+        self._broker = me.socket(zmq.DEALER, broker, identity="supervisor")
+        self._read = wire.reader(BrokerToSupervisor)
+        self._table = Every(TABLE_S)
+        self._begun_s = now_s()
+        self._up = False  # every process has been ready once
+
+    # --- the three phases ------------------------------------------------------------------------------
+
+    def start(self, limit_s: float = START_LIMIT_S) -> None:
+        """Start all at once and wait until each is ready. Raises ClusterError, with the log of the one that failed.
+
+        No restarts in this phase: what does not start the first time will hardly start the second.
+        """
+        self._tell(SupervisorHello(pid=self._pid))
+        for child in self._children.values():
+            self._spawn(child)
+        end_s = self._begun_s + limit_s
+        while waiting := [child for child in self._children.values() if child.state != State.READY]:
+            if now_s() >= end_s:
+                raise _not_ready(waiting, limit_s)
+            if self._me.stopping:
+                raise ClusterError("told to stop before the cluster was ready")
+            self._turn(end_s - now_s())
+        self._up = True
+        self._changed()
+
+    def run(self) -> None:
+        """Watch, restart, obey the broker; until told to stop."""
+        while not self._me.stopping:
+            self._turn(self._patience_s())
+            self._start_waiting()
+            self._kill_impatiently()
+            if self._table.due(now_s()):
+                self._tell_table()
+                for child in self._children.values():
+                    limit_log(child.log)
+
+    def stop(self, limit_s: float = END_LIMIT_S) -> None:
+        """End all: SIGTERM, and SIGKILL for whoever has not ended within the limit."""
+        self._up = False
+        running = [child for child in self._children.values() if child.pid]
+        for child in running:
+            self._end(child, limit_s)
+        while any(child.pid for child in running):
+            self._kill_impatiently()
+            left_s = max(0.0, min((c.kill_at_s for c in running if c.pid), default=0.0) - now_s())
+            self._turn(left_s or 0.1)
+        self._save(self.table())
+
+    # --- one turn of the loop --------------------------------------------------------------------------
+
+    def _turn(self, timeout_s: float) -> None:
+        """Hear everything once. Nothing is started in here: a new process could get the file descriptors of one that
+        has ended in this turn, and be taken for it."""
+        for source in self._me.wait(timeout_s):
+            if source is self._broker:
+                self._listen()
+            elif (child := self._by_fd.get(source)) is None:
+                pass  # it ended earlier in this turn
+            elif source == child.output_fd:
+                self._heard(child)
+            else:
+                self._exited(child)
+
+    def _patience_s(self) -> float:
+        """Until the next thing that happens by the clock."""
+        now = now_s()
+        starts = (c.start_at_s - now for c in self._children.values() if c.state == State.WAITING)
+        kills = (c.kill_at_s - now for c in self._children.values() if c.state == State.ENDING)
+        return max(0.0, min(self._table.left_s(now), *starts, *kills, 3600.0))
+
+    def _start_waiting(self) -> None:
+        for child in self._children.values():
+            if child.state == State.WAITING and now_s() >= child.start_at_s:
+                self._spawn(child)
+                self._changed()
+
+    def _kill_impatiently(self) -> None:
+        for child in self._children.values():
+            if child.state == State.ENDING and now_s() >= child.kill_at_s:
+                child.signal(signal.SIGKILL)
+                child.kill_at_s = now_s() + 1.0
+
+    # --- what happens to processes ---------------------------------------------------------------------
+
+    def _spawn(self, child: Child) -> None:
+        try:
+            child.start()
+        except OSError as error:
+            raise ClusterError(f"{child.spec.name} cannot be started: {error}") from error
+        for fd in (child.exited_fd, child.output_fd):
+            self._by_fd[fd] = child
+            self._me.poller.register(fd, zmq.POLLIN)
+
+    def _heard(self, child: Child) -> None:
+        said = child.heard_ready()
+        if child.output_over:
+            self._forget(child.output_fd)
+        if said and child.state == State.STARTING:
+            took_s = now_s() - (self._begun_s if not self._up else child.since_s)
+            child.become(State.READY)
+            self._say(f"{child.spec.name:<14} ready  {took_s:5.2f} s  pid {child.pid}")
+            self._changed()
+            if child.spec.name == "broker" and self._up:
+                self._tell(SupervisorHello(pid=self._pid))
+                self._tell_table()
+
+    def _exited(self, child: Child) -> None:
+        """Tell the broker first: until it knows, the process's work waits."""
+        self._heard(child)  # its last words
+        self._forget(child.exited_fd)
+        self._forget(child.output_fd)
+        pid, state, name = child.pid, child.state, child.spec.name
+        status = child.reap()
+        if state == State.ENDING:
+            child.become(State.ENDED)
+            self._tell(ProcessExited(name=name, pid=pid, status=status, restarting=False))
+            if self._up:  # a worker that has retired
+                del self._children[name]
+                self._say(f"{name} has retired")
+                self._changed()
+            return
+        child.deaths.append(Death(now_s(), was_ready=state == State.READY))
+        delay = delay_s(self._policy, child.deaths) if self._up else None
+        self._tell(ProcessExited(name=name, pid=pid, status=status, restarting=delay is not None))
+        if not self._up:
+            raise ClusterError(f"{name} {in_words(status)} before the cluster was ready.\n{_log_of(child)}")
+        self._mourn(child, status, delay)
+
+    def _mourn(self, child: Child, status: int, delay: float | None) -> None:
+        what = f"{child.spec.name} {in_words(status)}"
+        if delay is None:
+            child.become(State.FAILED)
+            self._say(f"{what}; given up after {len(child.deaths)} deaths, see {child.log}")
+        else:
+            child.become(State.WAITING)
+            child.restarts += 1
+            child.start_at_s = now_s() + delay
+            self._say(f"{what}; restarting" + (f" in {delay:g} s" if delay else ""))
+        self._changed()
+
+    def _forget(self, fd: int) -> None:
+        if self._by_fd.pop(fd, None):
+            self._me.poller.unregister(fd)
+
+    def _end(self, child: Child, limit_s: float) -> None:
+        child.become(State.ENDING)
+        child.kill_at_s = now_s() + limit_s
+        child.signal(signal.SIGTERM)
+
+    # --- to and from the broker ------------------------------------------------------------------------
+
+    def _tell(self, message: Any) -> None:
+        if not send(self._broker, message):
+            self._me.log.warning("no room for %s to the broker", type(message).__name__)
+
+    def _tell_table(self) -> None:
+        self._tell(ProcessTable(processes=self.table()))
+
+    def _changed(self) -> None:
+        self._save(self.table())
+        if self._up:
+            self._tell_table()
+
+    def table(self) -> list[dict[str, Any]]:
+        return [
+            {
+                "name": child.spec.name,
+                "pid": child.pid,
+                "state": child.state.value,
+                "restarts": child.restarts,
+                "since_s": child.since_s,
+                "node": child.spec.node,
+            }
+            for child in self._children.values()
+        ]
+
+    def _listen(self) -> None:
+        for parts in inbox(self._broker):
+            try:
+                self._obey(self._read(parts))
+            except WireError as error:
+                self._me.log.warning("dropped a message of the broker: %s", error)
+
+    def _obey(self, order: BrokerToSupervisor) -> None:
+        match order:
+            case KillProcess(name=name, pid=pid, why=why):
+                child = self._children.get(name)
+                if child and child.pid == pid:  # else it has ended meanwhile
+                    self._say(f"{name} (pid {pid}) is killed: {why}")
+                    child.signal(signal.SIGKILL)
+            case SpawnWorker(kind=kind):
+                taken = {c.spec.node for c in self._children.values() if c.spec.node is not None}
+                spec = self._new_worker(hypercube.next_free(kind, taken))
+                self._children[spec.name] = Child(spec, self._logs / f"{spec.name}.log")
+            case RetireWorker(name=name):
+                child = self._children.get(name)
+                if child and child.spec.node is not None:
+                    self._retire(child)
+            case Shutdown():
+                self._say("the broker asks the cluster to end")
+                self._me.stop()
+
+    def _retire(self, child: Child) -> None:
+        if child.pid:
+            self._end(child, END_LIMIT_S)
+        else:
+            del self._children[child.spec.name]
+        self._changed()
+
+
+def _not_ready(waiting: Sequence[Child], limit_s: float) -> ClusterError:
+    names = ", ".join(child.spec.name for child in waiting)
+    return ClusterError(f"not ready within {limit_s:g} s: {names}.\n{_log_of(waiting[0])}")
+
+
+def _log_of(child: Child) -> str:
+    tail = child.log_tail() or "(it said nothing)"
+    return f"The end of {child.log}:\n" + "\n".join(f"    {line}" for line in tail.splitlines())

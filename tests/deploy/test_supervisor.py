@@ -1,0 +1,248 @@
+"""The supervisor with real, small processes and a real broker's end of its socket."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+
+import pytest
+import zmq
+
+from deploy.child import Spec
+from deploy.restarts import DEFAULT, Policy
+from deploy.supervisor import Supervisor
+from rtc import wire
+from rtc.messages import (
+    KillProcess,
+    ProcessExited,
+    ProcessTable,
+    RetireWorker,
+    Shutdown,
+    SpawnWorker,
+    SupervisorHello,
+    SupervisorToBroker,
+    WorkerKind,
+)
+from rtc.outcomes import ClusterError
+from rtc.process import Process, send
+
+pytestmark = pytest.mark.slow
+
+GOOD = "import signal; print('ready', flush=True); signal.pause()"
+STUBBORN = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('ready', flush=True); signal.pause()"
+BAD = "import sys; sys.exit('no such cell: moon base')"
+MUTE = "import signal; signal.pause()"
+CHATTY = "import signal; print('build time: today\\nready\\nmore', flush=True); signal.pause()"
+
+
+def spec(name, code, node=None):
+    return Spec(name, (sys.executable, "-S", "-E", "-c", code), node)
+
+
+class Cluster:
+    """A supervisor at work in a thread, the broker it talks to, and what it said and saved."""
+
+    def __init__(self, path, specs, policy=DEFAULT):
+        self.lines, self.saved = [], []
+        self.broker_process = Process("broker", path)
+        endpoint = f"ipc://{path}/supervisor.sock"
+        self.broker = self.broker_process.socket(zmq.ROUTER, endpoint, bind=True)
+        self.read = wire.reader(SupervisorToBroker)
+        self.process = Process("supervisor", path)
+        self.supervisor = Supervisor(
+            self.process,
+            specs,
+            path,
+            endpoint,
+            pid=os.getpid(),
+            new_worker=lambda address: spec(f"new@{address}", GOOD, address),
+            say=self.lines.append,
+            save=self.saved.append,
+            policy=policy,
+        )
+        self.thread = threading.Thread()
+
+    def _run(self):
+        try:
+            self.supervisor.run()
+        finally:
+            self.supervisor.stop(limit_s=0.3)
+
+    def go(self):
+        # Children die with the thread that has forked them, so it is the one that also runs the supervisor.
+        started = threading.Event()
+        self.thread = threading.Thread(target=lambda: (self.supervisor.start(10), started.set(), self._run()))
+        self.thread.start()
+        assert started.wait(10)
+        return self
+
+    def hear(self, kind):
+        """The next message of this kind."""
+        while True:
+            assert self.broker_process.wait(10), f"no {kind.__name__} came"
+            _, *parts = self.broker.recv_multipart()
+            message = self.read(parts)
+            if isinstance(message, kind):
+                return message
+
+    def hear_table(self, wanted):
+        """The next process table for which `wanted` is true, by name."""
+        while True:
+            table = {row["name"]: row for row in self.hear(ProcessTable).processes}
+            if wanted(table):
+                return table
+
+    def say(self, message):
+        assert send(self.broker, message, to=b"supervisor")
+
+    def close(self):
+        self.process.stop()
+        if self.thread.ident:
+            self.thread.join(10)
+            assert not self.thread.is_alive()
+        self.process.close()
+        self.broker_process.close()
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    made = []
+
+    def make(*specs, **kw):
+        made.append(Cluster(tmp_path, specs, **kw))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_all_are_started_and_the_broker_is_told(cluster):
+    it = cluster(spec("world", GOOD), spec("binder@2", GOOD, 2)).go()
+    assert it.hear(SupervisorHello).pid == os.getpid()
+    table = it.hear_table(lambda t: True)
+    assert {name: row["state"] for name, row in table.items()} == {"world": "ready", "binder@2": "ready"}
+    assert all(alive(row["pid"]) for row in table.values())
+    assert it.saved[-1] == list(table.values())
+
+
+def test_a_killed_process_is_told_at_once_and_comes_back(cluster):
+    it = cluster(spec("world", GOOD), spec("binder@2", GOOD, 2)).go()
+    before = it.hear_table(lambda t: True)["binder@2"]["pid"]
+    os.kill(before, signal.SIGKILL)
+    exited = it.hear(ProcessExited)
+    assert exited == ProcessExited(name="binder@2", pid=before, status=-9, restarting=True)
+    row = it.hear_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]
+    assert (row["pid"] != before, row["restarts"]) == (True, 1)
+
+
+def test_a_process_that_keeps_dying_is_given_up(cluster):
+    it = cluster(spec("binder@2", GOOD, 2), policy=Policy(deaths=3)).go()
+    for _ in range(3):
+        pid = it.hear_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]["pid"]
+        os.kill(pid, signal.SIGKILL)
+        exited = it.hear(ProcessExited)
+    assert exited.restarting is False
+    assert it.hear_table(lambda t: t["binder@2"]["state"] == "failed")["binder@2"]["pid"] == 0
+    assert "given up after 3 deaths" in it.lines[-1]
+
+
+def test_what_cannot_start_fails_the_whole_with_the_end_of_its_log(cluster):
+    it = cluster(spec("world", GOOD), spec("MCM", BAD))
+    with pytest.raises(ClusterError, match=r"(?s)MCM ended with status 1.*no such cell: moon base"):
+        it.supervisor.start(10)
+    pids = [row["pid"] for row in it.supervisor.table() if row["pid"]]
+    it.supervisor.stop()
+    assert not any(alive(pid) for pid in pids)
+
+
+def test_who_never_gets_ready_is_named(cluster):
+    it = cluster(spec("world", GOOD), spec("MCM", MUTE))
+    with pytest.raises(ClusterError, match=r"not ready within 0\.5 s: .*MCM"):
+        it.supervisor.start(0.5)
+    it.supervisor.stop()
+
+
+def test_one_that_will_not_end_is_killed(cluster):
+    it = cluster(spec("world", STUBBORN)).go()
+    pid = it.hear_table(lambda t: True)["world"]["pid"]
+    it.process.stop()
+    it.thread.join(10)
+    assert not alive(pid)
+    assert it.saved[-1][0]["state"] == "ended"
+
+
+def test_what_a_process_prints_goes_to_its_log(cluster, tmp_path):
+    it = cluster(spec("MCM", CHATTY)).go()
+    it.hear_table(lambda t: t["MCM"]["state"] == "ready")
+    it.process.stop()
+    it.thread.join(10)
+    assert (tmp_path / "MCM.log").read_text() == "build time: today\nmore\n"
+
+
+def test_the_broker_has_a_hung_process_killed_but_never_its_successor(cluster):
+    it = cluster(spec("binder@2", STUBBORN, 2)).go()
+    pid = it.hear_table(lambda t: True)["binder@2"]["pid"]
+    it.say(KillProcess(name="binder@2", pid=pid + 100_000, why="an old story"))
+    it.say(KillProcess(name="binder@2", pid=pid, why="no answer for 30 s"))
+    assert it.hear(ProcessExited).status == -9
+    assert it.hear_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]["restarts"] == 1
+    assert [line for line in it.lines if "story" in line] == []
+
+
+def test_workers_are_added_at_the_next_free_address_and_retired(cluster):
+    it = cluster(spec("world", GOOD), spec("binder@2", GOOD, 2)).go()
+    it.say(SpawnWorker(kind=WorkerKind.BINDER))
+    row = it.hear_table(lambda t: "new@6" in t and t["new@6"]["state"] == "ready")["new@6"]
+    it.say(RetireWorker(name="new@6"))
+    assert it.hear(ProcessExited) == ProcessExited(name="new@6", pid=row["pid"], status=-15, restarting=False)
+    it.hear_table(lambda t: "new@6" not in t)
+    it.say(RetireWorker(name="world"))  # not a worker: stays
+    it.say(SpawnWorker(kind=WorkerKind.PARSER))
+    assert "world" in it.hear_table(lambda t: "new@0" in t)
+
+
+def test_rubbish_from_the_socket_is_dropped(cluster):
+    it = cluster(spec("world", GOOD)).go()
+    it.hear_table(lambda t: True)
+    it.broker.send_multipart([b"supervisor", b"RTC1", b"\xff"])
+    it.say(SpawnWorker(kind=WorkerKind.PARSER))
+    it.hear_table(lambda t: "new@0" in t)
+
+
+def test_the_broker_can_end_the_cluster(cluster):
+    it = cluster(spec("world", GOOD)).go()
+    pid = it.hear_table(lambda t: True)["world"]["pid"]
+    it.say(Shutdown())
+    it.thread.join(10)
+    assert not alive(pid)
+
+
+def test_a_killed_process_leaves_no_zombie_and_no_open_file(cluster):
+    it = cluster(spec("binder@2", GOOD, 2)).go()
+    fds = len(os.listdir("/proc/self/fd"))
+    for _ in range(5):
+        os.kill(it.hear_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]["pid"], signal.SIGKILL)
+        it.hear(ProcessExited)
+    it.hear_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 5)
+    assert len(os.listdir("/proc/self/fd")) == fds
+
+
+def test_a_long_log_is_put_aside(tmp_path, monkeypatch):
+    from deploy import child
+
+    monkeypatch.setattr(child, "LOG_LIMIT", 100)
+    log = tmp_path / "MCM.log"
+    log.write_text("x" * 101)
+    child.limit_log(log)
+    assert (log.read_text(), (tmp_path / "MCM.log.1").read_text()) == ("", "x" * 101)
