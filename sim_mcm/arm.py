@@ -1,0 +1,109 @@
+"""What the executor needs of any arm, real or simulated, and nothing else.
+
+Signs, fixed here for every arm: joints in URDF order (rad); the wrench is [Fx Fy Fz Tx Ty Tz] (N, N.m), what the
+surroundings exert ON the hand, in tool axes, about the tcp, as the sensor reads it (no bias taken off); each finger
+has its own travel from the middle of the hand (m), and presses with a force >= 0 (N). This file must not know how an
+arm moves, nor what a primitive is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import msgspec
+
+from rtc.cell import Cell
+from rtc.geometry import Array
+from rtc.primitive import ControlLaw
+from rtc.robot.kinematics import ArmModel
+
+TICK_S = 0.001  # of the servo, and of the simulated world
+
+
+class Sample(msgspec.Struct, gc=False):
+    """All that is measured of one arm in one tick."""
+
+    joints: list[float]
+    velocities: list[float]  # rad/s
+    wrench: list[float]
+    fingers: tuple[float, float]  # m from the middle; the opening is their sum
+    finger_speeds: tuple[float, float]  # m/s, opening is positive
+    finger_forces: tuple[float, float]  # N, pressed towards the middle
+
+
+class HandCommand(msgspec.Struct, frozen=True):
+    """Bring the opening to `width_m` at `speed_m_s`, pressing with at most `force_n`; stays in force until the next."""
+
+    width_m: float
+    force_n: float
+    speed_m_s: float
+
+
+class Traits(msgspec.Struct, frozen=True, kw_only=True):
+    """The figures of an arm that do not change: names, limits, hand."""
+
+    name: str
+    joint_names: list[str]
+    lower: list[float]  # rad
+    upper: list[float]
+    velocity: list[float]  # rad/s
+    max_opening_m: float
+    max_grip_n: float
+    hand_speed_m_s: float
+
+    @staticmethod
+    def of(cell: Cell, name: str) -> Traits:
+        """The traits of an arm of a cell."""
+        spec, limits = cell.arm(name), ArmModel.of(cell, name).limits
+        return Traits(
+            name=name,
+            joint_names=list(spec.joints),
+            lower=limits.lower.tolist(),
+            upper=limits.upper.tolist(),
+            velocity=limits.velocity.tolist(),
+            max_opening_m=spec.gripper.max_opening_m,
+            max_grip_n=spec.gripper.max_force_n,
+            hand_speed_m_s=spec.gripper.speed_m_s,
+        )
+
+
+class Arm(Protocol):
+    """One arm with its hand. `read` once per tick, then `follow`; what is not commanded anew stays in force."""
+
+    traits: Traits
+
+    def read(self) -> Sample:
+        """What the sensors say now."""
+
+    def follow(self, joints: Sequence[float], velocities: Sequence[float], accelerations: Sequence[float]) -> None:
+        """Where to be at the end of this tick."""
+
+    def use_law(self, law: ControlLaw) -> None:
+        """How to follow from now on. ValueError, in words, when there is no such law or a gain is out of range."""
+
+    def command_hand(self, command: HandCommand) -> None: ...
+
+    def tcp_pose(self, joints: Sequence[float]) -> Array:
+        """Where the tcp is with these joints, world frame."""
+
+    def touch(self) -> str:
+        """What a link of the arm (not palm, not fingers) touches, in words; empty = nothing."""
+
+
+class Simulation(Protocol):
+    """A cell with arms in it, that can be stepped, looked at and tampered with. Only the test bench asks for truth."""
+
+    arms: Mapping[str, Arm]
+
+    def step(self) -> None:
+        """One tick of the world."""
+
+    def truth(self) -> dict[str, dict[str, list[float]]]:
+        """poses, velocities of every object; tcp, joints, fingers of every arm."""
+
+    def held(self) -> dict[str, list[str]]:
+        """Arm -> objects that both its fingers press on."""
+
+    def displace(self, name: str, offset: Sequence[float]) -> str:
+        """Move an object with the seat it sits in (x y z roll pitch yaw). Returns why not, or ''."""

@@ -1,0 +1,231 @@
+"""Arms and cell in physics: torques in, joint angles, wrench and contact out, at 1 kHz.
+
+Everything is done by forces: an object is held because the fingers press on it, and for no other reason. What was
+found to be needed for that, with figures, is in docs/physics.md. This file must not know primitives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+import pybullet
+
+from rtc import cell as cells
+from rtc import geometry
+from rtc.geometry import Array
+from rtc.primitive import ControlLaw
+from rtc.robot.kinematics import ArmModel
+from sim_mcm.arm import HandCommand, Sample, Traits
+from sim_mcm.bullet_world import World
+from sim_mcm.hand import Hand, pressed
+from sim_mcm.kinematic_arm import displaced
+from sim_mcm.servo import Servo
+
+FINGER_FRICTION = 1.0
+SPINNING_FRICTION = 0.005  # m; without it a module turns out of the grip about the pads
+DISTANCE, NORMAL_FORCE = 8, 9  # fields of a contact point
+BODY_B, LINK_A = 2, 3
+
+
+class BulletArm:
+    """One arm of the world: its body, sensors and motors."""
+
+    def __init__(self, world: World, name: str) -> None:
+        spec = world.cell.arm(name)
+        self.traits = Traits.of(world.cell, name)
+        self._world = world
+        self._client = world.client
+        self._model = ArmModel.of(world.cell, name)
+        self.body = world.load_arm(name)
+        links = self._indices(12)
+        joints = self._indices(1)
+        self._arm = [joints[joint] for joint in spec.joints]
+        self._finger_joints = [joints[joint] for joint in spec.gripper.finger_joints]
+        self.fingers = [links[link] for link in spec.gripper.finger_links]
+        self._all = [*self._arm, *self._finger_joints]
+        sensor = joints[spec.sensor_joint]
+        self._read_from = [*self._all, sensor]
+        hand = {*self.fingers, links[spec.gripper.palm_link], links.get(spec.tcp_link, -1)}
+        self.upstream = {n: link for link, n in links.items() if n not in hand}
+        self._to_wrench = _sensor_to_tcp(world.cell, name)
+        self._prepare(spec, sensor)
+        self._servo = Servo(self._model, spec.home_rad)
+        self._hand = Hand(
+            HandCommand(spec.gripper.max_opening_m, spec.gripper.max_force_n, spec.gripper.speed_m_s),
+            spec.gripper.max_opening_m,
+        )
+        self._finger_forces = (0.0, 0.0)
+        self._sample = self.read()
+
+    # --- what the executor sees ------------------------------------------------------------------------
+
+    def read(self) -> Sample:
+        states = pybullet.getJointStates(self.body, self._read_from, physicsClientId=self._client)
+        dof = len(self._arm)
+        a, b, sensor = states[dof], states[dof + 1], states[dof + 2]
+        self._sample = Sample(
+            [state[0] for state in states[:dof]],
+            [state[1] for state in states[:dof]],
+            (self._to_wrench @ sensor[2]).tolist(),
+            (a[0], b[0]),
+            (a[1], b[1]),
+            pressed(self._finger_forces),
+        )
+        return self._sample
+
+    def follow(self, joints: Sequence[float], velocities: Sequence[float], accelerations: Sequence[float]) -> None:
+        self._servo.want(joints, velocities, accelerations)
+
+    def use_law(self, law: ControlLaw) -> None:
+        self._servo.use_law(law)
+
+    def command_hand(self, command: HandCommand) -> None:
+        self._hand.command = command
+
+    def tcp_pose(self, joints: Sequence[float]) -> Array:
+        return self._model.fk(joints)
+
+    def touch(self) -> str:
+        points = pybullet.getContactPoints(bodyA=self.body, physicsClientId=self._client)
+        for point in points or ():
+            if point[LINK_A] in self.upstream and point[NORMAL_FORCE] > 0.0:
+                return f"{self.upstream[point[LINK_A]]} touches {self._world.names[point[BODY_B]]}"
+        return ""
+
+    # --- the world's step ------------------------------------------------------------------------------
+
+    def drive(self) -> None:
+        """The motors' torques of this tick; they last for one step only."""
+        sample = self._sample
+        torques = self._servo.torque(sample.joints, sample.velocities)
+        self._finger_forces = self._hand.forces(sample.fingers, sample.finger_speeds)
+        pybullet.setJointMotorControlArray(
+            self.body,
+            self._all,
+            pybullet.TORQUE_CONTROL,
+            forces=[*torques.tolist(), *self._finger_forces],
+            physicsClientId=self._client,
+        )
+
+    def pressed_on(self) -> set[int]:
+        """The bodies that both fingers press on."""
+        by_finger = []
+        for finger in self.fingers:
+            points = pybullet.getContactPoints(bodyA=self.body, linkIndexA=finger, physicsClientId=self._client)
+            by_finger.append({point[BODY_B] for point in points or () if point[NORMAL_FORCE] > 0.0})
+        return by_finger[0] & by_finger[1]
+
+    def mass_matrix(self, joints: Sequence[float]) -> Array:
+        """As the physics has it, fingers closed and left out. For tests: it must be that of the control law's model."""
+        full = pybullet.calculateMassMatrix(self.body, [*joints, 0.0, 0.0], physicsClientId=self._client)
+        dof = len(self._arm)
+        return np.asarray(full)[:dof, :dof]
+
+    # --- making it -------------------------------------------------------------------------------------
+
+    def _indices(self, field: int) -> dict[str, int]:
+        """Name -> index; field 1 of pybullet's joint info is the joint's name, 12 that of its child link."""
+        count = pybullet.getNumJoints(self.body, physicsClientId=self._client)
+        infos = [pybullet.getJointInfo(self.body, n, physicsClientId=self._client) for n in range(count)]
+        return {info[field].decode(): info[0] for info in infos}
+
+    def _prepare(self, spec: cells.Arm, sensor: int) -> None:
+        client = self._client
+        for link in range(-1, pybullet.getNumJoints(self.body, physicsClientId=client)):
+            pybullet.changeDynamics(
+                self.body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=client
+            )
+        for finger in self.fingers:
+            pybullet.changeDynamics(
+                self.body,
+                finger,
+                lateralFriction=FINGER_FRICTION,
+                spinningFriction=SPINNING_FRICTION,
+                physicsClientId=client,
+            )
+        # A motor that nobody asked for locks every joint until it is switched off.
+        pybullet.setJointMotorControlArray(
+            self.body, self._all, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._all), physicsClientId=client
+        )
+        pybullet.enableJointForceTorqueSensor(self.body, sensor, True, physicsClientId=client)
+        for joint, value in zip(self._arm, spec.home_rad, strict=True):
+            pybullet.resetJointState(self.body, joint, value, 0.0, physicsClientId=client)
+        for joint in self._finger_joints:
+            pybullet.resetJointState(self.body, joint, 0.5 * spec.gripper.max_opening_m, 0.0, physicsClientId=client)
+
+
+class BulletCell:
+    """The whole cell in physics."""
+
+    def __init__(self, cell: cells.Cell) -> None:
+        self.cell = cell
+        self.world = World(cell)
+        self.arms = {arm.name: BulletArm(self.world, arm.name) for arm in cell.arms}
+        for _ in range(5):  # the sensors show some tenths of a newton in the first steps after a reset
+            for bullet_arm in self.arms.values():
+                bullet_arm.read()
+            self.step()
+
+    def step(self) -> None:
+        for arm in self.arms.values():
+            arm.drive()
+        pybullet.stepSimulation(physicsClientId=self.world.client)
+
+    def truth(self) -> dict[str, dict[str, list[float]]]:
+        samples = {name: arm.read() for name, arm in self.arms.items()}
+        return {
+            "poses": {name: self.world.pose(name).tolist() for name in self.world.objects},
+            "velocities": {name: self.world.velocity(name) for name in self.world.objects},
+            "tcp": {name: self.arms[name].tcp_pose(sample.joints).tolist() for name, sample in samples.items()},
+            "joints": {name: sample.joints for name, sample in samples.items()},
+            "fingers": {name: list(sample.fingers) for name, sample in samples.items()},
+        }
+
+    def held(self) -> dict[str, list[str]]:
+        bodies = {name: arm.pressed_on() for name, arm in self.arms.items()}
+        return {
+            arm: sorted(name for name in self.world.free if self.world.objects[name].id in pressed_bodies)
+            for arm, pressed_bodies in bodies.items()
+        }
+
+    def displace(self, name: str, offset: Sequence[float]) -> str:
+        if name not in self.world.objects:
+            return f"no object {name}"
+        holders = [arm for arm, names in self.held().items() if name in names]
+        if holders:
+            return f"{name} is held by {', '.join(holders)}"
+        before = self.world.pose(name)
+        after = displaced(before, offset)
+        self.world.place(self.world.objects[name], after)
+        seat = self.cell.object(name).seat
+        if seat is not None and name in self._seated(seat):
+            body = self.world.seats[seat]
+            body.home = geometry.compose(after, geometry.relative(before, body.home))
+            self.world.place(body, body.home)
+        return ""
+
+    def close(self) -> None:
+        self.world.close()
+
+    def _seated(self, seat: str) -> set[str]:
+        """The objects that are where this seat holds them."""
+        module = geometry.compose(self.world.seats[seat].home, self.cell.seat(seat).module_frame.pose)
+        return {name for name in self.world.free if geometry.distance(self.world.pose(name), module) < 0.02}
+
+
+def _sensor_to_tcp(cell: cells.Cell, name: str) -> Array:
+    """6 x 6: from what pybullet's sensor reads to the wrench on the hand, tool axes, about the tcp.
+
+    pybullet gives MINUS the force on what is beyond the joint, in the axes of the link beyond it, the torque about
+    that link's centre of mass (which our URDF puts in its origin).
+    """
+    spec = cell.arm(name)
+    model = pin.buildModelFromXML(cell.urdf(name))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    sensor, tcp = (data.oMf[model.getFrameId(frame)] for frame in (spec.sensor_joint, spec.tcp_link))
+    to_tcp = tcp.actInv(sensor)  # pose of the sensor in tool axes
+    transform: Array = -to_tcp.dualAction if hasattr(to_tcp, "dualAction") else -np.linalg.inv(to_tcp.action).T
+    return transform

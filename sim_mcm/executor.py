@@ -1,0 +1,383 @@
+"""One arm's executor: takes one primitive at a time, carries it out, and ends it for exactly one reason.
+
+    sample -> F, in fixed priority -> reflex -> command          every tick, from the current sample alone (R66)
+
+What may follow what is TRANSITIONS; nothing else changes the state. The executor is pure: it knows neither clock nor
+socket; the caller passes the time and sends what `accept` and `tick` return. It does not know the other arm, nor
+objects: an arm that holds something is an arm whose fingers press.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+
+import msgspec
+
+from rtc import messages as m
+from rtc import primitive as p
+from rtc.outcomes import Reflex, StopReason
+from sim_mcm import acceptance, profiles, stop_functions
+from sim_mcm.arm import TICK_S, Arm, HandCommand
+from sim_mcm.reports import Peaks, Trip, end_report, magnitudes, not_begun
+
+
+class State(Enum):
+    HOLDING = "holding"  # no primitive; the arm stays where it is, the hand keeps its grip
+    EXECUTING = "executing"  # F is evaluated every tick
+    STOPPING = "stopping"  # the reason is fixed; braking, jerk-limited; thresholds masked
+    RETREATING = "retreating"  # reflex BACK_OFF
+    RELEASING = "releasing"  # reflex RELEASE
+    SETTLING = "settling"  # commanded to rest; waiting until it is measured, then the end report
+
+
+class Event(Enum):
+    ACCEPTED = "accepted"  # a primitive that was found good
+    TRIPPED = "tripped"  # a stop function came true
+    HALTED = "halted"  # told to stop from outside
+    DONE = "done"  # what this state does is done
+
+
+TRANSITIONS: dict[State, dict[Event, State]] = {
+    State.HOLDING: {Event.ACCEPTED: State.EXECUTING, Event.HALTED: State.HOLDING},
+    State.EXECUTING: {Event.TRIPPED: State.STOPPING, Event.HALTED: State.STOPPING},
+    State.STOPPING: {Event.DONE: State.SETTLING, Event.HALTED: State.STOPPING},  # DONE: or as AFTER_STOP says
+    State.RETREATING: {Event.DONE: State.SETTLING, Event.HALTED: State.STOPPING},
+    State.RELEASING: {Event.DONE: State.SETTLING, Event.HALTED: State.STOPPING},
+    State.SETTLING: {Event.DONE: State.HOLDING, Event.HALTED: State.SETTLING},
+}
+AFTER_STOP: dict[Reflex, State] = {
+    Reflex.STOP: State.SETTLING,
+    Reflex.BACK_OFF: State.RETREATING,
+    Reflex.RELEASE: State.RELEASING,
+}
+MOVING = frozenset({State.EXECUTING, State.STOPPING, State.RETREATING, State.RELEASING})
+
+# Reasons after which the arm may lean on something: the command goes to where the thing has stopped it.
+TOUCHED = frozenset({StopReason.CONTACT, StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT, StopReason.COLLISION})
+
+REST_RAD_S = 0.005  # measured joint speed that counts as rest
+REST_M_S = 0.002  # of a finger
+GOAL_RAD = 0.002  # measured joint error that counts as there
+WIDTH_M = 0.0005  # the same for the opening of the hand
+PRESSED = 0.95  # share of the commanded force that counts as all of it
+SETTLE_LIMIT_S = 1.0  # of waiting for rest before the end is reported all the same
+RELEASE_LIMIT_S = 3.0
+
+Say = list[m.Started | m.ProgressReport | m.EndReport]
+
+
+class Executor:
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
+        self.name = arm.traits.name
+        self.state = State.HOLDING
+        self.primitive: p.Primitive | None = None
+        self.trip: Trip | None = None
+        self.sample = arm.read()
+        self._ticks = 0  # of this primitive
+        self._profile: profiles.Profile = profiles.Stay(self.sample.joints)
+        self._profile_ticks = 0
+        self._command: profiles.Motion = self._profile.at(0.0)
+        self._follow: profiles.Follow | None = None  # the path of a primitive that has one
+        self._hand = HandCommand(sum(self.sample.fingers), arm.traits.max_grip_n, arm.traits.hand_speed_m_s)
+        self._stops: stop_functions.Stops = []
+        self._bias = [0.0] * 6
+        self._wrench = [0.0] * 6
+        self._peaks = Peaks()
+        self._report_every: int | None = None
+        self._yielded = False
+        self._work: dict[State, Callable[[float], Say]] = {
+            State.HOLDING: lambda now_s: [],
+            State.EXECUTING: self._execute,
+            State.STOPPING: self._stop,
+            State.RETREATING: self._retreat,
+            State.RELEASING: self._release,
+            State.SETTLING: self._settle,
+        }
+        self._enter: dict[State, Callable[[], None]] = {
+            State.HOLDING: self._begin_holding,
+            State.EXECUTING: self._begin_executing,
+            State.STOPPING: self._begin_stopping,
+            State.RETREATING: self._begin_retreat,
+            State.RELEASING: self._begin_release,
+            State.SETTLING: self._begin_settling,
+        }
+
+    # --- what may be asked of it -----------------------------------------------------------------------
+
+    @property
+    def moving(self) -> bool:
+        return self.state in MOVING
+
+    @property
+    def at_rest(self) -> bool:
+        still = max(map(abs, self.sample.velocities)) < REST_RAD_S
+        return still and self.state in (State.HOLDING, State.SETTLING)
+
+    @property
+    def primitive_id(self) -> str:
+        return self.primitive.id if self.primitive else ""
+
+    @property
+    def wrench(self) -> list[float]:
+        """Of this tick, without the bias of the current or last primitive."""
+        return [value - bias for value, bias in zip(self.sample.wrench, self._bias, strict=True)]
+
+    def accept(self, primitive: p.Primitive, now_s: float) -> Say:
+        """Begin it with the next tick, or refuse it: `Started`, or an end report with the reason REFUSED."""
+        why = self._objection(primitive)
+        if why:
+            pose = self.arm.tcp_pose(self.sample.joints)
+            return [not_begun(primitive.id, self.name, why, at_s=now_s, sample=self.sample, tcp_pose=pose)]
+        self.primitive = primitive
+        self._happen(Event.ACCEPTED)
+        return [m.Started(primitive=primitive.id, at_s=now_s)]
+
+    def halt(self) -> bool:
+        """Brake with the next tick, whatever it does. True: it was in motion."""
+        was_moving = self.moving
+        if self.state is State.EXECUTING:
+            self._trip(Trip(reason=StopReason.HALT), Event.HALTED)
+        else:
+            if self.trip is not None:  # the reason stands; of the reflex only the stop is left
+                self.trip = msgspec.structs.replace(self.trip, reflex=Reflex.STOP)
+            self._happen(Event.HALTED)
+        return was_moving
+
+    def tick(self, now_s: float) -> Say:
+        """One servo tick: read, judge, command."""
+        sample = self.sample = self.arm.read()
+        if self.state is State.HOLDING:  # most arms, most of the time
+            return []
+        if self._ticks == 0:
+            self._bias = list(sample.wrench)
+        self._ticks += 1
+        self._wrench = self.wrench
+        said = self._work[self.state](now_s)
+        self._profile_ticks += 1
+        self._command = self._profile.at(self._profile_ticks * TICK_S)
+        self.arm.follow(*self._command)
+        return said
+
+    # --- the states ------------------------------------------------------------------------------------
+
+    def _begin_holding(self) -> None:
+        self.primitive = None
+        self.trip = None
+        self._follow = None
+
+    def _begin_executing(self) -> None:
+        assert self.primitive is not None
+        trajectory = self.primitive.trajectory
+        self._ticks = 0
+        self._peaks = Peaks()
+        self._yielded = False
+        every_s = self.primitive.reporting.every_s
+        self._report_every = None if every_s is None else max(1, round(every_s / TICK_S))
+        joints = self._command[0]
+        if isinstance(trajectory, p.JointTrajectory):
+            self._follow = profiles.Follow(trajectory, joints)
+            self._use(self._follow)
+        else:
+            self._use(profiles.Stay(joints))
+        if isinstance(trajectory, p.HandMotion):
+            self._use_hand(HandCommand(trajectory.width_m, trajectory.force_n, trajectory.speed_m_s))
+
+    def _execute(self, now_s: float) -> Say:
+        moment = self._moment()
+        self._peaks.take(moment.force_n, moment.torque_nm)
+        found = stop_functions.first(self._stops, moment)
+        if found is not None:
+            stop, (measured, limit, words) = found
+            trip = Trip(
+                reason=stop.reason,
+                reflex=stop.reflex,
+                back_off_m=stop.back_off_m,
+                measured=measured,
+                limit=limit,
+                message=words,
+            )
+            self._trip(trip, Event.TRIPPED)
+            return self._stop(now_s)
+        if self._report_every is not None and self._ticks % self._report_every == 0:
+            return [self._progress(now_s)]
+        return []
+
+    def _begin_stopping(self) -> None:
+        self._use(profiles.Brake(self._command))
+        if self.primitive is not None and isinstance(self.primitive.trajectory, p.HandMotion):
+            self._freeze_hand()
+
+    def _stop(self, now_s: float) -> Say:
+        self._peaks.take(*magnitudes(self._wrench))
+        if self._profile_time_s < self._profile.duration_s:
+            return []
+        assert self.trip is not None
+        following = AFTER_STOP[self.trip.reflex]
+        self._happen(Event.DONE, following)
+        return self._work[following](now_s)
+
+    def _begin_retreat(self) -> None:
+        assert self.trip is not None
+        joints = self._command[0]
+        if self._follow is None or self.trip.back_off_m <= 0.0:
+            self._use(profiles.Stay(joints))  # it came no way: there is none back
+            return
+        tripped_s = self.trip.at_tick * TICK_S
+        self._use(profiles.Retrace(self._follow, tripped_s, joints, self.trip.back_off_m, self.arm.tcp_pose))
+
+    def _retreat(self, now_s: float) -> Say:
+        if self._profile_time_s < self._profile.duration_s:
+            return []
+        self._happen(Event.DONE)
+        return self._settle(now_s)
+
+    def _begin_release(self) -> None:
+        self._use(profiles.Stay(self._command[0]))
+        traits = self.arm.traits
+        self._use_hand(HandCommand(traits.max_opening_m, traits.max_grip_n, traits.hand_speed_m_s))
+
+    def _release(self, now_s: float) -> Say:
+        opened = sum(self.sample.fingers) >= self.arm.traits.max_opening_m - WIDTH_M
+        if not opened and self._profile_time_s < RELEASE_LIMIT_S:
+            return []
+        self._happen(Event.DONE)
+        return self._settle(now_s)
+
+    def _begin_settling(self) -> None:
+        self._use(profiles.Stay(self._command[0]))
+
+    def _settle(self, now_s: float) -> Say:
+        assert self.trip is not None
+        still = (
+            max(map(abs, self.sample.velocities)) < REST_RAD_S and max(map(abs, self.sample.finger_speeds)) < REST_M_S
+        )
+        if self._profile_time_s < self._profile.duration_s:
+            return []
+        if not still and self._profile_time_s < self._profile.duration_s + SETTLE_LIMIT_S:
+            return []
+        if self.trip.reason in TOUCHED and not self._yielded:
+            self._yielded = True
+            self._use(profiles.Yield(self._command, self.sample.joints))
+            return []
+        report = self._end_report(now_s)
+        self._happen(Event.DONE)
+        return [report]
+
+    # --- inside ----------------------------------------------------------------------------------------
+
+    def _happen(self, event: Event, following: State | None = None) -> None:
+        """The one door through which the state changes."""
+        row = TRANSITIONS[self.state]
+        assert event in row, f"{self.name}: {event.value} cannot happen while {self.state.value} ({self.primitive_id})"
+        before, self.state = self.state, following or row[event]
+        if self.state is not before or event is not Event.HALTED:
+            self._enter[self.state]()
+
+    def _trip(self, trip: Trip, event: Event) -> None:
+        assert self.trip is None, "a primitive ends for one reason"
+        pose = self.arm.tcp_pose(self.sample.joints).tolist()
+        self.trip = msgspec.structs.replace(trip, at_tick=self._ticks, pose=pose, wrench=list(self._wrench))
+        self._happen(event)
+
+    def _objection(self, primitive: p.Primitive) -> str:
+        if self.primitive is not None:
+            return f"{self.name} is busy with {self.primitive.id} ({self.state.value})"
+        why = acceptance.objection(primitive, self.arm.traits, self._command[0])
+        if why:
+            return why
+        try:
+            stops = stop_functions.compile_stops(primitive, self.arm.traits)
+            self.arm.use_law(primitive.control_law)
+        except ValueError as error:
+            return str(error)
+        self._stops = stops
+        return ""
+
+    def _use(self, profile: profiles.Profile) -> None:
+        self._profile = profile
+        self._profile_ticks = 0
+
+    def _use_hand(self, command: HandCommand) -> None:
+        self._hand = command
+        self.arm.command_hand(command)
+
+    def _freeze_hand(self) -> None:
+        """What squeezes keeps squeezing; what moves stops."""
+        pressed = min(self.sample.finger_forces)
+        if pressed < 1.0:
+            self._use_hand(HandCommand(sum(self.sample.fingers), self._hand.force_n, self._hand.speed_m_s))
+
+    @property
+    def _profile_time_s(self) -> float:
+        return self._profile_ticks * TICK_S
+
+    def _moment(self) -> stop_functions.Moment:
+        sample = self.sample
+        force_n, torque_nm = magnitudes(self._wrench)
+        return stop_functions.Moment(
+            self._ticks * TICK_S,
+            sample.joints,
+            sample.velocities,
+            self._wrench,
+            force_n,
+            torque_nm,
+            sample.fingers[0] + sample.fingers[1],
+            min(sample.finger_forces),
+            self._arrived(),
+            lambda: self.arm.tcp_pose(sample.joints),
+            self.arm.touch,
+        )
+
+    def _arrived(self) -> stop_functions.Finding | None:
+        """(worst error, tolerance, '') once the goal is reached and the arm has settled."""
+        assert self.primitive is not None
+        trajectory, sample = self.primitive.trajectory, self.sample
+        if isinstance(trajectory, p.HandMotion):
+            return self._hand_arrived(trajectory)
+        if isinstance(trajectory, p.HoldStill):
+            if trajectory.duration_s is None or self._profile_time_s < trajectory.duration_s:
+                return None
+            return self._profile_time_s, trajectory.duration_s, ""
+        if self._profile_time_s < self._profile.duration_s:
+            return None
+        error = max(abs(a - b) for a, b in zip(sample.joints, trajectory.positions[-1], strict=True))
+        if error > GOAL_RAD or max(map(abs, sample.velocities)) > REST_RAD_S:
+            return None
+        return error, GOAL_RAD, ""
+
+    def _hand_arrived(self, trajectory: p.HandMotion) -> stop_functions.Finding | None:
+        if max(map(abs, self.sample.finger_speeds)) > REST_M_S:
+            return None
+        error = abs(sum(self.sample.fingers) - trajectory.width_m)
+        if error <= WIDTH_M:
+            return error, WIDTH_M, ""
+        pressed = min(self.sample.finger_forces)
+        closing = sum(self.sample.fingers) > trajectory.width_m
+        if closing and pressed >= PRESSED * trajectory.force_n:
+            return pressed, trajectory.force_n, ""
+        return None
+
+    def _progress(self, now_s: float) -> m.ProgressReport:
+        return m.ProgressReport(
+            primitive=self.primitive_id,
+            at_s=now_s,
+            joints=self.sample.joints,
+            wrench=self._wrench,
+            tcp_pose=self.arm.tcp_pose(self.sample.joints).tolist(),
+        )
+
+    def _end_report(self, now_s: float) -> m.EndReport:
+        assert self.trip is not None
+        return end_report(
+            self.primitive_id,
+            self.name,
+            self.trip,
+            at_s=now_s,
+            duration_s=self._ticks * TICK_S,
+            sample=self.sample,
+            tcp_pose=self.arm.tcp_pose(self.sample.joints),
+            wrench=self._wrench,
+            peaks=self._peaks,
+        )

@@ -1,0 +1,348 @@
+"""Arms that follow their command exactly, in a cell of shapes that do not give way: the MCM without physics.
+
+What it is good for: everything but dynamics, in microseconds. What is honest in it: joints, frames, and touch. Where
+the command would put palm or fingers into a shape of an object or seat, the arm stays where it was free, and the
+wrist feels the command's depth as a stiff spring: guarded moves find what is there. Fingers stop on what lies between
+them, press with their force, and carry it from then on. What it leaves out: inertia, friction, slip, an object that
+gives way, and any touch by the arm's other links or by what is held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import coal
+import msgspec
+import numpy as np
+import pinocchio as pin
+
+from rtc import cell as cells
+from rtc import geometry
+from rtc.geometry import Array
+from rtc.primitive import ControlLaw
+from rtc.robot.kinematics import ArmModel
+from sim_mcm import control_laws
+from sim_mcm.arm import TICK_S, HandCommand, Sample, Traits
+from sim_mcm.hand import CENTRE_N_M
+
+SPRING_N_M = 50_000.0  # a millimetre of depth would be 50 N; at 20 mm/s a tick adds 1 N
+REACH_M = 0.16  # from the tcp: no part of the hand is farther away
+
+
+class Piece(msgspec.Struct):
+    """One convex shape of an object or seat."""
+
+    owner: str  # of an object or seat
+    geometry: Any
+    local: Array  # 4 x 4, in the axes of its owner
+    radius_m: float
+    placed: Any = None  # coal.Transform3s, world
+    centre: Array = msgspec.field(default_factory=lambda: np.zeros(3))
+
+
+class Touch(msgspec.Struct, frozen=True):
+    owner: str
+    point: Array  # world
+    force: Array  # on the hand, world, N
+
+
+class KinematicCell:
+    """The cell's objects and seats as boxes in space, and the arms among them."""
+
+    def __init__(self, cell: cells.Cell) -> None:
+        self.cell = cell
+        self.poses: dict[str, Array] = {thing.name: cell.object_pose(thing.name) for thing in cell.objects}
+        self.poses |= {seat.name: seat.frame.pose for seat in cell.seats}
+        self.carried: dict[str, tuple[str, Array]] = {}  # object -> arm, pose in tcp axes
+        self.pieces: dict[str, list[Piece]] = {}
+        shapes = {thing.name: thing.shapes for thing in cell.objects} | {seat.name: seat.shapes for seat in cell.seats}
+        for owner, pieces in shapes.items():
+            self.pieces[owner] = [_piece(owner, shape) for shape in pieces]
+            self._place(owner)
+        self.fixed = {thing.name for thing in cell.objects if thing.fixed} | {seat.name for seat in cell.seats}
+        self.arms = {arm.name: KinematicArm(self, arm.name) for arm in cell.arms}
+
+    def step(self) -> None:
+        for arm in self.arms.values():
+            arm.step()
+        for name, (arm_name, grasp) in self.carried.items():
+            self.poses[name] = geometry.compose(self.arms[arm_name].pose, grasp)
+            self._place(name)
+
+    def near(self, point: Array, arm: str, margin_m: float = 0.0) -> Iterator[Piece]:
+        """The pieces a hand at `point` could touch, or come as near; not of what that arm carries."""
+        for name, pieces in self.pieces.items():
+            if name in self.carried and self.carried[name][0] == arm:
+                continue
+            for piece in pieces:
+                reach = REACH_M + margin_m + piece.radius_m
+                d = piece.centre - point
+                if d[0] * d[0] + d[1] * d[1] + d[2] * d[2] < reach * reach:
+                    yield piece
+
+    def truth(self) -> dict[str, dict[str, list[float]]]:
+        names = [thing.name for thing in self.cell.objects]
+        return {
+            "poses": {name: self.poses[name].tolist() for name in names},
+            "velocities": {name: [0.0] * 6 for name in names},
+            "tcp": {name: arm.pose.tolist() for name, arm in self.arms.items()},
+            "joints": {name: list(arm.joints) for name, arm in self.arms.items()},
+            "fingers": {name: list(arm.fingers) for name, arm in self.arms.items()},
+        }
+
+    def held(self) -> dict[str, list[str]]:
+        return {arm: [name for name, (by, _) in self.carried.items() if by == arm] for arm in self.arms}
+
+    def displace(self, name: str, offset: Sequence[float]) -> str:
+        if name not in self.poses or name not in {thing.name for thing in self.cell.objects}:
+            return f"no object {name}"
+        if name in self.carried:
+            return f"{name} is held by {self.carried[name][0]}"
+        before = self.poses[name]
+        after = displaced(before, offset)
+        for owner in (name, self.cell.object(name).seat):
+            if owner is not None:
+                self.poses[owner] = geometry.compose(after, geometry.relative(before, self.poses[owner]))
+                self._place(owner)
+        for arm in self.arms.values():
+            arm.forget_clearance()
+        return ""
+
+    def _place(self, owner: str) -> None:
+        at = geometry.to_matrix(self.poses[owner])
+        for piece in self.pieces[owner]:
+            matrix = at @ piece.local
+            piece.placed = coal.Transform3s(matrix[:3, :3], matrix[:3, 3])
+            piece.centre = matrix[:3, 3]
+
+
+def displaced(pose: Array, offset: Sequence[float]) -> Array:
+    """`pose` moved by x y z and turned by roll pitch yaw, world axes, about its own origin."""
+    turned = geometry.compose(geometry.from_rpy((0, 0, 0), offset[3:]), (0.0, 0.0, 0.0, *pose[3:].tolist()))
+    return geometry.make_pose(pose[:3] + np.asarray(offset[:3]), turned[3:])
+
+
+class KinematicArm:
+    def __init__(self, world: KinematicCell, name: str) -> None:
+        spec = world.cell.arm(name)
+        self.traits = Traits.of(world.cell, name)
+        self._world = world
+        self._model = ArmModel.of(world.cell, name)
+        self._laws = control_laws.known()
+        self.joints = list(spec.home_rad)
+        self._velocities = [0.0] * len(self.joints)
+        self._wanted = (self.joints, self._velocities)
+        half = 0.5 * spec.gripper.max_opening_m
+        self.fingers = [half, half]
+        self._finger_speeds = [0.0, 0.0]
+        self._hand = HandCommand(2 * half, spec.gripper.max_force_n, spec.gripper.speed_m_s)
+        self._pressed_n = [0.0, 0.0]
+        self._parts = _hand_parts(world.cell, name)
+        self._pose: Array | None = None  # of the tcp; worked out when somebody asks
+        self._hand_busy = True  # its command is not yet fulfilled
+        self._clear_m = 0.0  # the hand may move that far before it can touch anything
+        self._wrench = [0.0] * 6
+
+    # --- what the executor sees ------------------------------------------------------------------------
+
+    def read(self) -> Sample:
+        return Sample(
+            self.joints,
+            self._velocities,
+            self._wrench,
+            (self.fingers[0], self.fingers[1]),
+            (self._finger_speeds[0], self._finger_speeds[1]),
+            (self._pressed_n[0], self._pressed_n[1]),
+        )
+
+    def follow(self, joints: Sequence[float], velocities: Sequence[float], accelerations: Sequence[float]) -> None:
+        self._wanted = (list(joints), list(velocities))
+
+    def use_law(self, law: ControlLaw) -> None:
+        control_laws.make(law, self._model, self._laws)  # checked, then not needed: this arm is exact
+
+    def command_hand(self, command: HandCommand) -> None:
+        self._hand = command
+        self._hand_busy = True
+
+    def tcp_pose(self, joints: Sequence[float]) -> Array:
+        return self._model.fk(joints)
+
+    def touch(self) -> str:
+        return ""  # see the head of this file
+
+    @property
+    def pose(self) -> Array:
+        """Of the tcp, now."""
+        if self._pose is None:
+            self._pose = self._model.fk(self.joints)
+        return self._pose
+
+    # --- the world's step ------------------------------------------------------------------------------
+
+    def step(self) -> None:
+        joints, velocities = self._wanted
+        if self._stays_clear(joints):
+            if joints != self.joints:
+                self.joints, self._pose = joints, None
+            self._velocities = velocities
+            return
+        wanted = self._model.fk(joints)
+        touches = list(self._touches(wanted))
+        if touches:  # something is in the way: it stays where it was free
+            self._velocities = [0.0] * len(joints)
+        else:
+            self.joints, self._velocities, self._pose = joints, velocities, wanted
+            self._clear_m = self._clearance(wanted)
+        self._move_fingers()
+        self._wrench = self._feel(wanted, touches)
+
+    def forget_clearance(self) -> None:
+        """Things have moved."""
+        self._clear_m = 0.0
+
+    def _stays_clear(self, joints: Sequence[float]) -> bool:
+        """True: with these joints the hand can touch nothing, whatever way each joint turns it; and the hand rests."""
+        if self._hand_busy or any(arm != self.traits.name for arm, _ in self._world.carried.values()):
+            return False  # fingers move, or something is being carried about
+        self._clear_m -= LEVER_M * sum(abs(a - b) for a, b in zip(joints, self.joints, strict=True))
+        return self._clear_m > 0.0
+
+    def _clearance(self, pose: Array) -> float:
+        tcp = geometry.to_matrix(pose)
+        least = CLEAR_M
+        travels = dict(zip(FINGERS, self.fingers, strict=True))
+        for part, shape, place in self._parts:
+            matrix = tcp @ place(travels.get(part, 0.0))
+            at = coal.Transform3s(matrix[:3, :3], matrix[:3, 3])
+            for piece in self._world.near(pose[:3], self.traits.name, CLEAR_M):
+                least = min(
+                    least, coal.distance(shape, at, piece.geometry, piece.placed, DISTANCE, coal.DistanceResult())
+                )
+        return least
+
+    def _move_fingers(self) -> None:
+        name, command = self.traits.name, self._hand
+        missing = command.width_m - sum(self.fingers)
+        carrying = [thing for thing, (arm, _) in self._world.carried.items() if arm == name]
+        if missing > 0.0:
+            for thing in carrying:
+                del self._world.carried[thing]
+        elif carrying:
+            self._press(command.force_n, command.force_n)
+            self._hand_busy = False
+            return
+        met: list[set[str]] = [set(), set()]
+        before = list(self.fingers)
+        share = max(-0.5 * command.speed_m_s * TICK_S, min(0.5 * command.speed_m_s * TICK_S, 0.5 * missing))
+        for n, finger in enumerate(FINGERS):
+            if missing < 0.0:
+                met[n] = {touch.owner for touch in self._touches(self.pose, finger, self.fingers[n] + share)}
+            if not met[n]:
+                self.fingers[n] = max(0.0, min(0.5 * self.traits.max_opening_m, self.fingers[n] + share))
+        self._finger_speeds = [(now - then) / TICK_S for now, then in zip(self.fingers, before, strict=True)]
+        self._hand_busy = abs(missing) > 1e-9
+        between = met[0] & met[1]
+        if between:
+            self._press(command.force_n, command.force_n)
+            self._attach(min(between))
+        else:
+            aside = 0.5 * CENTRE_N_M * (self.fingers[0] - self.fingers[1])
+            self._press(aside if met[0] else 0.0, -aside if met[1] else 0.0)
+
+    def _press(self, a_n: float, b_n: float) -> None:
+        self._pressed_n = [max(0.0, a_n), max(0.0, b_n)]
+        if a_n > 0.0 and b_n > 0.0:
+            self._finger_speeds = [0.0, 0.0]
+
+    def _attach(self, name: str) -> None:
+        if name not in self._world.fixed and name not in self._world.carried:
+            grasp = geometry.relative(self.pose, self._world.poses[name])
+            self._world.carried[name] = (self.traits.name, grasp)
+
+    def _touches(self, pose: Array, only: str = "", travel: float | None = None) -> Iterator[Touch]:
+        """What palm and fingers (or one finger, at another travel) would touch with the tcp at `pose`."""
+        near = list(self._world.near(pose[:3], self.traits.name))
+        if not near:
+            return
+        tcp = geometry.to_matrix(pose)
+        travels = dict(zip(FINGERS, self.fingers, strict=True))
+        for part, shape, place in self._parts:
+            if only not in ("", part):
+                continue
+            matrix = tcp @ place(travels.get(part, 0.0) if travel is None else travel)
+            at = coal.Transform3s(matrix[:3, :3], matrix[:3, 3])
+            for piece in near:
+                result = coal.CollisionResult()
+                if coal.collide(shape, at, piece.geometry, piece.placed, REQUEST, result):
+                    contact = result.getContact(0)  # its normal points from the first shape to the second
+                    force = -SPRING_N_M * abs(contact.penetration_depth) * contact.normal
+                    yield Touch(piece.owner, contact.pos, force)
+
+    def _feel(self, pose: Array, touches: list[Touch]) -> list[float]:
+        pressing = self._pressed_n[0] > 0.0 or self._pressed_n[1] > 0.0
+        if pressing:  # fingers that are not in the middle push the hand aside
+            return [0.0, CENTRE_N_M * (self.fingers[0] - self.fingers[1]), 0.0, 0.0, 0.0, 0.0]
+        if not touches:
+            return [0.0] * 6
+        force, torque = np.zeros(3), np.zeros(3)
+        for touch in touches:
+            force += touch.force
+            torque += np.cross(touch.point - pose[:3], touch.force)
+        turn = geometry.to_matrix(pose)[:3, :3].T
+        return [*(turn @ force).tolist(), *(turn @ torque).tolist()]
+
+
+FINGERS = ("finger-a", "finger-b")
+LEVER_M = 1.2  # no joint has any part of the hand farther from its axis
+CLEAR_M = 0.10  # beyond this it is not worked out how far away things are
+DISTANCE = coal.DistanceRequest()
+REQUEST = coal.CollisionRequest()
+REQUEST.enable_contact = True
+REQUEST.num_max_contacts = 1
+
+
+def _hand_parts(cell: cells.Cell, arm: str) -> list[tuple[str, Any, Callable[[float], Array]]]:
+    """(name, coal shape, finger travel -> 4 x 4 in tcp axes) of palm and fingers, as the URDF's collision boxes are."""
+    spec = cell.arm(arm)
+    model = pin.buildModelFromXML(cell.urdf(arm))
+    shapes = pin.buildGeomFromUrdfString(model, cell.urdf(arm), pin.GeometryType.COLLISION)
+    data, shape_data = model.createData(), shapes.createData()
+    names = {spec.gripper.palm_link: "palm", **dict(zip(spec.gripper.finger_links, FINGERS, strict=True))}
+    parts: list[tuple[str, Any, Callable[[float], Array]]] = []
+    at_zero, at_one = (_placements(model, data, shapes, shape_data, spec, travel) for travel in (0.0, 0.01))
+    for n, shape in enumerate(shapes.geometryObjects):
+        link = model.frames[shape.parentFrame].name
+        if link in names:
+            begin, way = at_zero[n], (at_one[n] - at_zero[n]) / 0.01
+            parts.append((names[link], shape.geometry, _sliding(begin, way)))
+    return parts
+
+
+def _sliding(begin: Array, way: Array) -> Callable[[float], Array]:
+    return lambda travel: begin + travel * way
+
+
+def _placements(model: Any, data: Any, shapes: Any, shape_data: Any, spec: cells.Arm, travel: float) -> list[Array]:
+    q = pin.neutral(model)
+    for joint in spec.gripper.finger_joints:
+        q[model.joints[model.getJointId(joint)].idx_q] = travel
+    pin.framesForwardKinematics(model, data, q)
+    pin.updateGeometryPlacements(model, data, shapes, shape_data)
+    tcp = data.oMf[model.getFrameId(spec.tcp_link)].inverse()
+    return [(tcp * placement).homogeneous for placement in shape_data.oMg]
+
+
+def _piece(owner: str, shape: cells.AnyShape) -> Piece:
+    made = SHAPES[type(shape)](shape)
+    made.computeLocalAABB()
+    return Piece(owner, made, geometry.to_matrix(shape.frame.pose), float(made.aabb_radius))
+
+
+SHAPES: dict[type, Callable[[Any], Any]] = {
+    cells.Box: lambda s: coal.Box(*s.size_m),
+    cells.Cylinder: lambda s: coal.Cylinder(s.radius_m, s.length_m),
+    cells.Sphere: lambda s: coal.Sphere(s.radius_m),
+    cells.Capsule: lambda s: coal.Capsule(s.radius_m, s.length_m),
+}

@@ -1,0 +1,155 @@
+"""F: the conditions of a primitive, made into checks that see one moment only (paper, L103; R66, A21).
+
+`compile_stops` gives the checks in their fixed priority; `first` returns the one that wins: the first that is true, and
+no more than one (R83). A check is memoryless: it sees the current `Moment` and nothing before it. What follows from
+a trip (stop, retreat) is the executor's business.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import msgspec
+
+from rtc import primitive as p
+from rtc.geometry import Array
+from sim_mcm.arm import Traits
+
+Finding = tuple[float | None, float | None, str]  # measured, limit, words
+
+
+class Moment(msgspec.Struct):
+    """What a check may see: the sample of this tick, the bias taken off the wrench, and what follows from it."""
+
+    elapsed_s: float
+    joints: list[float]
+    velocities: list[float]
+    wrench: list[float]
+    force_n: float  # magnitudes
+    torque_nm: float
+    width_m: float
+    grip_n: float  # of the finger that presses less
+    arrived: Finding | None  # worst remaining error and its tolerance, once the goal is reached
+    tcp: Callable[[], Array]  # asked for when needed: they cost more than all the rest
+    touch: Callable[[], str]
+
+
+Check = Callable[[Moment], Finding | None]
+Stops = list[tuple[p.StopFunction, Check]]
+
+
+def compile_stops(primitive: p.Primitive, traits: Traits) -> Stops:
+    """The checks of a primitive, by priority. Raises ValueError, in words, for a condition that cannot be checked."""
+    stops: Stops = []
+    for stop in primitive.by_priority():
+        for problem in _problems(stop):
+            raise ValueError(problem)
+        stops.append((stop, CHECKS[type(stop.when)](stop.when, traits)))
+    return stops
+
+
+def first(stops: Stops, moment: Moment) -> tuple[p.StopFunction, Finding] | None:
+    """The stop function that ends the primitive in this moment, if any."""
+    for stop, check in stops:
+        finding = check(moment)
+        if finding is not None:
+            return stop, finding
+    return None
+
+
+# --- one maker per kind of predicate -------------------------------------------------------------------
+
+
+def _goal(when: p.GoalReached, traits: Traits) -> Check:
+    return lambda now: now.arrived
+
+
+def _time(when: p.TimeAbove, traits: Traits) -> Check:
+    limit = when.limit_s
+    return lambda now: (now.elapsed_s, limit, "") if now.elapsed_s > limit else None
+
+
+def _force(when: p.ForceAbove, traits: Traits) -> Check:
+    limit, part = when.limit_n, _part(when.axis, 0)
+    if part is None:
+        return lambda now: (now.force_n, limit, "") if now.force_n > limit else None
+    return lambda now: (value, limit, "") if (value := part(now.wrench)) > limit else None
+
+
+def _torque(when: p.TorqueAbove, traits: Traits) -> Check:
+    limit, part = when.limit_nm, _part(when.axis, 3)
+    if part is None:
+        return lambda now: (now.torque_nm, limit, "") if now.torque_nm > limit else None
+    return lambda now: (value, limit, "") if (value := part(now.wrench)) > limit else None
+
+
+def _part(axis: Sequence[float] | None, first_entry: int) -> Callable[[list[float]], float] | None:
+    if axis is None:
+        return None
+    (x, y, z), i, j, k = axis, first_entry, first_entry + 1, first_entry + 2
+    return lambda wrench: x * wrench[i] + y * wrench[j] + z * wrench[k]
+
+
+def _joint_margin(when: p.JointMarginBelow, traits: Traits) -> Check:
+    margin, names = when.margin_rad, traits.joint_names
+    safe = [(low + margin, high - margin) for low, high in zip(traits.lower, traits.upper, strict=True)]
+
+    def check(now: Moment) -> Finding | None:
+        for n, (q, v, (low, high)) in enumerate(zip(now.joints, now.velocities, safe, strict=True)):
+            if (q < low and v < 0.0) or (q > high and v > 0.0):
+                left = q - low + margin if q < low else high + margin - q
+                return left, margin, f"{names[n]} is {math.degrees(left):.2f} deg from its limit"
+        return None
+
+    return check
+
+
+def _body_touch(when: p.BodyTouch, traits: Traits) -> Check:
+    return lambda now: (None, None, words) if (words := now.touch()) else None
+
+
+def _grip(when: p.GripForceBelow, traits: Traits) -> Check:
+    limit = when.limit_n
+    return lambda now: (now.grip_n, limit, "") if now.grip_n < limit else None
+
+
+def _width(when: p.HandWidthBelow, traits: Traits) -> Check:
+    limit = when.limit_m
+    return lambda now: (now.width_m, limit, "") if now.width_m < limit else None
+
+
+def _tcp_near(when: p.TcpNear, traits: Traits) -> Check:
+    (x, y, z), limit = when.point, when.distance_m
+
+    def check(now: Moment) -> Finding | None:
+        at = now.tcp()
+        distance = math.dist((x, y, z), at[:3].tolist())
+        return (distance, limit, "") if distance < limit else None
+
+    return check
+
+
+CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
+    p.GoalReached: _goal,
+    p.TimeAbove: _time,
+    p.ForceAbove: _force,
+    p.TorqueAbove: _torque,
+    p.JointMarginBelow: _joint_margin,
+    p.BodyTouch: _body_touch,
+    p.GripForceBelow: _grip,
+    p.HandWidthBelow: _width,
+    p.TcpNear: _tcp_near,
+}
+
+
+def _problems(stop: p.StopFunction) -> Iterator[str]:
+    """What the types cannot see."""
+    kind = type(stop.when).__name__
+    for field, value in msgspec.structs.asdict(stop.when).items():
+        if isinstance(value, list) and len(value) != 3:
+            yield f"{kind}.{field}: three numbers are needed, not {len(value)}"
+        numbers = value if isinstance(value, list) else [] if value is None else [value]
+        if not all(math.isfinite(n) for n in numbers):
+            yield f"{kind}.{field}: not a finite number"

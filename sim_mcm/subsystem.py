@@ -1,0 +1,206 @@
+"""The MCM as one subsystem: several arms, one broker to report to, and whoever calls a halt. Pure.
+
+    hear(message, door, now_s) -> [(door, message), ...]      tick(now_s) -> [(door, message), ...]
+
+A door is who said it and who is answered: BROKER, or the identity of a caller at the estop socket. Trusted soldier
+(R58): between a primitive and its end report nothing is needed from the broker; reports are kept, and said again,
+until they are acknowledged. No primitive is executed twice (its id is remembered), and none that was issued before a
+halt begins after it.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+
+import msgspec
+
+from rtc import messages as m
+from rtc.outcomes import StopReason
+from sim_mcm.arm import Arm
+from sim_mcm.executor import Executor
+from sim_mcm.reports import not_begun
+
+BROKER = b""  # no caller at the estop socket has this identity
+REPEAT_S = 0.5  # an end report is said again until it is acknowledged
+REMEMBERED = 2_000  # ended primitives, and halts
+REST_LIMIT_S = 2.0  # after a halt: no rest by then is told as such
+
+Said = list[tuple[bytes, m.Message]]
+
+
+class Halt(msgspec.Struct):
+    """One halt that was called, and who wants to hear of it."""
+
+    order: m.HaltOrder
+    received_at_s: float
+    performers: list[str]
+    moving: list[str]
+    doors: list[bytes]
+    started: m.HaltStarted | None = None
+    ended: m.HaltAtRest | None = None
+
+
+class Subsystem:
+    def __init__(self, arms: Mapping[str, Arm], name: str = "MCM") -> None:
+        self.name = name
+        self.executors = {arm: Executor(part) for arm, part in arms.items()}
+        self._kept: dict[str, tuple[m.EndReport, float]] = {}  # not acknowledged; when to say it again
+        self._ended: OrderedDict[str, m.EndReport] = OrderedDict()  # all, for repeated orders
+        self._halts: OrderedDict[str, Halt] = OrderedDict()
+        self._open_halts: list[Halt] = []
+        self._shadows: dict[str, tuple[str, float]] = {}  # scope -> halt not yet heard from the broker, when
+
+    # --- what is asked of it ---------------------------------------------------------------------------
+
+    @property
+    def outstanding(self) -> list[str]:
+        running = [e.primitive_id for e in self.executors.values() if e.primitive]
+        return running + [primitive for primitive in self._kept if primitive not in running]
+
+    @property
+    def at_rest(self) -> bool:
+        return all(e.at_rest for e in self.executors.values())
+
+    @property
+    def idle(self) -> bool:
+        return all(e.primitive is None for e in self.executors.values())
+
+    def hear(self, message: m.Execute | m.HaltOrder | m.ReportAck, door: bytes, now_s: float) -> Said:
+        if isinstance(message, m.HaltOrder):
+            return self._halt(message, door, now_s)
+        if isinstance(message, m.ReportAck):
+            self._kept.pop(message.primitive, None)
+            return []
+        return self._execute(message, now_s)
+
+    def hello(self, pid: int) -> Said:
+        """To a broker that has just been found: who we are, what is under way, and what it has not acknowledged."""
+        hello = m.SubsystemHello(
+            name=self.name,
+            pid=pid,
+            performers=list(self.executors),
+            outstanding=self.outstanding,
+            at_rest=self.at_rest,
+        )
+        return [(BROKER, hello), *((BROKER, report) for report, _ in self._kept.values())]
+
+    def tick(self, now_s: float) -> Said:
+        """One servo tick of every arm."""
+        said: Said = []
+        for executor in self.executors.values():
+            for message in executor.tick(now_s):
+                if isinstance(message, m.EndReport):
+                    said += self._end(message, now_s)
+                else:
+                    said.append((BROKER, message))
+        if self._open_halts:
+            said += self._follow_halts(now_s)
+        if self._kept:
+            said += self._say_again(now_s)
+        return said
+
+    # --- primitives ------------------------------------------------------------------------------------
+
+    def _execute(self, order: m.Execute, now_s: float) -> Said:
+        primitive = order.primitive
+        if (ended := self._ended.get(primitive.id)) is not None:
+            return [(BROKER, ended)]
+        executor = self.executors.get(primitive.performer)
+        if executor is None:
+            why = f"{self.name} has no {primitive.performer}; it has {', '.join(self.executors)}"
+            return self._end(not_begun(primitive.id, primitive.performer, why, at_s=now_s), now_s)
+        if executor.primitive_id == primitive.id:
+            return []  # it is being done
+        if (halt := self._halted_before(order)) is not None:
+            why = f"issued before halt {halt}; not begun"
+            pose = executor.arm.tcp_pose(executor.sample.joints)
+            report = not_begun(
+                primitive.id,
+                primitive.performer,
+                why,
+                at_s=now_s,
+                reason=StopReason.HALT,
+                sample=executor.sample,
+                tcp_pose=pose,
+            )
+            return self._end(report, now_s)
+        said: Said = []
+        for message in executor.accept(primitive, now_s):
+            said += self._end(message, now_s) if isinstance(message, m.EndReport) else [(BROKER, message)]
+        return said
+
+    def _end(self, report: m.EndReport, now_s: float) -> Said:
+        self._kept[report.primitive] = (report, now_s + REPEAT_S)
+        self._ended[report.primitive] = report
+        if len(self._ended) > REMEMBERED:
+            self._ended.popitem(last=False)
+        return [(BROKER, report)]
+
+    def _say_again(self, now_s: float) -> Said:
+        due = [report for report, at_s in self._kept.values() if now_s >= at_s]
+        for report in due:
+            self._kept[report.primitive] = (report, now_s + REPEAT_S)
+        return [(BROKER, report) for report in due]
+
+    def _halted_before(self, order: m.Execute) -> str | None:
+        """The halt, called past the broker, that this order had not seen when it was issued."""
+        if not self._shadows or order.issued_at_s == 0.0:
+            return None
+        for scope, (halt, received_at_s) in self._shadows.items():
+            if _in_scope(scope, order.primitive.performer, order.primitive.id) and order.issued_at_s <= received_at_s:
+                return halt
+        return None
+
+    # --- halts -----------------------------------------------------------------------------------------
+
+    def _halt(self, order: m.HaltOrder, door: bytes, now_s: float) -> Said:
+        """Brake now what is in scope; who asks about a halt that is known is told what became of it."""
+        halt = self._halts.get(order.halt)
+        if door == BROKER:  # what comes on this socket from here on, the broker has sent knowing of the halt
+            self._shadows = {scope: seen for scope, seen in self._shadows.items() if seen[0] != order.halt}
+        elif halt is None:
+            self._shadows[order.scope] = (order.halt, now_s)
+        if halt is not None:
+            if door not in halt.doors:
+                halt.doors.append(door)
+            return [(door, message) for message in (halt.started, halt.ended) if message is not None]
+        reached = [e for e in self.executors.values() if _in_scope(order.scope, e.name, e.primitive_id)]
+        halt = Halt(order, now_s, [e.name for e in reached], [e.name for e in reached if e.moving], [door])
+        for executor in reached:
+            executor.halt()
+        self._halts[order.halt] = halt
+        if len(self._halts) > REMEMBERED:
+            self._halts.popitem(last=False)
+        self._open_halts.append(halt)
+        return [] if halt.moving else self._follow_halts(now_s)  # nothing moves: no tick need pass
+
+    def _follow_halts(self, now_s: float) -> Said:
+        """Called in the tick whose command brakes, and every tick until rest."""
+        said: Said = []
+        for halt in list(self._open_halts):
+            if halt.started is None:
+                halt.started = m.HaltStarted(
+                    halt=halt.order.halt,
+                    subsystem=self.name,
+                    received_at_s=halt.received_at_s,
+                    decelerating_at_s=now_s,
+                    moving=halt.moving,
+                )
+                said += [(door, halt.started) for door in halt.doors]
+            at_rest = all(self.executors[name].at_rest for name in halt.performers)
+            if at_rest or now_s - halt.received_at_s > REST_LIMIT_S:
+                halt.ended = m.HaltAtRest(
+                    halt=halt.order.halt,
+                    subsystem=self.name,
+                    at_s=now_s,
+                    at_rest=at_rest,
+                    performers=halt.performers,
+                )
+                said += [(door, halt.ended) for door in halt.doors]
+                self._open_halts.remove(halt)
+        return said
+
+
+def _in_scope(scope: str, performer: str, primitive: str) -> bool:
+    return scope in ("ALL", performer) or primitive.startswith(f"{scope}.")
