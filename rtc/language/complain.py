@@ -6,11 +6,11 @@ parser to learn exactly what could have followed them.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Sequence
 
 from lark.exceptions import UnexpectedInput
 
+from rtc.language.alike import nearest_words
 from rtc.language.grammar import END, Grammar
 from rtc.language.refuse import Wrong, quoted, refusal
 from rtc.language.units import UNITS
@@ -25,21 +25,33 @@ READABLE = {
 }
 THE_END = "the end of the sentence"
 A_UNIT = "a unit such as CM"
-
-ALIKE = 0.6  # difflib's ratio: GRAPS and GRASP have 0.8
-VERY_ALIKE = 0.75  # for words that would be right as names, and for words that can not stand there anyway
 LOOK_BACK = 6  # how many words before the fault may be the misspelt one
-MAX_NEAREST = 3
 
 
-def complaint(grammar: Grammar, before: Sequence[Word], word: Word, following: Word | None) -> Refusal:
-    """Why `word` can not follow `before`. `following` is the word after it, if it is known."""
-    allowed = allowed_after(grammar, before)
-    return (
-        _unit_fault(before, word, following, allowed)
-        or _misspelt_before(grammar, before, word)
-        or _misplaced(grammar, before, word, allowed)
-    )
+class Stop:
+    """Where the parse stopped: `word` can not follow `before`. `following` is the word after it, if known."""
+
+    def __init__(self, grammar: Grammar, text: str, before: Sequence[Word], word: Word, following: Word | None) -> None:
+        self.grammar = grammar
+        self.text = text
+        self.before = before
+        self.word = word
+        self.following = following
+        self.allowed = allowed_after(grammar, before)
+
+    def said(self, word: Word) -> str:
+        """The word as the person said it, so that a synonym is not told back as another word."""
+        said = self.text[word.start_pos : word.end_pos]
+        return quoted(said if word.type == "STRING" else said.upper())
+
+    def opening(self) -> bool:
+        """No verb has been said yet."""
+        return all(word.type == "TEST" for word in self.before)
+
+
+def complaint(stop: Stop) -> Refusal:
+    """What to say about it; the most particular explanation that fits."""
+    return _unit_fault(stop) or _misspelt_before(stop) or _misplaced(stop)
 
 
 def allowed_after(grammar: Grammar, words: Sequence[Word]) -> set[str]:
@@ -61,44 +73,41 @@ def nearest(grammar: Grammar, written: str, allowed: Collection[str]) -> list[st
     """Reserved words (and synonyms) like the one written: of those that may stand here, or else of all."""
     spellings = grammar.vocabulary.reserved
     here = [spelling for spelling, (terminal, _) in spellings.items() if terminal in allowed]
-    return _alike(written, here, ALIKE) or [w for w in _alike(written, spellings, VERY_ALIKE) if w != written]
+    return nearest_words(written, here) or ([] if written in spellings else nearest_words(written, spellings))
 
 
-def _alike(written: str, candidates: Collection[str], cutoff: float) -> list[str]:
-    return difflib.get_close_matches(written, candidates, MAX_NEAREST, cutoff)
-
-
-def _unit_fault(before: Sequence[Word], word: Word, following: Word | None, allowed: Collection[str]) -> Refusal | None:
+def _unit_fault(stop: Stop) -> Refusal | None:
     """A number without its unit, or with one that is none."""
-    if word.type == "NAME" and before and before[-1].type == "NUMBER":
-        return _no_unit(word)
-    if word.type == "NUMBER" and "QUANTITY" in allowed:
+    word, following = stop.word, stop.following
+    if word.type == "NAME" and stop.before and stop.before[-1].type == "NUMBER":
+        return _no_unit(stop, word)
+    if word.type == "NUMBER" and "QUANTITY" in stop.allowed:
         if following is not None and following.type == "NAME":
-            return _no_unit(following)
-        message = f"{quoted(word.value)} has no unit."
-        return refusal(word.start_pos or 0, message, [READABLE["QUANTITY"]])
+            return _no_unit(stop, following)
+        return refusal(word.start_pos or 0, f"{stop.said(word)} has no unit.", [READABLE["QUANTITY"]])
     return None
 
 
-def _no_unit(word: Word) -> Refusal:
-    near = _alike(word.value, UNITS, ALIKE)
-    return refusal(word.start_pos or 0, f"{quoted(word.value)} is no unit.", [A_UNIT], near)
+def _no_unit(stop: Stop, word: Word) -> Refusal:
+    near = nearest_words(word.value, UNITS)
+    return refusal(word.start_pos or 0, f"{stop.said(word)} is no unit.", [A_UNIT], near)
 
 
-def _misspelt_before(grammar: Grammar, before: Sequence[Word], word: Word) -> Refusal | None:
+def _misspelt_before(stop: Stop) -> Refusal | None:
     """A misspelt reserved word that passed as a name, so that the next words seemed wrong."""
+    grammar, before = stop.grammar, stop.before
+    spellings = grammar.vocabulary.reserved
     for i in range(len(before) - 1, max(len(before) - LOOK_BACK, 0) - 1, -1):
         suspect = before[i]
         if suspect.type != "NAME":
             continue
-        spellings = grammar.vocabulary.reserved
-        for spelling in _alike(suspect.value, spellings, VERY_ALIKE):
+        for spelling in nearest_words(suspect.value, spellings):
             terminal, value = spellings[spelling]
             meant = Word(terminal, value, suspect.start_pos or 0, suspect.end_pos or 0)
-            if _fits(grammar, [*before[:i], meant, *before[i + 1 :], word]):
-                allowed = allowed_after(grammar, before[:i])
-                message = f"{quoted(suspect.value)} is read as a name here, and then nothing fits. {spelling} would."
-                return refusal(suspect.start_pos or 0, message, readable(grammar, allowed), [spelling])
+            if _fits(grammar, [*before[:i], meant, *before[i + 1 :], stop.word]):
+                expected = readable(grammar, allowed_after(grammar, before[:i]))
+                message = f"{stop.said(suspect)} is read as a name here, and then nothing fits. {spelling} would."
+                return refusal(suspect.start_pos or 0, message, expected, [spelling])
     return None
 
 
@@ -112,18 +121,22 @@ def _fits(grammar: Grammar, words: Sequence[Word]) -> bool:
     return True
 
 
-def _misplaced(grammar: Grammar, before: Sequence[Word], word: Word, allowed: Collection[str]) -> Refusal:
-    expected = readable(grammar, allowed)
-    column = word.start_pos or 0
+def _misplaced(stop: Stop) -> Refusal:
+    word = stop.word
+    near = []
     if word.type == END:
-        if all(w.type == "TEST" for w in before):
-            return refusal(column, "There is no command in this sentence.", expected)
-        return refusal(column, f"The sentence ends too early, after {quoted(before[-1].value)}.", expected)
-    near = nearest(grammar, word.value, allowed)
-    if all(w.type == "TEST" for w in before):
-        return refusal(column, f"{quoted(word.value)} is no verb of the language.", expected, near)
-    if word.type in grammar.reserved and "NAME" in allowed:
-        what = f"{quoted(word.value)} is a reserved word and can not be a name"
+        message = (
+            "There is no command in this sentence."
+            if stop.opening()
+            else f"The sentence ends too early, after {stop.said(stop.before[-1])}."
+        )
     else:
-        what = f"{quoted(word.value)} can not stand here"
-    return refusal(column, f"{what}, after {quoted(before[-1].value)}.", expected, near)
+        said = stop.said(word)
+        near = nearest(stop.grammar, word.value, stop.allowed)
+        if stop.opening():
+            message = f"{said} is no verb of the language."
+        elif word.type in stop.grammar.reserved and "NAME" in stop.allowed:
+            message = f"{said} is a reserved word and can not be a name, after {stop.said(stop.before[-1])}."
+        else:
+            message = f"{said} can not stand here, after {stop.said(stop.before[-1])}."
+    return refusal(word.start_pos or 0, message, readable(stop.grammar, stop.allowed), near)

@@ -83,7 +83,7 @@ def _units(words: list[Word]) -> list[str]:
     said = [w.value for w in words if w.type not in TOKEN_CLASSES]
     word, previous = said[-1], said[-2:-1]
     if word == "BY":  # right behind BACK-OFF and AVOID-NEIGHBORS, else it belongs to the verb
-        takes = LENGTH if previous[0] in ("BACK-OFF", "AVOID-NEIGHBORS") else _BY.get(_verb(said))
+        takes = LENGTH if previous in (["BACK-OFF"], ["AVOID-NEIGHBORS"]) else _BY.get(_verb(said))
     elif word in ("EXCEEDS", "BELOW"):
         takes = next((MEASURES[w] for w in reversed(said) if w in MEASURES), None)
     else:

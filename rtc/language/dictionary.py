@@ -6,7 +6,6 @@ parses no sentence and compiles no grammar, so that asking it is quick.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable
 from functools import lru_cache
@@ -14,6 +13,7 @@ from importlib import resources
 
 import msgspec
 
+from rtc.language.alike import nearest_words
 from rtc.outcomes import Refusal, RefusalReason
 
 NIL = "nil"
@@ -53,7 +53,7 @@ def entry(verb: str) -> str | Refusal:
             reason=RefusalReason.NAME,
             message=f"{verb!r} is no verb of the language.",
             expected=verbs(),
-            nearest=difflib.get_close_matches(verb, verbs()),
+            nearest=nearest_words(verb, verbs()),
         )
     clause, production = _first_clause(verb)
     lines = [_heading(verb), "", *print_clause(clause, [production])]
@@ -74,7 +74,7 @@ def verbs() -> list[str]:
 
 def stats() -> dict[str, int]:
     """Counts of the grammar. A terminal is a reserved word or a token class, a clause a left-hand side."""
-    symbols = {s for productions in clauses().values() for p in productions for s in p}
+    symbols = _symbols()
     classes = {s for s in symbols if s.startswith("<")}
     reserved = {s for s in symbols if RESERVED.fullmatch(s)}
     return {
@@ -85,6 +85,12 @@ def stats() -> dict[str, int]:
         "productions": sum(map(len, clauses().values())),
         "synonyms": sum(map(len, synonyms().values())),
     }
+
+
+def reserved_words() -> frozenset[str]:
+    """Every word that can not be a name: the reserved words and their synonyms."""
+    others = (word for words in synonyms().values() for word in words)
+    return frozenset({s for s in _symbols() if RESERVED.fullmatch(s)}.union(others))
 
 
 def print_clause(name: str, productions: Iterable[Production]) -> list[str]:
@@ -126,6 +132,10 @@ def synonyms() -> dict[str, list[str]]:
 @lru_cache(maxsize=1)
 def bnf() -> str:
     return _text("command.bnf")
+
+
+def _symbols() -> set[str]:
+    return {s for productions in clauses().values() for p in productions for s in p}
 
 
 def _text(name: str) -> str:

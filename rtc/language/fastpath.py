@@ -8,9 +8,9 @@ something else than everything, an arm or a command goes the ordinary way.
 from __future__ import annotations
 
 import re
-from importlib import resources
 
-from rtc.language.words import MAX_CHARACTERS
+from rtc.language.dictionary import reserved_words
+from rtc.language.refuse import MAX_CHARACTERS
 
 EVERYTHING = "ALL"
 ARMS = {
@@ -29,9 +29,8 @@ _SENTENCE = re.compile(
     r"[ \t,]*(?:\.[ \t,]*)?(?:--.*)?",
     re.IGNORECASE | re.ASCII,
 )
-_RESERVED = frozenset(
-    re.findall(r'"([A-Z][A-Z-]*)"', resources.files("rtc.language").joinpath("command.lark").read_text("utf-8"))
-)
+_COMMAND = re.compile(r"C-\d+", re.ASCII)
+_RESERVED = reserved_words()
 
 
 def halt_scope(text: str) -> str | None:
@@ -49,6 +48,6 @@ def halt_scope(text: str) -> str | None:
     if kind is None:
         return EVERYTHING
     scope = match[kind].upper().replace("_", "-")
-    if kind == "ARM" and scope in _RESERVED:
-        return None
+    if kind == "ARM" and (scope in _RESERVED or _COMMAND.fullmatch(scope)):
+        return None  # no arm is called so; an arm named like a command would be ambiguous here
     return ARMS.get(scope, scope)

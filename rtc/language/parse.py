@@ -12,7 +12,7 @@ from importlib import resources
 
 from lark.exceptions import UnexpectedToken
 
-from rtc.language.complain import complaint
+from rtc.language.complain import Stop, complaint
 from rtc.language.grammar import END, Grammar
 from rtc.language.record import ParsedCommand
 from rtc.language.refuse import Wrong
@@ -40,7 +40,7 @@ def parse(grammar: Grammar, sentence: str | bytes) -> ParsedCommand | Refusal:
     except Wrong as wrong:
         return wrong.refusal
     except UnexpectedToken:
-        return complaint(grammar, taken, word, _next(words))
+        return complaint(Stop(grammar, text, taken, word, _next(words)))
     return ParsedCommand(**fields)
 
 

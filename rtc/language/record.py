@@ -1,8 +1,7 @@
 """What a sentence means, whatever its wording: the record every later phase works on (R117).
 
 Units are SI (m, rad, N, N·m, s, kg); names are upper case with '-'. Two sentences that mean the same
-give equal records; nothing here remembers the words but `Quantity.text`, which does not count in a
-comparison because it is not part of the record.
+give equal records; nothing here remembers the words.
 """
 
 from __future__ import annotations

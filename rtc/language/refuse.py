@@ -10,6 +10,7 @@ from collections.abc import Iterable
 
 from rtc.outcomes import Refusal, RefusalReason
 
+MAX_CHARACTERS = 2000  # of a sentence
 MAX_QUOTED = 40  # characters of a sentence that a message repeats
 
 

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 from lark.lexer import PatternStr, TerminalDef, Token
 
-from rtc.language.refuse import Wrong, quoted, refusal
+from rtc.language.alike import nearest_words
+from rtc.language.refuse import MAX_CHARACTERS, Wrong, quoted, refusal
 from rtc.language.units import UNITS
 from rtc.outcomes import ProgramError, Refusal
 
-MAX_CHARACTERS = 2000
 TOKEN_CLASSES = ("NAME", "STRING", "NUMBER", "QUANTITY")
 
 _UNIT_LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz/%"
@@ -144,7 +144,7 @@ def _malformed(text: str, column: int) -> Wrong:
             column,
             f"{quoted(number[0])} is neither a number nor a number with a known unit.",
             ["a number", "a quantity such as 10 CM"],
-            [u for u in UNITS if u == number[0].upper().lstrip("+-.0123456789")[: len(u)]][:3],
+            nearest_words(number[0].upper().lstrip("+-.0123456789"), UNITS),
         )
     if text[column] == '"':
         return Wrong(column, "The quotation that begins here does not end.", ['a closing "'])

@@ -1,0 +1,49 @@
+"""Slips of the finger."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rtc.language.alike import nearest_words, slips
+
+WORDS = ["GRASP", "MAINTAIN", "MOVE", "STOW", "SHOW", "LEFT-ARM", "RIGHT-ARM"]
+
+
+@pytest.mark.parametrize(
+    ("written", "meant", "count"),
+    [
+        ("", "", 0),
+        ("GRASP", "GRASP", 0),
+        ("GRAPS", "GRASP", 1),
+        ("MANTAIN", "MAINTAIN", 1),
+        ("MOOVE", "MOVE", 1),
+        ("SLOW", "STOW", 1),
+        ("", "STOW", 4),
+        ("RIHGTARM", "RIGHT-ARM", 2),
+    ],
+)
+def test_slips(written: str, meant: str, count: int) -> None:
+    assert slips(written, meant) == count
+
+
+@pytest.mark.parametrize(
+    ("written", "near"),
+    [
+        ("GRAPS", ["GRASP"]),
+        ("SLOW", ["SHOW", "STOW"]),
+        ("LIGHT-ARM", ["RIGHT-ARM"]),
+        ("UNPLUG", []),
+        ("X", []),
+        ("", []),
+        ("M" * 1000, []),
+    ],
+)
+def test_nearest_words(written: str, near: list[str]) -> None:
+    assert nearest_words(written, WORDS) == near
+
+
+@settings(derandomize=True)
+@given(st.text("ABC-", max_size=8), st.text("ABC-", max_size=8))
+def test_slips_are_the_same_both_ways_and_none_only_for_the_same_word(one: str, other: str) -> None:
+    assert slips(one, other) == slips(other, one) <= max(len(one), len(other))
+    assert (slips(one, other) == 0) == (one == other)

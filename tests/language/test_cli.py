@@ -1,0 +1,102 @@
+"""The language on the command line: what is printed, and the exit status."""
+
+import json
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from rtc.cli import language
+from rtc.language import dictionary
+
+APP = typer.Typer()
+for command in (language.parse, language.dictionary, language.grammar):
+    APP.command()(command)
+
+
+def run(*arguments: str) -> tuple[int, str, str]:
+    result = CliRunner().invoke(APP, list(arguments))
+    return result.exit_code, result.stdout, result.stderr
+
+
+def test_parse_tells_how_the_sentence_is_understood() -> None:
+    assert run("parse", "grasp Macs_old with Right_arm maintain speed 10 cm/s unless slip then stop.") == (
+        0,
+        "GRASP (task)\n"
+        "  hand           RIGHT-ARM\n"
+        "  object         MACS-OLD\n"
+        "  constraints    slot SPEED, value 0.1 m/s\n"
+        "  reflexes       condition event SLIP, action stop\n",
+        "",
+    )
+
+
+def test_parse_shows_where_a_sentence_is_wrong() -> None:
+    assert run("parse", "MOVE RIGHT-ARM TO") == (
+        2,
+        "",
+        "  MOVE RIGHT-ARM TO\n"
+        "                   ^\n"
+        "The sentence ends too early, after TO.\n"
+        "expected: a name, JOINTS, POSITION\n",
+    )
+
+
+def test_parse_json_is_the_record() -> None:
+    status, out, _ = run("parse", "--json", "MOVE LEFT-ARM TO POSITION 60 -20 35 CM")
+    assert status == 0
+    assert json.loads(out.splitlines()[-1]) == {
+        "type": "ParsedCommand",
+        "kind": "task",
+        "verb": "MOVE",
+        "hand": "LEFT-ARM",
+        "place": {"position": [0.6, -0.2, 0.35]},
+    }
+
+
+def test_parse_json_is_the_refusal() -> None:
+    status, out, _ = run("parse", "GRAPS X", "--json")
+    said = json.loads(out.splitlines()[-1])
+    assert status == 2
+    assert (said["reason"], said["column"], said["nearest"]) == ("sentence", 0, ["GRASP"])
+
+
+def test_parse_survives_what_a_terminal_may_send() -> None:
+    status, _, err = run("parse", "GRASP \udcff")  # a byte that is no UTF-8, as Python hands it over
+    assert status == 2
+    assert "U+DCFF" in err
+
+
+def test_dictionary_prints_an_entry() -> None:
+    assert run("dictionary", "grasp") == (0, dictionary.entry("GRASP"), "")
+
+
+def test_dictionary_lists_the_verbs() -> None:
+    status, out, _ = run("dictionary")
+    assert status == 0
+    assert [line.split()[0] for line in out.splitlines()] == dictionary.verbs()
+
+
+def test_dictionary_of_an_unknown_verb() -> None:
+    status, out, err = run("dictionary", "GRAPS")
+    assert (status, out) == (2, "")
+    assert "nearest: GRASP" in err
+
+
+def test_grammar_prints_the_bnf() -> None:
+    assert run("grammar") == (0, dictionary.bnf(), "")
+
+
+def test_grammar_stats() -> None:
+    status, out, _ = run("grammar", "--stats")
+    counts = {line[:15].strip(): int(line[15:]) for line in out.split("\n\n")[1].splitlines()}
+    assert status == 0
+    assert counts == {key.replace("_", " "): n for key, n in dictionary.stats().items()}
+    assert out.count("\n") == len(dictionary.clauses()) + 1 + len(counts)
+
+
+@pytest.mark.parametrize("command", ["parse", "dictionary", "grammar"])
+def test_help_has_an_example(command: str) -> None:
+    status, out, _ = run(command, "--help")
+    assert status == 0
+    assert f"Example: rtc {command}" in out

@@ -1,0 +1,32 @@
+"""The sentences and the picture in docs/language.md are true."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from rtc.language.caret import show
+from rtc.language.parse import default_grammar, parse
+from rtc.language.record import ParsedCommand
+from rtc.outcomes import Refusal
+
+PAGE = (Path(__file__).parents[2] / "docs" / "language.md").read_text("utf-8")
+BLOCK = re.search(r"```rtc\n(.*?)```", PAGE, re.DOTALL)
+assert BLOCK
+SENTENCES = BLOCK[1].splitlines() + re.findall(r"\| `([A-Z][^`]* [^`]*)` \|$", PAGE, re.MULTILINE)
+
+
+@pytest.mark.parametrize("sentence", SENTENCES)
+def test_a_sentence_of_the_page_parses(sentence: str) -> None:
+    assert isinstance(parse(default_grammar(), sentence), ParsedCommand)
+
+
+def test_the_page_has_examples_for_every_part_of_a_task() -> None:
+    assert len(SENTENCES) == 12
+
+
+def test_the_picture_of_a_refusal_is_the_one_shown() -> None:
+    sentence = "GRASP MACS-OLD HANDLE-A MANTAIN SPEED"
+    refusal = parse(default_grammar(), sentence)
+    assert isinstance(refusal, Refusal)
+    assert show(sentence, refusal) in PAGE
