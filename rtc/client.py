@@ -3,7 +3,7 @@
     from rtc.client import Client
 
     with Client() as rtc:                                   # the cluster that `rtc up -d` started
-        ended = rtc.run("GRASP RIGHT-ARM MACS-NEW HANDLE-A")
+        ended = rtc.run("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
         print(ended.command, ended.outcome.kind, ended.outcome.message)
 
 Threads: one thread uses a Client, with one exception: `halt` has its own sockets and may be called from any thread at
@@ -33,6 +33,7 @@ from rtc.halting import HaltLine, HaltResult
 from rtc.outcomes import NoCluster, Outcome, OutcomeKind, Refusal, RefusalReason, RequestDeclined, TimedOut, WireError
 from rtc.settings import ENDPOINTS, Settings, default_run_dir
 from rtc.wire import MAX_BYTES, frames, reader
+from rtc.world.client import WorldClient
 
 ANSWER_S = 5.0  # longest wait for an answer that needs no motion
 WINDOW = 512  # sentences under way at once in `run_many`
@@ -77,7 +78,7 @@ class Client:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._halt_line = HaltLine(self._context, self.settings, self.name)
         self._front = FrontDoor(self._context, self.settings.endpoint("front"), self.name)
-        self._world: Any = None
+        self._world: WorldClient | None = None
         if need_broker:
             try:
                 self._front.knock(str(self.run_dir))
@@ -207,21 +208,22 @@ class Client:
         )
         return self._query(message, m.ProgramLoaded)
 
-    def events(self) -> Iterator[m.ProgressNote | m.CommandEnded]:
-        """All that happens to all commands from now on, whoever submitted them. Endless; disturbs nobody."""
-        return self._subscribe("events", reader(m.ProgressNote | m.CommandEnded))
+    def events(self, silence_s: float | None = None) -> Iterator[m.ProgressNote | m.CommandEnded]:
+        """All that happens to all commands from now on, whoever submitted them. Disturbs nobody.
 
-    def telemetry(self) -> Iterator[m.Telemetry]:
-        """Joints, wrench, tcp pose and hand width of every arm, as the MCM publishes them. Endless."""
-        return self._subscribe("telemetry", reader(m.Telemetry))
+        Endless; ends when there is no news for `silence_s`, if that is given.
+        """
+        return self._subscribe("events", reader(m.ProgressNote | m.CommandEnded), silence_s)
+
+    def telemetry(self, silence_s: float | None = None) -> Iterator[m.Telemetry]:
+        """Joints, wrench, tcp pose and hand width of every arm, as the MCM publishes them. Ends as `events` does."""
+        return self._subscribe("telemetry", reader(m.Telemetry), silence_s)
 
     @property
-    def world(self) -> Any:
-        """The world database, read only: `rtc.world.client.WorldClient`."""
+    def world(self) -> WorldClient:
+        """The world database, to be read."""
         if self._world is None:
-            from rtc.world.client import WorldClient
-
-            self._world = WorldClient(self.settings.endpoint("world"))
+            self._world = WorldClient(self.settings.endpoint("world"), self._context)
         return self._world
 
     # --- simulators only ------------------------------------------------------------------------------
@@ -335,17 +337,22 @@ class Client:
                 raise TimedOut(f"the simulator did not answer within {ANSWER_S:.0f} s")
             return _expect(read(bench.recv_multipart()), answer)
 
-    def _subscribe(self, endpoint: str, read: Callable[[Sequence[bytes]], Answer]) -> Iterator[Answer]:
+    def _subscribe(
+        self, endpoint: str, read: Callable[[Sequence[bytes]], Answer], silence_s: float | None
+    ) -> Iterator[Answer]:
         socket = self._context.socket(zmq.SUB)
         socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
         socket.subscribe(b"")
         socket.connect(self.settings.endpoint(endpoint))
-        return _each(socket, read)
+        return _each(socket, read, silence_s)
 
 
-def _each(socket: zmq.Socket[bytes], read: Callable[[Sequence[bytes]], Answer]) -> Iterator[Answer]:
+def _each(
+    socket: zmq.Socket[bytes], read: Callable[[Sequence[bytes]], Answer], silence_s: float | None
+) -> Iterator[Answer]:
+    limit_ms = None if silence_s is None else int(silence_s * 1000)
     with socket:
-        while True:
+        while socket.poll(limit_ms):
             try:
                 yield read(socket.recv_multipart())
             except WireError:

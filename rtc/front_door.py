@@ -8,10 +8,10 @@ Rule 2: repeating is harmless, because the broker knows a request by (client, re
 from __future__ import annotations
 
 import math
+import struct
 import time
 
 import zmq
-from zmq.utils.monitor import recv_monitor_message
 
 from rtc import messages as m
 from rtc.outcomes import NoCluster, WireError
@@ -102,8 +102,8 @@ class FrontDoor:
         self._socket.send_multipart(frames(message))
 
     def _watch_connection(self) -> None:
-        event = recv_monitor_message(self._monitor)
-        if event["event"] == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+        event, _ = struct.unpack("=HI", self._monitor.recv_multipart()[0])
+        if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             self._handshakes += 1
             if self._handshakes > 1:  # a new broker, or the old one again: it may have lost what was under way
                 self._repeat()

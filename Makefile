@@ -1,0 +1,45 @@
+# A newcomer needs two of these: `make demo` and `make test`. `make help` lists all.
+
+# 3.11 is what pybullet has wheels for; later versions compile it. Choose another with: make PYTHON=python3.12 test
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test fast check bench help clean
+.DEFAULT_GOAL := help
+
+demo: $(VENV)/.ready ## set up, then show the main job: two arms grasp, lift, are halted, go on, put back
+	$(BIN)/rtc demo grasp
+
+test: $(VENV)/.ready ## set up, then run all tests
+	$(BIN)/python -m pytest
+
+fast: $(VENV)/.ready ## the tests that start no process and no physics
+	$(BIN)/python -m pytest -m "not slow"
+
+check: $(VENV)/.ready ## lint, format, types, and the arrows of the architecture
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -q tests/test_architecture.py
+
+bench: $(VENV)/.ready ## run all benchmarks; results in benchmarks/results/
+	@for file in benchmarks/[a-z]*.py; do \
+		name=$$(basename $$file .py); \
+		grep -q '__main__' $$file || continue; \
+		echo "== $$name"; $(BIN)/python -m benchmarks.$$name || exit 1; done
+
+help: ## this list
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 16
+
+clean: ## take away what was made, .venv too
+	rm -rf $(VENV) build out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/.ready: pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "rtc needs Python 3.11 or later; name one with: make PYTHON=... $(MAKECMDGOALS)"; exit 1; }
+	@test -x $(BIN)/python || { echo "making $(VENV) with $(PYTHON)"; $(PYTHON) -m venv $(VENV); }
+	@$(BIN)/python -c 'import sys; sys.version_info < (3, 12) or print("pybullet has no wheel for this Python: it is compiled now, which takes some minutes and a C++ compiler")'
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@touch $@

@@ -1,0 +1,153 @@
+"""rtc up, down, status: the cluster as a whole. Starting and stopping is the supervisor's work (`python -m deploy`)."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.text import Text
+
+from rtc.cli.output import AsJson, RunDir, console, emit_json, seconds, table, trouble
+from rtc.client import Client
+from rtc.settings import default_run_dir
+
+
+def up(
+    cell: Annotated[str, typer.Option(help="Name of a cell that comes with rtc, or a cell file.")] = "swapout",
+    dim: Annotated[int, typer.Option(min=2, max=8, help="Of the cube: 2^dim workers.")] = 2,
+    mcm: Annotated[str, typer.Option(help="bullet (physics) or kinematic (exact, no physics).")] = "bullet",
+    speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = "1",
+    run_dir: RunDir = None,
+    detach: Annotated[bool, typer.Option("-d", "--detach", help="Return once it is ready.")] = False,
+) -> None:
+    """Start a cluster; without -d it stays in the foreground until Ctrl-C.
+
+    Example:  rtc up -d --mcm kinematic --speed max
+    """
+    if mcm not in ("bullet", "kinematic"):
+        raise trouble(f"--mcm is bullet or kinematic, not {mcm}", 2)
+    _check_speed(speed)
+    arguments = ["up", "--cell", cell, "--dim", str(dim), "--mcm", mcm, "--speed", speed]
+    _deploy([*arguments, *(["-d"] if detach else [])], run_dir)
+
+
+def down(run_dir: RunDir = None) -> None:
+    """Stop the cluster in order.
+
+    Example:  rtc down
+    """
+    _deploy(["down"], run_dir)
+
+
+def status(run_dir: RunDir = None, json: AsJson = False) -> None:
+    """What runs: processes and their cube addresses, queues, resources and owners, commands, counters.
+
+    Example:  rtc status --json
+    """
+    with Client(run_dir) as rtc:
+        said = rtc.status()
+    if json:
+        emit_json(said)
+    else:
+        show_status(said)
+
+
+def show_status(said: dict[str, Any]) -> None:
+    """Print the layout that docs/protocol.md describes; what is absent is left out."""
+    up_s, version = said.get("uptime_s", 0.0), said.get("version", "?")
+    console.print(Text(f"cluster {said.get('cluster', '?')}, up {seconds(up_s)}, rtc {version}", style="bold"))
+    _workers_and_processes(said)
+    _commands(said.get("commands", []))
+    _resources(said.get("resources", []))
+    _subsystems(said.get("subsystems", []))
+    for name in ("queues", "programs", "halts", "counters"):
+        figures = {key: value for key, value in said.get(name, {}).items() if value not in (0, None, "", [], {})}
+        if figures:
+            console.print(
+                Text(f"{name}: ", style="bold") + Text(", ".join(f"{k} {_plain(v)}" for k, v in figures.items()))
+            )
+
+
+def _workers_and_processes(said: dict[str, Any]) -> None:
+    workers = {worker["name"]: worker for worker in said.get("workers", [])}
+    rows = said.get("processes") or list(workers.values())
+    if not rows:
+        return
+    bits = max((int(w["node"]).bit_length() for w in workers.values()), default=2) or 1
+    out = table("process", "address", "pid>", "state", "restarts>", "done>", "waiting>", "busy with")
+    for row in rows:
+        worker = workers.get(row["name"], {})
+        node = worker.get("node", row.get("node"))
+        out.add_row(
+            row["name"],
+            "" if node is None or "@" not in row["name"] else format(int(node), f"0{max(bits, 2)}b"),
+            str(row.get("pid", "")),
+            str(row.get("state", "")),
+            str(row.get("restarts", "")),
+            str(worker.get("done", "")),
+            str(worker.get("queued", "")),
+            str(worker.get("busy_with", "") or ""),
+        )
+    console.print(out)
+
+
+def _commands(commands: list[dict[str, Any]]) -> None:
+    if not commands:
+        console.print("no command under way")
+        return
+    out = table("command", "phase", "step", "age>", "holds", "sentence")
+    for row in commands:
+        out.add_row(
+            row["command"],
+            str(row.get("phase", "")),
+            str(row.get("step", "")),
+            seconds(row.get("age_s", 0.0)),
+            ", ".join(row.get("resources", [])),
+            Text(row.get("text", "")),
+        )
+    console.print(out)
+
+
+def _resources(resources: list[dict[str, Any]]) -> None:
+    taken = [row for row in resources if row.get("owner") or row.get("waiting")]
+    if not taken:
+        return
+    out = table("resource", "owner", "waiting")
+    for row in taken:
+        out.add_row(row["name"], str(row.get("owner", "")), ", ".join(row.get("waiting", [])))
+    console.print(out)
+
+
+def _subsystems(subsystems: list[dict[str, Any]]) -> None:
+    for row in subsystems:
+        executing = ", ".join(row.get("executing", [])) or "nothing"
+        performers = ", ".join(row.get("performers", []))
+        console.print(
+            Text(f"{row['name']}: ", style="bold")
+            + Text(f"{row.get('state', '')}, {performers}; executing {executing}")
+        )
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, dict):
+        return "(" + ", ".join(f"{key} {inner}" for key, inner in value.items()) + ")"
+    return str(value)
+
+
+def _check_speed(speed: str) -> None:
+    try:
+        good = speed == "max" or float(speed) > 0
+    except ValueError:
+        good = False
+    if not good:
+        raise trouble(f"--speed is a number above 0, or max; not {speed}", 2)
+
+
+def _deploy(arguments: list[str], run_dir: Path | None) -> None:
+    """Become the supervisor's command line: same terminal, same Ctrl-C, same exit status."""
+    sys.stdout.flush()
+    where = str(run_dir if run_dir is not None else default_run_dir())
+    os.execv(sys.executable, [sys.executable, "-m", "deploy", *arguments, "--run-dir", where])

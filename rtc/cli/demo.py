@@ -1,0 +1,30 @@
+"""rtc demo: a scenario with its own cluster, told as it happens. Each scenario is a file in rtc/demos/."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rtc.cli.output import console, trouble
+
+DEMOS = ["grasp"]  # modules of rtc.demos, each with `tell(console, speed, out) -> passed`
+
+
+def demo(
+    name: Annotated[str, typer.Argument(help=f"One of: {', '.join(DEMOS)}.")] = "grasp",
+    speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = "1",
+    out: Annotated[Path, typer.Option(help="Where the pictures go.")] = Path("out"),
+) -> None:
+    """Bring up a cluster, run a scenario, tell the story, check it against the simulator, stop everything.
+
+    Exit status 0 only when every check passed.
+
+    Example:  rtc demo grasp
+    """
+    if name not in DEMOS:
+        raise trouble(f"there is no demo {name}; there are: {', '.join(DEMOS)}", 2)
+    if not import_module(f"rtc.demos.{name}").tell(console, speed, out):
+        raise typer.Exit(1)

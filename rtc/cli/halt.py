@@ -1,0 +1,55 @@
+"""rtc halt: the fast path, from the shell. Imports little, because whoever types it is in a hurry."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from rtc.cli.output import AsJson, RunDir, console, emit_json
+from rtc.client import Client
+from rtc.halting import HaltResult
+from rtc.language.fastpath import halt_scope
+
+NOT_CONFIRMED = 3
+
+
+def halt(
+    scope: Annotated[str, typer.Argument(help="ALL, an arm (RIGHT-ARM), or a command (C-7).")] = "ALL",
+    timeout: Annotated[float, typer.Option(min=0.01, help="Seconds to wait for rest.")] = 2.0,
+    json: AsJson = False,
+    run_dir: RunDir = None,
+) -> None:
+    """Stop motion now, past every queue; works with a dead broker too. Exit status 0 only when rest is confirmed.
+
+    The latency it prints is from this order to the first decelerating tick of a joint.
+
+    Example:  rtc halt
+    Example:  rtc halt RIGHT-ARM
+    """
+    with Client(run_dir, need_broker=False) as rtc:
+        result = rtc.halt(halt_scope(f"HALT {scope}") or scope, timeout_s=timeout)
+    if json:
+        emit_json(result)
+    else:
+        print_halt(result)
+    raise typer.Exit(0 if result.confirmed else NOT_CONFIRMED)
+
+
+def print_halt(result: HaltResult, out: Console = console) -> None:
+    line = Text(f"HALT {result.scope}: ", style="bold")
+    if result.latency_s is None:
+        line.append("no subsystem answered", style="bold white on red")
+    else:
+        what = ", ".join(result.moving) or "nothing was moving"
+        line.append(f"decelerating after {result.latency_s * 1e3:.2f} ms ({what}); ")
+        rest = max((sub.rest_s for sub in result.subsystems if sub.rest_s is not None), default=None)
+        if result.confirmed and rest is not None:
+            line.append(f"rest confirmed after {rest * 1e3:.0f} ms", style="bold green")
+        else:
+            line.append(f"REST NOT CONFIRMED: {result.message}", style="bold white on red")
+    out.print(line)
+    if "halt" not in result.told:
+        out.print(Text("the broker could not be told: what waits there may start when it comes back"))

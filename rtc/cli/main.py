@@ -1,0 +1,79 @@
+"""`rtc`: the app and its commands. An expected trouble becomes one sentence and an exit status, never a traceback.
+
+A command's module is imported only when the command is called (or all are listed): `rtc halt` must not wait for numpy.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from typing import Any
+
+import typer
+
+from rtc.cli.output import LEFT_RUNNING, NO_CLUSTER, trouble
+from rtc.outcomes import NoCluster, RequestDeclined, RtcError
+
+#: command -> module of this package that has a function (or, for a group, an app) for it; in the order of the help
+COMMANDS = {
+    "up": "cluster",
+    "down": "cluster",
+    "status": "cluster",
+    "do": "sentences",
+    "halt": "halt",
+    "trace": "story",
+    "why": "story",
+    "world": "world",
+    "load": "programs",
+    "parse": "language",
+    "dictionary": "language",
+    "grammar": "language",
+    "shell": "shell",
+    "demo": "demo",
+}
+EPILOG = 'First steps: rtc demo, or: rtc up -d; rtc do "STOW LEFT-ARM"; rtc halt; rtc down'
+
+
+def build(names: list[str]) -> typer.Typer:
+    """The app with these commands."""
+    app = typer.Typer(
+        name="rtc",
+        help="Run-time control of a telerobot: say what is to be done, see it done, stop it at any time.",
+        epilog=EPILOG,
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="rich",
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(lambda: None)  # also with one command it is `rtc COMMAND`
+    for name in names:
+        module: Any = import_module(f"rtc.cli.{COMMANDS[name]}")
+        if hasattr(module, "app"):
+            app.add_typer(module.app, name=name)
+        else:
+            app.command(name)(getattr(module, name))
+    return app
+
+
+def main() -> None:
+    """Entry point. Exit status: see `rtc do -h`; 4 = no cluster."""
+    called = sys.argv[1] if len(sys.argv) > 1 else ""
+    try:
+        build([called] if called in COMMANDS else list(COMMANDS))()
+    except NoCluster as error:
+        sys.exit(trouble(str(error), NO_CLUSTER).exit_code)
+    except RequestDeclined as error:
+        clears = f" ({error.refusal.clears})" if error.refusal.clears else ""
+        sys.exit(trouble(str(error) + clears, 2).exit_code)
+    except RtcError as error:
+        sys.exit(trouble(str(error), 1).exit_code)
+    except BrokenPipeError:  # `rtc trace C-7 | head`
+        sys.stderr.close()
+        sys.exit(0)
+    except KeyboardInterrupt:
+        sys.exit(LEFT_RUNNING)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""How the command line speaks: the console, exit codes, the JSON line, and what a refusal looks like on a screen.
+
+Knows outcomes and refusals, no sockets. Text that came from outside is never read as markup.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from rtc.language.caret import show
+from rtc.outcomes import OutcomeKind, Refusal
+
+NO_CLUSTER = 4
+LEFT_RUNNING = 130  # Ctrl-C, as shells say it
+EXIT = {  # the worst of several decides: the first of these that is there
+    OutcomeKind.HALT_NOT_CONFIRMED: 3,
+    OutcomeKind.HALTED: 3,
+    OutcomeKind.LOST_SUBSYSTEM: 1,
+    OutcomeKind.FAILED: 1,
+    OutcomeKind.ABORTED: 1,
+    OutcomeKind.REFUSED: 2,
+    OutcomeKind.SUCCEEDED: 0,
+}
+COLOUR = {
+    OutcomeKind.SUCCEEDED: "bold green",
+    OutcomeKind.FAILED: "bold red",
+    OutcomeKind.REFUSED: "bold yellow",
+    OutcomeKind.ABORTED: "bold magenta",
+    OutcomeKind.HALTED: "bold magenta",
+    OutcomeKind.HALT_NOT_CONFIRMED: "bold white on red",
+    OutcomeKind.LOST_SUBSYSTEM: "bold white on red",
+}
+
+console = Console(highlight=False, soft_wrap=True)
+errors = Console(stderr=True, highlight=False, soft_wrap=True)
+
+RunDir = Annotated[Path | None, typer.Option("--run-dir", help="The cluster's run directory.", show_default="yours")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")]
+
+
+def exit_code(kinds: Iterable[OutcomeKind]) -> int:
+    """0 all succeeded, 1 a failure, 2 a refusal, 3 halted; the worst of several."""
+    seen = set(kinds)
+    return next((code for kind, code in EXIT.items() if kind in seen), 0)
+
+
+def emit_json(value: Any) -> None:
+    """The result, on one line of its own on stdout."""
+    sys.stdout.write(msgspec.json.encode(value).decode() + "\n")
+    sys.stdout.flush()
+
+
+def trouble(message: str, code: int = 1) -> typer.Exit:
+    """Say an expected trouble in a sentence (and as JSON when that was asked for); raise what this returns."""
+    errors.print(Text("rtc: ", style="bold red") + Text(message))
+    if "--json" in sys.argv:
+        emit_json({"error": message, "exit": code})
+    return typer.Exit(code)
+
+
+def refusal_lines(refusal: Refusal, text: str = "") -> list[str]:
+    """A refusal for people: where, why, what would be right, what would clear it."""
+    lines = show(text, refusal if text else msgspec.structs.replace(refusal, column=None)).splitlines()
+    if refusal.where and refusal.column is None:
+        lines.append(f"where: {refusal.where}")
+    if refusal.owner:
+        lines.append(f"owner: {refusal.owner}")
+    if refusal.detail:
+        lines.append("figures: " + ", ".join(f"{key} {figure(value)}" for key, value in refusal.detail.items()))
+    if refusal.clears:
+        lines.append(f"to clear it: {refusal.clears}")
+    return lines
+
+
+def figure(value: float | str) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def seconds(value: float) -> str:
+    """A duration as people read it: 0.4 ms, 37 ms, 2.15 s."""
+    if value < 0.01:
+        return f"{value * 1e3:.2f} ms"
+    return f"{value * 1e3:.0f} ms" if value < 1 else f"{value:.2f} s"
+
+
+def table(*columns: str, title: str = "") -> Table:
+    made = Table(title=title or None, title_justify="left", box=None, pad_edge=False, header_style="bold")
+    for column in columns:
+        right = column.endswith(">")
+        made.add_column(column.rstrip(">"), justify="right" if right else "left", overflow="fold")
+    return made

@@ -1,0 +1,40 @@
+"""rtc load, outcomes: the workers' programs, in a running cluster and on paper."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.text import Text
+
+from rtc.cli.output import AsJson, RunDir, console, emit_json, trouble
+from rtc.client import Client
+from rtc.messages import WorkerKind
+
+KINDS = ", ".join(kind.value for kind in WorkerKind)
+
+
+def load(
+    file: Annotated[Path, typer.Argument(help="A program file (YAML; for the parser a grammar).")],
+    into: Annotated[str, typer.Argument(help="The word INTO.", metavar="INTO")],
+    kind: Annotated[str, typer.Argument(help=f"A kind of worker: {KINDS}.")],
+    json: AsJson = False,
+    run_dir: RunDir = None,
+) -> None:
+    """Change a program while the cluster runs; motions are not touched, and a program that fails is rolled back.
+
+    Example:  rtc load my-grasp.yaml INTO elaborator
+    """
+    if into.upper() != "INTO":
+        raise trouble(f"say: rtc load {file} INTO KIND, where KIND is one of {KINDS}", 2)
+    if kind.lower() not in list(WorkerKind):
+        raise trouble(f"{kind} is no kind of worker; one of {KINDS} is", 2)
+    if not file.is_file():
+        raise trouble(f"there is no file {file}", 2)
+    with Client(run_dir) as rtc:
+        loaded = rtc.load(kind, file)
+    if json:
+        emit_json({"kind": loaded.kind.value, "digest": loaded.digest, "file": file.name})
+    else:
+        console.print(Text(f"{file.name} is in the {loaded.kind.value}s' program, which is now {loaded.digest}"))

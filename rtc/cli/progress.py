@@ -1,0 +1,132 @@
+"""Commands on the way, as they go: a live board on a terminal, one plain line per change elsewhere.
+
+Fed by a client's callbacks; asks nobody anything.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from rtc import messages as m
+from rtc.cli.output import COLOUR, console, refusal_lines, seconds, table
+from rtc.outcomes import OutcomeKind
+
+
+@dataclass
+class Row:
+    text: str
+    command: str = ""
+    phase: str = "waiting"
+    step: str = ""
+    node: str = ""
+    started_s: float = field(default_factory=time.monotonic)
+
+
+class Board:
+    """Context manager. `quiet` shows nothing (for --json); `out` is where to."""
+
+    def __init__(self, texts: list[str], *, quiet: bool = False, out: Console = console) -> None:
+        self._rows = [Row(text) for text in texts]
+        self._row_of: dict[str, Row] = {}
+        self.quiet = quiet
+        self._out = out
+        self._live: Live | None = None
+        self._begun_s = time.monotonic()
+        if not quiet and out.is_terminal:
+            self._live = Live(get_renderable=self._table, console=out, refresh_per_second=8, transient=True)
+
+    def __enter__(self) -> Board:
+        if self._live:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.pause()
+
+    def pause(self) -> None:
+        """Leave the screen to somebody else, for a question."""
+        if self._live:
+            self._live.stop()
+
+    def resume(self) -> None:
+        if self._live:
+            self._live.start()
+
+    @property
+    def running(self) -> list[str]:
+        """Numbers of the commands that have not ended, as far as was heard."""
+        return list(self._row_of)
+
+    def accepted(self, n: int, command: str) -> None:
+        row = self._rows[n]
+        row.command, row.phase, row.started_s = command, "accepted", time.monotonic()
+        self._row_of[command] = row
+        self._line(f"{command}  accepted  {row.text}")
+
+    def progress(self, note: m.ProgressNote) -> None:
+        if (row := self._row_of.get(note.command)) is None:
+            return
+        changed = (note.phase.value, note.step) != (row.phase, row.step)
+        row.phase, row.step, row.node = note.phase.value, note.step or row.step, note.node or row.node
+        if changed:
+            done = f"  ({note.node}, {seconds(note.took_s)})" if note.node else ""
+            self._line(f"{note.command}  {note.phase.value:<11} {note.step or note.note}{done}".rstrip())
+
+    def ended(self, n: int, ended: m.CommandEnded) -> None:
+        """Print the result line for good; it stays when the board goes."""
+        row = self._rows[n]
+        row.phase = "ended"
+        self._row_of.pop(ended.command, None)
+        if not self.quiet:
+            print_result(ended, row.text, self._out)
+
+    def _line(self, line: str) -> None:
+        if self._live or self.quiet:
+            return
+        self._out.print(Text(f"{time.monotonic() - self._begun_s:7.2f} s  {line}"))
+
+    def _table(self) -> Table:
+        out = table("", "phase", "step", "last done by", "time>", "sentence")
+        for row in self._row_of.values():
+            age = seconds(time.monotonic() - row.started_s)
+            out.add_row(row.command, row.phase, Text(row.step), row.node, age, Text(row.text, overflow="ellipsis"))
+        return out
+
+
+def print_result(ended: m.CommandEnded, text: str, out: Console = console) -> None:
+    """One line that says how a command ended; below it, when it did not succeed, why and what would clear it."""
+    kind = ended.outcome.kind
+    head = Text(f"{ended.command or '(not taken)'} ", style="bold")
+    head.append(kind.value.upper().replace("_", " "), style=COLOUR[kind])
+    head.append(f"  {text}  ").append(f"({_figures(ended)})", style="dim")
+    out.print(head)
+    for line in explain(ended, text):
+        out.print(Text("    " + line))
+
+
+def explain(ended: m.CommandEnded, text: str) -> list[str]:
+    """Why, in lines; empty on a plain success."""
+    outcome = ended.outcome
+    lines = []
+    if outcome.kind != OutcomeKind.SUCCEEDED and outcome.step:
+        lines.append(f"in step {outcome.step}" + (f", stopped by {outcome.stop.value}" if outcome.stop else ""))
+    if outcome.refusal is not None:
+        if outcome.message and outcome.refusal.message not in outcome.message:
+            lines.append(outcome.message)
+        lines += refusal_lines(outcome.refusal, text)
+    elif outcome.message:
+        lines.append(outcome.message)
+    if outcome.trims:
+        lines.append("mended on the way by: " + ", ".join(outcome.trims))
+    return lines
+
+
+def _figures(ended: m.CommandEnded) -> str:
+    steps = ended.outcome.steps_done
+    return (f"{steps} step{'s' if steps != 1 else ''}, " if steps else "") + seconds(ended.took_s)

@@ -1,0 +1,203 @@
+"""rtc do: sentences to the cluster, their progress, one result for each; and what Ctrl-C means meanwhile."""
+
+from __future__ import annotations
+
+import re
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+from rich.text import Text
+
+from rtc import messages as m
+from rtc.cli.halt import print_halt
+from rtc.cli.output import (
+    LEFT_RUNNING,
+    AsJson,
+    RunDir,
+    console,
+    emit_json,
+    errors,
+    exit_code,
+    refusal_lines,
+    trouble,
+)
+from rtc.cli.progress import Board
+from rtc.client import Client, Source
+from rtc.halting import HaltResult
+from rtc.language.fastpath import halt_scope
+from rtc.outcomes import OutcomeKind, RequestDeclined
+
+LABEL = re.compile(r"[A-Z]+\d+:\s+")  # "C12: GRASP ..." as in lists of sentences
+
+
+class LeftRunning(Exception):
+    """The operator went away from running commands on purpose."""
+
+
+def do(
+    sentences: Annotated[list[str] | None, typer.Argument(help="Sentences, each in quotes.")] = None,
+    file: Annotated[Path | None, typer.Option(help="Read sentences from a file, one a line; - is stdin.")] = None,
+    parallel: Annotated[bool, typer.Option("--parallel", help="Send all at once.")] = False,
+    keep_going: Annotated[bool, typer.Option("--keep-going", "-k", help="Go on after one that fails.")] = False,
+    no_wait: Annotated[bool, typer.Option("--no-wait", help="Return once they are accepted.")] = False,
+    halt_if_lost: Annotated[bool, typer.Option(help="Halt them should this terminal die.")] = False,
+    source: Annotated[str, typer.Option("--as", help="operator, or aip (told apart in records).")] = "operator",
+    json: AsJson = False,
+    run_dir: RunDir = None,
+) -> None:
+    """Submit sentences, show their progress and one result for each.
+
+    One after the other, ending at the first that does not succeed (-k goes on); with --parallel all at once: the
+    cluster finds out itself what may move at the same time. Exit status: 0 all succeeded, 1 a failure, 2 a refusal,
+    3 halted, 4 no cluster. Ctrl-C asks: leave them running, or halt.
+
+    Example:  rtc do "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A" "LIFT MACS-NEW BY 5 CM"
+    """
+    texts = [*(sentences or []), *(_lines(file) if file else [])]
+    if not texts:
+        raise trouble('no sentence; say one in quotes: rtc do "STOW LEFT-ARM"', 2)
+    if source not in ("operator", "aip"):
+        raise trouble(f"--as is operator or aip, not {source}", 2)
+    halts = [halt_scope(text) for text in texts]
+    with Client(run_dir, source=_source(source), need_broker=not all(halts)) as rtc:
+        if no_wait:
+            code, results = _hand_in(rtc, texts, halt_if_lost)
+        else:
+            code, results = _see_through(rtc, texts, parallel and not any(halts), keep_going, halt_if_lost, json)
+    if json:
+        emit_json({"results": results, "exit": code})
+    raise typer.Exit(code)
+
+
+def _see_through(
+    rtc: Client, texts: list[str], parallel: bool, keep_going: bool, halt_if_lost: bool, json: bool
+) -> tuple[int, list[dict[str, Any]]]:
+    """Run them all; the exit code and a result for each."""
+    kinds: list[OutcomeKind] = []
+    results: list[dict[str, Any]] = []
+    try:
+        with Board(texts, quiet=json) as board, asked_on_interrupt(rtc, board):
+            if parallel:
+                ended = rtc.run_many(
+                    texts,
+                    on_accept=board.accepted,
+                    on_progress=board.progress,
+                    on_end=board.ended,
+                    halt_if_lost=halt_if_lost,
+                )
+                kinds = [one.outcome.kind for one in ended]
+                results = [_result(one, text) for one, text in zip(ended, texts, strict=True)]
+            else:
+                for n, text in enumerate(texts):
+                    kind, result = _one(rtc, board, n, text, halt_if_lost)
+                    kinds.append(kind)
+                    results.append(result)
+                    if kind != OutcomeKind.SUCCEEDED and not keep_going:
+                        break
+    except LeftRunning:
+        console.print("left running; `rtc status` shows them, `rtc halt` stops them")
+        return LEFT_RUNNING, results
+    for text in texts[len(results) :]:
+        results.append({"text": text, "kind": "not_sent"})
+        if not json:
+            console.print(Text("NOT SENT", style="bold") + Text(f"  {text}  ") + Text("(use -k to go on)", style="dim"))
+    return exit_code(kinds), results
+
+
+def _one(rtc: Client, board: Board, n: int, text: str, halt_if_lost: bool) -> tuple[OutcomeKind, dict[str, Any]]:
+    if scope := halt_scope(text):
+        halted = rtc.halt(scope)
+        print_halt(halted, errors if board.quiet else console)
+        kind = OutcomeKind.SUCCEEDED if halted.confirmed else OutcomeKind.HALT_NOT_CONFIRMED
+        return kind, {"text": text, "kind": kind.value, "halt": msgspec.to_builtins(halted)}
+    ended = rtc.run_many(
+        [text],
+        on_accept=lambda _, command: board.accepted(n, command),
+        on_progress=board.progress,
+        on_end=lambda _, one: board.ended(n, one),
+        halt_if_lost=halt_if_lost,
+    )[0]
+    return ended.outcome.kind, _result(ended, text)
+
+
+def _hand_in(rtc: Client, texts: list[str], halt_if_lost: bool) -> tuple[int, list[dict[str, Any]]]:
+    """Submit without waiting for outcomes."""
+    results: list[dict[str, Any]] = []
+    for text in texts:
+        if scope := halt_scope(text):
+            halted: HaltResult = rtc.halt(scope)
+            print_halt(halted)
+            results.append({"text": text, "kind": "halted", "halt": msgspec.to_builtins(halted)})
+            continue
+        try:
+            command = rtc.submit(text, halt_if_lost=halt_if_lost)
+        except RequestDeclined as declined:
+            for line in refusal_lines(declined.refusal, text):
+                errors.print(Text(line))
+            results.append({"text": text, "kind": "refused", "refusal": msgspec.to_builtins(declined.refusal)})
+            return 2, results
+        console.print(Text(f"{command} accepted  {text}"))
+        results.append({"text": text, "kind": "accepted", "command": command})
+    return 0, results
+
+
+@contextmanager
+def asked_on_interrupt(rtc: Client, board: Board) -> Iterator[None]:
+    """Ctrl-C asks; a second Ctrl-C, or nobody there to ask, halts: whoever presses it twice wants the arms to stop.
+
+    The question is asked inside the signal handler. That is safe: the halt line shares nothing with what was
+    interrupted, and the wait goes on afterwards to hear how the commands ended.
+    """
+
+    def interrupted(*_: object) -> None:
+        board.pause()
+        answer = _ask() if sys.stdin.isatty() else "h"
+        if answer == "l":
+            raise LeftRunning
+        if answer == "h":
+            for scope in board.running or ["ALL"]:
+                print_halt(rtc.halt(scope), errors)
+        board.resume()
+
+    before = signal.signal(signal.SIGINT, interrupted)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _ask() -> str:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        errors.print("\n[l]eave running, [h]alt, or [w]ait on? (Ctrl-C again halts) ", end="")
+        return (input().strip().lower() or "w")[0]
+    except (KeyboardInterrupt, EOFError):
+        return "h"
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _lines(file: Path) -> list[str]:
+    """Sentences of a file: blank lines and # comments left out, labels such as C12: taken off."""
+    try:
+        text = sys.stdin.read() if str(file) == "-" else file.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise trouble(f"cannot read {file}: {error}", 2) from None
+    lines = (line.strip() for line in text.splitlines())
+    return [LABEL.sub("", line, count=1) for line in lines if line and not line.startswith(("#", "--"))]
+
+
+def _result(ended: m.CommandEnded, text: str) -> dict[str, Any]:
+    """One result of --json: flat where people look first."""
+    outcome = msgspec.to_builtins(ended.outcome)
+    return {"command": ended.command, "text": text, **outcome, "took_s": round(ended.took_s, 6)}
+
+
+def _source(name: str) -> Source:
+    return "aip" if name == "aip" else "operator"

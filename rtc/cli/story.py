@@ -1,0 +1,152 @@
+"""rtc trace, why: what became of a command, as a table of every phase, and as a chain of causes in words."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import Annotated, Any
+
+import msgspec
+import typer
+from rich.text import Text
+
+from rtc import messages as m
+from rtc.cli.output import COLOUR, AsJson, RunDir, console, emit_json, refusal_lines, seconds, table
+from rtc.client import Client
+from rtc.outcomes import OutcomeKind
+
+DID = {"parser": "parsed", "elaborator": "planned", "binder": "bound", "analyzer": "judged"}  # kind of worker -> verb
+
+Command = Annotated[str, typer.Argument(help="Number of a command, live or ended: C-7.")]
+
+
+def trace(command: Command, json: AsJson = False, run_dir: RunDir = None) -> None:
+    """Every phase of a command: when, who did it (and where in the cube), how long it took, what came of it.
+
+    Example:  rtc trace C-7
+    """
+    with Client(run_dir) as rtc:
+        record = rtc.trace(command)
+    if json:
+        emit_json(as_json(record))
+    else:
+        print_trace(record)
+
+
+def print_trace(record: m.CommandRecord) -> None:
+    console.print(Text(f"{record.command}  {record.text}  ", style="bold") + Text(f"({record.source})", style="dim"))
+    out = table("since accept>", "done by", "address", "took>", "now", "step", "what came of it")
+    for note in record.notes:
+        out.add_row(
+            seconds(note.at_s - record.accepted_at_s),
+            note.node,
+            address(note.node),
+            seconds(note.took_s) if note.node else "",
+            note.phase.value,
+            Text(note.step),
+            Text(note.note),
+        )
+    console.print(out)
+    _print_decision(record)
+
+
+def why(command: Command, json: AsJson = False, run_dir: RunDir = None) -> None:
+    """The chain of causes: sentence -> script line -> primitive -> report -> decision, and what would clear it.
+
+    Example:  rtc why C-7
+    """
+    with Client(run_dir) as rtc:
+        record = rtc.trace(command)
+    if json:
+        emit_json({"command": record.command, "chain": chain(record), "outcome": as_json(record)["outcome"]})
+    else:
+        print_why(record)
+
+
+def print_why(record: m.CommandRecord) -> None:
+    for line in chain(record):
+        console.print(Text(line))
+    _print_decision(record)
+
+
+def address(node: str) -> str:
+    """binder@2 sits at 10 in the cube; a subsystem sits nowhere in it."""
+    _, at, number = node.partition("@")
+    return format(int(number), "02b") if at and number.isdigit() else ""
+
+
+def as_json(record: m.CommandRecord) -> dict[str, Any]:
+    """The record, its notes with times since acceptance and addresses."""
+    said: dict[str, Any] = msgspec.to_builtins(record)
+    said.setdefault("outcome", None)
+    for note, source in zip(said.get("notes", []), record.notes, strict=True):
+        note["since_accept_s"] = round(source.at_s - record.accepted_at_s, 6)
+        note["address"] = address(source.node)
+    return said
+
+
+def chain(record: m.CommandRecord) -> list[str]:
+    """The story in words: one line for each step that went well, every link for the one it ended in."""
+    lines = [f"{record.command} was said by the {record.source}: {record.text}"]
+    steps = [(step, list(notes)) for step, notes in groupby(_by_step(record.notes), key=lambda pair: pair[0])]
+    last = len(steps) - 1
+    ended_well = record.outcome is not None and record.outcome.kind == OutcomeKind.SUCCEEDED
+    for n, (step, pairs) in enumerate(steps):
+        notes = [note for _, note in pairs]
+        if not step:
+            lines += [link(note) for note in notes if note.node or note.phase == m.Phase.HELD]
+        elif n == last and not ended_well:
+            lines.append(f"script line {step}")
+            lines += ["    " + link(note) for note in notes if note.node or note.note]
+        else:
+            lines.append(f"script line {step}: {_in_short(notes)}")
+    return lines
+
+
+def link(note: m.ProgressNote) -> str:
+    """One link of the chain."""
+    if not note.node:
+        return f"{note.phase.value}: {note.note}".rstrip(": ")
+    done = DID.get(note.node.partition("@")[0], "reported")
+    return f"{done} by {note.node} in {seconds(note.took_s)}" + (f": {note.note}" if note.note else "")
+
+
+def _by_step(notes: list[m.ProgressNote]) -> list[tuple[str, m.ProgressNote]]:
+    """Each note with the step it is about: a note that tells of finished work may already bear the step that follows.
+    What only says again who did it is left out."""
+    pairs: list[tuple[str, m.ProgressNote]] = []
+    step, node = "", ""
+    for note in notes:
+        kind = note.node.partition("@")[0]
+        about = {"parser": "", "elaborator": "", "analyzer": step}.get(kind, note.step)
+        if note.note or not note.node or note.node != node:
+            pairs.append((about, note))
+        step, node = note.step, note.node
+    return pairs
+
+
+def _in_short(notes: list[m.ProgressNote]) -> str:
+    """How a step went: what its subsystem reported."""
+    reports = [note for note in notes if note.node and "@" not in note.node and note.note != "started"]
+    said = reports or [note for note in notes if note.note]
+    if not said:
+        return "done"
+    note = said[-1]
+    return f"{note.node} {note.note} after {seconds(note.took_s)}".strip() if note.node else note.note
+
+
+def _print_decision(record: m.CommandRecord) -> None:
+    outcome = record.outcome
+    if outcome is None:
+        console.print(Text(f"now: {record.phase.value}", style="bold"))
+        return
+    assert record.ended_at_s is not None
+    line = Text("decision: ", style="bold").append(outcome.kind.value.upper().replace("_", " "), COLOUR[outcome.kind])
+    line.append(f" after {seconds(record.ended_at_s - record.accepted_at_s)}")
+    line.append(f": {outcome.message}" if outcome.message else "")
+    console.print(line)
+    if outcome.trims:
+        console.print(Text("    mended on the way by: " + ", ".join(outcome.trims)))
+    if outcome.refusal is not None:
+        for text in refusal_lines(outcome.refusal, record.text):
+            if text != outcome.message:
+                console.print(Text("    " + text))

@@ -1,0 +1,159 @@
+"""rtc world: what the cluster believes, since when, from whom, and whether it is to be trusted. Reads only."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from typing import Annotated, Any
+
+import msgspec
+import typer
+from rich.text import Text
+
+from rtc.cli.output import AsJson, RunDir, console, emit_json, seconds, table, trouble
+from rtc.client import Client
+from rtc.messages import Fact, Validity
+from rtc.world.client import WorldClient
+
+HISTORY = 1000  # facts of one key that `at` looks through
+COLOUR = {Validity.VALID: "green", Validity.SUSPECT: "bold yellow", Validity.INVALID: "red", Validity.CHANGING: "cyan"}
+
+Key = Annotated[str, typer.Argument(help="A fact (MACS-NEW.frame) or all of a location (MACS-NEW).")]
+
+app = typer.Typer(
+    help="The world database: facts with validity, version, source and age.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@app.command("list")
+def list_facts(json: AsJson = False, run_dir: RunDir = None) -> None:
+    """All facts.
+
+    Example:  rtc world list
+    """
+    with Client(run_dir, need_broker=False) as rtc:
+        view = rtc.world.view()
+    _show(view.facts, json, view.version)
+
+
+@app.command()
+def get(key: Key, json: AsJson = False, run_dir: RunDir = None) -> None:
+    """One fact, or all of a location. Exit status 2 when there is none.
+
+    Example:  rtc world get MACS-NEW.frame
+    """
+    with Client(run_dir, need_broker=False) as rtc:
+        view = rtc.world.view(keys=[spelt(key)])
+        if not view.facts:
+            raise _unknown(key, rtc.world)
+    _show(view.facts, json, view.version)
+
+
+@app.command()
+def watch(
+    key: Annotated[str, typer.Argument(help="A fact or a location; without it, everything.")] = "",
+    every: Annotated[float, typer.Option(min=0.02, help="Seconds between two looks.")] = 0.2,
+    run_dir: RunDir = None,
+) -> None:
+    """Print facts as they change, until Ctrl-C.
+
+    Example:  rtc world watch RIGHT-ARM
+    """
+    with Client(run_dir, need_broker=False) as rtc:
+        keys = [spelt(key)] if key else None
+        seen = rtc.world.view(keys=keys)
+        if key and not seen.facts:
+            raise _unknown(key, rtc.world)
+        _show(seen.facts, False, seen.version)
+        while True:
+            time.sleep(every)
+            news = rtc.world.view(since=seen.version, keys=keys)
+            for fact in sorted(news.facts, key=lambda fact: fact.version):
+                console.print(
+                    Text(f"{fact.version:>6}  {fact.key}  {shown(fact.value)}  {fact.validity}  {fact.source}")
+                )
+            seen = news
+
+
+@app.command()
+def history(
+    key: Annotated[str, typer.Argument(help="One fact: MACS-NEW.frame")],
+    limit: Annotated[int, typer.Option(min=1, help="At most so many, the newest first.")] = 20,
+    json: AsJson = False,
+    run_dir: RunDir = None,
+) -> None:
+    """What was believed under a key, newest first, and who said so.
+
+    Example:  rtc world history MACS-NEW.frame
+    """
+    with Client(run_dir, need_broker=False) as rtc:
+        facts = rtc.world.history(spelt(key), limit)
+        if not facts:
+            raise _unknown(key, rtc.world)
+    _show(facts, json, None, by_key=False)
+
+
+@app.command()
+def at(
+    version: Annotated[int, typer.Argument(min=1, help="A version of the world.")],
+    key: Annotated[str, typer.Argument(help="A fact or a location; without it, everything.")] = "",
+    json: AsJson = False,
+    run_dir: RunDir = None,
+) -> None:
+    """What was believed at an earlier version of the world.
+
+    Example:  rtc world at 42 MACS-NEW
+    """
+    with Client(run_dir, need_broker=False) as rtc:
+        now = rtc.world.view(keys=[spelt(key)] if key else None)
+        if key and not now.facts:
+            raise _unknown(key, rtc.world)
+        pasts = (rtc.world.history(fact.key, HISTORY) for fact in now.facts)
+        then = [old for past in pasts for old in past[:] if old.version <= version]
+    newest: dict[str, Fact] = {}
+    for fact in then:
+        if fact.key not in newest or newest[fact.key].version < fact.version:
+            newest[fact.key] = fact
+    _show(newest.values(), json, version)
+
+
+def spelt(key: str) -> str:
+    """A key as the database spells it: the location in capitals with '-', the attribute as it stands."""
+    place, dot, attribute = key.partition(".")
+    return place.upper().replace("_", "-") + dot + attribute.lower()
+
+
+def shown(value: Any) -> str:
+    """A value for people: six numbers in a row are no riddle, sixteen digits are."""
+    if isinstance(value, list | tuple):
+        return "[" + " ".join(shown(item) for item in value) + "]"
+    if isinstance(value, float):
+        return f"{value:.4f}"
+    return "-" if value in (None, "") else str(value)
+
+
+def _show(facts: Iterable[Fact], json: bool, version: int | None, *, by_key: bool = True) -> None:
+    facts = sorted(facts, key=lambda fact: fact.key) if by_key else list(facts)
+    if json:
+        emit_json({"version": version, "facts": [msgspec.to_builtins(fact) for fact in facts]})
+        return
+    print_facts(facts)
+    if version is not None:
+        console.print(f"version {version} of the world, {len(facts)} facts")
+
+
+def print_facts(facts: Iterable[Fact]) -> None:
+    out = table("fact", "value", "validity", "version>", "source", "age>")
+    now_s = time.monotonic()
+    for fact in facts:
+        validity = Text(fact.validity.value, style=COLOUR.get(fact.validity, ""))
+        age = seconds(max(0.0, now_s - fact.at_s))
+        out.add_row(fact.key, Text(shown(fact.value)), validity, str(fact.version), Text(fact.source), age)
+    console.print(out)
+
+
+def _unknown(key: str, world: WorldClient) -> typer.Exit:
+    locations = sorted({fact.key.partition(".")[0] for fact in world.view().facts})
+    return trouble(f"nothing is known of {key}; known are: {', '.join(locations)}", 2)

@@ -1,0 +1,1 @@
+"""Scenarios that bring their own cluster and tell their story."""

@@ -1,0 +1,182 @@
+"""The main job: two arms grasp a module each at the same time, lift, are halted in the middle of a move, go on at once,
+put everything back and stow. What the cluster says is checked against what the simulator knows.
+
+Talks to the cluster as any user does, through `rtc.client`; only the checks ask the simulator for the truth.
+"""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+
+from rtc import geometry
+from rtc import messages as m
+from rtc.cell import Cell
+from rtc.client import Client
+from rtc.demos.own_cluster import own_cluster
+from rtc.demos.telling import Story
+from rtc.outcomes import OutcomeKind
+
+HELD = {"RIGHT-ARM": "MACS-NEW", "LEFT-ARM": "MACS-OLD"}  # which arm carries what
+GRASPS = ["GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", "GRASP LEFT-END-EFF MACS-OLD HANDLE-B"]
+LIFTS = ["LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM", "LIFT MACS-OLD BY 15 CM WITH LEFT-ARM"]
+MOVE = "MOVE RIGHT-ARM TO BAY-2-FRONT"
+PLACES = ["PLACE MACS-NEW ON RACK-1 WITH RIGHT-ARM", "PLACE MACS-OLD ON RACK-2 WITH LEFT-ARM"]
+STOWS = ["STOW RIGHT-ARM", "STOW LEFT-ARM"]
+
+SLIP_M = 0.002  # how far a module may move in the hand while it is lifted
+BELIEF_M = 0.005  # how far the world's fact may be from the truth
+LIFTED_M = 0.14  # of the 0.15 that was asked for
+SEATED_M = 0.005  # how far from its seat a module may be in the end
+STOWED_RAD = 0.01
+UNDER_WAY_M = 0.08  # how far the tool has gone when we call the halt
+COMMAND_S = 90.0  # no command of this story takes so long
+RENDER_S = 60.0
+
+
+@dataclass
+class Overlap:
+    """Hears progress; knows whether two commands were executing at the same time."""
+
+    story: Story
+    executing: set[str] = field(default_factory=set)
+    seen: bool = False
+
+    def __call__(self, note: m.ProgressNote) -> None:
+        if note.phase is m.Phase.EXECUTING:
+            if note.command not in self.executing and note.step:
+                self.story.line(f"{note.command}  {note.step}", "dim")
+            self.executing.add(note.command)
+        else:
+            self.executing.discard(note.command)
+        self.seen |= len(self.executing) > 1
+
+
+def tell(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
+    """Run it all; True when every check passed. Leaves pictures in `out`, and nothing running."""
+    story = Story(console)
+    story.chapter("A cluster: broker, world database, four workers, and two PUMA 560 arms in a physics simulator")
+    with own_cluster(speed=speed) as run_dir, Client(run_dir) as rtc:
+        story.line(f"ready; {len(rtc.status().get('workers', []))} workers, run directory {run_dir}")
+        _told(story, rtc, out)
+    story.line("everything stopped")
+    return story.passed()
+
+
+def _told(story: Story, rtc: Client, out: Path) -> None:
+    story.chapter("Two grasps at once; the cluster finds by itself that they need different arms")
+    if not _all(story, rtc, GRASPS, together=True):
+        return
+    gripped = rtc.truth()
+    _picture(story, gripped, out / "1-grasped.png")
+
+    story.chapter("Lift both; the modules must follow their hands")
+    if not _all(story, rtc, LIFTS, together=True):
+        return
+    _check_followed(story, gripped, lifted := rtc.truth())
+    _check_belief(story, rtc, lifted)
+    _picture(story, lifted, out / "2-lifted.png")
+
+    story.chapter(f"{MOVE}, and a halt in the middle of it")
+    _check_halt(story, rtc)
+    if not _all(story, rtc, [MOVE]):
+        return
+
+    story.chapter("Put both back, and stow")
+    if not _all(story, rtc, PLACES, together=True) or not _all(story, rtc, STOWS, together=True):
+        return
+    ended = rtc.truth()
+    _check_put_back(story, gripped, ended)
+    _check_stowed(story, rtc, ended)
+    _check_belief(story, rtc, ended)
+    _picture(story, ended, out / "3-put-back.png")
+
+
+def _all(story: Story, rtc: Client, texts: list[str], *, together: bool = False) -> bool:
+    """Say these sentences and see them through; False (with the reason told) when one did not succeed."""
+    overlap = Overlap(story)
+
+    def accepted(n: int, command: str) -> None:
+        story.line(f"{command}  said: {texts[n]}")
+
+    def ended(_: int, end: m.CommandEnded) -> None:
+        story.line(f"{end.command}  {end.outcome.kind.value} after {end.took_s:.1f} s  {end.outcome.message}".rstrip())
+
+    ends = rtc.run_many(texts, on_accept=accepted, on_progress=overlap, on_end=ended, timeout_s=COMMAND_S)
+    good = all(end.outcome.kind is OutcomeKind.SUCCEEDED for end in ends)
+    if not good:
+        story.check(f"{' and '.join(text.split()[0] for text in texts)} succeeded", False)
+    elif together:
+        story.check(f"{texts[0].split()[0]} x {len(texts)}: both arms were in motion at the same time", overlap.seen)
+    return good
+
+
+def _check_halt(story: Story, rtc: Client) -> None:
+    samples = rtc.telemetry(silence_s=5.0)
+    start = next(samples).arms["RIGHT-ARM"].tcp_pose
+    command = rtc.submit(MOVE)
+    story.line(f"{command}  said: {MOVE}")
+    for sample in samples:
+        if math.dist(sample.arms["RIGHT-ARM"].tcp_pose[:3], start[:3]) > UNDER_WAY_M:
+            break
+    result = rtc.halt("RIGHT-ARM")
+    latency = "never" if result.latency_s is None else f"{result.latency_s * 1e3:.2f} ms"
+    moving = ", ".join(result.moving) or "nothing"
+    story.check(f"halt called in motion: {moving} began to decelerate after {latency}", result.moving == ["RIGHT-ARM"])
+    story.check("rest is confirmed", result.confirmed)
+    ended = rtc.wait(command, timeout_s=COMMAND_S)
+    story.check(f"{command} ended as {ended.outcome.kind.value}", ended.outcome.kind is OutcomeKind.HALTED)
+    story.line("and the same sentence again, at once:")
+
+
+def _check_followed(story: Story, before: m.SimTruthReply, after: m.SimTruthReply) -> None:
+    for arm, module in HELD.items():
+        slip_m = math.dist(_in_hand(before, arm, module), _in_hand(after, arm, module))
+        rise_m = after.poses[module][2] - before.poses[module][2]
+        story.check(f"{module} rose {rise_m * 1e3:.1f} mm with {arm}", rise_m > LIFTED_M)
+        story.check(f"{module} moved {slip_m * 1e3:.2f} mm in the hand (limit {SLIP_M * 1e3:.0f})", slip_m <= SLIP_M)
+
+
+def _in_hand(truth: m.SimTruthReply, arm: str, module: str) -> list[float]:
+    """Where the module's origin is in tool axes."""
+    return geometry.compose(geometry.inverse(truth.tcp[arm]), truth.poses[module])[:3].tolist()
+
+
+def _check_belief(story: Story, rtc: Client, truth: m.SimTruthReply) -> None:
+    for module in HELD.values():
+        fact = rtc.world.view(keys=[f"{module}.frame"]).facts[0]
+        off_m = math.dist(fact.value[:3], truth.poses[module][:3])
+        what = f"the world believes {module} {off_m * 1e3:.2f} mm from where it is ({fact.validity.value})"
+        story.check(what, off_m <= BELIEF_M and fact.validity is m.Validity.VALID)
+
+
+def _check_put_back(story: Story, before: m.SimTruthReply, after: m.SimTruthReply) -> None:
+    for arm, module in HELD.items():
+        off_m = math.dist(before.poses[module][:3], after.poses[module][:3])
+        story.check(f"{module} is {off_m * 1e3:.1f} mm from where it was", off_m <= SEATED_M)
+        story.check(f"{arm} holds nothing", not after.held.get(arm))
+
+
+def _check_stowed(story: Story, rtc: Client, truth: m.SimTruthReply) -> None:
+    for arm in Cell.load(rtc.settings.cell).arms:
+        off_rad = max(abs(a - b) for a, b in zip(truth.joints[arm.name], arm.stow_rad, strict=True))
+        story.check(f"{arm.name} is {off_rad:.4f} rad from its stow posture", off_rad <= STOWED_RAD)
+
+
+def _picture(story: Story, truth: m.SimTruthReply, file: Path) -> None:
+    """Drawn by another process, because drawing needs the simulator's library."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    data = file.with_suffix(".json")
+    data.write_bytes(msgspec.json.encode(truth))
+    command = [sys.executable, "-m", "sim_mcm.render", "--truth", str(data), "--out", str(file)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=RENDER_S, check=False)
+    data.unlink()
+    if story.check(f"picture {file}", done.returncode == 0 and file.is_file()):
+        return
+    story.line(done.stderr.strip()[-500:], "red")

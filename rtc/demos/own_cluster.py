@@ -1,0 +1,50 @@
+"""A cluster of one's own, in a directory of its own, that is gone when the `with` is left, however it is left."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rtc.outcomes import ClusterError
+
+READY_S = 60.0  # a cold start on a slow machine
+DOWN_S = 20.0
+
+
+@contextmanager
+def own_cluster(*, cell: str = "swapout", mcm: str = "bullet", speed: str = "1", dim: int = 2) -> Iterator[Path]:
+    """The run directory of a new cluster. Raises ClusterError, with its last words, when it does not come up.
+
+    SIGTERM to this process ends the cluster too.
+    """
+    run_dir = Path(tempfile.mkdtemp(prefix="rtc-"))
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        _deploy("up", run_dir, READY_S, "-d", "--cell", cell, "--mcm", mcm, "--speed", speed, "--dim", str(dim))
+        yield run_dir
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        try:
+            _deploy("down", run_dir, DOWN_S)
+        finally:
+            shutil.rmtree(run_dir, ignore_errors=True)
+
+
+def _deploy(what: str, run_dir: Path, limit_s: float, *options: str) -> None:
+    command = [sys.executable, "-m", "deploy", what, "--run-dir", str(run_dir), *options]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=limit_s, start_new_session=True)
+    except subprocess.TimeoutExpired:
+        raise ClusterError(f"the cluster did not answer `{what}` within {limit_s:.0f} s") from None
+    if done.returncode != 0:
+        raise ClusterError(f"cluster {what} failed: {(done.stderr or done.stdout).strip()[-2000:]}")
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt

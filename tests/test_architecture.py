@@ -1,0 +1,170 @@
+"""The shape of the code base, tested: who imports whom, what may be imported where, what every file must say."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("rtc", "broker", "workers", "sim_mcm", "deploy")
+#: package -> those of ours it may import
+ARROWS = {
+    "rtc": {"rtc"},
+    "broker": {"rtc", "broker"},
+    "workers": {"rtc", "workers"},
+    "sim_mcm": {"rtc", "sim_mcm"},
+    "deploy": {"rtc", "deploy"},
+}
+#: outside module -> the places that may import it
+ONLY_IN = {
+    "pybullet": ("sim_mcm/",),
+    "pinocchio": ("rtc/robot/", "workers/motion/", "sim_mcm/"),
+    "coal": ("rtc/robot/", "workers/motion/", "sim_mcm/"),
+    "lark": ("rtc/language/",),
+    "typer": ("rtc/cli/",),
+    "sqlite3": ("rtc/world/", "broker/"),
+}
+#: pure files and folders: no clock, no socket, no process, no chance
+PURE = (
+    "rtc/messages.py", "rtc/outcomes.py", "rtc/primitive.py", "rtc/geometry.py", "rtc/wire.py",
+    "rtc/language/", "rtc/world/model.py",
+    "broker/decision_unit.py", "broker/transitions.py", "broker/events.py", "broker/effects.py",
+    "broker/resources.py", "broker/journey.py", "broker/ending.py", "broker/turn.py", "broker/state.py",
+    "broker/roster.py",
+    "sim_mcm/executor.py", "sim_mcm/stop_functions.py", "sim_mcm/reports.py",
+)  # fmt: skip
+IMPURE = {"time", "random", "socket", "zmq", "sqlite3", "subprocess", "threading", "multiprocessing", "uuid", "logging"}
+#: what knows phases and outcomes, never skills
+SKILLESS = ("broker/", "workers/shell.py", "workers/binder.py", "workers/elaborator.py", "workers/analyzer.py")
+
+
+def sources(*folders: str) -> list[Path]:
+    return sorted(p for folder in folders for p in (ROOT / folder).rglob("*.py") if "__pycache__" not in p.parts)
+
+
+def place(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def imports(path: Path) -> Iterator[tuple[int, str]]:
+    """(line, dotted name) of everything a file imports, also inside functions."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{place(path)}:{node.lineno}: imports are absolute"
+            yield node.lineno, node.module or ""
+
+
+ALL = sources(*PACKAGES)
+
+
+def test_there_is_something_to_look_at() -> None:
+    assert {place(path).split("/")[0] for path in ALL} == set(PACKAGES)
+
+
+@pytest.mark.parametrize("path", ALL, ids=place)
+def test_imports_go_one_way(path: Path) -> None:
+    package = place(path).split("/")[0]
+    wrong = [
+        f"{place(path)}:{line} imports {name}"
+        for line, name in imports(path)
+        if (top := name.split(".")[0]) in ARROWS and top not in ARROWS[package]
+    ]
+    assert not wrong
+
+
+@pytest.mark.parametrize("path", ALL, ids=place)
+def test_an_outside_library_stays_in_its_place(path: Path) -> None:
+    wrong = [
+        f"{place(path)}:{line} imports {name}"
+        for line, name in imports(path)
+        if (homes := ONLY_IN.get(name.split(".")[0])) and not place(path).startswith(homes)
+    ]
+    assert not wrong
+
+
+@pytest.mark.parametrize("path", [p for p in ALL if place(p).startswith(PURE)], ids=place)
+def test_a_pure_file_has_no_clock_no_socket_and_no_chance(path: Path) -> None:
+    wrong = [f"{place(path)}:{line} imports {name}" for line, name in imports(path) if name.split(".")[0] in IMPURE]
+    assert not wrong
+
+
+@pytest.mark.parametrize("path", [*ALL, *sources("tests", "benchmarks")], ids=place)
+def test_a_file_opens_with_what_it_is(path: Path) -> None:
+    text = path.read_text()
+    if text.strip():
+        assert ast.get_docstring(ast.parse(text)), f"{place(path)} has no docstring at its top"
+
+
+def test_imports_make_no_cycle() -> None:
+    graph = {module(path): {name for _, name in imports_at_top(path)} for path in ALL}
+    graph = {name: {other for other in others if other in graph} for name, others in graph.items()}
+    done: set[str] = set()
+
+    def visit(name: str, way: tuple[str, ...]) -> None:
+        assert name not in way, "import cycle: " + " -> ".join([*way[way.index(name) :], name])
+        if name not in done:
+            for other in sorted(graph[name]):
+                visit(other, (*way, name))
+            done.add(name)
+
+    for name in sorted(graph):
+        visit(name, ())
+
+
+def module(path: Path) -> str:
+    return place(path).removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def imports_at_top(path: Path) -> Iterator[tuple[int, str]]:
+    """Imports when the file is loaded, with `from package import module` counted as the module."""
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            for alias in node.names:
+                inner = ROOT / Path(*node.module.split(".")) / f"{alias.name}.py"
+                yield node.lineno, f"{node.module}.{alias.name}" if inner.exists() else node.module
+
+
+@pytest.mark.parametrize("path", [p for p in ALL if place(p).startswith(SKILLESS)], ids=place)
+def test_code_names_no_skill(path: Path) -> None:
+    """Skills, objects and verbs of motion are data: a new one is a file, not a change here."""
+    found = {
+        node.value
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value in skill_names()
+    }
+    assert not found
+
+
+def skill_names() -> set[str]:
+    """Verbs of the decision tree and names of scripts, as the programs have them (but for plain English words)."""
+    programs = ROOT / "rtc" / "programs" / "elaborator"
+    tree = yaml.safe_load((programs / "decision_tree.yaml").read_text())["decision_tree"]
+    scripts = (yaml.safe_load(path.read_text()).get("script", "") for path in (programs / "scripts").glob("*.yaml"))
+    return {row["verb"] for row in tree} | {name for name in scripts if "-" in name}
+
+
+def test_every_phase_of_a_command_is_a_word_people_see() -> None:
+    """One idea, one name: the glossary of ARCHITECTURE.md has the words that messages use."""
+    glossary = (ROOT / "ARCHITECTURE.md").read_text()
+    words = ("sentence", "command", "job", "program", "script", "step", "primitive", "subsystem", "report", "trim")
+    missing = [word for word in words if not re.search(rf"^\| {word} \|", glossary, re.MULTILINE)]
+    assert not missing
+
+
+def test_the_environment_is_read_in_one_place() -> None:
+    readers = {place(path) for path in ALL if re.search(r"environ\[|environ\.get|getenv", path.read_text())}
+    assert readers <= {"rtc/settings.py"}
+
+
+def test_this_python_is_one_we_support() -> None:
+    assert sys.version_info >= (3, 11)
