@@ -146,7 +146,7 @@ class Shell:
                 self._retiring = True
 
     def _begin_anew(self) -> None:
-        """The broker does not know us. Several of our heartbeats may have made it ask: one hello is the answer to all."""
+        """The broker does not know us. Several of our heartbeats may have made it ask: one hello answers all."""
         if now_s() - self._said_hello_s < HELLO_AGAIN_S:
             return
         self._queue.clear()

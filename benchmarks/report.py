@@ -1,0 +1,93 @@
+"""How every benchmark tells its result: a table for people, a file in results/, and one line of JSON at the end.
+
+    question("world", "How long does a grouped read of 50 facts take?")
+    ...
+    finish("world", {"read50_p50_us": 123.4, "vs_redis": None}, rows=[("read of 50", "123 us")])
+
+Latencies are given as percentiles of all samples, the worst among them; nothing is trimmed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import subprocess
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+RESULTS = Path(__file__).parent / "results"
+
+
+def question(name: str, text: str, *, seed: int | None = None) -> None:
+    """Say what is asked, of which machine, with which seed."""
+    print(f"{name}: {text}")
+    print(f"machine: {machine()['cpu']}, {machine()['cores']} cores, Python {platform.python_version()}", end="")
+    print(f"; seed {seed}" if seed is not None else "", flush=True)
+
+
+def percentile(samples: Sequence[float], percent: float) -> float:
+    """The sample that `percent` % of all do not exceed (nearest rank). Raises ValueError when there are none."""
+    if not samples:
+        raise ValueError("a percentile of no samples")
+    ranked = sorted(samples)
+    return ranked[max(0, math.ceil(len(ranked) * percent / 100) - 1)]
+
+
+def spread(samples: Sequence[float], scale: float = 1.0, unit: str = "s") -> str:
+    """Median, p99 and worst in one phrase."""
+    p50, p99, worst = (scale * percentile(samples, p) for p in (50, 99, 100))
+    return f"p50 {p50:.4g} {unit}, p99 {p99:.4g} {unit}, worst {worst:.4g} {unit} of {len(samples)}"
+
+
+def machine() -> dict[str, Any]:
+    """What the figures depend on."""
+    cpu = platform.processor() or platform.machine()
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                cpu = line.partition(":")[2].strip()
+                break
+        load: list[float] = list(os.getloadavg())
+    except OSError:
+        load = []
+    return {
+        "cpu": cpu,
+        "cores": len(os.sched_getaffinity(0)),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "load_before": load,
+        "commit": _commit(),
+        "at": time.strftime("%Y-%m-%d %H:%M:%S"),
+    }
+
+
+def finish(name: str, metrics: dict[str, float | None], rows: Iterable[tuple[str, str]] | None = None) -> None:
+    """Print the table, keep the result, and end with the one line of JSON that tools read."""
+    shown = list(rows) if rows is not None else [(key, _figure(value)) for key, value in metrics.items()]
+    width = max((len(label) for label, _ in shown), default=0)
+    print()
+    for label, value in shown:
+        print(f"  {label:<{width}}  {value}")
+    print()
+    RESULTS.mkdir(exist_ok=True)
+    document = {"benchmark": name, "metrics": metrics, "rows": dict(shown), "machine": machine()}
+    (RESULTS / f"{name}.json").write_text(json.dumps(document, indent=2) + "\n")
+    print(json.dumps({"benchmark": name, "metrics": metrics}), flush=True)
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+def _commit() -> str:
+    try:
+        found = subprocess.run(
+            ["git", "describe", "--always", "--dirty"], cwd=RESULTS.parent, capture_output=True, text=True, timeout=5
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return found.stdout.strip()
