@@ -1,0 +1,48 @@
+"""Directions by name, and poses moved along or about them. Pure geometry; knows no robot."""
+
+from __future__ import annotations
+
+import math
+
+from rtc import geometry
+from rtc.geometry import Array, Floats
+
+#: name -> (whose axes, unit vector)
+AXES: dict[str, tuple[str, tuple[float, float, float]]] = {
+    "TOOL-X": ("tool", (1.0, 0.0, 0.0)),
+    "TOOL-Y": ("tool", (0.0, 1.0, 0.0)),
+    "TOOL-Z": ("tool", (0.0, 0.0, 1.0)),
+    "X": ("world", (1.0, 0.0, 0.0)),
+    "Y": ("world", (0.0, 1.0, 0.0)),
+    "Z": ("world", (0.0, 0.0, 1.0)),
+    "UP": ("world", (0.0, 0.0, 1.0)),
+    "DOWN": ("world", (0.0, 0.0, -1.0)),
+    "LEFT": ("world", (0.0, 1.0, 0.0)),
+    "RIGHT": ("world", (0.0, -1.0, 0.0)),
+    "FORWARD": ("world", (1.0, 0.0, 0.0)),
+    "BACK": ("world", (-1.0, 0.0, 0.0)),
+}
+
+
+def shifted(pose: Floats, axis: str, by_m: float) -> Array:
+    """`pose` (world) moved along an axis of the table. KeyError for another name."""
+    owner, vector = AXES[axis]
+    step = [by_m * n for n in vector]
+    return geometry.translate(pose, geometry.rotate(pose, step) if owner == "tool" else step)
+
+
+def turned(pose: Floats, axis: str, by_rad: float) -> Array:
+    """`pose` (world) turned on the spot about an axis of the table."""
+    owner, vector = AXES[axis]
+    half = 0.5 * by_rad
+    turn = (0.0, 0.0, 0.0, *(math.sin(half) * n for n in vector), math.cos(half))
+    here = list(pose)
+    if owner == "tool":
+        return geometry.compose(here, turn)
+    return geometry.make_pose(here[:3], geometry.compose(turn, (0.0, 0.0, 0.0, *here[3:]))[3:])
+
+
+def in_tool(pose: Floats, axis: str) -> list[float]:
+    """The unit vector of an axis, in the tool's axes."""
+    owner, vector = AXES[axis]
+    return list(vector) if owner == "tool" else geometry.rotate(geometry.inverse(pose), vector).tolist()

@@ -1,0 +1,250 @@
+"""Decides a script's bindings backwards from its goal, then tries the whole chain forwards (R92, R134). Pure.
+
+generate  every way the arm can hold its hand at the goal, nearest first
+test      each leg of the script in order, from where the arm is: limits, lines, collisions
+modify    the next way when one is blocked; and when all are, ways with detours
+
+The first that passes is taken; `notes` tell the story. What can only be known when the time comes (a step from where
+the hand is then, a measured pose) is tried as planned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import msgspec
+
+from rtc import expressions, geometry
+from rtc.messages import Binding
+from rtc.outcomes import Refusal, RefusalReason
+from rtc.program_schema import PlanLine, ScriptFile, ScriptStep
+from workers import axes, legs, naming
+from workers.legs import Target
+from workers.motion.plan import Setting
+from workers.motion.timing import Pace
+from workers.situation import Situation
+from workers.starting_points import STARTS, Start
+
+MOST_DETOURED = 3  # ways to hold the hand for which detours are tried
+PLAN = "/plan"  # NAME/plan: the pose that the joint values NAME were solved for, to solve them anew
+
+
+@dataclass(frozen=True)
+class Planned:
+    bindings: dict[str, Binding]
+    relies_on: list[str]  # facts
+    notes: list[str]
+    chosen: bool  # of several ways to hold the hand
+
+
+def plan(script: ScriptFile, at: Situation) -> Planned | Refusal:
+    """The bindings of the script in this situation, tried out; or what is in the way."""
+    lines = _lines(script, at)
+    if isinstance(lines, Refusal):
+        return lines
+    relies_on = [key for start in lines.values() for key in start.relies_on]
+    relies_on = list(dict.fromkeys(relies_on))
+    for key in relies_on:
+        distrusted = at.belief.distrusted(key, at.program.clears)
+        if distrusted is not None:
+            return distrusted
+    solved = _search(script, at, lines)
+    if isinstance(solved, Refusal):
+        return solved
+    joints, notes = solved
+    chosen = any(line.solve and lines[line.name].joints is None for line in script.plan)
+    return Planned(_bindings(lines, joints), relies_on, notes, chosen)
+
+
+# --- the poses, backwards from the goal --------------------------------------------------------------------
+
+
+def _lines(script: ScriptFile, at: Situation) -> dict[str, Start] | Refusal:
+    lines: dict[str, Start] = {}
+    for n, line in enumerate(script.plan):
+        start = lines[line.at] if line.at in lines else _start(line, at)
+        moved = start if isinstance(start, Refusal) else _moved(start, line, at)
+        if isinstance(moved, Refusal):
+            return _where(moved, f"{script.script}.plan[{n}] ({line.name})")
+        lines[line.name] = moved
+    return lines
+
+
+def _start(line: PlanLine, at: Situation) -> Start | Refusal:
+    if line.at not in STARTS:
+        return _program(f"a plan cannot start at {line.at}; it can at {', '.join(STARTS)} or an earlier line")
+    return STARTS[line.at](at)
+
+
+def _moved(start: Start, line: PlanLine, at: Situation) -> Start | Refusal:
+    if not line.along:
+        return start
+    try:
+        by_m = expressions.number(line.by, at.figures)
+    except expressions.ExpressionError as error:
+        return _program(f"{line.by}: {error}")
+    pose = start.pose or at.belief.model.arms[at.arm.name].fk(start.joints or ()).tolist()
+    frame = at.belief.frame(start.frame) if start.frame else geometry.IDENTITY
+    world = geometry.compose(frame, pose)
+    if line.along == "WAY-OUT":
+        if at.target is None:
+            return _program("WAY-OUT is the way out of a seat, and the sentence names none")
+        out = geometry.rotate(at.target.frame.pose, at.target.way_out)
+        moved = geometry.translate(world, by_m * out)
+    elif line.along in axes.AXES:
+        moved = axes.shifted(world, line.along, by_m)
+    else:
+        return naming.unknown("axis", line.along, [*axes.AXES, "WAY-OUT"])
+    return replace(start, joints=None, pose=geometry.relative(frame, moved).tolist())
+
+
+def _bindings(lines: dict[str, Start], joints: dict[str, list[float]]) -> dict[str, Binding]:
+    bindings: dict[str, Binding] = {}
+    for name, start in lines.items():
+        pose = Binding(pose=start.pose, frame=start.frame) if start.pose is not None else None
+        if name in joints:
+            bindings[name] = Binding(joints=joints[name])
+            if pose is not None and start.frame:
+                bindings[name + PLAN] = pose
+        else:
+            bindings[name] = pose or Binding(joints=start.joints)
+    return bindings
+
+
+# --- the joints, tried forwards ------------------------------------------------------------------------------
+
+
+Solved = tuple[dict[str, list[float]], list[str]]
+
+
+def _search(script: ScriptFile, at: Situation, lines: dict[str, Start]) -> Solved | Refusal:
+    setting = _setting(at)
+    ways = list(_ways(script, at, lines, setting))
+    if not ways:
+        return _unreachable(script, at, lines, setting)
+    notes: list[str] = []
+    first: Refusal | None = None
+    for detours in (False, True):
+        for n, joints in enumerate(ways[: MOST_DETOURED if detours else None], 1):
+            problem = _try(script, at, lines, joints, setting, detours)
+            what = f"way {n} of {len(ways)}" + (" with detours" if detours else "")
+            if problem is None:
+                return joints, [*notes, f"generated {what}; tested: free"] if script.plan else []
+            notes.append(f"{'modified' if notes else 'generated'}: {what}; tested: {problem.message}")
+            first = first or problem
+    assert first is not None
+    return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))})
+
+
+def _setting(at: Situation) -> Setting:
+    holds = at.belief.holding(at.arm.name)
+    scene = at.belief.scene(
+        at.arm.name,
+        at.limits,
+        touching=at.thing.name if at.thing and not holds else "",
+        seated=bool(holds),
+        opening_m=None if holds else at.figures.get("pre_grasp_m"),
+        near=[at.target.name] if at.target else [],
+    )
+    margin_rad = math.radians(at.figures["joint_margin_deg"])
+    return at.belief.setting(at.arm.name, scene, at.limits, Pace(), margin_rad)
+
+
+def _ways(
+    script: ScriptFile, at: Situation, lines: dict[str, Start], setting: Setting
+) -> Iterator[dict[str, list[float]]]:
+    """Every choice of joint values for the lines that want some: all branches of the first, the others near to it."""
+    wanted = [line for line in script.plan if line.solve]
+    if not wanted:
+        yield {}
+        return
+    first, *others = wanted
+    given = lines[first.name].joints
+    heads = [given] if given is not None else _branches(at, lines[first.name], setting, setting.start.tolist())
+    for head in heads:
+        joints = {first.name: head}
+        for line in others:
+            start = lines[line.name]
+            near = joints.get(line.near, head)
+            found = [start.joints] if start.joints is not None else _branches(at, start, setting, near)[:1]
+            if found:
+                joints[line.name] = found[0]
+        if len(joints) == len(wanted):
+            yield joints
+
+
+def _branches(at: Situation, start: Start, setting: Setting, near: list[float]) -> list[list[float]]:
+    return [q.tolist() for q in setting.arm.ik(_world(at, start), near, setting.margin_rad)]
+
+
+def _world(at: Situation, start: Start) -> list[float]:
+    assert start.pose is not None
+    frame = at.belief.frame(start.frame) if start.frame else geometry.IDENTITY
+    return geometry.compose(frame, start.pose).tolist()
+
+
+def _unreachable(script: ScriptFile, at: Situation, lines: dict[str, Start], setting: Setting) -> Refusal:
+    for line in script.plan:
+        if line.solve and lines[line.name].joints is None:
+            why = setting.arm.why_no_ik(_world(at, lines[line.name]), setting.margin_rad)
+            if why is not None:
+                return _where(why, line.name)
+    return Refusal(reason=RefusalReason.INFEASIBLE, message=f"{at.arm.name} can take none of the postures in one chain")
+
+
+def _try(
+    script: ScriptFile,
+    at: Situation,
+    lines: dict[str, Start],
+    joints: dict[str, list[float]],
+    setting: Setting,
+    detours: bool,
+) -> Refusal | None:
+    """Go through the legs in order; the first that cannot be gone says why."""
+    here = setting.start
+    for n, step in enumerate(script.steps, 1):
+        if not step.to:
+            continue
+        now = replace(setting, joints={**setting.joints, at.arm.name: here})
+        target = _target(step, at, lines, joints, now)
+        if isinstance(target, Refusal):
+            return _where(target, f"step {n} ({step.to})")
+        if step.space not in legs.SPACES:
+            return _program(f"step {n}: no space {step.space}; there are {', '.join(legs.SPACES)}")
+        end = legs.tested(now, step.space, target, detours)
+        if isinstance(end, Refusal):
+            return _where(end, f"step {n} ({step.to})")
+        here = end
+    return None
+
+
+def _target(
+    step: ScriptStep, at: Situation, lines: dict[str, Start], joints: dict[str, list[float]], now: Setting
+) -> Target | Refusal:
+    if step.to in joints:
+        return Target(joints=joints[step.to])
+    if step.to in lines:
+        start = lines[step.to]
+        return Target(joints=start.joints) if start.joints is not None else Target(pose=_world(at, start))
+    if step.to != "HERE":
+        return _program(f"nothing binds {step.to}")
+    axis = at.say(step.words.get("axis", "TOOL-Z"))
+    if axis not in axes.AXES:
+        return naming.unknown("axis", axis, axes.AXES)
+    try:
+        by_m, by_rad = (expressions.number(step.args.get(name, 0.0), at.figures) for name in ("by_m", "by_rad"))
+    except expressions.ExpressionError as error:
+        return _program(str(error))
+    pose = axes.shifted(now.arm.fk(now.start), axis, by_m)
+    return Target(pose=axes.turned(pose, axis, by_rad).tolist())
+
+
+def _where(refusal: Refusal, where: str) -> Refusal:
+    place = f"{where}, {refusal.where}" if refusal.where else where
+    return msgspec.structs.replace(refusal, where=place, message=f"{where}: {refusal.message}")
+
+
+def _program(message: str) -> Refusal:
+    return Refusal(reason=RefusalReason.PROGRAM, message=message, clears="LOAD a script that says it otherwise")

@@ -1,0 +1,143 @@
+"""What the world is believed to be, as motions need it: joints, hands, frames, and scenes for collision checks. Pure.
+
+Reads facts of one view; decides nothing. A fact that is not to be trusted is told as a Refusal that says what would
+clear it. Joints of arms are taken as they were last reported, whatever their validity: a subsystem refuses a
+trajectory that does not begin where the arm is, and its report then puts the fact right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from rtc import cell as cells
+from rtc import geometry
+from rtc.geometry import Array
+from rtc.messages import Limits, Validity
+from rtc.outcomes import Refusal, RefusalReason
+from rtc.robot.collision import Held, Scene
+from rtc.world.model import World
+from workers.cell_model import CellModel
+from workers.motion.constraints import Rules
+from workers.motion.plan import Setting
+from workers.motion.timing import Pace
+
+TRUSTED = (Validity.VALID, Validity.CHANGING)
+
+
+@dataclass(frozen=True)
+class Belief:
+    """One view of the world, of one cell."""
+
+    model: CellModel
+    world: World
+
+    @property
+    def cell(self) -> cells.Cell:
+        return self.model.cell
+
+    # --- facts ---------------------------------------------------------------------------------------------
+
+    def joints(self, arm: str) -> list[float]:
+        """As last reported (rad); before any report, at home."""
+        return self.world.value(f"{arm}.joints") or self.cell.arm(arm).home_rad
+
+    def tcp(self, arm: str) -> Array:
+        return self.model.arms[arm].fk(self.joints(arm))
+
+    def hand_width(self, arm: str) -> float:
+        width = self.world.value(f"{arm}.hand_width")
+        return self.cell.arm(arm).gripper.max_opening_m if width is None else float(width)
+
+    def holding(self, arm: str) -> str:
+        return self.world.value(f"{arm}.holding") or ""
+
+    def held_by(self, thing: str) -> str:
+        return self.world.value(f"{thing}.held_by") or ""
+
+    def seat(self, thing: str) -> str:
+        return self.world.value(f"{thing}.seat") or ""
+
+    def frame(self, thing: str) -> Array:
+        """Where an object is believed to be, trusted or not; before anything was told, where the cell has it."""
+        frame = self.world.value(f"{thing}.frame")
+        return self.cell.object_pose(thing) if frame is None else geometry.normalise(frame)
+
+    def grasp(self, thing: str) -> Array | None:
+        """The held object's frame in tcp axes."""
+        grasp = self.world.value(f"{thing}.grasp")
+        return None if grasp is None else geometry.normalise(grasp)
+
+    def distrusted(self, key: str, clears: Mapping[str, str] = {}) -> Refusal | None:
+        """Why this fact cannot be built upon; None when it can."""
+        fact = self.world.get(key)
+        if fact is None or fact.validity in TRUSTED:
+            return None
+        location, _, attribute = key.rpartition(".")
+        words = clears.get(attribute, f"sense {location} again").replace("{location}", location)
+        return Refusal(
+            reason=RefusalReason.SUSPECT,
+            message=f"the {attribute} of {location} is {fact.validity.value} since {fact.source}; {words}",
+            where=key,
+            clears=words,
+            detail={"validity": fact.validity.value, "source": fact.source, "version": float(fact.version)},
+        )
+
+    # --- for motions ---------------------------------------------------------------------------------------
+
+    def scene(
+        self,
+        arm: str,
+        limits: Limits,
+        *,
+        touching: str = "",
+        seated: bool = False,
+        opening_m: float | None = None,
+        near: Iterable[str] = (),
+    ) -> Scene:
+        """Everything as believed. `touching`: the object that this arm's fingers may touch; `seated`: what the hand
+        holds may be in, or come into, a seat; `opening_m`: of this arm's hand, if not as it is now."""
+        held: dict[str, Held] = {}
+        poses: dict[str, Array] = {}
+        for thing in self.cell.objects:
+            holder, grasp = self.held_by(thing.name), self.grasp(thing.name)
+            if holder and grasp is not None:
+                held[thing.name] = Held(holder, grasp)
+            elif not thing.fixed:
+                poses[thing.name] = self.frame(thing.name)
+        openings = {a.name: self.hand_width(a.name) for a in self.cell.arms}
+        if opening_m is not None:
+            openings[arm] = opening_m
+        ignore: list[tuple[str, str]] = []
+        carried = self.holding(arm)
+        if touching:
+            ignore += [(f"{arm} {link}", touching) for link in self.cell.arm(arm).gripper.finger_links]
+        if seated and carried:
+            ignore += [(carried, seat.name) for seat in self.cell.seats]
+        return Scene(
+            poses=poses,
+            held=held,
+            openings_m=openings,
+            ignore=ignore,
+            clearance_m=limits.clearance_m or 0.0,
+            near=[name for name in dict.fromkeys((touching, carried, self.seat(touching), *near)) if name],
+            keep_out=limits.keep_out,
+        )
+
+    def rules(self, limits: Limits) -> Rules:
+        return Rules(
+            work_range=self.cell.region(limits.work_range) if limits.work_range else None,
+            attitude=self.cell.attitudes[limits.attitude] if limits.attitude else None,
+            attitude_name=limits.attitude or "",
+        )
+
+    def setting(self, arm: str, scene: Scene, limits: Limits, pace: Pace, margin_rad: float) -> Setting:
+        return Setting(
+            arm=self.model.arms[arm],
+            world=self.model.collision,
+            joints={a.name: self.joints(a.name) for a in self.cell.arms},
+            scene=scene,
+            rules=self.rules(limits),
+            pace=pace,
+            margin_rad=margin_rad,
+        )

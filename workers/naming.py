@@ -1,0 +1,31 @@
+"""Names of a sentence against names that are known: the nearest ones when a name is not."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+from rtc.outcomes import Refusal, RefusalReason
+
+MOST_NEAREST = 3
+
+
+def nearest(name: str, known: Iterable[str]) -> list[str]:
+    """The known names most like this one, likest first."""
+    return difflib.get_close_matches(name, sorted(set(known)), n=MOST_NEAREST, cutoff=0.5)
+
+
+def unknown(what: str, name: str, known: Iterable[str], where: str = "") -> Refusal:
+    """No such name: says which there are, and which are like it."""
+    names = sorted(set(known))
+    near = nearest(name, names)
+    hint = f"; nearest: {', '.join(near)}" if near else ""
+    there_are = f"there are {', '.join(names)}" if names else "there are none"
+    return Refusal(
+        reason=RefusalReason.NAME,
+        message=f"there is no {what} {name}{hint} ({there_are})",
+        where=where,
+        nearest=near,
+        expected=names,
+        clears=f"say one of {', '.join(near or names) or 'those that exist'}",
+    )

@@ -1,0 +1,159 @@
+"""UNLESS condition THEN action, as stop functions that run in the motion loop (A8). Pure.
+
+What no sensor of an arm can feel, or no reflex can do, is told by `unrealised`, before anything moves; `stop_functions`
+may then be asked for every step. A figure along an axis counts in both senses of the axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rtc.geometry import Array
+from rtc.language.record import Condition, ReflexItem
+from rtc.outcomes import Reflex, Refusal, RefusalReason, StopReason
+from rtc.primitive import (
+    BodyTouch,
+    ForceAbove,
+    GripForceBelow,
+    HandWidthBelow,
+    JointMarginBelow,
+    Predicate,
+    StopFunction,
+    TcpNear,
+    TimeAbove,
+    TorqueAbove,
+)
+from workers import axes, naming
+
+ACTIONS: dict[str, Reflex] = {"stop": Reflex.STOP, "back_off": Reflex.BACK_OFF, "release": Reflex.RELEASE}
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What a step is like when its reflexes are made: figures in force, the hand's pose, the goal object's place."""
+
+    values: dict[str, float]  # contact_n, joint_margin_rad, time_limit_s, held_width_m, back_off_m
+    hand_pose: Array
+    holding: bool
+    object_at: list[float] | None
+
+
+Maker = Callable[[Condition, Moment], list[Predicate]]
+
+
+def _contact(_: Condition, at: Moment) -> list[Predicate]:
+    return [ForceAbove(limit_n=at.values.get("contact_n", at.values["feel_force_n"]))]
+
+
+def _slip(_: Condition, at: Moment) -> list[Predicate]:
+    return [GripForceBelow(at.values["slip_n"])] if at.holding else []
+
+
+def _lost(_: Condition, at: Moment) -> list[Predicate]:
+    return [HandWidthBelow(at.values["held_width_m"] - at.values["lost_m"])] if at.holding else []
+
+
+#: event -> the reason it ends with, and its predicates (none: there is nothing to watch in this step)
+EVENTS: dict[str, tuple[StopReason, Maker]] = {
+    "CONTACT": (StopReason.CONTACT, _contact),
+    "COLLISION": (StopReason.COLLISION, lambda c, at: [BodyTouch()]),
+    "SLIP": (StopReason.SLIP, _slip),
+    "OBJECT-LOST": (StopReason.OBJECT_LOST, _lost),
+    "JOINT-LIMIT": (StopReason.JOINT_LIMIT, lambda c, at: [JointMarginBelow(at.values["joint_margin_rad"])]),
+    "TIMEOUT": (StopReason.TIMEOUT, lambda c, at: [TimeAbove(at.values["time_limit_s"])]),
+}
+
+
+def _figure(condition: Condition) -> float:
+    assert condition.quantity is not None
+    return condition.quantity.value
+
+
+def _both_ways(condition: Condition, at: Moment) -> list[list[float] | None]:
+    if condition.along is None:
+        return [None]
+    axis = axes.in_tool(at.hand_pose, condition.along)
+    return [axis, [-n for n in axis]]
+
+
+def _force(condition: Condition, at: Moment) -> list[Predicate]:
+    return [ForceAbove(limit_n=_figure(condition), axis=axis) for axis in _both_ways(condition, at)]
+
+
+def _torque(condition: Condition, at: Moment) -> list[Predicate]:
+    return [TorqueAbove(limit_nm=_figure(condition), axis=axis) for axis in _both_ways(condition, at)]
+
+
+def _grip(condition: Condition, at: Moment) -> list[Predicate]:
+    return [GripForceBelow(_figure(condition))] if at.holding else []
+
+
+def _near(condition: Condition, at: Moment) -> list[Predicate]:
+    return [] if at.object_at is None else [TcpNear(point=at.object_at, distance_m=_figure(condition))]
+
+
+#: (measure, bound) -> the same
+MEASURES: dict[tuple[str, str], tuple[StopReason, Maker]] = {
+    ("FORCE", "above"): (StopReason.FORCE_LIMIT, _force),
+    ("TORQUE", "above"): (StopReason.TORQUE_LIMIT, _torque),
+    ("GRIP-FORCE", "below"): (StopReason.SLIP, _grip),
+    ("DISTANCE", "below"): (StopReason.CONTACT, _near),
+}
+
+
+def reason_of(condition: Condition) -> StopReason | None:
+    """What a primitive that this condition stops ends with; None: nothing in the motion loop can feel it."""
+    row = _row(condition)
+    return None if row is None else row[0]
+
+
+def unrealised(reflex: ReflexItem) -> Refusal | None:
+    """Why this reflex cannot be kept; None when it can."""
+    said = _words(reflex.condition)
+    if _row(reflex.condition) is None:
+        known = [*EVENTS, *(f"{measure} {bound}" for measure, bound in MEASURES)]
+        return _no(f"UNLESS {said}: nothing in the motion loop feels that; it feels {', '.join(known)}", known)
+    if reflex.action not in ACTIONS:
+        word = reflex.action.upper().replace("_", "-")
+        return _no(f"THEN {word}: no control law goes limp yet; STOP, BACK-OFF and RELEASE are done", list(ACTIONS))
+    along = reflex.condition.along
+    if along is not None and along not in axes.AXES:
+        return naming.unknown("axis", along, axes.AXES, where=f"UNLESS {said}")
+    return None
+
+
+def stop_functions(reflexes: list[ReflexItem], at: Moment) -> list[StopFunction]:
+    """The stop functions of these reflexes for one step."""
+    made = []
+    for reflex in reflexes:
+        row = _row(reflex.condition)
+        assert row is not None, reflex
+        reason, maker = row
+        action = ACTIONS[reflex.action]
+        by = reflex.by.value if reflex.by else at.values["back_off_m"]
+        back_off_m = by if action is Reflex.BACK_OFF else 0.0
+        made += [
+            StopFunction(reason=reason, when=when, reflex=action, back_off_m=back_off_m)
+            for when in maker(reflex.condition, at)
+        ]
+    return made
+
+
+def _row(condition: Condition) -> tuple[StopReason, Maker] | None:
+    if condition.event is not None:
+        return EVENTS.get(condition.event)
+    return MEASURES.get((condition.measure or "", condition.bound or ""))
+
+
+def _words(condition: Condition) -> str:
+    if condition.event is not None:
+        return condition.event
+    bound = "EXCEEDS" if condition.bound == "above" else "BELOW"
+    return " ".join(filter(None, (condition.measure, condition.along and f"ALONG {condition.along}", bound)))
+
+
+def _no(message: str, expected: list[str]) -> Refusal:
+    return Refusal(
+        reason=RefusalReason.NO_SCRIPT, message=message, where="UNLESS", expected=expected, clears="say it without that"
+    )

@@ -1,0 +1,128 @@
+"""One candidate for doing a command: who does it, to what, at which point; and every figure a script may use. Pure.
+
+`figures` are what expressions of a script are worked out over; later sources go before earlier ones: the numbers of the
+cell, the command-object table, the hand, the object, what the sentence says itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from rtc import cell as cells
+from rtc.language.record import ParsedCommand, Quantity
+from rtc.messages import Limits
+from rtc.outcomes import Refusal, RefusalReason
+from rtc.program_schema import ElaboratorProgram, TableRow
+from workers.belief import Belief
+
+#: unit of a quantity -> how a figure's name ends
+SUFFIX = {"m": "_m", "rad": "_rad", "turn": "_turns", "s": "_s", "N": "_n"}
+
+
+@dataclass(frozen=True)
+class Situation:
+    belief: Belief
+    program: ElaboratorProgram
+    parsed: ParsedCommand
+    limits: Limits
+    arm: cells.Arm
+    thing: cells.Object | None
+    point: cells.GraspPoint | None
+    target: cells.Seat | None
+    figures: dict[str, float]
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """What stands for {arm} and the like in the words of a script."""
+        return {
+            "arm": self.arm.name,
+            "object": self.thing.name if self.thing else "",
+            "point": self.point.name if self.point else "",
+            "target": self.target.name if self.target else "",
+            "axis": (self.parsed.place.along if self.parsed.place else None) or "TOOL-Z",
+            "destination": destination_in_words(self.parsed),
+        }
+
+    def say(self, words: str) -> str:
+        for name, text in self.texts.items():
+            words = words.replace("{" + name + "}", text)
+        return words
+
+    @property
+    def roles(self) -> dict[str, str]:
+        """What stands for active_arm and the like in the resources of a script."""
+        return {
+            "active_arm": self.arm.name,
+            "active_object": self.thing.name if self.thing else "",
+            "target": self.target.name if self.target else "",
+        }
+
+
+def destination_in_words(parsed: ParsedCommand) -> str:
+    place = parsed.place
+    if place is None:
+        return ""
+    if place.name:
+        return place.name
+    if place.joints:
+        return "the joint values given"
+    if place.position:
+        return "x {:.3f} y {:.3f} z {:.3f} m".format(*place.position)
+    if place.neighborhood_of:
+        return f"the neighborhood of {place.neighborhood_of}"
+    return f"the grasp point of {place.grasp_point_of}" if place.grasp_point_of else "a step from here"
+
+
+def figures_of(
+    program: ElaboratorProgram,
+    parsed: ParsedCommand,
+    belief: Belief,
+    arm: cells.Arm,
+    thing: cells.Object | None,
+    point: cells.GraspPoint | None,
+) -> dict[str, float] | Refusal:
+    """Every figure in force, or the refusal that says which cell of the command-object table is missing."""
+    figures: dict[str, float] = dict(msgspec.structs.asdict(belief.cell.numbers))
+    row = _table(program, parsed.verb, thing)
+    if isinstance(row, Refusal):
+        return row
+    figures |= row
+    figures |= {"opening_m": arm.gripper.max_opening_m, "hand_width_m": belief.hand_width(arm.name)}
+    if point is not None:
+        figures["grasp_width_m"] = point.width_m
+    if thing is not None:
+        figures["mass_kg"] = float(belief.world.value(f"{thing.name}.mass") or thing.mass_kg)
+    figures |= _said("amount", parsed.amount)
+    figures |= _said("by", parsed.place.by if parsed.place else None)
+    if parsed.duration_s is not None:
+        figures["duration_s"] = parsed.duration_s
+    return figures
+
+
+def _said(name: str, quantity: Quantity | None) -> dict[str, float]:
+    return {} if quantity is None else {name + SUFFIX.get(quantity.unit, f"_{quantity.unit}"): quantity.value}
+
+
+def _table(program: ElaboratorProgram, verb: str, thing: cells.Object | None) -> dict[str, Any] | Refusal:
+    rows = [row for row in program.command_object_table if row.verb == verb and _is_about(row, thing)]
+    if not rows:
+        what = f"{thing.name} ({thing.kind})" if thing else "no object"
+        known = sorted({row.kind or row.name for row in program.command_object_table if row.verb == verb} - {""})
+        return Refusal(
+            reason=RefusalReason.PROGRAM,
+            message=f"the command-object table has no cell for {verb} and {what}",
+            where="command_object_table",
+            expected=known,
+            clears=f"LOAD a row of command_object_table for verb {verb} and kind {thing.kind if thing else '(none)'}",
+        )
+    rows.sort(key=lambda row: bool(row.name))  # what is known of one by its name goes before what is known of its kind
+    return {name: value for row in rows for name, value in row.values.items()}
+
+
+def _is_about(row: TableRow, thing: cells.Object | None) -> bool:
+    if thing is None:
+        return not row.kind and not row.name
+    return row.name == thing.name if row.name else row.kind == thing.kind

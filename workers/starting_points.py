@@ -1,0 +1,129 @@
+"""Where a script's plan starts from, by registered name: the grasp point, the destination, the stowed posture, a seat.
+
+A start is joint values, or a pose of the tcp, in the axes of an object if it is measured from one (so that it can be
+bound anew when that object turns out to be elsewhere). Pure; a start that does not exist is a Refusal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rtc import geometry
+from rtc.outcomes import Refusal, RefusalReason
+from workers import naming
+from workers.situation import Situation
+
+
+@dataclass(frozen=True)
+class Start:
+    """Exactly one of joints and pose. `relies_on`: the facts it is made of."""
+
+    joints: list[float] | None = None
+    pose: list[float] | None = None
+    frame: str | None = None
+    relies_on: tuple[str, ...] = ()
+
+
+def grasp_point(at: Situation) -> Start | Refusal:
+    """The tcp at the grasp point, in the object's axes."""
+    assert at.thing is not None
+    if at.point is None:
+        return _no_grasp_point(at.thing.name)
+    return Start(pose=at.point.frame.pose.tolist(), frame=at.thing.name, relies_on=(f"{at.thing.name}.frame",))
+
+
+def stow(at: Situation) -> Start | Refusal:
+    return Start(joints=at.arm.stow_rad)
+
+
+def seat(at: Situation) -> Start | Refusal:
+    """The tcp where what the hand holds sits in the target seat."""
+    assert at.thing is not None
+    assert at.target is not None
+    grasp = at.belief.grasp(at.thing.name)
+    if grasp is None:
+        return _state(f"how {at.arm.name} holds {at.thing.name} is not known", f"GRASP {at.thing.name}")
+    seated = at.belief.cell.seated_pose(at.target.name)
+    pose = geometry.compose(seated, geometry.inverse(grasp)).tolist()
+    return Start(pose=pose, relies_on=(f"{at.thing.name}.grasp",))
+
+
+def destination(at: Situation) -> Start | Refusal:
+    """Where MOVE ... TO goes."""
+    place = at.parsed.place
+    assert place is not None
+    if place.joints is not None:
+        wanted = len(at.arm.joints)
+        if len(place.joints) != wanted:
+            return _state(f"{at.arm.name} has {wanted} joints, {len(place.joints)} were given", f"give {wanted} values")
+        return Start(joints=list(place.joints))
+    if place.position is not None:  # the attitude is kept
+        here = at.belief.tcp(at.arm.name)
+        return Start(pose=geometry.make_pose(place.position, here[3:]).tolist())
+    if place.neighborhood_of is not None or place.grasp_point_of is not None:
+        return _at_object(at, place.neighborhood_of or place.grasp_point_of or "", near=place.grasp_point_of is None)
+    return _named(at, place.name or "")
+
+
+def _named(at: Situation, name: str) -> Start | Refusal:
+    cell = at.belief.cell
+    place = next((p for p in cell.places if p.name == name), None)
+    if place is None:
+        if any(thing.name == name for thing in cell.objects):
+            said = f"{name} is an object: MOVE goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
+            return Refusal(reason=RefusalReason.NAME, message=said, nearest=[name], clears="say which of the two")
+        return naming.unknown("place", name, [p.name for p in cell.places])
+    joints = place.joints_rad(at.arm.name)
+    if joints is not None:
+        return Start(joints=joints)
+    frame = place.poses.get(at.arm.name)
+    if frame is not None:
+        return Start(pose=frame.pose.tolist())
+    able = sorted({*place.poses, *place.joints_deg})
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"{at.arm.name} has no way to stand at {name}; {', '.join(able)} can",
+        where=name,
+        expected=able,
+        clears=f"another arm, or a place that {at.arm.name} can go to",
+        detail={"cause": "place", "arm": at.arm.name, "place": name},
+    )
+
+
+def _at_object(at: Situation, name: str, near: bool) -> Start | Refusal:
+    cell = at.belief.cell
+    thing = next((t for t in cell.objects if t.name == name), None)
+    if thing is None:
+        return naming.unknown("object", name, [t.name for t in cell.objects])
+    if not thing.grasp_points:
+        return _no_grasp_point(name)
+    base = at.arm.base.pose
+    frame = at.belief.frame(name)
+    points = [geometry.compose(frame, p.frame.pose) for p in thing.grasp_points]
+    nearest = min(range(len(points)), key=lambda n: geometry.distance(base, points[n]))
+    pose = thing.grasp_points[nearest].frame.pose
+    back_m = min(at.figures["approach_m"], at.figures["neighborhood_radius_m"]) if near else 0.0
+    start = geometry.compose(pose, (0.0, 0.0, -back_m, 0.0, 0.0, 0.0, 1.0))
+    return Start(pose=start.tolist(), frame=name, relies_on=(f"{name}.frame",))
+
+
+def _no_grasp_point(thing: str) -> Refusal:
+    return Refusal(
+        reason=RefusalReason.NAME,
+        message=f"{thing} has no grasp point",
+        where=thing,
+        clears="an object that has grasp points, or a grasp point for it in the cell",
+    )
+
+
+def _state(message: str, clears: str) -> Refusal:
+    return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
+
+
+STARTS: dict[str, Callable[[Situation], Start | Refusal]] = {
+    "grasp_point": grasp_point,
+    "destination": destination,
+    "stow": stow,
+    "seat": seat,
+}
