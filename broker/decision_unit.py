@@ -33,7 +33,7 @@ from broker.events import (
     SubsystemGone,
     TimerFired,
 )
-from broker.state import Command, Ending, Link, PendingJob, State, Subsystem, Trial
+from broker.state import NIL, Command, Ending, Link, PendingJob, State, Subsystem, Trial
 from broker.transitions import TABLE, Stimulus
 from broker.turn import Turn
 from rtc.language.fastpath import halt_scope
@@ -301,7 +301,7 @@ def on_subsystem(turn: Turn, event: SubsystemConnected) -> None:
     if reborn:
         return
     for command in state.commands.values():
-        if command.subsystem == event.subsystem and command.primitive_body is not None:
+        if command.subsystem == event.subsystem and command.primitive_body != NIL:
             if command.phase is Phase.HALTING:
                 ending.order_halt(turn, command)
             elif command.phase is Phase.EXECUTING and command.primitive not in event.outstanding:

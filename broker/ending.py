@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from broker.effects import AcknowledgeReport, CancelJob, ReportEnd, SendHalt
-from broker.state import Command, Ending
+from broker.state import NIL, Command, Ending
 from broker.transitions import Stimulus
 from broker.turn import Turn, step_in_words
 from rtc import wire
@@ -177,7 +177,7 @@ def rested(turn: Turn, command: Command, report: EndReport) -> None:
     """An end report comes after rest, whatever its reason: the motion may have ended by itself meanwhile."""
     turn.stop_timer(command)
     turn.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
-    command.primitive_body = None
+    command.primitive_body = NIL
     close(turn, command, report, f"at rest: {report.reason.value}")
 
 
@@ -243,7 +243,7 @@ def close(turn: Turn, command: Command, report: EndReport, note: str) -> None:
     """One last analysis, for the world's sake alone."""
     assert command.script is not None
     turn.stop_timer(command)
-    command.primitive_body = None
+    command.primitive_body = NIL
     data = {"evaluation": command.evaluation, "report": report, "closing": True}
     turn.give_out(command, WorkerKind.ANALYZER, data, locations=command.script.writes)
     turn.start_timer(command, CLOSING_LIMIT_S)

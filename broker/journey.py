@@ -14,6 +14,7 @@ from broker.effects import AcknowledgeReport, SendHalt, SendPrimitive
 from broker.ending import HALT_LIMIT_S, close, end, refuse
 from broker.resources import Claim
 from broker.state import (
+    NIL,
     NOMINAL,
     AssessmentHead,
     BoundHead,
@@ -290,7 +291,7 @@ def next_step(turn: Turn, command: Command) -> None:
 def bound(turn: Turn, command: Command, product: msgspec.Raw) -> None:
     result = read_bound(product)
     command.bindings.update(result.bindings)
-    if not result.subsystem or result.primitive is None:
+    if not result.subsystem or result.primitive == NIL:
         command.steps_done += 1
         turn.note(command, result.note or "nothing to execute")
         next_step(turn, command)
@@ -318,7 +319,6 @@ def bound(turn: Turn, command: Command, product: msgspec.Raw) -> None:
 def send(turn: Turn, command: Command) -> None:
     """The primitive goes to its subsystem, which answers for it from now on (R58). Only silence is watched.
     One that is awaited gets it when it says hello."""
-    assert command.primitive_body is not None
     command.sent_at_s = turn.now
     if turn.state.subsystems[command.subsystem].link is Link.CONNECTED:
         turn.effects.append(
@@ -347,7 +347,7 @@ def reported(turn: Turn, command: Command, report: EndReport) -> None:
 def acknowledge(turn: Turn, command: Command) -> None:
     """Effects follow the journal, so what is acknowledged is never needed from the subsystem again."""
     turn.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
-    command.primitive_body = None
+    command.primitive_body = NIL
 
 
 def analyze(turn: Turn, command: Command, report: EndReport, *, closing: bool) -> None:

@@ -17,6 +17,8 @@ from rtc.outcomes import OutcomeKind, Refusal, StopReason
 NOTES_KEPT = 400  # of one command's story; a longer one loses its middle
 NOMINAL = 0  # the "trim" number of the script's own steps
 
+NIL = msgspec.Raw(b"\xc0")  # MessagePack's nil: no bytes of this kind
+
 StepRef = tuple[int, int]  # (NOMINAL or number of a trim, index of the step in it)
 
 
@@ -64,8 +66,8 @@ class PrimitiveHead(msgspec.Struct, frozen=True, kw_only=True):
 
 class BoundHead(msgspec.Struct, frozen=True, kw_only=True, tag="BoundStep"):
     subsystem: str = ""
-    primitive: msgspec.Raw | None = None
-    evaluation: msgspec.Raw | None = None
+    primitive: msgspec.Raw = NIL
+    evaluation: msgspec.Raw = NIL
     bindings: dict[str, msgspec.Raw] = {}
     limit_s: float = 0.0
     note: str = ""
@@ -114,7 +116,7 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True):
     phase: Phase = Phase.PARSING
     jobs: int = 0  # given out so far; numbers the next
     job: PendingJob | None = None
-    parsed: msgspec.Raw | None = None
+    parsed: msgspec.Raw = NIL
     head: ParsedHead | None = None
     script: ScriptHead | None = None
     labels: list[str] = []  # of the nominal steps
@@ -127,10 +129,10 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True):
     elaborations: int = 0
     primitive: str = ""  # being executed
     primitives: int = 0
-    primitive_body: msgspec.Raw | None = None  # until its end is reported: it may have to be sent again
+    primitive_body: msgspec.Raw = NIL  # until its end is reported: it may have to be sent again
     subsystem: str = ""
     performers: list[str] = []
-    evaluation: msgspec.Raw | None = None
+    evaluation: msgspec.Raw = NIL
     sent_at_s: float = 0.0
     limit_s: float = 0.0
     pause_wanted: bool = False  # takes effect between two steps

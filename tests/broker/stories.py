@@ -1,0 +1,220 @@
+"""A Decision Unit under test: feed it events in few words, read its effects as short lines, in order.
+
+`brief` keeps what an effect does and to whom; times and opaque bytes are left out. Tests compare whole lists of it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from broker import effects as do
+from broker import events as heard
+from broker.decision_unit import decide
+from broker.state import State
+from rtc import wire
+from rtc.language.record import ParsedCommand
+from rtc.messages import Assessment, Binding, BoundStep, EndReport, EvaluationContext, Script, ScriptContext, Step, Trim
+from rtc.outcomes import Refusal, RefusalReason, StopReason
+from rtc.primitive import GoalReached, HoldStill, Primitive, StopFunction, TimeAbove
+
+CONTEXT = ScriptContext(verb="GRASP", script="test", arm="RIGHT-ARM", object="MODULE")
+F = [
+    StopFunction(reason=StopReason.GOAL, when=GoalReached()),
+    StopFunction(reason=StopReason.TIMEOUT, when=TimeAbove(5.0)),
+]
+
+
+def brief(effect: do.Effect) -> str:
+    match effect:
+        case do.DispatchJob():
+            lease = f" lease {'+'.join(effect.locations)}" if effect.locations is not None else ""
+            return f"job {effect.job} {effect.kind.value} #{effect.attempt}{lease}"
+        case do.CancelJob():
+            return f"cancel {effect.job}"
+        case do.SendPrimitive():
+            return f"primitive {effect.id} to {effect.subsystem}"
+        case do.SendHalt():
+            return f"halt {effect.scope} to {effect.subsystem}"
+        case do.AcknowledgeReport():
+            return f"ack {effect.primitive}"
+        case do.StartTimer():
+            return f"timer {effect.timer}"
+        case do.StopTimer():
+            return f"no timer {effect.timer}"
+        case do.TellClient():
+            message = effect.message
+            return f"tell {effect.client} {'CommandEnded' if isinstance(message, msgspec.Raw) else _told(message)}"
+        case do.PublishNote():
+            return f"note {effect.note.command} {effect.note.phase.value}"
+        case do.ReportEnd():
+            return f"end {effect.ended.command} {effect.ended.outcome.kind.value}"
+        case do.DeclineHalt():
+            return f"decline halt {effect.halt}"
+    raise AssertionError(effect)
+
+
+def _told(message: Any) -> str:
+    return type(message).__name__ + (f" {message.command}" if hasattr(message, "command") else "")
+
+
+class Story:
+    """One Decision Unit, its time, and everything it wanted done."""
+
+    def __init__(self, *, mcm: bool = True) -> None:
+        self.state = State()
+        self.now = 0.0
+        self.log: list[do.Effect] = []
+        if mcm:
+            self.mcm_hello()
+
+    def hear(self, what: type[heard.Event], /, **fields: Any) -> list[str]:
+        self.now += 0.001
+        effects = decide(self.state, what(at_s=self.now, **fields))
+        self.log += effects
+        return [brief(e) for e in effects]
+
+    # --- who speaks ---
+
+    def mcm_hello(self, pid: int = 1, outstanding: list[str] | None = None, at_rest: bool = True) -> list[str]:
+        return self.hear(
+            heard.SubsystemConnected,
+            subsystem="MCM",
+            pid=pid,
+            performers=["LEFT-ARM", "RIGHT-ARM"],
+            outstanding=outstanding or [],
+            at_rest=at_rest,
+        )
+
+    def says(self, text: str, client: str = "ann", request: str = "", **fields: Any) -> list[str]:
+        request = request or f"r{self.state.accepted + 1}"
+        return self.hear(heard.CommandReceived, client=client, request=request, text=text, **fields)
+
+    def answers(self, command: str, product: Any, attempt: int | None = None, job: str = "") -> list[str]:
+        """The worker of this command's pending job delivers."""
+        pending = self.state.commands[command].job if command in self.state.commands else None
+        return self.hear(
+            heard.JobFinished,
+            job=job or pending.id,
+            attempt=attempt or (pending.attempt if pending else 1),
+            node="worker",
+            product=wire.raw(product),
+        )
+
+    def declines(self, command: str, reason: RefusalReason = RefusalReason.INFEASIBLE) -> list[str]:
+        job = self.state.commands[command].job
+        refusal = Refusal(reason=reason, message="no")
+        return self.hear(heard.JobDeclined, job=job.id, attempt=job.attempt, node="worker", refusal=refusal)
+
+    def loses_worker(self, command: str, blamed: bool = True) -> list[str]:
+        job = self.state.commands[command].job
+        return self.hear(
+            heard.JobLost, job=job.id, attempt=job.attempt, node="worker", evidence="exit -9", blamed=blamed
+        )
+
+    def reports(self, command: str, reason: StopReason = StopReason.GOAL, primitive: str = "") -> list[str]:
+        live = self.state.commands.get(command)
+        return self.hear(heard.PrimitiveEnded, subsystem="MCM", report=report(primitive or live.primitive, reason))
+
+    def halts(self, scope: str = "ALL", halt: str = "h1") -> list[str]:
+        return self.hear(heard.HaltCalled, client="ann", halt=halt, scope=scope)
+
+    def rests(self, halt: str, at_rest: bool = True) -> list[str]:
+        return self.hear(heard.HaltConfirmed, subsystem="MCM", halt=halt, at_rest=at_rest)
+
+    def rings(self, command: str) -> list[str]:
+        return self.hear(heard.TimerFired, timer=command)
+
+    def mcm_gone(self) -> list[str]:
+        return self.hear(heard.SubsystemGone, subsystem="MCM", why="killed")
+
+    # --- shortcuts to a phase ---
+
+    def parsed(self, text: str = "X", **head: Any) -> str:
+        """A new command, parsed; returns its number."""
+        self.says(text)
+        command = f"C-{self.state.accepted}"
+        self.answers(command, record(**head))
+        return command
+
+    def elaborated(self, script_: Script | None = None, **head: Any) -> str:
+        command = self.parsed(**head)
+        self.answers(command, script_ or script())
+        return command
+
+    def executing(self, script_: Script | None = None, **head: Any) -> str:
+        command = self.elaborated(script_, **head)
+        self.answers(command, bound(f"{command}.1"))
+        return command
+
+    def analyzing(self, script_: Script | None = None, reason: StopReason = StopReason.GOAL) -> str:
+        command = self.executing(script_)
+        self.reports(command, reason)
+        return command
+
+    def phase(self, command: str) -> str:
+        live = self.state.commands.get(command)
+        return live.phase.value if live else "gone"
+
+    def outcome(self, command: str) -> Any:
+        return next(e.ended.outcome for e in self.log if isinstance(e, do.ReportEnd) and e.ended.command == command)
+
+
+def record(kind: str = "task", verb: str = "GRASP", **fields: Any) -> ParsedCommand:
+    fields.setdefault("hand", "RIGHT-ARM" if kind == "task" else None)
+    return ParsedCommand(kind=kind, verb=verb, **fields)  # type: ignore[arg-type]
+
+
+def script(
+    steps: int = 1,
+    resources: tuple[str, ...] = ("RIGHT-ARM",),
+    trims: list[Trim] | None = None,
+    writes: tuple[str, ...] | None = None,
+) -> Script:
+    return Script(
+        context=CONTEXT,
+        case=3,
+        steps=[Step(do="move", label=f"step {n}") for n in range(1, steps + 1)],
+        trims=trims or [],
+        bindings={"JAP": Binding(number=1.0)},
+        resources=list(resources),
+        writes=list(resources if writes is None else writes),
+    )
+
+
+def trim(n: int = 1, then: Any = "retry_step", steps: int = 1) -> Trim:
+    return Trim(n=n, label=f"trim {n}", then=then, steps=[Step(do="move", label="mend") for _ in range(steps)])
+
+
+def bound(primitive: str, performer: str = "RIGHT-ARM") -> BoundStep:
+    body = Primitive(id=primitive, performer=performer, trajectory=HoldStill(), stop_functions=F)
+    evaluation = EvaluationContext(context=CONTEXT, step=Step(do="move", label="x"), arm=performer)
+    return BoundStep(subsystem="MCM", primitive=body, evaluation=evaluation, limit_s=5.0)
+
+
+def report(primitive: str, reason: StopReason = StopReason.GOAL, performer: str = "RIGHT-ARM") -> EndReport:
+    return EndReport(
+        primitive=primitive,
+        performer=performer,
+        reason=reason,
+        at_s=0.0,
+        duration_s=1.0,
+        joints=[0.0] * 6,
+        tcp_pose=[0, 0, 0, 0, 0, 0, 1],
+        wrench=[0.0] * 6,
+        hand_width_m=0.08,
+        hand_force_n=0.0,
+    )
+
+
+def go_on(reason: StopReason = StopReason.GOAL) -> Assessment:
+    return Assessment(verdict="continue", reason=reason)
+
+
+def mend(n: int = 1, reason: StopReason = StopReason.NO_CONTACT) -> Assessment:
+    return Assessment(verdict="trim", reason=reason, trim=n, message="nothing felt")
+
+
+def give_up(reason: StopReason = StopReason.FORCE_LIMIT) -> Assessment:
+    return Assessment(verdict="abort", reason=reason, message="too much force")

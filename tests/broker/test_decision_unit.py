@@ -1,0 +1,644 @@
+"""Every row of the table, effect by effect and in order; then the stories that cross rows."""
+
+from __future__ import annotations
+
+import pytest
+from stories import Story, bound, give_up, go_on, mend, record, report, script, trim
+
+from broker.decision_unit import ACTIONS, InvalidTransition, stimulate
+from broker.events import BrokerRestarted, ClientGone, ProgramInstalled
+from broker.state import State
+from broker.transitions import TABLE, Stimulus
+from broker.turn import Turn
+from rtc import wire
+from rtc.messages import BoundStep, Phase, WorkerKind
+from rtc.outcomes import OutcomeKind, RefusalReason, StopReason
+
+# --- the nominal journey -----------------------------------------------------------------------------
+
+
+def test_one_command_all_the_way():
+    s = Story()
+    assert s.says("GRASP") == ["tell ann Accepted C-1", "job C-1/1 parser #1", "note C-1 parsing"]
+    assert s.answers("C-1", record()) == ["job C-1/2 elaborator #1", "note C-1 elaborating"]
+    assert s.answers("C-1", script()) == ["job C-1/3 binder #1", "note C-1 binding"]
+    assert s.answers("C-1", bound("C-1.1")) == ["primitive C-1.1 to MCM", "timer C-1", "note C-1 executing"]
+    assert s.reports("C-1") == [
+        "no timer C-1",
+        "ack C-1.1",
+        "job C-1/4 analyzer #1 lease RIGHT-ARM",
+        "note C-1 analyzing",
+    ]
+    assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "note C-1 ended", "end C-1 succeeded"]
+    assert s.state.commands == {}
+    assert s.state.resources.held == {}
+
+
+def test_each_step_is_bound_after_the_one_before_was_analysed():
+    s = Story()
+    s.analyzing(script(steps=2))
+    assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "job C-1/5 binder #1", "note C-1 binding"]
+    assert s.answers("C-1", bound("C-1.2"))[0] == "primitive C-1.2 to MCM"
+
+
+def test_a_step_without_a_primitive_is_passed_through():
+    s = Story()
+    s.elaborated(script(steps=2))
+    assert s.answers("C-1", BoundStep(note="GP set")) == ["note C-1 binding", "job C-1/4 binder #1", "note C-1 binding"]
+
+
+def test_a_script_without_steps_succeeds_at_once():
+    s = Story()
+    s.parsed()
+    assert s.answers("C-1", script(steps=0)) == ["note C-1 ended", "end C-1 succeeded"]
+
+
+# --- refusals ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reach", ["says", "parsed", "elaborated"])
+def test_a_refusal_ends_the_command(reach):
+    s = Story()
+    getattr(s, reach)(*["X"] if reach == "says" else [])
+    assert s.declines("C-1") == ["note C-1 ended", "end C-1 refused"]
+
+
+def test_an_analyzer_that_refuses_ends_the_command():
+    s = Story()
+    s.analyzing()
+    assert s.declines("C-1") == ["note C-1 ended", "end C-1 refused"]
+
+
+def test_a_product_that_is_none_is_a_refusal_and_no_crash():
+    s = Story()
+    s.says("X")
+    assert s.answers("C-1", {"no": "record"}) == ["note C-1 ended", "end C-1 refused"]
+    assert s.outcome("C-1").refusal.reason is RefusalReason.PROGRAM
+
+
+def test_a_hypothesis_test_reaches_no_subsystem():
+    s = Story()
+    s.says("TEST X")
+    assert s.answers("C-1", record(test=True)) == ["note C-1 ended", "end C-1 refused"]
+
+
+# --- lost workers, late and double answers -----------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("reach", "job", "phase"),
+    [
+        ("says", "C-1/1 parser", "parsing"),
+        ("parsed", "C-1/2 elaborator", "elaborating"),
+        ("elaborated", "C-1/3 binder", "binding"),
+    ],
+)
+def test_a_lost_job_is_given_out_again(reach, job, phase):
+    s = Story()
+    getattr(s, reach)(*["X"] if reach == "says" else [])
+    assert s.loses_worker("C-1") == [f"note C-1 {phase}", f"job {job} #2"]
+
+
+def test_a_lost_analysis_is_done_again_under_the_same_lease():
+    s = Story()
+    s.analyzing()
+    assert s.loses_worker("C-1") == ["note C-1 analyzing", "job C-1/4 analyzer #2 lease RIGHT-ARM"]
+
+
+def test_three_deaths_are_poison_and_name_the_evidence():
+    s = Story()
+    s.says("X")
+    s.loses_worker("C-1")
+    s.loses_worker("C-1")
+    assert s.loses_worker("C-1") == ["note C-1 ended", "end C-1 refused"]
+    assert s.outcome("C-1").refusal.reason is RefusalReason.POISON
+    assert s.outcome("C-1").refusal.detail["death 3"] == "worker: exit -9"
+
+
+def test_a_job_that_only_lay_with_a_dead_worker_is_not_blamed():
+    s = Story()
+    s.says("X")
+    for _ in range(10):
+        s.loses_worker("C-1", blamed=False)
+    assert s.phase("C-1") == "parsing"
+
+
+def test_a_poisoned_analysis_fails_the_command():
+    s = Story()
+    s.analyzing()
+    for _ in range(3):
+        s.loses_worker("C-1")
+    assert s.outcome("C-1").kind is OutcomeKind.FAILED
+
+
+def test_late_and_double_answers_change_nothing():
+    s = Story()
+    s.says("X")
+    s.loses_worker("C-1")
+    assert s.answers("C-1", record(), attempt=1) == []  # the worker thought dead
+    s.answers("C-1", record())
+    assert s.answers("C-1", record(), job="C-1/1", attempt=2) == []  # the answer twice
+    assert s.answers("C-9", record(), job="C-9/1") == []
+    assert s.state.counts["stale"] == 3
+    assert s.phase("C-1") == "elaborating"
+
+
+# --- trims -------------------------------------------------------------------------------------------
+
+
+def test_a_trim_goes_on_the_stack_and_the_step_is_tried_again():
+    s = Story()
+    s.analyzing(script(trims=[trim(1)]), StopReason.GOAL)
+    assert s.answers("C-1", mend(1)) == ["note C-1 analyzing", "job C-1/5 binder #1", "note C-1 binding"]
+    s.answers("C-1", bound("C-1.2"))
+    s.reports("C-1")
+    s.answers("C-1", go_on())
+    assert s.state.commands["C-1"].step == (0, 0)  # the step itself, once more
+    assert s.state.commands["C-1"].trims_told == ["trim 1"]
+
+
+@pytest.mark.parametrize(
+    ("then", "stack"),
+    [
+        ("retry_step", [(0, 1), (0, 0)]),
+        ("restart_script", [(0, 1), (0, 0)]),
+        ("skip", [(0, 1)]),
+        ("replace_rest", []),
+    ],
+)
+def test_what_follows_a_trim(then, stack):
+    s = Story()
+    s.analyzing(script(steps=2, trims=[trim(1, then)]))
+    s.answers("C-1", mend(1))
+    assert s.state.commands["C-1"].step == (1, 0)
+    assert s.state.commands["C-1"].stack == stack
+
+
+def test_a_trim_is_used_once_for_a_step():
+    s = Story()
+    s.analyzing(script(trims=[trim(1, steps=0)]))
+    s.answers("C-1", mend(1))
+    s.answers("C-1", bound("C-1.2"))
+    s.reports("C-1")
+    assert s.answers("C-1", mend(1)) == ["note C-1 ended", "end C-1 failed"]
+
+
+def test_giving_up_reports_the_failure():
+    s = Story()
+    s.analyzing()
+    assert s.answers("C-1", give_up()) == ["note C-1 ended", "end C-1 failed"]
+    assert s.outcome("C-1").stop is StopReason.FORCE_LIMIT
+    assert s.outcome("C-1").message == "too much force"
+    assert s.outcome("C-1").step == "1 of 1: step 1"
+
+
+# --- resources ---------------------------------------------------------------------------------------
+
+
+def test_disjoint_arms_execute_at_once():
+    s = Story()
+    s.executing()
+    s.executing(script(resources=("LEFT-ARM",)), hand="LEFT-ARM")
+    assert [s.phase(c) for c in ("C-1", "C-2")] == ["executing", "executing"]
+
+
+def test_a_busy_arm_holds_the_command_until_it_is_free_and_then_plans_anew():
+    s = Story()
+    s.executing()
+    s.says("X")
+    assert s.answers("C-2", record()) == ["note C-2 held"]
+    s.reports("C-1")
+    assert s.answers("C-1", go_on()) == [
+        "note C-1 analyzing",
+        "note C-1 ended",
+        "end C-1 succeeded",
+        "job C-2/2 elaborator #1",
+        "note C-2 elaborating",
+    ]
+
+
+def test_what_only_the_script_needs_is_waited_for_too():
+    s = Story()
+    s.executing(script(resources=("RIGHT-ARM", "MODULE")))
+    s.parsed(hand="LEFT-ARM")
+    assert s.answers("C-2", script(resources=("LEFT-ARM", "MODULE"))) == ["note C-2 held"]
+    assert "C-2" not in s.state.resources.held  # it waits with empty hands
+
+
+def test_now_is_refused_with_the_owner():
+    s = Story()
+    s.executing()
+    s.says("X NOW")
+    assert s.answers("C-2", record(now=True)) == ["note C-2 ended", "end C-2 refused"]
+    assert s.outcome("C-2").refusal.reason is RefusalReason.RESOURCE
+    assert s.outcome("C-2").refusal.owner == "C-1"
+
+
+def test_a_held_command_can_be_stopped():
+    s = Story()
+    s.executing()
+    s.parsed()
+    assert s.halts("C-2") == ["note C-2 ended", "end C-2 halted"]
+
+
+# --- halt --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reach", ["says", "parsed", "elaborated"])
+def test_halt_of_a_command_that_moves_nothing_ends_it_at_once(reach):
+    s = Story()
+    getattr(s, reach)(*["X"] if reach == "says" else [])
+    job = s.state.commands["C-1"].job.id
+    assert s.halts() == ["halt ALL to MCM", f"cancel {job}", "note C-1 ended", "end C-1 halted"]
+    assert s.answers("C-1", record(), job=job) == []  # the answer under way is stale
+
+
+def test_halt_of_a_motion_waits_for_rest_and_puts_the_world_right():
+    s = Story()
+    s.executing()
+    assert s.halts() == ["halt ALL to MCM", "halt C-1 to MCM", "timer C-1", "note C-1 halting"]
+    assert s.reports("C-1", StopReason.HALT) == [
+        "no timer C-1",
+        "ack C-1.1",
+        "no timer C-1",
+        "job C-1/4 analyzer #1 lease RIGHT-ARM",
+        "timer C-1",
+        "note C-1 closing",
+    ]
+    assert s.answers("C-1", go_on()) == ["no timer C-1", "note C-1 ended", "end C-1 halted"]
+    assert s.state.resources.held == {}
+
+
+def test_halt_at_the_subsystem_itself_is_understood():
+    s = Story()
+    s.executing()
+    s.reports("C-1", StopReason.HALT)  # somebody used the emergency stop; the broker was not asked
+    assert s.phase("C-1") == "closing"
+    assert s.answers("C-1", go_on())[-1] == "end C-1 halted"
+
+
+def test_an_analysis_under_way_is_let_finish_and_its_advice_ignored():
+    s = Story()
+    s.analyzing(script(steps=2))
+    assert s.halts() == ["halt ALL to MCM", "timer C-1", "note C-1 closing"]
+    assert s.answers("C-1", go_on()) == ["no timer C-1", "note C-1 ended", "end C-1 halted"]
+
+
+def test_rest_that_nobody_confirms_is_told_apart_and_closes_the_arm():
+    s = Story()
+    s.executing()
+    s.halts()
+    assert s.rings("C-1") == ["note C-1 ended", "end C-1 halt_not_confirmed"]
+    assert s.state.resources.quarantine == {"RIGHT-ARM": "MCM"}
+    s.parsed()
+    assert s.phase("C-2") == "held"
+    assert s.rests("h1") == ["job C-2/2 elaborator #1", "note C-2 elaborating"]
+
+
+def test_halt_all_starts_nothing_that_was_in_line():
+    s = Story()
+    s.executing()
+    s.parsed()
+    s.parsed()
+    effects = s.halts()
+    assert [e for e in effects if e.startswith(("job", "primitive"))] == []
+    assert [s.phase(c) for c in ("C-1", "C-2", "C-3")] == ["halting", "gone", "gone"]
+    s.reports("C-1", StopReason.HALT)
+    s.answers("C-1", go_on())
+    s.executing()
+    assert s.phase("C-4") == "executing"  # and a new one works at once
+
+
+def test_a_sentence_sent_before_halt_all_does_not_start_after_it():
+    s = Story()
+    s.now = 10.0
+    s.halts()
+    assert s.says("X", sent_at_s=9.0) == ["tell ann Accepted C-1", "note C-1 ended", "end C-1 halted"]
+    assert s.says("X", sent_at_s=10.5)[1] == "job C-2/1 parser #1"
+
+
+def test_halt_of_one_arm_leaves_the_other():
+    s = Story()
+    s.executing()
+    s.executing(script(resources=("LEFT-ARM",)), hand="LEFT-ARM")
+    assert s.halts("LEFT-ARM") == ["halt LEFT-ARM to MCM", "halt C-2 to MCM", "timer C-2", "note C-2 halting"]
+    assert s.phase("C-1") == "executing"
+
+
+def test_halt_of_nothing_known_is_declined():
+    assert Story().halts("C-9") == ["decline halt h1"]
+
+
+def test_halt_on_an_idle_system_still_reaches_the_subsystem():
+    assert Story().halts() == ["halt ALL to MCM"]
+
+
+def test_the_same_halt_twice_is_one():
+    s = Story()
+    s.halts()
+    assert s.halts() == []
+
+
+def test_halt_typed_as_a_sentence_ends_when_rest_is_confirmed():
+    s = Story()
+    s.executing()
+    assert s.says("halt all.") == [
+        "tell ann Accepted C-2",
+        "note C-2 halting",
+        "timer C-2",
+        "halt ALL to MCM",
+        "halt C-1 to MCM",
+        "timer C-1",
+        "note C-1 halting",
+    ]
+    assert s.rests("C-2") == ["no timer C-2", "note C-2 ended", "end C-2 succeeded"]
+
+
+def test_halt_typed_and_not_confirmed():
+    s = Story()
+    s.says("HALT")
+    assert s.rests("C-1", at_rest=False)[-1] == "end C-1 halt_not_confirmed"
+
+
+# --- abort, pause, resume ----------------------------------------------------------------------------
+
+
+def test_abort_stops_one_command():
+    s = Story()
+    s.executing()
+    s.says("ABORT C-1")
+    assert s.answers("C-2", record(kind="control", verb="ABORT", object="C-1")) == [
+        "note C-2 ended",
+        "end C-2 succeeded",
+        "halt C-1 to MCM",
+        "timer C-1",
+        "note C-1 halting",
+    ]
+    s.reports("C-1", StopReason.HALT)
+    assert s.answers("C-1", go_on())[-1] == "end C-1 aborted"
+
+
+def test_pause_takes_effect_between_two_steps_and_resume_goes_on():
+    s = Story()
+    s.executing(script(steps=2))
+    s.parsed(kind="control", verb="PAUSE", object="C-1")
+    s.reports("C-1")
+    assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "note C-1 paused"]
+    s.says("RESUME C-1")
+    assert s.answers("C-3", record(kind="control", verb="RESUME", object="C-1"))[2:] == [
+        "note C-1 paused",
+        "job C-1/5 binder #1",
+        "note C-1 binding",
+    ]
+
+
+def test_a_paused_command_can_be_halted():
+    s = Story()
+    s.executing(script(steps=2))
+    s.parsed(kind="control", verb="PAUSE", object="ALL")
+    s.reports("C-1")
+    s.answers("C-1", go_on())
+    assert s.halts()[-1] == "end C-1 halted"
+
+
+def test_control_of_a_command_that_is_not_there_is_refused():
+    s = Story()
+    s.parsed(kind="control", verb="ABORT", object="C-7")
+    assert s.outcome("C-1").refusal.reason is RefusalReason.NAME
+
+
+# --- after, together with ----------------------------------------------------------------------------
+
+
+def test_after_waits_for_success():
+    s = Story()
+    s.analyzing()
+    s.says("STOW AFTER C-1")
+    assert s.answers("C-2", record(after="C-1")) == ["note C-2 held"]
+    assert "job C-2/2 elaborator #1" in s.answers("C-1", go_on())
+
+
+def test_after_a_failure_is_refused():
+    s = Story()
+    s.analyzing()
+    s.parsed(after="C-1")
+    s.answers("C-1", give_up())
+    assert s.outcome("C-2").refusal.reason is RefusalReason.STATE
+
+
+def test_after_one_that_has_ended_already():
+    s = Story()
+    s.analyzing()
+    s.answers("C-1", go_on())
+    s.parsed(after="C-1")
+    assert s.phase("C-2") == "elaborating"
+
+
+def test_a_circle_of_afters_is_refused():
+    s = Story()
+    s.says("A AFTER C-2")
+    s.says("B AFTER C-1")
+    s.answers("C-1", record(after="C-2"))
+    s.answers("C-2", record(after="C-1"))
+    assert s.outcome("C-2").refusal.reason is RefusalReason.STATE
+
+
+def test_together_with_starts_when_the_other_begins_to_move():
+    s = Story()
+    s.elaborated()
+    s.says("X TOGETHER-WITH C-1")
+    assert s.answers("C-2", record(hand="LEFT-ARM", together_with="C-1")) == ["note C-2 held"]
+    assert s.answers("C-1", bound("C-1.1"))[-2:] == ["job C-2/2 elaborator #1", "note C-2 elaborating"]
+
+
+# --- subsystems --------------------------------------------------------------------------------------
+
+
+def test_a_lost_subsystem_ends_what_it_executed_and_closes_its_arms_until_it_confirms_rest():
+    s = Story()
+    s.executing()
+    assert s.mcm_gone() == [
+        "no timer C-1",
+        "job C-1/4 analyzer #1 lease RIGHT-ARM",
+        "timer C-1",
+        "note C-1 closing",
+    ]
+    assert s.answers("C-1", go_on()) == ["no timer C-1", "note C-1 ended", "end C-1 lost_subsystem"]
+    assert s.state.resources.quarantine == {"RIGHT-ARM": "MCM"}
+    s.mcm_hello(pid=2)
+    assert s.state.resources.quarantine == {}
+
+
+def test_a_subsystem_that_comes_back_before_the_command_is_closed_leaves_no_quarantine():
+    s = Story()
+    s.executing()
+    s.mcm_hello(pid=2)
+    assert s.phase("C-1") == "closing"
+    s.answers("C-1", go_on())
+    assert s.outcome("C-1").kind is OutcomeKind.LOST_SUBSYSTEM
+    assert s.state.resources.quarantine == {}
+
+
+def test_a_subsystem_that_was_only_stopped_is_halted_when_it_comes_back():
+    s = Story()
+    s.executing()
+    s.mcm_gone()
+    s.answers("C-1", go_on())
+    assert s.mcm_hello(outstanding=["C-1.1"], at_rest=False) == ["halt C-1.1 to MCM"]
+    assert s.state.resources.quarantine == {"RIGHT-ARM": "MCM"}
+    s.rests("orphan-C-1.1")
+    assert s.state.resources.quarantine == {}
+
+
+def test_nothing_is_sent_to_a_subsystem_that_is_lost():
+    s = Story()
+    s.elaborated()
+    s.mcm_gone()
+    assert s.answers("C-1", bound("C-1.1")) == ["note C-1 ended", "end C-1 lost_subsystem"]
+
+
+def test_a_subsystem_lost_while_halting():
+    s = Story()
+    s.executing()
+    s.halts()
+    s.mcm_gone()
+    assert s.answers("C-1", go_on())[-1] == "end C-1 halt_not_confirmed"
+
+
+def test_no_end_report_within_the_limit_stops_the_subsystem_and_fails():
+    s = Story()
+    s.executing()
+    assert s.rings("C-1") == ["halt C-1 to MCM", "timer C-1", "note C-1 halting"]
+    s.reports("C-1", StopReason.HALT)
+    assert s.answers("C-1", go_on())[-1] == "end C-1 failed"
+
+
+def test_a_last_analysis_that_never_comes_does_not_keep_the_command():
+    s = Story()
+    s.executing()
+    s.halts()
+    s.reports("C-1", StopReason.HALT)
+    assert s.rings("C-1") == ["no timer C-1", "cancel C-1/4", "note C-1 ended", "end C-1 halted"]
+
+
+def test_a_report_told_twice_is_acknowledged_twice_and_heard_once():
+    s = Story()
+    s.analyzing()
+    assert s.reports("C-1", primitive="C-1.1") == ["ack C-1.1"]
+
+
+# --- clients -----------------------------------------------------------------------------------------
+
+
+def test_a_sentence_told_twice_is_one_command():
+    s = Story()
+    s.says("X", request="r1")
+    assert s.says("X", request="r1") == ["tell ann Accepted C-1"]
+    assert s.says("X", client="bob", request="r1")[0] == "tell bob Accepted C-2"
+
+
+def test_a_result_is_kept_for_a_client_that_asks_again():
+    s = Story()
+    s.says("X", request="r1")
+    s.declines("C-1")
+    assert s.says("X", request="r1") == ["tell ann Accepted C-1", "tell ann CommandEnded"]
+
+
+def test_a_client_that_goes_away_halts_only_what_it_wanted_halted():
+    s = Story()
+    s.says("X")
+    s.says("X", halt_if_lost=True)
+    s.hear(ClientGone, client="ann")
+    assert [s.phase(c) for c in ("C-1", "C-2")] == ["parsing", "gone"]
+
+
+# --- programs ----------------------------------------------------------------------------------------
+
+
+def test_a_new_program_whose_first_job_fails_is_rolled_back():
+    s = Story()
+    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")
+    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="new")
+    s.says("X")
+    assert s.state.commands["C-1"].job.program == "new"
+    assert s.loses_worker("C-1") == ["note C-1 parsing", "job C-1/1 parser #2"]
+    assert s.state.commands["C-1"].job.program == "old"
+    assert s.state.programs["parser"] == "old"
+
+
+def test_a_new_program_whose_first_job_is_done_stays():
+    s = Story()
+    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")
+    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="new")
+    s.parsed()
+    s.says("X")
+    s.loses_worker("C-2")
+    assert s.state.programs["parser"] == "new"
+
+
+# --- restart -----------------------------------------------------------------------------------------
+
+
+def test_a_restarted_broker_gives_out_what_was_given_out():
+    s = Story()
+    s.says("X")
+    s.executing(hand="LEFT-ARM")
+    s.state = wire.decoder(State)(wire.encode(s.state))  # as through a snapshot
+    assert s.hear(BrokerRestarted) == ["job C-1/1 parser #2", "timer C-2"]
+    assert s.mcm_hello(outstanding=["C-2.1"]) == []  # it has gone on meanwhile
+    assert s.reports("C-2")[2] == "job C-2/4 analyzer #1 lease RIGHT-ARM"
+
+
+def test_a_primitive_that_never_arrived_is_sent_again_after_a_restart():
+    s = Story()
+    s.executing()
+    s.hear(BrokerRestarted)
+    assert s.mcm_hello(outstanding=[]) == ["primitive C-1.1 to MCM", "timer C-1"]
+
+
+def test_a_primitive_bound_before_the_subsystem_is_heard_of_again_waits_for_it():
+    s = Story()
+    s.elaborated()
+    s.hear(BrokerRestarted)
+    assert s.answers("C-1", bound("C-1.1")) == ["timer C-1", "note C-1 executing"]
+    assert s.mcm_hello()[0] == "primitive C-1.1 to MCM"
+
+
+def test_a_halt_lost_with_the_broker_is_ordered_again():
+    s = Story()
+    s.executing()
+    s.halts()
+    s.hear(BrokerRestarted)
+    assert s.mcm_hello(outstanding=["C-1.1"]) == ["halt C-1 to MCM", "timer C-1"]
+
+
+# --- the table itself --------------------------------------------------------------------------------
+
+
+def test_every_empty_cell_counts_and_changes_nothing():
+    for phase in Phase:
+        for stimulus in Stimulus:
+            if (phase, stimulus) in TABLE:
+                continue
+            s = Story()
+            s.says("X")
+            command = s.state.commands["C-1"]
+            command.phase = phase
+            turn = Turn(s.state, 1.0)
+            stimulate(turn, command, stimulus)
+            assert (turn.effects, command.phase, s.state.counts["stale"]) == ([], phase, 1)
+
+
+def test_an_action_that_leads_where_it_must_not_tells_the_story(monkeypatch):
+    s = Story()
+    s.parsed()
+    monkeypatch.setitem(ACTIONS, "elaborated", lambda turn, command, _: turn.enter(command, Phase.CLOSING))
+    with pytest.raises(
+        InvalidTransition, match=r"C-1: product in elaborating led to closing(.|\n)*0\.00\d elaborating"
+    ):
+        s.answers("C-1", script())
+
+
+def test_reports_of_unknown_primitives_are_acknowledged():
+    assert Story().reports("C-9", primitive="C-9.1") == ["ack C-9.1"]
+    assert report("C-9.1").reason is StopReason.GOAL
