@@ -23,8 +23,9 @@ from rtc.robot.kinematics import ArmModel
 from workers.motion.path import Path
 
 KNOT_S = 0.03  # quintic Hermite between knots this far apart is off by some micrometres
-MOST_KNOTS = 400  # a very slow motion gets wider knots; it needs no closer ones
+KNOT_M = 0.0075  # at an even pace knots need be no closer than this along the way: slow motions get few
 RAMP_S = 0.1  # from no acceleration to the full one
+CURVE_RAMP_S = 0.5  # of a curve: at each end knots are close together for this long
 SAMPLES = 33  # of the path, where limits are looked at
 
 
@@ -89,7 +90,7 @@ def _time_line(arm: ArmModel, path: Path, pace: Pace) -> Timed:
         pace.acceleration_m_s2 / max(rate, 1e-9), float(((acceleration - bend * pace_limit**2) / slope).min())
     )
     profile = _rest_to_rest(path.length, pace_limit, change_limit)
-    time_s = _knot_times(profile.duration)
+    time_s = _knot_times(profile.duration, pace_limit / change_limit + RAMP_S, pace.speed_m_s)
     along, along_v, along_a = np.array([profile.at_time(t) for t in time_s.tolist()])[:, :, 0].T
     q, slope, bend = path.at(along)
     accelerations = bend * along_v[:, None] ** 2 + slope * along_a[:, None]
@@ -132,7 +133,7 @@ def _time_curve(arm: ArmModel, path: Path, pace: Pace) -> Timed:
     solver = toppra.algorithm.TOPPRA(constraints, path.curve, gridpoints=np.linspace(0, path.length, 61))
     curve = solver.compute_trajectory(0.0, 0.0)
     assert curve is not None, "from rest to rest within limits there is always a way: slowly"
-    time_s = _knot_times(curve.duration)
+    time_s = _knot_times(curve.duration, CURVE_RAMP_S, pace.speed_m_s)
     return _at_rest(Timed(path.space, time_s, curve(time_s), curve(time_s, 1), curve(time_s, 2)), path)
 
 
@@ -141,9 +142,15 @@ def _tcp_rate(arm: ArmModel, q: Array, slope: Array) -> Array:
     return np.array([float(np.linalg.norm(arm.jacobian(row)[:3] @ by)) for row, by in zip(q, slope, strict=True)])
 
 
-def _knot_times(duration_s: float) -> Array:
-    pieces = min(MOST_KNOTS, max(2, math.ceil(duration_s / KNOT_S)))
-    return np.linspace(0.0, duration_s, pieces + 1)
+def _knot_times(duration_s: float, ramp_s: float, speed_m_s: float) -> Array:
+    """Close together in both ramps, where the pace changes; as far apart as the way allows between them."""
+    ramp_s = min(ramp_s, 0.5 * duration_s)
+    n = max(2, math.ceil(ramp_s / KNOT_S))
+    cruise_s = duration_s - 2 * ramp_s
+    m = math.ceil(cruise_s / max(KNOT_S, KNOT_M / speed_m_s) - 1e-9)
+    ramp_up, ramp_down = np.linspace(0.0, ramp_s, n + 1), np.linspace(duration_s - ramp_s, duration_s, n + 1)
+    cruise = np.linspace(ramp_s, duration_s - ramp_s, m + 1)[1:] if m > 0 else ()
+    return np.concatenate((ramp_up, cruise, ramp_down[1:]))
 
 
 def _at_rest(timed: Timed, path: Path) -> Timed:

@@ -1,0 +1,39 @@
+"""The default cell, read once."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtc.cell import Cell
+from rtc.robot.collision import CollisionWorld
+from rtc.robot.kinematics import ArmModel
+
+
+@pytest.fixture(scope="session")
+def cell():
+    return Cell.load("swapout")
+
+
+@pytest.fixture(scope="session")
+def arms(cell):
+    return {arm.name: ArmModel.of(cell, arm.name) for arm in cell.arms}
+
+
+@pytest.fixture(scope="session")
+def right(arms):
+    return arms["RIGHT-ARM"]
+
+
+@pytest.fixture(scope="session")
+def left(arms):
+    return arms["LEFT-ARM"]
+
+
+@pytest.fixture(scope="session")
+def home(cell):
+    return {arm.name: arm.home_rad for arm in cell.arms}
+
+
+@pytest.fixture(scope="session")
+def world(cell):
+    return CollisionWorld(cell)

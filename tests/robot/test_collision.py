@@ -1,0 +1,166 @@
+"""Collisions by name, in postures where one can tell by hand what touches what."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from rtc import geometry
+from rtc.robot.collision import Held, Scene
+
+HANDLE = (0.65, -0.885, 0.60)  # HANDLE-A of the module in RACK-1
+
+
+def level(x, y, z):
+    return geometry.make_pose((x, y, z), geometry.LEVEL)
+
+
+def right_at(right, home, *xyz):
+    """Both arms' joints with the right hand LEVEL there, nearest to home."""
+    return {**home, "RIGHT-ARM": right.ik(level(*xyz), home["RIGHT-ARM"])[0]}
+
+
+def names(collision):
+    return collision and {collision.body_a, collision.body_b}
+
+
+def test_home_and_stow_are_free_in_any_mixture(cell, world, home):
+    stow = {arm.name: arm.stow_rad for arm in cell.arms}
+    roomy = Scene(clearance_m=0.05)
+    for joints in (home, stow, {**home, "LEFT-ARM": stow["LEFT-ARM"]}, {**stow, "LEFT-ARM": home["LEFT-ARM"]}):
+        assert world.check(joints, roomy) is None
+
+
+def test_open_fingers_straddle_the_handle(world, right, home):
+    assert world.check(right_at(right, home, *HANDLE)) is None
+
+
+@pytest.mark.parametrize(("off", "finger"), [(0.035, "finger_b"), (-0.035, "finger_a")])
+def test_a_finger_beside_its_place_hits_the_bar(world, right, home, off, finger):
+    x, y, z = HANDLE
+    hit = world.check(right_at(right, home, x, y + off, z))
+    assert names(hit) == {f"RIGHT-ARM {finger}", "MACS-NEW handle-a"}
+    # 40 mm to the finger's inside, 10 mm of bar: 5 mm into each other
+    assert hit.distance_m == pytest.approx(-0.005, abs=1e-4)
+    assert hit.point[0] == pytest.approx(x, abs=0.02)
+
+
+def test_closed_fingers_run_into_the_bar(world, right, home):
+    hit = world.check(right_at(right, home, *HANDLE), Scene(openings_m={"RIGHT-ARM": 0.0}))
+    assert "MACS-NEW handle-a" in names(hit)
+
+
+def test_too_deep_the_fingers_meet_the_case(world, right, home):
+    x, _, z = HANDLE
+    hit = world.check(right_at(right, home, x + 0.04, -0.80, z))  # between the two handles
+    assert hit.body_a in ("RIGHT-ARM finger_a", "RIGHT-ARM finger_b")
+    assert hit.body_b == "MACS-NEW case"
+    assert hit.distance_m == pytest.approx(-0.005, abs=1e-4)  # tips 15 mm before the tcp
+
+
+def test_what_may_touch_is_ignored(world, right, home):
+    x, y, z = HANDLE
+    joints = right_at(right, home, x, y + 0.035, z)
+    assert world.check(joints, Scene(ignore=[("RIGHT-ARM finger_b", "MACS-NEW handle-a")])) is None
+    assert world.check(joints, Scene(ignore=[("RIGHT-ARM", "MACS-NEW")])) is None
+    assert world.check(joints, Scene(ignore=[("RIGHT-ARM finger_a", "MACS-NEW")])) is not None
+
+
+def test_the_world_is_where_the_scene_says(world, right, home):
+    """The module 45 mm aside of where the cell has it: a finger lands on its handle."""
+    moved = geometry.translate(world.cell.object_pose("MACS-NEW"), (0, 0.040, 0))
+    joints = right_at(right, home, *HANDLE)
+    hit = world.check(joints, Scene(poses={"MACS-NEW": moved}))
+    assert names(hit) == {"RIGHT-ARM finger_a", "MACS-NEW handle-a"}
+    assert world.check(joints) is None  # and nothing of that scene is left in the next
+
+
+def test_a_held_module_moves_with_the_hand_and_meets_its_rack(world, cell, right, home):
+    in_hand = geometry.relative(level(*HANDLE), cell.object_pose("MACS-NEW"))
+    scene = Scene(held={"MACS-NEW": Held("RIGHT-ARM", in_hand)}, openings_m={"RIGHT-ARM": 0.02})
+    x, y, z = HANDLE
+    assert world.check(right_at(right, home, x, y, z), scene) is None  # seated, 1.5 mm of play
+    assert world.check(right_at(right, home, x, y, z + 0.15), scene) is None  # lifted out
+    sideways = world.check(right_at(right, home, x, y + 0.01, z), scene)
+    assert names(sideways) == {"MACS-NEW case", "RACK-1 left-wall"}
+    down = world.check(right_at(right, home, x, y, z - 0.01), scene)
+    assert names(down) == {"MACS-NEW case", "RACK-1 floor"}
+    # The handle that is held is no obstacle to the fingers; the other arm's hand would be one.
+    assert world.check(right_at(right, home, x, y, z), Scene()) is None
+
+
+def test_a_seated_module_is_no_collision_with_its_seat(world, home):
+    assert world.check(home) is None
+
+
+def test_clearance_counts_for_neighbours_but_not_for_those_named_near(world, right, home):
+    x, y, z = HANDLE
+    joints = right_at(right, home, x - 0.10, y, z)  # tips 75 mm before the bar's face, and 30 mm beside it
+    assert world.check(joints, Scene(clearance_m=0.05)) is None
+    hit = world.check(joints, Scene(clearance_m=0.10))
+    assert hit.body_b.startswith("MACS-NEW")
+    assert hit.distance_m == pytest.approx(math.hypot(0.075, 0.030), abs=1e-4)
+    assert world.check(joints, Scene(clearance_m=0.10, near=["MACS-NEW"])) is None
+
+
+def test_the_arms_see_each_other(world, right, left, home):
+    meet = level(0.55, 0.0, 0.95)
+    joints = {"RIGHT-ARM": right.ik(meet, home["RIGHT-ARM"])[0], "LEFT-ARM": left.ik(meet, home["LEFT-ARM"])[0]}
+    hit = world.check(joints)
+    assert hit.body_a.startswith("RIGHT-ARM")
+    assert hit.body_b.startswith("LEFT-ARM")
+
+
+def test_an_arm_can_run_into_itself(world, home):
+    folded = np.radians([0, -45, -225, 0, 0, 0])
+    hit = world.check({**home, "RIGHT-ARM": folded})
+    assert names(hit) == {"RIGHT-ARM pedestal", "RIGHT-ARM forearm"}
+
+
+def test_a_region_is_solid_only_where_it_is_to_be_kept_out_of(world, right, home):
+    region = world.cell.region("SOLAR-ARRAY").frame.xyz
+    joints = right_at(right, home, 0.70, -0.30, region[2] - 0.05)
+    assert world.check(joints) is None
+    assert "SOLAR-ARRAY region" in names(world.check(joints, Scene(keep_out=["SOLAR-ARRAY"])))
+
+
+def test_a_path_tells_its_first_hit(world, right, home):
+    x, y, z = HANDLE
+    ys = [y, y + 0.010, y + 0.029, y + 0.031, y + 0.040]  # the finger's inside touches from 30 mm on
+    configurations = [right.ik(level(x, at, z), home["RIGHT-ARM"])[0] for at in ys]
+    found = world.check_path("RIGHT-ARM", configurations, home)
+    assert found.index == 3
+    assert names(found.collision) == {"RIGHT-ARM finger_b", "MACS-NEW handle-a"}
+    assert world.check_path("RIGHT-ARM", configurations[:3], home) is None
+
+
+def test_a_refusal_names_the_bodies_and_what_would_clear_it(world, right, home):
+    x, _, z = HANDLE
+    refusal = world.check(right_at(right, home, x + 0.04, -0.80, z)).refusal("at the goal")
+    assert refusal.detail["cause"] == "collision"
+    assert refusal.detail["body_b"] == "MACS-NEW case"
+    assert refusal.message.endswith("collides with MACS-NEW case at the goal")
+
+
+def test_the_broad_phase_misses_nothing(world, arms):
+    """Against pinocchio's plain walk over all pairs, over random postures, with and without clearance."""
+    random = np.random.default_rng(9)
+    bodies, hits = world._bodies, 0
+    for scene in (Scene(), Scene(clearance_m=0.05)):
+        for _ in range(150):
+            joints = {name: random.uniform(arm.limits.lower, arm.limits.upper) for name, arm in arms.items()}
+            found = world.check(joints, scene)
+            plain = pin.computeCollisions(
+                bodies.model, world._data, bodies.geometry, world._geometry_data, world._q, True
+            )
+            assert (found is not None) == plain
+            hits += plain
+    assert 20 < hits < 280  # both answers were seen
+
+
+def test_every_arm_must_be_somewhere(world, home):
+    with pytest.raises(ValueError, match="where is LEFT-ARM"):
+        world.check({"RIGHT-ARM": home["RIGHT-ARM"]})

@@ -1,0 +1,137 @@
+"""The cell: what comes along loads whole, travels as one document, and errors name their place."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from rtc import geometry
+from rtc.cell import CELLS, Cell
+from rtc.outcomes import ProgramError
+
+
+@pytest.fixture(scope="module")
+def swapout():
+    return Cell.load("swapout")
+
+
+@pytest.fixture
+def plain():
+    """The default cell as plain data, to be spoilt."""
+    return msgspec.yaml.decode((CELLS / "swapout" / "cell.yaml").read_bytes())
+
+
+def load(tmp_path, plain):
+    for model in (CELLS / "swapout").glob("puma560.*"):
+        (tmp_path / model.name).write_text(model.read_text())
+    file = tmp_path / "cell.yaml"
+    file.write_bytes(msgspec.yaml.encode(plain))
+    return Cell.load(file)
+
+
+def test_one_document_holds_everything(swapout):
+    again = Cell.from_bytes(swapout.encode())
+    assert again == swapout
+    assert again.digest() == swapout.digest()
+    assert "<robot" in again.urdf("LEFT-ARM")
+
+
+def test_a_document_without_its_models_is_refused(swapout):
+    bare = msgspec.structs.replace(swapout, texts={})
+    with pytest.raises(ProgramError, match=r"\$\.arms\[0\]\.urdf: the text of puma560\.urdf is not embedded"):
+        Cell.from_bytes(bare.encode())
+
+
+def test_the_digest_changes_with_a_model(swapout):
+    texts = {**swapout.texts, "puma560.urdf": swapout.texts["puma560.urdf"] + "\n"}
+    assert msgspec.structs.replace(swapout, texts=texts).digest() != swapout.digest()
+
+
+def test_a_seated_object_is_where_its_seat_is(swapout):
+    assert np.allclose(swapout.object_pose("MACS-NEW"), (0.8, -0.8, 0.6, 0, 0, 0, 1))
+    handle = swapout.object("MACS-NEW").grasp_point("HANDLE-A")
+    tcp = geometry.compose(swapout.object_pose("MACS-NEW"), handle.frame.pose)
+    assert np.allclose(tcp, (0.65, -0.885, 0.6, *geometry.LEVEL))
+
+
+def test_a_path_a_folder_and_a_name_load_alike(swapout):
+    assert Cell.load(CELLS / "swapout") == Cell.load(CELLS / "swapout" / "cell.yaml") == swapout
+
+
+def test_an_unknown_cell_names_those_that_come_along():
+    with pytest.raises(ProgramError, match=r"no cell nowhere.*swapout"):
+        Cell.load("nowhere")
+
+
+def test_a_region_knows_what_is_inside(swapout):
+    region = swapout.region("BAY-2-RANGE")
+    assert region.contains((0.55, 0.0, 0.75))
+    assert not region.contains((0.55, 0.0, 1.16))
+
+
+def spoil_seat(cell):
+    cell["objects"][1]["seat"] = "RACK-9"
+
+
+def spoil_twice_seated(cell):
+    cell["objects"][1]["seat"] = "RACK-1"
+
+
+def spoil_name(cell):
+    cell["places"][0]["name"] = "MACS-NEW"
+
+
+def spoil_shape(cell):
+    cell["objects"][0]["shapes"][2]["size_m"] = [0.1, -0.1, 0.1]
+
+
+def spoil_shape_name(cell):
+    cell["seats"][0]["shapes"][1]["name"] = "floor"
+
+
+def spoil_joints(cell):
+    cell["arms"][1]["home_deg"] = [0, 0]
+
+
+def spoil_place_joints(cell):
+    cell["places"][0]["joints_deg"] = {"LEFT-ARM": [1, 2, 3]}
+
+
+def spoil_place_arm(cell):
+    cell["places"][0]["poses"]["MIDDLE-ARM"] = {"xyz": [0, 0, 1]}
+
+
+def spoil_field(cell):
+    cell["objects"][0]["mas_kg"] = 3
+
+
+def spoil_way_out(cell):
+    cell["seats"][2]["way_out"] = [1, 1, 0]
+
+
+def spoil_urdf(cell):
+    cell["arms"][1]["urdf"] = "puma999.urdf"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "place"),
+    [
+        (spoil_seat, "$.objects[1].seat: no seat RACK-9; there are BAY-2, RACK-1, RACK-2"),
+        (spoil_twice_seated, "$.objects[1].seat: RACK-1 already holds MACS-NEW"),
+        (spoil_name, "$.places[0].name: MACS-NEW is already the name of $.objects[0]"),
+        (spoil_shape, "$.objects[0].shapes[2].size_m[1]"),
+        (spoil_shape_name, "$.seats[0].shapes[1].name: floor is used twice"),
+        (spoil_joints, "$.arms[1].home_deg: 6 joints need as many values"),
+        (spoil_place_joints, "$.places[0].joints_deg.LEFT-ARM: 6 joints need as many values"),
+        (spoil_place_arm, "$.places[0].poses.MIDDLE-ARM: no arm MIDDLE-ARM; there are LEFT-ARM, RIGHT-ARM"),
+        (spoil_field, "$.objects[0]"),
+        (spoil_way_out, "$.seats[2].way_out: must be of unit length"),
+        (spoil_urdf, "$.arms[1].urdf: cannot read puma999.urdf"),
+    ],
+)
+def test_an_error_names_its_place(tmp_path, plain, spoil, place):
+    spoil(plain)
+    with pytest.raises(ProgramError) as raised:
+        load(tmp_path, plain)
+    assert place in str(raised.value)

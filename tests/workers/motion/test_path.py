@@ -1,0 +1,117 @@
+"""Lines: straight where they say so, dense enough, and refused with the place where they end."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from rtc import geometry
+from rtc.outcomes import Refusal
+from workers.motion.path import backwards, joint_line, task_line, through
+
+
+def level(x, y, z):
+    return geometry.make_pose((x, y, z), geometry.LEVEL)
+
+
+def at(arm, home, *xyz):
+    return arm.ik(level(*xyz), home[arm.name])[0]
+
+
+LINES = [
+    ((0.45, -0.885, 0.60), (0.65, -0.885, 0.60), 0.0),
+    ((0.65, -0.885, 0.60), (0.65, -0.885, 0.75), 0.0),
+    ((0.48, -0.085, 0.70), (0.78, -0.085, 0.70), 0.0),
+    ((0.60, -0.30, 0.95), (0.65, -0.80, 0.80), 0.5),
+]
+
+
+@pytest.mark.parametrize(("start", "goal", "yaw"), LINES)
+def test_a_task_line_is_straight_and_turns_evenly(right, home, start, goal, yaw):
+    begin = at(right, home, *start)
+    end_pose = geometry.compose(geometry.from_rpy(goal, (0, 0, yaw)), (0, 0, 0, *geometry.LEVEL))
+    line = task_line(right, begin, end_pose)
+    s = np.linspace(0, line.length, 211)  # between the knots too
+    for fraction, joints in zip(s / line.length, line.at(s)[0], strict=True):
+        ideal = geometry.interpolate(right.fk(begin), end_pose, fraction)
+        pose = right.fk(joints)
+        assert geometry.distance(pose, ideal) < 1e-4  # 0.1 mm, the most that is allowed; it is a few micrometres
+        assert geometry.angle(pose, ideal) < 1e-4
+
+
+def test_s_of_a_task_line_counts_metres(right, home):
+    line = task_line(right, at(right, home, 0.45, -0.885, 0.6), level(0.65, -0.885, 0.6))
+    assert line.length == pytest.approx(0.2)
+
+
+def test_a_pure_turn_is_a_line_too(right, home):
+    begin = at(right, home, 0.60, -0.60, 0.8)
+    turned = geometry.compose(right.fk(begin), geometry.from_rpy((0, 0, 0), (0, 0, 0.4)))
+    line = task_line(right, begin, turned)
+    assert line.length == pytest.approx(0.25 * 0.4)
+    assert geometry.distance(right.fk(line.knots[-1]), right.fk(begin)) < 1e-9
+    assert geometry.angle(right.fk(line.knots[-1]), turned) < 1e-9
+
+
+def test_derivatives_are_those_of_the_joints(right, home):
+    line = task_line(right, at(right, home, 0.45, -0.885, 0.6), level(0.65, -0.885, 0.6))
+    s, h = np.linspace(0.02, 0.18, 9), 1e-5
+    (behind, _, _), (q, slope, bend), (ahead, _, _) = line.at(s - h), line.at(s), line.at(s + h)
+    assert np.allclose(slope, (ahead - behind) / (2 * h), atol=1e-5)
+    assert np.allclose(bend, (ahead - 2 * q + behind) / h**2, atol=1e-3)
+
+
+def test_dense_leaves_no_gap(right, home):
+    path = joint_line(home["RIGHT-ARM"], at(right, home, 0.45, -0.885, 0.6))
+    s, joints = path.dense()
+    hands = np.array([right.fk(q)[:3] for q in joints])
+    assert np.linalg.norm(np.diff(hands, axis=0), axis=1).max() < 0.03
+    assert np.allclose(joints[[0, -1]], path.knots)
+    assert (np.diff(s) > 0).all()
+
+
+def test_a_curve_goes_through_its_way_points(right, home):
+    a, b = np.array(home["RIGHT-ARM"]), at(right, home, 0.45, -0.885, 0.6)
+    middle = (a + b) / 2 + 0.2
+    path = through([a, middle, b])
+    assert np.allclose(path.at(path.s)[0], [a, middle, b])
+    assert len(through([a, b]).knots) == 2
+
+
+def test_backwards_is_the_same_way(right, home):
+    line = task_line(right, at(right, home, 0.45, -0.885, 0.6), level(0.65, -0.885, 0.6))
+    back = backwards(line)
+    s = np.linspace(0, line.length, 20)
+    assert np.allclose(back.at(s)[0], line.at(line.length - s)[0], atol=1e-9)
+
+
+def test_out_of_reach_on_the_way_tells_where(right, home):
+    refusal = task_line(right, at(right, home, 0.65, -0.885, 0.6), level(1.25, -0.885, 0.6))
+    assert isinstance(refusal, Refusal)
+    assert refusal.detail["cause"] == "reach"
+    assert 0.1 < refusal.detail["fraction"] < 0.6
+    assert refusal.detail["along_m"] == pytest.approx(0.6 * refusal.detail["fraction"])
+    assert f"{refusal.detail['fraction']:.0%} along the line" in refusal.message
+
+
+def test_a_joint_limit_on_the_way_names_the_joint(right, home):
+    """Drawn back towards its own shoulder the hand comes to the elbow's limit."""
+    refusal = task_line(right, at(right, home, 0.65, -0.70, 0.6), level(0.25, -0.70, 0.6))
+    assert isinstance(refusal, Refusal)
+    assert refusal.detail["cause"] == "joint_limit"
+    assert refusal.detail["joint"] == "joint_3"
+    assert 0 < refusal.detail["fraction"] < 1
+
+
+def test_a_singularity_on_the_way_is_told_as_such(right):
+    """Nodding past a straight wrist, and a little aside of it: joints 4 and 6 would have to turn about at once."""
+    before, after = [0.2, 0.9, -2.4, 0.0, 0.3, 0.0], [0.2, 0.9, -2.4, 0.0, -0.3, 0.0]
+    goal = geometry.compose(right.fk(after), geometry.from_rpy((0, 0, 0), (0.02, 0, 0)))
+    refusal = task_line(right, before, goal)
+    assert isinstance(refusal, Refusal)
+    assert refusal.detail["cause"] == "singularity"
+    assert refusal.detail["joint"] in ("joint_4", "joint_6")
+    assert refusal.detail["sigma_min"] < 0.05
+    assert math.degrees(refusal.detail["leap_rad"]) > 30

@@ -1,0 +1,136 @@
+"""Whole motions in the default cell: free, within the rules, and round what stands in the way."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from rtc import geometry
+from rtc.cell import Box, Frame, Object
+from rtc.outcomes import Refusal
+from rtc.robot.collision import CollisionWorld, Held, Scene
+from workers.motion.constraints import Rules
+from workers.motion.ik import choose
+from workers.motion.plan import Setting, free_posture, plan_joint_motion, plan_task_motion
+from workers.motion.timing import Pace
+
+FRONT, HANDLE = (0.45, -0.885, 0.60), (0.65, -0.885, 0.60)
+
+
+def level(x, y, z):
+    return geometry.make_pose((x, y, z), geometry.LEVEL)
+
+
+@pytest.fixture
+def setting(right, world, home):
+    return Setting(right, world, home)
+
+
+def with_joints(setting, *xyz):
+    arm = setting.arm
+    return {**setting.joints, arm.name: arm.ik(level(*xyz), setting.joints[arm.name])[0]}
+
+
+def goal_at(setting, *xyz):
+    return choose(setting.arm, level(*xyz), setting.start, test=free_posture(setting))
+
+
+def holding(cell, right, joints, thing="MACS-NEW"):
+    in_hand = geometry.relative(right.fk(joints["RIGHT-ARM"]), cell.object_pose(thing))
+    return Scene(held={thing: Held("RIGHT-ARM", in_hand)}, openings_m={"RIGHT-ARM": 0.02})
+
+
+def test_from_home_to_the_rack_and_on_to_the_handle(setting, right, world, home):
+    to_front = plan_joint_motion(setting, goal_at(setting, *FRONT))
+    assert to_front.notes == ["generated a line in joint space; tested: free"]
+    there = Setting(right, world, {**home, "RIGHT-ARM": to_front.goal_joints}, pace=Pace(0.1))
+    to_handle = plan_task_motion(there, level(*HANDLE))
+    assert geometry.distance(to_handle.goal_pose, HANDLE) < 1e-6
+    assert to_handle.path.space == "task"
+    assert to_handle.timed.duration_s == pytest.approx(2.2, abs=0.05)
+
+
+def test_planning_twice_gives_the_same_motion(setting):
+    a, b = (plan_joint_motion(setting, goal_at(setting, *FRONT)) for _ in range(2))
+    assert np.array_equal(a.timed.positions, b.timed.positions)
+    assert np.array_equal(a.timed.time_s, b.timed.time_s)
+
+
+def test_a_blocked_line_is_modified_until_it_is_free(setting, cell, right, world, home):
+    """R92. The lifted module goes from its rack to before the bay: the line in joint space cuts the satellite."""
+    seated = with_joints(setting, *HANDLE)
+    scene = holding(cell, right, seated)
+    lifted = Setting(right, world, with_joints(setting, 0.45, -0.885, 0.75), scene)
+    motion = plan_joint_motion(lifted, goal_at(lifted, 0.48, -0.085, 0.70))
+    assert "MACS-NEW case collides with SATELLITE right-panel" in motion.notes[0]
+    assert all(note.startswith("modified:") for note in motion.notes[1:])
+    assert motion.notes[-1].endswith("tested: free")
+    assert len(motion.path.knots) > 2
+    # And it is: the timed knots themselves, each against the cell.
+    assert world.check_path("RIGHT-ARM", motion.timed.positions, home, scene) is None
+    assert geometry.distance(motion.goal_pose, (0.48, -0.085, 0.70)) < 1e-6
+
+
+def test_no_way_round_tells_the_first_obstacle_and_how_many_ways(right, cell, home, setting):
+    """A wall from floor to sky between the rack and the bay."""
+    shape = Box(name="slab", size_m=(1.2, 0.02, 4.0))
+    wall = Object(name="WALL", kind="obstacle", fixed=True, frame=Frame(xyz=(0.92, -0.55, 1.0)), shapes=[shape])
+    walled = CollisionWorld(msgspec.structs.replace(cell, objects=[*cell.objects, wall]))
+    at = Setting(right, walled, with_joints(setting, *FRONT))
+    refusal = plan_joint_motion(at, right.ik(level(0.55, 0.05, 0.95), at.start)[0])
+    assert isinstance(refusal, Refusal)
+    assert refusal.detail["cause"] == "collision"
+    assert refusal.detail["body_b"] == "WALL slab"
+    assert 0 < refusal.detail["fraction"] < 1
+    assert refusal.detail["ways_tried"] > 5
+
+
+def test_a_straight_line_into_something_is_refused_with_the_pair_and_the_place(setting, right, world):
+    at = Setting(right, world, with_joints(setting, 0.48, -0.085, 0.90))
+    refusal = plan_task_motion(at, level(0.78, -0.085, 0.90))
+    assert isinstance(refusal, Refusal)
+    assert refusal.detail["cause"] == "collision"
+    assert refusal.detail["body_a"].startswith("RIGHT-ARM finger_")
+    assert refusal.detail["body_b"] == "SATELLITE upper-panel"
+    # The tips, 15 mm before the tcp, come to the panel (x 0.75) after 0.255 m of 0.30; checks are some 2 cm apart.
+    assert 0.255 / 0.30 <= refusal.detail["fraction"] <= 0.28 / 0.30
+    assert refusal.where == f"{refusal.detail['fraction']:.0%} along the way"
+
+
+def test_a_goal_inside_something_is_refused_before_any_way(setting):
+    refusal = plan_joint_motion(setting, setting.arm.ik(level(0.80, -0.085, 0.90), setting.start)[0])
+    assert isinstance(refusal, Refusal)
+    assert refusal.detail["body_b"] == "SATELLITE upper-panel"
+
+
+def test_a_goal_beyond_a_limit_names_the_joint(setting):
+    goal = setting.start.copy()
+    goal[2] = math.radians(-226)
+    refusal = plan_joint_motion(setting, goal)
+    assert refusal.detail["joint"] == "joint_3"
+    assert refusal.detail["excess_rad"] == pytest.approx(math.radians(1))
+
+
+def test_work_range_and_attitude_are_maintained(setting, cell, right, world, home):
+    inside = Rules(work_range=cell.region("BAY-2-RANGE"))
+    goal = goal_at(setting, *FRONT)
+    refusal = plan_joint_motion(Setting(right, world, home, rules=inside), goal)
+    assert refusal.detail["cause"] == "work_range"
+    upright = Rules(attitude=cell.attitudes["LEVEL"], attitude_name="LEVEL")
+    motion = plan_joint_motion(Setting(right, world, home, rules=upright), goal)
+    assert "off LEVEL" in motion.notes[0]  # the line in joint space tips the hand over
+    assert motion.path.space == "task"
+    assert max(geometry.angle(right.fk(q), level(0, 0, 0)) for q in motion.timed.positions) < math.radians(5)
+
+
+def test_an_arm_too_near_a_limit_may_leave_from_there(setting, right, world, home):
+    near_limit = np.array(home["RIGHT-ARM"])
+    near_limit[4] = right.limits.upper[4] - math.radians(1)
+    at = Setting(right, world, {**home, "RIGHT-ARM": near_limit}, margin_rad=math.radians(5))
+    motion = plan_joint_motion(at, home["RIGHT-ARM"])
+    assert not isinstance(motion, Refusal)
+    back = plan_joint_motion(Setting(right, world, home, margin_rad=math.radians(5)), near_limit)
+    assert back.detail["joint"] == "joint_5"
