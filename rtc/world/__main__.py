@@ -19,7 +19,7 @@ from rtc.process import Process, inbox, now_s, send
 from rtc.settings import Settings
 from rtc.world import lease
 from rtc.world.model import initial_facts
-from rtc.world.server import Server
+from rtc.world.server import Packer, Server
 from rtc.world.store import Store
 
 FILE = "world.db"
@@ -47,6 +47,7 @@ def main() -> None:
 def serve(me: Process, socket: zmq.Socket[bytes], server: Server) -> None:
     """Answer until told to stop. A turn's commits are on disk, in one transaction, before any of its answers go."""
     read = wire.reader(ToWorld)
+    packer = Packer()
     dropped = 0
     while not me.stopping:
         me.wait()
@@ -60,7 +61,7 @@ def serve(me: Process, socket: zmq.Socket[bytes], server: Server) -> None:
                     me.log.warning("dropped message %d, from %r: %s", dropped, who[:40], error)
         server.store.save()
         for who, answer in answers:
-            send(socket, answer, to=who)
+            send(socket, packer.pack(answer), to=who)
 
 
 if __name__ == "__main__":

@@ -67,9 +67,10 @@ def selected(facts: Mapping[str, Fact], keys: Iterable[str] | None, since: int =
         found: Iterable[Fact] = facts.values()
     else:
         wanted = list(keys)
-        found = [facts[key] for key in wanted if key in facts]
-        locations = {key for key in wanted if key not in facts}
-        if locations:
+        known = list(map(facts.get, wanted))
+        found = [fact for fact in known if fact is not None]
+        if len(found) < len(wanted):
+            locations = {key for key, fact in zip(wanted, known, strict=True) if fact is None}
             found = [*found, *(fact for key, fact in facts.items() if location(key) in locations)]
     return [fact for fact in found if fact.version > since] if since else list(found)
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from rtc import wire
 from rtc.messages import Commit, Committed, ReadView, View, WorldChange, WorldHistory
 from rtc.outcomes import RefusalReason
 from rtc.world.lease import sign
-from rtc.world.server import Server
+from rtc.world.server import Packer, Server
 from rtc.world.store import Store
 
 KEY = b"k" * 32
@@ -68,3 +69,12 @@ def test_history(server):
     server.answer(commit("C-1/4", {"A.seat": "RACK-1"}), 0.0)
     story = server.answer(WorldHistory(request="h", key="A.seat"), 0.0)
     assert [f.value for f in story.facts] == ["RACK-1", "BAY-1"]
+
+
+def test_a_packed_view_is_the_same_on_the_wire_before_and_after_a_change(server):
+    packer = Packer()
+    for job in ("C-1/4", "C-1/5", "C-1/6"):
+        view = server.answer(ReadView(request="q"), 0.0)
+        assert wire.encode(packer.pack(view)) == wire.encode(packer.pack(view)) == wire.encode(view)
+        answer = server.answer(commit(job, {"A.seat": job}), 0.0)
+        assert packer.pack(answer) is answer
