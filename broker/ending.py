@@ -211,13 +211,14 @@ def lost_subsystem(turn: Turn, command: Command, why: str) -> None:
 
 
 def lost_while_halting(turn: Turn, command: Command, why: str) -> None:
-    message = f"{command.subsystem} was lost before it confirmed rest: {why}"
+    who = command.subsystem or "a subsystem"
+    message = f"{who} was lost before it confirmed rest: {why}"
     command.ending = Ending(kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST)
     if command.primitive:
         close(turn, command, nobody_reports(turn, command), message)
-    else:
-        turn.enter(command, Phase.CLOSING)
-        closed(turn, command, None)
+    else:  # a HALT that came as a sentence: it touched nothing
+        turn.stop_timer(command)
+        end(turn, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST)
 
 
 def nobody_reports(turn: Turn, command: Command) -> EndReport:

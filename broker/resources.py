@@ -25,8 +25,13 @@ class Resources(msgspec.Struct, kw_only=True):
     quarantine: dict[str, str] = {}  # name -> the subsystem that must confirm rest
 
     def blocker(self, command: str, claim: Claim) -> tuple[str, str] | None:
-        """(name, owner) of the first thing in the way of a claim: held by another, or wanted by one earlier in line."""
+        """(name, owner) of the first thing in the way of a claim: held by another, or wanted by one earlier in line.
+        What the command holds already is not in its way, or two that extend their claims would send each other back
+        to the end of the line for ever."""
+        mine = self.held.get(command, {})
         for name, exclusive in claim.items():
+            if name in mine and (mine[name] or not exclusive):
+                continue
             if name in self.quarantine:
                 return name, f"{self.quarantine[name]}, which has not confirmed rest"
             for holder, theirs in self.holders.get(name, {}).items():

@@ -49,7 +49,7 @@ _ROWS: dict[Phase, dict[Stimulus, str]] = {
         S.RESUME: "resume_now -> ELABORATING",
     },
     P.HELD: {
-        S.GRANT: "granted -> ELABORATING HELD",
+        S.GRANT: "granted -> ELABORATING HELD ENDED",
         S.RELEASE: f"released -> {PLAN}",
         S.STOP: "stop -> ENDED",
         S.PAUSE: "pause_later -> HELD",
@@ -87,7 +87,7 @@ _ROWS: dict[Phase, dict[Stimulus, str]] = {
         S.REPORT: "rested -> CLOSING",
         S.REST: "rest_confirmed -> HALTING ENDED",
         S.OVERDUE: "unconfirmed -> ENDED",
-        S.GONE: "lost_while_halting -> CLOSING",
+        S.GONE: "lost_while_halting -> CLOSING ENDED",
     },
     P.CLOSING: {
         S.PRODUCT: "closed -> ENDED",

@@ -1,0 +1,94 @@
+"""What must hold in every state of the Decision Unit, whatever happened before. Pure; used by the property tests, the
+model check and the cluster simulation, never in production."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from broker.effects import CancelJob, DispatchJob, Effect, PublishNote, ReportEnd, SendPrimitive, StartTimer
+from broker.state import NIL, State
+from rtc.messages import Phase, WorkerKind
+
+MOVING = (Phase.EXECUTING, Phase.HALTING)
+
+
+def violations(state: State) -> list[str]:
+    """Everything that is wrong with a state; an empty list is a good state."""
+    return [*_resources(state), *_motions(state), *_commands(state)]
+
+
+def _resources(state: State) -> Iterable[str]:
+    r = state.resources
+    for name, holders in r.holders.items():
+        if len(holders) > 1 and any(holders.values()):
+            yield f"{name} is held by {', '.join(holders)}, and one of them alone"
+    for claims, index in ((r.held, r.holders), (r.waiting, r.lines)):
+        listed = {(command, name) for name, commands in index.items() for command in commands}
+        if listed != {(command, name) for command, claim in claims.items() for name in claim}:
+            yield "the two views of the claims differ"
+    for command in [*r.held, *r.waiting]:
+        if command not in state.commands:
+            yield f"{command} has ended and still claims"
+    for command in r.waiting:
+        if command in r.held:
+            yield f"{command} waits while holding"
+
+
+def _motions(state: State) -> Iterable[str]:
+    moving: dict[str, str] = {}
+    for command in state.commands.values():
+        if command.phase in MOVING and command.primitive:
+            for performer in command.performers:
+                if performer in moving:
+                    yield f"{performer} executes for {moving[performer]} and {command.id}"
+                moving[performer] = command.id
+                if not state.resources.held.get(command.id, {}).get(performer):
+                    yield f"{command.id} moves {performer} without holding it"
+
+
+def _commands(state: State) -> Iterable[str]:
+    """A command that is waited for by nothing would never end."""
+    joined = {c for waiting in [*state.awaiting.values(), *state.joining.values()] for c in waiting}
+    for command in state.commands.values():
+        by_job = command.phase in (Phase.PARSING, Phase.ELABORATING, Phase.BINDING, Phase.ANALYZING, Phase.CLOSING)
+        if by_job != (command.job is not None):
+            yield f"{command.id} is {command.phase.value} and {'has no' if by_job else 'has a'} job"
+        if command.phase is Phase.HELD and command.id not in state.resources.waiting and command.id not in joined:
+            yield f"{command.id} is held and in no line"
+        if command.phase is Phase.EXECUTING and (not command.primitive or command.primitive_body == NIL):
+            yield f"{command.id} is executing nothing"
+        if command.phase in (Phase.HALTING, Phase.CLOSING) and command.ending is None:
+            yield f"{command.id} is {command.phase.value} and does not know how it ends"
+        if command.phase is Phase.ENDED:
+            yield f"{command.id} has ended and is still here"
+
+
+def forbidden(before: State, live_before: set[str], effects: list[Effect], *, halt_all: bool) -> list[str]:
+    """What must not be among the effects of one event: work for a command that has ended, a second end, and after
+    HALT ALL anything new for a command that was there."""
+    wrong, ended = [], set()
+    for effect in effects:
+        match effect:
+            case ReportEnd():
+                if effect.ended.command in ended:
+                    wrong.append(f"{effect.ended.command} ended twice")
+                ended.add(effect.ended.command)
+            case DispatchJob():
+                command = effect.job.partition("/")[0]
+                if command in ended:
+                    wrong.append(f"a job for {command}, which has ended")
+                if halt_all and command in live_before and effect.kind is not WorkerKind.ANALYZER:
+                    wrong.append(f"a job for {command} after HALT ALL")
+            case SendPrimitive():
+                command = effect.id.partition(".")[0]
+                if command in ended or (halt_all and command in live_before):
+                    wrong.append(f"a primitive for {command}, which was stopped")
+            case StartTimer():
+                if effect.timer in ended:
+                    wrong.append(f"a timer for {effect.timer}, which has ended")
+            case PublishNote():
+                if effect.note.command in ended:
+                    wrong.append(f"a note on {effect.note.command} after its end")
+            case CancelJob():
+                pass
+    return wrong
