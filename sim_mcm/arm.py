@@ -94,7 +94,8 @@ class Arm(Protocol):
 class Simulation(Protocol):
     """A cell with arms in it, that can be stepped, looked at and tampered with. Only the test bench asks for truth."""
 
-    arms: Mapping[str, Arm]
+    @property
+    def arms(self) -> Mapping[str, Arm]: ...
 
     def step(self) -> None:
         """One tick of the world."""

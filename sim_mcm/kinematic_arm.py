@@ -38,7 +38,7 @@ class Piece(msgspec.Struct):
     local: Array  # 4 x 4, in the axes of its owner
     radius_m: float
     placed: Any = None  # coal.Transform3s, world
-    centre: Array = msgspec.field(default_factory=lambda: np.zeros(3))
+    row: int = 0  # of the table of all pieces' centres
 
 
 class Touch(msgspec.Struct, frozen=True):
@@ -57,8 +57,14 @@ class KinematicCell:
         self.carried: dict[str, tuple[str, Array]] = {}  # object -> arm, pose in tcp axes
         self.pieces: dict[str, list[Piece]] = {}
         shapes = {thing.name: thing.shapes for thing in cell.objects} | {seat.name: seat.shapes for seat in cell.seats}
-        for owner, pieces in shapes.items():
-            self.pieces[owner] = [_piece(owner, shape) for shape in pieces]
+        for owner, kinds in shapes.items():
+            self.pieces[owner] = [_piece(owner, shape) for shape in kinds]
+        self._all = [piece for pieces in self.pieces.values() for piece in pieces]
+        self._radii = np.array([piece.radius_m for piece in self._all])
+        self._centres = np.zeros((len(self._all), 3))
+        for row, piece in enumerate(self._all):
+            piece.row = row
+        for owner in self.pieces:
             self._place(owner)
         self.fixed = {thing.name for thing in cell.objects if thing.fixed} | {seat.name for seat in cell.seats}
         self.arms = {arm.name: KinematicArm(self, arm.name) for arm in cell.arms}
@@ -70,16 +76,12 @@ class KinematicCell:
             self.poses[name] = geometry.compose(self.arms[arm_name].pose, grasp)
             self._place(name)
 
-    def near(self, point: Array, arm: str, margin_m: float = 0.0) -> Iterator[Piece]:
+    def near(self, point: Array, arm: str, margin_m: float = 0.0) -> list[Piece]:
         """The pieces a hand at `point` could touch, or come as near; not of what that arm carries."""
-        for name, pieces in self.pieces.items():
-            if name in self.carried and self.carried[name][0] == arm:
-                continue
-            for piece in pieces:
-                reach = REACH_M + margin_m + piece.radius_m
-                d = piece.centre - point
-                if d[0] * d[0] + d[1] * d[1] + d[2] * d[2] < reach * reach:
-                    yield piece
+        away = np.sqrt(((self._centres - point) ** 2).sum(axis=1)) - self._radii
+        carried = {name for name, (by, _) in self.carried.items() if by == arm}
+        found = (self._all[n] for n in np.flatnonzero(away < REACH_M + margin_m))
+        return [piece for piece in found if piece.owner not in carried]
 
     def truth(self) -> dict[str, dict[str, list[float]]]:
         names = [thing.name for thing in self.cell.objects]
@@ -114,7 +116,7 @@ class KinematicCell:
         for piece in self.pieces[owner]:
             matrix = at @ piece.local
             piece.placed = coal.Transform3s(matrix[:3, :3], matrix[:3, 3])
-            piece.centre = matrix[:3, 3]
+            self._centres[piece.row] = matrix[:3, 3]
 
 
 def displaced(pose: Array, offset: Sequence[float]) -> Array:
@@ -211,12 +213,12 @@ class KinematicArm:
 
     def _clearance(self, pose: Array) -> float:
         tcp = geometry.to_matrix(pose)
-        least = CLEAR_M
+        least, near = CLEAR_M, self._world.near(pose[:3], self.traits.name, CLEAR_M)
         travels = dict(zip(FINGERS, self.fingers, strict=True))
         for part, shape, place in self._parts:
             matrix = tcp @ place(travels.get(part, 0.0))
             at = coal.Transform3s(matrix[:3, :3], matrix[:3, 3])
-            for piece in self._world.near(pose[:3], self.traits.name, CLEAR_M):
+            for piece in near:
                 least = min(
                     least, coal.distance(shape, at, piece.geometry, piece.placed, DISTANCE, coal.DistanceResult())
                 )
@@ -263,7 +265,7 @@ class KinematicArm:
 
     def _touches(self, pose: Array, only: str = "", travel: float | None = None) -> Iterator[Touch]:
         """What palm and fingers (or one finger, at another travel) would touch with the tcp at `pose`."""
-        near = list(self._world.near(pose[:3], self.traits.name))
+        near = self._world.near(pose[:3], self.traits.name)
         if not near:
             return
         tcp = geometry.to_matrix(pose)

@@ -42,8 +42,9 @@ class Halt(msgspec.Struct):
 
 
 class Subsystem:
-    def __init__(self, arms: Mapping[str, Arm], name: str = "MCM") -> None:
+    def __init__(self, arms: Mapping[str, Arm], name: str = "MCM", pid: int = 0) -> None:
         self.name = name
+        self.pid = pid
         self.executors = {arm: Executor(part) for arm, part in arms.items()}
         self._kept: dict[str, tuple[m.EndReport, float]] = {}  # not acknowledged; when to say it again
         self._ended: OrderedDict[str, m.EndReport] = OrderedDict()  # all, for repeated orders
@@ -70,15 +71,17 @@ class Subsystem:
         if isinstance(message, m.HaltOrder):
             return self._halt(message, door, now_s)
         if isinstance(message, m.ReportAck):
+            if not message.primitive:  # of nothing: a broker that does not know us asks who we are
+                return self.hello()
             self._kept.pop(message.primitive, None)
             return []
         return self._execute(message, now_s)
 
-    def hello(self, pid: int) -> Said:
+    def hello(self) -> Said:
         """To a broker that has just been found: who we are, what is under way, and what it has not acknowledged."""
         hello = m.SubsystemHello(
             name=self.name,
-            pid=pid,
+            pid=self.pid,
             performers=list(self.executors),
             outstanding=self.outstanding,
             at_rest=self.at_rest,

@@ -1,0 +1,131 @@
+"""`python -m sim_mcm --run-dir D`: the simulated MCM, two arms in physics (or exact ones), ticking at 1 kHz.
+
+Every tick: halts first, then the broker, then one servo tick, then the world's step. A tick never waits for anybody.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import time
+from collections.abc import Callable
+
+from rtc import messages as m
+from rtc import process
+from rtc.cell import Cell
+from rtc.settings import Settings
+from sim_mcm.arm import Simulation
+from sim_mcm.bullet_arm import BulletCell
+from sim_mcm.clock import Clock
+from sim_mcm.doors import Doors
+from sim_mcm.kinematic_arm import KinematicCell
+from sim_mcm.subsystem import BROKER, Subsystem
+
+NAME = "MCM"
+HEARTBEAT_S = 0.25
+TELEMETRY_S = 0.02
+NICENESS = -5  # before the workers, if the system gives leave
+
+SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": BulletCell, "kinematic": KinematicCell}
+
+
+class Station:
+    """The loop round a simulation: sockets, subsystem, clock."""
+
+    def __init__(self, me: process.Process, settings: Settings) -> None:
+        self._me = me
+        self._simulation = SIMULATIONS[settings.mcm](Cell.load(settings.cell))
+        self._subsystem = Subsystem(self._simulation.arms, NAME, os.getpid())
+        self._doors = Doors(me, settings, NAME)
+        self._clock = Clock(settings.speed, process.now_s())
+        self._heartbeat = process.Every(HEARTBEAT_S)
+        self._telemetry = process.Every(TELEMETRY_S)
+
+    def run(self) -> None:
+        """Until the process is told to stop."""
+        clock, subsystem = self._clock, self._subsystem
+        self._doors.say(subsystem.hello())
+        process.freeze_heap()
+        self._me.ready()
+        while not self._me.stopping:
+            left_s = clock.left_s(process.now_s(), busy=not subsystem.idle)
+            if left_s > 0.0:
+                time.sleep(left_s)
+            self._tick(process.now_s())
+        self._me.log.info("%d ticks, %d late", clock.ticks, clock.late_ticks)
+
+    def _tick(self, now_s: float) -> None:
+        doors, subsystem = self._doors, self._subsystem
+        self._clock.begin(now_s)
+        for caller, halt in doors.halts(now_s):
+            doors.say(subsystem.hear(halt, caller, now_s))
+        for order in doors.orders(now_s):
+            doors.say(subsystem.hear(order, BROKER, now_s))
+        said = subsystem.tick(process.now_s())
+        self._simulation.step()
+        doors.say(said)
+        self._between_ticks(now_s)
+
+    def _between_ticks(self, now_s: float) -> None:
+        """What is not urgent."""
+        doors = self._doors
+        if doors.newly_connected():
+            doors.say(self._subsystem.hello())
+        if self._heartbeat.due(now_s):
+            doors.say([(BROKER, m.Heartbeat(name=NAME))])
+        if self._telemetry.due(now_s):
+            doors.publish(self._look(now_s))
+        for caller, question in doors.questions(now_s):
+            doors.answer(caller, self._answer(question))
+
+    def _look(self, now_s: float) -> m.Telemetry:
+        arms = {}
+        for name, executor in self._subsystem.executors.items():
+            sample = executor.sample
+            arms[name] = m.ArmSample(
+                joints=sample.joints,
+                velocities=sample.velocities,
+                wrench=executor.wrench,
+                tcp_pose=executor.arm.tcp_pose(sample.joints).tolist(),
+                hand_width_m=sum(sample.fingers),
+                primitive=executor.primitive_id,
+            )
+        clock = self._clock
+        return m.Telemetry(
+            subsystem=NAME, at_s=now_s, sim_s=clock.sim_s, late_ticks=clock.late_ticks, ticks=clock.ticks, arms=arms
+        )
+
+    def _answer(self, question: m.SimTruth | m.SimDisplace) -> m.SimTruthReply | m.SimDone:
+        if isinstance(question, m.SimDisplace):
+            if len(question.offset) != 6 or not all(map(math.isfinite, question.offset)):
+                return m.SimDone(request=question.request, error="offset: six finite numbers are needed")
+            return m.SimDone(
+                request=question.request, error=self._simulation.displace(question.object, question.offset)
+            )
+        truth = self._simulation.truth()
+        return m.SimTruthReply(
+            request=question.request,
+            sim_s=self._clock.sim_s,
+            poses=truth["poses"],
+            velocities=truth["velocities"],
+            tcp=truth["tcp"],
+            joints=truth["joints"],
+            fingers=truth["fingers"],
+            held=self._simulation.held(),
+        )
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(prog="python -m sim_mcm", description=__doc__)
+    arguments.add_argument("--run-dir", required=True, help="of the cluster, with its settings.json")
+    run_dir = arguments.parse_args().run_dir
+    settings = Settings.load(run_dir)
+    with process.start(NAME, run_dir) as me:
+        if not process.nice(NICENESS):
+            me.log.info("no leave for a better scheduling priority")
+        Station(me, settings).run()
+
+
+if __name__ == "__main__":
+    main()

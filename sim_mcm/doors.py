@@ -1,0 +1,128 @@
+"""The MCM's sockets: who may say what to it, bytes to messages and back. Decides nothing.
+
+    estop      ROUTER, bound here: halts and nothing else; works when the broker is dead
+    broker     DEALER "MCM": primitives, halts, acknowledgements in; reports out
+    telemetry  PUB, bound here
+    bench      ROUTER, bound here: truth and belief errors, which only a simulator has
+
+What cannot be read is counted, logged now and then, and dropped: it never stops a tick (R51, and invariant 12).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import zmq
+
+from rtc import messages as m
+from rtc.outcomes import Refusal, RefusalReason, WireError
+from rtc.process import Every, Process, inbox, send
+from rtc.settings import Settings
+from rtc.wire import reader
+from sim_mcm.subsystem import BROKER, Said
+
+PER_TICK = 20  # messages taken from one socket in one tick, so that no sender can stretch it
+HALTS_PER_TICK = 100
+MONITOR_TICKS = 10  # the state of the connection to the broker is looked at once in so many ticks
+LOG_EVERY_S = 1.0
+
+_read_halt = reader(m.ToHalt)
+_read_broker = reader(m.BrokerToSubsystem)
+_read_bench = reader(m.ToSim)
+
+
+class Doors:
+    def __init__(self, me: Process, settings: Settings, name: str) -> None:
+        self._log = me.log
+        self._estop = me.socket(zmq.ROUTER, settings.endpoint("estop"), bind=True)
+        self._bench = me.socket(zmq.ROUTER, settings.endpoint("bench"), bind=True)
+        self._telemetry = me.socket(zmq.PUB, settings.endpoint("telemetry"), bind=True)
+        self._broker = me.socket(zmq.DEALER, settings.endpoint("subsystems"), identity=name)
+        events = zmq.Event.HANDSHAKE_SUCCEEDED | zmq.Event.DISCONNECTED
+        self._monitor = self._broker.get_monitor_socket(events)
+        self._asked = 0
+        self.connected = True  # until the monitor says otherwise: what is said first waits for the broker
+        self.malformed = 0
+        self._log_due = Every(LOG_EVERY_S)
+
+    # --- in --------------------------------------------------------------------------------------------
+
+    def halts(self, now_s: float) -> Iterator[tuple[bytes, m.HaltOrder]]:
+        """What lies at the estop socket: (caller, order). What is no halt is told so."""
+        if not _readable(self._estop):
+            return
+        for caller, parts in _from_router(self._estop, HALTS_PER_TICK):
+            order = self._understand(_read_halt, parts, "estop", now_s)
+            if order is not None:
+                yield caller, order
+            else:
+                words = "the estop socket takes a HaltOrder and nothing else"
+                refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words)
+                send(self._estop, m.Declined(request="", refusal=refusal), caller)
+
+    def orders(self, now_s: float) -> Iterator[m.Execute | m.HaltOrder | m.ReportAck]:
+        """What the broker has sent."""
+        if not _readable(self._broker):
+            return
+        for parts in inbox(self._broker, PER_TICK):
+            order = self._understand(_read_broker, parts, "broker", now_s)
+            if order is not None:
+                yield order
+
+    def questions(self, now_s: float) -> Iterator[tuple[bytes, m.SimTruth | m.SimDisplace]]:
+        """What the test bench asks."""
+        if not _readable(self._bench):
+            return
+        for caller, parts in _from_router(self._bench, PER_TICK):
+            question = self._understand(_read_bench, parts, "bench", now_s)
+            if question is not None:
+                yield caller, question
+
+    def newly_connected(self) -> bool:
+        """True once after every time the broker has been found."""
+        self._asked += 1
+        if self._asked % MONITOR_TICKS or not _readable(self._monitor):
+            return False
+        found = False
+        while _readable(self._monitor):
+            event = int.from_bytes(self._monitor.recv_multipart()[0][:2], "little")
+            self.connected = found = event == zmq.Event.HANDSHAKE_SUCCEEDED
+        self._log.info("broker found" if found else "broker gone; going on alone")
+        return found
+
+    # --- out -------------------------------------------------------------------------------------------
+
+    def say(self, said: Said) -> None:
+        """To the broker, or to a caller at the estop socket. What cannot be delivered is not kept here."""
+        for door, message in said:
+            if door != BROKER:
+                send(self._estop, message, door)
+            elif self.connected:
+                send(self._broker, message)
+
+    def answer(self, caller: bytes, message: m.SimTruthReply | m.SimDone) -> None:
+        send(self._bench, message, caller)
+
+    def publish(self, telemetry: m.Telemetry) -> None:
+        send(self._telemetry, telemetry)
+
+    def _understand(
+        self, read: Callable[[Sequence[bytes]], Any], parts: Sequence[bytes], where: str, now_s: float
+    ) -> Any:
+        try:
+            return read(parts)
+        except WireError as error:
+            self.malformed += 1
+            if self._log_due.due(now_s):
+                self._log.warning("%s: dropped a message (%d so far): %s", where, self.malformed, error)
+            return None
+
+
+def _readable(socket: zmq.Socket[bytes]) -> bool:
+    return bool(int(socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)  # ten times quicker than a poll
+
+
+def _from_router(socket: zmq.Socket[bytes], limit: int) -> Iterator[tuple[bytes, Sequence[bytes]]]:
+    for caller, *parts in inbox(socket, limit):
+        yield caller, parts
