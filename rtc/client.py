@@ -103,12 +103,12 @@ class Client:
 
     # --- sentences ------------------------------------------------------------------------------------
 
-    def submit(self, text: str, *, on_progress: OnProgress | None = None, halt_if_lost: bool = False) -> str:
+    def submit(self, text: str, *, on_progress: OnProgress | None = None) -> str:
         """Hand in one sentence; its number C-n, once the cluster has it for good. Fetch the outcome with `wait`.
 
         Raises RequestDeclined when the cluster takes no more.
         """
-        request = self._say(text, on_progress, halt_if_lost)
+        request = self._say(text, on_progress)
         self._until(
             lambda: request in self._command_of or request in self._ended, ANSWER_S, "the sentence was not taken"
         )
@@ -130,14 +130,12 @@ class Client:
         text: str,
         on_progress: OnProgress | None = None,
         timeout_s: float | None = None,
-        *,
-        halt_if_lost: bool = False,
     ) -> m.CommandEnded:
         """Submit one sentence and wait for its outcome.
 
         `on_progress` hears each ProgressNote. Raises TimedOut after `timeout_s`; the command then goes on.
         """
-        return self.run_many([text], on_progress=on_progress, timeout_s=timeout_s, halt_if_lost=halt_if_lost)[0]
+        return self.run_many([text], on_progress=on_progress, timeout_s=timeout_s)[0]
 
     def run_many(
         self,
@@ -148,7 +146,6 @@ class Client:
         on_progress: OnProgress | None = None,
         on_end: OnEnd | None = None,
         timeout_s: float | None = None,
-        halt_if_lost: bool = False,
     ) -> list[m.CommandEnded]:
         """Outcomes in the order of `texts`. In parallel the cluster itself finds what may go on at the same time;
         otherwise each sentence waits for the end of the one before, whatever that end is.
@@ -162,7 +159,7 @@ class Client:
         while todo or waiting:
             while todo and len(waiting) < (WINDOW if parallel else 1):
                 n, text = todo.popleft()
-                waiting[self._say(text, on_progress, halt_if_lost, on_accept and partial(on_accept, n))] = n
+                waiting[self._say(text, on_progress, on_accept and partial(on_accept, n))] = n
             self._until(
                 lambda: not waiting.keys().isdisjoint(self._ended),
                 None if limit_s is None else limit_s - time.monotonic(),
@@ -248,7 +245,6 @@ class Client:
         self,
         text: str,
         on_progress: OnProgress | None,
-        halt_if_lost: bool,
         on_accept: Callable[[str], None] | None = None,
     ) -> str:
         """Send one sentence; the name of the request."""
@@ -262,7 +258,7 @@ class Client:
             text=text,
             source=self.source,
             progress=on_progress is not None,
-            halt_if_lost=halt_if_lost,
+            sent_at_s=time.monotonic(),  # said again after a halt it is still what was said before it
         )
         self._front.ask(request, sentence)
         return request

@@ -150,4 +150,4 @@ def _deploy(arguments: list[str], run_dir: Path | None) -> None:
     """Become the supervisor's command line: same terminal, same Ctrl-C, same exit status."""
     sys.stdout.flush()
     where = str(run_dir if run_dir is not None else default_run_dir())
-    os.execv(sys.executable, [sys.executable, "-m", "deploy", *arguments, "--run-dir", where])
+    os.execv(sys.executable, [sys.executable, "-P", "-m", "deploy", *arguments, "--run-dir", where])

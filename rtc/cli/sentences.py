@@ -46,7 +46,6 @@ def do(
     parallel: Annotated[bool, typer.Option("--parallel", help="Send all at once.")] = False,
     keep_going: Annotated[bool, typer.Option("--keep-going", "-k", help="Go on after one that fails.")] = False,
     no_wait: Annotated[bool, typer.Option("--no-wait", help="Return once they are accepted.")] = False,
-    halt_if_lost: Annotated[bool, typer.Option(help="Halt them should this terminal die.")] = False,
     source: Annotated[str, typer.Option("--as", help="operator, or aip (told apart in records).")] = "operator",
     json: AsJson = False,
     run_dir: RunDir = None,
@@ -67,16 +66,16 @@ def do(
     halts = [halt_scope(text) for text in texts]
     with Client(run_dir, source=_source(source), need_broker=not all(halts)) as rtc:
         if no_wait:
-            code, results = _hand_in(rtc, texts, halt_if_lost)
+            code, results = _hand_in(rtc, texts)
         else:
-            code, results = _see_through(rtc, texts, parallel and not any(halts), keep_going, halt_if_lost, json)
+            code, results = _see_through(rtc, texts, parallel and not any(halts), keep_going, json)
     if json:
         emit_json({"results": results, "exit": code})
     raise typer.Exit(code)
 
 
 def _see_through(
-    rtc: Client, texts: list[str], parallel: bool, keep_going: bool, halt_if_lost: bool, json: bool
+    rtc: Client, texts: list[str], parallel: bool, keep_going: bool, json: bool
 ) -> tuple[int, list[dict[str, Any]]]:
     """Run them all; the exit code and a result for each."""
     kinds: list[OutcomeKind] = []
@@ -89,13 +88,12 @@ def _see_through(
                     on_accept=board.accepted,
                     on_progress=board.progress,
                     on_end=board.ended,
-                    halt_if_lost=halt_if_lost,
                 )
                 kinds = [one.outcome.kind for one in ended]
                 results = [_result(one, text) for one, text in zip(ended, texts, strict=True)]
             else:
                 for n, text in enumerate(texts):
-                    kind, result = _one(rtc, board, n, text, halt_if_lost)
+                    kind, result = _one(rtc, board, n, text)
                     kinds.append(kind)
                     results.append(result)
                     if kind != OutcomeKind.SUCCEEDED and not keep_going:
@@ -110,7 +108,7 @@ def _see_through(
     return exit_code(kinds), results
 
 
-def _one(rtc: Client, board: Board, n: int, text: str, halt_if_lost: bool) -> tuple[OutcomeKind, dict[str, Any]]:
+def _one(rtc: Client, board: Board, n: int, text: str) -> tuple[OutcomeKind, dict[str, Any]]:
     if scope := halt_scope(text):
         halted = rtc.halt(scope)
         print_halt(halted, errors if board.quiet else console)
@@ -121,12 +119,11 @@ def _one(rtc: Client, board: Board, n: int, text: str, halt_if_lost: bool) -> tu
         on_accept=lambda _, command: board.accepted(n, command),
         on_progress=board.progress,
         on_end=lambda _, one: board.ended(n, one),
-        halt_if_lost=halt_if_lost,
     )[0]
     return ended.outcome.kind, _result(ended, text)
 
 
-def _hand_in(rtc: Client, texts: list[str], halt_if_lost: bool) -> tuple[int, list[dict[str, Any]]]:
+def _hand_in(rtc: Client, texts: list[str]) -> tuple[int, list[dict[str, Any]]]:
     """Submit without waiting for outcomes."""
     results: list[dict[str, Any]] = []
     for text in texts:
@@ -136,7 +133,7 @@ def _hand_in(rtc: Client, texts: list[str], halt_if_lost: bool) -> tuple[int, li
             results.append({"text": text, "kind": "halted", "halt": msgspec.to_builtins(halted)})
             continue
         try:
-            command = rtc.submit(text, halt_if_lost=halt_if_lost)
+            command = rtc.submit(text)
         except RequestDeclined as declined:
             for line in refusal_lines(declined.refusal, text):
                 errors.print(Text(line))

@@ -174,7 +174,7 @@ def _picture(story: Story, truth: m.SimTruthReply, file: Path) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     data = file.with_suffix(".json")
     data.write_bytes(msgspec.json.encode(truth))
-    command = [sys.executable, "-m", "sim_mcm.render", "--truth", str(data), "--out", str(file)]
+    command = [sys.executable, "-P", "-m", "sim_mcm.render", "--truth", str(data), "--out", str(file)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=RENDER_S, check=False)
     data.unlink()
     if story.check(f"picture {file}", done.returncode == 0 and file.is_file()):

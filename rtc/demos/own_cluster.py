@@ -37,7 +37,7 @@ def own_cluster(*, cell: str = "swapout", mcm: str = "bullet", speed: str = "1",
 
 
 def _deploy(what: str, run_dir: Path, limit_s: float, *options: str) -> None:
-    command = [sys.executable, "-m", "deploy", what, "--run-dir", str(run_dir), *options]
+    command = [sys.executable, "-P", "-m", "deploy", what, "--run-dir", str(run_dir), *options]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=limit_s, start_new_session=True)
     except subprocess.TimeoutExpired:

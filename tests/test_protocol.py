@@ -1,0 +1,178 @@
+"""docs/protocol.md is enough: a client of nothing but zmq and the reference msgpack library, against a real cluster."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+import zmq
+
+pytestmark = pytest.mark.slow
+
+LIMIT_MS = 20_000
+
+
+@pytest.fixture(scope="module")
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    run_dir = tmp_path_factory.mktemp("rtc")
+    deploy = [sys.executable, "-P", "-m", "deploy"]
+    options = ["--mcm", "kinematic", "--speed", "max", "--run-dir", str(run_dir)]
+    subprocess.run([*deploy, "up", "-d", *options], check=True, timeout=60)
+    yield run_dir
+    subprocess.run([*deploy, "down", "--run-dir", str(run_dir)], check=True, timeout=60)
+
+
+class Bare:
+    """A client as somebody would write it from the page alone."""
+
+    def __init__(
+        self, context: zmq.Context[zmq.Socket[bytes]], run_dir: Path, file: str, kind: int = zmq.DEALER
+    ) -> None:
+        self.socket = context.socket(kind)
+        self.socket.setsockopt(zmq.LINGER, 0)
+        if kind == zmq.DEALER:
+            self.socket.setsockopt(zmq.IDENTITY, f"bare-{uuid.uuid4().hex}".encode())
+        else:
+            self.socket.subscribe(b"")
+        self.socket.connect(f"ipc://{run_dir}/{file}")
+
+    def say(self, **message: Any) -> None:
+        self.socket.send_multipart([b"RTC1", msgpack.packb(message)])
+
+    def hear(self) -> dict[str, Any]:
+        assert self.socket.poll(LIMIT_MS), "nothing was heard"
+        protocol, body = self.socket.recv_multipart()
+        assert protocol == b"RTC1"
+        message: dict[str, Any] = msgpack.unpackb(body)
+        return message
+
+    def hear_until(self, kind: str) -> list[dict[str, Any]]:
+        heard = [self.hear()]
+        while heard[-1]["type"] != kind:
+            heard.append(self.hear())
+        return heard
+
+
+@pytest.fixture
+def context() -> Iterator[zmq.Context[zmq.Socket[bytes]]]:
+    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+    yield context
+    context.destroy(linger=0)
+
+
+@pytest.fixture
+def front(context: zmq.Context[zmq.Socket[bytes]], run_dir: Path) -> Bare:
+    front = Bare(context, run_dir, "front.sock")
+    front.say(type="ClientHello", client="bare")
+    assert front.hear()["type"] == "Welcome"
+    return front
+
+
+def test_a_sentence_and_its_outcome(front: Bare) -> None:
+    front.say(type="CommandText", request="1", text="STOW LEFT-ARM")
+    accepted, *notes, ended = front.hear_until("CommandEnded")
+
+    assert (accepted["type"], accepted["request"]) == ("Accepted", "1")
+    assert [note["type"] for note in notes] == ["ProgressNote"] * len(notes)
+    assert {"parsing", "elaborating", "binding", "executing"} <= {note["phase"] for note in notes}
+    assert (ended["command"], ended["request"]) == (accepted["command"], "1")
+    assert ended["outcome"]["kind"] == "succeeded", ended
+
+
+def test_a_wrong_sentence_is_refused_with_its_column(front: Bare) -> None:
+    front.say(type="CommandText", request="1", text="STOW LEFT-LEG", progress=False)
+    ended = front.hear_until("CommandEnded")[-1]
+
+    assert ended["outcome"]["kind"] == "refused"
+    assert ended["outcome"]["refusal"]["reason"] == "sentence"
+    assert ended["outcome"]["refusal"]["column"] == len("STOW ")
+
+
+def test_the_same_request_again_is_the_same_command(front: Bare) -> None:
+    for _ in range(2):
+        front.say(type="CommandText", request="1", text="STOW RIGHT-ARM", progress=False)
+    first = front.hear_until("CommandEnded")
+    front.say(type="CommandText", request="1", text="STOW RIGHT-ARM", progress=False)
+    again = front.hear_until("CommandEnded")
+
+    assert len({message["command"] for message in [*first, *again]}) == 1
+
+
+def test_bytes_that_are_no_message_get_a_clear_answer(front: Bare) -> None:
+    for parts in ([b"RTC1", b"\xc1"], [b"RTC0", msgpack.packb({"type": "StatusQuery"})], [b"RTC1", msgpack.packb([1])]):
+        front.socket.send_multipart(parts)
+        answer = front.hear()
+        assert (answer["type"], answer["request"]) == ("Declined", "")
+
+    front.say(type="StatusQuery", request="2", a_key_of_the_future=1)
+    assert front.hear()["type"] == "StatusReply"
+
+
+def test_status_has_the_layout_of_the_page(front: Bare) -> None:
+    front.say(type="StatusQuery", request="1")
+    status = front.hear()["status"]
+
+    assert {"processes", "workers", "queues", "resources", "commands", "subsystems", "counters", "programs"} <= set(
+        status
+    )
+    assert {worker["name"] for worker in status["workers"]} == {"parser@0", "elaborator@1", "binder@2", "analyzer@3"}
+
+
+def test_a_trace_tells_every_phase(front: Bare) -> None:
+    front.say(type="CommandText", request="1", text="STOW LEFT-ARM", progress=False)
+    command = front.hear_until("CommandEnded")[-1]["command"]
+    front.say(type="TraceQuery", request="2", command=command)
+    record = front.hear()["record"]
+
+    assert record["text"] == "STOW LEFT-ARM"
+    assert record["notes"][-1]["phase"] == "ended"
+    assert {note.get("node", "") for note in record["notes"]} >= {"parser@0", "elaborator@1", "binder@2"}
+
+
+@pytest.mark.parametrize("door", ["halt.sock", "estop.sock"])
+def test_a_halt_by_either_door_is_confirmed(
+    context: zmq.Context[zmq.Socket[bytes]], front: Bare, run_dir: Path, door: str
+) -> None:
+    bare = Bare(context, run_dir, door)
+    called_at_s = time.monotonic()
+    bare.say(type="HaltOrder", halt=f"H-{os.getpid()}-{door}", scope="ALL", called_at_s=called_at_s)
+    heard = {message["type"]: message for message in bare.hear_until("HaltAtRest")}
+
+    assert heard["HaltStarted"]["decelerating_at_s"] >= called_at_s
+    assert heard["HaltAtRest"]["at_rest"] is True
+
+
+def test_the_world_can_be_read(context: zmq.Context[zmq.Socket[bytes]], run_dir: Path) -> None:
+    world = Bare(context, run_dir, "world.sock")
+    world.say(type="ReadView", request="1", keys=["MACS-NEW.frame"])
+    view = world.hear()
+
+    assert view["type"] == "View"
+    assert [fact["key"] for fact in view["facts"]] == ["MACS-NEW.frame"]
+    assert len(view["facts"][0]["value"]) == 7
+
+
+def test_events_can_be_listened_to_by_anybody(
+    context: zmq.Context[zmq.Socket[bytes]], front: Bare, run_dir: Path
+) -> None:
+    events = Bare(context, run_dir, "events.sock", zmq.SUB)
+    heard: list[dict[str, Any]] = []
+    request = 0
+    while not heard:  # the subscription takes effect some time after it was made
+        request += 1
+        front.say(type="CommandText", request=f"e{request}", text="STOW LEFT-ARM", progress=False)
+        command = front.hear_until("CommandEnded")[-1]["command"]
+        while events.socket.poll(50):
+            heard.append(events.hear())
+
+    assert heard[-1]["type"] == "CommandEnded"
+    assert heard[-1]["command"] == command
+    assert [message["seq"] for message in heard] == list(range(heard[0]["seq"], heard[-1]["seq"] + 1))
