@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from rtc import geometry
@@ -93,7 +94,7 @@ def test_the_numeric_inverse_agrees_with_the_closed_form(cell, right):
         known = right.ik(target)
         flange = geometry.to_matrix(geometry.relative(right.base_pose, target))
         found = numeric_ik.branches(
-            right.model, right.model.createData(), right.model.getFrameId("tcp"), _se3(flange), joints + 0.05
+            right.model, right.model.createData(), right.model.getFrameId("tcp"), pin.SE3(flange), joints + 0.05
         )
         assert any(np.abs(np.array(q) - joints).max() < 1e-6 for q in found)
         for q in found:
@@ -152,9 +153,3 @@ def test_what_can_be_reached_has_no_reason_why_not(right, home):
 def test_singularities_show(right):
     assert right.sigma_min([0.2, 0.9, -2.4, 0.7, 0.0, 0.4]) < 1e-9  # wrist straight
     assert right.sigma_min([0.2, 0.9, -2.4, 0.7, 0.8, 0.4]) > 0.1
-
-
-def _se3(matrix):
-    import pinocchio as pin
-
-    return pin.SE3(matrix)
