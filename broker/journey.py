@@ -215,10 +215,11 @@ def claim_or_wait(turn: Turn, command: Command, claim: Claim) -> bool:
     """True: it holds the claim. False: it stands in line, or was refused because it said NOW."""
     assert command.head is not None
     resources = turn.state.resources
-    blocked = resources.take(command.id, claim)
-    if blocked is None:
+    result = resources.take(command.id, claim)
+    if isinstance(result, list):
+        turn.grant(result)
         return True
-    name, owner = blocked
+    name, owner = result
     if command.head.now:
         message = f"{name} is in use by {owner}, and NOW was said"
         clears = f"wait for {owner}, abort it, or leave out NOW"
@@ -232,7 +233,9 @@ def claim_or_wait(turn: Turn, command: Command, claim: Claim) -> bool:
 def granted(turn: Turn, command: Command, _: Any) -> None:
     """Its turn has come. The world may have changed while it waited: plan anew, now holding all it claimed."""
     resources = turn.state.resources
-    if resources.take(command.id, resources.waiting.get(command.id, {})) is None:
+    result = resources.take(command.id, resources.waiting.get(command.id, {}))
+    if isinstance(result, list):
+        turn.grant(result)
         elaborate(turn, command)
 
 

@@ -11,10 +11,18 @@ relies on). A name may also be in quarantine: its holder has ended, but nobody h
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import msgspec
 
 Claim = dict[str, bool]  # name -> exclusive?
+
+
+class Blocked(NamedTuple):
+    """The first thing in the way of a claim."""
+
+    name: str
+    owner: str
 
 
 class Resources(msgspec.Struct, kw_only=True):
@@ -24,8 +32,8 @@ class Resources(msgspec.Struct, kw_only=True):
     lines: dict[str, Claim] = {}  # name -> {command: exclusive?}, in order of arrival
     quarantine: dict[str, str] = {}  # name -> the subsystem that must confirm rest
 
-    def blocker(self, command: str, claim: Claim) -> tuple[str, str] | None:
-        """(name, owner) of the first thing in the way of a claim: held by another, or wanted by one earlier in line.
+    def blocker(self, command: str, claim: Claim) -> Blocked | None:
+        """The first thing in the way of a claim: held by another, or wanted by one earlier in line.
         What the command holds already is not in its way, or two that extend their claims would send each other back
         to the end of the line for ever."""
         mine = self.held.get(command, {})
@@ -33,28 +41,28 @@ class Resources(msgspec.Struct, kw_only=True):
             if name in mine and (mine[name] or not exclusive):
                 continue
             if name in self.quarantine:
-                return name, f"{self.quarantine[name]}, which has not confirmed rest"
+                return Blocked(name, f"{self.quarantine[name]}, which has not confirmed rest")
             for holder, theirs in self.holders.get(name, {}).items():
                 if holder != command and (exclusive or theirs):
-                    return name, holder
+                    return Blocked(name, holder)
             for earlier, theirs in self.lines.get(name, {}).items():
                 if earlier == command:
                     break
                 if exclusive or theirs:
-                    return name, earlier
+                    return Blocked(name, earlier)
         return None
 
-    def take(self, command: str, claim: Claim) -> tuple[str, str] | None:
-        """Swap what the command holds for this claim. Returns None when granted; else the blocker, with what the
-        command held before unchanged."""
+    def take(self, command: str, claim: Claim) -> Blocked | list[str]:
+        """Swap what the command holds for this claim. Granted: the list of who else can be granted now, by what it let
+        go of. Blocked: what it held before is unchanged."""
         blocked = self.blocker(command, claim)
-        if blocked is None:
-            self._let_go(command)
-            self._leave_line(command)
-            self.held[command] = claim
-            for name, exclusive in claim.items():
-                self.holders.setdefault(name, {})[command] = exclusive
-        return blocked
+        if blocked is not None:
+            return blocked
+        freed = [name for name in self._let_go(command) if not claim.get(name)] + self._leave_line(command)
+        self.held[command] = claim
+        for name, exclusive in claim.items():
+            self.holders.setdefault(name, {})[command] = exclusive
+        return self._grantable(freed)
 
     def wait(self, command: str, claim: Claim) -> list[str]:
         """Let go of everything and stand at the end of the line. Returns who can be granted now."""
