@@ -20,6 +20,8 @@ from rtc.robot.kinematics import ArmModel
 
 TICK_S = 0.001  # of the servo, and of the simulated world
 
+Motion = tuple[list[float], list[float], list[float]]  # joints (rad), velocities, accelerations
+
 
 class Sample(msgspec.Struct, gc=False):
     """All that is measured of one arm in one tick."""
@@ -76,7 +78,7 @@ class Arm(Protocol):
     def read(self) -> Sample:
         """What the sensors say now."""
 
-    def follow(self, joints: Sequence[float], velocities: Sequence[float], accelerations: Sequence[float]) -> None:
+    def follow(self, motion: Motion) -> None:
         """Where to be at the end of this tick."""
 
     def use_law(self, law: ControlLaw) -> None:

@@ -6,7 +6,7 @@ found to be needed for that, with figures, is in docs/physics.md. This file must
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -17,7 +17,7 @@ from rtc import geometry
 from rtc.geometry import Array
 from rtc.primitive import ControlLaw
 from rtc.robot.kinematics import ArmModel
-from sim_mcm.arm import HandCommand, Sample, Traits
+from sim_mcm.arm import HandCommand, Motion, Sample, Traits
 from sim_mcm.bullet_world import World
 from sim_mcm.hand import Hand, pressed
 from sim_mcm.kinematic_arm import displaced
@@ -49,7 +49,7 @@ class BulletArm:
         self._read_from = [*self._all, sensor]
         hand = {*self.fingers, links[spec.gripper.palm_link], links.get(spec.tcp_link, -1)}
         self.upstream = {n: link for link, n in links.items() if n not in hand}
-        self._to_wrench = _sensor_to_tcp(world.cell, name)
+        self._wrench = _wrench_at_tcp(world.cell, name)
         self._prepare(spec, sensor)
         self._servo = Servo(self._model, spec.home_rad)
         self._hand = Hand(
@@ -63,20 +63,15 @@ class BulletArm:
 
     def read(self) -> Sample:
         states = pybullet.getJointStates(self.body, self._read_from, physicsClientId=self._client)
-        dof = len(self._arm)
-        a, b, sensor = states[dof], states[dof + 1], states[dof + 2]
-        self._sample = Sample(
-            [state[0] for state in states[:dof]],
-            [state[1] for state in states[:dof]],
-            (self._to_wrench @ sensor[2]).tolist(),
-            (a[0], b[0]),
-            (a[1], b[1]),
-            pressed(self._finger_forces),
-        )
+        positions, velocities, reactions, _ = zip(*states, strict=True)
+        *joints, a, b, _ = positions
+        *speeds, va, vb, _ = velocities
+        forces = pressed(self._finger_forces)
+        self._sample = Sample(joints, speeds, self._wrench(reactions[-1]), (a, b), (va, vb), forces)
         return self._sample
 
-    def follow(self, joints: Sequence[float], velocities: Sequence[float], accelerations: Sequence[float]) -> None:
-        self._servo.want(joints, velocities, accelerations)
+    def follow(self, motion: Motion) -> None:
+        self._servo.want(motion)
 
     def use_law(self, law: ControlLaw) -> None:
         self._servo.use_law(law)
@@ -105,7 +100,7 @@ class BulletArm:
             self.body,
             self._all,
             pybullet.TORQUE_CONTROL,
-            forces=[*torques.tolist(), *self._finger_forces],
+            forces=[*torques, *self._finger_forces],
             physicsClientId=self._client,
         )
 
@@ -215,8 +210,8 @@ class BulletCell:
         return {name for name in self.world.free if geometry.distance(self.world.pose(name), module) < 0.02}
 
 
-def _sensor_to_tcp(cell: cells.Cell, name: str) -> Array:
-    """6 x 6: from what pybullet's sensor reads to the wrench on the hand, tool axes, about the tcp.
+def _wrench_at_tcp(cell: cells.Cell, name: str) -> Callable[[tuple[float, ...]], list[float]]:
+    """From what pybullet's sensor reads to the wrench on the hand, tool axes, about the tcp.
 
     pybullet gives MINUS the force on what is beyond the joint, in the axes of the link beyond it, the torque about
     that link's centre of mass (which our URDF puts in its origin).
@@ -226,6 +221,14 @@ def _sensor_to_tcp(cell: cells.Cell, name: str) -> Array:
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     sensor, tcp = (data.oMf[model.getFrameId(frame)] for frame in (spec.sensor_joint, spec.tcp_link))
-    to_tcp = tcp.actInv(sensor)  # pose of the sensor in tool axes
-    transform: Array = -to_tcp.dualAction if hasattr(to_tcp, "dualAction") else -np.linalg.inv(to_tcp.action).T
-    return transform
+    at = tcp.actInv(sensor)  # pose of the sensor in tool axes
+    x, y, z = at.translation.tolist()
+    if not np.allclose(at.rotation, np.eye(3)):
+        matrix = -at.toDualActionMatrix()
+        return lambda reading: (matrix @ reading).tolist()
+
+    def shift(reading: tuple[float, ...]) -> list[float]:
+        fx, fy, fz, tx, ty, tz = reading
+        return [-fx, -fy, -fz, -tx - (y * fz - z * fy), -ty - (z * fx - x * fz), -tz - (x * fy - y * fx)]
+
+    return shift

@@ -18,7 +18,7 @@ from rtc import messages as m
 from rtc import primitive as p
 from rtc.outcomes import Reflex, StopReason
 from sim_mcm import acceptance, profiles, stop_functions
-from sim_mcm.arm import TICK_S, Arm, HandCommand
+from sim_mcm.arm import TICK_S, Arm, HandCommand, Motion
 from sim_mcm.reports import Peaks, Trip, end_report, magnitudes, not_begun
 
 
@@ -78,7 +78,7 @@ class Executor:
         self._ticks = 0  # of this primitive
         self._profile: profiles.Profile = profiles.Stay(self.sample.joints)
         self._profile_ticks = 0
-        self._command: profiles.Motion = self._profile.at(0.0)
+        self._command: Motion = self._profile.at(0.0)
         self._follow: profiles.Follow | None = None  # the path of a primitive that has one
         self._hand = HandCommand(sum(self.sample.fingers), arm.traits.max_grip_n, arm.traits.hand_speed_m_s)
         self._stops: stop_functions.Stops = []
@@ -157,7 +157,7 @@ class Executor:
         said = self._work[self.state](now_s)
         self._profile_ticks += 1
         self._command = self._profile.at(self._profile_ticks * TICK_S)
-        self.arm.follow(*self._command)
+        self.arm.follow(self._command)
         return said
 
     # --- the states ------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from rtc.geometry import Array
 from rtc.primitive import ControlLaw
 from rtc.robot.kinematics import ArmModel
 from sim_mcm import control_laws
-from sim_mcm.arm import TICK_S, HandCommand, Sample, Traits
+from sim_mcm.arm import TICK_S, HandCommand, Motion, Sample, Traits
 from sim_mcm.hand import CENTRE_N_M
 
 SPRING_N_M = 50_000.0  # a millimetre of depth would be 50 N; at 20 mm/s a tick adds 1 N
@@ -158,8 +158,8 @@ class KinematicArm:
             (self._pressed_n[0], self._pressed_n[1]),
         )
 
-    def follow(self, joints: Sequence[float], velocities: Sequence[float], accelerations: Sequence[float]) -> None:
-        self._wanted = (list(joints), list(velocities))
+    def follow(self, motion: Motion) -> None:
+        self._wanted = motion[:2]
 
     def use_law(self, law: ControlLaw) -> None:
         control_laws.make(law, self._model, self._laws)  # checked, then not needed: this arm is exact

@@ -15,8 +15,7 @@ import ruckig
 
 from rtc.geometry import Array
 from rtc.primitive import JointTrajectory
-
-Motion = tuple[list[float], list[float], list[float]]  # joints, velocities, accelerations
+from sim_mcm.arm import TICK_S, Motion
 
 # How hard a stop brakes: from 0.25 m/s in about 60 ms, with the torques well inside the motors'. The jerk is high, so
 # that a slow guarded move stands within 3 ms and does not lean on what it has found.
@@ -24,6 +23,7 @@ STOP_ACCELERATION_RAD_S2 = 12.0
 STOP_JERK_RAD_S3 = 20_000.0
 # How softly the command goes to where contact has stopped the arm, so that it presses no more.
 YIELD_VELOCITY_RAD_S, YIELD_ACCELERATION_RAD_S2, YIELD_JERK_RAD_S3 = 0.2, 2.0, 200.0
+BLOCK = 64  # ticks of a path that are worked out at once
 BLEND_S = 0.25  # over which a small difference between command and path is worked off
 RETREAT_SPEED_M_S = 0.05  # of the tcp, at most, in a reflex
 RETREAT_LEAST_S = 0.2
@@ -50,7 +50,7 @@ class Stay:
 
 class Follow:
     """Quintic Hermite polynomials through the knots, taken up from `start`, which may differ a little from the first
-    of them."""
+    of them. Worked out for BLOCK ticks at once, which costs a tenth of doing it for each."""
 
     def __init__(self, trajectory: JointTrajectory, start: Sequence[float]) -> None:
         self._length_s = trajectory.duration_s
@@ -60,35 +60,51 @@ class Follow:
         self._blend = bool(np.abs(self._offset).max() > 1e-9)
         self.duration_s = max(self._length_s, BLEND_S) if self._blend else self._length_s
         self._end = Stay(trajectory.positions[-1]).at(0.0)
-        self._n = 0  # the piece of the last call: times mostly rise
+        self._block: list[list[list[float]]] = []  # of the ticks from _first on
+        self._first = 0
 
     def at(self, time_s: float) -> Motion:
         if time_s >= self.duration_s:
             return self._end
-        motion = self.path(time_s)
-        if self._blend and time_s < BLEND_S:
-            fade, slope, bend = _smooth(time_s / BLEND_S)
-            motion = motion + np.outer((1.0 - fade, -slope / BLEND_S, -bend / BLEND_S**2), self._offset)
-        joints, velocities, accelerations = motion.tolist()
+        n = round(time_s / TICK_S) - self._first
+        if not 0 <= n < len(self._block):
+            self._first += n
+            n = 0
+            times_s: Array = (self._first + np.arange(BLOCK, dtype=np.float64)) * TICK_S
+            block = self.path(times_s)
+            if self._blend and times_s[0] < BLEND_S:
+                block += self._worked_off(times_s)
+            self._block = block.tolist()
+        joints, velocities, accelerations = self._block[n]
         return joints, velocities, accelerations
 
-    def path(self, time_s: float) -> Array:
-        """3 x n: joints, velocities, accelerations of the path itself."""
-        t = min(max(time_s, 0.0), self._length_s)
-        last = len(self._pieces) - 1
-        if not self._knots_s[self._n] <= t <= self._knots_s[self._n + 1]:
-            self._n = min(max(int(np.searchsorted(self._knots_s, t, side="right")) - 1, 0), last)
-        u = t - float(self._knots_s[self._n])
-        u2, u3, u4 = u * u, u**3, u**4
-        powers = np.array(
-            (
-                (1.0, u, u2, u3, u4, u4 * u),
-                (0.0, 1.0, 2 * u, 3 * u2, 4 * u3, 5 * u4),
-                (0.0, 0.0, 2.0, 6 * u, 12 * u2, 20 * u3),
-            )
-        )
-        result: Array = powers @ self._pieces[self._n]
-        return result
+    def path(self, times_s: Array) -> Array:
+        """k x 3 x n: joints, velocities, accelerations of the path itself at k times."""
+        t = np.clip(times_s, 0.0, self._length_s)
+        piece = np.clip(np.searchsorted(self._knots_s, t, side="right") - 1, 0, len(self._pieces) - 1)
+        u = (t - self._knots_s[piece])[:, None] ** np.arange(6)  # its powers
+        coefficients = self._pieces[piece]  # k x 6 x n
+        motion = np.empty((len(t), 3, coefficients.shape[2]))
+        for order, derivative in enumerate(DERIVATIVES):
+            factors, powers = derivative
+            motion[:, order] = np.einsum("kp,kpn->kn", u[:, powers] * factors, coefficients[:, order:])
+        return motion
+
+    def _worked_off(self, times_s: Array) -> Array:
+        """What is left of the difference at the start."""
+        rows = []
+        for t in times_s.tolist():
+            fade, slope, bend = _smooth(t / BLEND_S)
+            rows.append((1.0 - fade, -slope / BLEND_S, -bend / BLEND_S**2))
+        return np.asarray(rows)[:, :, None] * self._offset
+
+
+# Of a polynomial's terms: the factors and the powers of u that the value, slope and second derivative take.
+DERIVATIVES: tuple[tuple[Array, list[int]], ...] = (
+    (np.ones(6), [0, 1, 2, 3, 4, 5]),
+    (np.array((1.0, 2.0, 3.0, 4.0, 5.0)), [0, 1, 2, 3, 4]),
+    (np.array((2.0, 6.0, 12.0, 20.0)), [0, 1, 2, 3]),
+)
 
 
 class Brake:
@@ -137,8 +153,8 @@ class Retrace:
         span_s = self._from_s - self._to_s
         # 1.875 is the greatest slope of the smooth step: with it the way back is nowhere quicker than the way there.
         self.duration_s = max(1.875 * span_s, 1.875 * length_m / RETREAT_SPEED_M_S, RETREAT_LEAST_S)
-        self._offset = np.asarray(start) - came.path(self._from_s)[0]
-        self._end = Stay(came.path(self._to_s)[0].tolist()).at(0.0)
+        self._offset = np.asarray(start) - came.path(np.array([self._from_s]))[0, 0]
+        self._end = Stay(came.path(np.array([self._to_s]))[0, 0].tolist()).at(0.0)
 
     def at(self, time_s: float) -> Motion:
         if time_s >= self.duration_s:
@@ -146,7 +162,7 @@ class Retrace:
         span_s = self._to_s - self._from_s
         fade, slope, bend = _smooth(time_s / self.duration_s)
         rate, change = span_s * slope / self.duration_s, span_s * bend / self.duration_s**2
-        q, qd, qdd = self._came.path(self._from_s + span_s * fade)
+        q, qd, qdd = self._came.path(np.array([self._from_s + span_s * fade]))[0]
         d = self.duration_s
         return (
             (q + (1.0 - fade) * self._offset).tolist(),
@@ -161,7 +177,7 @@ def _smooth(x: float) -> tuple[float, float, float]:
     return x**3 * (10 + x * (6 * x - 15)), 30 * (x * (x - 1)) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
 
 
-def _hermite(trajectory: JointTrajectory) -> list[Array]:
+def _hermite(trajectory: JointTrajectory) -> Array:
     """Per piece the 6 x n coefficients of the quintic with both knots' position, velocity and acceleration."""
     q, v, a = (np.asarray(rows) for rows in (trajectory.positions, trajectory.velocities, trajectory.accelerations))
     pieces = []
@@ -182,7 +198,7 @@ def _hermite(trajectory: JointTrajectory) -> list[Array]:
                 )
             )
         )
-    return pieces
+    return np.stack(pieces)
 
 
 def _state(now: Motion, acceleration: float, jerk: float) -> ruckig.InputParameter:
@@ -218,11 +234,12 @@ def _time_before(
     came: Follow, from_s: float, back_m: float, tcp: Callable[[Sequence[float]], Array], steps: int = 100
 ) -> tuple[float, float]:
     """The moment at which the tcp had `back_m` less of its path behind it, and the length really found (m)."""
+    times_s = np.linspace(from_s, 0.0, steps + 1)
+    joints = came.path(times_s)[:, 0]
     length_m, later_s = 0.0, from_s
-    later = tcp(came.path(from_s)[0])[:3]
-    for n in range(1, steps + 1):
-        earlier_s = from_s * (1.0 - n / steps)
-        earlier = tcp(came.path(earlier_s)[0])[:3]
+    later = tcp(joints[0])[:3]
+    for earlier_s, q in zip(times_s[1:].tolist(), joints[1:], strict=True):
+        earlier = tcp(q)[:3]
         piece_m = float(np.linalg.norm(later - earlier))
         if length_m + piece_m >= back_m > 0.0:
             share = (back_m - length_m) / piece_m

@@ -7,12 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from rtc.geometry import Array
 from rtc.primitive import ControlLaw
 from rtc.robot.kinematics import ArmModel
 from sim_mcm import control_laws
+from sim_mcm.arm import Motion
 
 
 class Servo:
@@ -21,9 +19,9 @@ class Servo:
         self._laws = control_laws.known()
         self._name = ControlLaw()
         self._law = control_laws.make(self._name, model, self._laws)
-        self._effort = model.limits.effort
-        still = np.zeros(len(joints))
-        self._wanted: tuple[Array, Array, Array] = (np.asarray(joints, dtype=float), still, still)
+        self._effort: list[float] = model.limits.effort.tolist()
+        still = [0.0] * len(joints)
+        self._wanted: Motion = (list(joints), still, still)
 
     def use_law(self, law: ControlLaw) -> None:
         """ValueError, in words, when there is no such law or its gains will not do; the old one then stays."""
@@ -31,11 +29,10 @@ class Servo:
             self._law = control_laws.make(law, self._arm, self._laws)
             self._name = law
 
-    def want(self, joints: Sequence[float], velocities: Sequence[float], accelerations: Sequence[float]) -> None:
-        self._wanted = (np.array(joints), np.array(velocities), np.array(accelerations))
+    def want(self, motion: Motion) -> None:
+        self._wanted = motion
 
-    def torque(self, joints: Sequence[float], velocities: Sequence[float]) -> Array:
+    def torque(self, joints: list[float], velocities: list[float]) -> list[float]:
         """For this tick, clipped to what the motors can (N.m)."""
-        torque = self._law.torque(self._wanted, np.array(joints), np.array(velocities))
-        clipped: Array = np.minimum(np.maximum(torque, -self._effort), self._effort)
-        return clipped
+        torques = self._law.torque(self._wanted, joints, velocities)
+        return [max(-most, min(most, torque)) for torque, most in zip(torques, self._effort, strict=True)]

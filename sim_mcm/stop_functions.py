@@ -94,12 +94,15 @@ def _part(axis: Sequence[float] | None, first_entry: int) -> Callable[[list[floa
 
 def _joint_margin(when: p.JointMarginBelow, traits: Traits) -> Check:
     margin, names = when.margin_rad, traits.joint_names
-    safe = [(low + margin, high - margin) for low, high in zip(traits.lower, traits.upper, strict=True)]
+    lower = [low + margin for low in traits.lower]
+    upper = [high - margin for high in traits.upper]
 
     def check(now: Moment) -> Finding | None:
-        for n, (q, v, (low, high)) in enumerate(zip(now.joints, now.velocities, safe, strict=True)):
-            if (q < low and v < 0.0) or (q > high and v > 0.0):
-                left = q - low + margin if q < low else high + margin - q
+        for n, q in enumerate(now.joints):
+            if lower[n] <= q <= upper[n]:
+                continue
+            left = margin + min(q - lower[n], upper[n] - q)
+            if (now.velocities[n] < 0.0) is (q < lower[n]) and now.velocities[n] != 0.0:
                 return left, margin, f"{names[n]} is {math.degrees(left):.2f} deg from its limit"
         return None
 
