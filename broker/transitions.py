@@ -138,3 +138,34 @@ def as_mermaid() -> str:
     lines = ["stateDiagram-v2", "    [*] --> parsing"]
     lines += [f"    {a.value} --> {b.value}: {', '.join(s)}" for (a, b), s in arrows.items()]
     return "\n".join([*lines, "    ended --> [*]"])
+
+
+def as_page() -> str:
+    return f"""# The Decision Unit
+
+Drawn from `broker/transitions.py` by `python -m broker.transitions > docs/decision_unit.md`; a test compares.
+
+`decide(state, event) -> effects` (`broker/decision_unit.py`) is pure: the time is a field of the event, and the same
+events give the same effects. Every event that concerns a command becomes one of the stimuli below; the cell of the
+command's phase names the action and the phases it may lead to. *stale* is deliberate: the stimulus is late or doubled,
+it is counted and changes nothing.
+
+```mermaid
+{as_mermaid()}
+```
+
+{as_markdown()}
+
+| stimulus | meaning |
+|---|---|
+| product, refusal, loss | the answer to the command's one pending job: done, refused, or its worker is gone |
+| grant | all it claims can be had; release: the command it was to come after has ended, or begun |
+| report | the end report of its primitive; rest: a subsystem confirms rest for its halt |
+| stop | HALT or ABORT reaches it; pause and resume take effect between two steps |
+| overdue | its timer: no end report, no rest, or no last analysis within the limit |
+| gone | the subsystem that executes for it is lost |
+"""
+
+
+if __name__ == "__main__":
+    print(as_page(), end="")

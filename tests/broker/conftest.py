@@ -1,4 +1,6 @@
+"""Lets the tests of this folder import `stories`, which they share."""
+
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))  # `stories` is shared by the tests of this folder
+sys.path.insert(0, str(Path(__file__).parent))

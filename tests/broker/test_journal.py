@@ -1,0 +1,103 @@
+"""What is journalled is decided again after a restart, and comes out the same."""
+
+from __future__ import annotations
+
+import pytest
+from stories import Story, go_on, script
+
+from broker import replay
+from broker.decision_unit import decide
+from broker.effects import ReportEnd
+from broker.journal import Journal
+from broker.state import State
+from rtc import wire
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "journal.db"
+
+
+class Journalled(Story):
+    def __init__(self, journal: Journal) -> None:
+        self.journal = journal
+        super().__init__()
+
+    def hear(self, what, /, **fields):
+        self.now += 0.001
+        event = what(at_s=self.now, **fields)
+        effects = decide(self.state, event)
+        self.journal.append([event], [e.record for e in effects if isinstance(e, ReportEnd)])
+        return effects
+
+
+def test_replay_gives_the_state_the_broker_was_in(path):
+    s = Journalled(Journal.open(path, "run", State()))
+    s.analyzing()
+    s.executing(script(resources=("LEFT-ARM",)), hand="LEFT-ARM")
+    s.answers("C-1", go_on())
+    s.journal.close()
+    state, ended = replay.replay(Journal.open(path, "run", State()))
+    assert wire.encode(state) == wire.encode(s.state)
+    assert list(ended) == ["C-1"]
+
+
+def test_replay_goes_on_from_a_snapshot(path):
+    s = Journalled(Journal.open(path, "run", State()))
+    s.executing()
+    s.journal.snapshot(s.state)
+    s.reports("C-1")
+    s.answers("C-1", go_on())
+    s.journal.close()
+    journal = Journal.open(path, "run", State())
+    assert journal.db.execute("SELECT count(*) FROM turns").fetchone()[0] <= 4  # the journal is bounded
+    state, ended = replay.replay(journal)
+    assert wire.encode(state) == wire.encode(s.state)
+    assert list(ended) == ["C-1"]
+
+
+def test_another_run_begins_anew(path):
+    s = Journalled(Journal.open(path, "run", State()))
+    s.executing()
+    s.journal.close()
+    state, _ = replay.replay(Journal.open(path, "another run", State()))
+    assert state == State()
+
+
+def test_the_story_of_an_ended_command_is_kept(path):
+    s = Journalled(Journal.open(path, "run", State()))
+    s.analyzing()
+    s.answers("C-1", go_on())
+    story = s.journal.story("C-1")
+    assert story.outcome.kind == "succeeded"
+    assert [n.phase.value for n in story.notes][-1] == "ended"
+    assert s.journal.story("C-2") is None
+
+
+def test_programs_outlive_a_restart(path):
+    journal = Journal.open(path, "run", State())
+    journal.keep_program("d1", b"body")
+    journal.close()
+    assert Journal.open(path, "run", State()).programs() == {"d1": b"body"}
+
+
+def test_the_command_proves_the_same_decisions(path, capsys):
+    s = Journalled(Journal.open(path, "run", State()))
+    s.analyzing()
+    s.answers("C-1", go_on())
+    assert replay.main([str(path)]) == 0
+    assert capsys.readouterr().out.endswith("same decisions\n")
+
+
+def test_the_command_finds_a_changed_story(path, capsys):
+    s = Journalled(Journal.open(path, "run", State()))
+    s.analyzing()
+    s.answers("C-1", go_on())
+    story = s.journal.story("C-1")
+    s.journal.db.execute("UPDATE stories SET record = ?", (wire.encode(type(story)(**{**dump(story), "text": "Y"})),))
+    assert replay.main([str(path)]) == 1
+    assert "DIFFERENT decisions: C-1" in capsys.readouterr().out
+
+
+def dump(story):
+    return {name: getattr(story, name) for name in story.__struct_fields__}

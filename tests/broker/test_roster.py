@@ -1,0 +1,115 @@
+"""Who gets the job, and what becomes of jobs whose worker is gone."""
+
+from __future__ import annotations
+
+import msgspec
+
+from broker.effects import DispatchJob
+from broker.roster import DEADLINE_S, HANDFUL_MAX, QUEUE_LIMIT_S, SILENCE_S, Roster
+from rtc.messages import WorkerKind
+
+BINDER = WorkerKind.BINDER
+
+
+def job(n: int, kind: WorkerKind = BINDER, attempt: int = 1) -> DispatchJob:
+    return DispatchJob(job=f"C-{n}/1", attempt=attempt, kind=kind, program="", cell="", input=msgspec.Raw(b"\xc0"))
+
+
+def roster(*names: str, mean_s: float = 0.1) -> Roster:
+    r = Roster()
+    for node, name in enumerate(names):
+        r.hello(name, node, BINDER, 100 + node, now=0.0)
+        r.workers[name].mean_s = mean_s
+    return r
+
+
+def given_out(r: Roster, now: float = 0.0) -> dict[str, list[str]]:
+    out: dict[str, list[str]] = {}
+    for worker, jobs in r.assign(now):
+        out.setdefault(worker, []).extend(j.job for j in jobs)
+    return out
+
+
+def test_slow_jobs_go_one_to_a_worker_and_the_rest_wait():
+    r = roster("a", "b")
+    for n in range(3):
+        r.submit(job(n), 0.0)
+    assert given_out(r) == {"a": ["C-0/1"], "b": ["C-1/1"]}
+    r.answered("b", "C-1/1", 0.1, 0.1)
+    assert given_out(r) == {"b": ["C-2/1"]}
+
+
+def test_quick_jobs_go_in_handfuls_and_one_handful_ahead():
+    r = roster("a", mean_s=0.0001)
+    for n in range(100):
+        r.submit(job(n), 0.0)
+    assert len(given_out(r)["a"]) == 40  # twice 2 ms of work
+    assert r.workers["a"].handful <= HANDFUL_MAX
+
+
+def test_a_job_goes_only_to_its_kind():
+    r = roster("a")
+    r.submit(job(1, WorkerKind.PARSER), 0.0)
+    assert given_out(r) == {}
+    assert len(r.queues[WorkerKind.PARSER]) == 1
+
+
+def test_of_a_lost_workers_jobs_only_the_first_was_in_its_hands():
+    r = roster("a", mean_s=0.0001)
+    for n in range(3):
+        r.submit(job(n), 0.0)
+    given_out(r)
+    r.answered("a", "C-0/1", 0.0001, 0.01)
+    assert [(lost.job.job, lost.in_hand) for lost in r.gone("a")] == [("C-1/1", True), ("C-2/1", False)]
+    assert r.gone("a") == []
+
+
+def test_a_worker_that_says_hello_again_has_lost_what_it_held():
+    r = roster("a")
+    r.submit(job(1), 0.0)
+    given_out(r)
+    assert [lost.job.job for lost in r.hello("a", 0, BINDER, 101, now=1.0)] == ["C-1/1"]
+
+
+def test_a_cancelled_job_is_never_given_out_and_its_holder_is_told():
+    r = roster("a")
+    r.submit(job(1), 0.0)
+    r.submit(job(2), 0.0)
+    given_out(r)
+    assert r.cancel("C-1/1") == "a"
+    assert r.cancel("C-2/1") == ""
+    r.answered("a", "C-1/1", 0.1, 0.1)
+    assert given_out(r) == {}
+
+
+def test_a_job_cancelled_and_given_out_anew_is_wanted():
+    r = roster("a")
+    r.submit(job(1), 0.0)
+    r.cancel("C-1/1")
+    r.submit(job(1, attempt=2), 0.0)
+    assert "C-1/1" in given_out(r)["a"]
+
+
+def test_hung_is_a_job_beyond_its_deadline_or_an_idle_worker_that_is_silent():
+    r = roster("a", "b")
+    r.submit(job(1), 0.0)
+    given_out(r)
+    assert [w.name for w, _ in r.hung(SILENCE_S + 0.1)] == ["b"]
+    r.heard("b", DEADLINE_S[BINDER])
+    assert [(w.name, why) for w, why in r.hung(DEADLINE_S[BINDER] + 0.1)] == [
+        ("a", "hung: job C-1/1 in hand for 15.1 s")
+    ]
+
+
+def test_a_job_nobody_takes_is_given_back_at_the_limit():
+    r = Roster()
+    r.submit(job(1), 0.0)
+    assert r.waited_too_long(QUEUE_LIMIT_S - 1) == []
+    assert [j.job for j in r.waited_too_long(QUEUE_LIMIT_S + 1)] == ["C-1/1"]
+
+
+def test_nobody_of_that_name():
+    r = Roster()
+    assert not r.heard("ghost", 0.0)
+    r.answered("ghost", "C-1/1", 0.1, 0.1)
+    assert r.workers == {}
