@@ -1,4 +1,7 @@
-"""One process of the cluster, as its parent sees it: started, heard to be ready, seen to end. It decides nothing."""
+"""One process of the cluster, as its parent sees it: started, heard to be ready, seen to end. It decides nothing.
+
+A process is started by running its command, or, when its spec names a template that is at work, by having that fork.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import contextlib
 import os
 import shutil
 import signal
+import socket
 import subprocess
 from collections import deque
 from dataclasses import dataclass
@@ -17,6 +21,7 @@ from rtc.process import die_with_parent, now_s
 
 LOG_LIMIT = 10 << 20  # bytes; then the log becomes NAME.log.1 and begins anew
 REMEMBERED_DEATHS = 100
+FORK_LIMIT_S = 1.0  # a template answers in milliseconds
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,9 @@ class Spec:
     name: str
     command: tuple[str, ...]
     node: int | None = None  # a worker's address
+    is_template: bool = False  # others are forked from it: it gets a line for orders as its stdin
+    template: str = ""  # the process that this one can be forked from, and
+    order: bytes = b""  # what that must be told
 
 
 class State(StrEnum):
@@ -37,6 +45,25 @@ class State(StrEnum):
     FAILED = "failed"  # given up
     ENDING = "ending"  # told to end
     ENDED = "ended"
+
+
+class Line:
+    """The supervisor's end of a line to a template: one order, one answer."""
+
+    def __init__(self) -> None:
+        self._ours, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)  # whole messages
+        self._ours.settimeout(FORK_LIMIT_S)
+
+    def fork(self, order: bytes, output: int, log: int) -> int:
+        """The pid of a new process, a child of ours. Raises OSError when the template does not answer."""
+        socket.send_fds(self._ours, [order], [output, log])
+        answer = self._ours.recv(32)
+        if not answer:
+            raise ConnectionError("the template is gone")
+        return int(answer)
+
+    def close(self) -> None:
+        self._ours.close()
 
 
 class Child:
@@ -52,38 +79,52 @@ class Child:
         self.start_at_s = 0.0  # while WAITING: when to start it
         self.kill_at_s = 0.0  # while ENDING: when patience ends
         self.exited_fd = self.output_fd = -1
-        self._popen: subprocess.Popen[bytes] | None = None
+        self.line: Line | None = None  # of a template
+        self.pid = 0  # 0 = none
+        self._popen: subprocess.Popen[bytes] | None = None  # None also when it was forked from a template
         self.output_over = False  # it has closed its stdout
         self._line = b""
-
-    @property
-    def pid(self) -> int:
-        """0 = none."""
-        return self._popen.pid if self._popen else 0
 
     def become(self, state: State) -> None:
         self.state, self.since_s = state, now_s()
 
-    def start(self) -> None:
-        """Fork it, its stderr going to the log. Raises OSError when the command cannot be run."""
-        me = os.getpid()
+    def start(self, template: Line | None = None) -> None:
+        """Run it, or have the template fork it, its stderr going to the log. Raises OSError when that cannot be."""
         limit_log(self.log)
-        with open(self.log, "ab") as log:
-            self._popen = subprocess.Popen(
-                self.spec.command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                start_new_session=True,  # Ctrl-C is for the supervisor, who ends the others in order
-                preexec_fn=lambda: die_with_parent(me),
-                env=os.environ | ONE_THREAD,
-            )
-        assert self._popen.stdout is not None
-        self.output_fd = self._popen.stdout.fileno()
+        self.output_fd, output = os.pipe()
+        try:
+            with open(self.log, "ab") as log:
+                if template is None:
+                    self._popen = self._run(output, log.fileno())
+                    self.pid = self._popen.pid
+                else:
+                    self.pid = template.fork(self.spec.order, output, log.fileno())
+            self.exited_fd = os.pidfd_open(self.pid)
+        except OSError:
+            os.close(self.output_fd)
+            raise
+        finally:
+            os.close(output)
         os.set_blocking(self.output_fd, False)
-        self.exited_fd = os.pidfd_open(self._popen.pid)
         self._line, self.output_over = b"", False
         self.become(State.STARTING)
+
+    def _run(self, output: int, log: int) -> subprocess.Popen[bytes]:
+        me = os.getpid()
+        if self.spec.is_template:
+            self.line = Line()
+        popen = subprocess.Popen(
+            self.spec.command,
+            stdin=self.line.theirs.fileno() if self.line else subprocess.DEVNULL,
+            stdout=output,
+            stderr=log,
+            start_new_session=True,  # Ctrl-C is for the supervisor, who ends the others in order
+            preexec_fn=lambda: die_with_parent(me),
+            env=os.environ | ONE_THREAD,
+        )
+        if self.line:
+            self.line.theirs.close()  # then its death closes the line
+        return popen
 
     def heard_ready(self) -> bool:
         """Read what it said; True when `ready` was among it. Anything else it prints goes to its log."""
@@ -104,18 +145,21 @@ class Child:
         return said
 
     def signal(self, number: signal.Signals) -> None:
-        if self._popen and self._popen.returncode is None:
+        if self.exited_fd >= 0:
             with contextlib.suppress(ProcessLookupError):
-                self._popen.send_signal(number)
+                signal.pidfd_send_signal(self.exited_fd, number)
 
     def reap(self) -> int:
         """Its exit status, negative for a signal, once `exited_fd` says it is over."""
-        assert self._popen is not None
-        assert self._popen.stdout is not None
-        status = self._popen.wait()
-        self._popen.stdout.close()
+        if self._popen is not None:
+            status = self._popen.wait()
+        else:
+            status = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+        if self.line is not None:
+            self.line.close()
         os.close(self.exited_fd)
-        self._popen = None
+        os.close(self.output_fd)
+        self._popen, self.line, self.pid = None, None, 0
         self.exited_fd = self.output_fd = -1
         return status
 

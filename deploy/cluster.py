@@ -36,6 +36,7 @@ from rtc.world import lease
 REPORT = "supervisor.json"
 LOCK = "supervisor.lock"
 LOGS = "logs"
+TEMPLATE = "template"  # of workers
 PREVIOUS = "previous"
 DETACHED_LIMIT_S = 45.0  # of the one who waits; the supervisor itself gives up sooner
 
@@ -43,6 +44,7 @@ DETACHED_LIMIT_S = 45.0  # of the one who waits; the supervisor itself gives up 
 def specs(settings: Settings) -> list[Spec]:
     """The processes of a cluster."""
     return [
+        _spec(TEMPLATE, "workers", settings, "--template", is_template=True),
         _spec("broker", "broker", settings),
         _spec("world", "rtc.world", settings),
         _spec("MCM", "sim_mcm", settings),
@@ -52,12 +54,15 @@ def specs(settings: Settings) -> list[Spec]:
 
 def worker(settings: Settings, address: int) -> Spec:
     kind = hypercube.kind_of(address)
-    return _spec(hypercube.name_of(address), "workers", settings, "--kind", kind, "--node", str(address), node=address)
+    arguments = ("--kind", kind, "--node", str(address))
+    order = msgspec.json.encode({"kind": kind, "node": address})
+    name = hypercube.name_of(address)
+    return _spec(name, "workers", settings, *arguments, node=address, template=TEMPLATE, order=order)
 
 
-def _spec(name: str, module: str, settings: Settings, *more: str, node: int | None = None) -> Spec:
+def _spec(name: str, module: str, settings: Settings, *more: str, **about: Any) -> Spec:
     # -P: a folder called `broker` where the user happens to stand must not be taken for ours.
-    return Spec(name, (sys.executable, "-P", "-m", module, "--run-dir", settings.run_dir, *more), node)
+    return Spec(name, (sys.executable, "-P", "-m", module, "--run-dir", settings.run_dir, *more), **about)
 
 
 # --- up ------------------------------------------------------------------------------------------------

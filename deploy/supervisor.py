@@ -29,7 +29,7 @@ from rtc.messages import (
     SupervisorHello,
 )
 from rtc.outcomes import ClusterError, WireError
-from rtc.process import Every, Process, inbox, now_s, send
+from rtc.process import Every, Process, adopt_orphans, inbox, now_s, send
 
 START_LIMIT_S = 30.0  # until every process is ready
 END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL
@@ -76,8 +76,8 @@ class Supervisor:
         No restarts in this phase: what does not start the first time will hardly start the second.
         """
         self._tell(SupervisorHello(pid=self._pid))
-        for child in self._children.values():
-            self._spawn(child)
+        adopt_orphans()  # workers are forked away by their template
+        self._start_waiting()
         end_s = self._begun_s + limit_s
         while waiting := [child for child in self._children.values() if child.state != State.READY]:
             if now_s() >= end_s:
@@ -85,6 +85,7 @@ class Supervisor:
             if self._me.stopping:
                 raise ClusterError("told to stop before the cluster was ready")
             self._turn(end_s - now_s())
+            self._start_waiting()
         self._up = True
         self._changed()
 
@@ -135,9 +136,14 @@ class Supervisor:
 
     def _start_waiting(self) -> None:
         for child in self._children.values():
-            if child.state == State.WAITING and now_s() >= child.start_at_s:
+            if child.state == State.WAITING and now_s() >= child.start_at_s and not self._awaits_template(child):
                 self._spawn(child)
                 self._changed()
+
+    def _awaits_template(self, child: Child) -> bool:
+        """When the cluster starts, waiting for the template is quickest; later nothing waits for it."""
+        template = self._children.get(child.spec.template)
+        return not self._up and template is not None and template.state != State.READY
 
     def _kill_impatiently(self) -> None:
         for child in self._children.values():
@@ -148,8 +154,18 @@ class Supervisor:
     # --- what happens to processes ---------------------------------------------------------------------
 
     def _spawn(self, child: Child) -> None:
+        template = self._children.get(child.spec.template)
+        line = template.line if template is not None and template.state == State.READY else None
         try:
-            child.start()
+            try:
+                child.start(line)
+            except OSError as error:
+                if line is None:
+                    raise
+                self._say(f"the template does not fork {child.spec.name} ({error}): starting it by itself")
+                assert template is not None
+                template.signal(signal.SIGKILL)  # whatever it does now, no order will find it half-way through another
+                child.start()
         except OSError as error:
             raise ClusterError(f"{child.spec.name} cannot be started: {error}") from error
         for fd in (child.exited_fd, child.output_fd):

@@ -39,7 +39,7 @@ from rtc import wire
 QUEUE_LENGTH = 10_000  # messages per peer that ZeroMQ holds before it drops (ROUTER, PUB) or says no (DEALER)
 LINGER_MS = 200  # how long the last words of a process may take to leave it
 RECONNECT_MS, RECONNECT_MAX_MS = 10, 100  # a restarted peer is found again within this
-PR_SET_PDEATHSIG = 1
+PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
 _libc = ctypes.CDLL(None)  # opened here: between fork and exec as little as can be is done
 
 
@@ -228,6 +228,16 @@ def freeze_heap() -> None:
     """Take all that is imported and built so far out of the garbage collector's rounds: shorter pauses in a loop."""
     gc.collect()
     gc.freeze()
+
+
+def adopt_orphans() -> None:
+    """Become the parent of processes that a child of ours forks away, so that we can wait for them."""
+    _libc.prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def show_name(name: str) -> None:
+    """What `top` and `ps -o comm` call this process (15 bytes)."""
+    _libc.prctl(PR_SET_NAME, name.encode()[:15], 0, 0, 0)
 
 
 def die_with_parent(parent: int) -> None:

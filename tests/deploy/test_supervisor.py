@@ -238,6 +238,66 @@ def test_a_killed_process_leaves_no_zombie_and_no_open_file(cluster):
     assert len(os.listdir("/proc/self/fd")) == fds
 
 
+TEMPLATE = """
+import os, signal, sys
+from pathlib import Path
+from workers.template import serve
+def work(run_dir, kind, node):
+    print(f"{kind}@{node} of {os.getppid()}", file=sys.stderr, flush=True)
+    if node == 7:
+        raise ZeroDivisionError("a bug")
+    print("ready", flush=True)
+    signal.pause()
+serve(Path("."), work, modules=())
+"""
+
+
+def template():
+    return Spec("template", (sys.executable, "-c", TEMPLATE), is_template=True)
+
+
+def forked(name):
+    kind, node = name.split("@")
+    order = b'{"kind": "%s", "node": %s}' % (kind.encode(), node.encode())
+    return Spec(name, (sys.executable, "-S", "-E", "-c", GOOD), int(node), template="template", order=order)
+
+
+def command_line(pid):
+    with open(f"/proc/{pid}/cmdline", "rb") as file:
+        return file.read()
+
+
+def test_workers_are_forked_from_the_template_and_are_the_supervisors_own_children(cluster, tmp_path):
+    it = cluster(forked("binder@2"), forked("parser@0"), template()).go()
+    table = it.hear_table(lambda t: True)
+    assert {row["state"] for row in table.values()} == {"ready"}
+    assert b"workers.template" in command_line(table["binder@2"]["pid"])
+    assert (tmp_path / "binder@2.log").read_text() == f"binder@2 of {os.getpid()}\n"
+    os.kill(table["binder@2"]["pid"], signal.SIGKILL)
+    assert it.hear(ProcessExited).status == -9
+    it.hear_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 1)
+
+
+def test_a_bug_in_a_forked_worker_is_in_its_log_and_its_status(cluster, tmp_path):
+    it = cluster(forked("analyzer@7"), template())
+    with pytest.raises(ClusterError, match=r"(?s)analyzer@7 ended with status 1.*ZeroDivisionError: a bug"):
+        it.supervisor.start(10)
+    it.supervisor.stop()
+
+
+def test_without_the_template_workers_start_by_themselves_and_it_comes_back(cluster):
+    it = cluster(forked("binder@2"), template()).go()
+    table = it.hear_table(lambda t: True)
+    os.kill(table["template"]["pid"], signal.SIGSTOP)  # it is there, but answers nobody
+    os.kill(table["binder@2"]["pid"], signal.SIGKILL)
+    now = it.hear_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 1)
+    assert b"signal.pause()" in command_line(now["binder@2"]["pid"])
+    back = it.hear_table(lambda t: t["template"]["state"] == "ready" and t["template"]["restarts"] == 1)
+    os.kill(back["binder@2"]["pid"], signal.SIGKILL)
+    last = it.hear_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 2)
+    assert b"workers.template" in command_line(last["binder@2"]["pid"])
+
+
 def test_a_long_log_is_put_aside(tmp_path, monkeypatch):
     from deploy import child
 
