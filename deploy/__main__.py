@@ -30,12 +30,9 @@ def _up(given: argparse.Namespace, run_dir: Path) -> int:
         run_dir=str(run_dir), cell=cell, dim=given.dim, mcm=given.mcm, speed=given.speed, seed=given.seed
     )
     if given.detach:
-        options = {"cell": cell, "dim": given.dim, "mcm": given.mcm, "speed": given.speed, "seed": given.seed}
-        pairs = [text for key, value in options.items() for text in (f"--{key}", str(value))]
-        command = [sys.executable, "-P", "-m", "deploy", "up", *pairs, "--run-dir", str(run_dir), "--detached"]
-        cluster.up_detached(command, say)
+        cluster.up_detached(settings, say)
     else:
-        cluster.up(settings, say, detach_output=given.detached)
+        cluster.up(settings, say)
     return 0
 
 
@@ -63,7 +60,6 @@ def _parser() -> argparse.ArgumentParser:
     up.add_argument("--speed", type=_speed, default=1.0, help="simulated seconds per second, or max")
     up.add_argument("--seed", type=int, default=0)
     up.add_argument("-d", "--detach", action="store_true", help="return once it is ready")
-    up.add_argument("--detached", action="store_true", help=argparse.SUPPRESS)
     down = what.add_parser("down", help="stop it in order")
     for command in (up, down):
         command.add_argument("--run-dir", type=Path, default=None)

@@ -15,12 +15,12 @@ import os
 import secrets
 import shutil
 import signal
-import subprocess
 import sys
 import time
-from collections.abc import Iterator
+import traceback
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import msgspec
 import zmq
@@ -29,7 +29,7 @@ from deploy import hypercube
 from deploy.child import Spec
 from deploy.supervisor import END_LIMIT_S, Supervisor
 from rtc import process
-from rtc.outcomes import ClusterError, NoCluster
+from rtc.outcomes import ClusterError, NoCluster, RtcError
 from rtc.settings import ENDPOINTS, Settings, prepare_run_dir
 from rtc.world import lease
 
@@ -38,7 +38,6 @@ LOCK = "supervisor.lock"
 LOGS = "logs"
 TEMPLATE = "template"  # of workers
 PREVIOUS = "previous"
-DETACHED_LIMIT_S = 45.0  # of the one who waits; the supervisor itself gives up sooner
 
 
 def specs(settings: Settings) -> list[Spec]:
@@ -68,7 +67,7 @@ def _spec(name: str, module: str, settings: Settings, *more: str, **about: Any) 
 # --- up ------------------------------------------------------------------------------------------------
 
 
-def up(settings: Settings, say: Any = print, detach_output: bool = False) -> None:
+def up(settings: Settings, say: Callable[[str], None], detach_output: bool = False) -> None:
     """Start the cluster and stay with it until it is told to end. `detach_output`: once it is ready, let go of the
     stdout and stderr we were given. Raises ClusterError, everything stopped, when it does not come up."""
     begun_s = process.now_s()
@@ -117,28 +116,47 @@ def _start(supervisor: Supervisor, settings: Settings) -> None:
         raise
 
 
-def up_detached(command: list[str], say: Any = print) -> None:
-    """Start `command` (an `up` that detaches its output) in a session of its own; return when its cluster is ready.
-    Raises ClusterError with its last words when it fails."""
-    starter = subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-        text=True,
-    )
-    assert starter.stdout is not None
+def up_detached(settings: Settings, say: Callable[[str], None]) -> None:
+    """`up` in a forked process and session of its own; return when the cluster is ready. Raises ClusterError when it
+    fails; its last words have been said by then."""
+    read, write = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        os.close(read)
+        _be_detached(settings, say, write)
+    os.close(write)
     ready = False
     try:
-        for line in starter.stdout:  # ends when it lets go of its output, or dies
-            say(line.rstrip())
-            ready = ready or line.startswith("ready in")
+        with open(read) as lines:
+            for line in lines:  # ends when it lets go of its output, or dies
+                say(line.rstrip())
+                ready = ready or line.startswith("ready in")
     except KeyboardInterrupt:
-        starter.terminate()
+        os.kill(pid, signal.SIGTERM)
         raise
     if not ready:
-        raise ClusterError(f"the cluster did not come up (status {starter.wait(DETACHED_LIMIT_S)})")
+        raise ClusterError(f"the cluster did not come up (status {os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])})")
+
+
+def _be_detached(settings: Settings, say: Callable[[str], None], output: int) -> NoReturn:
+    status = 1
+    try:
+        os.setsid()
+        null = os.open(os.devnull, os.O_RDONLY)
+        for mine, standard in ((null, 0), (output, 1), (output, 2)):
+            os.dup2(mine, standard)
+        os.close(null)
+        os.close(output)
+        up(settings, say, detach_output=True)
+        status = 0
+    except RtcError as error:
+        print(error, file=sys.stderr)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
 
 
 class _Report:

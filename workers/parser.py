@@ -10,9 +10,29 @@ from functools import lru_cache
 
 from rtc.language.parse import Grammar, parse
 from rtc.language.record import ParsedCommand
+from rtc.messages import ParserInput
 from rtc.outcomes import ProgramError, Refusal, RefusalReason
 
+INPUT = ParserInput
+NEEDS_WORLD = False
+NEEDS_CELL = False
+
 KEPT_GRAMMARS = 4  # the live one, the one before it, and two on trial
+
+
+def compile(program: bytes) -> str:
+    """The grammar's text, which compiles. Raises ProgramError."""
+    try:
+        text = program.decode()
+    except UnicodeDecodeError as error:
+        raise ProgramError(f"the grammar is no text: {error}") from error
+    _compiled(text)
+    return text
+
+
+def run(compiled: str, cell: object, world: object, data: ParserInput) -> ParsedCommand | Refusal:
+    """The record of one sentence; needs neither cell nor world."""
+    return parse_job(compiled, data.text)
 
 
 def parse_job(program: str, text: str | bytes) -> ParsedCommand | Refusal:
