@@ -328,6 +328,7 @@ class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     limits: Limits = Limits()
     guarded: bool = False
     reflexes: list[ReflexItem] = []
+    fits: dict[int, list[StopReason]] = {}  # entry of the trimming stack -> the failures it may mend; none = any
 
 
 class Script(Message, frozen=True, kw_only=True):

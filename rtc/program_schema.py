@@ -127,6 +127,7 @@ class ElaboratorProgram(Part, frozen=True, kw_only=True):
     pieces: list[Piece] = []
     constraints: dict[str, dict[str, str]] = {}  # MAINTAIN slot -> unit ("": said without a value, "name") -> limit
     not_yet: dict[str, str] = {}  # field of the command -> why it is refused
+    needs: dict[str, str] = {}  # registered condition of the world -> what would bring it about
     clears: dict[str, str] = {}  # attribute of a fact -> what would make it trusted again
 
 
@@ -151,6 +152,7 @@ class StopClass(Part, frozen=True, kw_only=True):
     about: str = ""
     control_law: str = "position"
     touches: bool = False  # a touch of the active object is its purpose: what it touched may have moved
+    seated: bool = False  # what the hand holds may be in a seat, or come into one
     senses: bool = False  # it feels for its goal, so it may start from a fact that is suspect
     stops: list[StopRow]
     values: dict[str, Expression] = {}  # speed_m_s, force_n, contact_n ..., over the figures of the cell
@@ -164,25 +166,28 @@ class BinderProgram(Part, frozen=True, kw_only=True):
     holding: list[StopRow] = []  # added to F while something is held
     guarded: dict[str, dict[str, float]] = {}  # verb -> the figures of its GUARDED set (A6); "" = any other
     values: dict[str, Expression] = {}  # of every primitive, over the figures of the cell
+    clears: dict[str, str] = {}  # attribute of a fact -> what would make it trusted again
 
 
 # --- analyzer ------------------------------------------------------------------------------------------
 
 
 class OutcomeClass(Part, frozen=True, kw_only=True):
-    """What an outcome means: its words, what cannot be trusted after it, and what would clear that."""
+    """What a failure means: its words, what cannot be trusted after it, and what would clear that. In the words may
+    stand {reason} {measured} {limit} {unit} {message} {arm} {object} {point}."""
 
-    message: str = ""
-    suspect: list[str] = []  # registered: object, held, arm
+    message: str
+    suspect: list[str] = []  # object: the frame of the one it is about; held: of what is in the hand
+    drops: bool = False  # nothing is in the hand any more
     clears: str = ""
     retriable: bool = True  # a trim may be looked up
 
 
 class AnalyzerProgram(Part, frozen=True, kw_only=True):
-    outcomes: dict[str, dict[StopReason, str]]  # stop class, or what the step does -> stop reason -> class
-    derived: dict[str, StopReason] = {}  # what the sensed end says against the goal -> the reason it is told as
+    outcomes: dict[str, dict[StopReason, str]]  # stop class, or what the step does -> stop reason -> failure class
+    derived: dict[str, dict[str, StopReason]] = {}  # the same -> what is wrong with a good end -> what it is told as
     classes: dict[str, OutcomeClass]
-    values: dict[str, float] = {}  # tolerances
+    values: dict[str, float] = {}  # tolerances: position_m, angle_rad, width_m
 
 
 Program = ElaboratorProgram | BinderProgram | AnalyzerProgram

@@ -242,8 +242,12 @@ def _target(
 
 
 def _where(refusal: Refusal, where: str) -> Refusal:
+    """The place is told in words where it helps: a leg that cannot be gone, a program that does not fit."""
     place = f"{where}, {refusal.where}" if refusal.where else where
-    return msgspec.structs.replace(refusal, where=place, message=f"{where}: {refusal.message}")
+    told = refusal.reason in (RefusalReason.INFEASIBLE, RefusalReason.PROGRAM)
+    return msgspec.structs.replace(
+        refusal, where=place, message=f"{where}: {refusal.message}" if told else refusal.message
+    )
 
 
 def _program(message: str) -> Refusal:

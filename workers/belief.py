@@ -96,7 +96,8 @@ class Belief:
         near: Iterable[str] = (),
     ) -> Scene:
         """Everything as believed. `touching`: the object that this arm's fingers may touch; `seated`: what the hand
-        holds may be in, or come into, a seat; `opening_m`: of this arm's hand, if not as it is now."""
+        holds may be in, or come into, a seat; `opening_m`: of this arm's hand, if not as it is now; `near`: what it
+        need keep no clearance to."""
         held: dict[str, Held] = {}
         poses: dict[str, Array] = {}
         for thing in self.cell.objects:
@@ -110,6 +111,7 @@ class Belief:
             openings[arm] = opening_m
         ignore: list[tuple[str, str]] = []
         carried = self.holding(arm)
+        close = [name for name in dict.fromkeys((touching, carried, *near)) if name]
         if touching:
             ignore += [(f"{arm} {link}", touching) for link in self.cell.arm(arm).gripper.finger_links]
         if seated and carried:
@@ -120,7 +122,7 @@ class Belief:
             openings_m=openings,
             ignore=ignore,
             clearance_m=limits.clearance_m or 0.0,
-            near=[name for name in dict.fromkeys((touching, carried, self.seat(touching), *near)) if name],
+            near=[*close, *(seat for seat in map(self.seat, close) if seat)],
             keep_out=limits.keep_out,
         )
 

@@ -212,7 +212,7 @@ def _first_feasible(compiled: Compiled, candidates: list[Candidate]) -> Script |
         if first is None or _PRECEDENCE[made.reason] < _PRECEDENCE[first.reason]:
             first = made
     assert first is not None
-    if len(candidates) == 1:
+    if len(candidates) == 1 or _PRECEDENCE[first.reason] == 0:
         return first
     others = "; ".join(notes[1:4]) if len(notes) > 1 else ""
     return msgspec.structs.replace(
@@ -224,6 +224,7 @@ def _first_feasible(compiled: Compiled, candidates: list[Candidate]) -> Script |
 
 #: when several candidates fail, the reason that tells most goes up
 _PRECEDENCE = dict.fromkeys(RefusalReason, 1) | {
+    RefusalReason.NAME: 0,
     RefusalReason.SUSPECT: 0,
     RefusalReason.STATE: 0,
     RefusalReason.PROGRAM: 2,
@@ -240,7 +241,7 @@ def _script(
     at, script = candidate.at, compiled.scripts[candidate.branch.script]
     problem = sentence.misplaced(at.parsed, script.script, script.uses)
     for need in script.needs:
-        problem = problem or NEEDS[need](at)
+        problem = problem or _lacking(need, at)
     if problem is not None:
         return problem
     planned = plan(script, at)
@@ -257,7 +258,7 @@ def _script(
     held = at.belief.holding(at.arm.name)
     case = script.case if script.case >= FIRST_SKILL else 1 if len(candidates) == 1 and not planned.chosen else 2
     return Script(
-        context=_context(candidate, at),
+        context=_context(candidate, at, entries),
         case=case,
         steps=steps,
         trims=entries,
@@ -270,7 +271,7 @@ def _script(
     )
 
 
-def _context(candidate: Candidate, at: Situation) -> ScriptContext:
+def _context(candidate: Candidate, at: Situation, entries: list[Trim]) -> ScriptContext:
     return ScriptContext(
         verb=at.parsed.verb,
         script=candidate.branch.script,
@@ -281,6 +282,7 @@ def _context(candidate: Candidate, at: Situation) -> ScriptContext:
         limits=at.limits,
         guarded=at.parsed.guarded,
         reflexes=at.parsed.reflexes,
+        fits={entry.n: entry.fits for entry in entries if entry.fits},
     )
 
 
@@ -373,49 +375,57 @@ def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refusal:
     return naming.unknown("piece of script to TRY", name, [piece.upper() for piece in compiled.pieces])
 
 
-def _state(message: str, clears: str) -> Refusal:
-    return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
-
-
 # --- what a script may need of the world -------------------------------------------------------------------
 
 
-def _hand_empty(at: Situation) -> Refusal | None:
+Lack = tuple[str, str]  # what is not so, and the thing that is in the way
+
+
+def _hand_empty(at: Situation) -> Lack | None:
     held = at.belief.holding(at.arm.name)
-    return _state(f"{at.arm.name} holds {held}", f"RELEASE {held}, or another arm") if held else None
+    return (f"{at.arm.name} holds {held}", held) if held else None
 
 
-def _object_free(at: Situation) -> Refusal | None:
+def _object_free(at: Situation) -> Lack | None:
     assert at.thing is not None
-    holder = at.belief.held_by(at.thing.name)
     if at.thing.fixed:
-        return _state(f"{at.thing.name} is fixed", "an object that can be taken")
-    return _state(f"{at.thing.name} is held by {holder}", f"RELEASE {at.thing.name}") if holder else None
+        return f"{at.thing.name} is fixed", at.thing.name
+    holder = at.belief.held_by(at.thing.name)
+    return (f"{at.thing.name} is held by {holder}", holder) if holder else None
 
 
-def _object_held(at: Situation) -> Refusal | None:
+def _object_held(at: Situation) -> Lack | None:
     assert at.thing is not None
     holder = at.belief.held_by(at.thing.name)
     if holder == at.arm.name:
         return None
     if holder:
-        return _state(f"{at.thing.name} is held by {holder}, not by {at.arm.name}", f"say WITH {holder}")
-    return _state(f"{at.thing.name} is not held", f"GRASP {at.thing.name} first")
+        return f"{at.thing.name} is held by {holder}, not by {at.arm.name}", holder
+    return f"{at.thing.name} is not held", at.thing.name
 
 
-def _seat_free(at: Situation) -> Refusal | None:
+def _seat_free(at: Situation) -> Lack | None:
     assert at.target is not None
     inside = [t.name for t in at.belief.cell.objects if at.belief.seat(t.name) == at.target.name]
     others = [name for name in inside if at.thing is None or name != at.thing.name]
-    return _state(f"{at.target.name} holds {others[0]}", f"another seat, or take {others[0]} out") if others else None
+    return (f"{at.target.name} holds {others[0]}", others[0]) if others else None
 
 
-NEEDS: dict[str, Callable[[Situation], Refusal | None]] = {
+NEEDS: dict[str, Callable[[Situation], Lack | None]] = {
     "hand_empty": _hand_empty,
     "object_free": _object_free,
     "object_held": _object_held,
     "seat_free": _seat_free,
 }
+
+
+def _lacking(need: str, at: Situation) -> Refusal | None:
+    lack = NEEDS[need](at)
+    if lack is None:
+        return None
+    message, held = lack
+    clears = at.say(at.program.needs.get(need, "")).replace("{held}", held)
+    return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
 
 
 def verbs(program: ElaboratorProgram) -> Iterator[str]:

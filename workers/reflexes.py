@@ -116,7 +116,8 @@ def unrealised(reflex: ReflexItem) -> Refusal | None:
         return _no(f"UNLESS {said}: nothing in the motion loop feels that; it feels {', '.join(known)}", known)
     if reflex.action not in ACTIONS:
         word = reflex.action.upper().replace("_", "-")
-        return _no(f"THEN {word}: no control law goes limp yet; STOP, BACK-OFF and RELEASE are done", list(ACTIONS))
+        done = [action.upper().replace("_", "-") for action in ACTIONS]
+        return _no(f"THEN {word} is not done yet; {', '.join(done)} are", done)
     along = reflex.condition.along
     if along is not None and along not in axes.AXES:
         return naming.unknown("axis", along, axes.AXES, where=f"UNLESS {said}")

@@ -43,7 +43,7 @@ def seat(at: Situation) -> Start | Refusal:
     assert at.target is not None
     grasp = at.belief.grasp(at.thing.name)
     if grasp is None:
-        return _state(f"how {at.arm.name} holds {at.thing.name} is not known", f"GRASP {at.thing.name}")
+        return _state(f"how {at.arm.name} holds {at.thing.name} is not known", "let go of it, and take it again")
     seated = at.belief.cell.seated_pose(at.target.name)
     pose = geometry.compose(seated, geometry.inverse(grasp)).tolist()
     return Start(pose=pose, relies_on=(f"{at.thing.name}.grasp",))
@@ -71,7 +71,7 @@ def _named(at: Situation, name: str) -> Start | Refusal:
     place = next((p for p in cell.places if p.name == name), None)
     if place is None:
         if any(thing.name == name for thing in cell.objects):
-            said = f"{name} is an object: MOVE goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
+            said = f"{name} is an object: a hand goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
             return Refusal(reason=RefusalReason.NAME, message=said, nearest=[name], clears="say which of the two")
         return naming.unknown("place", name, [p.name for p in cell.places])
     joints = place.joints_rad(at.arm.name)

@@ -1,0 +1,121 @@
+"""Every way that every step of a script can end, and what follows: the finite table of `rtc outcomes` (R67, R84, R85).
+
+Works on program data alone; knows no world and no arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
+
+from rtc.outcomes import ProgramError, StopReason
+from rtc.program import decode
+from rtc.program_schema import (
+    AnalyzerProgram,
+    BinderProgram,
+    ElaboratorProgram,
+    ScriptFile,
+    ScriptStep,
+    TrimEntry,
+)
+
+
+class Outcome(NamedTuple):
+    step: str  # "5 feel one side of the handle (GP1)"
+    reason: StopReason
+    response: str  # continue | trim 2 (grasp), restart_script | fail: what it is told as
+
+
+class Named(Protocol):
+    """A step of a script file or of a script."""
+
+    @property
+    def do(self) -> str: ...
+    @property
+    def op(self) -> str: ...
+    @property
+    def stop(self) -> str: ...
+
+
+def row_of(step: Named) -> str:
+    """The row of the analyzer's table that a step is judged by: its stop class, or what it does."""
+    return step.stop or "-".join(filter(None, (step.do, step.op)))
+
+
+def outcomes(elaborator_program: bytes, binder_program: bytes, analyzer_program: bytes, script: str) -> list[Outcome]:
+    """One row for each (step, stop reason) of a script and of its trims. Raises ProgramError: no such script, or a cell
+    is empty."""
+    elaborator = decode(elaborator_program, ElaboratorProgram)
+    binder = decode(binder_program, BinderProgram)
+    analyzer = decode(analyzer_program, AnalyzerProgram)
+    found = next((s for s in elaborator.scripts if s.script == script), None)
+    if found is None:
+        raise ProgramError(f"no script {script}; there are {', '.join(s.script for s in elaborator.scripts)}")
+    return list(_rows(found, elaborator, binder, analyzer))
+
+
+def check(elaborator_program: bytes, binder_program: bytes, analyzer_program: bytes) -> None:
+    """Raises ProgramError unless the three programs fit: every step of every script has a response to every reason."""
+    for script in decode(elaborator_program, ElaboratorProgram).scripts:
+        outcomes(elaborator_program, binder_program, analyzer_program, script.script)
+
+
+def _rows(
+    script: ScriptFile, elaborator: ElaboratorProgram, binder: BinderProgram, analyzer: AnalyzerProgram
+) -> Iterator[Outcome]:
+    pieces = {piece.skill: piece for piece in elaborator.pieces}
+    done = [entry for entry in script.trimming_stack if entry.skill in pieces]
+    for n, step in enumerate(script.steps, 1):
+        index, count = step.trim
+        trims = [entry for entry in done if index <= entry.n < index + count]
+        yield from _step(f"{n} {_label(step)}", step, trims, binder, analyzer)
+    for entry in done:
+        for n, step in enumerate(pieces[entry.skill].steps, 1):
+            yield from _step(f"trim {entry.n} ({entry.skill}), {n} {_label(step)}", step, [], binder, analyzer)
+
+
+def _label(step: ScriptStep) -> str:
+    return step.label or step.to or step.name
+
+
+def _step(
+    told: str, step: ScriptStep, trims: list[TrimEntry], binder: BinderProgram, analyzer: AnalyzerProgram
+) -> Iterator[Outcome]:
+    if step.do not in binder.actions:
+        raise ProgramError(f"step {told}: the binder has no action for {step.do}")
+    if step.stop and step.stop not in binder.stop_classes:
+        raise ProgramError(f"step {told}: the binder has no stop class {step.stop}")
+    if step.op and step.op not in binder.hand:
+        raise ProgramError(f"step {told}: the binder's hand does not {step.op}")
+    if step.do == "proc" and step.name not in binder.procedures:
+        raise ProgramError(f"step {told}: the binder has no procedure {step.name}")
+    if binder.actions[step.do] == "assign":
+        yield Outcome(told, StopReason.GOAL, "continue: nothing moves")
+        return
+    row = row_of(step)
+    cells = analyzer.outcomes.get(row)
+    if cells is None:
+        raise ProgramError(f"step {told}: the analyzer has no row {row}")
+    for reason in StopReason:
+        yield Outcome(told, reason, _response(step, reason, trims, cells, analyzer))
+
+
+def _response(
+    step: ScriptStep,
+    reason: StopReason,
+    trims: list[TrimEntry],
+    cells: dict[StopReason, str],
+    analyzer: AnalyzerProgram,
+) -> str:
+    derived = analyzer.derived.get(row_of(step), {})
+    if reason in step.expect:
+        unless = [f"{what} is {told.value}" for what, told in derived.items() if what != "nothing_felt"]
+        return "continue" + (f" (but {', '.join(unless)})" if unless else "")
+    if reason is StopReason.GOAL and StopReason.CONTACT in step.expect and "nothing_felt" in derived:
+        return f"told as {derived['nothing_felt'].value}"
+    name = cells[reason]
+    failure = analyzer.classes[name]
+    fitting = [t for t in trims if failure.retriable and (not t.fits or reason in t.fits)]
+    if not fitting:
+        return f"fail: {name}"
+    return " or ".join(f"trim {t.n} ({t.skill}), {t.then}" for t in fitting) + f", else fail: {name}"

@@ -1,0 +1,243 @@
+"""The analyzer: (tables, what was expected, end report) -> go on, mend or give up; and what the world is like now.
+
+Evaluate, then trim (Figure 3). A good end is one that the step expects and whose post-conditions hold; every other is
+a failure of a class that the program's table names. It may be mended by the first of the step's trims that fits and
+has not been used for this step. Memoryless: it knows this report and its context, nothing of other commands (R139).
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from rtc import geometry
+from rtc.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity, WorldChange
+from rtc.outcomes import ProgramError, Refusal, RefusalReason, StopReason
+from rtc.program import decode
+from rtc.program_outcomes import row_of
+from rtc.program_schema import AnalyzerProgram, OutcomeClass
+from rtc.world.model import World
+from workers.belief import TRUSTED, Belief
+from workers.cell_model import CellModel
+from workers.effects import EFFECTS, Changes, gone
+
+INPUT = AnalyzerInput
+NEEDS_WORLD = True
+NEEDS_CELL = True
+
+#: what `keep` of a step may ask for
+SOURCES = {"report.trip_pose", "report.pose", "report.hand_width"}
+UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE_LIMIT: "N.m", StopReason.TIMEOUT: "s"}
+
+
+def compile(program: bytes) -> AnalyzerProgram:
+    """The program, checked. Raises ProgramError."""
+    document = decode(program, AnalyzerProgram)
+    for name in ("position_m", "angle_rad", "opened_m", "pressing_n"):
+        if name not in document.values:
+            raise ProgramError(f"$.values: no {name}")
+    return document
+
+
+def run(
+    compiled: AnalyzerProgram, cell: CellModel | None, world: World | None, data: AnalyzerInput
+) -> Assessment | Refusal:
+    """What to make of an end report."""
+    assert cell is not None
+    assert world is not None
+    evaluation, belief = data.evaluation, Belief(cell, world)
+    row = row_of(evaluation.step)
+    if row not in compiled.outcomes:
+        known = ", ".join(compiled.outcomes)
+        message = f"the analyzer has no row {row}; there are {known}"
+        return Refusal(reason=RefusalReason.PROGRAM, message=message, where=row, clears="LOAD a program that has it")
+    wrong = _wrong(compiled, data)
+    reason = compiled.derived.get(row, {}).get(wrong, data.report.reason)
+    if not wrong and data.report.reason in evaluation.step.expect:
+        return _success(compiled, belief, data)
+    return _failure(compiled, belief, data, reason, compiled.classes[compiled.outcomes[row][reason]])
+
+
+# --- evaluate ----------------------------------------------------------------------------------------------
+
+
+def _wrong(program: AnalyzerProgram, data: AnalyzerInput) -> str:
+    """What is wrong with an end that would be good by its reason alone; empty when nothing is."""
+    evaluation, report = data.evaluation, data.report
+    if report.reason is StopReason.GOAL and evaluation.no_contact_is_failure:
+        return "nothing_felt"
+    if report.reason not in evaluation.step.expect:
+        return ""
+    if evaluation.width_m is not None:
+        least, most = evaluation.width_m
+        return "narrow" if report.hand_width_m < least else "wide" if report.hand_width_m > most else ""
+    within_m = evaluation.step.args.get("within_m")
+    if isinstance(within_m, float) and _off_m(data) > within_m:
+        return "elsewhere"
+    if report.reason is StopReason.GOAL and evaluation.goal_pose is not None:
+        turned = geometry.angle(report.tcp_pose, evaluation.goal_pose)
+        if _off_m(data) > program.values["position_m"] or turned > program.values["angle_rad"]:
+            return "off_goal"
+    return ""
+
+
+def _off_m(data: AnalyzerInput) -> float:
+    goal = data.evaluation.goal_pose
+    return geometry.distance(data.report.tcp_pose, goal) if goal is not None and data.report.tcp_pose else 0.0
+
+
+def _success(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) -> Assessment | Refusal:
+    step = data.evaluation.step
+    changes = _arm(data.report, belief, data.evaluation.arm)
+    effect = step.args.get("effect")
+    if isinstance(effect, str) and effect:
+        if effect not in EFFECTS:
+            message = f"nothing is registered as effect {effect}; there are {', '.join(EFFECTS)}"
+            return Refusal(reason=RefusalReason.PROGRAM, message=message, where=step.label)
+        changes += EFFECTS[effect](belief, data, Validity.VALID)
+    changes += _carried(program, belief, data, changes, suspect=False)
+    return Assessment(
+        verdict="abort" if data.closing else "continue",
+        reason=data.report.reason,
+        message=step.label,
+        keep={name: _kept(source, data.report) for name, source in step.keep.items()},
+        changes=_last(changes),
+    )
+
+
+def _kept(source: str, report: EndReport) -> Binding:
+    """A measured value. Poses are kept in world axes: they are where something was felt, whatever is believed."""
+    if source == "report.hand_width":
+        return Binding(number=report.hand_width_m)
+    assert source in SOURCES, source
+    tripped = report.trip_pose if source == "report.trip_pose" else None
+    return Binding(pose=tripped or report.tcp_pose)
+
+
+def _failure(
+    program: AnalyzerProgram, belief: Belief, data: AnalyzerInput, reason: StopReason, failure: OutcomeClass
+) -> Assessment:
+    evaluation = data.evaluation
+    changes = _arm(data.report, belief, evaluation.arm)
+    changes += _half_done(program, belief, data)
+    changes += _carried(program, belief, data, changes, suspect="held" in failure.suspect, drops=failure.drops)
+    changes += _suspect(belief, data, failure)
+    trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
+    return Assessment(
+        verdict="trim" if trim else "abort",
+        reason=reason,
+        message=f"{evaluation.step.label}: {_words(failure.message, data, reason)}",
+        trim=trim,
+        changes=_last(changes),
+        clears=_words(failure.clears, data, reason),
+    )
+
+
+# --- trim --------------------------------------------------------------------------------------------------
+
+
+def _trim(data: AnalyzerInput, reason: StopReason) -> int:
+    """The first entry that the step may use, that fits, and that it has not used yet; 0 = none."""
+    fits = data.evaluation.context.fits
+    for entry in data.evaluation.step.trims:
+        if entry not in data.trims_used and reason in fits.get(entry, [reason]):
+            return entry
+    return 0
+
+
+# --- what the world is like now ------------------------------------------------------------------------------
+
+
+def _arm(report: EndReport, belief: Belief, arm: str) -> Changes:
+    """Joints and hand as reported. Without a report of them, as they were, and not to be trusted."""
+    if len(report.joints) != len(belief.cell.arm(arm).joints):
+        return [
+            WorldChange(key=f"{arm}.{attribute}", keep_value=True, validity=Validity.SUSPECT)
+            for attribute in ("joints", "hand_width")
+        ]
+    return [
+        WorldChange(key=f"{arm}.joints", value=list(report.joints)),
+        WorldChange(key=f"{arm}.hand_width", value=max(0.0, report.hand_width_m)),
+    ]
+
+
+def _carried(
+    program: AnalyzerProgram,
+    belief: Belief,
+    data: AnalyzerInput,
+    changes: Changes,
+    *,
+    suspect: bool,
+    drops: bool = False,
+) -> Changes:
+    """What is in the hand goes where the hand goes; a hand that has come open has let go of it."""
+    arm, thing = data.evaluation.arm, data.evaluation.held
+    grasp = belief.grasp(thing) if thing else None
+    if grasp is None or not data.report.tcp_pose or any(change.key == f"{thing}.grasp" for change in changes):
+        return []
+    opened = data.report.hand_width_m > belief.hand_width(arm) + program.values["opened_m"]
+    fact = belief.world.get(f"{thing}.grasp")
+    trusted = fact is None or fact.validity in TRUSTED
+    frame = geometry.normalise(geometry.compose(data.report.tcp_pose, grasp))
+    validity = Validity.SUSPECT if suspect or drops or opened or not trusted else Validity.VALID
+    moved = [WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity)]
+    if drops or opened:
+        return [*moved, *gone(arm, thing)]
+    if suspect:
+        moved.append(WorldChange(key=f"{thing}.grasp", keep_value=True, validity=Validity.SUSPECT))
+    seat = belief.seat(thing)
+    if seat and geometry.distance(frame, belief.cell.seated_pose(seat)) >= belief.cell.seat(seat).depth_m:
+        moved.append(WorldChange(key=f"{thing}.seat", value=""))
+    return moved
+
+
+def _half_done(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) -> Changes:
+    """Fingers that were stopped while they closed, and press on something of the right width, do hold it."""
+    evaluation, report = data.evaluation, data.report
+    if evaluation.step.args.get("effect") != "taken" or evaluation.width_m is None or not report.tcp_pose:
+        return []
+    least, most = evaluation.width_m
+    pressing = report.hand_force_n >= program.values["pressing_n"]
+    return EFFECTS["taken"](belief, data, Validity.SUSPECT) if pressing and least <= report.hand_width_m <= most else []
+
+
+def _suspect(belief: Belief, data: AnalyzerInput, failure: OutcomeClass) -> Changes:
+    """After a failure what was touched is suspect until it is sensed again (R151)."""
+    thing = data.evaluation.context.object
+    if "object" not in failure.suspect or not thing or thing == data.evaluation.held:
+        return []
+    return [WorldChange(key=f"{thing}.frame", keep_value=True, validity=Validity.SUSPECT)]
+
+
+def _last(changes: Changes) -> Changes:
+    """One change for each fact. A later one that only says "suspect" keeps the value of an earlier one."""
+    merged: dict[str, WorldChange] = {}
+    for change in changes:
+        earlier = merged.get(change.key)
+        if change.keep_value and earlier is not None and not earlier.keep_value:
+            change = msgspec.structs.replace(earlier, validity=change.validity)
+        merged[change.key] = change
+    return list(merged.values())
+
+
+# --- words ---------------------------------------------------------------------------------------------------
+
+
+def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:
+    evaluation, report = data.evaluation, data.report
+    least, most = evaluation.width_m or (0.0, 0.0)
+    figures = {
+        "reason": reason.value,
+        "measured": "?" if report.measured is None else f"{report.measured:.3g}",
+        "limit": "the" if report.limit is None else f"{report.limit:.3g}",
+        "unit": UNITS.get(report.reason, ""),
+        "message": report.message or evaluation.arm,
+        "arm": evaluation.arm,
+        "object": evaluation.context.object or evaluation.held or "the object",
+        "point": evaluation.context.grasp_point,
+        "width": f"{report.hand_width_m * 1000:.1f}",
+        "wanted": f"{least * 1000:.0f} to {most * 1000:.0f}",
+        "off": f"{_off_m(data) * 1000:.1f}",
+    }
+    for name, text in figures.items():
+        message = message.replace("{" + name + "}", text)
+    return message

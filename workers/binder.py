@@ -1,0 +1,379 @@
+"""The binder: (tables, one step, world) -> a primitive and what is expected of it, or why there can be none.
+
+Invoked once for every step, nominal or corrective (R135), with the bindings as they are by then: a parameter that is
+already fixed is taken as it is, one that was measured a step ago is used like any other (R136). A step that moves
+nothing gives bindings instead. What the words of a script mean here is in the program; this file knows no skill.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rtc import expressions, geometry
+from rtc.messages import BinderInput, Binding, BoundStep, EvaluationContext
+from rtc.outcomes import ProgramError, Refusal, RefusalReason, StopReason
+from rtc.primitive import (
+    ControlLaw,
+    HandMotion,
+    HoldStill,
+    Primitive,
+    Reporting,
+    StopFunction,
+    Trajectory,
+    Vector,
+)
+from rtc.program import decode
+from rtc.program_schema import BinderProgram, StopClass
+from rtc.world.model import World
+from workers import axes, legs, naming, procedures, stopping
+from workers.belief import Belief
+from workers.cell_model import CellModel
+from workers.legs import Target
+from workers.motion.plan import Motion
+from workers.motion.timing import Pace
+from workers.stopping import Values
+
+INPUT = BinderInput
+NEEDS_WORLD = True
+NEEDS_CELL = True
+
+SUBSYSTEM = "MCM"
+LEAST_STEP_M = 0.001  # of a line whose direction means something
+MOST_TURN_RAD = math.radians(5.0)  # of a line along which a direction in tool axes stays the same
+
+
+@dataclass(frozen=True)
+class Bind:
+    """One step to be bound."""
+
+    program: BinderProgram
+    belief: Belief
+    data: BinderInput
+
+    @property
+    def arm(self) -> str:
+        return self.data.context.arm
+
+    def stop_class(self, name: str) -> StopClass | Refusal:
+        known = self.program.stop_classes
+        return known.get(name) or refused_program(f"no stop class {name}", f"there are {', '.join(known)}")
+
+
+def compile(program: bytes) -> BinderProgram:
+    """The program, checked. Raises ProgramError."""
+    document = decode(program, BinderProgram)
+    stopping.check(document)
+    for do, action in document.actions.items():
+        if action not in ACTIONS:
+            raise ProgramError(f"$.actions.{do}: nothing is registered as {action}; there are {', '.join(ACTIONS)}")
+    for name, procedure in document.procedures.items():
+        if procedure not in PROCEDURES:
+            known = ", ".join(PROCEDURES)
+            raise ProgramError(f"$.procedures.{name}: nothing is registered as {procedure}; there are {known}")
+    return document
+
+
+def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, data: BinderInput) -> BoundStep | Refusal:
+    """The step, bound to the world as it is now."""
+    assert cell is not None
+    assert world is not None
+    step = data.step
+    if step.who != "active_arm":
+        return refused_program(f"a step for {step.who}", "only the active arm performs steps yet")
+    if step.do not in compiled.actions:
+        return refused_program(f"nothing is done for {step.do}", f"there are {', '.join(compiled.actions)}")
+    try:
+        return ACTIONS[compiled.actions[step.do]](Bind(compiled, Belief(cell, world), data))
+    except expressions.ExpressionError as error:
+        return refused_program(
+            str(error), "a figure that the step needs must be in the script, the program or the cell"
+        )
+
+
+# --- a motion of the arm -----------------------------------------------------------------------------------
+
+
+def bind_motion(at: Bind) -> BoundStep | Refusal:
+    step, context, belief = at.data.step, at.data.context, at.belief
+    stop_class = at.stop_class(step.stop)
+    if isinstance(stop_class, Refusal):
+        return stop_class
+    if step.space not in legs.SPACES:
+        return refused_program(f"no space {step.space}", f"there are {', '.join(legs.SPACES)}")
+    target = target_of(at, senses=stop_class.senses)
+    if isinstance(target, Refusal):
+        return target
+    values = stopping.figures(at.program, stop_class, belief, at.data)
+    held = belief.holding(at.arm)
+    scene = belief.scene(
+        at.arm,
+        context.limits,
+        touching=context.object if stop_class.touches and held != context.object else "",
+        seated=stop_class.seated,
+        near=[name for name in (context.object, context.target) if name],
+    )
+    pace = Pace(values["speed_m_s"], values["acceleration_m_s2"])
+    margin_rad = math.radians(values["joint_margin_deg"])
+    setting = belief.setting(at.arm, scene, context.limits, pace, margin_rad)
+    motion = legs.timed(setting, step.space, target)
+    if isinstance(motion, Refusal):
+        return motion
+    evaluation = EvaluationContext(
+        context=context,
+        step=step,
+        arm=at.arm,
+        goal_pose=motion.goal_pose.tolist(),
+        goal_joints=motion.goal_joints.tolist(),
+        held=held,
+        predicted_s=motion.timed.duration_s,
+        force_n=values.get("force_n"),
+        no_contact_is_failure=StopReason.CONTACT in step.expect and StopReason.GOAL not in step.expect,
+        start_joints=setting.start.tolist(),
+    )
+    against = against_motion(belief.tcp(at.arm).tolist(), motion) if step.space == "move_task" else None
+    trajectory = motion.timed.trajectory()
+    return primitive(at, stop_class, values, trajectory, evaluation, against, "; ".join(motion.notes))
+
+
+def target_of(at: Bind, senses: bool) -> Target | Refusal:
+    """Where the step goes, in world axes: a binding, or the hand's own place, moved if the step says so."""
+    step = at.data.step
+    if step.to == "HERE":
+        pose = at.belief.tcp(at.arm).tolist()
+    elif step.to not in at.data.bindings:
+        return refused_program(f"nothing binds {step.to}", f"there are {', '.join(at.data.bindings)}")
+    else:
+        binding = at.data.bindings[step.to]
+        if binding.joints is not None:
+            return Target(joints=binding.joints)
+        found = world_pose(at, binding, step.to, senses)
+        if isinstance(found, Refusal):
+            return found
+        pose = found
+    axis = str(step.args.get("axis", "TOOL-Z"))
+    if axis not in axes.AXES:
+        return naming.unknown("axis", axis, axes.AXES)
+    by_m, by_rad = (float(step.args.get(name, 0.0)) for name in ("by_m", "by_rad"))
+    if by_m:
+        pose = axes.shifted(pose, axis, by_m).tolist()
+    if by_rad:
+        pose = axes.turned(pose, axis, by_rad).tolist()
+    return Target(pose=pose)
+
+
+def world_pose(at: Bind, binding: Binding, name: str, senses: bool) -> list[float] | Refusal:
+    """A pose binding in world axes. One in the axes of an object whose frame is not to be trusted is for a step that
+    feels its way."""
+    if binding.pose is None:
+        return refused_program(f"{name} is no pose", "bind a pose or joint values to it")
+    if binding.frame is None:
+        return binding.pose
+    if binding.frame not in {thing.name for thing in at.belief.cell.objects}:
+        return naming.unknown("object", binding.frame, [t.name for t in at.belief.cell.objects])
+    if not senses:
+        distrusted = at.belief.distrusted(f"{binding.frame}.frame", at.program.clears)
+        if distrusted is not None:
+            return distrusted
+    pose: list[float] = geometry.compose(at.belief.frame(binding.frame), binding.pose).tolist()
+    return pose
+
+
+def against_motion(start: list[float], motion: Motion) -> Vector | None:
+    """The axis, in the tool's own, along which a force on the hand opposes this line; None: no one axis."""
+    if (
+        geometry.distance(start, motion.goal_pose) < LEAST_STEP_M
+        or geometry.angle(start, motion.goal_pose) > MOST_TURN_RAD
+    ):
+        return None
+    way = motion.goal_pose[:3] - start[:3]
+    axis: Vector = (
+        -geometry.rotate(geometry.inverse(start), way / math.dist(motion.goal_pose[:3], start[:3]))
+    ).tolist()
+    return axis
+
+
+# --- a motion of the hand ----------------------------------------------------------------------------------
+
+
+def bind_hand(at: Bind) -> BoundStep | Refusal:
+    return hand_motion(at, at.data.step.op)
+
+
+def hand_motion(at: Bind, op: str) -> BoundStep | Refusal:
+    """Open to a width, or close until something is gripped or nothing is between the fingers."""
+    step, context, belief = at.data.step, at.data.context, at.belief
+    if op not in at.program.hand:
+        return refused_program(f"a hand cannot {op}", f"it can {', '.join(at.program.hand)}")
+    stop_class = at.stop_class(at.program.hand[op])
+    if isinstance(stop_class, Refusal):
+        return stop_class
+    values = stopping.figures(at.program, stop_class, belief, at.data)
+    gripper = belief.cell.arm(at.arm).gripper
+    width_m = values.get("width_m", 0.0)
+    grip_n = context.limits.grip_force_n or values.get("grip_n", values["hand_n"])
+    for name, value, most in (("opening", width_m, gripper.max_opening_m), ("grip force", grip_n, gripper.max_force_n)):
+        if value > most:
+            return Refusal(
+                reason=RefusalReason.INFEASIBLE,
+                message=f"{name} of {value:g} is asked of {belief.cell.arm(at.arm).end_effector}; {most:g} is its most",
+                clears=f"{most:g} or less",
+                detail={"cause": name, "value": value, "limit": most, "arm": at.arm},
+            )
+    way_m = abs(belief.hand_width(at.arm) - width_m)
+    evaluation = EvaluationContext(
+        context=context,
+        step=step,
+        arm=at.arm,
+        goal_pose=belief.tcp(at.arm).tolist(),
+        goal_joints=list(belief.joints(at.arm)),
+        held=belief.holding(at.arm),
+        predicted_s=way_m / gripper.speed_m_s,
+        width_m=[values.get("least_m", 0.0), values.get("most_m", gripper.max_opening_m + 0.001)],
+        force_n=grip_n,
+        start_joints=list(belief.joints(at.arm)),
+    )
+    motion = HandMotion(width_m=width_m, force_n=grip_n, speed_m_s=gripper.speed_m_s)
+    return primitive(at, stop_class, values, motion, evaluation, None, "", moves=False)
+
+
+# --- staying -----------------------------------------------------------------------------------------------
+
+
+def bind_still(at: Bind) -> BoundStep | Refusal:
+    step, belief = at.data.step, at.belief
+    stop_class = at.stop_class(step.stop)
+    if isinstance(stop_class, Refusal):
+        return stop_class
+    values = stopping.figures(at.program, stop_class, belief, at.data)
+    duration_s = values["duration_s"]
+    if at.data.context.limits.time_s is not None:
+        duration_s = min(duration_s, at.data.context.limits.time_s)
+    evaluation = EvaluationContext(
+        context=at.data.context,
+        step=step,
+        arm=at.arm,
+        goal_pose=belief.tcp(at.arm).tolist(),
+        goal_joints=list(belief.joints(at.arm)),
+        held=belief.holding(at.arm),
+        predicted_s=duration_s,
+        force_n=values.get("force_n"),
+        start_joints=list(belief.joints(at.arm)),
+    )
+    return primitive(at, stop_class, values, HoldStill(duration_s=duration_s), evaluation, None, "", timed=False)
+
+
+# --- the primitive -----------------------------------------------------------------------------------------
+
+
+def primitive(
+    at: Bind,
+    stop_class: StopClass,
+    values: Values,
+    trajectory: Trajectory,
+    evaluation: EvaluationContext,
+    against: Vector | None,
+    note: str,
+    *,
+    moves: bool = True,
+    timed: bool = True,
+) -> BoundStep | Refusal:
+    """T = (P, M, F, R). `moves`: the arm does, so what it holds is watched; `timed`: it must keep to a time limit."""
+    limit_s = values["time_factor"] * evaluation.predicted_s + values["time_margin_s"]
+    most_s = at.data.context.limits.time_s
+    if most_s is not None and timed:
+        if evaluation.predicted_s > most_s:
+            return Refusal(
+                reason=RefusalReason.INFEASIBLE,
+                message=f"this step takes {evaluation.predicted_s:.1f} s; the time limit is {most_s:g} s",
+                clears="more time, or more speed",
+                detail={"cause": "time", "predicted_s": evaluation.predicted_s, "limit_s": most_s},
+            )
+        limit_s = min(limit_s, most_s)
+    values = {**values, "time_limit_s": limit_s}
+    rows = [*stop_class.stops, *(at.program.holding if moves and evaluation.held else [])]
+    stops: list[StopFunction] = stopping.stop_functions(
+        rows, values, against, stopping.said_in_sentence(at.data, at.belief, values)
+    )
+    every_s = at.data.step.args.get("report_every_s")
+    made = Primitive(
+        id=at.data.primitive_id,
+        performer=at.arm,
+        trajectory=trajectory,
+        stop_functions=stops,
+        control_law=ControlLaw(name=stop_class.control_law),
+        reporting=Reporting(every_s=float(every_s) if every_s is not None else None),
+    )
+    return BoundStep(
+        subsystem=SUBSYSTEM,
+        primitive=made,
+        evaluation=evaluation,
+        limit_s=values["report_factor"] * limit_s + values["report_margin_s"],
+        note=note,
+    )
+
+
+# --- steps that move nothing -------------------------------------------------------------------------------
+
+
+def bind_assignment(at: Bind) -> BoundStep | Refusal:
+    """GP = 0.5*(GP1 + GP2): a binding from others, measured or planned."""
+    step = at.data.step
+    given: dict[str, float | list[float]] = {}
+    for name in expressions.names(step.value):
+        binding = at.data.bindings.get(name)
+        if binding is None:
+            return refused_program(f"nothing binds {name}", f"there are {', '.join(at.data.bindings)}")
+        pose = binding.number if binding.number is not None else world_pose(at, binding, name, senses=True)
+        if isinstance(pose, Refusal):
+            return pose
+        given[name] = pose
+    try:
+        value = expressions.evaluate(step.value, given)
+    except expressions.ExpressionError as error:
+        return Refusal(
+            reason=RefusalReason.INFEASIBLE,
+            message=f"{step.name} = {step.value}: {error}",
+            where=step.name,
+            clears="measure again",
+        )
+    binding = Binding(pose=value) if isinstance(value, list) else Binding(number=value)
+    return BoundStep(bindings={step.name: binding}, note=f"{step.name} = {step.value}")
+
+
+def bind_procedure(at: Bind) -> BoundStep | Refusal:
+    known = at.program.procedures
+    name = at.data.step.name
+    return PROCEDURES[known[name]](at) if name in known else naming.unknown("procedure", name, known)
+
+
+def open_hand(at: Bind) -> BoundStep | Refusal:
+    """Bring the hand, which must be empty, to the width that is wanted before it takes something."""
+    held = at.belief.holding(at.arm)
+    if held:
+        message = f"{at.arm} already holds {held}"
+        return Refusal(reason=RefusalReason.STATE, message=message, clears=f"let go of {held}")
+    return hand_motion(at, "open")
+
+
+def lay_down_plan(at: Bind) -> BoundStep | Refusal:
+    """The plan's bindings again; joint values anew where their object is no longer where it was when it was planned."""
+    laid = procedures.replanned(at.belief, at.arm, at.data.bindings)
+    return laid if isinstance(laid, Refusal) else BoundStep(bindings=laid, note="the plan")
+
+
+def refused_program(message: str, clears: str) -> Refusal:
+    return Refusal(reason=RefusalReason.PROGRAM, message=message, clears=clears)
+
+
+Action = Callable[[Bind], BoundStep | Refusal]
+
+ACTIONS: dict[str, Action] = {
+    "motion": bind_motion,
+    "hand": bind_hand,
+    "still": bind_still,
+    "assign": bind_assignment,
+    "procedure": bind_procedure,
+}
+PROCEDURES: dict[str, Action] = {"open_hand": open_hand, "lay_down_plan": lay_down_plan}

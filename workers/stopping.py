@@ -1,0 +1,113 @@
+"""F: the figures in force for a step, and the stop functions made of them (R66, R82, R83). Pure.
+
+Figures come from the cell, the program, the stop class and the step, later ones before earlier ones; GUARDED and
+MAINTAIN can only tighten them. The rows of the program name predicates of `rtc.primitive` by their tags.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+
+from rtc import expressions
+from rtc.messages import BinderInput
+from rtc.outcomes import ProgramError
+from rtc.primitive import (
+    BodyTouch,
+    ForceAbove,
+    GoalReached,
+    GripForceBelow,
+    HandWidthBelow,
+    JointMarginBelow,
+    Predicate,
+    StopFunction,
+    TimeAbove,
+    TorqueAbove,
+    Vector,
+)
+from rtc.program_schema import BinderProgram, StopClass, StopRow
+from workers import reflexes
+from workers.belief import Belief
+
+#: tag of a predicate -> (limit, axis or None) -> the predicate
+MAKERS: dict[str, Callable[[float, Vector | None], Predicate]] = {
+    "goal-reached": lambda limit, axis: GoalReached(),
+    "time-above": lambda limit, axis: TimeAbove(limit),
+    "force-above": lambda limit, axis: ForceAbove(limit_n=limit, axis=axis),
+    "torque-above": lambda limit, axis: TorqueAbove(limit_nm=limit, axis=axis),
+    "joint-margin-below": lambda limit, axis: JointMarginBelow(limit),
+    "body-touch": lambda limit, axis: BodyTouch(),
+    "grip-force-below": lambda limit, axis: GripForceBelow(limit),
+    "hand-width-below": lambda limit, axis: HandWidthBelow(limit),
+}
+#: limit of MAINTAIN -> the figure it tightens
+TIGHTENED = {"speed_m_s": "speed_m_s", "force_n": "force_n", "torque_nm": "torque_nm"}
+
+Values = dict[str, float]
+
+
+def check(program: BinderProgram) -> None:
+    """Raises ProgramError for a row of F that names no predicate."""
+    rows = [(name, row) for name, stop_class in program.stop_classes.items() for row in stop_class.stops]
+    for name, row in [*rows, *(("holding", row) for row in program.holding)]:
+        if row.when not in MAKERS:
+            raise ProgramError(f"$.stop_classes.{name}: no predicate {row.when}; there are {', '.join(MAKERS)}")
+
+
+def figures(program: BinderProgram, stop_class: StopClass, belief: Belief, data: BinderInput) -> Values:
+    """Every figure in force for this step. Raises ExpressionError when one names a figure that does not exist."""
+    context = data.context
+    values: Values = dict(msgspec.structs.asdict(belief.cell.numbers))
+    if belief.holding(context.arm):
+        values["held_width_m"] = belief.hand_width(context.arm)
+    for rows in (program.values, stop_class.values):
+        for name, expression in rows.items():
+            values[name] = expressions.number(expression, values)
+    values |= {name: float(value) for name, value in data.step.args.items() if not isinstance(value, str)}
+    if context.guarded:
+        for name, value in program.guarded.get(context.verb, program.guarded.get("", {})).items():
+            values[name] = min(value, values.get(name, value))
+    for limit, name in TIGHTENED.items():
+        value = getattr(context.limits, limit)
+        if value is not None:
+            values[name] = min(value, values.get(name, value))
+    if context.limits.speed_ratio is not None and "speed_m_s" in values:
+        values["speed_m_s"] *= context.limits.speed_ratio
+    return values
+
+
+def stop_functions(
+    rows: list[StopRow], values: Values, against: Vector | None, said: list[StopFunction]
+) -> list[StopFunction]:
+    """F: what the sentence said, then the rows. Of two with the same reason the first that is true wins, so a reflex
+    that was asked for goes before the program's own stop at the same figure, and neither loosens the other.
+    `against`: the axis along which a force opposes the motion."""
+    made = list(said)
+    for row in rows:
+        limit = _limit(row, values)
+        if limit is not None:
+            when = MAKERS[row.when](limit, against if row.against_motion else None)
+            made.append(StopFunction(reason=row.reason, when=when, reflex=row.reflex, back_off_m=row.back_off_m))
+    return made
+
+
+def _limit(row: StopRow, values: Values) -> float | None:
+    """The limit of a row; 0 for a predicate that has none; None: leave the row out."""
+    if row.limit is None:
+        return 0.0
+    if row.if_known and expressions.names(row.limit) - values.keys():
+        return None
+    return expressions.number(row.limit, values)
+
+
+def said_in_sentence(data: BinderInput, belief: Belief, values: Values) -> list[StopFunction]:
+    """UNLESS ... THEN ... of the command, for this step."""
+    context = data.context
+    at = reflexes.Moment(
+        values=values,
+        hand_pose=belief.tcp(context.arm),
+        holding=bool(belief.holding(context.arm)),
+        object_at=belief.frame(context.object)[:3].tolist() if context.object else None,
+    )
+    return reflexes.stop_functions(context.reflexes, at)
