@@ -57,8 +57,8 @@ def status(run_dir: RunDir = None, json: AsJson = False) -> None:
 
 def show_status(said: dict[str, Any]) -> None:
     """Print the layout that docs/protocol.md describes; what is absent is left out."""
-    up_s, version = said.get("uptime_s", 0.0), said.get("version", "?")
-    console.print(Text(f"cluster {said.get('cluster', '?')}, up {seconds(up_s)}, rtc {version}", style="bold"))
+    up_s, where = said.get("uptime_s", 0.0), said.get("run_dir", "?")
+    console.print(Text(f"cluster {said.get('cluster', '?')} in {where}, up {seconds(up_s)}", style="bold"))
     _workers_and_processes(said)
     _commands(said.get("commands", []))
     _resources(said.get("resources", []))

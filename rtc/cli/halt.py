@@ -41,10 +41,10 @@ def halt(
 def print_halt(result: HaltResult, out: Console = console) -> None:
     line = Text(f"HALT {result.scope}: ", style="bold")
     if result.latency_s is None:
-        line.append("no subsystem answered", style="bold white on red")
+        line.append(f"REST NOT CONFIRMED: {result.message}", style="bold white on red")
     else:
-        what = ", ".join(result.moving) or "nothing was moving"
-        line.append(f"decelerating after {result.latency_s * 1e3:.2f} ms ({what}); ")
+        what = f"{', '.join(result.moving)} decelerating" if result.moving else "nothing was moving; it was heard"
+        line.append(f"{what} after {result.latency_s * 1e3:.2f} ms; ")
         rest = max((sub.rest_s for sub in result.subsystems if sub.rest_s is not None), default=None)
         if result.confirmed and rest is not None:
             line.append(f"rest confirmed after {rest * 1e3:.0f} ms", style="bold green")

@@ -25,6 +25,7 @@ COMMANDS = {
     "why": "story",
     "world": "world",
     "load": "programs",
+    "outcomes": "programs",
     "parse": "language",
     "dictionary": "language",
     "grammar": "language",

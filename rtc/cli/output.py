@@ -40,7 +40,8 @@ COLOUR = {
     OutcomeKind.LOST_SUBSYSTEM: "bold white on red",
 }
 
-console = Console(highlight=False, soft_wrap=True)
+PIPED_WIDTH = 160  # columns of a table that no terminal bounds
+console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else PIPED_WIDTH)
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 RunDir = Annotated[Path | None, typer.Option("--run-dir", help="The cluster's run directory.", show_default="yours")]

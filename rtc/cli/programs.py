@@ -8,9 +8,12 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from rtc.cli.output import AsJson, RunDir, console, emit_json, trouble
+from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
 from rtc.client import Client
 from rtc.messages import WorkerKind
+from rtc.outcomes import ProgramError
+from rtc.program import default
+from rtc.program_outcomes import outcomes as rows_of
 
 KINDS = ", ".join(kind.value for kind in WorkerKind)
 
@@ -38,3 +41,26 @@ def load(
         emit_json({"kind": loaded.kind.value, "digest": loaded.digest, "file": file.name})
     else:
         console.print(Text(f"{file.name} is in the {loaded.kind.value}s' program, which is now {loaded.digest}"))
+
+
+def outcomes(
+    script: Annotated[str, typer.Argument(help="A script: grasp-centering.")],
+    json: AsJson = False,
+) -> None:
+    """Every way that every step of a script can end, and what follows. No cluster needed: the programs as they come.
+
+    Example:  rtc outcomes grasp-centering
+    """
+    programs = default(WorkerKind.ELABORATOR), default(WorkerKind.BINDER), default(WorkerKind.ANALYZER)
+    try:
+        rows = rows_of(*programs, script.lower())
+    except ProgramError as error:
+        raise trouble(str(error), 2) from None
+    if json:
+        emit_json({"script": script.lower(), "rows": [row._asdict() for row in rows]})
+        return
+    out, step = table("step", "stop reason", "response"), ""
+    for row in rows:
+        out.add_row("" if row.step == step else row.step, row.reason.value, row.response)
+        step = row.step
+    console.print(out)

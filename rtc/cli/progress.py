@@ -18,6 +18,10 @@ from rtc.cli.output import COLOUR, console, refusal_lines, seconds, table
 from rtc.outcomes import OutcomeKind
 
 
+#: phases too short to be a line of their own (`rtc trace` has them); ENDED has its result line
+PASSING = {m.Phase.PARSING, m.Phase.ELABORATING, m.Phase.BINDING, m.Phase.ANALYZING, m.Phase.ENDED}
+
+
 @dataclass
 class Row:
     text: str
@@ -74,7 +78,7 @@ class Board:
             return
         changed = (note.phase.value, note.step) != (row.phase, row.step)
         row.phase, row.step, row.node = note.phase.value, note.step or row.step, note.node or row.node
-        if changed:
+        if changed and note.phase not in PASSING:
             done = f"  ({note.node}, {seconds(note.took_s)})" if note.node else ""
             self._line(f"{note.command}  {note.phase.value:<11} {note.step or note.note}{done}".rstrip())
 

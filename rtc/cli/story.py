@@ -10,7 +10,7 @@ import typer
 from rich.text import Text
 
 from rtc import messages as m
-from rtc.cli.output import COLOUR, AsJson, RunDir, console, emit_json, refusal_lines, seconds, table
+from rtc.cli.output import COLOUR, AsJson, RunDir, console, emit_json, refusal_lines, seconds
 from rtc.client import Client
 from rtc.outcomes import OutcomeKind
 
@@ -33,20 +33,25 @@ def trace(command: Command, json: AsJson = False, run_dir: RunDir = None) -> Non
 
 
 def print_trace(record: m.CommandRecord) -> None:
+    """Lines, not a table: what came of a phase may be long. A step's phases stand below its name."""
     console.print(Text(f"{record.command}  {record.text}  ", style="bold") + Text(f"({record.source})", style="dim"))
-    out = table("since accept>", "done by", "address", "took>", "now", "step", "what came of it")
+    console.print(Text(f"{'since':>9}  {'took':>8}  {'done by':<13} {'at':<4} now", style="bold"))
+    step, node = "", ""
     for note in record.notes:
-        out.add_row(
-            seconds(note.at_s - record.accepted_at_s),
-            note.node,
-            address(note.node),
-            seconds(note.took_s) if note.node else "",
-            note.phase.value,
-            Text(note.step),
-            Text(note.note),
-        )
-    console.print(out)
+        if note.node and note.node == node and not note.note:
+            continue  # says again who did it
+        node = note.node
+        if note.step and note.step != step and note.phase != m.Phase.ENDED:
+            step = note.step
+            console.print(Text(step, style="cyan"))
+        console.print(Text(trace_line(note, record.accepted_at_s)))
     _print_decision(record)
+
+
+def trace_line(note: m.ProgressNote, accepted_at_s: float) -> str:
+    took = seconds(note.took_s) if note.node else ""
+    line = f"{seconds(note.at_s - accepted_at_s):>9}  {took:>8}  {note.node:<13} {address(note.node):<4} "
+    return line + (f"{note.phase.value:<11}  {note.note}" if note.note else note.phase.value)
 
 
 def why(command: Command, json: AsJson = False, run_dir: RunDir = None) -> None:
@@ -131,7 +136,7 @@ def _in_short(notes: list[m.ProgressNote]) -> str:
     if not said:
         return "done"
     note = said[-1]
-    return f"{note.node} {note.note} after {seconds(note.took_s)}".strip() if note.node else note.note
+    return f"{note.node} {note.note} after {seconds(note.took_s)}" if reports else link(note)
 
 
 def _print_decision(record: m.CommandRecord) -> None:

@@ -130,7 +130,7 @@ def shown(value: Any) -> str:
     if isinstance(value, list | tuple):
         return "[" + " ".join(shown(item) for item in value) + "]"
     if isinstance(value, float):
-        return f"{value:.4f}"
+        return f"{round(value, 4) + 0.0:g}"  # + 0.0: no minus before a zero
     return "-" if value in (None, "") else str(value)
 
 

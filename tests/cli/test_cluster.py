@@ -1,0 +1,171 @@
+"""The command line on a real cluster (exact arms, as fast as possible): output, JSON line and exit status."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+RTC = [sys.executable, "-P", "-m", "rtc.cli.main"]
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def command(*words: str, run_dir: Path | None = None) -> subprocess.CompletedProcess[str]:
+    more = ["--run-dir", str(run_dir)] if run_dir else []
+    return subprocess.run([*RTC, *words, *more], capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.fixture(scope="module")
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    run_dir = tmp_path_factory.mktemp("rtc")
+    up = command("up", "-d", "--mcm", "kinematic", "--speed", "max", run_dir=run_dir)
+    assert up.returncode == 0, up.stdout + up.stderr
+    yield run_dir
+    down = command("down", run_dir=run_dir)
+    assert down.returncode == 0, down.stdout + down.stderr
+
+
+@pytest.fixture(scope="module")
+def rtc(run_dir: Path) -> Run:
+    return lambda *words: command(*words, run_dir=run_dir)
+
+
+def last_json(done: subprocess.CompletedProcess[str]) -> Any:
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_no_cluster_is_exit_status_4_with_what_to_do(tmp_path: Path) -> None:
+    for words in (["status"], ["do", "STOW LEFT-ARM"], ["halt"], ["trace", "C-1"], ["world", "list"]):
+        done = command(*words, run_dir=tmp_path)
+        assert done.returncode == 4, words
+        assert "rtc up -d" in done.stderr
+        assert "Traceback" not in done.stderr
+
+
+def test_do_succeeds_with_0_and_one_result(rtc: Run) -> None:
+    done = rtc("do", "STOW LEFT-ARM", "--json")
+    result = last_json(done)
+
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert [one["kind"] for one in result["results"]] == ["succeeded"]
+    assert result["results"][0]["command"].startswith("C-")
+
+
+def test_a_wrong_sentence_is_2_with_a_caret_and_the_next_is_not_sent(rtc: Run) -> None:
+    done = rtc("do", "STOW LEFT-LEG", "STOW LEFT-ARM")
+
+    assert done.returncode == 2
+    lines = done.stdout.splitlines()
+    caret = next(n for n, line in enumerate(lines) if line.strip() == "^")
+    assert lines[caret - 1][lines[caret].index("^") :] == "LEFT-LEG"
+    assert any(line.startswith("NOT SENT") for line in lines)
+
+
+def test_keep_going_sends_the_next_too(rtc: Run) -> None:
+    done = rtc("do", "STOW LEFT-LEG", "STOW LEFT-ARM", "-k", "--json")
+
+    assert done.returncode == 2
+    assert [one["kind"] for one in last_json(done)["results"]] == ["refused", "succeeded"]
+
+
+def test_two_arms_at_once(rtc: Run) -> None:
+    done = rtc("do", "--parallel", "STOW LEFT-ARM", "STOW RIGHT-ARM", "--json")
+
+    assert done.returncode == 0, done.stdout
+    assert [one["text"] for one in last_json(done)["results"]] == ["STOW LEFT-ARM", "STOW RIGHT-ARM"]
+
+
+def test_no_wait_gives_the_number_at_once(rtc: Run) -> None:
+    done = rtc("do", "STOW LEFT-ARM", "--no-wait", "--json")
+
+    assert done.returncode == 0
+    assert last_json(done)["results"][0]["kind"] == "accepted"
+
+
+def test_halt_prints_a_latency_and_confirms_rest(rtc: Run) -> None:
+    done = rtc("halt", "--json")
+    result = last_json(done)
+
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert result["confirmed"]
+    assert result["latency_s"] > 0
+    assert sorted(result["told"]) == ["estop", "halt"]
+
+
+def test_a_lone_halt_said_to_do_is_that_halt(rtc: Run) -> None:
+    done = rtc("do", "HALT ALL")
+
+    assert done.returncode == 0
+    assert done.stdout.startswith("HALT ALL: ")
+    assert "rest confirmed" in done.stdout
+
+
+def test_a_halt_of_nobody_is_not_confirmed(rtc: Run) -> None:
+    assert rtc("halt", "C-9999").returncode != 0
+
+
+def test_trace_and_why_tell_the_story(rtc: Run) -> None:
+    number = last_json(rtc("do", "STOW LEFT-ARM", "--json"))["results"][0]["command"]
+    trace, why = rtc("trace", number, "--json"), rtc("why", number)
+
+    nodes = {note.get("node", "") for note in last_json(trace)["notes"]}
+    assert {"parser@0", "elaborator@1", "binder@2"} <= nodes
+    assert why.stdout.startswith(f"{number} was said by the operator: STOW LEFT-ARM")
+    assert "decision: SUCCEEDED" in why.stdout
+
+
+def test_an_unknown_command_is_2_in_one_sentence(rtc: Run) -> None:
+    done = rtc("trace", "C-9999")
+
+    assert done.returncode == 2
+    assert "C-9999" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_status_names_every_worker(rtc: Run) -> None:
+    shown, said = rtc("status"), last_json(rtc("status", "--json"))
+
+    for name in ("parser@0", "elaborator@1", "binder@2", "analyzer@3", "broker", "MCM", "world"):
+        assert name in shown.stdout
+    assert {worker["name"] for worker in said["workers"]} == {"parser@0", "elaborator@1", "binder@2", "analyzer@3"}
+
+
+def test_world_get_list_history_at(rtc: Run) -> None:
+    fact = last_json(rtc("world", "get", "macs_new.frame", "--json"))["facts"][0]
+    history = last_json(rtc("world", "history", "MACS-NEW.frame", "--json"))["facts"]
+    then = last_json(rtc("world", "at", str(fact["version"]), "MACS-NEW.frame", "--json"))["facts"]
+
+    assert fact["validity"] == "valid"
+    assert history[0]["version"] == fact["version"]
+    assert then[0]["value"] == fact["value"]
+    assert "RIGHT-ARM.joints" in rtc("world", "list").stdout
+
+
+def test_an_unknown_place_is_2_and_shows_the_known_ones(rtc: Run) -> None:
+    done = rtc("world", "get", "NOWHERE")
+
+    assert done.returncode == 2
+    assert "MACS-NEW" in done.stderr
+
+
+def test_interrupted_with_nobody_to_ask_the_commands_are_halted(run_dir: Path) -> None:
+    """A HOLD without an end; stdin is no terminal, so Ctrl-C can not be asked about."""
+    words = [*RTC, "do", "HOLD LEFT-ARM", "--run-dir", str(run_dir)]
+    doing = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert doing.stdout is not None
+    for line in doing.stdout:
+        if "executing" in line:
+            break
+    doing.send_signal(signal.SIGINT)
+    _, errors = doing.communicate(timeout=60)
+
+    assert doing.returncode == 3, errors
+    assert "rest confirmed" in errors

@@ -1,0 +1,62 @@
+"""Exit codes and what a refusal looks like."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtc.cli.output import EXIT, exit_code, refusal_lines, seconds
+from rtc.language.parse import default_grammar, parse
+from rtc.outcomes import OutcomeKind, Refusal, RefusalReason
+
+
+@pytest.mark.parametrize(
+    ("kinds", "code"),
+    [
+        ([], 0),
+        ([OutcomeKind.SUCCEEDED], 0),
+        ([OutcomeKind.SUCCEEDED, OutcomeKind.REFUSED], 2),
+        ([OutcomeKind.REFUSED, OutcomeKind.FAILED], 1),
+        ([OutcomeKind.LOST_SUBSYSTEM], 1),
+        ([OutcomeKind.FAILED, OutcomeKind.HALTED, OutcomeKind.REFUSED], 3),
+        ([OutcomeKind.HALT_NOT_CONFIRMED], 3),
+    ],
+)
+def test_the_worst_of_several_decides_the_exit_code(kinds: list[OutcomeKind], code: int) -> None:
+    assert exit_code(kinds) == code
+
+
+def test_every_kind_of_outcome_has_an_exit_code() -> None:
+    assert set(EXIT) == set(OutcomeKind)
+
+
+def test_a_wrong_sentence_has_a_caret_under_the_wrong_word() -> None:
+    text = "STOW LEFT-LEG"
+    refusal = parse(default_grammar(), text)
+    assert isinstance(refusal, Refusal)
+
+    line, caret, *_ = refusal_lines(refusal, text)
+
+    assert line[caret.index("^") :] == "LEFT-LEG"
+
+
+def test_a_refusal_names_the_owner_and_what_would_clear_it() -> None:
+    refusal = Refusal(
+        reason=RefusalReason.RESOURCE,
+        message="RIGHT-ARM is taken",
+        owner="C-3",
+        clears="wait for C-3",
+        detail={"limit_rad": 2.7925268},
+    )
+    assert refusal_lines(refusal) == [
+        "RIGHT-ARM is taken",
+        "owner: C-3",
+        "figures: limit_rad 2.793",
+        "to clear it: wait for C-3",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.00042, "0.42 ms"), (0.0371, "37 ms"), (0.9996, "1000 ms"), (2.154, "2.15 s")]
+)
+def test_durations_are_readable(value: float, text: str) -> None:
+    assert seconds(value) == text

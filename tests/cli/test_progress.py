@@ -1,0 +1,76 @@
+"""The board off a terminal: one line per change, one result per sentence."""
+
+from __future__ import annotations
+
+import io
+
+from rich.console import Console
+
+from rtc import messages as m
+from rtc.cli.progress import Board, print_result
+from rtc.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
+
+
+def plain() -> tuple[Console, io.StringIO]:
+    text = io.StringIO()
+    return Console(file=text, soft_wrap=True, color_system=None), text
+
+
+def ended(outcome: Outcome) -> m.CommandEnded:
+    return m.CommandEnded(seq=1, at_s=0, command="C-7", request="r", text="", outcome=outcome, took_s=2.0)
+
+
+def test_a_change_is_a_line_and_no_change_is_none() -> None:
+    out, text = plain()
+    note = m.ProgressNote(seq=1, at_s=0, command="C-7", phase=m.Phase.EXECUTING, step="1 of 2: go", node="binder@2")
+    with Board(["STOW LEFT-ARM"], out=out) as board:
+        board.accepted(0, "C-7")
+        board.progress(note)
+        board.progress(note)
+        assert board.running == ["C-7"]
+        board.ended(0, ended(Outcome(kind=OutcomeKind.SUCCEEDED, steps_done=2)))
+        assert board.running == []
+
+    lines = text.getvalue().splitlines()
+    assert [line.split(" s  ")[-1] for line in lines] == [
+        "C-7  accepted  STOW LEFT-ARM",
+        "C-7  executing   1 of 2: go  (binder@2, 0.00 ms)",
+        "C-7 SUCCEEDED  STOW LEFT-ARM  (2 steps, 2.00 s)",
+    ]
+
+
+def test_notes_of_other_commands_are_not_shown() -> None:
+    out, text = plain()
+    with Board(["STOW LEFT-ARM"], out=out) as board:
+        board.progress(m.ProgressNote(seq=1, at_s=0, command="C-99", phase=m.Phase.BINDING))
+    assert text.getvalue() == ""
+
+
+def test_a_failure_says_the_step_the_reason_and_the_trims() -> None:
+    out, text = plain()
+    outcome = Outcome(
+        kind=OutcomeKind.FAILED,
+        message="a finger landed on the handle",
+        step="4 of 9: straddle",
+        stop=StopReason.FORCE_LIMIT,
+        trims=["look again"],
+    )
+    print_result(ended(outcome), "GRASP X", out)
+    assert text.getvalue().splitlines() == [
+        "C-7 FAILED  GRASP X  (2.00 s)",
+        "    in step 4 of 9: straddle, stopped by force_limit",
+        "    a finger landed on the handle",
+        "    mended on the way by: look again",
+    ]
+
+
+def test_a_sentence_with_markup_in_it_is_shown_as_it_is() -> None:
+    out, text = plain()
+    refusal = Refusal(reason=RefusalReason.SENTENCE, message="[bold]no[/bold]", column=0)
+    print_result(ended(Outcome(kind=OutcomeKind.REFUSED, refusal=refusal, message=refusal.message)), "[red]X", out)
+    assert text.getvalue().splitlines() == [
+        "C-7 REFUSED  [red]X  (2.00 s)",
+        "      [red]X",
+        "      ^",
+        "    [bold]no[/bold]",
+    ]

@@ -1,0 +1,81 @@
+"""The chain of causes, from the notes of a command."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rtc import messages as m
+from rtc.cli.story import address, as_json, chain
+from rtc.outcomes import Outcome, OutcomeKind, StopReason
+
+
+def note(phase: m.Phase, **fields: Any) -> m.ProgressNote:
+    return m.ProgressNote(seq=1, at_s=10.5, command="C-7", phase=phase, **fields)
+
+
+def failed_in_step_2() -> m.CommandRecord:
+    """As the Decision Unit tells it: what ends a phase bears the phase and the step that follow."""
+    one, two = "1 of 2: go before HANDLE-A", "2 of 2: feel one side"
+    notes = [
+        note(m.Phase.PARSING),
+        note(m.Phase.ELABORATING, node="parser@0", took_s=0.001),
+        note(m.Phase.ELABORATING, node="elaborator@1", took_s=0.002, note="grasp-centering of 2 candidates"),
+        note(m.Phase.BINDING, node="elaborator@1", took_s=0.002, step=one),
+        note(m.Phase.EXECUTING, node="binder@2", took_s=0.02, step=one),
+        note(m.Phase.EXECUTING, node="MCM", step=one, note="started"),
+        note(m.Phase.ANALYZING, node="MCM", took_s=2.5, step=one, note="ended: goal"),
+        note(m.Phase.ANALYZING, node="analyzer@3", took_s=0.001, step=one, note="goal: as expected"),
+        note(m.Phase.BINDING, node="analyzer@3", took_s=0.001, step=two),
+        note(m.Phase.EXECUTING, node="binder@2", took_s=0.01, step=two, note="0.8 s predicted"),
+        note(m.Phase.ANALYZING, node="MCM", took_s=1.0, step=two, note="ended: force_limit"),
+        note(m.Phase.ENDED, node="analyzer@3", took_s=0.001, step=two, note="failed: a finger landed on the handle"),
+    ]
+    outcome = Outcome(kind=OutcomeKind.FAILED, message="a finger landed on the handle", stop=StopReason.FORCE_LIMIT)
+    return m.CommandRecord(
+        command="C-7",
+        text="GRASP MACS-OLD",
+        source="aip",
+        request="r",
+        accepted_at_s=10.0,
+        phase=m.Phase.ENDED,
+        notes=notes,
+        outcome=outcome,
+        ended_at_s=14.0,
+    )
+
+
+def test_a_failure_has_every_link_of_its_last_step_and_one_line_for_the_others() -> None:
+    assert chain(failed_in_step_2()) == [
+        "C-7 was said by the aip: GRASP MACS-OLD",
+        "parsed by parser@0 in 1.00 ms",
+        "planned by elaborator@1 in 2.00 ms: grasp-centering of 2 candidates",
+        "script line 1 of 2: go before HANDLE-A: MCM ended: goal after 2.50 s",
+        "script line 2 of 2: feel one side",
+        "    bound by binder@2 in 10 ms: 0.8 s predicted",
+        "    reported by MCM in 1.00 s: ended: force_limit",
+        "    judged by analyzer@3 in 1.00 ms: failed: a finger landed on the handle",
+    ]
+
+
+def test_a_held_command_says_for_whom_it_waits() -> None:
+    record = m.CommandRecord(
+        command="C-8",
+        text="STOW RIGHT-ARM",
+        source="operator",
+        request="r",
+        accepted_at_s=10.0,
+        phase=m.Phase.HELD,
+        notes=[note(m.Phase.HELD, note="RIGHT-ARM is in use by C-7")],
+    )
+    assert chain(record)[-1] == "held: RIGHT-ARM is in use by C-7"
+
+
+def test_a_worker_has_an_address_in_the_cube_and_a_subsystem_has_none() -> None:
+    assert [address(node) for node in ("binder@2", "parser@4", "MCM", "")] == ["10", "100", "", ""]
+
+
+def test_json_has_times_since_acceptance_and_addresses() -> None:
+    said = as_json(failed_in_step_2())
+    assert said["notes"][4]["since_accept_s"] == 0.5
+    assert said["notes"][4]["address"] == "10"
+    assert said["outcome"]["kind"] == "failed"
