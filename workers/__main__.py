@@ -21,6 +21,7 @@ from rtc.settings import Settings
 from rtc.world.client import WorldClient
 from workers import imports, template
 from workers.shell import Shell
+from workers.warm import Warm
 
 NICENESS = 5  # the broker and the MCM come first
 
@@ -37,11 +38,11 @@ def main() -> None:
     elif given.kind is None or given.node is None:
         parser.error("a worker needs --kind and --node")
     else:
-        work(given.run_dir, given.kind, given.node)
+        work(given.run_dir, given.kind, given.node, Warm())
 
 
-def work(run_dir: Path, kind: WorkerKind, node: int) -> None:
-    """Be one worker until told to end."""
+def work(run_dir: Path, kind: WorkerKind, node: int, warm: Warm) -> None:
+    """Be one worker until told to end. `warm` is what has been made for it already."""
     name = f"{kind}@{node}"
     with process.start(name, run_dir) as me:
         process.nice(NICENESS)
@@ -52,7 +53,7 @@ def work(run_dir: Path, kind: WorkerKind, node: int) -> None:
         socket = me.socket(zmq.DEALER, settings.endpoint("workers"), identity=name)
         world = WorldClient(settings.endpoint("world"), me.context)
         hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid())
-        shell = Shell(me, hello, function, socket, world, _models_of)
+        shell = Shell(me, hello, function, socket, world, _models_of, warm.programs.get(kind, {}), warm.cells)
         process.freeze_heap()
         gc.set_threshold(50_000, 20, 20)  # jobs leave little behind; a collection in one would only delay it
         me.ready()

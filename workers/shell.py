@@ -14,7 +14,8 @@ from __future__ import annotations
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import msgspec
@@ -75,7 +76,8 @@ class Stopped(Exception):
 
 
 class Shell:
-    """One worker. `socket` is its DEALER to the broker; `build_cell` makes the models of a cell."""
+    """One worker. `socket` is its DEALER to the broker; `build_cell` makes the models of a cell; `programs` and `cells`
+    are made already, by digest."""
 
     def __init__(
         self,
@@ -85,6 +87,8 @@ class Shell:
         socket: zmq.Socket[bytes],
         world: WorldClient,
         build_cell: Callable[[Cell], Any],
+        programs: Mapping[str, Any] = MappingProxyType({}),
+        cells: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         self._me, self._hello, self._function = me, hello, function
         self._socket = socket
@@ -96,8 +100,8 @@ class Shell:
         self._slow_s = 1.0  # how long jobs lately took, at worst; forgets slowly
         self._wanted = ""  # the digest being waited for, and what has come for it
         self._came: list[bytes | None] = []
-        self._programs = Kept(function.compile)
-        self._cells = Kept(lambda body: build_cell(Cell.from_bytes(body)))
+        self._programs = Kept(function.compile, programs)
+        self._cells = Kept(lambda body: build_cell(Cell.from_bytes(body)), cells)
         self._view = WorldView(world)
         self._retiring = False
         self._heartbeat = Every(HEARTBEAT_S)
@@ -257,8 +261,8 @@ class Shell:
 class Kept(dict[str, Any]):
     """What was made from a body, by digest: the last KEPT ones. One that does not check is kept as its Refusal."""
 
-    def __init__(self, maker: Callable[[bytes], Any]) -> None:
-        super().__init__()
+    def __init__(self, maker: Callable[[bytes], Any], made: Mapping[str, Any]) -> None:
+        super().__init__(made)
         self._maker = maker
 
     def make(self, digest: str, body: bytes) -> None:

@@ -1,9 +1,9 @@
-"""The template of all workers: one process that has imported what every kind needs, and forks into a worker on demand.
+"""The template of all workers: one process that has imported and built what every kind needs, and forks on demand.
 
-Importing the robot libraries costs a second or two of processor time; a fork costs milliseconds. So a cluster of many
-workers starts as quickly as one of few, a killed worker is back at once, and all share the libraries' memory. It holds
-no socket of the cluster, no thread and no state: losing it costs nothing but time (the supervisor then starts workers
-by themselves).
+Importing the robot libraries and building a cell's models costs seconds of processor time, a fork milliseconds. So a
+cluster of many workers starts as quickly as one of few, a killed worker is back at once, and all share the libraries'
+memory. It holds no socket of the cluster, no thread and no state: losing it costs nothing but time (the supervisor then
+starts workers by themselves).
 
 Orders come on stdin, a Unix socket of whole messages: {"kind", "node"} with two file descriptors, the worker's stdout
 and stderr; the answer is the worker's pid. The worker becomes a child of whoever started the template, who must be a
@@ -18,7 +18,7 @@ import socket
 import sys
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
@@ -26,11 +26,11 @@ import msgspec
 
 from rtc import process
 from rtc.messages import WorkerKind
-from workers import imports
+from workers.warm import Warm, warm
 
 ADOPTION_LIMIT_S = 5.0
 
-Work = Callable[[Path, WorkerKind, int], None]
+Work = Callable[[Path, WorkerKind, int, Warm], None]
 
 
 class Order(msgspec.Struct, frozen=True):
@@ -38,14 +38,10 @@ class Order(msgspec.Struct, frozen=True):
     node: int
 
 
-MODULES = (*WorkerKind, "cell_model")
-
-
-def serve(run_dir: Path, work: Work, modules: Sequence[str] = MODULES) -> None:
-    """Import, say ready, then fork as ordered, until the other end is closed."""
+def serve(run_dir: Path, work: Work, prepare: Callable[[Path], Warm] = warm) -> None:
+    """Prepare, say ready, then fork as ordered, until the other end is closed."""
     process.log_to_stderr()
-    for module in modules:
-        imports.load(module)
+    prepared = prepare(run_dir)
     process.freeze_heap()  # what is collected later would be copied in every worker
     print("ready", flush=True)
     supervisor = os.getppid()
@@ -55,7 +51,11 @@ def serve(run_dir: Path, work: Work, modules: Sequence[str] = MODULES) -> None:
         if not message:
             return
         order = msgspec.json.decode(message, type=Order)
-        pid = _fork_away(lambda: _become(order, fds, orders, supervisor, run_dir, work))  # noqa: B023
+
+        def be_worker() -> None:
+            work(run_dir, order.kind, order.node, prepared)  # noqa: B023
+
+        pid = _fork_away(lambda: _become(order, fds, orders, supervisor, be_worker))  # noqa: B023
         for fd in fds:
             os.close(fd)
         orders.send(str(pid).encode())
@@ -81,7 +81,7 @@ def _fork_away(child: Callable[[], NoReturn]) -> int:
 
 
 def _become(
-    order: Order, fds: list[int], orders: socket.socket, supervisor: int, run_dir: Path, work: Work
+    order: Order, fds: list[int], orders: socket.socket, supervisor: int, be_worker: Callable[[], None]
 ) -> NoReturn:
     """The worker's life, from a fork of the template to its end."""
     status = 1
@@ -97,7 +97,7 @@ def _become(
         process.show_name(f"{order.kind}@{order.node}")
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)
-        work(run_dir, order.kind, order.node)
+        be_worker()
         status = 0
     except BaseException:
         traceback.print_exc()

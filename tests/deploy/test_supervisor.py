@@ -242,13 +242,13 @@ TEMPLATE = """
 import os, signal, sys
 from pathlib import Path
 from workers.template import serve
-def work(run_dir, kind, node):
+def work(run_dir, kind, node, warm):
     print(f"{kind}@{node} of {os.getppid()}", file=sys.stderr, flush=True)
     if node == 7:
         raise ZeroDivisionError("a bug")
     print("ready", flush=True)
     signal.pause()
-serve(Path("."), work, modules=())
+serve(Path("."), work, prepare=lambda run_dir: None)
 """
 
 

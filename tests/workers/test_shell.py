@@ -159,7 +159,7 @@ def at(tmp_path, world):
     client = WorldClient(world, process.context)
     function = Function()
     function.socket = socket
-    shell = Shell(process, HELLO, function, socket, client, lambda cell: None)
+    shell = Shell(process, HELLO, function, socket, client, lambda cell: None, {"made": "v0"})
     thread = threading.Thread(target=shell.run)
     thread.start()
     assert broker.hear() == HELLO
@@ -191,6 +191,12 @@ def test_a_program_is_fetched_and_compiled_once(at):
     at.broker.provide(b"v2")
     at.broker.results(1)
     assert at.function.compiled == [b"v1", b"v2"]
+
+
+def test_a_program_that_was_made_before_is_not_fetched(at):
+    at.broker.give("seat A.seat", program="made")
+    (done,) = at.broker.results(1)
+    assert (value(done)[0], at.function.compiled) == ("v0", [])
 
 
 def test_a_program_that_does_not_check_is_refused_each_time_and_compiled_once(at):
