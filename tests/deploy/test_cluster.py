@@ -1,0 +1,161 @@
+"""Whole clusters, as the command line starts and ends them: real processes, the exact arm without physics."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import zmq
+
+from deploy import cluster
+from rtc.outcomes import ClusterError, NoCluster
+
+pytestmark = pytest.mark.slow
+
+LIMIT_S = 60.0
+NAMES = ["template", "broker", "world", "MCM", "parser@0", "elaborator@1", "binder@2", "analyzer@3"]
+
+
+def deploy(*arguments, run_dir):
+    command = [sys.executable, "-m", "deploy", *arguments, "--run-dir", str(run_dir)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
+
+
+def up(run_dir, *more):
+    return deploy("up", "-d", "--mcm", "kinematic", "--speed", "max", *more, run_dir=run_dir)
+
+
+def report(run_dir):
+    return json.loads((run_dir / "supervisor.json").read_text())
+
+
+def rows(run_dir):
+    return {row["name"]: row for row in report(run_dir)["processes"]}
+
+
+def gone(pids):
+    """Wait until none of these processes is left."""
+    for pid in pids:
+        try:
+            fd = os.pidfd_open(pid)
+        except ProcessLookupError:
+            continue
+        poller = zmq.Poller()
+        poller.register(fd, zmq.POLLIN)
+        ended = poller.poll(10_000)
+        os.close(fd)
+        assert ended, f"process {pid} is still there"
+
+
+def ready_again(run_dir, name, old_pid):
+    """The row of a process once it runs anew; the supervisor's report is replaced at every change."""
+    end = os.times().elapsed + LIMIT_S
+    while os.times().elapsed < end:
+        row = rows(run_dir)[name]
+        if row["pid"] != old_pid and row["state"] == "ready":
+            return row
+        zmq.Poller().poll(10)  # leave the processor to those we wait for
+    raise AssertionError(f"{name} did not come back")
+
+
+@pytest.fixture
+def run_dir(tmp_path_factory):
+    path = tmp_path_factory.mktemp("c", numbered=True)
+    yield path
+    deploy("down", run_dir=path)
+
+
+def test_up_work_down_and_again(run_dir):
+    for _ in range(2):
+        started = up(run_dir)
+        assert started.returncode == 0, started.stdout + started.stderr
+        assert [line.split()[0] for line in started.stdout.splitlines()[-1:]] == ["ready"]
+        said = report(run_dir)
+        assert sorted(rows(run_dir)) == sorted(NAMES)
+        pids = [said["pid"], *(row["pid"] for row in said["processes"])]
+        ended = deploy("down", run_dir=run_dir)
+        assert (ended.returncode, str(said["pid"]) in ended.stdout) == (0, True)
+        gone(pids)
+        assert list(run_dir.glob("*.sock")) == []
+        assert not (run_dir / "supervisor.json").exists()
+    assert {"world.db", "journal.db", "logs"} <= {path.name for path in (run_dir / "previous").iterdir()}
+
+
+def test_down_without_a_cluster_is_what_was_wanted(run_dir):
+    ended = deploy("down", run_dir=run_dir)
+    assert (ended.returncode, ended.stdout.strip()) == (0, f"no cluster is running in {run_dir}")
+    with pytest.raises(NoCluster):
+        cluster.down(run_dir / "nowhere")
+
+
+def test_a_second_cluster_in_the_directory_is_refused_and_the_first_unharmed(run_dir):
+    assert up(run_dir).returncode == 0
+    before = report(run_dir)
+    second = up(run_dir)
+    assert second.returncode == 1
+    assert f"already running in {run_dir}: supervisor pid {before['pid']}" in second.stdout + second.stderr
+    assert report(run_dir) == before
+    assert (run_dir / "front.sock").exists()
+
+
+def test_any_process_killed_comes_back_and_nothing_outlives_a_killed_supervisor(run_dir):
+    assert up(run_dir).returncode == 0
+    for name in NAMES:
+        pid = rows(run_dir)[name]["pid"]
+        os.kill(pid, signal.SIGKILL)
+        assert ready_again(run_dir, name, pid)["restarts"] == 1
+    pids = [row["pid"] for row in rows(run_dir).values()]
+    os.kill(report(run_dir)["pid"], signal.SIGKILL)
+    gone(pids)
+    # Given: a dead cluster's files lie about. When: a new one is started there
+    again = up(run_dir)
+    assert again.returncode == 0, again.stdout + again.stderr
+    assert {row["restarts"] for row in rows(run_dir).values()} == {0}
+
+
+def test_two_clusters_are_independent(run_dir, tmp_path):
+    assert up(run_dir).returncode == 0
+    assert up(tmp_path, "--dim", "3").returncode == 0
+    assert len(rows(tmp_path)) == 4 + 8
+    assert report(run_dir)["cluster"] != report(tmp_path)["cluster"]
+    deploy("down", run_dir=tmp_path)
+    assert {row["state"] for row in rows(run_dir).values()} == {"ready"}
+    assert deploy("down", run_dir=run_dir).returncode == 0
+
+
+def test_a_bad_cell_is_told_in_the_first_line_that_matters(run_dir):
+    failed = up(run_dir, "--cell", "moon-base")
+    assert failed.returncode == 1
+    assert "no cell moon-base" in failed.stdout + failed.stderr
+    assert not (run_dir / "supervisor.json").exists()
+
+
+def test_a_foreground_cluster_ends_at_ctrl_c(run_dir):
+    command = [sys.executable, "-m", "deploy", "up", "--mcm", "kinematic", "--run-dir", str(run_dir)]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert any(line.startswith("ready in") for line in running.stdout)
+    pids = [row["pid"] for row in rows(run_dir).values()]
+    running.send_signal(signal.SIGINT)
+    running.communicate(timeout=LIMIT_S)
+    assert running.returncode == 0
+    gone(pids)
+
+
+def test_a_run_directory_too_deep_for_sockets_is_refused(tmp_path):
+    failed = up(tmp_path / ("d" * 100))
+    assert failed.returncode == 1
+    assert "too long for sockets" in failed.stdout + failed.stderr
+
+
+def test_a_settings_file_of_old_does_not_matter(run_dir):
+    Path(run_dir, "settings.json").write_text("not json")
+    Path(run_dir, "supervisor.json").write_text('{"pid": 1}')
+    with pytest.raises(NoCluster):
+        cluster.down(run_dir)
+    with cluster._lock(run_dir), pytest.raises(ClusterError, match="just starting or ending"), cluster._lock(run_dir):
+        pass
