@@ -126,16 +126,26 @@ def _search(script: ScriptFile, at: Situation, lines: dict[str, Start]) -> Solve
         return _unreachable(script, at, lines, setting)
     notes: list[str] = []
     first: Refusal | None = None
-    for detours in (False, True):
-        for n, joints in enumerate(ways[: MOST_DETOURED if detours else None], 1):
-            problem = _try(script, at, lines, joints, setting, detours)
-            what = f"way {n} of {len(ways)}" + (" with detours" if detours else "")
-            if problem is None:
-                return joints, [*notes, f"generated {what}; tested: free"] if script.plan else []
-            notes.append(f"{'modified' if notes else 'generated'}: {what}; tested: {problem.message}")
-            first = first or problem
+    for n, joints, detours in _order(ways):
+        problem = _try(script, at, lines, joints, setting, detours)
+        what = f"way {n} of {len(ways)}" + (" with detours" if detours else "")
+        if problem is None:
+            return joints, [*notes, f"generated {what}; tested: free"] if script.plan else []
+        notes.append(f"generated {what}; tested: {problem.message}")
+        first = first or problem
     assert first is not None
     return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))})
+
+
+def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, list[float]], bool]]:
+    """(number, way, with detours?): the nearest way with a detour is better than one that turns the arm inside out;
+    but detours are dear to try, so what is direct and near comes before them."""
+    numbered = list(enumerate(ways, 1))
+    head, tail = numbered[:MOST_DETOURED], numbered[MOST_DETOURED:]
+    yield from ((n, way, False) for n, way in head)
+    yield from ((n, way, True) for n, way in head[:1])
+    yield from ((n, way, False) for n, way in tail)
+    yield from ((n, way, True) for n, way in head[1:])
 
 
 def _setting(at: Situation) -> Setting:

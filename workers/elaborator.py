@@ -78,7 +78,7 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
         problem = reflexes.unrealised(reflex)
         if problem is not None:
             return problem
-    situations = _situations(program, parsed, limits, Belief(cell, world))
+    situations = _situations(compiled, parsed, limits, Belief(cell, world))
     if isinstance(situations, Refusal):
         return situations
     candidates = _ranked(branches, situations)
@@ -92,11 +92,9 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
 # --- what is meant -----------------------------------------------------------------------------------------
 
 
-def _situations(
-    program: ElaboratorProgram, parsed: ParsedCommand, limits: Limits, belief: Belief
-) -> list[Situation] | Refusal:
+def _situations(compiled: Compiled, parsed: ParsedCommand, limits: Limits, belief: Belief) -> list[Situation] | Refusal:
     """Every arm and grasp point the sentence leaves open, nearest first."""
-    cell = belief.cell
+    cell, program = belief.cell, compiled.program
     thing: cells.Object | None = None
     if parsed.object is not None:
         found = _part(cell.objects, parsed.object, "object")
@@ -110,7 +108,7 @@ def _situations(
             return seat
         target = seat
     arms = _arms(parsed, belief, thing)
-    points = arms if isinstance(arms, Refusal) else _points(parsed, thing)
+    points = arms if isinstance(arms, Refusal) else _points(compiled, parsed, thing)
     if isinstance(arms, Refusal) or isinstance(points, Refusal):
         return arms if isinstance(arms, Refusal) else points  # type: ignore[return-value]
     situations = []
@@ -145,8 +143,12 @@ def _arms(parsed: ParsedCommand, belief: Belief, thing: cells.Object | None) -> 
     return [arm for arm in cell.arms if not holder or arm.name == holder]
 
 
-def _points(parsed: ParsedCommand, thing: cells.Object | None) -> list[cells.GraspPoint | None] | Refusal:
-    if thing is None:
+def _points(
+    compiled: Compiled, parsed: ParsedCommand, thing: cells.Object | None
+) -> list[cells.GraspPoint | None] | Refusal:
+    """The one that is named; else all; none when no script of the verb takes hold anywhere."""
+    scripts = [compiled.scripts[b.script] for b in compiled.program.decision_tree if b.verb == parsed.verb]
+    if thing is None or not any("grasp_point" in script.uses for script in scripts):
         return [None]
     if parsed.grasp_point is None:
         return [*thing.grasp_points] or [None]
