@@ -12,7 +12,6 @@ from typing import Any
 import zmq
 
 from rtc import process, wire
-from rtc.cell import Cell
 from rtc.messages import ToWorld
 from rtc.outcomes import WireError
 from rtc.process import Process, inbox, now_s, send
@@ -34,14 +33,20 @@ def main() -> None:
         settings = Settings.load(run_dir)
         store = Store(run_dir / FILE)
         if store.version == 0:
-            store.write("cell", initial_facts(Cell.load(settings.cell)), source="cell", at_s=now_s())
-            store.save()
+            _begin(store, settings)
         socket = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True)
         server = Server(store, (run_dir / lease.KEY_FILE).read_bytes())
         process.freeze_heap()
         me.ready()
         serve(me, socket, server)
         store.close()
+
+
+def _begin(store: Store, settings: Settings) -> None:
+    from rtc.cell import Cell  # brings numpy; a restart, which should be quick, does without
+
+    store.write("cell", initial_facts(Cell.load(settings.cell)), source="cell", at_s=now_s())
+    store.save()
 
 
 def serve(me: Process, socket: zmq.Socket[bytes], server: Server) -> None:

@@ -10,10 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rtc.cell import Cell
 from rtc.messages import Fact, Validity, View, WorldChange
+
+if TYPE_CHECKING:
+    from rtc.cell import Cell  # brings numpy, which a restarted world database has no use for
 
 UNIT_TOLERANCE = 1e-4  # how far from 1 the length of a pose's quaternion may be
 MAX_DEPTH = 8  # of lists in lists, in values of attributes that have no row below
