@@ -215,11 +215,22 @@ def _state(now: Motion, acceleration: float, jerk: float) -> ruckig.InputParamet
 
 
 def _solve(wanted: ruckig.InputParameter) -> ruckig.Trajectory:
+    """A stop must always be found. Ruckig's solver loses rare states to rounding; other limits, a per mille harder, or
+    joints that stop each in its own time, are found instead."""
     dof = wanted.degrees_of_freedom
-    way = ruckig.Trajectory(dof)
-    result = ruckig.Ruckig(dof).calculate(wanted, way)
-    assert result in (ruckig.Result.Working, ruckig.Result.Finished), f"ruckig: {result} for {wanted}"
-    return way
+    for harder in (1.0, 1.001, 1.003, 1.01, 1.03, 1.1):
+        wanted.max_acceleration = [a * harder for a in wanted.max_acceleration]
+        wanted.max_jerk = [j * harder for j in wanted.max_jerk]
+        for synchronization in (wanted.synchronization, ruckig.Synchronization.No):
+            wanted.synchronization = synchronization
+            way = ruckig.Trajectory(dof)
+            try:
+                result = ruckig.Ruckig(dof).calculate(wanted, way)
+            except ruckig.RuckigError:
+                continue
+            if result in (ruckig.Result.Working, ruckig.Result.Finished):
+                return way
+    raise AssertionError(f"ruckig finds no way to rest from {wanted}")
 
 
 def _rest_after(way: ruckig.Trajectory, time_s: float) -> Motion:
