@@ -34,6 +34,8 @@ from rtc.process import Every, Process, adopt_orphans, inbox, now_s, send
 START_LIMIT_S = 30.0  # until every process is ready
 END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL
 TABLE_S = 2.0
+TEMPLATE_PATIENCE_S = 10.0
+FORK_AGAIN_S = 0.05  # after which a killed template is known to be dead
 
 
 class Supervisor:
@@ -130,7 +132,8 @@ class Supervisor:
     def _patience_s(self) -> float:
         """Until the next thing that happens by the clock."""
         now = now_s()
-        starts = (c.start_at_s - now for c in self._children.values() if c.state == State.WAITING)
+        waiting = (c for c in self._children.values() if c.state == State.WAITING and not self._awaits_template(c))
+        starts = (c.start_at_s - now for c in waiting)
         kills = (c.kill_at_s - now for c in self._children.values() if c.state == State.ENDING)
         return max(0.0, min(self._table.left_s(now), *starts, *kills, 3600.0))
 
@@ -141,9 +144,12 @@ class Supervisor:
                 self._changed()
 
     def _awaits_template(self, child: Child) -> bool:
-        """When the cluster starts, waiting for the template is quickest; later nothing waits for it."""
+        """One that starts by itself takes as long as a template that starts, and takes the processor from it. So
+        workers wait for it, unless it has been given up or takes suspiciously long."""
         template = self._children.get(child.spec.template)
-        return not self._up and template is not None and template.state != State.READY
+        if template is None or template.state in (State.READY, State.FAILED):
+            return False
+        return not self._up or now_s() - template.since_s < TEMPLATE_PATIENCE_S
 
     def _kill_impatiently(self) -> None:
         for child in self._children.values():
@@ -155,22 +161,27 @@ class Supervisor:
 
     def _spawn(self, child: Child) -> None:
         template = self._children.get(child.spec.template)
-        line = template.line if template is not None and template.state == State.READY else None
+        forks = template if template is not None and template.state == State.READY else None
         try:
-            try:
-                child.start(line)
-            except OSError as error:
-                if line is None:
-                    raise
-                self._say(f"the template does not fork {child.spec.name} ({error}): starting it by itself")
-                assert template is not None
-                template.signal(signal.SIGKILL)  # whatever it does now, no order will find it half-way through another
-                child.start()
+            child.start(forks.line if forks else None)
         except OSError as error:
-            raise ClusterError(f"{child.spec.name} cannot be started: {error}") from error
+            self._not_started(child, forks, error)
+            return
         for fd in (child.exited_fd, child.output_fd):
             self._by_fd[fd] = child
             self._me.poller.register(fd, zmq.POLLIN)
+
+    def _not_started(self, child: Child, template: Child | None, error: OSError) -> None:
+        name = child.spec.name
+        if template is not None:
+            self._say(f"the template does not fork {name} ({error}); killing it")
+            template.signal(signal.SIGKILL)  # it may be half-way through the order: the next one shall not find it so
+            child.start_at_s = now_s() + FORK_AGAIN_S
+        elif not self._up:
+            raise ClusterError(f"{name} cannot be started: {error}") from error
+        else:
+            child.deaths.append(Death(now_s(), was_ready=False))
+            self._mourn(child, f"{name} cannot be started: {error}", delay_s(self._policy, child.deaths))
 
     def _heard(self, child: Child) -> None:
         said = child.heard_ready()
@@ -205,10 +216,9 @@ class Supervisor:
         self._tell(ProcessExited(name=name, pid=pid, status=status, restarting=delay is not None))
         if not self._up:
             raise ClusterError(f"{name} {in_words(status)} before the cluster was ready.\n{_log_of(child)}")
-        self._mourn(child, status, delay)
+        self._mourn(child, f"{name} {in_words(status)}", delay)
 
-    def _mourn(self, child: Child, status: int, delay: float | None) -> None:
-        what = f"{child.spec.name} {in_words(status)}"
+    def _mourn(self, child: Child, what: str, delay: float | None) -> None:
         if delay is None:
             child.become(State.FAILED)
             self._say(f"{what}; given up after {len(child.deaths)} deaths, see {child.log}")

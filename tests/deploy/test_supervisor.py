@@ -44,7 +44,7 @@ def spec(name, code, node=None):
 class Cluster:
     """A supervisor at work in a thread, the broker it talks to, and what it said and saved."""
 
-    def __init__(self, path, specs, policy=DEFAULT):
+    def __init__(self, path, specs, policy=DEFAULT, new_worker=None):
         self.lines, self.saved = [], []
         self.broker_process = Process("broker", path)
         endpoint = f"ipc://{path}/supervisor.sock"
@@ -57,7 +57,7 @@ class Cluster:
             path,
             endpoint,
             pid=os.getpid(),
-            new_worker=lambda address: spec(f"new@{address}", GOOD, address),
+            new_worker=new_worker or (lambda address: spec(f"new@{address}", GOOD, address)),
             say=self.lines.append,
             save=self.saved.append,
             policy=policy,
@@ -285,17 +285,34 @@ def test_a_bug_in_a_forked_worker_is_in_its_log_and_its_status(cluster, tmp_path
     it.supervisor.stop()
 
 
-def test_without_the_template_workers_start_by_themselves_and_it_comes_back(cluster):
+def test_a_template_that_does_not_answer_is_replaced_and_then_forks_the_worker(cluster):
     it = cluster(forked("binder@2"), template()).go()
     table = it.hear_table(lambda t: True)
     os.kill(table["template"]["pid"], signal.SIGSTOP)  # it is there, but answers nobody
     os.kill(table["binder@2"]["pid"], signal.SIGKILL)
-    now = it.hear_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 1)
-    assert b"signal.pause()" in command_line(now["binder@2"]["pid"])
-    back = it.hear_table(lambda t: t["template"]["state"] == "ready" and t["template"]["restarts"] == 1)
-    os.kill(back["binder@2"]["pid"], signal.SIGKILL)
-    last = it.hear_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 2)
-    assert b"workers.template" in command_line(last["binder@2"]["pid"])
+    back = it.hear_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 1)
+    assert back["template"]["restarts"] == 1
+    assert b"workers.template" in command_line(back["binder@2"]["pid"])
+
+
+def test_without_a_template_workers_start_by_themselves(cluster):
+    it = cluster(template(), policy=Policy(deaths=1), new_worker=lambda address: forked(f"new@{address}")).go()
+    table = it.hear_table(lambda t: True)
+    os.kill(table["template"]["pid"], signal.SIGKILL)
+    it.hear_table(lambda t: t["template"]["state"] == "failed")
+    it.say(SpawnWorker(kind=WorkerKind.PARSER))
+    now = it.hear_table(lambda t: t.get("new@0", {}).get("state") == "ready")
+    assert b"signal.pause()" in command_line(now["new@0"]["pid"])
+
+
+def test_what_cannot_be_run_later_is_given_up_and_the_rest_goes_on(cluster):
+    lost = Spec("new@0", ("/no/such/program",), 0)
+    it = cluster(spec("world", GOOD), policy=Policy(unready_deaths=2), new_worker=lambda address: lost).go()
+    it.hear_table(lambda t: True)
+    it.say(SpawnWorker(kind=WorkerKind.PARSER))
+    table = it.hear_table(lambda t: t.get("new@0", {}).get("state") == "failed")
+    assert table["world"]["state"] == "ready"
+    assert "given up after 2 deaths" in it.lines[-1]
 
 
 def test_a_long_log_is_put_aside(tmp_path, monkeypatch):
