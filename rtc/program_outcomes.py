@@ -43,12 +43,14 @@ def row_of(step: Named) -> str:
 
 
 def outcomes(elaborator_program: bytes, binder_program: bytes, analyzer_program: bytes, script: str) -> list[Outcome]:
-    """One row for each (step, stop reason) of a script and of its trims. Raises ProgramError: no such script, or a cell
-    is empty."""
+    """One row for each (step, stop reason) of a script, by its name or its verb, and of its trims. Raises ProgramError:
+    no such script, or a cell is empty."""
     elaborator = decode(elaborator_program, ElaboratorProgram)
     binder = decode(binder_program, BinderProgram)
     analyzer = decode(analyzer_program, AnalyzerProgram)
-    found = next((s for s in elaborator.scripts if s.script == script), None)
+    rows = sorted((b for b in elaborator.decision_tree if b.verb == script.upper()), key=lambda b: -b.likelihood)
+    names = [script.lower(), *(branch.script for branch in rows)]
+    found = next((s for name in names for s in elaborator.scripts if s.script == name), None)
     if found is None:
         raise ProgramError(f"no script {script}; there are {', '.join(s.script for s in elaborator.scripts)}")
     return list(_rows(found, elaborator, binder, analyzer))

@@ -249,11 +249,11 @@ def _script(
     planned = plan(script, at)
     if isinstance(planned, Refusal):
         return planned
-    trims = _trims(compiled, script, at)
-    if isinstance(trims, Refusal):
-        return trims
-    entries, left_out = trims
     try:
+        trims = _trims(compiled, script, at)
+        if isinstance(trims, Refusal):
+            return trims
+        entries, left_out = trims
         steps = [_step(step, at, entries, nominal=True) for step in script.steps]
     except expressions.ExpressionError as error:
         return Refusal(reason=RefusalReason.PROGRAM, message=f"{script.script}: {error}", where=script.script)

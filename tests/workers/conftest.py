@@ -1,0 +1,277 @@
+"""The loop of the paper (L148-167) in memory: the real three workers, and a subsystem to report to them.
+
+`Reporter` makes perfect reports from geometry alone, for pure tests in milliseconds; `Kinematic` is the MCM's own
+executor over arms that follow exactly. The same tests run on both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rtc import geometry, program
+from rtc.cell import Cell
+from rtc.language.record import ParsedCommand
+from rtc.messages import (
+    AnalyzerInput,
+    Assessment,
+    BinderInput,
+    Binding,
+    BoundStep,
+    ElaboratorInput,
+    EndReport,
+    Script,
+    Step,
+    Validity,
+    WorldChange,
+)
+from rtc.outcomes import Refusal, StopReason
+from rtc.primitive import ForceAbove, HandMotion, HoldStill, JointTrajectory, Primitive
+from rtc.world.model import World, initial_facts
+from sim_mcm.executor import Executor
+from sim_mcm.kinematic_arm import KinematicCell
+from workers import analyzer, binder, elaborator, parser
+from workers.cell_model import CellModel
+
+CELL = Cell.load("swapout")
+MODEL = CellModel(CELL)
+GRAMMAR = program.default("parser").decode()
+NOMINAL = 0
+MOST_TRIMS = 6
+
+
+def record(sentence: str) -> ParsedCommand:
+    parsed = parser.parse_job(GRAMMAR, sentence)
+    assert isinstance(parsed, ParsedCommand), parsed
+    return parsed
+
+
+class Reporter:
+    """Says what a perfect arm would say, from where things truly are. Of what is there it knows one object's bar."""
+
+    def __init__(self) -> None:
+        self.poses = {thing.name: CELL.object_pose(thing.name) for thing in CELL.objects}
+        self.joints = {arm.name: np.array(arm.home_rad) for arm in CELL.arms}
+        self.widths = {arm.name: arm.gripper.max_opening_m for arm in CELL.arms}
+        self.closes: list[float] = []  # what the next closures come to, instead of the truth
+        self.instead: dict[str, StopReason] = {}  # primitive -> how it ends instead, at its start
+
+    def displace(self, name: str, by: list[float]) -> None:
+        self.poses[name] = geometry.translate(self.poses[name], by)
+
+    def perform(self, made: Primitive, bound: BoundStep) -> EndReport:
+        assert bound.evaluation is not None
+        arm, trajectory = made.performer, made.trajectory
+        reason, pressed = self.instead.get(made.id, StopReason.GOAL), 0.0
+        if reason is StopReason.GOAL and isinstance(trajectory, JointTrajectory):
+            reason = self._move(arm, trajectory, made, bound)
+        elif reason is StopReason.GOAL and isinstance(trajectory, HandMotion):
+            pressed = self._hand(arm, trajectory, bound)
+        else:
+            assert isinstance(trajectory, HoldStill) or made.id in self.instead
+        pose = MODEL.arms[arm].fk(self.joints[arm]).tolist()
+        return EndReport(
+            primitive=made.id,
+            performer=arm,
+            reason=reason,
+            at_s=0.0,
+            duration_s=bound.evaluation.predicted_s,
+            joints=self.joints[arm].tolist(),
+            tcp_pose=pose,
+            wrench=[0.0] * 6,
+            hand_width_m=self.widths[arm],
+            hand_force_n=pressed,
+            trip_pose=pose,
+        )
+
+    def _move(self, arm: str, way: JointTrajectory, made: Primitive, bound: BoundStep) -> StopReason:
+        assert np.allclose(way.positions[0], self.joints[arm], atol=1e-6), "it must begin where the arm is"
+        feels = any(s.reason is StopReason.CONTACT and isinstance(s.when, ForceAbove) for s in made.stop_functions)
+        for before, after in zip(way.positions, way.positions[1:], strict=False):
+            if feels and self._touches(arm, np.array(after), bound) and not self._touches(arm, np.array(before), bound):
+                self.joints[arm] = self._first_touch(arm, np.array(before), np.array(after), bound)
+                return StopReason.CONTACT
+        self.joints[arm] = np.array(way.positions[-1])
+        return StopReason.GOAL
+
+    def _aside(self, arm: str, joints: Any, bound: BoundStep) -> float:
+        """How far the grasp point's bar is from the middle between the fingers (m)."""
+        assert bound.evaluation is not None
+        context = bound.evaluation.context
+        point = CELL.object(context.object).grasp_point(context.grasp_point)
+        true = geometry.compose(self.poses[context.object], point.frame.pose)
+        return abs(float(geometry.relative(true, MODEL.arms[arm].fk(joints))[1]))
+
+    def _touches(self, arm: str, joints: Any, bound: BoundStep) -> bool:
+        assert bound.evaluation is not None
+        context = bound.evaluation.context
+        if not context.object or not context.grasp_point:
+            return False
+        width = CELL.object(context.object).grasp_point(context.grasp_point).width_m
+        return self._aside(arm, joints, bound) > 0.5 * (self.widths[arm] - width)
+
+    def _first_touch(self, arm: str, free: Any, touching: Any, bound: BoundStep) -> Any:
+        for _ in range(20):
+            middle = 0.5 * (free + touching)
+            free, touching = (free, middle) if self._touches(arm, middle, bound) else (middle, touching)
+        return touching
+
+    def _hand(self, arm: str, motion: HandMotion, bound: BoundStep) -> float:
+        assert bound.evaluation is not None
+        context = bound.evaluation.context
+        between = 0.0
+        if motion.width_m == 0.0 and context.object and context.grasp_point:
+            bar = CELL.object(context.object).grasp_point(context.grasp_point).width_m
+            between = bar if self._aside(arm, self.joints[arm], bound) < 0.04 else 0.0
+        elif motion.width_m == 0.0 and bound.evaluation.held:
+            between = self.widths[arm]
+        if motion.width_m == 0.0 and self.closes:
+            between = self.closes.pop(0)
+        self.widths[arm] = max(motion.width_m, between)
+        return motion.force_n if between else 0.0
+
+
+class Kinematic:
+    """The MCM's executor over kinematic arms: the real subsystem, without its socket."""
+
+    def __init__(self) -> None:
+        self.sim = KinematicCell(CELL)
+        self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
+
+    @property
+    def poses(self) -> dict[str, Any]:
+        return self.sim.poses
+
+    def displace(self, name: str, by: list[float]) -> None:
+        assert not self.sim.displace(name, [*by, 0.0, 0.0, 0.0])
+
+    def perform(self, made: Primitive, bound: BoundStep) -> EndReport:
+        said: list[Any] = list(self.executors[made.performer].accept(made, 0.0))
+        for tick in range(int(bound.limit_s * 1000)):
+            ends = [m for m in said if isinstance(m, EndReport)]
+            if ends:
+                return ends[0]
+            self.sim.step()
+            said = [m for executor in self.executors.values() for m in executor.tick(tick * 0.001)]
+        raise AssertionError(f"no end report of {made.id} within {bound.limit_s} s")
+
+
+@dataclass
+class Run:
+    """How one command went."""
+
+    script: Script | None = None
+    refusal: Refusal | None = None
+    labels: list[str] = field(default_factory=list)  # of the steps bound, in order
+    primitives: list[Primitive] = field(default_factory=list)
+    assessments: list[Assessment] = field(default_factory=list)
+    trims: list[int] = field(default_factory=list)
+    bindings: dict[str, Binding] = field(default_factory=dict)
+
+    @property
+    def succeeded(self) -> bool:
+        return self.refusal is None and all(a.verdict != "abort" for a in self.assessments)
+
+    @property
+    def reasons(self) -> list[str]:
+        return [a.reason.value for a in self.assessments]
+
+
+class Bench:
+    """Executes sentences by the loop of the paper, on one subsystem and one world."""
+
+    model = MODEL
+
+    def __init__(self, subsystem: Any) -> None:
+        self.subsystem = subsystem
+        self.world = World().overlay(initial_facts(CELL))
+        self.programs = {kind: program.default(kind) for kind in ("elaborator", "binder", "analyzer")}
+        self.commands = 0
+
+    def load(self, kind: str, text: str, name: str = "test.yaml") -> None:
+        self.programs[kind] = program.merge(kind, self.programs[kind], name, text.encode())
+
+    def told(self, key: str, value: Any, validity: Validity = Validity.VALID) -> None:
+        self.world = self.world.overlay([WorldChange(key=key, value=value, validity=validity)])
+
+    def elaborate(self, sentence: str) -> Script | Refusal:
+        self.commands += 1
+        data = ElaboratorInput(command=f"C-{self.commands}", parsed=record(sentence))
+        return elaborator.run(elaborator.compile(self.programs["elaborator"]), MODEL, self.world, data)
+
+    def bind(self, script: Script, step: Step, bindings: dict[str, Binding] | None = None, n: int = 1) -> Any:
+        given = script.bindings if bindings is None else bindings
+        name = f"C-{self.commands}.{n}"
+        data = BinderInput(primitive_id=name, context=script.context, step=step, bindings=given)
+        return binder.run(binder.compile(self.programs["binder"]), MODEL, self.world, data)
+
+    def analyze(self, bound: BoundStep, report: EndReport, used: list[int] | None = None, closing: bool = False) -> Any:
+        assert bound.evaluation is not None
+        data = AnalyzerInput(evaluation=bound.evaluation, report=report, trims_used=used or [], closing=closing)
+        return analyzer.run(analyzer.compile(self.programs["analyzer"]), MODEL, self.world, data)
+
+    def do(self, sentence: str) -> Run:
+        """WHILE Action_Stack Not_Empty ... (L148-167)."""
+        run = Run()
+        script = self.elaborate(sentence)
+        if isinstance(script, Refusal):
+            run.refusal = script
+            return run
+        run.script, run.bindings = script, dict(script.bindings)
+        trims = {trim.n: trim for trim in script.trims}
+        stack = [(NOMINAL, n) for n in reversed(range(len(script.steps)))]
+        used: dict[tuple[int, int], list[int]] = {}
+        while stack:
+            ref = stack.pop()
+            step = (script.steps if ref[0] == NOMINAL else trims[ref[0]].steps)[ref[1]]
+            bound = self.bind(script, step, run.bindings, n=len(run.labels) + 1)
+            run.labels.append(step.label)
+            if isinstance(bound, Refusal):
+                run.refusal = bound
+                return run
+            run.bindings |= bound.bindings
+            if bound.primitive is None:
+                continue
+            run.primitives.append(bound.primitive)
+            report = self.subsystem.perform(bound.primitive, bound)
+            judged = self.analyze(bound, report, used.get(ref))
+            assert isinstance(judged, Assessment), judged
+            run.assessments.append(judged)
+            self.world = self.world.overlay(judged.changes)
+            run.bindings |= judged.keep
+            if judged.verdict == "abort":
+                return run
+            if judged.verdict == "trim":
+                trim = trims[judged.trim]
+                used.setdefault(ref, []).append(trim.n)
+                run.trims.append(trim.n)
+                assert len(run.trims) <= MOST_TRIMS
+                if trim.then == "retry_step":
+                    stack.append(ref)
+                elif trim.then == "restart_script":
+                    stack = [(NOMINAL, n) for n in reversed(range(len(script.steps)))]
+                    run.bindings = dict(script.bindings)
+                stack += [(trim.n, n) for n in reversed(range(len(trim.steps)))]
+        return run
+
+
+@pytest.fixture
+def bench() -> Bench:
+    """On perfect reports: pure."""
+    return Bench(Reporter())
+
+
+@pytest.fixture(params=["reports", pytest.param("kinematic", marks=pytest.mark.slow)])
+def either(request: pytest.FixtureRequest) -> Bench:
+    """The same on perfect reports, and on the MCM's own executor."""
+    make: dict[str, Callable[[], Any]] = {"reports": Reporter, "kinematic": Kinematic}
+    return Bench(make[request.param]())
+
+
+@pytest.fixture
+def parse() -> Callable[[str], ParsedCommand]:
+    return record

@@ -1,0 +1,359 @@
+"""Steps become primitives: where to, how fast, when to stop; and why not."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from rtc import geometry, program
+from rtc.messages import Binding, BoundStep, Script, Step, Validity
+from rtc.outcomes import ProgramError, Reflex, Refusal, RefusalReason, StopReason
+from rtc.primitive import (
+    BodyTouch,
+    ForceAbove,
+    GoalReached,
+    GripForceBelow,
+    HandMotion,
+    HandWidthBelow,
+    HoldStill,
+    JointTrajectory,
+    TimeAbove,
+)
+from workers import binder
+
+
+def bound_to(bench, sentence: str, to: str) -> tuple[Script, BoundStep]:
+    script = bench.elaborate(sentence)
+    assert isinstance(script, Script), script
+    step = next(s for s in script.steps if to in (s.to, s.op, s.name))
+    bound = bench.bind(script, step)
+    assert isinstance(bound, BoundStep), bound
+    return script, bound
+
+
+def stops(bound: BoundStep) -> dict[StopReason, object]:
+    assert bound.primitive is not None
+    return {stop.reason: stop.when for stop in reversed(bound.primitive.by_priority())}
+
+
+def refused(bench, sentence: str, to: str) -> Refusal:
+    script = bench.elaborate(sentence)
+    assert isinstance(script, Script), script
+    made = bench.bind(script, next(s for s in script.steps if to in (s.to, s.op, s.name)))
+    assert isinstance(made, Refusal), made
+    return made
+
+
+# --- P -----------------------------------------------------------------------------------------------------
+
+
+def test_a_motion_starts_where_the_arm_is_and_ends_at_its_goal(bench):
+    script, bound = bound_to(bench, "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", "JAP")
+    way = bound.primitive.trajectory
+
+    assert isinstance(way, JointTrajectory)
+    assert way.positions[0] == pytest.approx(bench.world.value("RIGHT-ARM.joints"))
+    assert way.positions[-1] == pytest.approx(script.bindings["JAP"].joints)
+    assert bound.subsystem == "MCM"
+    assert bound.primitive.performer == "RIGHT-ARM"
+    assert bound.evaluation.predicted_s == pytest.approx(way.duration_s)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "most_m_s"),
+    [
+        ("MOVE RIGHT-ARM TO BAY-2-FRONT", 0.25),
+        ("MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SPEED 8 CM/S", 0.08),
+        ("MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SPEED 20 PERCENT", 0.05),
+        ("MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SPEED 2 M/S", 0.25),
+    ],
+)
+def test_the_hand_keeps_its_speed(bench, sentence, most_m_s):
+    _, bound = bound_to(bench, sentence, "GOAL")
+    arm, way = bench.model.arms["RIGHT-ARM"], bound.primitive.trajectory
+
+    speeds = [
+        float(np.linalg.norm((arm.jacobian(q) @ np.array(v))[:3]))
+        for q, v in zip(way.positions, way.velocities, strict=True)
+    ]
+
+    assert max(speeds) <= most_m_s * 1.02
+    assert max(speeds) > most_m_s * 0.8
+
+
+def test_a_step_from_here_goes_along_its_axis(bench):
+    _, bound = bound_to(bench, "MOVE RIGHT-ARM BY 5 CM ALONG DOWN", "HERE")
+    arm = bench.model.arms["RIGHT-ARM"]
+    poses = [arm.fk(q) for q in bound.primitive.trajectory.positions]
+
+    assert poses[-1][:3] - poses[0][:3] == pytest.approx([0.0, 0.0, -0.05], abs=1e-5)
+    assert max(geometry.distance(p, [*poses[0][:2], p[2]]) for p in poses) < 1e-4  # straight
+    assert geometry.angle(poses[0], poses[-1]) < 1e-4
+
+
+def test_a_step_about_an_axis_turns_the_hand_on_the_spot(bench):
+    _, bound = bound_to(bench, "MOVE RIGHT-ARM BY 20 DEG ALONG TOOL-Z", "HERE")
+    arm = bench.model.arms["RIGHT-ARM"]
+    start, end = (arm.fk(bound.primitive.trajectory.positions[n]) for n in (0, -1))
+
+    assert geometry.distance(start, end) < 1e-4
+    assert geometry.angle(start, end) == pytest.approx(math.radians(20), abs=1e-4)
+
+
+def test_a_parameter_that_is_fixed_is_taken_as_it_is(bench):
+    """R136."""
+    script = bench.elaborate("STOW RIGHT-ARM")
+    given = {"STOWED": Binding(joints=[0.1, 2.3, -2.6, 0.0, 0.3, 0.0])}
+
+    bound = bench.bind(script, script.steps[0], given)
+
+    assert bound.primitive.trajectory.positions[-1] == pytest.approx(given["STOWED"].joints)
+
+
+def test_a_pose_of_an_object_is_bound_where_the_object_is_now(bench):
+    """After a new location of the object the same binding goes elsewhere."""
+    bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM")
+    script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+    before = bench.bind(script, script.steps[7]).evaluation.goal_pose
+    frame = bench.world.value("MACS-NEW.frame")
+    bench.told("MACS-NEW.frame", geometry.translate(frame, [0.0, 0.006, 0.0]).tolist())
+
+    after = bench.bind(script, script.steps[7]).evaluation.goal_pose
+
+    assert np.array(after[:3]) - np.array(before[:3]) == pytest.approx([0.0, 0.006, 0.0], abs=1e-6)
+
+
+def test_the_plan_is_laid_down_anew_when_the_object_has_moved(bench):
+    script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+    step = next(s for s in script.steps if s.name == "grasp_plan")
+    assert bench.bind(script, step).bindings == {}
+    moved = geometry.translate(bench.world.value("MACS-NEW.frame"), [0.0, 0.01, 0.0])
+    bench.told("MACS-NEW.frame", moved.tolist())
+
+    anew = bench.bind(script, step).bindings
+
+    arm = bench.model.arms["RIGHT-ARM"]
+    offset = arm.fk(anew["JAP"].joints)[:3] - arm.fk(script.bindings["JAP"].joints)[:3]
+    assert offset == pytest.approx([0.0, 0.01, 0.0], abs=1e-6)
+
+
+def test_the_middle_of_two_felt_poses(bench):
+    script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+    level = [0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)]
+    given = {
+        "GP1": Binding(pose=[0.65, -0.85, 0.60, *level]),
+        "GP2": Binding(pose=[0.65, -0.91, 0.60, *level]),
+    }
+
+    bound = bench.bind(script, next(s for s in script.steps if s.do == "let"), given)
+
+    assert bound.primitive is None
+    assert bound.bindings["GP"].pose == pytest.approx([0.65, -0.88, 0.60, *level])
+
+
+def test_poses_that_lie_too_far_apart_have_no_middle(bench):
+    """A15: more than 5 degrees is a failure."""
+    script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+    level = geometry.make_pose([0.65, -0.85, 0.6], geometry.LEVEL)
+    tilted = geometry.compose(level, geometry.from_rpy([0, 0, 0], [0, 0, math.radians(6)]))
+    given = {"GP1": Binding(pose=level.tolist()), "GP2": Binding(pose=tilted.tolist())}
+
+    made = bench.bind(script, next(s for s in script.steps if s.do == "let"), given)
+
+    assert made.reason is RefusalReason.INFEASIBLE
+    assert "6.0 deg apart" in made.message
+
+
+def test_hands(bench):
+    _, opened = bound_to(bench, "OPEN RIGHT-END-EFF BY 5 CM", "open")
+    _, closed = bound_to(bench, "CLOSE RIGHT-END-EFF MAINTAIN GRIP-FORCE 25 N", "close")
+
+    assert isinstance(opened.primitive.trajectory, HandMotion)
+    assert opened.primitive.trajectory.width_m == pytest.approx(0.05)
+    assert closed.primitive.trajectory == HandMotion(width_m=0.0, force_n=25.0, speed_m_s=0.05)
+    assert closed.evaluation.force_n == 25.0
+
+
+def test_a_grip_beyond_the_hands_force_is_refused(bench):
+    refusal = refused(bench, "CLOSE RIGHT-END-EFF MAINTAIN GRIP-FORCE 80 N", "close")
+
+    assert refusal.reason is RefusalReason.INFEASIBLE
+    assert refusal.detail["limit"] == 60
+
+
+def test_holding_has_an_end(bench):
+    _, bound = bound_to(bench, "HOLD RIGHT-ARM FOR 5 SEC", "")
+
+    assert bound.primitive.trajectory == HoldStill(duration_s=5.0)
+    assert bound.limit_s > 5.0
+
+
+# --- F -----------------------------------------------------------------------------------------------------
+
+
+def test_a_free_motion_stops_on_any_touch(bench):
+    _, bound = bound_to(bench, "MOVE RIGHT-ARM TO BAY-2-FRONT", "GOAL")
+    when = stops(bound)
+
+    assert when[StopReason.FORCE_LIMIT] == ForceAbove(limit_n=40.0)
+    assert when[StopReason.COLLISION] == BodyTouch()
+    assert isinstance(when[StopReason.GOAL], GoalReached)
+    assert StopReason.CONTACT not in when
+
+
+def test_a_feeling_motion_stops_on_what_opposes_it(bench):
+    _, bound = bound_to(bench, "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", "JAP")
+    bench.subsystem.joints["RIGHT-ARM"] = np.array(bound.evaluation.goal_joints)
+    bench.told("RIGHT-ARM.joints", bound.evaluation.goal_joints)
+    script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A GUARDED")
+    jcm = bench.bind(script, script.steps[3])
+    bench.told("RIGHT-ARM.joints", jcm.evaluation.goal_joints)
+
+    one, other = (stops(bench.bind(script, script.steps[n])) for n in (4, 5))
+
+    assert one[StopReason.CONTACT].limit_n == other[StopReason.CONTACT].limit_n == 5.0
+    assert one[StopReason.CONTACT].axis == pytest.approx([0, -1, 0], abs=1e-6)
+    assert other[StopReason.CONTACT].axis == pytest.approx([0, 1, 0], abs=1e-6)
+    assert one[StopReason.FORCE_LIMIT].limit_n == 20.0
+    assert one[StopReason.TORQUE_LIMIT].limit_nm == 2.0  # GUARDED
+
+
+def test_maintain_and_guarded_only_tighten(bench):
+    for said, limit_n in (
+        ("MAINTAIN FORCE-LIMIT 8 N", 8.0),
+        ("MAINTAIN FORCE-LIMIT 90 N", 40.0),
+        ("GUARDED", 20.0),
+        ("MAINTAIN FORCE-LIMIT 8 N GUARDED", 8.0),
+    ):
+        _, bound = bound_to(bench, f"RETRACT RIGHT-ARM {said}", "HERE")
+        assert stops(bound)[StopReason.FORCE_LIMIT].limit_n == limit_n, said
+
+
+def test_unless_runs_in_the_motion_loop(bench):
+    said = "UNLESS FORCE EXCEEDS 10 N THEN BACK-OFF BY 3 CM UNLESS TORQUE EXCEEDS 3 NM THEN RELEASE"
+    _, bound = bound_to(bench, f"MOVE RIGHT-ARM TO BAY-2-FRONT {said}", "GOAL")
+
+    made = bound.primitive.by_priority()
+
+    force = next(s for s in made if s.reason is StopReason.FORCE_LIMIT)
+    torque = next(s for s in made if s.reason is StopReason.TORQUE_LIMIT)
+    assert (force.when, force.reflex, force.back_off_m) == (ForceAbove(limit_n=10.0), Reflex.BACK_OFF, 0.03)
+    assert (torque.when.limit_nm, torque.reflex) == (3.0, Reflex.RELEASE)
+
+
+def test_a_force_along_an_axis_counts_both_ways(bench):
+    _, bound = bound_to(
+        bench, "MOVE RIGHT-ARM BY 5 CM ALONG TOOL-Z UNLESS FORCE ALONG TOOL-Z EXCEEDS 10 N THEN STOP", "HERE"
+    )
+
+    found = [s.when.axis for s in bound.primitive.stop_functions if s.reason is StopReason.FORCE_LIMIT]
+
+    assert [0.0, 0.0, 1.0] in found
+    assert [0.0, 0.0, -1.0] in found
+
+
+def test_every_primitive_ends(bench):
+    """F is complete (R82), and the wait for the report is longer than the arm's own limit."""
+    for sentence in ("GRASP MACS-NEW", "STOW LEFT-ARM", "OPEN RIGHT-END-EFF", "HOLD RIGHT-ARM"):
+        run = bench.elaborate(sentence)
+        bound = bench.bind(run, run.steps[0])
+        limit = stops(bound)[StopReason.TIMEOUT]
+        assert isinstance(limit, TimeAbove)
+        assert bound.evaluation.predicted_s < limit.limit_s < bound.limit_s
+
+
+def test_what_is_held_is_watched(bench):
+    bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+
+    _, bound = bound_to(bench, "LIFT MACS-NEW BY 15 CM", "HERE")
+
+    when = stops(bound)
+    assert when[StopReason.OBJECT_LOST] == HandWidthBelow(pytest.approx(0.014))
+    assert when[StopReason.SLIP] == GripForceBelow(3.0)
+    assert bound.evaluation.held == "MACS-NEW"
+
+
+# --- refusals ----------------------------------------------------------------------------------------------
+
+
+def test_a_collision_names_both_bodies(bench):
+    script = bench.elaborate("STOW RIGHT-ARM")
+    arm = bench.model.arms["RIGHT-ARM"]
+    inside = arm.ik(geometry.make_pose([0.75, -0.30, 0.70], geometry.LEVEL))
+    given = {"STOWED": Binding(joints=inside[0].tolist())}
+
+    refusal = bench.bind(script, script.steps[0], given)
+
+    assert refusal.reason is RefusalReason.INFEASIBLE
+    assert refusal.detail["cause"] == "collision"
+    assert "SATELLITE" in f"{refusal.detail['body_a']} {refusal.detail['body_b']}"
+
+
+def test_a_module_in_its_rack_cannot_be_carried_off_sideways(bench):
+    bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+    script = bench.elaborate("STOW RIGHT-ARM")
+    step = msgspec.structs.replace(script.steps[0], to="HERE", space="move_task", args={"by_m": 0.1, "axis": "Y"})
+
+    refusal = bench.bind(script, step)
+
+    assert "RACK-1" in refusal.message
+    assert "MACS-NEW" in refusal.message
+
+
+def test_a_time_limit_that_cannot_be_kept_is_told_before_the_start(bench):
+    refusal = refused(bench, "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN TIME-LIMIT 1 SEC", "GOAL")
+
+    assert refusal.detail["cause"] == "time"
+
+
+def test_only_a_step_that_feels_goes_by_a_suspect_frame(bench):
+    bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM")
+    script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+    bench.told("MACS-NEW.frame", bench.world.value("MACS-NEW.frame"), Validity.SUSPECT)
+    feel = script.steps[7]
+
+    assert isinstance(bench.bind(script, feel), BoundStep)
+    refusal = bench.bind(script, msgspec.structs.replace(feel, stop="move_free"))
+
+    assert refusal.reason is RefusalReason.SUSPECT
+    assert "LOCATE MACS-NEW" in refusal.clears
+
+
+@pytest.mark.parametrize(
+    ("step", "word"),
+    [
+        (Step(do="juggle", label=""), "juggle"),
+        (Step(do="move", label="", to="NOWHERE", stop="move_free", space="move_task"), "NOWHERE"),
+        (Step(do="move", label="", to="STOWED", stop="move_fast", space="move_joint"), "move_fast"),
+        (Step(do="move", label="", to="STOWED", stop="move_free", space="move_sideways"), "move_sideways"),
+        (Step(do="proc", label="", name="dance"), "dance"),
+        (Step(do="grip", label="", op="tickle"), "tickle"),
+        (Step(do="move", label="", who="other_arm", to="STOWED", stop="move_free", space="move_joint"), "other_arm"),
+    ],
+)
+def test_a_step_the_program_does_not_know_is_refused_by_name(bench, step, word):
+    made = bench.bind(bench.elaborate("STOW RIGHT-ARM"), step)
+
+    assert isinstance(made, Refusal)
+    assert word in made.message
+
+
+def test_a_program_that_names_unknown_predicates_does_not_compile():
+    text = "stop_classes: {odd: {stops: [{reason: goal, when: goal-reached}, {reason: timeout, when: time-above}, \
+{reason: slip, when: moon-full}]}}"
+
+    body = program.merge("binder", program.default("binder"), "odd.yaml", text.encode())
+
+    with pytest.raises(ProgramError, match="moon-full"):
+        binder.compile(body)
+
+
+def test_the_same_input_gives_the_same_primitive(bench):
+    script = bench.elaborate("MOVE RIGHT-ARM TO BAY-2-FRONT")
+
+    first, second = (bench.bind(script, script.steps[0]) for _ in range(2))
+
+    assert msgspec.json.encode(first) == msgspec.json.encode(second)
