@@ -60,6 +60,7 @@ REST_RAD_S = 0.005  # measured joint speed that counts as rest
 REST_M_S = 0.002  # of a finger
 GOAL_RAD = 0.002  # measured joint error that counts as there
 WIDTH_M = 0.0005  # the same for the opening of the hand
+SQUEEZE_N = 1.0  # less is no squeeze
 PRESSED = 0.95  # share of the commanded force that counts as all of it
 SETTLE_LIMIT_S = 1.0  # of waiting for rest before the end is reported all the same
 RELEASE_LIMIT_S = 3.0
@@ -205,8 +206,10 @@ class Executor:
         return []
 
     def _begin_stopping(self) -> None:
+        assert self.primitive is not None
+        assert self.trip is not None
         self._use(profiles.Brake(self._command))
-        if self.primitive is not None and isinstance(self.primitive.trajectory, p.HandMotion):
+        if isinstance(self.primitive.trajectory, p.HandMotion) and self.trip.reason is not StopReason.GOAL:
             self._freeze_hand()
 
     def _stop(self, now_s: float) -> Say:
@@ -304,10 +307,12 @@ class Executor:
         self.arm.command_hand(command)
 
     def _freeze_hand(self) -> None:
-        """What squeezes keeps squeezing; what moves stops."""
-        pressed = min(self.sample.finger_forces)
-        if pressed < 1.0:
-            self._use_hand(HandCommand(sum(self.sample.fingers), self._hand.force_n, self._hand.speed_m_s))
+        """What squeezes keeps squeezing, as hard as it does now; what moves stops."""
+        pressed, hand = min(self.sample.finger_forces), self._hand
+        if pressed < SQUEEZE_N:
+            self._use_hand(HandCommand(sum(self.sample.fingers), hand.force_n, hand.speed_m_s))
+        else:
+            self._use_hand(HandCommand(hand.width_m, min(pressed, hand.force_n), hand.speed_m_s))
 
     @property
     def _profile_time_s(self) -> float:

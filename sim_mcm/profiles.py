@@ -245,6 +245,8 @@ def _time_before(
     came: Follow, from_s: float, back_m: float, tcp: Callable[[Sequence[float]], Array], steps: int = 100
 ) -> tuple[float, float]:
     """The moment at which the tcp had `back_m` less of its path behind it, and the length really found (m)."""
+    if back_m <= 0.0:
+        return from_s, 0.0
     times_s = np.linspace(from_s, 0.0, steps + 1)
     joints = came.path(times_s)[:, 0]
     length_m, later_s = 0.0, from_s
@@ -252,7 +254,7 @@ def _time_before(
     for earlier_s, q in zip(times_s[1:].tolist(), joints[1:], strict=True):
         earlier = tcp(q)[:3]
         piece_m = float(np.linalg.norm(later - earlier))
-        if length_m + piece_m >= back_m > 0.0:
+        if length_m + piece_m >= back_m:
             share = (back_m - length_m) / piece_m
             return later_s + share * (earlier_s - later_s), back_m
         length_m, later_s, later = length_m + piece_m, earlier_s, earlier

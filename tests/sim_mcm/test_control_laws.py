@@ -1,0 +1,81 @@
+"""Control laws: computed torque, and one added by files alone (R63, R99)."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from rtc.primitive import ControlLaw
+from rtc.robot.kinematics import ArmModel
+from sim_mcm import control_laws
+from sim_mcm.arm import TICK_S
+from sim_mcm.servo import Servo
+
+
+@pytest.fixture(scope="module")
+def model(cell) -> ArmModel:
+    return ArmModel.of(cell, "RIGHT-ARM")
+
+
+def test_position_brings_the_arm_to_where_it_is_wanted(cell, model) -> None:
+    home = np.array(cell.arm("RIGHT-ARM").home_rad)
+    servo, data = Servo(model, home.tolist()), model.model.createData()
+    wanted = (home + 0.001).tolist()
+    servo.want((wanted, [0.0] * 6, [0.0] * 6))
+    q, v = home.copy(), np.zeros(6)
+    for _ in range(200):
+        torque = np.array(servo.torque(q.tolist(), v.tolist()))
+        v = v + pin.aba(model.model, data, q, v, torque) * TICK_S
+        q = q + v * TICK_S
+    assert q == pytest.approx(wanted, abs=1e-6)
+
+
+def test_torques_stay_within_what_the_motors_can(cell, model) -> None:
+    home = cell.arm("RIGHT-ARM").home_rad
+    servo = Servo(model, home)
+    servo.want(([q + 1.0 for q in home], [0.0] * 6, [0.0] * 6))
+    torque = np.abs(servo.torque(home, [0.0] * 6))
+    assert np.all(torque <= model.limits.effort)
+    assert np.any(torque == model.limits.effort)
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        (ControlLaw(name="magic"), "unknown control law magic; known are position"),
+        (ControlLaw(gains={"wn": 5.0}), "outside 10 to 300"),
+        (ControlLaw(gains={"kp": 5.0}), "knows the gain wn, not kp"),
+        (ControlLaw(gains={"wn": float("inf")}), "not a finite number"),
+    ],
+)
+def test_a_law_that_will_not_do_is_refused_in_words_and_the_old_one_stays(cell, model, law, words: str) -> None:
+    home = cell.arm("RIGHT-ARM").home_rad
+    servo = Servo(model, home)
+    with pytest.raises(ValueError, match=words):
+        servo.use_law(law)
+    assert servo.torque(home, [0.0] * 6) == pytest.approx([0.0] * 6, abs=1e-9)
+
+
+def test_a_law_is_added_by_installing_a_package_that_names_it(tmp_path, monkeypatch, model) -> None:
+    # Given a package on the path: a module and an entry point of our group, no change to ours
+    (tmp_path / "slack_law.py").write_text(
+        "class Slack:\n"
+        "    def __init__(self, model, gains):\n"
+        "        self.n = model.nq\n"
+        "    def torque(self, wanted, q, v):\n"
+        "        return [0.0] * self.n\n"
+    )
+    info = tmp_path / "slack_law-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: slack-law\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[rtc.control_laws]\nslack = slack_law:Slack\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    try:
+        laws = control_laws.known()
+        law = control_laws.make(ControlLaw(name="slack"), model, laws)
+        assert law.torque(([1.0] * 6, [0.0] * 6, [0.0] * 6), [0.0] * 6, [0.0] * 6) == [0.0] * 6
+    finally:
+        sys.modules.pop("slack_law", None)

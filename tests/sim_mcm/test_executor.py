@@ -1,0 +1,476 @@
+"""One arm, one primitive, one reason: the executor's table, its refusals, its stops, and what it reports."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rtc import messages as m
+from rtc import primitive as p
+from rtc.outcomes import PRIORITY, Reflex, StopReason
+from sim_mcm import profiles
+from sim_mcm.arm import TICK_S, HandCommand
+from sim_mcm.executor import AFTER_STOP, MOVING, TRANSITIONS, Event, State
+
+
+# --- the table -------------------------------------------------------------------------------------------
+
+
+def test_every_state_has_its_row_and_hears_a_halt() -> None:
+    assert set(TRANSITIONS) == set(State)
+    assert all(Event.HALTED in row for row in TRANSITIONS.values())
+    assert all(row[Event.HALTED] in (State.STOPPING, state) for state, row in TRANSITIONS.items())
+
+
+def test_every_reflex_but_comply_leads_somewhere() -> None:
+    assert set(AFTER_STOP) == set(Reflex) - {Reflex.COMPLY}
+
+
+def test_from_every_state_the_arm_comes_to_hold_again() -> None:
+    def following(state: State) -> set[State]:
+        row = TRANSITIONS[state]
+        return set(row.values()) | (set(AFTER_STOP.values()) if state is State.STOPPING else set())
+
+    for start in State:
+        reached, fresh = {start}, {start}
+        while fresh := {after for state in fresh for after in following(state)} - reached:
+            reached |= fresh
+        assert State.HOLDING in reached
+
+
+def test_an_impossible_event_is_a_bug_that_names_itself(rig) -> None:
+    with pytest.raises(AssertionError, match="RIGHT-ARM: tripped cannot happen while holding"):
+        rig.executor._happen(Event.TRIPPED)
+
+
+# --- to the goal -----------------------------------------------------------------------------------------
+
+
+def test_a_motion_to_its_goal_ends_with_one_full_report(rig) -> None:
+    assert rig.accept(rig.swing()) == m.Started(primitive="C-7.1", at_s=0.0)
+
+    report = rig.until_end()
+
+    assert (report.primitive, report.performer, report.reason) == ("C-7.1", "RIGHT-ARM", StopReason.GOAL)
+    assert report.joints == pytest.approx(rig.away, abs=1e-9)
+    assert report.tcp_pose == pytest.approx(rig.arm.tcp_pose(rig.away).tolist())
+    assert report.duration_s == pytest.approx(1.0, abs=0.005)
+    assert report.trip_pose is not None
+    assert report.limit is not None
+    assert report.hand_width_m == pytest.approx(0.08)
+    assert rig.executor.state is State.HOLDING
+    assert [message for message in rig.tick(1000) if isinstance(message, m.EndReport)] == []
+
+
+def test_the_goal_waits_until_the_arm_is_there(rig) -> None:
+    rig.arm.lag = 0.01  # a servo that lags behind
+    rig.accept(rig.swing(limit_s=2.0))
+    assert rig.until_end().reason is StopReason.TIMEOUT
+
+
+def test_a_small_difference_at_the_start_is_worked_off_without_a_jump(rig, make) -> None:
+    start = [q + 0.005 for q in rig.home]
+    rig.accept(make.primitive(make.joint_path(start, rig.away, 1.0)))
+
+    report = rig.until_end()
+
+    assert report.reason is StopReason.GOAL
+    assert report.joints == pytest.approx(rig.away, abs=1e-9)
+    steps = np.abs(np.diff([rig.home, *[motion[0] for motion in rig.arm.commands]], axis=0))
+    assert steps.max() < 1.1 * 1.875 * 0.5 * TICK_S
+
+
+def test_hold_still_for_a_time_and_for_ever(rig, make) -> None:
+    rig.accept(make.primitive(p.HoldStill(duration_s=0.2)))
+    report = rig.until_end()
+    assert report.reason is StopReason.GOAL
+    assert report.duration_s == pytest.approx(0.2, abs=0.003)
+
+    rig.accept(make.primitive(p.HoldStill(), id="C-7.2", limit_s=0.5))
+    assert rig.until_end().reason is StopReason.TIMEOUT
+
+
+def test_progress_is_reported_at_its_period_and_only_if_asked(rig) -> None:
+    rig.accept(rig.swing(reporting=p.Reporting(every_s=0.1)))
+    rig.until_end()
+    assert sum(isinstance(message, m.ProgressReport) for message in rig.said) == 10
+
+    rig.said.clear()
+    back = rig.executor._command[0]
+    rig.home, rig.away = back, rig.home
+    rig.accept(rig.swing(id="C-7.2", duration_s=3.0))
+    rig.until_end()
+    assert len(rig.said) == 2  # Started and the end, however long it takes (R57)
+
+
+# --- refusals --------------------------------------------------------------------------------------------
+
+
+def test_a_second_primitive_is_refused_while_one_is_executed(rig) -> None:
+    rig.accept(rig.swing())
+    rig.tick(100)
+
+    answer = rig.accept(rig.swing(id="C-8.1"))
+
+    assert isinstance(answer, m.EndReport)
+    assert (answer.primitive, answer.reason) == ("C-8.1", StopReason.REFUSED)
+    assert "RIGHT-ARM is busy with C-7.1" in answer.message
+    assert rig.until_end().primitive == "C-7.1"
+
+
+def _bad(rig, make, kind: str) -> p.Primitive:
+    home, away = rig.home, rig.away
+    path = make.joint_path
+    beyond = [home[0], home[1], home[2], home[3], 2.0, home[5]]
+    moving = p.JointTrajectory(
+        space="joint", time_s=[0.0, 1.0], positions=[home, away], velocities=[[0.0] * 6, [0.3] * 6],
+        accelerations=[[0.0] * 6] * 2,
+    )  # fmt: skip
+    quick = p.JointTrajectory(
+        space="joint", time_s=[0.0, 1.0, 2.0], positions=[home, away, away],
+        velocities=[[0.0] * 6, [9.0, 0, 0, 0, 0, 0], [0.0] * 6], accelerations=[[0.0] * 6] * 3,
+    )  # fmt: skip
+    swing = path(home, away, 1.0)
+    contact = StopReason.CONTACT
+    return {
+        "elsewhere": lambda: make.primitive(path([home[0] + 0.2, *home[1:]], away, 1.0)),
+        "beyond": lambda: make.primitive(path(home, beyond, 1.0)),
+        "joints": lambda: make.primitive(path(home[:5], away[:5], 1.0)),
+        "nan": lambda: make.primitive(path(home, [float("nan"), *away[1:]], 1.0)),
+        "moving": lambda: make.primitive(moving),
+        "quick": lambda: make.primitive(quick),
+        "law": lambda: make.primitive(swing, control_law=p.ControlLaw(name="magic")),
+        "gain": lambda: make.primitive(swing, control_law=p.ControlLaw(gains={"wn": 500.0})),
+        "comply": lambda: make.primitive(swing, make.stop(contact, p.ForceAbove(limit_n=5.0), Reflex.COMPLY)),
+        "axis": lambda: make.primitive(swing, make.stop(contact, p.ForceAbove(limit_n=5.0, axis=[1.0, 0.0]))),
+        "limit": lambda: make.primitive(swing, make.stop(contact, p.ForceAbove(limit_n=float("nan")))),
+        "wide": lambda: make.primitive(p.HandMotion(width_m=0.2, force_n=10.0)),
+        "strong": lambda: make.primitive(p.HandMotion(width_m=0.0, force_n=500.0)),
+        "period": lambda: make.primitive(swing, reporting=p.Reporting(every_s=0.0)),
+    }[kind]()
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("elsewhere", r"joint_1 is at 0\.\d+ rad, it begins at 0\.\d+, \+0\.2000 away"),
+        ("beyond", r"knot 1 puts joint_5 to 2\.0000 rad; its limits are -1\.7453 and 1\.7453"),
+        ("joints", "5 joints, RIGHT-ARM has 6"),
+        ("nan", "not finite"),
+        ("moving", "does not end at rest"),
+        ("quick", r"knot 1 turns joint_1 at 9\.000 rad/s"),
+        ("law", "unknown control law magic; known are position"),
+        ("gain", "wn 500.0 rad/s is outside 10 to 300"),
+        ("comply", "comply of contact is not available"),
+        ("axis", "three numbers are needed"),
+        ("limit", "not a finite number"),
+        ("wide", "width_m 0.2 is outside 0.0 to 0.08"),
+        ("strong", "force_n 500.0 is outside"),
+        ("period", "every 0.0 s"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_in_words_and_moves_nothing(rig, make, kind: str, words: str) -> None:
+    answer = rig.accept(_bad(rig, make, kind))
+
+    assert isinstance(answer, m.EndReport)
+    assert answer.reason is StopReason.REFUSED
+    assert re.search(words, answer.message)
+    rig.tick(10)
+    assert rig.arm.commands == []
+    assert rig.executor.state is State.HOLDING
+
+
+# --- stopping --------------------------------------------------------------------------------------------
+
+
+def _feel(make, reflex: Reflex = Reflex.STOP, back_off_m: float = 0.0) -> p.StopFunction:
+    return make.stop(StopReason.CONTACT, p.ForceAbove(limit_n=5.0), reflex, back_off_m)
+
+
+def _speed(rig) -> float:
+    return abs(rig.arm.commands[-1][1][0])
+
+
+def test_the_tick_that_feels_the_contact_already_brakes(rig, make) -> None:
+    rig.accept(rig.swing(_feel(make)))
+    rig.tick(500)
+    before = _speed(rig)
+
+    rig.arm.wrench = [0.0, 0.0, -6.0, 0.0, 0.0, 0.0]
+    rig.tick(1)
+
+    assert rig.executor.state is State.STOPPING
+    assert _speed(rig) < before
+    report = rig.until_end()
+    assert report.reason is StopReason.CONTACT
+    assert (report.measured, report.limit) == (pytest.approx(6.0), 5.0)
+    assert report.trip_wrench == pytest.approx([0.0, 0.0, -6.0, 0.0, 0.0, 0.0])
+    assert report.trip_pose is not None
+    assert report.peak_force_n == pytest.approx(6.0)
+    assert report.joints != rig.away
+
+
+@pytest.mark.parametrize("at_tick", [1, 40, 250, 500, 777, 960, 995])
+def test_every_stop_keeps_its_limits_of_acceleration_and_jerk(rig, make, at_tick: int) -> None:
+    rig.accept(rig.swing(_feel(make)))
+    rig.tick(at_tick)
+    first = len(rig.arm.commands)
+    rig.arm.wrench = [9.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    rig.until_end()
+
+    states = np.array([rig.arm.commands[k] for k in range(first - 1, len(rig.arm.commands))])
+    q, v, a = states[:, 0], states[:, 1], states[:, 2]
+    worst = max(profiles.STOP_ACCELERATION_RAD_S2, np.abs(a[0]).max())
+    assert np.abs(a).max() <= worst + 1e-6
+    assert np.abs(np.diff(a, axis=0)).max() / TICK_S <= profiles.STOP_JERK_RAD_S3 * 1.001
+    assert np.abs(np.diff(q, axis=0) / TICK_S - v[1:]).max() < 0.5 * (worst + 1e-9) * TICK_S * 1.01
+    assert np.all(v[-1] == 0.0)
+    assert np.all(a[-1] == 0.0)
+
+
+def test_thresholds_are_masked_while_stopping(rig, make) -> None:
+    guard = make.stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=20.0))
+    rig.accept(rig.swing(_feel(make), guard))
+    rig.tick(500)
+    rig.arm.wrench = [6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    rig.tick(1)
+    rig.arm.wrench = [32.0, 0.0, 0.0, 0.0, 0.0, 0.0]  # the hand's own inertia
+
+    report = rig.until_end()
+
+    assert report.reason is StopReason.CONTACT
+    assert report.peak_force_n == pytest.approx(32.0)  # but it is told
+
+
+def test_backing_off_returns_along_the_way_it_came(rig, make) -> None:
+    rig.accept(rig.swing(_feel(make, Reflex.BACK_OFF, 0.05)))
+    rig.tick(600)
+    rig.arm.wrench = [6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    rig.tick(1)
+    rig.arm.wrench = [0.0] * 6
+
+    report = rig.until_end()
+
+    assert report.reason is StopReason.CONTACT
+    reached = np.array(report.trip_pose[:3])
+    radius = np.linalg.norm(reached[:2] - [0.0, -0.45])
+    turned = np.array(report.joints) - np.array(rig.home)
+    assert np.linalg.norm(np.array(report.tcp_pose[:3]) - reached) == pytest.approx(0.05, abs=0.002)
+    assert turned[0] == pytest.approx(_trip_angle(rig, report) - 0.05 / radius, abs=0.002)
+    assert np.abs(turned[1:]).max() < 1e-9
+
+
+def _trip_angle(rig, report: m.EndReport) -> float:
+    begin, trip = rig.arm.tcp_pose(rig.home), report.trip_pose
+    return float(np.arctan2(trip[1] + 0.45, trip[0]) - np.arctan2(begin[1] + 0.45, begin[0]))
+
+
+def test_backing_off_goes_no_farther_than_where_it_began(rig, make) -> None:
+    rig.accept(rig.swing(_feel(make, Reflex.BACK_OFF, 5.0)))
+    rig.tick(400)
+    rig.arm.wrench = [6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert rig.until_end().joints == pytest.approx(rig.home, abs=1e-6)
+
+
+def test_releasing_opens_the_hand_after_the_stop(rig, make) -> None:
+    rig.arm.hand = HandCommand(0.02, 30.0, 0.05)
+    rig.arm.width = 0.02
+    rig.accept(rig.swing(_feel(make, Reflex.RELEASE)))
+    rig.tick(500)
+    rig.arm.wrench = [6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    rig.tick(1)
+    assert rig.executor.state is State.STOPPING
+    assert rig.arm.width == pytest.approx(0.02)  # not while it moves
+
+    report = rig.until_end()
+
+    assert report.reason is StopReason.CONTACT
+    assert report.hand_width_m == pytest.approx(0.08, abs=0.001)
+
+
+def test_the_wrench_is_told_less_the_bias_at_the_start(rig, make) -> None:
+    rig.arm.wrench = [0.0, 0.0, 4.0, 0.0, 0.0, 0.0]
+    rig.accept(rig.swing(_feel(make)))
+    rig.tick(300)
+    rig.arm.wrench = [0.0, 0.0, 8.0, 0.0, 0.0, 0.0]  # 4 N more than at the start: below the limit
+    rig.tick(10)
+    assert rig.executor.state is State.EXECUTING
+    rig.arm.wrench = [0.0, 0.0, 9.5, 0.0, 0.0, 0.0]
+    assert rig.until_end().trip_wrench[2] == pytest.approx(5.5)
+
+
+# --- which reason ----------------------------------------------------------------------------------------
+
+
+def test_of_all_conditions_that_hold_in_one_tick_the_first_by_priority_wins(cell, make) -> None:
+    by_reason = {
+        StopReason.COLLISION: p.BodyTouch(),
+        StopReason.FORCE_LIMIT: p.ForceAbove(limit_n=20.0),
+        StopReason.TORQUE_LIMIT: p.TorqueAbove(limit_nm=2.0),
+        StopReason.CONTACT: p.ForceAbove(limit_n=5.0),
+        StopReason.SLIP: p.GripForceBelow(20.0),
+        StopReason.OBJECT_LOST: p.HandWidthBelow(0.018),
+    }
+    order = sorted(by_reason, key=lambda reason: PRIORITY[reason])
+    for n, expected in enumerate(order):
+        fresh = make.Rig(cell)
+        stops = [make.stop(reason, by_reason[reason]) for reason in reversed(order[n:])]
+        fresh.arm.width, fresh.arm.forces = 0.02, (30.0, 30.0)
+        fresh.arm.hand = HandCommand(0.02, 30.0, 0.05)
+        fresh.accept(fresh.swing(*stops))
+        fresh.tick(100)
+        fresh.arm.wrench = [25.0, 0.0, 0.0, 0.0, 3.0, 0.0]
+        fresh.arm.touches, fresh.arm.width, fresh.arm.forces = "forearm touches RACK-1 floor", 0.01, (0.0, 0.0)
+        fresh.arm.hand = HandCommand(0.01, 30.0, 0.05)
+        report = fresh.until_end()
+        assert report.reason is expected
+
+
+def test_a_collision_names_the_bodies(rig, make) -> None:
+    rig.accept(rig.swing(make.stop(StopReason.COLLISION, p.BodyTouch())))
+    rig.tick(200)
+    rig.arm.touches = "forearm touches RACK-1 floor"
+    assert rig.until_end().message == "forearm touches RACK-1 floor"
+
+
+SENSES = st.tuples(
+    st.lists(st.floats(-40, 40), min_size=6, max_size=6),
+    st.sampled_from(["", "", "", "forearm touches SATELLITE left-panel"]),
+    st.floats(0, 40),
+    st.booleans(),
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(senses=st.lists(SENSES, min_size=1, max_size=12), halt_after=st.one_of(st.none(), st.integers(0, 60)))
+def test_whatever_is_felt_every_primitive_ends_once_for_one_reason(cell, make, senses, halt_after) -> None:
+    rig = make.Rig(cell)
+    rig.accept(
+        rig.swing(
+            make.stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=30.0), Reflex.BACK_OFF, 0.01),
+            make.stop(StopReason.CONTACT, p.ForceAbove(limit_n=15.0, axis=[0.0, 0.0, -1.0])),
+            make.stop(StopReason.TORQUE_LIMIT, p.TorqueAbove(limit_nm=30.0)),
+            make.stop(StopReason.COLLISION, p.BodyTouch()),
+            make.stop(StopReason.SLIP, p.GripForceBelow(2.0), Reflex.RELEASE),
+            duration_s=0.05,
+            limit_s=0.2,
+        )
+    )
+    reports = []
+    for n in range(2500):
+        wrench, touches, grip, _ = senses[n % len(senses)]
+        rig.arm.wrench, rig.arm.touches, rig.arm.forces = wrench, touches, (grip, grip)
+        if n == halt_after:
+            rig.executor.halt()
+        reports += [message for message in rig.tick() if isinstance(message, m.EndReport)]
+    assert len(reports) == 1
+    assert reports[0].reason in PRIORITY
+    assert rig.executor.state is State.HOLDING
+    assert rig.executor.at_rest
+
+
+# --- halting ---------------------------------------------------------------------------------------------
+
+
+def _bring_to(rig, make, state: State) -> None:
+    reflex = {State.RETREATING: Reflex.BACK_OFF, State.RELEASING: Reflex.RELEASE}.get(state, Reflex.STOP)
+    if state is State.RELEASING:
+        rig.arm.width, rig.arm.hand = 0.02, HandCommand(0.02, 30.0, 0.05)
+    if state is not State.HOLDING:
+        rig.accept(rig.swing(_feel(make, reflex, 0.05)))
+        rig.tick(500)
+    if state not in (State.HOLDING, State.EXECUTING):
+        rig.arm.wrench = [6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        for _ in range(1000):
+            rig.tick()
+            if rig.executor.state is state:
+                break
+    assert rig.executor.state is state
+
+
+@pytest.mark.parametrize("state", list(State))
+def test_a_halt_in_any_state_leads_to_rest_and_to_one_report_at_most(rig, make, state: State) -> None:
+    _bring_to(rig, make, state)
+    rig.tick(5 if state in MOVING else 0)
+    was = rig.executor.state
+    count = len(rig.said)
+
+    moving = rig.executor.halt()
+    rig.executor.halt()  # twice is no more than once
+    brisk = rig.tick(200)
+    rig.tick(2000)
+
+    assert moving is (was in MOVING)
+    assert rig.executor.state is State.HOLDING
+    assert rig.executor.at_rest
+    reports = [message for message in rig.said[count:] if isinstance(message, m.EndReport)]
+    expected = {State.HOLDING: [], State.EXECUTING: [StopReason.HALT]}.get(state, [StopReason.CONTACT])
+    assert [report.reason for report in reports] == expected
+    assert len(brisk) == len(expected)
+
+
+def test_a_halt_brakes_with_the_next_tick(rig) -> None:
+    rig.accept(rig.swing())
+    rig.tick(500)
+    before = _speed(rig)
+    rig.executor.halt()
+    rig.tick(1)
+    assert _speed(rig) < before
+
+
+# --- the hand --------------------------------------------------------------------------------------------
+
+
+def test_a_hand_goes_to_its_width(rig, make) -> None:
+    rig.accept(make.primitive(p.HandMotion(width_m=0.03, force_n=20.0)))
+    report = rig.until_end()
+    assert report.reason is StopReason.GOAL
+    assert report.hand_width_m == pytest.approx(0.03, abs=0.0006)
+
+
+def test_a_hand_that_presses_with_all_its_force_has_reached_its_goal_and_keeps_it(rig, make) -> None:
+    rig.accept(make.primitive(p.HandMotion(width_m=0.0, force_n=30.0)))
+    rig.tick(100)
+    rig.arm.forces = (30.0, 29.0)
+    report = rig.until_end()
+    assert report.reason is StopReason.GOAL
+    assert report.hand_force_n == 29.0
+
+    rig.accept(rig.swing(id="C-7.2"))
+    rig.until_end()
+    assert rig.arm.hand.force_n == 30.0  # all the way
+    assert rig.arm.hand.width_m == 0.0
+
+
+def test_opening_a_hand_that_still_presses_is_not_yet_the_goal(rig, make) -> None:
+    rig.arm.width, rig.arm.forces = 0.02, (30.0, 30.0)
+    rig.arm.hand = HandCommand(0.02, 30.0, 0.05)
+    rig.accept(make.primitive(p.HandMotion(width_m=0.08, force_n=30.0)))
+    report = rig.until_end()
+    assert report.hand_width_m == pytest.approx(0.08, abs=0.0006)
+
+
+def test_halting_a_hand_stops_it_where_it_is(rig, make) -> None:
+    rig.accept(make.primitive(p.HandMotion(width_m=0.0, force_n=30.0)))
+    rig.tick(400)
+    rig.executor.halt()
+    report = rig.until_end()
+    assert report.reason is StopReason.HALT
+    width = report.hand_width_m
+    rig.tick(500)
+    assert rig.arm.width == pytest.approx(width, abs=0.0005)
+    assert 0.05 < width < 0.07
+
+
+def test_what_is_squeezed_stays_squeezed_through_a_halt_and_no_harder(rig, make) -> None:
+    rig.accept(make.primitive(p.HandMotion(width_m=0.0, force_n=30.0)))
+    rig.tick(400)
+    rig.arm.forces = (12.0, 12.0)
+    rig.tick(1)
+    rig.executor.halt()
+    rig.until_end()
+    assert rig.arm.hand == HandCommand(0.0, 12.0, 0.05)

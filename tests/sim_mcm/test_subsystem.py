@@ -1,0 +1,219 @@
+"""The MCM towards the broker and towards whoever halts: nothing twice, nothing lost, nothing begun after a halt."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtc import messages as m
+from rtc import primitive as p
+from rtc.outcomes import StopReason
+from sim_mcm.kinematic_arm import KinematicCell
+from sim_mcm.subsystem import BROKER, REPEAT_S, REST_LIMIT_S
+
+ARM, OTHER, CALLER, ANOTHER = "RIGHT-ARM", "LEFT-ARM", b"x.estop", b"y.estop"
+
+
+@pytest.fixture
+def bench(cell, make):
+    return make.Bench(KinematicCell(cell))
+
+
+@pytest.fixture
+def swing(cell, make):
+    def build(id: str = "C-7.1", performer: str = ARM, duration_s: float = 1.0) -> p.Primitive:
+        home = cell.arm(performer).home_rad
+        return make.primitive(make.joint_path(home, [home[0] + 0.3, *home[1:]], duration_s), id=id, performer=performer)
+
+    return build
+
+
+def kinds(said: list[tuple[bytes, m.Message]], kind: type) -> list[m.Message]:
+    return [message for _, message in said if isinstance(message, kind)]
+
+
+# --- primitives --------------------------------------------------------------------------------------------
+
+
+def test_an_end_report_is_said_until_it_is_acknowledged(bench, swing) -> None:
+    bench.hear(m.Execute(primitive=swing()))
+    said = bench.tick(1100 + int(3.5 * REPEAT_S * 1000))
+    reports = kinds(said, m.EndReport)
+    assert len(reports) == 4
+    assert all(report == reports[0] for report in reports)
+    assert bench.subsystem.outstanding == ["C-7.1"]
+
+    bench.hear(m.ReportAck(primitive="C-7.1"))
+    assert kinds(bench.tick(2000), m.EndReport) == []
+    assert bench.subsystem.outstanding == []
+
+
+def test_the_same_primitive_is_never_executed_twice(bench, swing) -> None:
+    order = m.Execute(primitive=swing())
+    bench.hear(order)
+    bench.tick(500)
+    assert bench.hear(order) == []  # it is being done
+    bench.tick(700)
+    report = kinds(bench.heard, m.EndReport)[0]
+    assert bench.hear(order) == [(BROKER, report)]  # it has been done
+    bench.hear(m.ReportAck(primitive="C-7.1"))
+    assert bench.hear(order) == [(BROKER, report)]  # and stays done after the acknowledgement
+    assert bench.subsystem.idle
+
+
+def test_two_arms_work_at_the_same_time(bench, swing) -> None:
+    bench.hear(m.Execute(primitive=swing("C-7.1", ARM)))
+    bench.hear(m.Execute(primitive=swing("C-8.1", OTHER)))
+    reports = kinds(bench.tick(1010), m.EndReport)
+    assert {report.primitive for report in reports} == {"C-7.1", "C-8.1"}
+
+
+def test_a_busy_arm_refuses_and_goes_on(bench, swing) -> None:
+    bench.hear(m.Execute(primitive=swing("C-7.1")))
+    (answer,) = kinds(bench.hear(m.Execute(primitive=swing("C-8.1"))), m.EndReport)
+    assert answer.reason is StopReason.REFUSED
+    assert "busy with C-7.1" in answer.message
+    reasons = {report.primitive: report.reason for report in kinds(bench.tick(1010), m.EndReport)}
+    assert reasons["C-7.1"] is StopReason.GOAL
+
+
+def test_an_unknown_performer_is_refused_by_name(bench, swing, make) -> None:
+    wanted = make.primitive(p.HoldStill(), performer="THIRD-ARM")
+    (answer,) = kinds(bench.hear(m.Execute(primitive=wanted)), m.EndReport)
+    assert answer.message == "MCM has no THIRD-ARM; it has RIGHT-ARM, LEFT-ARM"
+
+
+def test_hello_tells_what_is_under_way_and_says_kept_reports_again(bench, swing) -> None:
+    bench.hear(m.Execute(primitive=swing("C-7.1")))
+    bench.tick(1100)
+    bench.hear(m.Execute(primitive=swing("C-8.1", OTHER)))
+    bench.tick(10)
+
+    (_, hello), *reports = bench.hear(m.ReportAck(primitive=""))  # a broker that does not know us
+
+    assert isinstance(hello, m.SubsystemHello)
+    assert hello.performers == [ARM, OTHER]
+    assert set(hello.outstanding) == {"C-7.1", "C-8.1"}
+    assert not hello.at_rest
+    assert [report.primitive for _, report in reports] == ["C-7.1"]
+
+
+# --- halts -------------------------------------------------------------------------------------------------
+
+
+def test_a_halt_of_all_stops_both_arms_and_tells_when(bench, swing) -> None:
+    bench.hear(m.Execute(primitive=swing("C-7.1", ARM)))
+    bench.hear(m.Execute(primitive=swing("C-8.1", OTHER)))
+    bench.tick(500)
+    called = bench.now_s
+    assert bench.hear(m.HaltOrder(halt="H-1"), CALLER) == []
+
+    said = bench.tick(300)
+
+    (started,), (rest,) = kinds(said, m.HaltStarted), kinds(said, m.HaltAtRest)
+    assert (started.received_at_s, started.decelerating_at_s) == (called, called)  # in the very next tick
+    assert started.moving == [ARM, OTHER]
+    assert rest.at_rest
+    assert called < rest.at_s < called + 0.2
+    assert {door for door, message in said if isinstance(message, m.HaltStarted | m.HaltAtRest)} == {CALLER}
+    assert [report.reason for report in kinds(said, m.EndReport)] == [StopReason.HALT] * 2
+
+
+@pytest.mark.parametrize(
+    ("scope", "moving"),
+    [("ALL", [ARM, OTHER]), (ARM, [ARM]), (OTHER, [OTHER]), ("C-7", [ARM]), ("C-77", [OTHER]), ("C-9", [])],
+)
+def test_a_halt_stops_what_is_in_its_scope_and_nothing_else(bench, swing, scope: str, moving: list[str]) -> None:
+    bench.hear(m.Execute(primitive=swing("C-7.1", ARM)))
+    bench.hear(m.Execute(primitive=swing("C-77.1", OTHER)))
+    bench.tick(500)
+    said = bench.hear(m.HaltOrder(halt="H-1", scope=scope), CALLER) + bench.tick(1500)
+
+    assert kinds(said, m.HaltStarted)[0].moving == moving
+    halted = [report.performer for report in kinds(said, m.EndReport) if report.reason is StopReason.HALT]
+    gone_on = {report.performer for report in kinds(said, m.EndReport) if report.reason is StopReason.GOAL}
+    assert sorted(set(halted)) == sorted(moving)
+    assert gone_on == {ARM, OTHER} - set(moving)
+
+
+def test_a_halt_of_an_idle_arm_is_answered_at_once(bench) -> None:
+    started, rest = (message for _, message in bench.hear(m.HaltOrder(halt="H-1"), CALLER))
+    assert isinstance(started, m.HaltStarted)
+    assert isinstance(rest, m.HaltAtRest)
+    assert (started.moving, rest.at_rest) == ([], True)
+
+
+def test_the_same_halt_from_two_sides_is_one_halt_and_both_are_told(bench, swing) -> None:
+    bench.hear(m.Execute(primitive=swing()))
+    bench.tick(500)
+    bench.hear(m.HaltOrder(halt="H-1"), CALLER)
+    first = bench.tick(3)
+    (late,) = bench.hear(m.HaltOrder(halt="H-1"), BROKER)
+    rest = bench.tick(300)
+
+    (started,) = kinds(first, m.HaltStarted)
+    assert late == (BROKER, started)
+    assert [door for door, message in rest if isinstance(message, m.HaltAtRest)] == [CALLER, BROKER]
+    again = bench.hear(m.HaltOrder(halt="H-1"), ANOTHER)
+    assert [type(message) for _, message in again] == [m.HaltStarted, m.HaltAtRest]
+
+
+def test_a_halt_during_a_stop_waits_for_rest(bench, swing) -> None:
+    bench.hear(m.Execute(primitive=swing()))
+    bench.tick(500)
+    bench.hear(m.HaltOrder(halt="H-1"), CALLER)
+    bench.tick(10)
+    bench.hear(m.HaltOrder(halt="H-2"), ANOTHER)
+    said = bench.tick(300)
+    (rest,) = [message for door, message in said if door == ANOTHER and isinstance(message, m.HaltAtRest)]
+    assert rest.at_rest
+    assert len(kinds(said, m.EndReport)) == 1
+
+
+def test_rest_that_does_not_come_is_told(cell, make) -> None:
+    class Pushed:
+        """Two arms one of which is pushed about by somebody."""
+
+        def __init__(self) -> None:
+            self.arms = {ARM: make.SteeredArm(cell, ARM), OTHER: make.SteeredArm(cell, OTHER)}
+
+        def step(self) -> None:
+            arm = self.arms[ARM]
+            arm.motion = (arm.motion[0], [0.1] * 6, arm.motion[2])
+
+    bench = make.Bench(Pushed())
+    bench.tick(5)
+    bench.hear(m.HaltOrder(halt="H-1"), CALLER)
+    (rest,) = kinds(bench.tick(int(REST_LIMIT_S * 1000) + 10), m.HaltAtRest)
+    assert not rest.at_rest
+
+
+def test_what_was_issued_before_a_halt_does_not_begin_after_it(bench, swing) -> None:
+    bench.hear(m.HaltOrder(halt="H-1"), CALLER)
+    late = m.Execute(primitive=swing("C-7.2"), issued_at_s=bench.now_s - 0.001)
+    (report,) = kinds(bench.hear(late), m.EndReport)
+    assert report.reason is StopReason.HALT
+    assert "issued before halt H-1" in report.message
+    assert bench.subsystem.idle
+
+
+def test_a_new_primitive_works_at_once_after_a_halt(bench, swing) -> None:
+    bench.hear(m.HaltOrder(halt="H-1"), CALLER)
+    new = m.Execute(primitive=swing("C-8.1"), issued_at_s=bench.now_s + 0.001)
+    assert kinds(bench.hear(new), m.Started)
+
+    # and, once the broker has passed the halt on, whatever it sends after it, by whichever clock
+    bench.hear(m.HaltOrder(halt="H-2"), CALLER)
+    bench.tick(500)
+    bench.hear(m.HaltOrder(halt="H-2"), BROKER)
+    home = list(bench.simulation.arms[ARM].joints)
+    hold = p.Primitive(
+        id="C-9.1", performer=ARM, trajectory=p.HoldStill(duration_s=0.1), stop_functions=swing().stop_functions
+    )
+    assert kinds(bench.hear(m.Execute(primitive=hold, issued_at_s=99.0)), m.Started)
+    assert list(bench.simulation.arms[ARM].joints) == home
+
+
+def test_a_halt_of_one_command_leaves_another_commands_orders_alone(bench, swing) -> None:
+    bench.hear(m.HaltOrder(halt="H-1", scope="C-7"), CALLER)
+    other = m.Execute(primitive=swing("C-8.1"), issued_at_s=bench.now_s - 0.001)
+    assert kinds(bench.hear(other), m.Started)
