@@ -153,7 +153,6 @@ class StopClass(Part, frozen=True, kw_only=True):
     control_law: str = "position"
     touches: bool = False  # a touch of the active object is its purpose: what it touched may have moved
     seated: bool = False  # what the hand holds may be in a seat, or come into one
-    senses: bool = False  # it feels for its goal, so it may start from a fact that is suspect
     stops: list[StopRow]
     values: dict[str, Expression] = {}  # speed_m_s, force_n, contact_n ..., over the figures of the cell
 

@@ -102,7 +102,7 @@ def bind_motion(at: Bind) -> BoundStep | Refusal:
         return stop_class
     if step.space not in legs.SPACES:
         return refused_program(f"no space {step.space}", f"there are {', '.join(legs.SPACES)}")
-    target = target_of(at, senses=stop_class.senses)
+    target = target_of(at)
     if isinstance(target, Refusal):
         return target
     values = stopping.figures(at.program, stop_class, belief, at.data)
@@ -137,7 +137,7 @@ def bind_motion(at: Bind) -> BoundStep | Refusal:
     return primitive(at, stop_class, values, trajectory, evaluation, against, "; ".join(motion.notes))
 
 
-def target_of(at: Bind, senses: bool) -> Target | Refusal:
+def target_of(at: Bind) -> Target | Refusal:
     """Where the step goes, in world axes: a binding, or the hand's own place, moved if the step says so."""
     step = at.data.step
     if step.to == "HERE":
@@ -148,7 +148,7 @@ def target_of(at: Bind, senses: bool) -> Target | Refusal:
         binding = at.data.bindings[step.to]
         if binding.joints is not None:
             return Target(joints=binding.joints)
-        found = world_pose(at, binding, step.to, senses)
+        found = world_pose(at, binding, step.to)
         if isinstance(found, Refusal):
             return found
         pose = found
@@ -163,19 +163,18 @@ def target_of(at: Bind, senses: bool) -> Target | Refusal:
     return Target(pose=pose)
 
 
-def world_pose(at: Bind, binding: Binding, name: str, senses: bool) -> list[float] | Refusal:
-    """A pose binding in world axes. One in the axes of an object whose frame is not to be trusted is for a step that
-    feels its way."""
+def world_pose(at: Bind, binding: Binding, name: str) -> list[float] | Refusal:
+    """A pose binding in world axes; none in the axes of an object whose frame is not to be trusted (R151)."""
     if binding.pose is None:
         return refused_program(f"{name} is no pose", "bind a pose or joint values to it")
     if binding.frame is None:
         return binding.pose
     if binding.frame not in {thing.name for thing in at.belief.cell.objects}:
         return naming.unknown("object", binding.frame, [t.name for t in at.belief.cell.objects])
-    if not senses:
-        distrusted = at.belief.distrusted(f"{binding.frame}.frame", at.program.clears)
-        if distrusted is not None:
-            return distrusted
+    command = at.data.primitive_id.partition(".")[0]
+    distrusted = at.belief.distrusted(f"{binding.frame}.frame", at.program.clears, own=command)
+    if distrusted is not None:
+        return distrusted
     pose: list[float] = geometry.compose(at.belief.frame(binding.frame), binding.pose).tolist()
     return pose
 
@@ -325,7 +324,7 @@ def bind_assignment(at: Bind) -> BoundStep | Refusal:
         binding = at.data.bindings.get(name)
         if binding is None:
             return refused_program(f"nothing binds {name}", f"there are {', '.join(at.data.bindings)}")
-        pose = binding.number if binding.number is not None else world_pose(at, binding, name, senses=True)
+        pose = binding.number if binding.number is not None else world_pose(at, binding, name)
         if isinstance(pose, Refusal):
             return pose
         given[name] = pose

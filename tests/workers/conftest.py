@@ -241,7 +241,7 @@ class Bench:
             judged = self.analyze(bound, report, used.get(ref))
             assert isinstance(judged, Assessment), judged
             run.assessments.append(judged)
-            self.world = self.world.overlay(judged.changes)
+            self.world = self.world.overlay(judged.changes, source=f"C-{self.commands}/{len(run.assessments)}")
             run.bindings |= judged.keep
             if judged.verdict == "abort":
                 return run

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rtc import geometry, program
-from rtc.messages import Binding, BoundStep, Script, Step, Validity
+from rtc.messages import Binding, BoundStep, Script, Step, Validity, WorldChange
 from rtc.outcomes import ProgramError, Reflex, Refusal, RefusalReason, StopReason
 from rtc.primitive import (
     BodyTouch,
@@ -309,14 +309,16 @@ def test_a_time_limit_that_cannot_be_kept_is_told_before_the_start(bench):
     assert refusal.detail["cause"] == "time"
 
 
-def test_only_a_step_that_feels_goes_by_a_suspect_frame(bench):
+def test_a_suspect_frame_is_bound_upon_only_by_the_command_that_doubts_it(bench):
+    """R151; a script has foreseen the doubts it raises itself, and is about to mend them."""
     bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM")
     script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
-    bench.told("MACS-NEW.frame", bench.world.value("MACS-NEW.frame"), Validity.SUSPECT)
-    feel = script.steps[7]
+    doubt = [WorldChange(key="MACS-NEW.frame", keep_value=True, validity=Validity.SUSPECT)]
 
-    assert isinstance(bench.bind(script, feel), BoundStep)
-    refusal = bench.bind(script, msgspec.structs.replace(feel, stop="move_free"))
+    bench.world = bench.world.overlay(doubt, source=f"C-{bench.commands}/7")
+    assert isinstance(bench.bind(script, script.steps[7]), BoundStep)
+    bench.world = bench.world.overlay(doubt, source="C-99/7")
+    refusal = bench.bind(script, script.steps[7])
 
     assert refusal.reason is RefusalReason.SUSPECT
     assert "LOCATE MACS-NEW" in refusal.clears

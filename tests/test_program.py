@@ -1,0 +1,208 @@
+"""Programs: put together from files, checked with the place named, changed by LOAD; and the table of outcomes."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from rtc import expressions, geometry, program
+from rtc.messages import WorkerKind
+from rtc.outcomes import ProgramError, StopReason
+from rtc.program import decode
+from rtc.program_outcomes import check, outcomes
+from rtc.program_schema import AnalyzerProgram, BinderProgram, ElaboratorProgram
+
+KINDS = [kind.value for kind in WorkerKind]
+SCRIPTS = [s.script for s in decode(program.default("elaborator"), ElaboratorProgram).scripts]
+
+
+def defaults() -> tuple[bytes, bytes, bytes]:
+    return program.default("elaborator"), program.default("binder"), program.default("analyzer")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_program_is_named_by_what_it_says(kind):
+    body = program.default(kind)
+
+    assert re.fullmatch(r"[0-9a-f]{16}", program.digest(body))
+    assert program.digest(body + b" ") != program.digest(body)
+
+
+@pytest.mark.parametrize("kind", ["elaborator", "binder", "analyzer"])
+def test_a_program_put_into_itself_is_itself(kind):
+    body = program.default(kind)
+
+    assert program.merge(kind, body, "same", body) == body
+
+
+def test_a_script_takes_the_place_of_one_of_its_name():
+    text = b"script: stow\ncase: 1\nuses: [hand]\nsteps: [{do: hold, stop: hold, label: stay, args: {duration_s: 1}}]"
+
+    merged = decode(program.merge("elaborator", program.default("elaborator"), "s.yaml", text), ElaboratorProgram)
+
+    assert [s.script for s in merged.scripts] == SCRIPTS
+    assert next(s for s in merged.scripts if s.script == "stow").steps[0].label == "stay"
+
+
+def test_a_value_of_the_binder_is_changed_alone():
+    before = decode(program.default("binder"), BinderProgram)
+
+    after = decode(
+        program.merge("binder", program.default("binder"), "v.yaml", b"values: {torque_nm: 3.0}"), BinderProgram
+    )
+
+    assert after.values == {**before.values, "torque_nm": 3.0}
+    assert after.stop_classes == before.stop_classes
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("script: s\ncase: 9\nsteps: [{do: hold, label: x}]", r"\$\.scripts\[\d+\]\.case.*\(in s\)"),
+        ("script: s\ncase: 3\nsteps: [{do: hold, label: x, trim: [1, 2]}]", r"\$\.scripts\[\d+\]\.steps\[0\]\.trim"),
+        (
+            "script: s\ncase: 3\nsteps: [{do: move, label: x, to: Q}]",
+            r"\$\.scripts\[\d+\]\.steps\[0\]\.to: nothing binds",
+        ),
+        ("script: s\ncase: 1\nsteps: [{do: hold, label: x, args: {a: '2 +'}}]", r"steps\[0\]\.args\.a: '2 \+' is no"),
+        (
+            "script: s\ncase: 2\nsteps: [{do: hold, label: x}]\ntrimming_stack: [{n: 1, skill: grasp}]",
+            r"scripts\[\d+\]\.trimming_stack: actions .* cannot be trimmed",
+        ),
+        ("decision_tree: [{verb: V, script: nix}]", r"\$\.decision_tree\[\d+\]\.script: no script nix"),
+        ("decision_tree: [{verb: V, script: stow, when: [{of: 'a**2', at_least: 1}]}]", r"when\[0\]\.of"),
+        ("constraints: {SPEED: {m/s: velocity}}", r"\$\.constraints\.SPEED\.m/s: no limit velocity"),
+        ("- 1", r"\$: a program document is a map"),
+        ("a: [", r"t\.yaml: "),
+        ("scrpts: []", r"scrpts"),
+        ("scripts: {a: 1}", r"\$\.scripts: must be a list"),
+    ],
+)
+def test_a_bad_document_names_the_place(text, place):
+    with pytest.raises(ProgramError, match=place):
+        program.merge("elaborator", program.default("elaborator"), "t.yaml", text.encode())
+
+
+def test_f_must_be_complete():
+    text = b"stop_classes: {endless: {stops: [{reason: goal, when: goal-reached}]}}"
+
+    with pytest.raises(ProgramError, match=r"stop_classes\.endless\.stops: F is not complete without time-above"):
+        program.merge("binder", program.default("binder"), "t.yaml", text)
+
+
+def test_every_reason_needs_its_cell():
+    with pytest.raises(ProgramError, match=r"\$\.outcomes\.odd: no cell for halt"):
+        program.merge("analyzer", program.default("analyzer"), "t.yaml", b"outcomes: {odd: {goal: off_goal}}")
+
+
+def test_a_grammar_that_does_not_compile_is_not_loaded():
+    with pytest.raises(ProgramError, match=r"g\.lark"):
+        program.merge("parser", program.default("parser"), "g.lark", b"sentence: (")
+
+
+# --- outcomes ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_no_cell_is_empty(script):
+    """R67, R85: every (step, reason) has a response."""
+    rows = outcomes(*defaults(), script)
+
+    steps = dict.fromkeys(row.step for row in rows)
+    assert steps
+    assert all(row.response for row in rows)
+    for step in steps:
+        reasons = {row.reason for row in rows if row.step == step}
+        assert reasons == set(StopReason) or reasons == {StopReason.GOAL}, step
+
+
+def test_the_traced_outcomes_of_line_5():
+    """requirements.md, 2.4."""
+    told = {row.reason: row.response for row in outcomes(*defaults(), "grasp-centering") if row.step.startswith("5 ")}
+
+    assert told[StopReason.CONTACT].startswith("continue")
+    assert told[StopReason.GOAL] == "told as no_contact"
+    assert told[StopReason.NO_CONTACT].startswith("trim 2 (grasp), restart_script")
+    assert told[StopReason.FORCE_LIMIT].startswith("trim 2 (grasp), restart_script")
+    for reason in (StopReason.JOINT_LIMIT, StopReason.COLLISION, StopReason.TIMEOUT, StopReason.HALT):
+        assert told[reason].startswith("fail"), reason
+
+
+def test_a_verb_means_its_likeliest_script():
+    assert outcomes(*defaults(), "GRASP") == outcomes(*defaults(), "grasp-centering")
+
+
+def test_an_unknown_script_is_told():
+    with pytest.raises(ProgramError, match="no script waltz"):
+        outcomes(*defaults(), "waltz")
+
+
+def test_programs_that_do_not_fit_each_other_are_found():
+    text = b"script: s\ncase: 1\nsteps: [{do: move, to: HERE, stop: move_fast, space: move_task, label: x}]"
+    elaborator = program.merge("elaborator", program.default("elaborator"), "t.yaml", text)
+
+    check(*defaults())
+    with pytest.raises(ProgramError, match="no stop class move_fast"):
+        check(elaborator, *defaults()[1:])
+
+
+def test_every_figure_is_si():
+    """Names end in their unit, and none in one that is not SI."""
+    document = decode(program.default("elaborator"), ElaboratorProgram)
+    names = {name for row in document.command_object_table for name in row.values}
+    names |= set(decode(program.default("binder"), BinderProgram).values)
+    names |= set(decode(program.default("analyzer"), AnalyzerProgram).values)
+
+    assert names
+    for name in names:
+        assert re.search(r"_(m|rad|s|n|nm|kg|factor)$", name), name
+
+
+# --- expressions -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("1 + 2*3", 7.0), ("-(a - 1)/2", -2.0), ("min(a, 3)", 3.0), ("abs(-a) + max(1, 2)", 7.0), (0.5, 0.5)],
+)
+def test_numbers(text, value):
+    assert expressions.evaluate(text, {"a": 5.0}) == value
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a.b",
+        "a[0]",
+        "__import__('os')",
+        "lambda: 1",
+        "a if a else 1",
+        "'x'",
+        "True",
+        "a**9",
+        "f(1)",
+        "1/0",
+        "b",
+        "",
+        "p",
+    ],
+)
+def test_what_is_no_arithmetic_is_refused(text):
+    with pytest.raises(expressions.ExpressionError):
+        expressions.number(text, {"a": 5.0, "p": [0.0] * 6 + [1.0]})
+
+
+def test_poses_are_averaged():
+    one, other = [0.0, 0.1, 0.2, 0.0, 0.0, 0.0, 1.0], [0.2, 0.1, 0.0, 0.0, 0.0, 0.0, -1.0]
+
+    assert expressions.evaluate("0.5*(A + B)", {"A": one, "B": other}) == pytest.approx([0.1, 0.1, 0.1, 0, 0, 0, 1])
+    assert expressions.evaluate("A/4 + 0.75*B", {"A": one, "B": other})[0] == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize("text", ["A + B", "A - B", "A*B", "2*A - B", "min(A, 1)", "A + 1"])
+def test_other_sums_of_poses_mean_nothing(text):
+    given = {"A": list(geometry.IDENTITY), "B": list(geometry.IDENTITY)}
+
+    with pytest.raises(expressions.ExpressionError):
+        expressions.evaluate(text, given)

@@ -1,0 +1,317 @@
+"""What to make of a report; and whole commands through the paper's loop, on perfect reports and on the real MCM."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from rtc import geometry
+from rtc.messages import Assessment, BoundStep, EndReport, Validity
+from rtc.outcomes import RefusalReason, StopReason
+
+GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A GUARDED"
+
+
+def bound_and_done(bench, sentence: str, n: int = 0) -> tuple[BoundStep, EndReport]:
+    """Step n of the sentence, bound, and a report that it reached its goal."""
+    script = bench.elaborate(sentence)
+    bound = bench.bind(script, script.steps[n])
+    assert isinstance(bound, BoundStep), bound
+    return bound, bench.subsystem.perform(bound.primitive, bound)
+
+
+def ended(report: EndReport, reason: StopReason, **fields) -> EndReport:
+    return msgspec.structs.replace(report, reason=reason, **fields)
+
+
+def judged(bench, bound: BoundStep, report: EndReport, **how) -> Assessment:
+    made = bench.analyze(bound, report, **how)
+    assert isinstance(made, Assessment), made
+    return made
+
+
+def change(made: Assessment, key: str):
+    return next((c for c in made.changes if c.key == key), None)
+
+
+# --- whole commands ----------------------------------------------------------------------------------------
+
+
+def test_the_centring_grasp_from_first_line_to_last(either):
+    run = either.do(GRASP)
+
+    assert run.succeeded, run
+    assert run.reasons == ["goal", "goal", "goal", "contact", "contact", "goal", "goal"]
+    assert run.trims == []
+    assert len(run.labels) == 9
+    assert either.world.value("RIGHT-ARM.holding") == "MACS-NEW"
+    assert either.world.value("MACS-NEW.held_by") == "RIGHT-ARM"
+    assert either.world.value("RIGHT-ARM.hand_width") == pytest.approx(0.02, abs=0.001)
+
+
+@pytest.mark.parametrize("aside_m", [0.008, -0.008])
+def test_the_grasp_finds_out_where_the_object_really_is(either, aside_m):
+    """The fingers feel both sides: the belief is put right to what is true (R149)."""
+    either.subsystem.displace("MACS-NEW", [0.0, aside_m, 0.0])
+
+    run = either.do(GRASP)
+
+    assert run.succeeded
+    believed, true = either.world.value("MACS-NEW.frame"), either.subsystem.poses["MACS-NEW"]
+    assert geometry.distance(believed, true) < 0.001
+    grasp = either.world.value("MACS-NEW.grasp")
+    tcp = either.model.arms["RIGHT-ARM"].fk(either.world.value("RIGHT-ARM.joints"))
+    assert geometry.distance(geometry.compose(tcp, grasp), true) < 0.001
+
+
+def test_take_carry_and_put_back(either):
+    for sentence in (GRASP, "LIFT MACS-NEW BY 15 CM", "MOVE RIGHT-ARM TO CLEAR-POINT-1"):
+        run = either.do(sentence)
+        assert run.succeeded, (sentence, run.refusal, run.assessments)
+    assert either.world.value("MACS-NEW.seat") == ""
+    assert geometry.distance(either.world.value("MACS-NEW.frame"), [0.63, 0, 0.95]) < 0.001
+
+    run = either.do("PLACE MACS-NEW ON RACK-1")
+
+    assert run.succeeded, (run.refusal, run.assessments)
+    assert either.world.value("MACS-NEW.seat") == "RACK-1"
+    assert either.world.value("MACS-NEW.held_by") == ""
+    assert either.world.value("RIGHT-ARM.holding") == ""
+    assert geometry.distance(either.world.value("MACS-NEW.frame"), [0.80, -0.80, 0.60]) < 0.012
+
+
+def test_let_go_and_take_again(either):
+    either.do(GRASP)
+
+    released = either.do("RELEASE MACS-NEW")
+    again = either.do(GRASP)
+
+    assert released.succeeded
+    assert again.succeeded
+
+
+# --- trims -------------------------------------------------------------------------------------------------
+
+
+def test_nothing_felt_is_mended_once_and_then_told(either):
+    """O1 without cameras: end-point reached, nothing felt; trim 2 starts over; the second time it is a failure."""
+    either.subsystem.displace("MACS-NEW", [0.0, -0.020, 0.0])
+
+    run = either.do(GRASP)
+
+    assert run.refusal is None
+    assert run.trims == [2]
+    last = run.assessments[-1]
+    assert (last.verdict, last.reason) == ("abort", StopReason.NO_CONTACT)
+    assert "nothing was felt" in last.message
+    assert "LOCATE MACS-NEW" in last.clears
+    assert either.world.get("MACS-NEW.frame").validity is Validity.SUSPECT
+    assert either.elaborate(GRASP).reason is RefusalReason.SUSPECT
+
+
+def test_the_first_failure_is_mended_and_the_second_try_succeeds(bench):
+    """R77: the object comes back into place while the hand backs off."""
+    bench.subsystem.displace("MACS-NEW", [0.0, -0.020, 0.0])
+    perform = bench.subsystem.perform
+
+    def put_right(made, bound):
+        if bound.evaluation.step.label.startswith("back off"):
+            bench.subsystem.displace("MACS-NEW", [0.0, 0.020, 0.0])
+        return perform(made, bound)
+
+    bench.subsystem.perform = put_right
+
+    run = bench.do(GRASP)
+
+    assert run.succeeded
+    assert run.trims == [2]
+    assert bench.world.get("MACS-NEW.frame").validity is Validity.VALID
+
+
+@pytest.mark.parametrize(("closes", "succeeds"), [([0.0], True), ([0.0, 0.0], False)])
+def test_a_bad_first_close_is_repeated_once(bench, closes, succeeds):
+    """R119, O2."""
+    bench.load("elaborator", "decision_tree: [{verb: GRASP, script: grasp-centering, enabled: false}]")
+    bench.do("MOVE RIGHT-ARM TO RACK-1-FRONT")
+    bench.subsystem.closes = closes
+
+    run = bench.do(GRASP)
+
+    assert run.trims == [1]
+    assert run.succeeded is succeeds
+    if not succeeds:
+        assert "not between the fingers" in run.assessments[-1].message
+        assert bench.world.value("RIGHT-ARM.holding") == ""
+
+
+def test_a_failing_action_fails_at_once(bench):
+    """R78."""
+    bench.subsystem.instead["C-1.1"] = StopReason.FORCE_LIMIT
+
+    run = bench.do("MOVE RIGHT-ARM TO BAY-2-FRONT")
+
+    assert [a.verdict for a in run.assessments] == ["abort"]
+    assert run.assessments[0].clears
+
+
+def test_a_trim_is_used_once_for_a_step_and_only_where_it_fits(bench):
+    script = bench.elaborate(GRASP)
+    bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM")
+    bound = bench.bind(script, script.steps[4])
+    report = bench.subsystem.perform(bound.primitive, bound)
+
+    assert judged(bench, bound, ended(report, StopReason.FORCE_LIMIT)).trim == 2
+    assert judged(bench, bound, ended(report, StopReason.FORCE_LIMIT), used=[2]).verdict == "abort"
+    for reason in (StopReason.JOINT_LIMIT, StopReason.COLLISION, StopReason.TIMEOUT, StopReason.HALT):
+        assert judged(bench, bound, ended(report, reason)).verdict == "abort", reason
+
+
+# --- the world after it ------------------------------------------------------------------------------------
+
+
+def test_a_halt_in_free_motion_leaves_the_object_trusted(bench):
+    bound, report = bound_and_done(bench, "APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM")
+    halfway = bound.primitive.trajectory.positions[20]
+
+    made = judged(bench, bound, ended(report, StopReason.HALT, joints=halfway), closing=True)
+
+    assert made.verdict == "abort"
+    assert change(made, "RIGHT-ARM.joints").value == halfway
+    assert change(made, "RIGHT-ARM.joints").validity is Validity.VALID
+    assert change(made, "MACS-NEW.frame") is None
+
+
+def test_after_a_halt_while_carrying_the_next_command_works_at_once(bench):
+    bench.do(GRASP)
+    bench.do("LIFT MACS-NEW BY 15 CM")
+    bound, report = bound_and_done(bench, "MOVE RIGHT-ARM TO CLEAR-POINT-1")
+
+    made = judged(bench, bound, ended(report, StopReason.HALT), closing=True)
+    bench.world = bench.world.overlay(made.changes)
+
+    assert bench.world.get("MACS-NEW.frame").validity is Validity.SUSPECT  # O6
+    assert bench.do("MOVE RIGHT-ARM TO BAY-2-FRONT").succeeded
+    assert bench.world.get("MACS-NEW.frame").validity is Validity.SUSPECT  # moving it proves nothing
+    assert bench.elaborate("PLACE MACS-NEW ON RACK-1").reason is RefusalReason.SUSPECT
+    assert bench.do("RELEASE MACS-NEW").succeeded
+    assert bench.do("STOW RIGHT-ARM").succeeded
+
+
+def test_a_halt_while_feeling_makes_the_object_suspect(bench):
+    script = bench.elaborate(GRASP)
+    bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM")
+    bound = bench.bind(script, script.steps[4])
+    report = bench.subsystem.perform(bound.primitive, bound)
+
+    made = judged(bench, bound, ended(report, StopReason.HALT), closing=True)
+
+    frame = change(made, "MACS-NEW.frame")
+    assert (frame.validity, frame.keep_value) == (Validity.SUSPECT, True)
+
+
+def test_fingers_halted_while_they_press_do_hold(bench):
+    """Else an arm could go and drag along what nobody knows it holds."""
+    script = bench.elaborate(GRASP)
+    bench.do("MOVE RIGHT-ARM TO-GRASP-POINT-OF MACS-NEW")
+    bound = bench.bind(script, script.steps[-1])
+    report = bench.subsystem.perform(bound.primitive, bound)
+
+    made = judged(bench, bound, ended(report, StopReason.HALT, hand_width_m=0.02, hand_force_n=12.0), closing=True)
+
+    assert change(made, "RIGHT-ARM.holding").value == "MACS-NEW"
+    assert change(made, "MACS-NEW.grasp").validity is Validity.SUSPECT
+
+
+def test_a_lost_object_is_held_no_more(bench):
+    bench.do(GRASP)
+    bound, report = bound_and_done(bench, "LIFT MACS-NEW BY 15 CM", 1)
+
+    made = judged(bench, bound, ended(report, StopReason.OBJECT_LOST, hand_width_m=0.0))
+
+    assert change(made, "RIGHT-ARM.holding").value == ""
+    assert change(made, "MACS-NEW.frame").validity is Validity.SUSPECT
+    assert made.verdict == "abort"
+
+
+def test_a_reflex_that_opened_the_hand_has_let_go(bench):
+    bench.do(GRASP)
+    bound, report = bound_and_done(bench, "LIFT MACS-NEW UNLESS FORCE EXCEEDS 9 N THEN RELEASE", 1)
+
+    made = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT, hand_width_m=0.08, measured=9.4, limit=9.0))
+
+    assert change(made, "MACS-NEW.held_by").value == ""
+    assert "9.4 N where 9 N is the limit" in made.message
+
+
+def test_without_a_report_of_the_arm_its_joints_are_suspect(bench):
+    bound, report = bound_and_done(bench, "STOW RIGHT-ARM")
+
+    made = judged(bench, bound, ended(report, StopReason.SUBSYSTEM_LOST, joints=[], tcp_pose=[]))
+
+    joints = change(made, "RIGHT-ARM.joints")
+    assert (joints.validity, joints.keep_value) == (Validity.SUSPECT, True)
+
+
+def test_a_refused_primitive_tells_where_the_arm_really_is(bench):
+    """It did not begin because the arm is elsewhere: the report puts the fact right, the next command works."""
+    bound, report = bound_and_done(bench, "STOW RIGHT-ARM")
+    true = [0.3, 2.3, -2.6, 0.0, 0.2, 0.0]
+
+    made = judged(bench, bound, ended(report, StopReason.REFUSED, joints=true, message="does not start where it is"))
+
+    assert change(made, "RIGHT-ARM.joints").value == true
+    assert "does not start where it is" in made.message
+
+
+def test_a_goal_that_is_not_there_is_no_success(bench):
+    """R151: the post-condition is checked after every primitive."""
+    bound, report = bound_and_done(bench, "MOVE RIGHT-ARM TO BAY-2-FRONT")
+    aside = geometry.translate(report.tcp_pose, [0.0, 0.01, 0.0]).tolist()
+
+    made = judged(bench, bound, ended(report, StopReason.GOAL, tcp_pose=aside))
+
+    assert made.verdict == "abort"
+    assert "10.0 mm from it" in made.message
+
+
+def test_a_seat_touched_too_early_is_not_seated(bench):
+    bench.do(GRASP)
+    bench.do("LIFT MACS-NEW BY 15 CM")
+    script = bench.elaborate("PLACE MACS-NEW ON RACK-1")
+    above = bench.bind(script, script.steps[0])
+    report = bench.subsystem.perform(above.primitive, above)
+    bench.world = bench.world.overlay(judged(bench, above, report).changes)
+    bound = bench.bind(script, script.steps[1])
+
+    made = judged(bench, bound, ended(report, StopReason.CONTACT))
+
+    assert (made.verdict, made.reason) == ("abort", StopReason.COLLISION)
+
+
+def test_measured_values_are_kept_where_they_were_felt(bench):
+    script = bench.elaborate(GRASP)
+    bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM")
+    bound = bench.bind(script, script.steps[4])
+    report = bench.subsystem.perform(bound.primitive, bound)
+    felt = geometry.translate(report.tcp_pose, [0.0, 0.0005, 0.0]).tolist()
+
+    made = judged(bench, bound, ended(report, StopReason.CONTACT, trip_pose=felt))
+
+    assert made.keep["GP1"].pose == felt
+    assert made.keep["GP1"].frame is None
+
+
+@pytest.mark.parametrize("n", [0, 2, 3, 4, 8])
+def test_every_reason_has_an_answer_for_every_step(bench, n):
+    """R84: nothing that can be reported is without a response."""
+    script = bench.elaborate(GRASP)
+    bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM")
+    bound = bench.bind(script, script.steps[n])
+    report = bench.subsystem.perform(bound.primitive, bound)
+
+    for reason in StopReason:
+        made = judged(bench, bound, ended(report, reason))
+
+        assert made.verdict in ("continue", "trim", "abort"), reason
+        assert made.message, reason
+        assert len({c.key for c in made.changes}) == len(made.changes), reason
