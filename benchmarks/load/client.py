@@ -1,0 +1,107 @@
+"""A client that keeps many sentences under way at once, by the real protocol and without notes of progress.
+
+Of `rtc.client` it leaves out what a person needs (repeats after a lost broker, listeners), so that on few cores the
+load takes little from what is loaded.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from itertools import count
+from typing import Any
+
+import zmq
+
+from rtc import messages as m
+from rtc import wire
+from rtc.outcomes import OutcomeKind
+from rtc.process import inbox, open_socket
+from rtc.settings import Settings
+
+SILENCE_S = 5.0  # with sentences under way: the cluster is stuck
+
+
+class Stuck(Exception):
+    """Nothing was heard for SILENCE_S although sentences were under way."""
+
+
+class LoadClient:
+    """`text(n)` is the n-th sentence; `window` of them are under way at any time."""
+
+    def __init__(self, settings: Settings, text: Callable[[int], str], window: int = 1000) -> None:
+        self._text, self._window = text, window
+        self._context: zmq.Context[Any] = zmq.Context()
+        self._socket = open_socket(
+            self._context, zmq.DEALER, settings.endpoint("front"), identity="load", queue_length=100_000
+        )
+        self._read = wire.reader(m.BrokerToClient)
+        self._numbers = count(1)
+        self._sent_at_s: dict[str, float] = {}
+        self.outcomes: Counter[OutcomeKind] = Counter()
+        self.latencies_s: list[float] = []  # of the commands that ended since it was emptied last
+
+    def run(self, for_s: float) -> float:
+        """Keep the window full for so long; commands that ended per second."""
+        began = time.monotonic()
+        ended = 0
+        while (now := time.monotonic()) - began < for_s:
+            self._fill(now)
+            ended += self._hear()
+        return ended / (now - began)
+
+    def finish(self, how_many: int) -> Iterator[int]:
+        """Have so many commands done; yields how many are, after every handful."""
+        left, done = how_many, 0
+        while done < how_many:
+            left -= self._fill(time.monotonic(), left)
+            done += self._hear()
+            yield done
+
+    def drain(self) -> None:
+        """Wait for all that is under way."""
+        while self._sent_at_s:
+            self._hear()
+
+    def status(self) -> dict[str, Any]:
+        """The broker's status; only when nothing is under way."""
+        assert not self._sent_at_s
+        self._socket.send_multipart(wire.frames(m.StatusQuery(request="status")))
+        reply = self._read(self._socket.recv_multipart())
+        assert isinstance(reply, m.StatusReply)
+        return reply.status
+
+    def close(self) -> None:
+        self._context.destroy(linger=0)
+
+    def __enter__(self) -> LoadClient:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _fill(self, now: float, at_most: int = 1 << 60) -> int:
+        new = min(self._window - len(self._sent_at_s), at_most)
+        for _ in range(new):
+            n = next(self._numbers)
+            request = str(n)
+            self._sent_at_s[request] = now
+            sentence = m.CommandText(request=request, text=self._text(n), progress=False, sent_at_s=now)
+            self._socket.send_multipart(wire.frames(sentence))
+        return new
+
+    def _hear(self) -> int:
+        """How many commands have ended. Raises Stuck."""
+        if not self._socket.poll(int(SILENCE_S * 1000)):
+            raise Stuck(f"nothing heard for {SILENCE_S} s, {len(self._sent_at_s)} commands under way")
+        now, ended = time.monotonic(), 0
+        for parts in inbox(self._socket):
+            message = self._read(parts)
+            if isinstance(message, m.CommandEnded):
+                self.latencies_s.append(now - self._sent_at_s.pop(message.request))
+                self.outcomes[message.outcome.kind] += 1
+                ended += 1
+            elif not isinstance(message, m.Accepted):
+                raise RuntimeError(f"the cluster answers a sentence with {message}")
+        return ended

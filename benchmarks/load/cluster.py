@@ -1,0 +1,94 @@
+"""Starts and ends a cluster under load: the real broker and world, trivial workers, an instant subsystem.
+
+    with cluster(dim=2) as running:
+        ...Client(running.run_dir)...
+
+Without the supervisor: nothing of it is measured here, and a process that dies is a failed benchmark.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from deploy.hypercube import addresses, kind_of
+from rtc.process import die_with_parent
+from rtc.settings import Settings, prepare_run_dir
+from rtc.world.lease import KEY_BYTES, KEY_FILE
+
+END_LIMIT_S = 10.0
+PROFILED = ("-m", "cProfile", "-o")
+
+
+@dataclass
+class Running:
+    run_dir: Path
+    settings: Settings
+    processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+
+    def cpu_s(self) -> dict[str, float]:
+        """Processor time that each process has used so far (user and system), workers of a kind together."""
+        used: dict[str, float] = {}
+        for name, process in self.processes.items():
+            fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+            kind = name.partition("@")[0]
+            used[kind] = used.get(kind, 0.0) + (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        return used
+
+    def memory_mb(self, name: str) -> float:
+        """Resident memory of a process."""
+        pages = int(Path(f"/proc/{self.processes[name].pid}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+@contextlib.contextmanager
+def cluster(dim: int = 2, profile: Path | None = None) -> Iterator[Running]:
+    """2^dim workers. `profile`: a file for the broker's profile (cProfile; it then runs at about half its speed)."""
+    with tempfile.TemporaryDirectory(prefix="rtc-bench-") as folder:
+        run_dir = prepare_run_dir(Path(folder) / "run")
+        settings = Settings(run_dir=str(run_dir), run=secrets.token_hex(4), dim=dim)
+        settings.save()
+        (run_dir / KEY_FILE).write_bytes(secrets.token_bytes(KEY_BYTES))
+        running = Running(run_dir, settings)
+        try:
+            _start(running, "world", "-m", "rtc.world")
+            _start(running, "broker", *((*PROFILED, str(profile)) if profile else ()), "-m", "broker")
+            _start(running, "MCM", "-m", "benchmarks.load.subsystem")
+            for node in addresses(dim):
+                kind = kind_of(node)
+                _start(running, f"{kind}@{node}", "-m", "benchmarks.load.worker", "--kind", kind, "--node", str(node))
+            for name, process in running.processes.items():
+                assert process.stdout is not None
+                if process.stdout.readline() != b"ready\n":
+                    raise SystemExit(f"{name} did not start:\n{_log(running, name).read_text()}")
+            yield running
+        finally:
+            for process in reversed(running.processes.values()):
+                process.terminate()
+            for process in running.processes.values():
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(END_LIMIT_S)
+                process.kill()
+                process.wait()
+
+
+def _start(running: Running, name: str, *command: str) -> None:
+    me = os.getpid()
+    with open(_log(running, name), "ab") as log:
+        running.processes[name] = subprocess.Popen(
+            [sys.executable, *command, "--run-dir", str(running.run_dir)],
+            stdout=subprocess.PIPE,
+            stderr=log,
+            preexec_fn=lambda: die_with_parent(me),
+        )
+
+
+def _log(running: Running, name: str) -> Path:
+    return running.run_dir / f"{name}.log"

@@ -1,0 +1,101 @@
+"""A subsystem that has done every primitive the moment it gets it: `python -m benchmarks.load.subsystem --run-dir D`.
+
+It speaks as the MCM does (hello, heartbeat, reports kept and said again until they are acknowledged, halts answered),
+and moves nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from benchmarks.load.trivial import ARM, SUBSYSTEM
+from rtc import messages as m
+from rtc import process, wire
+from rtc.outcomes import StopReason, WireError
+from rtc.process import Every, inbox, now_s, send
+from rtc.settings import Settings
+
+HEARTBEAT_S = 0.5
+REPEAT_S = 0.5
+
+
+class Instant:
+    """What it says to what it hears. Pure."""
+
+    def __init__(self, pid: int) -> None:
+        self.pid = pid
+        self.kept: dict[str, tuple[m.EndReport, float]] = {}  # not acknowledged; when it was said last
+
+    def hear(self, message: m.BrokerToSubsystem, now: float) -> list[m.Message]:
+        if isinstance(message, m.Execute):
+            report = _done(message.primitive.id, message.primitive.performer, now)
+            self.kept[report.primitive] = (report, now)
+            return [report]
+        if isinstance(message, m.ReportAck):
+            self.kept.pop(message.primitive, None)
+            return [] if message.primitive else self.hello()
+        about: dict[str, Any] = {"halt": message.halt, "subsystem": SUBSYSTEM}
+        return [
+            m.HaltStarted(received_at_s=now, decelerating_at_s=now, moving=[], **about),
+            m.HaltAtRest(at_s=now, at_rest=True, performers=[ARM], **about),
+        ]
+
+    def hello(self) -> list[m.Message]:
+        hello = m.SubsystemHello(name=SUBSYSTEM, pid=self.pid, performers=[ARM], outstanding=list(self.kept))
+        return [hello, *(report for report, _ in self.kept.values())]
+
+    def again(self, now: float) -> list[m.Message]:
+        """Reports that have waited long for their acknowledgement."""
+        due = [report for report, at_s in self.kept.values() if now - at_s > REPEAT_S]
+        self.kept.update((report.primitive, (report, now)) for report in due)
+        return list(due)
+
+
+def _done(primitive: str, performer: str, now: float) -> m.EndReport:
+    return m.EndReport(
+        primitive=primitive,
+        performer=performer,
+        reason=StopReason.GOAL,
+        at_s=now,
+        duration_s=0.0,
+        joints=[0.0] * 6,
+        tcp_pose=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+        wrench=[0.0] * 6,
+        hand_width_m=0.0,
+        hand_force_n=0.0,
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--run-dir", required=True, type=Path)
+    run_dir = parser.parse_args().run_dir
+    with process.start(SUBSYSTEM, run_dir) as me:
+        process.show_name(SUBSYSTEM)
+        socket = me.socket(zmq.DEALER, Settings.load(run_dir).endpoint("subsystems"), identity=SUBSYSTEM)
+        read = wire.reader(m.BrokerToSubsystem)
+        instant, heartbeat = Instant(os.getpid()), Every(HEARTBEAT_S)
+        process.freeze_heap()
+        me.ready()
+        said = instant.hello()
+        while not me.stopping:
+            for message in said:
+                send(socket, message)
+            me.wait(heartbeat.left_s(now_s()))
+            said = []
+            if heartbeat.due(now_s()):
+                said = [m.Heartbeat(name=SUBSYSTEM), *instant.again(now_s())]
+            for parts in inbox(socket):
+                try:
+                    said += instant.hear(read(parts), now_s())
+                except WireError as error:
+                    me.log.warning("dropped: %s", error)
+
+
+if __name__ == "__main__":
+    main()

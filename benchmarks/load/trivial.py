@@ -1,0 +1,87 @@
+"""Four worker functions that do as little as a worker can: one sentence of two words becomes one step, one primitive
+and one plain success. They are functions like the real ones, run by the real shell. Pure.
+
+    MOVE LOAD-17    holds the resource LOAD-17 from its plan to its end, and writes (under a lease) nothing
+    MOVE            the same without any resource
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from rtc.language.record import ParsedCommand
+from rtc.messages import (
+    AnalyzerInput,
+    Assessment,
+    BinderInput,
+    BoundStep,
+    ElaboratorInput,
+    EvaluationContext,
+    ParserInput,
+    Script,
+    ScriptContext,
+    Step,
+    WorkerKind,
+)
+from rtc.outcomes import Refusal, RefusalReason, StopReason
+from rtc.primitive import GoalReached, HoldStill, Primitive, StopFunction, TimeAbove
+
+SUBSYSTEM = "MCM"
+ARM = "RIGHT-ARM"
+LIMIT_S = 5.0  # for the one primitive
+
+STEP = Step(do="hold", label="stay where it is", name="stay")
+F = [
+    StopFunction(reason=StopReason.GOAL, when=GoalReached()),
+    StopFunction(reason=StopReason.TIMEOUT, when=TimeAbove(limit_s=LIMIT_S)),
+]
+
+
+def parse(data: ParserInput) -> ParsedCommand | Refusal:
+    verb, *words = data.text.split()
+    if len(words) > 1:
+        return Refusal(reason=RefusalReason.SENTENCE, message="two words are all it takes", column=len(verb) + 1)
+    return ParsedCommand(kind="task", verb=verb, hand=words[0] if words else None)
+
+
+def elaborate(data: ElaboratorInput) -> Script:
+    hand = data.parsed.hand
+    context = ScriptContext(verb=data.parsed.verb, script="trivial", arm=ARM)
+    return Script(context=context, case=1, steps=[STEP], resources=[hand] if hand else [])
+
+
+def bind(data: BinderInput) -> BoundStep:
+    primitive = Primitive(
+        id=data.primitive_id, performer=data.context.arm, trajectory=HoldStill(duration_s=0.0), stop_functions=F
+    )
+    evaluation = EvaluationContext(context=data.context, step=data.step, arm=data.context.arm)
+    return BoundStep(subsystem=SUBSYSTEM, primitive=primitive, evaluation=evaluation, limit_s=LIMIT_S)
+
+
+def analyze(data: AnalyzerInput) -> Assessment:
+    expected = data.report.reason in data.evaluation.step.expect
+    return Assessment(verdict="continue" if expected else "abort", reason=data.report.reason)
+
+
+class Function(NamedTuple):
+    """What a worker module offers, as the shell wants it."""
+
+    INPUT: Any
+    body: Callable[[Any], Any]
+    NEEDS_WORLD: bool = False
+    NEEDS_CELL: bool = False
+
+    def compile(self, program: bytes) -> bytes:
+        return program
+
+    def run(self, compiled: Any, cell: Any, world: Any, data: Any) -> Any:
+        return self.body(data)
+
+
+FUNCTIONS = {
+    WorkerKind.PARSER: Function(ParserInput, parse),
+    WorkerKind.ELABORATOR: Function(ElaboratorInput, elaborate),
+    WorkerKind.BINDER: Function(BinderInput, bind),
+    WorkerKind.ANALYZER: Function(AnalyzerInput, analyze),
+}

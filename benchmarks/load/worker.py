@@ -1,0 +1,50 @@
+"""One worker process with a trivial function: `python -m benchmarks.load.worker --run-dir D --kind binder --node 2`.
+
+As `workers.__main__`, but for the function.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from benchmarks.load.trivial import FUNCTIONS
+from rtc import process
+from rtc.messages import WorkerHello, WorkerKind
+from rtc.settings import Settings
+from rtc.world.client import WorldClient
+from workers.shell import Shell
+
+NICENESS = 5  # as the real ones
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--run-dir", required=True, type=Path)
+    parser.add_argument("--kind", required=True, type=WorkerKind)
+    parser.add_argument("--node", required=True, type=int)
+    given = parser.parse_args()
+    name = f"{given.kind}@{given.node}"
+    with process.start(name, given.run_dir) as me:
+        process.nice(NICENESS)
+        process.show_name(name)
+        settings = Settings.load(given.run_dir)
+        function: Any = FUNCTIONS[given.kind]
+        socket = me.socket(zmq.DEALER, settings.endpoint("workers"), identity=name)
+        world = WorldClient(settings.endpoint("world"), me.context)
+        hello = WorkerHello(name=name, node=given.node, kind=given.kind, pid=os.getpid())
+        shell = Shell(me, hello, function, socket, world, lambda cell: cell)
+        process.freeze_heap()
+        gc.set_threshold(50_000, 20, 20)
+        me.ready()
+        shell.run()
+        world.close()
+
+
+if __name__ == "__main__":
+    main()
