@@ -1,3 +1,5 @@
+"""Timers by name, the nearest first."""
+
 from broker.timers import Timers
 
 
