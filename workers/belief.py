@@ -125,6 +125,7 @@ class Belief:
             clearance_m=limits.clearance_m or 0.0,
             near=[*close, *(seat for seat in map(self.seat, close) if seat)],
             keep_out=limits.keep_out,
+            moving=arm,
         )
 
     def rules(self, limits: Limits) -> Rules:

@@ -39,6 +39,7 @@ class Scene:
     clearance_m: float = 0.0  # how far arms, and what they hold, keep from all else
     near: Iterable[str] = ()  # to these they need keep no distance, only not touch
     keep_out: Iterable[str] = ()  # regions that count as solid
+    moving: str = ""  # the arm that is asked about: what touches without it is not its business; empty = all arms
 
 
 @dataclass(frozen=True)
@@ -178,6 +179,8 @@ class CollisionWorld:
             moving |= self._owner == self._number[name]
             carrier[self._owner == self._number[name]] = self._number[held.arm]
         first, second = self._first, self._second
+        if scene.moving:
+            moving = carrier == self._number[scene.moving]
         active = moving[first] | moving[second]
         active &= ~(self._region_piece[first] | self._region_piece[second]) | self._touches(scene.keep_out)
         for name, held in scene.held.items():  # the hand touches what it holds

@@ -69,6 +69,12 @@ def test_what_may_touch_is_ignored(world, right, home):
     assert world.check(joints, Scene(ignore=[("RIGHT-ARM finger_a", "MACS-NEW")])) is not None
 
 
+def test_what_touches_without_the_moving_arm_is_not_its_business(world, right, home):
+    pressed = right_at(right, home, HANDLE[0], HANDLE[1] + 0.03, HANDLE[2])  # a finger feels the bar
+    assert world.check(pressed, Scene(moving="RIGHT-ARM")) is not None
+    assert world.check(pressed, Scene(moving="LEFT-ARM")) is None
+
+
 def test_the_world_is_where_the_scene_says(world, right, home):
     """The module 45 mm aside of where the cell has it: a finger lands on its handle."""
     moved = geometry.translate(world.cell.object_pose("MACS-NEW"), (0, 0.040, 0))
