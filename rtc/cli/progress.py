@@ -77,7 +77,8 @@ class Board:
         if (row := self._row_of.get(note.command)) is None:
             return
         changed = (note.phase.value, note.step) != (row.phase, row.step)
-        row.phase, row.step, row.node = note.phase.value, note.step or row.step, note.node or row.node
+        row.phase, row.node = note.phase.value, note.node or row.node
+        row.step = note.step or (note.note if note.phase is m.Phase.HELD else "")
         if changed and note.phase not in PASSING:
             done = f"  ({note.node}, {seconds(note.took_s)})" if note.node else ""
             self._line(f"{note.command}  {note.phase.value:<11} {note.step or note.note}{done}".rstrip())
@@ -87,6 +88,8 @@ class Board:
         row = self._rows[n]
         row.phase = "ended"
         self._row_of.pop(ended.command, None)
+        if self._live:
+            self._live.refresh()  # without the row, before the result is printed above the board
         if not self.quiet:
             print_result(ended, row.text, self._out)
 
@@ -95,7 +98,9 @@ class Board:
             return
         self._out.print(Text(f"{time.monotonic() - self._begun_s:7.2f} s  {line}"))
 
-    def _table(self) -> Table:
+    def _table(self) -> Table | Text:
+        if not self._row_of:
+            return Text()
         out = table("", "phase", "step", "last done by", "time>", "sentence")
         for row in self._row_of.values():
             age = seconds(time.monotonic() - row.started_s)

@@ -172,7 +172,7 @@ def asked_on_interrupt(rtc: Client, board: Board) -> Iterator[None]:
 def _ask() -> str:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        errors.print("\n[l]eave running, [h]alt, or [w]ait on? (Ctrl-C again halts) ", end="")
+        errors.print(Text("\n(l)eave running, (h)alt, or (w)ait on? Ctrl-C again halts: "), end="")
         return (input().strip().lower() or "w")[0]
     except (KeyboardInterrupt, EOFError):
         return "h"
