@@ -79,7 +79,7 @@ class Arm(Protocol):
         """What the sensors say now."""
 
     def follow(self, motion: Motion) -> None:
-        """Where to be at the end of this tick."""
+        """Where to be now: what this tick's sample should have shown, had it been followed exactly."""
 
     def use_law(self, law: ControlLaw) -> None:
         """How to follow from now on. ValueError, in words, when there is no such law or a gain is out of range."""
@@ -89,8 +89,8 @@ class Arm(Protocol):
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         """Where the tcp is with these joints, world frame."""
 
-    def touch(self) -> str:
-        """What a link of the arm (not palm, not fingers) touches, in words; empty = nothing."""
+    def touches(self) -> Mapping[str, float]:
+        """What links of the arm (not palm, not fingers) touch: "LINK touches BODY" -> force pressed (N)."""
 
 
 class Simulation(Protocol):

@@ -6,7 +6,7 @@ found to be needed for that, with figures, is in docs/physics.md. This file must
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -25,8 +25,9 @@ from sim_mcm.servo import Servo
 
 FINGER_FRICTION = 1.0
 SPINNING_FRICTION = 0.005  # m; without it a module turns out of the grip about the pads
-DISTANCE, NORMAL_FORCE = 8, 9  # fields of a contact point
-BODY_B, LINK_A = 2, 3
+SEATED_M = 0.02  # nearer to where a seat holds its module than this: it sits there
+NOTHING: Mapping[str, float] = {}
+BODY_B, LINK_A, NORMAL_FORCE = 2, 3, 9  # fields of a contact point
 
 
 class BulletArm:
@@ -82,12 +83,16 @@ class BulletArm:
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         return self._model.fk(joints)
 
-    def touch(self) -> str:
+    def touches(self) -> Mapping[str, float]:
         points = pybullet.getContactPoints(bodyA=self.body, physicsClientId=self._client)
-        for point in points or ():
+        if not points:
+            return NOTHING
+        found: dict[str, float] = {}
+        for point in points:
             if point[LINK_A] in self.upstream and point[NORMAL_FORCE] > 0.0:
-                return f"{self.upstream[point[LINK_A]]} touches {self._world.names[point[BODY_B]]}"
-        return ""
+                words = f"{self.upstream[point[LINK_A]]} touches {self._world.names[point[BODY_B]]}"
+                found[words] = found.get(words, 0.0) + point[NORMAL_FORCE]
+        return found
 
     # --- the world's step ------------------------------------------------------------------------------
 
@@ -191,23 +196,22 @@ class BulletCell:
         holders = [arm for arm, names in self.held().items() if name in names]
         if holders:
             return f"{name} is held by {', '.join(holders)}"
+        seat = self.cell.object(name).seat
+        along = self.world.seats[seat] if seat is not None and self._sits_in(name, seat) else None
         before = self.world.pose(name)
         after = displaced(before, offset)
         self.world.place(self.world.objects[name], after)
-        seat = self.cell.object(name).seat
-        if seat is not None and name in self._seated(seat):
-            body = self.world.seats[seat]
-            body.home = geometry.compose(after, geometry.relative(before, body.home))
-            self.world.place(body, body.home)
+        if along is not None:
+            along.home = geometry.compose(after, geometry.relative(before, along.home))
+            self.world.place(along, along.home)
         return ""
 
     def close(self) -> None:
         self.world.close()
 
-    def _seated(self, seat: str) -> set[str]:
-        """The objects that are where this seat holds them."""
-        module = geometry.compose(self.world.seats[seat].home, self.cell.seat(seat).module_frame.pose)
-        return {name for name in self.world.free if geometry.distance(self.world.pose(name), module) < 0.02}
+    def _sits_in(self, name: str, seat: str) -> bool:
+        place = geometry.compose(self.world.seats[seat].home, self.cell.seat(seat).module_frame.pose)
+        return geometry.distance(self.world.pose(name), place) < SEATED_M
 
 
 def _wrench_at_tcp(cell: cells.Cell, name: str) -> Callable[[tuple[float, ...]], list[float]]:

@@ -60,8 +60,10 @@ REST_RAD_S = 0.005  # measured joint speed that counts as rest
 REST_M_S = 0.002  # of a finger
 GOAL_RAD = 0.002  # measured joint error that counts as there
 WIDTH_M = 0.0005  # the same for the opening of the hand
+LEAN_N = 20.0  # harder than at the start by this is a new touch
 SQUEEZE_N = 1.0  # less is no squeeze
 PRESSED = 0.95  # share of the commanded force that counts as all of it
+REST_TICKS = 10  # in a row, before it is believed
 SETTLE_LIMIT_S = 1.0  # of waiting for rest before the end is reported all the same
 RELEASE_LIMIT_S = 3.0
 
@@ -85,9 +87,11 @@ class Executor:
         self._stops: stop_functions.Stops = []
         self._bias = [0.0] * 6
         self._wrench = [0.0] * 6
+        self._touched_before: dict[str, float] = {}
         self._peaks = Peaks()
         self._report_every: int | None = None
         self._yielded = False
+        self._still_ticks = 0
         self._work: dict[State, Callable[[float], Say]] = {
             State.HOLDING: lambda now_s: [],
             State.EXECUTING: self._execute,
@@ -153,6 +157,7 @@ class Executor:
             return []
         if self._ticks == 0:
             self._bias = list(sample.wrench)
+            self._touched_before |= self.arm.touches()
         self._ticks += 1
         self._wrench = self.wrench
         said = self._work[self.state](now_s)
@@ -164,6 +169,8 @@ class Executor:
     # --- the states ------------------------------------------------------------------------------------
 
     def _begin_holding(self) -> None:
+        hit = self.trip is not None and self.trip.reason is StopReason.COLLISION
+        self._touched_before = {self.trip.message: 0.0} if hit else {}  # it may rattle: not there in every tick
         self.primitive = None
         self.trip = None
         self._follow = None
@@ -249,24 +256,37 @@ class Executor:
         return self._settle(now_s)
 
     def _begin_settling(self) -> None:
+        self._still_ticks = 0
         self._use(profiles.Stay(self._command[0]))
 
     def _settle(self, now_s: float) -> Say:
         assert self.trip is not None
-        still = (
-            max(map(abs, self.sample.velocities)) < REST_RAD_S and max(map(abs, self.sample.finger_speeds)) < REST_M_S
-        )
         if self._profile_time_s < self._profile.duration_s:
             return []
-        if not still and self._profile_time_s < self._profile.duration_s + SETTLE_LIMIT_S:
+        leaning = self.trip.reason in TOUCHED and not self._yielded
+        self._still_ticks = self._still_ticks + 1 if self._still(leaning) else 0
+        if self._still_ticks < REST_TICKS and self._profile_time_s < self._profile.duration_s + SETTLE_LIMIT_S:
             return []
-        if self.trip.reason in TOUCHED and not self._yielded:
+        if not self._yielded and self._off_command() > (0.0 if leaning else GOAL_RAD):
             self._yielded = True
+            self._still_ticks = 0
             self._use(profiles.Yield(self._command, self.sample.joints))
             return []
         report = self._end_report(now_s)
         self._happen(Event.DONE)
         return [report]
+
+    def _still(self, leaning: bool) -> bool:
+        """At rest in this tick, and where the command is: an arm that swings with a load passes both in turn. One that
+        leans on something cannot be where the command is."""
+        slow = (
+            max(map(abs, self.sample.velocities)) < REST_RAD_S and max(map(abs, self.sample.finger_speeds)) < REST_M_S
+        )
+        return slow and (leaning or self._off_command() < GOAL_RAD)
+
+    def _off_command(self) -> float:
+        """The worst joint error, rad."""
+        return max(abs(a - b) for a, b in zip(self.sample.joints, self._command[0], strict=True))
 
     # --- inside ----------------------------------------------------------------------------------------
 
@@ -332,8 +352,17 @@ class Executor:
             min(sample.finger_forces),
             self._arrived(),
             lambda: self.arm.tcp_pose(sample.joints),
-            self.arm.touch,
+            self._touch,
         )
+
+    def _touch(self) -> str:
+        """What the arm touches, in words. What it touched when the primitive began does not count while it presses no
+        harder: else an arm could never be moved away from what has stopped it."""
+        before = self._touched_before
+        for words, force_n in self.arm.touches().items():
+            if force_n > before.get(words, -LEAN_N) + LEAN_N:
+                return words
+        return ""
 
     def _arrived(self) -> stop_functions.Finding | None:
         """(worst error, tolerance, '') once the goal is reached and the arm has settled."""

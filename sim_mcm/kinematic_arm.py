@@ -9,7 +9,7 @@ gives way, and any touch by the arm's other links or by what is held.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import coal
@@ -171,8 +171,8 @@ class KinematicArm:
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         return self._model.fk(joints)
 
-    def touch(self) -> str:
-        return ""  # see the head of this file
+    def touches(self) -> Mapping[str, float]:
+        return {}  # see the head of this file
 
     @property
     def pose(self) -> Array:

@@ -34,7 +34,7 @@ class SteeredArm:
         self.motion: Motion = (cell.arm(name).home_rad, [0.0] * 6, [0.0] * 6)
         self.wrench = [0.0] * 6
         self.forces = (0.0, 0.0)
-        self.touches = ""
+        self.leaning: dict[str, float] = {}  # "LINK touches BODY" -> N
         self.hand = HandCommand(0.08, 60.0, 0.05)
         self.width = 0.08
         self.lag = 0.0  # of the measured joints behind the commanded, rad
@@ -58,8 +58,8 @@ class SteeredArm:
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         return self.model.fk(joints)
 
-    def touch(self) -> str:
-        return self.touches
+    def touches(self) -> dict[str, float]:
+        return dict(self.leaning)
 
     def move_hand(self) -> None:
         """One tick of a hand with nothing in it."""
