@@ -5,6 +5,7 @@ Works on program data alone; knows no world and no arm.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import NamedTuple, Protocol
 
@@ -77,7 +78,7 @@ def _rows(
 
 
 def _label(step: ScriptStep) -> str:
-    return step.label or step.to or step.name
+    return re.sub(r"\{(\w+)\}", r"the \1", step.label) or step.to or step.name
 
 
 def _step(
@@ -91,7 +92,7 @@ def _step(
         raise ProgramError(f"step {told}: the binder's hand does not {step.op}")
     if step.do == "proc" and step.name not in binder.procedures:
         raise ProgramError(f"step {told}: the binder has no procedure {step.name}")
-    if binder.actions[step.do] == "assign":
+    if binder.actions[step.do] in binder.computes or binder.procedures.get(step.name) in binder.computes:
         yield Outcome(told, StopReason.GOAL, "continue: nothing moves")
         return
     row = row_of(step)

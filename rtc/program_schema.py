@@ -162,6 +162,7 @@ class BinderProgram(Part, frozen=True, kw_only=True):
     stop_classes: dict[str, StopClass]
     hand: dict[str, str]  # what a hand does: open, close -> its stop class
     procedures: dict[str, str] = {}  # name in a script -> registered procedure
+    computes: list[str] = []  # the registered ones, actions and procedures, that move nothing
     holding: list[StopRow] = []  # added to F while something is held
     guarded: dict[str, dict[str, float]] = {}  # verb -> the figures of its GUARDED set (A6); "" = any other
     values: dict[str, Expression] = {}  # of every primitive, over the figures of the cell
@@ -176,7 +177,8 @@ class OutcomeClass(Part, frozen=True, kw_only=True):
     stand {reason} {measured} {limit} {unit} {message} {arm} {object} {point}."""
 
     message: str
-    suspect: list[str] = []  # object: the frame of the one it is about; held: of what is in the hand
+    # object: the frame of the one it is about; if_touched: the same, if it may have been moved; held: of what is held
+    suspect: list[Literal["object", "if_touched", "held"]] = []
     drops: bool = False  # nothing is in the hand any more
     clears: str = ""
     retriable: bool = True  # a trim may be looked up

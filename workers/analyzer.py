@@ -32,7 +32,7 @@ UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE
 def compile(program: bytes) -> AnalyzerProgram:
     """The program, checked. Raises ProgramError."""
     document = decode(program, AnalyzerProgram)
-    for name in ("position_m", "angle_rad", "opened_m", "pressing_n"):
+    for name in ("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n"):
         if name not in document.values:
             raise ProgramError(f"$.values: no {name}")
     return document
@@ -120,7 +120,7 @@ def _failure(
     changes = _arm(data.report, belief, evaluation.arm)
     changes += _half_done(program, belief, data)
     changes += _carried(program, belief, data, changes, suspect="held" in failure.suspect, drops=failure.drops)
-    changes += _suspect(belief, data, failure)
+    changes += _suspect(program, belief, data, failure)
     trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
     return Assessment(
         verdict="trim" if trim else "abort",
@@ -200,12 +200,15 @@ def _half_done(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) ->
     return EFFECTS["taken"](belief, data, Validity.SUSPECT) if pressing and least <= report.hand_width_m <= most else []
 
 
-def _suspect(belief: Belief, data: AnalyzerInput, failure: OutcomeClass) -> Changes:
+def _suspect(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput, failure: OutcomeClass) -> Changes:
     """After a failure what was touched is suspect until it is sensed again (R151)."""
     thing = data.evaluation.context.object
-    if "object" not in failure.suspect or not thing or thing == data.evaluation.held:
+    if not thing or thing == data.evaluation.held:
         return []
-    return [WorldChange(key=f"{thing}.frame", keep_value=True, validity=Validity.SUSPECT)]
+    pressed = data.report.peak_force_n > program.values["touched_n"] or not belief.seat(thing)
+    if "object" in failure.suspect or ("if_touched" in failure.suspect and pressed):
+        return [WorldChange(key=f"{thing}.frame", keep_value=True, validity=Validity.SUSPECT)]
+    return []
 
 
 def _last(changes: Changes) -> Changes:

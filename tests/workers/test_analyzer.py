@@ -197,16 +197,20 @@ def test_after_a_halt_while_carrying_the_next_command_works_at_once(bench):
     assert bench.do("STOW RIGHT-ARM").succeeded
 
 
-def test_a_halt_while_feeling_makes_the_object_suspect(bench):
+@pytest.mark.parametrize(("peak_n", "suspect"), [(0.4, False), (7.0, True)])
+def test_a_halt_while_feeling_makes_suspect_what_was_touched(bench, peak_n, suspect):
+    """R151. Nothing was touched when nothing was felt: the next grasp works at once."""
     script = bench.elaborate(GRASP)
     bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM")
     bound = bench.bind(script, script.steps[4])
     report = bench.subsystem.perform(bound.primitive, bound)
 
-    made = judged(bench, bound, ended(report, StopReason.HALT), closing=True)
+    made = judged(bench, bound, ended(report, StopReason.HALT, peak_force_n=peak_n), closing=True)
+    bench.world = bench.world.overlay(made.changes)
 
-    frame = change(made, "MACS-NEW.frame")
-    assert (frame.validity, frame.keep_value) == (Validity.SUSPECT, True)
+    assert (change(made, "MACS-NEW.frame") is not None) is suspect
+    assert bench.world.get("MACS-NEW.frame").validity is (Validity.SUSPECT if suspect else Validity.VALID)
+    assert bench.world.value("MACS-NEW.frame") is not None
 
 
 def test_fingers_halted_while_they_press_do_hold(bench):
