@@ -17,7 +17,6 @@ from rtc import messages as m
 from rtc.cli.output import COLOUR, console, refusal_lines, seconds, table
 from rtc.outcomes import OutcomeKind
 
-
 #: phases too short to be a line of their own (`rtc trace` has them); ENDED has its result line
 PASSING = {m.Phase.PARSING, m.Phase.ELABORATING, m.Phase.BINDING, m.Phase.ANALYZING, m.Phase.ENDED}
 

@@ -38,6 +38,7 @@ STOWED_RAD = 0.01
 UNDER_WAY_M = 0.08  # how far the tool has gone when we call the halt
 COMMAND_S = 90.0  # no command of this story takes so long
 RENDER_S = 60.0
+REST_S = 5.0  # for the arm to come to rest, and say so
 
 
 @dataclass
@@ -127,7 +128,7 @@ def _check_halt(story: Story, rtc: Client) -> None:
     for sample in samples:
         if math.dist(sample.arms["RIGHT-ARM"].tcp_pose[:3], start[:3]) > UNDER_WAY_M:
             break
-    result = rtc.halt("RIGHT-ARM")
+    result = rtc.halt("RIGHT-ARM", timeout_s=REST_S)
     latency = "never" if result.latency_s is None else f"{result.latency_s * 1e3:.2f} ms"
     moving = ", ".join(result.moving) or "nothing"
     story.check(f"halt called in motion: {moving} began to decelerate after {latency}", result.moving == ["RIGHT-ARM"])
