@@ -143,6 +143,7 @@ class Seat(Part, frozen=True, kw_only=True):
     module_frame: Frame = Frame()  # where the origin of a seated module is, in the seat's axes
     way_out: Vec3 = (-1.0, 0.0, 0.0)  # direction a module leaves by, seat's axes, unit length
     depth_m: NotNegative  # how far along it until the module is free
+    detent_n: NotNegative = 0.0  # its catch holds a seated module with this force until it is pulled out
     shapes: list[AnyShape] = []
 
 

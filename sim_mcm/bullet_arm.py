@@ -19,6 +19,7 @@ from rtc.primitive import ControlLaw
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arm import HandCommand, Motion, Sample, Traits
 from sim_mcm.bullet_world import World
+from sim_mcm.detents import Detents
 from sim_mcm.hand import Hand, pressed
 from sim_mcm.kinematic_arm import displaced
 from sim_mcm.servo import Servo
@@ -163,6 +164,7 @@ class BulletCell:
         self.cell = cell
         self.world = World(cell)
         self.arms = {arm.name: BulletArm(self.world, arm.name) for arm in cell.arms}
+        self._detents = Detents(self.world)
         for _ in range(5):  # the sensors show some tenths of a newton in the first steps after a reset
             for bullet_arm in self.arms.values():
                 bullet_arm.read()
@@ -172,6 +174,7 @@ class BulletCell:
         for arm in self.arms.values():
             arm.drive()
         pybullet.stepSimulation(physicsClientId=self.world.client)
+        self._detents.step()
 
     def truth(self) -> dict[str, dict[str, list[float]]]:
         samples = {name: arm.read() for name, arm in self.arms.items()}
@@ -200,6 +203,7 @@ class BulletCell:
         along = self.world.seats[seat] if seat is not None and self._sits_in(name, seat) else None
         before = self.world.pose(name)
         after = displaced(before, offset)
+        self._detents.let_go(name)
         self.world.place(self.world.objects[name], after)
         if along is not None:
             along.home = geometry.compose(after, geometry.relative(before, along.home))

@@ -1,0 +1,74 @@
+"""The spring catches of seats: what keeps a seated module where it is in zero gravity, until it is pulled out.
+
+A catch holds a module where it sits, with at most the seat's `detent_n`; moved further than `BREAKS_M` it lets go, and
+it takes hold again of one that has come to rest in the seat. It holds modules in seats, never in hands: the grip is
+contact friction alone.
+"""
+
+from __future__ import annotations
+
+import pybullet
+
+from rtc import geometry
+from sim_mcm.bullet_world import World
+
+BREAKS_M = 0.004  # travel of the catch: further, and it has let go
+CATCHES_M = 0.004  # a module this near to its seated place is caught ...
+CATCHES_RAD = 0.05
+REST_M_S = 0.002  # ... once it rests
+EVERY = 10  # steps between two looks
+
+
+class Detents:
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._caught: dict[str, tuple[int, geometry.Array]] = {}  # object -> constraint, where it was caught
+        self._seats = [seat for seat in world.cell.seats if seat.detent_n > 0]
+        self._steps = 0
+        self.look()
+
+    def step(self) -> None:
+        """Once per physics step."""
+        self._steps += 1
+        if self._steps % EVERY == 0:
+            self.look()
+
+    def look(self) -> None:
+        """Let go of what has been pulled away, take hold of what has come to rest."""
+        for name, (_, at) in list(self._caught.items()):
+            if geometry.distance(self._world.pose(name), at) > BREAKS_M:
+                self.let_go(name)
+        for seat in self._seats:
+            place = geometry.compose(self._world.seats[seat.name].home, seat.module_frame.pose)
+            for name in self._world.free - self._caught.keys():
+                pose = self._world.pose(name)
+                if (
+                    geometry.distance(pose, place) < CATCHES_M
+                    and geometry.angle(pose, place) < CATCHES_RAD
+                    and max(map(abs, self._world.velocity(name)[:3])) < REST_M_S
+                ):
+                    self._catch(name, pose, seat.detent_n)
+
+    def let_go(self, name: str) -> None:
+        if name in self._caught:
+            constraint, _ = self._caught.pop(name)
+            pybullet.removeConstraint(constraint, physicsClientId=self._world.client)
+
+    def _catch(self, name: str, pose: geometry.Array, force_n: float) -> None:
+        position, quaternion = pybullet.getBasePositionAndOrientation(
+            self._world.objects[name].id, physicsClientId=self._world.client
+        )
+        constraint = pybullet.createConstraint(
+            self._world.objects[name].id,
+            -1,
+            -1,
+            -1,
+            pybullet.JOINT_FIXED,
+            [0, 0, 0],
+            parentFramePosition=[0, 0, 0],
+            childFramePosition=position,
+            childFrameOrientation=quaternion,
+            physicsClientId=self._world.client,
+        )
+        pybullet.changeConstraint(constraint, maxForce=force_n, physicsClientId=self._world.client)
+        self._caught[name] = (constraint, pose)
