@@ -169,8 +169,9 @@ class Executor:
     # --- the states ------------------------------------------------------------------------------------
 
     def _begin_holding(self) -> None:
-        hit = self.trip is not None and self.trip.reason is StopReason.COLLISION
-        self._touched_before = {self.trip.message: 0.0} if hit else {}  # it may rattle: not there in every tick
+        self._touched_before = {}
+        if self.trip is not None and self.trip.reason is StopReason.COLLISION:
+            self._touched_before[self.trip.message] = 0.0  # it may rattle, and not be felt in every tick
         self.primitive = None
         self.trip = None
         self._follow = None

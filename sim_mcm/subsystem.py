@@ -4,8 +4,9 @@
 
 A door is who said it and who is answered: BROKER, or the identity of a caller at the estop socket. Trusted soldier
 (R58): between a primitive and its end report nothing is needed from the broker; reports are kept, and said again,
-until they are acknowledged. No primitive is executed twice (its id is remembered), and none that was issued before a
-halt begins after it.
+until they are acknowledged. No primitive is executed twice (its id is remembered). A halt that was called past the
+broker is passed on to it, and said again with every hello; until the broker has answered with the same halt, nothing
+in its scope begins, so a broker that was dead or blind meanwhile cannot start what was halted.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class Subsystem:
         self._ended: OrderedDict[str, m.EndReport] = OrderedDict()  # all, for repeated orders
         self._halts: OrderedDict[str, Halt] = OrderedDict()
         self._open_halts: list[Halt] = []
-        self._shadows: dict[str, tuple[str, float]] = {}  # scope -> halt not yet heard from the broker, when
+        self._shadows: dict[str, m.HaltOrder] = {}  # scope -> halt that the broker has not shown to know of
 
     # --- what is asked of it ---------------------------------------------------------------------------
 
@@ -78,7 +79,8 @@ class Subsystem:
         return self._execute(message, now_s)
 
     def hello(self) -> Said:
-        """To a broker that has just been found: who we are, what is under way, and what it has not acknowledged."""
+        """To a broker that has just been found: who we are, what is under way, and what it has not acknowledged:
+        end reports, and halts that were called past it."""
         hello = m.SubsystemHello(
             name=self.name,
             pid=self.pid,
@@ -86,7 +88,12 @@ class Subsystem:
             outstanding=self.outstanding,
             at_rest=self.at_rest,
         )
-        return [(BROKER, hello), *((BROKER, report) for report, _ in self._kept.values())]
+        halts = self._shadows.values()
+        return [
+            (BROKER, hello),
+            *((BROKER, report) for report, _ in self._kept.values()),
+            *((BROKER, h) for h in halts),
+        ]
 
     def tick(self, now_s: float) -> Said:
         """One servo tick of every arm."""
@@ -107,6 +114,8 @@ class Subsystem:
 
     def _execute(self, order: m.Execute, now_s: float) -> Said:
         primitive = order.primitive
+        if order.pid not in (0, self.pid):  # meant for the process before us; who sent it has our hello to read
+            return []
         if (ended := self._ended.get(primitive.id)) is not None:
             return [(BROKER, ended)]
         executor = self.executors.get(primitive.performer)
@@ -116,7 +125,7 @@ class Subsystem:
         if executor.primitive_id == primitive.id:
             return []  # it is being done
         if (halt := self._halted_before(order)) is not None:
-            why = f"issued before halt {halt}; not begun"
+            why = f"sent in ignorance of halt {halt}; not begun"
             pose = executor.arm.tcp_pose(executor.sample.joints)
             report = not_begun(
                 primitive.id,
@@ -147,12 +156,10 @@ class Subsystem:
         return [(BROKER, report) for report in due]
 
     def _halted_before(self, order: m.Execute) -> str | None:
-        """The halt, called past the broker, that this order had not seen when it was issued."""
-        if not self._shadows or order.issued_at_s == 0.0:
-            return None
-        for scope, (halt, received_at_s) in self._shadows.items():
-            if _in_scope(scope, order.primitive.performer, order.primitive.id) and order.issued_at_s <= received_at_s:
-                return halt
+        """The halt, called past the broker, that the broker had not heard of when it sent this."""
+        for scope, halt in self._shadows.items():
+            if _in_scope(scope, order.primitive.performer, order.primitive.id):
+                return halt.halt
         return None
 
     # --- halts -----------------------------------------------------------------------------------------
@@ -160,10 +167,12 @@ class Subsystem:
     def _halt(self, order: m.HaltOrder, door: bytes, now_s: float) -> Said:
         """Brake now what is in scope; who asks about a halt that is known is told what became of it."""
         halt = self._halts.get(order.halt)
+        said: Said = []
         if door == BROKER:  # what comes on this socket from here on, the broker has sent knowing of the halt
-            self._shadows = {scope: seen for scope, seen in self._shadows.items() if seen[0] != order.halt}
+            self._shadows = {scope: seen for scope, seen in self._shadows.items() if seen.halt != order.halt}
         elif halt is None:
-            self._shadows[order.scope] = (order.halt, now_s)
+            self._shadows[order.scope] = order
+            said.append((BROKER, order))
         if halt is not None:
             if door not in halt.doors:
                 halt.doors.append(door)
@@ -176,7 +185,7 @@ class Subsystem:
         if len(self._halts) > REMEMBERED:
             self._halts.popitem(last=False)
         self._open_halts.append(halt)
-        return [] if halt.moving else self._follow_halts(now_s)  # nothing moves: no tick need pass
+        return said if halt.moving else said + self._follow_halts(now_s)  # nothing moves: no tick need pass
 
     def _follow_halts(self, now_s: float) -> Said:
         """Called in the tick whose command brakes, and every tick until rest."""

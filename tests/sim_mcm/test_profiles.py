@@ -98,7 +98,7 @@ def test_yielding_ends_where_contact_left_the_arm() -> None:
     assert np.abs(np.diff(speeds, axis=0)).max() / TICK_S <= profiles.YIELD_ACCELERATION_RAD_S2 * 1.001
 
 
-@pytest.mark.parametrize("back_m", [0.0, 0.01, 0.1, 10.0])
+@pytest.mark.parametrize("back_m", [0.0, 0.01, 0.1, 1.0])
 def test_retracing_stays_on_the_way_it_came(back_m: float) -> None:
     wanted = trajectory(1)
     came = profiles.Follow(wanted, wanted.positions[0])
@@ -109,10 +109,9 @@ def test_retracing_stays_on_the_way_it_came(back_m: float) -> None:
 
     start = came.path(np.array([start_s]))[0, 0]
     back = profiles.Retrace(came, start_s, start.tolist(), back_m, tcp)
-    ticks = np.arange(0.0, back.duration_s + TICK_S, TICK_S)
-    q = np.array([back.at(t)[0] for t in ticks])
+    q = np.array([back.at(t)[0] for t in np.arange(0.0, back.duration_s + 0.01, 0.01)])
     on_path = came.path(np.arange(0.0, start_s + TICK_S, TICK_S))[:, 0]
-    away = np.linalg.norm(q[::50, None, :] - on_path[None], axis=2).min(axis=1)
+    away = np.linalg.norm(q[::5, None, :] - on_path[None, ::2], axis=2).min(axis=1)
     assert away.max() < 2e-3
     length = np.linalg.norm(np.diff(q[:, :3], axis=0), axis=1).sum()
     whole = np.linalg.norm(np.diff(on_path[:, :3], axis=0), axis=1).sum()

@@ -1,0 +1,177 @@
+"""The MCM as a real process, with a broker made of one socket: it goes on alone, and never chokes on bytes."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+
+import pytest
+import zmq
+
+from rtc import messages as m
+from rtc import primitive as p
+from rtc.halting import HaltLine
+from rtc.outcomes import StopReason
+from rtc.settings import Settings, prepare_run_dir
+from rtc.wire import PROTOCOL, frames, reader
+
+pytestmark = pytest.mark.slow
+ARM, LIMIT_S = "RIGHT-ARM", 20.0
+
+_from_mcm = reader(m.SubsystemToBroker)
+
+
+class Broker:
+    """The broker's side of the subsystems' socket."""
+
+    def __init__(self, context: zmq.Context, settings: Settings) -> None:
+        self.socket = context.socket(zmq.ROUTER)
+        self.socket.setsockopt(zmq.LINGER, 0)
+        self.socket.setsockopt(zmq.ROUTER_HANDOVER, 1)
+        self.socket.bind(settings.endpoint("subsystems"))
+
+    def say(self, message: m.Message) -> None:
+        self.socket.send_multipart([b"MCM", *frames(message)])
+
+    def hear(self, kind: type, wanted: Callable[[m.Message], bool] = lambda _: True) -> m.Message:
+        limit_s = time.monotonic() + LIMIT_S
+        while (left_s := limit_s - time.monotonic()) > 0:
+            if self.socket.poll(left_s * 1000):
+                message = _from_mcm(self.socket.recv_multipart()[1:])
+                if isinstance(message, kind) and wanted(message):
+                    return message
+        raise AssertionError(f"no {kind.__name__} in {LIMIT_S} s")
+
+
+@pytest.fixture(params=["kinematic", "bullet"])
+def mcm(request, tmp_path_factory) -> Iterator[SimpleNamespace]:
+    run_dir = prepare_run_dir(tmp_path_factory.mktemp("r"))
+    settings = Settings(run_dir=str(run_dir), mcm=request.param, speed=1.0)
+    settings.save()
+    with (
+        (run_dir / "MCM.log").open("wb") as log,
+        subprocess.Popen(
+            [sys.executable, "-m", "sim_mcm", "--run-dir", str(run_dir)], stdout=subprocess.PIPE, stderr=log
+        ) as process,
+        zmq.Context() as context,
+    ):
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"ready\n"
+            yield SimpleNamespace(process=process, settings=settings, context=context)
+        finally:
+            process.kill()
+            context.destroy(linger=0)
+
+
+@pytest.fixture
+def swing(cell, make):
+    def build(id: str, duration_s: float, *stops: p.StopFunction) -> p.Primitive:
+        home = cell.arm(ARM).home_rad
+        path = make.joint_path(home, [home[0] + 0.3, *home[1:]], duration_s)
+        return make.primitive(path, *stops, id=id)
+
+    return build
+
+
+def test_a_primitive_from_execute_to_acknowledgement(mcm, swing) -> None:
+    broker = Broker(mcm.context, mcm.settings)
+    hello = broker.hear(m.SubsystemHello)
+    assert hello.performers == [ARM, "LEFT-ARM"]
+    assert hello.pid == mcm.process.pid
+
+    broker.say(m.Execute(primitive=swing("C-1.1", 0.5)))
+    assert broker.hear(m.Started).primitive == "C-1.1"
+    first = broker.hear(m.EndReport)
+    again = broker.hear(m.EndReport)
+    assert first == again
+    assert first.reason is StopReason.GOAL
+
+    broker.say(m.ReportAck(primitive="C-1.1"))
+    broker.say(m.ReportAck(primitive=""))
+    assert broker.hear(m.SubsystemHello, lambda hello: hello.outstanding == []).outstanding == []
+
+    mcm.process.send_signal(signal.SIGTERM)
+    assert mcm.process.wait(LIMIT_S) == 0
+
+
+def test_without_a_broker_it_finishes_stops_on_halt_and_tells_all_to_the_next(mcm, swing, make) -> None:
+    broker = Broker(mcm.context, mcm.settings)
+    broker.hear(m.SubsystemHello)
+    broker.say(m.Execute(primitive=swing("C-1.1", 30.0, make.stop(StopReason.CONTACT, p.TimeAbove(0.5)))))
+    broker.hear(m.Started)
+    broker.socket.close()  # in the middle of the motion
+
+    halt_line = HaltLine(mcm.context, mcm.settings, "test")
+    result = halt_line.halt("C-99")  # of nothing: works when the broker is dead
+    assert result.confirmed
+    assert result.told == ["estop"]
+
+    broker = Broker(mcm.context, mcm.settings)
+    hello = broker.hear(m.SubsystemHello, lambda hello: "C-1.1" in hello.outstanding)
+    assert hello.outstanding == ["C-1.1"]
+    report = broker.hear(m.EndReport)
+    assert report.reason is StopReason.CONTACT  # the stop function tripped with nobody to hear of it
+    assert report.measured == pytest.approx(0.5, abs=0.003)
+    halt_line.close()
+
+
+def test_a_halt_past_the_broker_stops_the_arm_and_is_told_to_both(mcm, swing) -> None:
+    broker = Broker(mcm.context, mcm.settings)
+    broker.hear(m.SubsystemHello)
+    broker.say(m.Execute(primitive=swing("C-1.1", 10.0)))
+    broker.hear(m.Started)
+    broker.hear(m.Heartbeat)
+
+    halt_line = HaltLine(mcm.context, mcm.settings, "test")
+    result = halt_line.halt("ALL")
+
+    assert result.confirmed
+    assert result.moving == [ARM]
+    assert result.latency_s is not None
+    assert result.latency_s >= 0.0
+    assert broker.hear(m.EndReport).reason is StopReason.HALT
+    halt_line.close()
+
+
+def test_no_bytes_stop_it(mcm, swing) -> None:
+    broker = Broker(mcm.context, mcm.settings)
+    broker.hear(m.SubsystemHello)
+    estop = mcm.context.socket(zmq.DEALER)
+    estop.connect(mcm.settings.endpoint("estop"))
+    bench = mcm.context.socket(zmq.DEALER)
+    bench.connect(mcm.settings.endpoint("bench"))
+    rubbish = [[b""], [b"x", b"y", b"z"], [PROTOCOL, b"\xc1\xff"], [b"RTC9", b"\x80"], [PROTOCOL, b"\x81" * 5000]]
+    for parts in rubbish:
+        broker.socket.send_multipart([b"MCM", *parts])
+        estop.send_multipart(parts)
+        bench.send_multipart(parts)
+    broker.socket.send_multipart([b"MCM", *frames(m.SubsystemHello(name="X", pid=1, performers=[]))])
+
+    assert estop.poll(LIMIT_S * 1000)
+    declined = reader(m.FromHalt)(estop.recv_multipart())
+    assert isinstance(declined, m.Declined)
+    bench.send_multipart(frames(m.SimTruth(request="1")))
+    assert bench.poll(LIMIT_S * 1000)
+    truth = reader(m.FromSim)(bench.recv_multipart())
+    assert set(truth.joints) == {ARM, "LEFT-ARM"}
+    bench.send_multipart(frames(m.SimDisplace(request="2", object="MACS-NEW", offset=[0.0, 0.001])))
+    assert bench.poll(LIMIT_S * 1000)
+    assert "six finite numbers" in reader(m.FromSim)(bench.recv_multipart()).error
+    broker.say(m.Execute(primitive=swing("C-1.1", 0.3)))
+    assert broker.hear(m.EndReport).reason is StopReason.GOAL
+
+
+def test_telemetry_tells_where_the_arms_are(mcm, cell) -> None:
+    ear = mcm.context.socket(zmq.SUB)
+    ear.connect(mcm.settings.endpoint("telemetry"))
+    ear.subscribe(b"")
+    assert ear.poll(LIMIT_S * 1000)
+    told = reader(m.Telemetry)(ear.recv_multipart())
+    assert told.arms[ARM].joints == pytest.approx(cell.arm(ARM).home_rad, abs=1e-3)
+    assert told.arms[ARM].primitive == ""
+    assert told.ticks > 0
