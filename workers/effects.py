@@ -56,8 +56,22 @@ def still_held(belief: Belief, data: AnalyzerInput, validity: Validity) -> Chang
     return []
 
 
+def verified(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
+    """The fingers press, and stand as wide as the thing is: it is held as it was believed to be."""
+    thing = data.evaluation.context.object
+    grasp = belief.grasp(thing)
+    if grasp is None:
+        return []
+    frame = geometry.compose(data.report.tcp_pose, grasp)
+    return [
+        WorldChange(key=f"{thing}.grasp", keep_value=True, validity=validity),
+        WorldChange(key=f"{thing}.frame", value=geometry.normalise(frame).tolist(), validity=validity),
+    ]
+
+
 EFFECTS: dict[str, Callable[[Belief, AnalyzerInput, Validity], Changes]] = {
     "taken": taken,
     "let_go": let_go,
     "still_held": still_held,
+    "verified": verified,
 }

@@ -27,6 +27,7 @@ HELD = {"RIGHT-ARM": "MACS-NEW", "LEFT-ARM": "MACS-OLD"}  # which arm carries wh
 GRASPS = ["GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", "GRASP LEFT-END-EFF MACS-OLD HANDLE-B"]
 LIFTS = ["LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM", "LIFT MACS-OLD BY 15 CM WITH LEFT-ARM"]
 MOVE = "MOVE RIGHT-ARM TO BAY-2-FRONT"
+VERIFY = "VERIFY MACS-NEW AT RIGHT-END-EFF"
 PLACES = ["PLACE MACS-NEW ON RACK-1 WITH RIGHT-ARM", "PLACE MACS-OLD ON RACK-2 WITH LEFT-ARM"]
 STOWS = ["STOW RIGHT-ARM", "STOW LEFT-ARM"]
 
@@ -89,6 +90,10 @@ def _told(story: Story, rtc: Client, pictures: Pictures) -> None:
     story.chapter(f"{MOVE}, and a halt in the middle of it")
     _check_halt(story, rtc)
     if not _all(story, rtc, [MOVE]):
+        return
+
+    story.chapter("After a halt what was carried is not trusted; the hand feels whether it still holds it")
+    if not _all(story, rtc, [VERIFY]):
         return
 
     story.chapter("Put both back, and stow")
