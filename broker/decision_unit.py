@@ -152,16 +152,19 @@ def on_command(turn: Turn, event: CommandReceived) -> None:
 
 
 def on_halt(turn: Turn, event: HaltCalled) -> None:
-    halts = turn.state.halts
-    if event.halt in halts:
-        return
-    halts[event.halt] = event.at_s
-    if len(halts) > HALTS_KEPT:
-        del halts[next(iter(halts))]
-    turn.count("halts")
-    if not journey.halt(turn, event.halt, event.scope, event.called_at_s):
-        message = f"nothing live is called {event.scope}"
-        turn.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
+    state, halts = turn.state, turn.state.halts
+    told_by_subsystem = event.client in state.subsystems
+    if event.halt not in halts:
+        halts[event.halt] = event.at_s
+        if len(halts) > HALTS_KEPT:
+            del halts[next(iter(halts))]
+        turn.count("halts")
+        known = journey.halt(turn, event.halt, event.scope, event.called_at_s)
+        if not known and not told_by_subsystem:
+            message = f"nothing live is called {event.scope}"
+            turn.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
+    if told_by_subsystem and not any(type(e) is SendHalt and e.halt == event.halt for e in turn.effects):
+        _order_halt(turn, event.client, event.halt, event.scope)  # it begins nothing until it hears that we know
 
 
 def on_client_gone(turn: Turn, event: ClientGone) -> None:
@@ -265,17 +268,18 @@ def on_ended(turn: Turn, event: PrimitiveEnded) -> None:
         # Late or double. It is acknowledged, or it would be repeated for ever; and it proves rest.
         turn.count("stale")
         turn.effects.append(AcknowledgeReport(subsystem=event.subsystem, primitive=report.primitive))
-        if command is None:
-            turn.confirm_rest(event.subsystem)
+        if command is None or command.primitive == report.primitive:
+            turn.confirm_rest(event.subsystem, [], report.primitive.partition(".")[0])
         return
     turn.node, turn.took_s = event.subsystem, event.at_s - command.sent_at_s
     stimulate(turn, command, Stimulus.REPORT, report)
 
 
 def on_halt_confirmed(turn: Turn, event: HaltConfirmed) -> None:
+    name = event.halt.removeprefix(ending.STOP)  # a HALT sentence, or the command that was stopped
     if event.at_rest:
-        turn.confirm_rest(event.subsystem)
-    command = turn.state.commands.get(event.halt)
+        turn.confirm_rest(event.subsystem, event.performers, name if name != event.halt else "")
+    command = turn.state.commands.get(name)
     if command is not None:
         turn.node = event.subsystem
         stimulate(turn, command, Stimulus.REST, event.at_rest)
@@ -290,14 +294,15 @@ def on_subsystem(turn: Turn, event: SubsystemConnected) -> None:
         _gone(turn, event.subsystem, "it was restarted")
     rest_known = event.at_rest or (before is not None and before.rest_known)
     state.subsystems[event.subsystem] = Subsystem(pid=event.pid, performers=event.performers, rest_known=rest_known)
-    known = {c.primitive for c in state.commands.values() if c.phase in (Phase.EXECUTING, Phase.HALTING)}
+    moving = {c.id for c in state.commands.values() if c.phase in (Phase.EXECUTING, Phase.HALTING)}
     for primitive in event.outstanding:
-        if primitive not in known:
-            _order_halt(turn, event.subsystem, f"orphan-{primitive}", primitive)
+        command_id = primitive.partition(".")[0]
+        if command_id not in moving:  # of one that moves, an earlier primitive can only be an unacknowledged report
+            _order_halt(turn, event.subsystem, f"orphan-{primitive}", command_id)
     if event.at_rest:
         turn.confirm_rest(event.subsystem)
     elif not event.outstanding:
-        _order_halt(turn, event.subsystem, f"rejoin-{event.subsystem}-{event.pid}", "ALL")
+        _order_halt(turn, event.subsystem, f"rejoin-{event.subsystem}-{turn.now:.6f}", "ALL")
     if reborn:
         return
     for command in state.commands.values():
@@ -337,8 +342,11 @@ def _gone(turn: Turn, name: str, why: str) -> None:
 
 def on_timer(turn: Turn, event: TimerFired) -> None:
     command = turn.state.commands.get(event.timer)
-    if command is not None:
-        stimulate(turn, command, Stimulus.OVERDUE)
+    if command is None or not 0 < command.due_s <= event.at_s:
+        turn.count("stale")  # stopped or set anew in the turn in which it rang
+        return
+    command.due_s = 0.0
+    stimulate(turn, command, Stimulus.OVERDUE)
 
 
 def on_restart(turn: Turn, event: BrokerRestarted) -> None:

@@ -32,6 +32,7 @@ class SendPrimitive(Effect, frozen=True, kw_only=True, gc=False):
     id: str
     primitive: msgspec.Raw
     issued_at_s: float
+    pid: int  # of the process it is meant for: a later one would have to be told what came before
 
 
 class SendHalt(Effect, frozen=True, kw_only=True, gc=False):

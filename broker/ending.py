@@ -19,6 +19,7 @@ from rtc.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason, StopReaso
 
 HALT_LIMIT_S = 2.0  # for a subsystem to confirm rest
 CLOSING_LIMIT_S = 10.0  # for the last analysis; then the command ends without it
+STOP = "stop-"  # with a command's number: the name of the halt that stops its primitive
 MAX_DEATHS = 3  # of workers with the same job in hand: it is poison
 ENDED_KEPT = 4096  # results kept for clients that ask again
 
@@ -48,7 +49,8 @@ def end(
     command.job = None
     turn.enter(command, Phase.ENDED, f"{kind.value}{': ' + message if message else ''}")
     subsystem = state.subsystems.get(command.subsystem)
-    quarantine_for = command.subsystem if kind in UNCONFIRMED and subsystem and not subsystem.rest_known else ""
+    in_doubt = kind in UNCONFIRMED and subsystem and not subsystem.rest_known and not command.at_rest
+    quarantine_for = command.subsystem if in_doubt else ""
     turn.grant(state.resources.release(command.id, quarantine_for, frozenset(command.performers)))
     for waiting in state.awaiting.pop(command.id, ()):
         turn.follow(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
@@ -91,7 +93,10 @@ def _remember(turn: Turn, command: Command, ended: CommandEnded) -> None:
         del state.ended[oldest]
         del state.successes[oldest]
     while len(state.requests) > ENDED_KEPT + len(state.commands):
-        del state.requests[next(iter(state.requests))]
+        oldest = next(iter(state.requests))
+        name = state.requests.pop(oldest)
+        if name in state.commands:  # it lives long: said again, it must still be known
+            state.requests[oldest] = name
 
 
 # --- refused -----------------------------------------------------------------------------------------
@@ -162,7 +167,7 @@ def stop_subsystem(turn: Turn, command: Command, ending: Ending) -> None:
 
 def order_halt(turn: Turn, command: Command) -> None:
     turn.effects.append(
-        SendHalt(subsystem=command.subsystem, halt=f"stop-{command.id}", scope=command.id, called_at_s=turn.now)
+        SendHalt(subsystem=command.subsystem, halt=f"{STOP}{command.id}", scope=command.id, called_at_s=turn.now)
     )
     turn.start_timer(command, HALT_LIMIT_S * max(1.0, turn.state.patience))
 
@@ -178,13 +183,18 @@ def rested(turn: Turn, command: Command, report: EndReport) -> None:
     turn.stop_timer(command)
     turn.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
     command.primitive_body = NIL
+    command.at_rest = True
     close(turn, command, report, f"at rest: {report.reason.value}")
 
 
 def rest_confirmed(turn: Turn, command: Command, at_rest: bool) -> None:
-    """Of a HALT sentence. A command that moved waits for its end report, which says more."""
+    """Of a HALT sentence, or of the halt that stops this command's primitive. An end report comes before rest is
+    confirmed: if there was none, the subsystem never had the primitive."""
     assert command.ending is not None
     if command.primitive:
+        if at_rest:
+            command.at_rest = True
+            close(turn, command, nobody_reports(turn, command, StopReason.HALT), "at rest: it had not begun")
         return
     turn.stop_timer(command)
     if at_rest:
@@ -221,12 +231,12 @@ def lost_while_halting(turn: Turn, command: Command, why: str) -> None:
         end(turn, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST)
 
 
-def nobody_reports(turn: Turn, command: Command) -> EndReport:
+def nobody_reports(turn: Turn, command: Command, reason: StopReason = StopReason.SUBSYSTEM_LOST) -> EndReport:
     """What stands in for the report of a subsystem that is gone: no figures, only the reason."""
     return EndReport(
         primitive=command.primitive,
         performer=command.performers[0],
-        reason=StopReason.SUBSYSTEM_LOST,
+        reason=reason,
         at_s=turn.now,
         duration_s=0.0,
         joints=[],

@@ -26,6 +26,8 @@ class CommandReceived(Event, frozen=True, kw_only=True, gc=False):
 
 
 class HaltCalled(Event, frozen=True, kw_only=True, gc=False):
+    """By a client, or told by a subsystem at whose own door it was called."""
+
     client: str
     halt: str
     scope: str
@@ -70,11 +72,13 @@ class PrimitiveEnded(Event, frozen=True, kw_only=True, gc=False):
 
 
 class HaltConfirmed(Event, frozen=True, kw_only=True, gc=False):
-    """A subsystem says that all in the scope of a halt is at rest, or that it is not."""
+    """A subsystem says that all in the scope of a halt is at rest, or that it is not. `performers`: those in the
+    scope; None = all it has."""
 
     subsystem: str
     halt: str
     at_rest: bool
+    performers: list[str] | None = None
 
 
 class SubsystemConnected(Event, frozen=True, kw_only=True, gc=False):

@@ -27,7 +27,7 @@ from broker.state import (
     StepHead,
 )
 from broker.transitions import Stimulus
-from broker.turn import Turn, step_body
+from broker.turn import Turn, step_body, step_in_words
 from rtc import wire
 from rtc.messages import EndReport, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
@@ -81,6 +81,11 @@ def halt_by_command(turn: Turn, command: Command, scope: str) -> None:
     if scope != "ALL" and not in_scope(turn, scope) and not _subsystem_of(turn, scope):
         refuse(turn, command, _no_target(turn, scope))
         return
+    target = turn.state.commands.get(scope)
+    if target is not None and not target.subsystem:
+        turn.follow(scope, Stimulus.STOP, _halted(scope))
+        end(turn, command, OutcomeKind.SUCCEEDED, message=f"{scope} had moved nothing yet")
+        return
     command.ending = Ending(kind=OutcomeKind.SUCCEEDED, message=f"{scope} at rest")
     turn.enter(command, Phase.HALTING, f"halt {scope}")
     turn.start_timer(command, HALT_LIMIT_S * turn.state.patience)
@@ -94,16 +99,20 @@ def halt(turn: Turn, halt_id: str, scope: str, called_at_s: float, spare: str = 
     performer = _subsystem_of(turn, scope)
     if scope != "ALL" and not targets and not performer:
         return False
-    state.halted_at_s[scope] = min(called_at_s or turn.now, turn.now)
+    if scope not in state.commands:
+        state.halted_at_s[scope] = min(called_at_s or turn.now, turn.now)
     for name, subsystem in state.subsystems.items():
         concerned = scope == "ALL" or name == performer or any(c.subsystem == name for c in targets)
         if concerned and subsystem.link is not Link.LOST:
             turn.effects.append(SendHalt(subsystem=name, halt=halt_id, scope=scope, called_at_s=called_at_s))
-    ending = Ending(kind=OutcomeKind.HALTED, message=f"halted ({scope})", stop=StopReason.HALT)
     for command in targets:
         if command.id != spare:
-            turn.follow(command.id, Stimulus.STOP, ending)
+            turn.follow(command.id, Stimulus.STOP, _halted(scope))
     return True
+
+
+def _halted(scope: str) -> Ending:
+    return Ending(kind=OutcomeKind.HALTED, message=f"halted ({scope})", stop=StopReason.HALT)
 
 
 def in_scope(turn: Turn, scope: str) -> list[Command]:
@@ -305,6 +314,10 @@ def bound(turn: Turn, command: Command, product: msgspec.Raw) -> None:
         end(turn, command, OutcomeKind.LOST_SUBSYSTEM, message=lost, stop=StopReason.SUBSYSTEM_LOST)
         return
     primitive = read_primitive(result.primitive)
+    if not turn.state.resources.held.get(command.id, {}).get(primitive.performer):
+        message = f"the step moves {primitive.performer}, which its script has not claimed"
+        refuse(turn, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=step_in_words(command)))
+        return
     command.primitives += 1
     command.primitive = primitive.id
     command.primitive_body = result.primitive
@@ -323,13 +336,16 @@ def send(turn: Turn, command: Command) -> None:
     """The primitive goes to its subsystem, which answers for it from now on (R58). Only silence is watched.
     One that is awaited gets it when it says hello."""
     command.sent_at_s = turn.now
-    if turn.state.subsystems[command.subsystem].link is Link.CONNECTED:
+    command.at_rest = False
+    subsystem = turn.state.subsystems[command.subsystem]
+    if subsystem.link is Link.CONNECTED:
         turn.effects.append(
             SendPrimitive(
                 subsystem=command.subsystem,
                 id=command.primitive,
                 primitive=command.primitive_body,
                 issued_at_s=turn.now,
+                pid=subsystem.pid,
             )
         )
     turn.start_timer(command, command.limit_s * turn.state.patience + REPORT_MARGIN_S)
@@ -351,6 +367,7 @@ def acknowledge(turn: Turn, command: Command) -> None:
     """Effects follow the journal, so what is acknowledged is never needed from the subsystem again."""
     turn.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
     command.primitive_body = NIL
+    command.at_rest = True
 
 
 def analyze(turn: Turn, command: Command, report: EndReport, *, closing: bool) -> None:

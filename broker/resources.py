@@ -10,7 +10,7 @@ relies on). A name may also be in quarantine: its holder has ended, but nobody h
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
 import msgspec
@@ -25,12 +25,19 @@ class Blocked(NamedTuple):
     owner: str
 
 
+class Quarantine(NamedTuple):
+    """Who must confirm rest, and whose motion is in doubt."""
+
+    subsystem: str
+    command: str
+
+
 class Resources(msgspec.Struct, kw_only=True):
     held: dict[str, Claim] = {}  # command -> what it holds
     waiting: dict[str, Claim] = {}  # command -> what it waits for
     holders: dict[str, Claim] = {}  # name -> {command: exclusive?}
     lines: dict[str, Claim] = {}  # name -> {command: exclusive?}, in order of arrival
-    quarantine: dict[str, str] = {}  # name -> the subsystem that must confirm rest
+    quarantine: dict[str, Quarantine] = {}  # name -> why it is closed
 
     def blocker(self, command: str, claim: Claim) -> Blocked | None:
         """The first thing in the way of a claim: held by another, or wanted by one earlier in line.
@@ -41,7 +48,7 @@ class Resources(msgspec.Struct, kw_only=True):
             if name in mine and (mine[name] or not exclusive):
                 continue
             if name in self.quarantine:
-                return Blocked(name, f"{self.quarantine[name]}, which has not confirmed rest")
+                return Blocked(name, f"{self.quarantine[name].subsystem}, which has not confirmed rest")
             for holder, theirs in self.holders.get(name, {}).items():
                 if holder != command and (exclusive or theirs):
                     return Blocked(name, holder)
@@ -77,12 +84,17 @@ class Resources(msgspec.Struct, kw_only=True):
         that it held stay closed until that subsystem has confirmed rest."""
         freed = self._let_go(command) + self._leave_line(command)
         if quarantine_for:
-            self.quarantine.update((name, quarantine_for) for name in freed if name in names)
+            self.quarantine.update((name, Quarantine(quarantine_for, command)) for name in freed if name in names)
         return self._grantable(freed)
 
-    def confirm_rest(self, subsystem: str) -> list[str]:
-        """Open what waited for this subsystem; returns who can be granted now."""
-        freed = [name for name, by in self.quarantine.items() if by == subsystem]
+    def confirm_rest(self, subsystem: str, names: Collection[str] | None = None, command: str = "") -> list[str]:
+        """Open what waited for this subsystem: all, or only these names and what was closed for this command's sake;
+        returns who can be granted now."""
+        freed = [
+            name
+            for name, by in self.quarantine.items()
+            if by.subsystem == subsystem and (names is None or name in names or by.command == command)
+        ]
         for name in freed:
             del self.quarantine[name]
         return self._grantable(freed)

@@ -158,7 +158,19 @@ class Router:
             case m.HaltAtRest():
                 self._tell_halt_callers(message)
                 self._events.append(
-                    heard.HaltConfirmed(at_s=now, subsystem=name, halt=message.halt, at_rest=message.at_rest)
+                    heard.HaltConfirmed(
+                        at_s=now,
+                        subsystem=name,
+                        halt=message.halt,
+                        at_rest=message.at_rest,
+                        performers=message.performers,
+                    )
+                )
+            case m.HaltOrder():
+                self._events.append(
+                    heard.HaltCalled(
+                        at_s=now, client=name, halt=message.halt, scope=message.scope, called_at_s=message.called_at_s
+                    )
                 )
             case m.SubsystemHello():
                 self.me.log.info("%s is here, pid %d, %s", name, message.pid, ", ".join(message.performers))
@@ -325,7 +337,12 @@ class Router:
             send(self._socket["workers"], m.Drop(jobs=[effect.job]), worker.encode())
 
     def _send_primitive(self, effect: do.SendPrimitive) -> None:
-        message = {"type": "Execute", "primitive": effect.primitive, "issued_at_s": effect.issued_at_s}
+        message = {
+            "type": "Execute",
+            "primitive": effect.primitive,
+            "issued_at_s": effect.issued_at_s,
+            "pid": effect.pid,
+        }
         send(self._socket["subsystems"], message, effect.subsystem.encode())
 
     def _send_halt(self, effect: do.SendHalt) -> None:

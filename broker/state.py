@@ -135,6 +135,8 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True):
     evaluation: msgspec.Raw = NIL
     sent_at_s: float = 0.0
     limit_s: float = 0.0
+    due_s: float = 0.0  # when its timer rings; 0 = it has none
+    at_rest: bool = True  # nothing moves for it: never did, or a report or a halt has told so
     pause_wanted: bool = False  # takes effect between two steps
     ending: Ending | None = None
     notes: list[ProgressNote] = []

@@ -45,7 +45,7 @@ def status(router: Router) -> dict[str, Any]:
             {
                 "name": name,
                 "owner": ", ".join(resources.holders.get(name, {}))
-                or (f"quarantine: {resources.quarantine[name]}" if name in resources.quarantine else ""),
+                or (f"quarantine: {resources.quarantine[name].subsystem}" if name in resources.quarantine else ""),
                 "exclusive": any(resources.holders.get(name, {}).values()),
                 "waiting": list(resources.lines.get(name, {})),
             }

@@ -85,7 +85,7 @@ _ROWS: dict[Phase, dict[Stimulus, str]] = {
     },
     P.HALTING: {
         S.REPORT: "rested -> CLOSING",
-        S.REST: "rest_confirmed -> HALTING ENDED",
+        S.REST: "rest_confirmed -> HALTING CLOSING ENDED",
         S.OVERDUE: "unconfirmed -> ENDED",
         S.GONE: "lost_while_halting -> CLOSING ENDED",
     },

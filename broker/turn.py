@@ -42,11 +42,18 @@ class Turn:
         for command in commands:
             self.followups.append((command, Stimulus.GRANT, None))
 
-    def confirm_rest(self, subsystem: str) -> None:
-        """It is known to be at rest: what was closed for its sake is open again."""
-        if found := self.state.subsystems.get(subsystem):
+    def confirm_rest(self, subsystem: str, performers: list[str] | None = None, command: str = "") -> None:
+        """Known to be at rest: all of a subsystem, or these performers of it, or whatever moved for this command. What
+        was closed for their sake is open again."""
+        found = self.state.subsystems.get(subsystem)
+        if found and performers is not None and set(performers) >= set(found.performers):
+            performers = None
+        if found and performers is None:
             found.rest_known = True
-        self.grant(self.state.resources.confirm_rest(subsystem))
+        for live in self.state.commands.values():
+            if live.subsystem == subsystem and live.phase is Phase.CLOSING:
+                live.at_rest |= performers is None or set(performers) >= set(live.performers) or live.id == command
+        self.grant(self.state.resources.confirm_rest(subsystem, performers, command))
 
     def count(self, what: str) -> None:
         self.state.counts[what] = self.state.counts.get(what, 0) + 1
@@ -102,9 +109,11 @@ class Turn:
         )
 
     def start_timer(self, command: Command, limit_s: float) -> None:
-        self.effects.append(StartTimer(timer=command.id, at_s=self.now + limit_s))
+        command.due_s = self.now + limit_s
+        self.effects.append(StartTimer(timer=command.id, at_s=command.due_s))
 
     def stop_timer(self, command: Command) -> None:
+        command.due_s = 0.0
         self.effects.append(StopTimer(timer=command.id))
 
 

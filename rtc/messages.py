@@ -444,14 +444,19 @@ class SubsystemHello(Message, frozen=True, kw_only=True):
 
 
 class Execute(Message, frozen=True, kw_only=True):
-    """Perform this. The same primitive twice is executed once; one issued before a halt is not begun after it."""
+    """Perform this. The same primitive twice is executed once; one the broker sent before it knew of a halt is not
+    begun after that halt."""
 
     primitive: Primitive
     issued_at_s: float = 0.0
+    pid: int = 0  # of the process it is meant for, as told in its hello; another passes it over; 0 = any
 
 
 class HaltOrder(Message, frozen=True, kw_only=True):
-    """Stop now. `scope`: ALL, a performer, or a command number, which stops the primitives that begin with it."""
+    """Stop now. `scope`: ALL, a performer, or a command number, which stops the primitives that begin with it.
+
+    From a subsystem to the broker: a halt that was called past the broker. Nothing in its scope begins until the
+    broker has answered with the same order; it is said again with every hello until then."""
 
     halt: str
     scope: str = "ALL"
@@ -669,7 +674,9 @@ ClientToBroker = ClientHello | CommandText | StatusQuery | TraceQuery | ProgramT
 BrokerToClient = Welcome | Accepted | Declined | ProgressNote | CommandEnded | StatusReply | TraceReply | ProgramLoaded
 WorkerToBroker = WorkerHello | Heartbeat | ResultBatch | ProgramWanted
 BrokerToWorker = JobBatch | Drop | ProgramBody | Shutdown
-SubsystemToBroker = SubsystemHello | Heartbeat | Started | ProgressReport | EndReport | HaltStarted | HaltAtRest
+SubsystemToBroker = (
+    SubsystemHello | Heartbeat | Started | ProgressReport | EndReport | HaltStarted | HaltAtRest | HaltOrder
+)
 BrokerToSubsystem = Execute | HaltOrder | ReportAck
 ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined

@@ -62,7 +62,7 @@ class Subsystem:
 
     @property
     def at_rest(self) -> bool:
-        return all(e.at_rest for e in self.executors.values())
+        return all(map(_rests, self.executors.values()))
 
     @property
     def idle(self) -> bool:
@@ -200,7 +200,7 @@ class Subsystem:
                     moving=halt.moving,
                 )
                 said += [(door, halt.started) for door in halt.doors]
-            at_rest = all(self.executors[name].at_rest for name in halt.performers)
+            at_rest = all(_rests(self.executors[name]) for name in halt.performers)
             if at_rest or now_s - halt.received_at_s > REST_LIMIT_S:
                 halt.ended = m.HaltAtRest(
                     halt=halt.order.halt,
@@ -212,6 +212,12 @@ class Subsystem:
                 said += [(door, halt.ended) for door in halt.doors]
                 self._open_halts.remove(halt)
         return said
+
+
+def _rests(executor: Executor) -> bool:
+    """It stands still and has said how its primitive ended: whoever hears of rest has heard the report before, and
+    can give it something new at once."""
+    return executor.at_rest and executor.primitive is None
 
 
 def _in_scope(scope: str, performer: str, primitive: str) -> bool:

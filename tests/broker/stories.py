@@ -124,6 +124,8 @@ class Story:
         return self.hear(heard.HaltConfirmed, subsystem="MCM", halt=halt, at_rest=at_rest)
 
     def rings(self, command: str) -> list[str]:
+        if live := self.state.commands.get(command):
+            self.now = max(self.now, live.due_s)
         return self.hear(heard.TimerFired, timer=command)
 
     def mcm_gone(self) -> list[str]:
@@ -145,7 +147,8 @@ class Story:
 
     def executing(self, script_: Script | None = None, **head: Any) -> str:
         command = self.elaborated(script_, **head)
-        self.answers(command, bound(f"{command}.1"))
+        arm = next((r for r in (script_.resources if script_ else ()) if r.endswith("ARM")), "RIGHT-ARM")
+        self.answers(command, bound(f"{command}.1", arm))
         return command
 
     def analyzing(self, script_: Script | None = None, reason: StopReason = StopReason.GOAL) -> str:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import pytest
 from stories import Story, bound, give_up, go_on, mend, record, report, script, trim
 
+from broker import ending
 from broker.decision_unit import ACTIONS, InvalidTransition, stimulate
-from broker.events import BrokerRestarted, ClientGone, ProgramInstalled
+from broker.effects import SendHalt, SendPrimitive
+from broker.events import BrokerRestarted, ClientGone, HaltCalled, HaltConfirmed, ProgramInstalled, TimerFired
 from broker.state import State
 from broker.transitions import TABLE, Stimulus
 from broker.turn import Turn
@@ -289,7 +291,7 @@ def test_rest_that_nobody_confirms_is_told_apart_and_closes_the_arm():
     s.executing()
     s.halts()
     assert s.rings("C-1") == ["note C-1 ended", "end C-1 halt_not_confirmed"]
-    assert s.state.resources.quarantine == {"RIGHT-ARM": "MCM"}
+    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1")}
     s.parsed()
     assert s.phase("C-2") == "held"
     assert s.rests("h1") == ["job C-2/2 elaborator #1", "note C-2 elaborating"]
@@ -464,7 +466,7 @@ def test_a_lost_subsystem_ends_what_it_executed_and_closes_its_arms_until_it_con
         "note C-1 closing",
     ]
     assert s.answers("C-1", go_on()) == ["no timer C-1", "note C-1 ended", "end C-1 lost_subsystem"]
-    assert s.state.resources.quarantine == {"RIGHT-ARM": "MCM"}
+    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1")}
     s.mcm_hello(pid=2)
     assert s.state.resources.quarantine == {}
 
@@ -484,8 +486,8 @@ def test_a_subsystem_that_was_only_stopped_is_halted_when_it_comes_back():
     s.executing()
     s.mcm_gone()
     s.answers("C-1", go_on())
-    assert s.mcm_hello(outstanding=["C-1.1"], at_rest=False) == ["halt C-1.1 to MCM"]
-    assert s.state.resources.quarantine == {"RIGHT-ARM": "MCM"}
+    assert s.mcm_hello(outstanding=["C-1.1"], at_rest=False) == ["halt C-1 to MCM"]
+    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1")}
     s.rests("orphan-C-1.1")
     assert s.state.resources.quarantine == {}
 
@@ -610,6 +612,132 @@ def test_a_halt_lost_with_the_broker_is_ordered_again():
     s.halts()
     s.hear(BrokerRestarted)
     assert s.mcm_hello(outstanding=["C-1.1"]) == ["halt C-1 to MCM", "timer C-1"]
+
+
+# --- what exploring all interleavings found (tests/simulation) ---------------------------------------
+
+
+def told_by_mcm(s: Story, scope: str = "ALL", halt: str = "h1") -> list[str]:
+    return s.hear(HaltCalled, client="MCM", halt=halt, scope=scope)
+
+
+def test_a_halt_that_only_the_subsystem_heard_stops_everything_here_too():
+    s = Story()
+    s.parsed()
+    assert told_by_mcm(s) == ["halt ALL to MCM", "cancel C-1/2", "note C-1 ended", "end C-1 halted"]
+
+
+def test_a_subsystem_that_tells_of_a_halt_is_always_answered_with_it_or_it_would_begin_nothing_for_ever():
+    s = Story()
+    s.halts()
+    assert told_by_mcm(s) == ["halt ALL to MCM"]  # known already
+    assert told_by_mcm(s, "C-9", "h2") == ["halt C-9 to MCM"]  # means nothing here
+
+
+def test_a_primitive_is_meant_for_the_process_that_said_hello():
+    s = Story()
+    s.mcm_hello(pid=7)
+    s.executing()
+    assert next(e.pid for e in s.log if isinstance(e, SendPrimitive)) == 7
+
+
+def test_rest_of_one_arm_says_nothing_about_the_other():
+    s = Story()
+    s.executing()
+    s.halts("C-1")
+    s.rings("C-1")
+    s.hear(HaltConfirmed, subsystem="MCM", halt="h2", at_rest=True, performers=["LEFT-ARM"])
+    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1")}
+    s.hear(HaltConfirmed, subsystem="MCM", halt="h3", at_rest=True, performers=["RIGHT-ARM"])
+    assert s.state.resources.quarantine == {}
+
+
+@pytest.mark.parametrize("late", ["the report", "the confirmation"])
+def test_a_late_word_on_what_was_stopped_opens_its_arm(late):
+    s = Story()
+    s.executing()
+    s.halts()
+    s.rings("C-1")
+    s.reports("C-9", primitive="C-9.4")
+    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1")}
+    if late == "the report":
+        s.reports("C-1", StopReason.HALT, primitive="C-1.1")
+    else:  # the scope of the halt is the command: when it moved nothing, no arm is named
+        s.hear(HaltConfirmed, subsystem="MCM", halt="stop-C-1", at_rest=True, performers=[])
+    assert s.state.resources.quarantine == {}
+
+
+def test_rest_without_a_report_means_that_the_primitive_never_began():
+    s = Story()
+    s.executing()  # the broker died before the primitive was out, and now knows of a halt
+    s.halts()
+    assert s.rests("stop-C-1") == [
+        "no timer C-1",
+        "job C-1/4 analyzer #1 lease RIGHT-ARM",
+        "timer C-1",
+        "note C-1 closing",
+    ]
+    assert s.answers("C-1", go_on())[-1] == "end C-1 halted"
+
+
+def test_what_is_being_analysed_moves_nothing_and_its_arm_stays_open_when_the_subsystem_is_lost():
+    s = Story()
+    s.analyzing()
+    s.mcm_gone()
+    assert s.answers("C-1", go_on())[-1] == "end C-1 lost_subsystem"
+    assert s.state.resources.quarantine == {}
+
+
+def test_an_unacknowledged_report_of_an_earlier_step_does_not_stop_the_step_that_moves():
+    s = Story()
+    s.analyzing(script(steps=2))
+    s.answers("C-1", go_on())
+    s.answers("C-1", bound("C-1.2"))
+    assert s.mcm_hello(outstanding=["C-1.2", "C-1.1"], at_rest=False) == []
+
+
+def test_a_subsystem_that_comes_back_moving_is_halted_anew_each_time():
+    s = Story()
+    for _ in range(2):
+        s.mcm_gone()
+        assert s.mcm_hello(at_rest=False) == ["halt ALL to MCM"]
+    first, second = (e.halt for e in s.log if isinstance(e, SendHalt))
+    assert first != second
+
+
+def test_a_timer_that_rings_in_the_turn_that_sets_it_anew_is_late():
+    s = Story()
+    s.executing()
+    rung_s = s.state.commands["C-1"].due_s
+    s.now = rung_s - 0.0005
+    s.halts()
+    assert s.hear(TimerFired, timer="C-1") == []
+    assert s.phase("C-1") == "halting"
+
+
+def test_a_halt_of_a_command_that_has_moved_nothing_is_over_at_once():
+    s = Story()
+    s.parsed()
+    told = s.says("HALT C-1")
+    assert told[0] == "tell ann Accepted C-2"
+    assert [line for line in told if line.startswith("end")] == ["end C-2 succeeded", "end C-1 halted"]
+
+
+def test_a_step_may_move_only_what_its_script_has_claimed():
+    s = Story()
+    s.elaborated()
+    assert s.answers("C-1", bound("C-1.1", "LEFT-ARM")) == ["note C-1 ended", "end C-1 refused"]
+    assert s.outcome("C-1").refusal.reason is RefusalReason.PROGRAM
+
+
+def test_the_request_of_a_long_command_outlives_thousands_of_short_ones(monkeypatch):
+    monkeypatch.setattr(ending, "ENDED_KEPT", 5)
+    s = Story()
+    s.says("X", request="long")
+    for n in range(20):
+        s.says("HALT C-99", request=f"short-{n}")
+    assert s.says("X", request="long") == ["tell ann Accepted C-1"]
+    assert len(s.state.requests) <= 5 + len(s.state.commands)
 
 
 # --- the table itself --------------------------------------------------------------------------------

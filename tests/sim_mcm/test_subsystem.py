@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 
 from rtc import messages as m
@@ -216,6 +217,24 @@ def test_once_the_broker_knows_of_a_halt_a_new_primitive_works_at_once(bench, sw
     )
     assert kinds(bench.hear(m.Execute(primitive=hold, issued_at_s=99.0)), m.Started)
     assert list(bench.simulation.arms[ARM].joints) == home
+
+
+def test_rest_is_confirmed_after_the_end_has_been_reported(bench, swing) -> None:
+    bench.hear(m.Execute(primitive=swing()))
+    bench.tick(500)
+    bench.hear(m.HaltOrder(halt="H-1"), BROKER)
+    told = [type(message) for _, message in bench.tick(300)]
+    assert told.index(m.EndReport) < told.index(m.HaltAtRest)
+    home = bench.simulation.arms[ARM].joints
+    hold = msgspec.structs.replace(swing("C-8.1"), trajectory=p.HoldStill(duration_s=0.1))
+    assert kinds(bench.hear(m.Execute(primitive=hold)), m.Started)  # it can be given something new at once
+    assert list(bench.simulation.arms[ARM].joints) == list(home)
+
+
+def test_a_primitive_meant_for_the_process_before_is_passed_over(bench, swing) -> None:
+    assert bench.hear(m.Execute(primitive=swing(), pid=bench.subsystem.pid + 1)) == []
+    assert bench.subsystem.idle
+    assert kinds(bench.hear(m.Execute(primitive=swing(), pid=bench.subsystem.pid)), m.Started)
 
 
 def test_a_halt_of_one_command_leaves_another_commands_orders_alone(bench, swing) -> None:
