@@ -1,0 +1,256 @@
+"""Does the simulated MCM keep its 1 kHz beside busy workers, and how much quicker than real time can it go?
+
+The process is the real one, with a broker made of one socket. Late: a tick that begins more than a period (1 ms) after
+it was due, at `--speed 1`, while as many processes as there are cores burn all they can get at the workers' niceness.
+Real-time factor: simulated seconds per second at `--speed max`, both arms moving; and while one of them grips.
+
+    python -m benchmarks.mcm [--seconds 20] [--mcm bullet|kinematic]
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import zmq
+
+from benchmarks.report import finish, question
+from rtc import geometry
+from rtc import messages as m
+from rtc import primitive as p
+from rtc.cell import Cell
+from rtc.outcomes import StopReason
+from rtc.robot.kinematics import ArmModel
+from rtc.settings import Settings, prepare_run_dir
+from rtc.wire import frames, reader
+
+ARMS = ("RIGHT-ARM", "LEFT-ARM")
+WORKERS_NICENESS = 5
+LIMIT_S = 300.0
+SWING_RAD, SWING_S = 0.4, 4.0  # of the first joint, there or back
+HANDLE, MODULE = "HANDLE-A", "MACS-NEW"
+
+_hear = reader(m.SubsystemToBroker)
+_look = reader(m.Telemetry)
+
+
+class Station:
+    """A running MCM and the socket it reports to."""
+
+    def __init__(self, mcm: str, speed: float, folder: str) -> None:
+        settings = Settings(run_dir=str(prepare_run_dir(Path(folder))), mcm=mcm, speed=speed)
+        settings.save()
+        command = [sys.executable, "-m", "sim_mcm", "--run-dir", folder]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        assert self.process.stdout is not None
+        if self.process.stdout.readline() != b"ready\n":
+            raise SystemExit("the MCM did not come up")
+        self.context = zmq.Context()
+        self.broker = self.context.socket(zmq.ROUTER)
+        self.broker.bind(settings.endpoint("subsystems"))
+        self.telemetry = self.context.socket(zmq.SUB)
+        self.telemetry.setsockopt(zmq.CONFLATE, 0)
+        self.telemetry.connect(settings.endpoint("telemetry"))
+        self.telemetry.subscribe(b"")
+        self.wait(m.SubsystemHello)
+        self._count = 0
+
+    def wait(self, kind: type, primitive: str = "") -> m.Message:
+        limit_s = time.monotonic() + LIMIT_S
+        while time.monotonic() < limit_s:
+            if self.broker.poll(1000):
+                message = _hear(self.broker.recv_multipart()[1:])
+                if isinstance(message, kind) and getattr(message, "primitive", "") == primitive:
+                    return message
+        raise SystemExit(f"the MCM did not answer within {LIMIT_S:.0f} s")
+
+    def begin(self, arm: str, trajectory: p.Trajectory, *stops: p.StopFunction) -> str:
+        self._count += 1
+        always = [_stop(StopReason.GOAL, p.GoalReached()), _stop(StopReason.TIMEOUT, p.TimeAbove(600.0))]
+        guards = [
+            _stop(StopReason.COLLISION, p.BodyTouch()),
+            _stop(StopReason.JOINT_LIMIT, p.JointMarginBelow(0.01)),
+            _stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=60.0)),
+        ]
+        primitive = p.Primitive(
+            id=f"C-1.{self._count}",
+            performer=arm,
+            trajectory=trajectory,
+            stop_functions=[*always, *guards, *stops],
+        )
+        self.broker.send_multipart([b"MCM", *frames(m.Execute(primitive=primitive))])
+        return primitive.id
+
+    def end(self, primitive: str) -> m.EndReport:
+        report = self.wait(m.EndReport, primitive)
+        assert isinstance(report, m.EndReport)
+        self.broker.send_multipart([b"MCM", *frames(m.ReportAck(primitive=primitive))])
+        return report
+
+    def look(self) -> m.Telemetry:
+        """The newest telemetry."""
+        while self.telemetry.poll(0):
+            self.telemetry.recv_multipart()
+        return _look(self.telemetry.recv_multipart())
+
+    def close(self) -> None:
+        self.process.terminate()
+        self.process.wait(10)
+        self.context.destroy(linger=0)
+
+
+@contextlib.contextmanager
+def station(mcm: str, speed: float) -> Iterator[Station]:
+    with tempfile.TemporaryDirectory(prefix="rtc-bench-") as folder:
+        made = Station(mcm, speed, folder)
+        try:
+            yield made
+        finally:
+            made.close()
+
+
+@contextlib.contextmanager
+def busy_cores() -> Iterator[None]:
+    """As many processes as cores, computing for ever as workers would."""
+    burn = f"import os; os.nice({WORKERS_NICENESS})\nwhile True: sum(range(10000))"
+    burners = [subprocess.Popen([sys.executable, "-c", burn]) for _ in os.sched_getaffinity(0)]
+    try:
+        yield
+    finally:
+        for burner in burners:
+            burner.kill()
+            burner.wait()
+
+
+def _stop(reason: StopReason, when: p.Predicate) -> p.StopFunction:
+    return p.StopFunction(reason=reason, when=when)
+
+
+def _path(knots: list[list[float]], each_s: float) -> p.JointTrajectory:
+    still = [[0.0] * len(knots[0])] * len(knots)
+    times = [n * each_s for n in range(len(knots))]
+    return p.JointTrajectory(space="joint", time_s=times, positions=knots, velocities=still, accelerations=still)
+
+
+def swings(cell: Cell, arm: str, duration_s: float) -> p.JointTrajectory:
+    """To and fro with the first joint, in free space."""
+    home = cell.arm(arm).home_rad
+    away = [home[0] - SWING_RAD * (1 if arm == ARMS[0] else -1), *home[1:]]
+    count = max(2, 2 * round(duration_s / SWING_S / 2))
+    return _path([home if n % 2 == 0 else away for n in range(count + 1)], SWING_S)
+
+
+def late_percent(mcm: str, cell: Cell, seconds: float, busy: bool) -> tuple[float, int]:
+    """Share of late ticks while both arms move, in real time; and how many ticks were looked at."""
+    with station(mcm, 1.0) as made, busy_cores() if busy else contextlib.nullcontext():
+        begun = [made.begin(arm, swings(cell, arm, seconds + 10.0)) for arm in ARMS]
+        time.sleep(1.0)
+        before = made.look()
+        time.sleep(seconds)
+        after = made.look()
+        assert len(begun) == len(ARMS)
+    ticks = after.ticks - before.ticks
+    return 100.0 * (after.late_ticks - before.late_ticks) / ticks, ticks
+
+
+def free_factor(mcm: str, cell: Cell, seconds: float) -> float:
+    """Simulated seconds per second, both arms moving freely."""
+    with station(mcm, 0.0) as made:
+        begun = [made.begin(arm, swings(cell, arm, 10.0 * seconds)) for arm in ARMS]
+        began_s = time.perf_counter()
+        reports = [made.end(primitive) for primitive in begun]
+        took_s = time.perf_counter() - began_s
+    assert all(report.reason is StopReason.GOAL for report in reports), reports
+    return max(report.duration_s for report in reports) / took_s
+
+
+def gripping_factor(mcm: str, cell: Cell, seconds: float) -> float:
+    """The same while the right hand holds a module in the air and carries it to and fro, and the left arm rests."""
+    arm = ARMS[0]
+    model = ArmModel.of(cell, arm)
+    handle = geometry.compose(cell.object_pose(MODULE), cell.object(MODULE).grasp_point(HANDLE).frame.pose)
+    joints = [cell.arm(arm).home_rad]
+    for back_m, up_m in ((0.1, 0.0), (0.0, 0.0), (0.0, 0.3), (0.15, 0.3)):
+        pose = geometry.translate(handle, (-back_m, 0.0, up_m))
+        joints.append(model.ik(pose, near=joints[-1])[0].tolist())
+    home, front, at, above, aside = joints
+    with station(mcm, 0.0) as made:
+        close = p.HandMotion(width_m=0.0, force_n=30.0)
+        for step in (_path([home, front], 3.0), _path([front, at], 2.0), close, _lift(model, at, handle)):
+            report = made.end(made.begin(arm, step))
+            if report.reason is not StopReason.GOAL:
+                raise SystemExit(f"the grasp failed: {report.reason} {report.message}")
+        count = max(2, 2 * round(5.0 * seconds / SWING_S / 2))
+        carry = made.begin(arm, _path([above if n % 2 == 0 else aside for n in range(count + 1)], SWING_S))
+        began_s = time.perf_counter()
+        report = made.end(carry)
+        took_s = time.perf_counter() - began_s
+    assert report.reason is StopReason.GOAL, report
+    assert 0.018 < report.hand_width_m < 0.022, "the module was lost"
+    return report.duration_s / took_s
+
+
+def _lift(model: ArmModel, start: list[float], handle: geometry.Array, height_m: float = 0.3) -> p.JointTrajectory:
+    """Straight up out of the rack, by knots close enough together."""
+    knots = [start]
+    for n in range(1, 31):
+        pose = geometry.translate(handle, (0.0, 0.0, height_m * _smooth(n / 30)))
+        knots.append(model.ik(pose, near=knots[-1])[0].tolist())
+    each_s = 4.0 / 30
+    rates = [[(b - a) / (2 * each_s) for a, b in zip(k0, k1, strict=True)] for k0, k1 in zip(knots, knots[2:])]  # noqa: B905
+    still = [0.0] * len(start)
+    return p.JointTrajectory(
+        space="task",
+        time_s=[n * each_s for n in range(31)],
+        positions=knots,
+        velocities=[still, *rates, still],
+        accelerations=[still] * 31,
+    )
+
+
+def _smooth(x: float) -> float:
+    return x**3 * (10 + x * (6 * x - 15))
+
+
+def main() -> None:
+    words = argparse.ArgumentParser(description=__doc__)
+    words.add_argument("--seconds", type=float, default=20.0, help="of the clock on the wall, for each figure, about")
+    words.add_argument("--mcm", default="bullet")
+    given = words.parse_args()
+    cell = Cell.load("swapout")
+    question("mcm", f"does the {given.mcm} MCM keep 1 kHz beside busy workers, and how fast can it go?")
+    rows: list[tuple[str, str]] = []
+
+    def measured(label: str, text: str) -> None:
+        rows.append((label, text))
+        print(f"  {label}: {text}", flush=True)
+
+    idle, ticks = late_percent(given.mcm, cell, given.seconds, busy=False)
+    measured("late ticks, machine idle", f"{idle:.3f} % of {ticks}")
+    late, ticks = late_percent(given.mcm, cell, given.seconds, busy=True)
+    measured("late ticks, all cores busy", f"{late:.3f} % of {ticks}")
+    free = free_factor(given.mcm, cell, given.seconds)
+    measured("real-time factor, both arms moving", f"{free:.1f}")
+    gripping = gripping_factor(given.mcm, cell, given.seconds)
+    measured("real-time factor, one arm gripping", f"{gripping:.1f}")
+    finish(
+        "mcm",
+        {
+            "late_ticks_percent": late,
+            "late_ticks_idle_percent": idle,
+            "real_time_factor": free,
+            "real_time_factor_gripping": gripping,
+        },
+        rows,
+    )
+
+
+if __name__ == "__main__":
+    main()
