@@ -25,7 +25,7 @@ from sim_mcm.kinematic_arm import displaced
 from sim_mcm.servo import Servo
 
 FINGER_FRICTION = 1.0
-SPINNING_FRICTION = 0.005  # m; without it a module turns out of the grip about the pads
+SPINNING_FRICTION = 0.012  # m, of a soft pad; with less a module turns out of the grip about the pads
 SEATED_M = 0.02  # nearer to where a seat holds its module than this: it sits there
 NOTHING: Mapping[str, float] = {}
 BODY_B, LINK_A, NORMAL_FORCE = 2, 3, 9  # fields of a contact point

@@ -216,7 +216,7 @@ class Executor:
     def _begin_stopping(self) -> None:
         assert self.primitive is not None
         assert self.trip is not None
-        self._use(profiles.Brake(self._command))
+        self._use(profiles.Brake(self._command, laden=min(self.sample.finger_forces) > SQUEEZE_N))
         if isinstance(self.primitive.trajectory, p.HandMotion) and self.trip.reason is not StopReason.GOAL:
             self._freeze_hand()
 
