@@ -303,6 +303,11 @@ def next_step(turn: Turn, command: Command) -> None:
 def bound(turn: Turn, command: Command, product: msgspec.Raw) -> None:
     result = read_bound(product)
     command.bindings.update(result.bindings)
+    if result.told != NIL:
+        command.evaluation = result.evaluation
+        analyze(turn, command, result.told)
+        turn.enter(command, Phase.ANALYZING, result.note)
+        return
     if not result.subsystem or result.primitive == NIL:
         command.steps_done += 1
         turn.note(command, result.note or "nothing to execute")
@@ -359,7 +364,7 @@ def reported(turn: Turn, command: Command, report: EndReport) -> None:
         command.ending = Ending(kind=OutcomeKind.HALTED, message="halted at its subsystem", stop=StopReason.HALT)
         close(turn, command, report, note)
         return
-    analyze(turn, command, report, closing=False)
+    analyze(turn, command, report)
     turn.enter(command, Phase.ANALYZING, note)
 
 
@@ -370,14 +375,14 @@ def acknowledge(turn: Turn, command: Command) -> None:
     command.at_rest = True
 
 
-def analyze(turn: Turn, command: Command, report: EndReport, *, closing: bool) -> None:
+def analyze(turn: Turn, command: Command, report: EndReport | msgspec.Raw) -> None:
     assert command.script is not None
     assert command.step is not None
     data = {
         "evaluation": command.evaluation,
         "report": report,
         "trims_used": command.trims_used.get(_step_key(command), []),
-        "closing": closing,
+        "closing": False,
     }
     turn.give_out(command, WorkerKind.ANALYZER, data, locations=command.script.writes)
 

@@ -67,6 +67,7 @@ class PrimitiveHead(msgspec.Struct, frozen=True, kw_only=True):
 class BoundHead(msgspec.Struct, frozen=True, kw_only=True, tag="BoundStep"):
     subsystem: str = ""
     primitive: msgspec.Raw = NIL
+    told: msgspec.Raw = NIL  # a report that needs no subsystem
     evaluation: msgspec.Raw = NIL
     bindings: dict[str, msgspec.Raw] = {}
     limit_s: float = 0.0

@@ -56,7 +56,7 @@ _ROWS: dict[Phase, dict[Stimulus, str]] = {
         S.RESUME: "resume_now -> HELD",
     },
     P.BINDING: {
-        S.PRODUCT: f"bound -> EXECUTING CLOSING {STEP}",
+        S.PRODUCT: f"bound -> EXECUTING ANALYZING CLOSING {STEP}",
         S.REFUSAL: "refused -> ENDED",
         S.LOSS: "again -> BINDING ENDED",
         S.STOP: "stop -> ENDED",

@@ -329,6 +329,7 @@ class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     guarded: bool = False
     reflexes: list[ReflexItem] = []
     fits: dict[int, list[StopReason]] = {}  # entry of the trimming stack -> the failures it may mend; none = any
+    told: dict[str, Any] = {}  # facts that the sentence itself tells, by key, SI
 
 
 class Script(Message, frozen=True, kw_only=True):
@@ -390,10 +391,12 @@ class AnalyzerInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
 
 
 class BoundStep(Message, frozen=True, kw_only=True):
-    """Product of a binder: a primitive with what is expected of it; or, for a step that moves nothing, bindings."""
+    """Product of a binder: a primitive with what is expected of it; or, for a step that moves nothing, bindings; or
+    what somebody has told, which is a report already and needs no subsystem, but an analyzer like any other."""
 
     subsystem: str = ""  # "MCM"; empty = nothing to execute
     primitive: Primitive | None = None
+    told: EndReport | None = None
     evaluation: EvaluationContext | None = None
     bindings: dict[str, Binding] = {}
     limit_s: float = 0.0  # longest time until an end report, with the arm's own limit well inside
@@ -504,6 +507,7 @@ class EndReport(Message, frozen=True, kw_only=True):
     measured: float | None = None  # the figure that tripped, and
     limit: float | None = None  # the limit it passed
     message: str = ""  # for REFUSED: why; for COLLISION: the bodies' link names
+    facts: dict[str, Any] = {}  # what was told or seen, by key (MACS-OLD.frame), SI; an analyzer judges and writes it
 
 
 class HaltStarted(Message, frozen=True, kw_only=True):

@@ -196,6 +196,13 @@ def bound(primitive: str, performer: str = "RIGHT-ARM") -> BoundStep:
     return BoundStep(subsystem="MCM", primitive=body, evaluation=evaluation, limit_s=5.0)
 
 
+def told(value: float = 2.1) -> BoundStep:
+    """What somebody says of a thing: a report that no subsystem has made."""
+    said = msgspec.structs.replace(report("C-1.1", performer="OPERATOR"), joints=[], facts={"MODULE.mass": value})
+    evaluation = EvaluationContext(context=CONTEXT, step=Step(do="tell", label="x"))
+    return BoundStep(told=said, evaluation=evaluation, note="told")
+
+
 def report(primitive: str, reason: StopReason = StopReason.GOAL, performer: str = "RIGHT-ARM") -> EndReport:
     return EndReport(
         primitive=primitive,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from stories import Story, bound, give_up, go_on, mend, record, report, script, trim
+from stories import Story, bound, give_up, go_on, mend, record, report, script, told, trim
 
 from broker import ending
 from broker.decision_unit import ACTIONS, InvalidTransition, stimulate
@@ -13,7 +13,7 @@ from broker.state import State
 from broker.transitions import TABLE, Stimulus
 from broker.turn import Turn
 from rtc import wire
-from rtc.messages import BoundStep, Phase, WorkerKind
+from rtc.messages import AnalyzerInput, BoundStep, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, RefusalReason, StopReason
 
 # --- the nominal journey -----------------------------------------------------------------------------
@@ -47,6 +47,26 @@ def test_a_step_without_a_primitive_is_passed_through():
     s = Story()
     s.elaborated(script(steps=2))
     assert s.answers("C-1", BoundStep(note="GP set")) == ["note C-1 binding", "job C-1/4 binder #1", "note C-1 binding"]
+
+
+def test_what_is_told_goes_straight_to_an_analyzer():
+    """A24: it is a report like any other, but nobody moves for it: no subsystem, no acknowledgement, no timer."""
+    s = Story(mcm=False)
+    s.elaborated(script(resources=("MODULE",)))
+    assert s.answers("C-1", told(2.1)) == ["job C-1/4 analyzer #1 lease MODULE", "note C-1 analyzing"]
+    given = wire.decoder(AnalyzerInput)(s.state.commands["C-1"].job.input)
+    assert given.report.facts == {"MODULE.mass": 2.1}
+    assert given.evaluation.step.do == "tell"
+    assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "note C-1 ended", "end C-1 succeeded"]
+
+
+def test_a_step_that_tells_may_stand_between_two_that_move():
+    s = Story()
+    s.analyzing(script(steps=3))
+    s.answers("C-1", go_on())
+    assert s.answers("C-1", told())[-1] == "note C-1 analyzing"
+    assert s.answers("C-1", go_on())[1:] == ["job C-1/7 binder #1", "note C-1 binding"]
+    assert s.answers("C-1", bound("C-1.2"))[0] == "primitive C-1.2 to MCM"
 
 
 def test_a_script_without_steps_succeeds_at_once():
@@ -282,6 +302,14 @@ def test_halt_at_the_subsystem_itself_is_understood():
 def test_an_analysis_under_way_is_let_finish_and_its_advice_ignored():
     s = Story()
     s.analyzing(script(steps=2))
+    assert s.halts() == ["halt ALL to MCM", "timer C-1", "note C-1 closing"]
+    assert s.answers("C-1", go_on()) == ["no timer C-1", "note C-1 ended", "end C-1 halted"]
+
+
+def test_what_is_told_is_written_although_its_command_is_halted():
+    s = Story()
+    s.elaborated(script(steps=2, resources=("MODULE",)))
+    s.answers("C-1", told())
     assert s.halts() == ["halt ALL to MCM", "timer C-1", "note C-1 closing"]
     assert s.answers("C-1", go_on()) == ["no timer C-1", "note C-1 ended", "end C-1 halted"]
 

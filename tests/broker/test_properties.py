@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stories import Story, bound, give_up, go_on, mend, record, script, trim
+from stories import Story, bound, give_up, go_on, mend, record, script, told, trim
 
 from broker import events as heard
 from broker.decision_unit import decide
@@ -84,7 +84,9 @@ class Surroundings(Story):
             return script(choice % 4, ARMS[choice // 4 % len(ARMS)], [trim(1, then), trim(2, "retry_step", 0)])
         if kind is WorkerKind.BINDER:
             performer = next((r for r in command.script.resources if r.endswith("ARM")), "RIGHT-ARM")
-            return BoundStep() if choice % 5 == 0 else bound(f"{command.id}.{command.primitives + 1}", performer)
+            if choice % 5 == 0:
+                return BoundStep() if choice % 2 else told()
+            return bound(f"{command.id}.{command.primitives + 1}", performer)
         return (go_on(), go_on(), mend(1 + choice % 3), give_up())[choice % 4]
 
     def report_end(self, n: int) -> None:
