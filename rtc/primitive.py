@@ -71,11 +71,27 @@ class HoldStill(msgspec.Struct, frozen=True, kw_only=True, tag="hold-still"):
 Trajectory = JointTrajectory | HandMotion | HoldStill
 
 
+class Load(msgspec.Struct, frozen=True, kw_only=True):
+    """What the hand carries, as a body: in tcp axes."""
+
+    mass_kg: float
+    com_m: Vector  # centre of mass
+    inertia_kg_m2: Vector  # about the centre of mass: xx, yy, zz, xy, xz, yz
+
+    def __post_init__(self) -> None:
+        if self.mass_kg <= 0 or len(self.com_m) != 3 or len(self.inertia_kg_m2) != 6:
+            raise ValueError("a load has a mass above 0, a centre of mass of 3 numbers and an inertia of 6")
+
+
 class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """M: the registered name of a control law ('position': computed torque) and what it may be given."""
+    """M: the registered name of a control law ('position': computed torque) and what it may be given.
+
+    `load` is what the hand carries: an arm that does not know of it swings with it.
+    """
 
     name: str = "position"
     gains: dict[str, float] = {}
+    load: Load | None = None
 
 
 # --- F: predicates over the current sample only (R66) ------------------------------------------------

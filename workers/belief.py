@@ -10,11 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from rtc import cell as cells
 from rtc import geometry
 from rtc.geometry import Array
 from rtc.messages import Limits, Validity
 from rtc.outcomes import Refusal, RefusalReason
+from rtc.primitive import Load
 from rtc.robot.collision import Held, Scene
 from rtc.world.model import World
 from workers.cell_model import CellModel
@@ -22,6 +25,7 @@ from workers.motion.constraints import Rules
 from workers.motion.plan import Setting
 from workers.motion.timing import Pace
 
+UNKNOWN_RADIUS_M = 0.1  # an object whose inertia nobody has told turns like a ball of this radius
 TRUSTED = (Validity.VALID, Validity.CHANGING)
 
 
@@ -68,6 +72,19 @@ class Belief:
         grasp = self.world.value(f"{thing}.grasp")
         return None if grasp is None else geometry.normalise(grasp)
 
+    def load(self, arm: str) -> Load | None:
+        """What the arm's servo should know of what its hand holds."""
+        thing = self.holding(arm)
+        grasp = self.grasp(thing) if thing else None
+        if grasp is None:
+            return None
+        known = self.cell.object(thing)
+        mass_kg = float(self.world.value(f"{thing}.mass") or known.mass_kg)
+        turn = geometry.to_matrix(grasp)[:3, :3]
+        own = np.diag(known.inertia_kg_m2 or [0.4 * mass_kg * UNKNOWN_RADIUS_M**2] * 3)
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = (turn @ own @ turn.T).tolist()
+        return Load(mass_kg=mass_kg, com_m=grasp[:3].tolist(), inertia_kg_m2=[xx, yy, zz, xy, xz, yz])
+
     def distrusted(self, key: str, clears: Mapping[str, str], own: str = "") -> Refusal | None:
         """Why this fact cannot be built upon; None when it can. A doubt that the command `own` has itself raised is no
         reason: its script has foreseen it, and is about to mend it."""
@@ -75,14 +92,24 @@ class Belief:
         if fact is None or fact.validity in TRUSTED or (own and fact.source.partition("/")[0] == own):
             return None
         location, _, attribute = key.rpartition(".")
-        words = clears.get(attribute, f"sense {location} again").replace("{location}", location)
         return Refusal(
             reason=RefusalReason.SUSPECT,
-            message=f"the {attribute} of {location} is {fact.validity.value} since {fact.source}; {words}",
+            message=f"the {attribute} of {location} is {fact.validity.value} since {fact.source}",
             where=key,
-            clears=words,
+            clears=self.cure(key, clears),
             detail={"validity": fact.validity.value, "source": fact.source, "version": float(fact.version)},
         )
+
+    def cure(self, key: str, clears: Mapping[str, str]) -> str:
+        """What would make this fact trusted again, in words. Where a held thing is follows from how it is held."""
+        location, _, attribute = key.rpartition(".")
+        holder = self.held_by(location)
+        words = clears.get("grasp" if attribute == "frame" and holder else attribute, "sense {location} again")
+        if "{position}" in words:
+            words = words.replace(
+                "{position}", " ".join(f"{round(100 * x, 2) + 0:g}" for x in self.frame(location)[:3])
+            )
+        return words.replace("{location}", location).replace("{holder}", holder or "the hand that holds it")
 
     # --- for motions ---------------------------------------------------------------------------------------
 

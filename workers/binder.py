@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from rtc import expressions, geometry
-from rtc.messages import BinderInput, Binding, BoundStep, EvaluationContext
+from rtc.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext
 from rtc.outcomes import ProgramError, Refusal, RefusalReason, StopReason
 from rtc.primitive import (
     ControlLaw,
@@ -40,6 +40,7 @@ NEEDS_WORLD = True
 NEEDS_CELL = True
 
 SUBSYSTEM = "MCM"
+TELLER = "OPERATOR"  # whoever spoke the sentence: in a report it stands where otherwise the performer does
 LEAST_STEP_M = 0.001  # of a line whose direction means something
 MOST_TURN_RAD = math.radians(5.0)  # of a line along which a direction in tool axes stays the same
 
@@ -296,12 +297,16 @@ def primitive(
         rows, values, against, stopping.said_in_sentence(at.data, at.belief, values)
     )
     every_s = at.data.step.args.get("report_every_s")
+    lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > at.belief.hand_width(at.arm)
+    load = None if lets_go else at.belief.load(at.arm)
     made = Primitive(
         id=at.data.primitive_id,
         performer=at.arm,
         trajectory=trajectory,
         stop_functions=stops,
-        control_law=ControlLaw(name=stop_class.control_law),
+        control_law=ControlLaw(
+            name=stop_class.control_law, load=load, gains={"wn": values["laden_wn"]} if load else {}
+        ),
         reporting=Reporting(every_s=float(every_s) if every_s is not None else None),
     )
     return BoundStep(
@@ -341,6 +346,27 @@ def bind_assignment(at: Bind) -> BoundStep | Refusal:
     return BoundStep(bindings={step.name: binding}, note=f"{step.name} = {step.value}")
 
 
+def bind_told(at: Bind) -> BoundStep | Refusal:
+    """What the sentence tells, as the report that it is (A24): an analyzer judges it, and alone writes it."""
+    context = at.data.context
+    if not context.told:
+        return refused_program("the sentence tells nothing", "a script for a sentence that tells something")
+    told = EndReport(
+        primitive=at.data.primitive_id,
+        performer=TELLER,
+        reason=StopReason.GOAL,
+        at_s=0.0,  # nothing moved: it has no time of its own
+        duration_s=0.0,
+        joints=[],
+        tcp_pose=[],
+        wrench=[],
+        hand_width_m=0.0,
+        hand_force_n=0.0,
+        facts=context.told,
+    )
+    return BoundStep(told=told, evaluation=EvaluationContext(context=context, step=at.data.step), note="told")
+
+
 def bind_procedure(at: Bind) -> BoundStep | Refusal:
     known = at.program.procedures
     name = at.data.step.name
@@ -373,6 +399,7 @@ ACTIONS: dict[str, Action] = {
     "hand": bind_hand,
     "still": bind_still,
     "assign": bind_assignment,
+    "told": bind_told,
     "procedure": bind_procedure,
 }
 PROCEDURES: dict[str, Action] = {"open_hand": open_hand, "lay_down_plan": lay_down_plan}

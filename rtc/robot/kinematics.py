@@ -93,6 +93,15 @@ class ArmModel:
             acceleration_rad_s2=spec.acceleration_rad_s2,
         )
 
+    def laden(self, mass_kg: float, com_m: Floats, inertia_kg_m2: Floats) -> pin.Model:
+        """The dynamics with a body in the hand: centre of mass in tcp axes, inertia about it (xx yy zz xy xz yz)."""
+        xx, yy, zz, xy, xz, yz = inertia_kg_m2
+        about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        model, tip = self.model.copy(), self.model.frames[self._tcp]
+        body = pin.Inertia(mass_kg, np.asarray(com_m, dtype=float), about_com)
+        model.appendBodyToJoint(tip.parentJoint, body, tip.placement)
+        return model
+
     # --- forward -----------------------------------------------------------------------------------------
 
     def fk(self, joints: Floats) -> Array:
