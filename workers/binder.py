@@ -115,7 +115,7 @@ def bind_motion(at: Bind) -> BoundStep | Refusal:
         seated=stop_class.seated,
         near=[name for name in (context.object, context.target) if name],
     )
-    pace = Pace(values["speed_m_s"], values["acceleration_m_s2"])
+    pace = Pace(values["speed_m_s"], values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
     margin_rad = math.radians(values["joint_margin_deg"])
     setting = belief.setting(at.arm, scene, context.limits, pace, margin_rad)
     motion = legs.timed(setting, step.space, target)
