@@ -13,7 +13,7 @@ from typing import Any
 
 import zmq
 
-from benchmarks.load.trivial import ARM, SUBSYSTEM
+from benchmarks.load.trivial import PERFORMERS, SUBSYSTEM, performer
 from rtc import messages as m
 from rtc import process, wire
 from rtc.outcomes import StopReason, WireError
@@ -29,6 +29,7 @@ class Instant:
 
     def __init__(self, pid: int) -> None:
         self.pid = pid
+        self.performers = [performer(n) for n in range(PERFORMERS)]
         self.kept: dict[str, tuple[m.EndReport, float]] = {}  # not acknowledged; when it was said last
 
     def hear(self, message: m.BrokerToSubsystem, now: float) -> list[m.Message]:
@@ -42,11 +43,11 @@ class Instant:
         about: dict[str, Any] = {"halt": message.halt, "subsystem": SUBSYSTEM}
         return [
             m.HaltStarted(received_at_s=now, decelerating_at_s=now, moving=[], **about),
-            m.HaltAtRest(at_s=now, at_rest=True, performers=[ARM], **about),
+            m.HaltAtRest(at_s=now, at_rest=True, performers=self.performers, **about),
         ]
 
     def hello(self) -> list[m.Message]:
-        hello = m.SubsystemHello(name=SUBSYSTEM, pid=self.pid, performers=[ARM], outstanding=list(self.kept))
+        hello = m.SubsystemHello(name=SUBSYSTEM, pid=self.pid, performers=self.performers, outstanding=list(self.kept))
         return [hello, *(report for report, _ in self.kept.values())]
 
     def again(self, now: float) -> list[m.Message]:
@@ -56,10 +57,10 @@ class Instant:
         return list(due)
 
 
-def _done(primitive: str, performer: str, now: float) -> m.EndReport:
+def _done(primitive: str, who: str, now: float) -> m.EndReport:
     return m.EndReport(
         primitive=primitive,
-        performer=performer,
+        performer=who,
         reason=StopReason.GOAL,
         at_s=now,
         duration_s=0.0,

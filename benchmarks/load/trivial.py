@@ -1,8 +1,9 @@
 """Four worker functions that do as little as a worker can: one sentence of two words becomes one step, one primitive
 and one plain success. They are functions like the real ones, run by the real shell. Pure.
 
-    MOVE LOAD-17    holds the resource LOAD-17 from its plan to its end, and writes (under a lease) nothing
-    MOVE            the same without any resource
+    MOVE LOAD-17    moves the performer LOAD-17, which it holds from its plan to its end; writes nothing into the world
+
+The subsystem has PERFORMERS of them, so that many commands can be under way at once and none need wait.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from rtc.outcomes import Refusal, RefusalReason, StopReason
 from rtc.primitive import GoalReached, HoldStill, Primitive, StopFunction, TimeAbove
 
 SUBSYSTEM = "MCM"
-ARM = "RIGHT-ARM"
+PERFORMERS = 2048
 LIMIT_S = 5.0  # for the one primitive
 
 STEP = Step(do="hold", label="stay where it is", name="stay")
@@ -38,17 +39,26 @@ F = [
 ]
 
 
+def sentence(n: int) -> str:
+    """The n-th sentence; PERFORMERS of them in a row need different performers."""
+    return f"MOVE {performer(n % PERFORMERS)}"
+
+
+def performer(n: int) -> str:
+    return f"LOAD-{n}"
+
+
 def parse(data: ParserInput) -> ParsedCommand | Refusal:
-    verb, *words = data.text.split()
-    if len(words) > 1:
-        return Refusal(reason=RefusalReason.SENTENCE, message="two words are all it takes", column=len(verb) + 1)
-    return ParsedCommand(kind="task", verb=verb, hand=words[0] if words else None)
+    words = data.text.split()
+    if len(words) != 2:
+        return Refusal(reason=RefusalReason.SENTENCE, message="it takes two words: MOVE LOAD-n")
+    return ParsedCommand(kind="task", verb=words[0], hand=words[1])
 
 
 def elaborate(data: ElaboratorInput) -> Script:
-    hand = data.parsed.hand
-    context = ScriptContext(verb=data.parsed.verb, script="trivial", arm=ARM)
-    return Script(context=context, case=1, steps=[STEP], resources=[hand] if hand else [])
+    hand = data.parsed.hand or ""
+    context = ScriptContext(verb=data.parsed.verb, script="trivial", arm=hand)
+    return Script(context=context, case=1, steps=[STEP], resources=[hand])
 
 
 def bind(data: BinderInput) -> BoundStep:

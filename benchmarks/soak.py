@@ -1,0 +1,94 @@
+"""Does the broker stay as small as it was over many commands?
+
+    python -m benchmarks.soak [--commands 100000] [--dim 2]
+
+Trivial commands (`benchmarks.load`), journal on. The first part of them fills what is bounded but not empty (results
+kept for clients that ask again, the program cache): growth is counted from there, and told from the start beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.load.client import LoadClient
+from benchmarks.load.cluster import Running, cluster
+from benchmarks.load.trivial import sentence
+from benchmarks.report import RESULTS, finish, question
+from rtc.outcomes import OutcomeKind
+
+FILLING = 0.1  # of the commands
+SAMPLE_EVERY = 500  # commands
+
+Sample = tuple[int, float, float]  # commands done, broker MB, journal MB on disk
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--commands", type=int, default=100_000)
+    parser.add_argument("--dim", type=int, default=2)
+    parser.add_argument("--window", type=int, default=1000, help="commands under way at a time")
+    given = parser.parse_args()
+    question("soak", f"does the broker grow over {given.commands} commands?")
+    with cluster(given.dim) as running, LoadClient(running.settings, sentence, given.window) as client:
+        samples = run(running, client, given.commands)
+        outcomes = client.outcomes
+    if outcomes != {OutcomeKind.SUCCEEDED: given.commands}:
+        raise SystemExit(f"not every command succeeded: {dict(outcomes)}")
+    filled = next(sample for sample in samples if sample[0] >= FILLING * given.commands)
+    last = samples[-1]
+    most = max(samples, key=lambda sample: sample[2])
+    draw(samples)
+    finish(
+        "soak",
+        {"commands": given.commands, "broker_growth_mb": last[1] - filled[1]},
+        [
+            ("broker at the start", f"{samples[0][1]:.1f} MB"),
+            (f"broker after {filled[0]} commands", f"{filled[1]:.1f} MB"),
+            (f"broker after {last[0]} commands", f"{last[1]:.1f} MB"),
+            ("journal on disk, at most", f"{most[2]:.1f} MB, after {most[0]} commands"),
+        ],
+    )
+
+
+def run(running: Running, client: LoadClient, commands: int) -> list[Sample]:
+    samples = [_sample(running, 0)]
+    for done in client.finish(commands):
+        client.latencies_s.clear()
+        if done - samples[-1][0] >= SAMPLE_EVERY or done == commands:
+            samples.append(_sample(running, done))
+            if done // 10_000 > samples[-2][0] // 10_000:
+                print(f"  {done} commands: broker {samples[-1][1]:.1f} MB", flush=True)
+    return samples
+
+
+def _sample(running: Running, done: int) -> Sample:
+    journal = sum(file.stat().st_size for file in Path(running.run_dir).glob("journal.db*")) / 2**20
+    return done, running.memory_mb("broker"), journal
+
+
+def draw(samples: Sequence[Sample]) -> None:
+    """results/soak.png; nothing when matplotlib is not installed."""
+    try:
+        import matplotlib
+
+        matplotlib.use("Agg")
+        from matplotlib import pyplot
+    except ImportError:
+        return
+    figure, axes = pyplot.subplots(figsize=(7, 4))
+    done = [sample[0] for sample in samples]
+    axes.plot(done, [sample[1] for sample in samples], label="broker, resident memory")
+    axes.plot(done, [sample[2] for sample in samples], label="journal on disk")
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("commands done")
+    axes.set_ylabel("MB")
+    axes.legend()
+    RESULTS.mkdir(exist_ok=True)
+    figure.tight_layout()
+    figure.savefig(RESULTS / "soak.png", dpi=120)
+
+
+if __name__ == "__main__":
+    main()
