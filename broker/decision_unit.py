@@ -269,7 +269,7 @@ def on_ended(turn: Turn, event: PrimitiveEnded) -> None:
         turn.count("stale")
         turn.effects.append(AcknowledgeReport(subsystem=event.subsystem, primitive=report.primitive))
         if command is None or command.primitive == report.primitive:
-            turn.confirm_rest(event.subsystem, [], report.primitive.partition(".")[0])
+            turn.confirm_rest(event.subsystem, [], moved=report.primitive)
         return
     turn.node, turn.took_s = event.subsystem, event.at_s - command.sent_at_s
     stimulate(turn, command, Stimulus.REPORT, report)
@@ -292,8 +292,9 @@ def on_subsystem(turn: Turn, event: SubsystemConnected) -> None:
     reborn = before is not None and before.pid != event.pid
     if reborn:
         _gone(turn, event.subsystem, "it was restarted")
-    rest_known = event.at_rest or (before is not None and before.rest_known)
-    state.subsystems[event.subsystem] = Subsystem(pid=event.pid, performers=event.performers, rest_known=rest_known)
+    state.subsystems[event.subsystem] = Subsystem(
+        pid=event.pid, performers=event.performers, came_at_rest=event.at_rest
+    )
     moving = {c.id for c in state.commands.values() if c.phase in (Phase.EXECUTING, Phase.HALTING)}
     for primitive in event.outstanding:
         command_id = primitive.partition(".")[0]
@@ -321,7 +322,7 @@ def on_subsystem_gone(turn: Turn, event: SubsystemGone) -> None:
     subsystem = turn.state.subsystems.get(event.subsystem)
     if subsystem is not None and subsystem.link is not Link.LOST:
         subsystem.link = Link.LOST
-        subsystem.rest_known = False
+        subsystem.came_at_rest = False
         turn.count("subsystems_lost")
         _gone(turn, event.subsystem, event.why)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from broker.effects import AcknowledgeReport, CancelJob, ReportEnd, SendHalt
+from broker.resources import Quarantine
 from broker.state import NIL, Command, Ending
 from broker.transitions import Stimulus
 from broker.turn import Turn, step_in_words
@@ -48,10 +49,8 @@ def end(
     )
     command.job = None
     turn.enter(command, Phase.ENDED, f"{kind.value}{': ' + message if message else ''}")
-    subsystem = state.subsystems.get(command.subsystem)
-    in_doubt = kind in UNCONFIRMED and subsystem and not subsystem.rest_known and not command.at_rest
-    quarantine_for = command.subsystem if in_doubt else ""
-    turn.grant(state.resources.release(command.id, quarantine_for, frozenset(command.performers)))
+    in_doubt = Quarantine(command.subsystem, command.primitive) if _in_doubt(command, kind) else None
+    turn.grant(state.resources.release(command.id, in_doubt, frozenset(command.performers)))
     for waiting in state.awaiting.pop(command.id, ()):
         turn.follow(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
     for waiting in state.joining.pop(command.id, ()):
@@ -81,6 +80,10 @@ def end(
     turn.effects.append(ReportEnd(client=command.client, ended=ended, record=record))
     del state.commands[command.id]
     _remember(turn, command, ended)
+
+
+def _in_doubt(command: Command, kind: OutcomeKind) -> bool:
+    return kind in UNCONFIRMED and not command.at_rest
 
 
 def _remember(turn: Turn, command: Command, ended: CommandEnded) -> None:
@@ -205,8 +208,6 @@ def rest_confirmed(turn: Turn, command: Command, at_rest: bool) -> None:
 
 def unconfirmed(turn: Turn, command: Command, _: Any) -> None:
     who = command.subsystem or "any subsystem"
-    if subsystem := turn.state.subsystems.get(command.subsystem):
-        subsystem.rest_known = False
     message = f"halted, but rest was not confirmed by {who} within {HALT_LIMIT_S:.0f} s"
     end(turn, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
 
@@ -217,6 +218,7 @@ def unconfirmed(turn: Turn, command: Command, _: Any) -> None:
 def lost_subsystem(turn: Turn, command: Command, why: str) -> None:
     message = f"{command.subsystem} was lost while executing: {why}"
     command.ending = Ending(kind=OutcomeKind.LOST_SUBSYSTEM, message=message, stop=StopReason.SUBSYSTEM_LOST)
+    command.at_rest = turn.state.subsystems[command.subsystem].came_at_rest
     close(turn, command, nobody_reports(turn, command), message)
 
 
@@ -225,6 +227,7 @@ def lost_while_halting(turn: Turn, command: Command, why: str) -> None:
     message = f"{who} was lost before it confirmed rest: {why}"
     command.ending = Ending(kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST)
     if command.primitive:
+        command.at_rest = turn.state.subsystems[command.subsystem].came_at_rest
         close(turn, command, nobody_reports(turn, command), message)
     else:  # a HALT that came as a sentence: it touched nothing
         turn.stop_timer(command)

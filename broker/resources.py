@@ -26,10 +26,10 @@ class Blocked(NamedTuple):
 
 
 class Quarantine(NamedTuple):
-    """Who must confirm rest, and whose motion is in doubt."""
+    """Who must confirm rest, and what it may still be executing."""
 
     subsystem: str
-    command: str
+    primitive: str
 
 
 class Resources(msgspec.Struct, kw_only=True):
@@ -79,21 +79,24 @@ class Resources(msgspec.Struct, kw_only=True):
             self.lines.setdefault(name, {})[command] = exclusive
         return self._grantable(freed)
 
-    def release(self, command: str, quarantine_for: str = "", names: frozenset[str] = frozenset()) -> list[str]:
-        """The command is over; returns who can be granted now, in order. With `quarantine_for`, those of `names`
-        that it held stay closed until that subsystem has confirmed rest."""
+    def release(
+        self, command: str, in_doubt: Quarantine | None = None, names: frozenset[str] = frozenset()
+    ) -> list[str]:
+        """The command is over; returns who can be granted now, in order. When it is `in_doubt` whether its primitive
+        has come to rest, those of `names` that it held stay closed until that is confirmed."""
         freed = self._let_go(command) + self._leave_line(command)
-        if quarantine_for:
-            self.quarantine.update((name, Quarantine(quarantine_for, command)) for name in freed if name in names)
+        if in_doubt:
+            self.quarantine.update((name, in_doubt) for name in freed if name in names)
         return self._grantable(freed)
 
-    def confirm_rest(self, subsystem: str, names: Collection[str] | None = None, command: str = "") -> list[str]:
-        """Open what waited for this subsystem: all, or only these names and what was closed for this command's sake;
-        returns who can be granted now."""
+    def confirm_rest(self, subsystem: str, names: Collection[str] | None = None, moved: str = "") -> list[str]:
+        """Open what waited for this subsystem: all, or only these names and what was closed for the sake of `moved`, a
+        primitive or all of a command's; returns who can be granted now."""
         freed = [
             name
             for name, by in self.quarantine.items()
-            if by.subsystem == subsystem and (names is None or name in names or by.command == command)
+            if by.subsystem == subsystem
+            and (names is None or name in names or f"{by.primitive}.".startswith(f"{moved}."))
         ]
         for name in freed:
             del self.quarantine[name]

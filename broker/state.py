@@ -153,7 +153,7 @@ class Subsystem(msgspec.Struct, kw_only=True):
     pid: int
     performers: list[str]
     link: Link = Link.CONNECTED
-    rest_known: bool = True  # nothing has been lost or unconfirmed since it last confirmed rest
+    came_at_rest: bool = True  # as it said when it came; False once it is lost
 
 
 class Trial(msgspec.Struct, frozen=True):

@@ -42,18 +42,18 @@ class Turn:
         for command in commands:
             self.followups.append((command, Stimulus.GRANT, None))
 
-    def confirm_rest(self, subsystem: str, performers: list[str] | None = None, command: str = "") -> None:
-        """Known to be at rest: all of a subsystem, or these performers of it, or whatever moved for this command. What
-        was closed for their sake is open again."""
+    def confirm_rest(self, subsystem: str, performers: list[str] | None = None, moved: str = "") -> None:
+        """Known to be at rest: all of a subsystem, or these performers of it and what `moved`, a primitive or whatever
+        is a command's. What was closed for their sake is open again."""
         found = self.state.subsystems.get(subsystem)
         if found and performers is not None and set(performers) >= set(found.performers):
             performers = None
-        if found and performers is None:
-            found.rest_known = True
         for live in self.state.commands.values():
             if live.subsystem == subsystem and live.phase is Phase.CLOSING:
-                live.at_rest |= performers is None or set(performers) >= set(live.performers) or live.id == command
-        self.grant(self.state.resources.confirm_rest(subsystem, performers, command))
+                live.at_rest |= (
+                    performers is None or set(performers) >= set(live.performers) or moved in (live.id, live.primitive)
+                )
+        self.grant(self.state.resources.confirm_rest(subsystem, performers, moved))
 
     def count(self, what: str) -> None:
         self.state.counts[what] = self.state.counts.get(what, 0) + 1

@@ -319,7 +319,7 @@ def test_rest_that_nobody_confirms_is_told_apart_and_closes_the_arm():
     s.executing()
     s.halts()
     assert s.rings("C-1") == ["note C-1 ended", "end C-1 halt_not_confirmed"]
-    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1")}
+    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
     s.parsed()
     assert s.phase("C-2") == "held"
     assert s.rests("h1") == ["job C-2/2 elaborator #1", "note C-2 elaborating"]
@@ -494,7 +494,7 @@ def test_a_lost_subsystem_ends_what_it_executed_and_closes_its_arms_until_it_con
         "note C-1 closing",
     ]
     assert s.answers("C-1", go_on()) == ["no timer C-1", "note C-1 ended", "end C-1 lost_subsystem"]
-    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1")}
+    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
     s.mcm_hello(pid=2)
     assert s.state.resources.quarantine == {}
 
@@ -515,7 +515,7 @@ def test_a_subsystem_that_was_only_stopped_is_halted_when_it_comes_back():
     s.mcm_gone()
     s.answers("C-1", go_on())
     assert s.mcm_hello(outstanding=["C-1.1"], at_rest=False) == ["halt C-1 to MCM"]
-    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1")}
+    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
     s.rests("orphan-C-1.1")
     assert s.state.resources.quarantine == {}
 
@@ -675,7 +675,7 @@ def test_rest_of_one_arm_says_nothing_about_the_other():
     s.halts("C-1")
     s.rings("C-1")
     s.hear(HaltConfirmed, subsystem="MCM", halt="h2", at_rest=True, performers=["LEFT-ARM"])
-    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1")}
+    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
     s.hear(HaltConfirmed, subsystem="MCM", halt="h3", at_rest=True, performers=["RIGHT-ARM"])
     assert s.state.resources.quarantine == {}
 
@@ -687,7 +687,8 @@ def test_a_late_word_on_what_was_stopped_opens_its_arm(late):
     s.halts()
     s.rings("C-1")
     s.reports("C-9", primitive="C-9.4")
-    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1")}
+    s.reports("C-1", primitive="C-1.0")  # of an earlier step, told twice
+    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
     if late == "the report":
         s.reports("C-1", StopReason.HALT, primitive="C-1.1")
     else:  # the scope of the halt is the command: when it moved nothing, no arm is named
@@ -714,6 +715,16 @@ def test_what_is_being_analysed_moves_nothing_and_its_arm_stays_open_when_the_su
     s.mcm_gone()
     assert s.answers("C-1", go_on())[-1] == "end C-1 lost_subsystem"
     assert s.state.resources.quarantine == {}
+
+
+@pytest.mark.parametrize("at_rest", [True, False])
+def test_what_a_new_process_says_of_rest_holds_for_what_the_old_one_moved(at_rest):
+    s = Story()
+    s.executing()
+    s.mcm_hello(pid=2, at_rest=at_rest)
+    s.mcm_gone()
+    assert s.answers("C-1", go_on())[-1] == "end C-1 lost_subsystem"
+    assert s.state.resources.quarantine == ({} if at_rest else {"RIGHT-ARM": ("MCM", "C-1.1")})
 
 
 def test_an_unacknowledged_report_of_an_earlier_step_does_not_stop_the_step_that_moves():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from broker.resources import Blocked, Resources
+from broker.resources import Blocked, Quarantine, Resources
 
 ARM, OTHER, DB = {"ARM": True}, {"OTHER": True}, {"DB": False}
 
@@ -66,7 +66,7 @@ def test_a_claim_that_shrinks_grants_what_it_lets_go():
 def test_quarantine_keeps_a_name_closed_until_rest_is_confirmed():
     r = Resources()
     r.take("C-1", {**ARM, **OTHER})
-    assert r.release("C-1", "MCM", frozenset(ARM)) == []
+    assert r.release("C-1", Quarantine("MCM", "C-1.1"), frozenset(ARM)) == []
     assert r.take("C-2", OTHER) == []
     assert r.take("C-3", ARM) == Blocked("ARM", "MCM, which has not confirmed rest")
     r.wait("C-3", ARM)

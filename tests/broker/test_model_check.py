@@ -1,0 +1,86 @@
+"""The model check, to a small bound: every interleaving near the start is good, and a broken rule would be found.
+
+The whole of it: `python -m benchmarks.model_check`.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from broker import decision_unit, ending, journey
+from broker.events import HaltCalled, JobLost, SubsystemConnected
+from broker.resources import Resources
+from tests.simulation.explore import explore, tell
+from tests.simulation.scenarios import SCENARIOS
+from tests.simulation.surroundings import Scenario
+
+SAME_ARM = next(s for s in SCENARIOS if s.name == "same arm")
+
+
+def faults(scenario: Scenario, n: int) -> Scenario:
+    return msgspec.structs.replace(scenario, faults=n)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda s: s.name.replace(" ", "-"))
+def test_nothing_near_the_start_breaks_a_rule(scenario):
+    found = explore(faults(scenario, 2), states=400)
+    assert not found.violation, tell(found, scenario)
+    assert found.states > 400
+
+
+def test_without_faults_all_there_is_is_explored():
+    found = explore(faults(SAME_ARM, 0))
+    assert found.complete
+    assert not found.violation
+    assert found.states > 50
+
+
+# --- rules broken on purpose: each must be found, by the shortest way --------------------------------
+
+
+def test_a_halt_that_forgets_what_is_in_line_is_found(monkeypatch):
+    monkeypatch.setattr(journey, "in_scope", lambda turn, scope: [])
+    found = explore(faults(SAME_ARM, 1))
+    assert found.violation
+    assert [move[0] for move in found.path] == ["hand in", "halt", "said", "work"]
+    assert "the shortest way there" in tell(found, SAME_ARM)
+
+
+def test_a_resource_given_twice_is_found(monkeypatch):
+    monkeypatch.setattr(Resources, "blocker", lambda self, command, claim: None)
+    found = explore(faults(SAME_ARM, 0))
+    assert "and one of them alone" in found.violation
+
+
+def test_a_command_that_nothing_can_end_is_found(monkeypatch):
+    monkeypatch.setitem(decision_unit.HEARD, JobLost, lambda turn, event: None)
+    assert "C-1 is still parsing" in explore(faults(SAME_ARM, 1)).violation
+
+
+def test_a_halt_that_waits_for_a_confirmation_it_never_asked_for_is_found(monkeypatch):
+    monkeypatch.setattr(ending, "order_halt", lambda turn, command: None)  # no halt goes out, and no timer runs
+    assert "nothing more happens, and" in explore(faults(SAME_ARM, 2)).violation
+
+
+def test_a_subsystem_not_asked_what_it_still_does_is_found(monkeypatch):
+    def deaf(turn, event):
+        decided(turn, msgspec.structs.replace(event, outstanding=[], at_rest=True))
+
+    decided = decision_unit.HEARD[SubsystemConnected]
+    monkeypatch.setitem(decision_unit.HEARD, SubsystemConnected, deaf)
+    assert "still executes" in explore(faults(SAME_ARM, 1)).violation
+
+
+def test_a_halt_called_past_the_broker_and_not_passed_on_is_found(monkeypatch):
+    """The subsystem tells of it; a Decision Unit that will not listen leaves it beginning nothing for ever."""
+    called = decision_unit.HEARD[HaltCalled]
+    monkeypatch.setitem(
+        decision_unit.HEARD, HaltCalled, lambda turn, event: None if event.client == "MCM" else called(turn, event)
+    )
+    assert explore(faults(SAME_ARM, 1)).violation

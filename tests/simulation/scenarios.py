@@ -1,0 +1,29 @@
+"""What the model check explores: two commands or three, and every way in which they can meet."""
+
+from __future__ import annotations
+
+from tests.simulation.surroundings import Scenario, Sentence
+
+LEFT, RIGHT, BOTH = ("LEFT-ARM",), ("RIGHT-ARM",), ("LEFT-ARM", "RIGHT-ARM")
+ONE = Sentence()
+
+
+def _control(verb: str) -> Sentence:
+    return Sentence(parsed=(("kind", "control"), ("verb", verb), ("hand", None), ("object", "C-1")))
+
+
+SCENARIOS = (
+    Scenario(name="same arm", sentences=(ONE, ONE)),
+    Scenario(name="same arm, a trim", sentences=(Sentence(trims=1), ONE)),
+    Scenario(name="different arms", sentences=(ONE, Sentence(arms=LEFT))),
+    Scenario(name="both arms, then one", sentences=(Sentence(arms=BOTH, steps=2), Sentence(arms=LEFT, empty_steps=1))),
+    Scenario(name="after", sentences=(ONE, Sentence(parsed=(("after", "C-1"),)))),
+    Scenario(name="together with", sentences=(ONE, Sentence(arms=LEFT, parsed=(("together_with", "C-1"),)))),
+    Scenario(name="now", sentences=(ONE, Sentence(parsed=(("now", True),)))),
+    Scenario(name="HALT as a sentence", sentences=(ONE, Sentence(text="HALT"))),
+    Scenario(name="HALT C-1 as a sentence", sentences=(ONE, Sentence(text="HALT C-1"))),
+    Scenario(name="abort", sentences=(ONE, _control("ABORT"))),
+    Scenario(name="pause, resume", sentences=(Sentence(steps=2), _control("PAUSE"), _control("RESUME"))),
+    Scenario(name="client goes away", sentences=(ONE, Sentence(arms=LEFT, halt_if_lost=True))),
+    Scenario(name="halt of an arm, of a command", sentences=(ONE, Sentence(arms=LEFT)), halts=("RIGHT-ARM", "C-2")),
+)
