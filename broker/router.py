@@ -41,8 +41,16 @@ HALTS_KEPT = 64
 
 class Router:
     def __init__(
-        self, me: Process, settings: Settings, journal: Journal, state: State, store: ProgramStore, lease_key: bytes
+        self,
+        me: Process,
+        settings: Settings,
+        journal: Journal,
+        state: State,
+        store: ProgramStore,
+        lease_key: bytes,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        self._clock = clock  # CLOCK_MONOTONIC, or that of a simulated cluster
         self.me, self.settings, self.journal, self.state = me, settings, journal, state
         self.store, self.lease_key = store, lease_key
         self.roster = Roster()
@@ -50,7 +58,7 @@ class Router:
         self.dropped: Counter[str] = Counter()  # malformed messages, by socket
         self.processes: list[dict[str, Any]] = []  # as the supervisor told last
         self.turn_times_s: deque[float] = deque(maxlen=4096)
-        self.began_s = time.monotonic()
+        self.began_s = self._clock()
         self._halt_callers: OrderedDict[str, set[bytes]] = OrderedDict()
         self._subsystem_heard_s: dict[str, float] = {}
         self._supervisor = False
@@ -71,12 +79,12 @@ class Router:
         self.journal.snapshot(self.state)
 
     def _patience_s(self) -> float:
-        now = time.monotonic()
+        now = self._clock()
         next_s = self.timers.next_at_s()
         return min(self._audit.left_s(now), max(0.0, next_s - now) if next_s is not None else 1.0)
 
     def turn(self) -> None:
-        began = time.monotonic()
+        began = self._clock()
         self._drain("halt", _read_halt, self._from_halt, 1000, began)
         if self._events:
             self._settle(began)
@@ -91,7 +99,7 @@ class Router:
             self._look_after(began)
         if self._events:
             self._settle(began)
-            self.turn_times_s.append(time.monotonic() - began)
+            self.turn_times_s.append(self._clock() - began)
         else:
             self._give_out(began)
 
@@ -330,7 +338,7 @@ class Router:
                 self._lose(worker, self.roster.gone(worker), "its connection is gone", now)
 
     def _dispatch(self, effect: do.DispatchJob) -> None:
-        self.roster.submit(effect, time.monotonic())
+        self.roster.submit(effect, self._clock())
 
     def _cancel(self, effect: do.CancelJob) -> None:
         if worker := self.roster.cancel(effect.job):
