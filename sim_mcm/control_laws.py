@@ -24,8 +24,8 @@ from sim_mcm.arm import Motion
 
 GROUP = "rtc.control_laws"
 # Of a load, so much is counted on. Without it the wrist swings with two kilograms for a second after a halt (1.1 s to
-# rest); with this much it rests in 0.45 s; with a quarter the wrist, twenty times lighter than the load and joined to it
-# by friction alone, chatters.
+# rest); with this much it rests in 0.45 s; with a quarter the wrist, twenty times lighter than the load and joined to
+# it by friction alone, chatters.
 LOAD_SHARE = 0.10
 
 
