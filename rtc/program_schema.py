@@ -120,6 +120,14 @@ class Piece(Part, frozen=True, kw_only=True):
     steps: list[ScriptStep]
 
 
+class Tellable(Part, frozen=True, kw_only=True):
+    """An attribute of a thing that a sentence may tell, and how it is said."""
+
+    unit: str  # SI, as in a record
+    of: Annotated[list[str], Meta(min_length=1)]  # what its numbers are, in order: [x, y, z]
+    example: str  # "71.5 12 28 CM"
+
+
 class ElaboratorProgram(Part, frozen=True, kw_only=True):
     decision_tree: list[Branch]
     command_object_table: list[TableRow]
@@ -128,6 +136,8 @@ class ElaboratorProgram(Part, frozen=True, kw_only=True):
     constraints: dict[str, dict[str, str]] = {}  # MAINTAIN slot -> unit ("": said without a value, "name") -> limit
     not_yet: dict[str, str] = {}  # field of the command -> why it is refused
     needs: dict[str, str] = {}  # registered condition of the world -> what would bring it about
+    told: dict[str, Tellable] = {}  # attribute of a thing -> how it is told
+    not_told: dict[str, str] = {}  # attribute that is found out, not told -> what finds it out
     clears: dict[str, str] = {}  # attribute of a fact -> what would make it trusted again
 
 
@@ -180,7 +190,8 @@ class OutcomeClass(Part, frozen=True, kw_only=True):
     # object: the frame of the one it is about; if_touched: the same, if it may have been moved; held: of what is held
     suspect: list[Literal["object", "if_touched", "held"]] = []
     drops: bool = False  # nothing is in the hand any more
-    clears: str = ""
+    clears: str = ""  # first; then what makes those trusted again that have become suspect (`clears` of the program)
+    again: str = ""  # and what to do after that
     retriable: bool = True  # a trim may be looked up
 
 
@@ -189,6 +200,7 @@ class AnalyzerProgram(Part, frozen=True, kw_only=True):
     derived: dict[str, dict[str, StopReason]] = {}  # the same -> what is wrong with a good end -> what it is told as
     classes: dict[str, OutcomeClass]
     values: dict[str, float] = {}  # tolerances: position_m, angle_rad, width_m
+    clears: dict[str, str] = {}  # attribute of a fact -> what would make it trusted again
 
 
 Program = ElaboratorProgram | BinderProgram | AnalyzerProgram

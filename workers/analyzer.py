@@ -16,6 +16,7 @@ from rtc.program import decode
 from rtc.program_outcomes import row_of
 from rtc.program_schema import AnalyzerProgram, OutcomeClass
 from rtc.world.model import World
+from workers import facts
 from workers.belief import TRUSTED, Belief
 from workers.cell_model import CellModel
 from workers.effects import EFFECTS, Changes, gone
@@ -32,7 +33,7 @@ UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE
 def compile(program: bytes) -> AnalyzerProgram:
     """The program, checked. Raises ProgramError."""
     document = decode(program, AnalyzerProgram)
-    for name in ("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n"):
+    for name in ("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m"):
         if name not in document.values:
             raise ProgramError(f"$.values: no {name}")
     return document
@@ -88,6 +89,10 @@ def _off_m(data: AnalyzerInput) -> float:
 def _success(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) -> Assessment | Refusal:
     step = data.evaluation.step
     changes = _arm(data.report, belief, data.evaluation.arm)
+    reported = facts.believed(data.report.facts, belief, program.values)
+    if isinstance(reported, Refusal):
+        return reported
+    changes += reported
     effect = step.args.get("effect")
     if isinstance(effect, str) and effect:
         if effect not in EFFECTS:
@@ -121,15 +126,25 @@ def _failure(
     changes += _half_done(program, belief, data)
     changes += _carried(program, belief, data, changes, suspect="held" in failure.suspect, drops=failure.drops)
     changes += _suspect(program, belief, data, failure)
+    changes = _last(changes)
+    todo = (failure.clears, *_cures(program, belief, changes), failure.again)
     trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
     return Assessment(
         verdict="trim" if trim else "abort",
         reason=reason,
         message=f"{evaluation.step.label}: {_words(failure.message, data, reason)}",
         trim=trim,
-        changes=_last(changes),
-        clears=_words(failure.clears, data, reason),
+        changes=changes,
+        clears=_words("; ".join(word for word in todo if word), data, reason),
     )
+
+
+def _cures(program: AnalyzerProgram, belief: Belief, changes: Changes) -> list[str]:
+    """What would make those facts trusted again that are suspect now, each way once."""
+    after = Belief(belief.model, belief.world.overlay(changes))
+    suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
+    told = [after.cure(key, program.clears) for key in suspect if key.rpartition(".")[2] in program.clears]
+    return list(dict.fromkeys(told))
 
 
 # --- trim --------------------------------------------------------------------------------------------------
@@ -149,6 +164,8 @@ def _trim(data: AnalyzerInput, reason: StopReason) -> int:
 
 def _arm(report: EndReport, belief: Belief, arm: str) -> Changes:
     """Joints and hand as reported. Without a report of them, as they were, and not to be trusted."""
+    if not arm:
+        return []  # what was told or seen has moved none
     if len(report.joints) != len(belief.cell.arm(arm).joints):
         return [
             WorldChange(key=f"{arm}.{attribute}", keep_value=True, validity=Validity.SUSPECT)

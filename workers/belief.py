@@ -7,6 +7,7 @@ trajectory that does not begin where the arm is, and its report then puts the fa
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -71,6 +72,14 @@ class Belief:
         """The held object's frame in tcp axes."""
         grasp = self.world.value(f"{thing}.grasp")
         return None if grasp is None else geometry.normalise(grasp)
+
+    def point_in_hand(self, thing: str) -> cells.GraspPoint | None:
+        """The grasp point that is between the fingers, as nearly as the grasp tells."""
+        grasp = self.grasp(thing)
+        if grasp is None:
+            return None
+        points = self.cell.object(thing).grasp_points
+        return min(points, key=lambda p: math.hypot(*geometry.compose(grasp, p.frame.pose)[:3]), default=None)
 
     def load(self, arm: str) -> Load | None:
         """What the arm's servo should know of what its hand holds."""

@@ -58,12 +58,14 @@ def still_held(belief: Belief, data: AnalyzerInput, validity: Validity) -> Chang
 
 def verified(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
     """The fingers press, and stand as wide as the thing is: it is held as it was believed to be."""
-    thing = data.evaluation.context.object
+    thing, arm = data.evaluation.context.object, data.evaluation.context.arm
     grasp = belief.grasp(thing)
     if grasp is None:
         return []
     frame = geometry.compose(data.report.tcp_pose, grasp)
     return [
+        WorldChange(key=f"{arm}.holding", value=thing, validity=validity),
+        WorldChange(key=f"{thing}.held_by", value=arm, validity=validity),
         WorldChange(key=f"{thing}.grasp", keep_value=True, validity=validity),
         WorldChange(key=f"{thing}.frame", value=geometry.normalise(frame).tolist(), validity=validity),
     ]

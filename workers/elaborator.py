@@ -21,7 +21,7 @@ from rtc.outcomes import ProgramError, Refusal, RefusalReason
 from rtc.program import decode
 from rtc.program_schema import Branch, Check, ElaboratorProgram, Piece, ScriptFile, ScriptStep
 from rtc.world.model import World
-from workers import naming, reflexes, sentence
+from workers import naming, reflexes, sentence, telling
 from workers.backtrack import plan
 from workers.belief import Belief
 from workers.cell_model import CellModel
@@ -78,6 +78,8 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
         problem = reflexes.unrealised(reflex)
         if problem is not None:
             return problem
+    if parsed.kind == "data":
+        return telling.script(program, compiled.scripts[branches[0].script], parsed, Belief(cell, world))
     situations = _situations(compiled, parsed, limits, Belief(cell, world))
     if isinstance(situations, Refusal):
         return situations

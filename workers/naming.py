@@ -10,9 +10,9 @@ from rtc.outcomes import Refusal, RefusalReason
 MOST_NEAREST = 3
 
 
-def nearest(name: str, known: Iterable[str]) -> list[str]:
-    """The known names most like this one, likest first."""
-    return difflib.get_close_matches(name, sorted(set(known)), n=MOST_NEAREST, cutoff=0.5)
+def nearest(name: str, known: Iterable[str], likeness: float = 0.5) -> list[str]:
+    """The known names most like this one, likest first. `likeness`: at least so much, of 1 for the same name."""
+    return difflib.get_close_matches(name, sorted(set(known)), n=MOST_NEAREST, cutoff=likeness)
 
 
 def unknown(what: str, name: str, known: Iterable[str], where: str = "") -> Refusal:

@@ -91,8 +91,9 @@ def figures_of(
         return row
     figures |= row
     figures |= {"opening_m": arm.gripper.max_opening_m, "hand_width_m": belief.hand_width(arm.name)}
-    if point is not None:
-        figures["grasp_width_m"] = point.width_m
+    between = point or (belief.point_in_hand(thing.name) if thing and belief.held_by(thing.name) else None)
+    if between is not None:
+        figures["grasp_width_m"] = between.width_m
     if thing is not None:
         figures["mass_kg"] = float(belief.world.value(f"{thing.name}.mass") or thing.mass_kg)
     figures |= _said("amount", parsed.amount)

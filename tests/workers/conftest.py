@@ -234,11 +234,16 @@ class Bench:
                 run.refusal = bound
                 return run
             run.bindings |= bound.bindings
-            if bound.primitive is None:
+            report = bound.told
+            if bound.primitive is not None:
+                run.primitives.append(bound.primitive)
+                report = self.subsystem.perform(bound.primitive, bound)
+            if report is None:
                 continue
-            run.primitives.append(bound.primitive)
-            report = self.subsystem.perform(bound.primitive, bound)
             judged = self.analyze(bound, report, used.get(ref))
+            if isinstance(judged, Refusal):
+                run.refusal = judged
+                return run
             assert isinstance(judged, Assessment), judged
             run.assessments.append(judged)
             self.world = self.world.overlay(judged.changes, source=f"C-{self.commands}/{len(run.assessments)}")

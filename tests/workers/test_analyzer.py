@@ -104,7 +104,7 @@ def test_nothing_felt_is_mended_once_and_then_told(either):
     last = run.assessments[-1]
     assert (last.verdict, last.reason) == ("abort", StopReason.NO_CONTACT)
     assert "nothing was felt" in last.message
-    assert "LOCATE MACS-NEW" in last.clears
+    assert "SET MACS-NEW FRAME 80 -80 60 CM" in last.clears
     assert either.world.get("MACS-NEW.frame").validity is Validity.SUSPECT
     assert either.elaborate(GRASP).reason is RefusalReason.SUSPECT
 
@@ -319,3 +319,58 @@ def test_every_reason_has_an_answer_for_every_step(bench, n):
         assert made.verdict in ("continue", "trim", "abort"), reason
         assert made.message, reason
         assert len({c.key for c in made.changes}) == len(made.changes), reason
+
+
+# --- does the hand still hold it? --------------------------------------------------------------------------
+
+
+def test_what_a_halt_has_put_in_doubt_is_trusted_again_when_the_fingers_feel_it(either):
+    either.do(GRASP)
+    for key in ("MACS-NEW.grasp", "MACS-NEW.frame", "MACS-NEW.held_by", "RIGHT-ARM.holding"):
+        either.told(key, either.world.value(key), Validity.SUSPECT)
+    refusal = either.elaborate("PLACE MACS-NEW ON RACK-1")
+    assert refusal.reason is RefusalReason.SUSPECT
+
+    run = either.do(refusal.clears)
+
+    assert run.succeeded, (run.refusal, run.assessments)
+    assert all(fact.validity is Validity.VALID for fact in either.world.facts.values())
+    assert either.do("PLACE MACS-NEW ON RACK-1").succeeded
+
+
+def test_fingers_that_close_on_nothing_have_lost_it(bench):
+    bench.do(GRASP)
+    bound, report = bound_and_done(bench, "VERIFY MACS-NEW AT RIGHT-ARM")
+
+    made = judged(bench, bound, msgspec.structs.replace(report, hand_width_m=0.0, hand_force_n=0.0))
+
+    assert (made.verdict, made.reason) == ("abort", StopReason.NO_CONTACT)
+    assert change(made, "RIGHT-ARM.holding").value == ""
+    assert change(made, "MACS-NEW.held_by").value == ""
+    assert change(made, "MACS-NEW.frame").validity is Validity.SUSPECT
+    assert "SET MACS-NEW FRAME" in made.clears
+
+
+# --- what would clear it -----------------------------------------------------------------------------------
+
+
+def test_advice_is_for_what_is_suspect_now_and_in_order(bench):
+    """Look first; then what makes the thing in the hand trusted again; then again."""
+    bench.do(GRASP)
+    bench.do("LIFT MACS-NEW BY 10 CM")
+    bound, report = bound_and_done(bench, "MOVE RIGHT-ARM TO CLEAR-POINT-1")
+
+    made = judged(bench, bound, ended(report, StopReason.TIMEOUT))
+
+    assert made.clears.split("; ") == [
+        "VERIFY MACS-NEW AT RIGHT-ARM",
+        "do it again, with more time if it needs more",
+    ]
+
+
+def test_an_empty_hand_that_moves_freely_puts_nothing_in_doubt(bench):
+    bound, report = bound_and_done(bench, "STOW RIGHT-ARM")
+
+    made = judged(bench, bound, ended(report, StopReason.TIMEOUT))
+
+    assert made.clears == "do it again, with more time if it needs more"

@@ -321,7 +321,7 @@ def test_a_suspect_frame_is_bound_upon_only_by_the_command_that_doubts_it(bench)
     refusal = bench.bind(script, script.steps[7])
 
     assert refusal.reason is RefusalReason.SUSPECT
-    assert "LOCATE MACS-NEW" in refusal.clears
+    assert "SET MACS-NEW FRAME 80 -80 60 CM" in refusal.clears
 
 
 @pytest.mark.parametrize(

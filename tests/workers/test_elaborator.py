@@ -224,7 +224,7 @@ def test_a_suspect_frame_is_not_planned_upon(bench):
 
     assert refusal.reason is RefusalReason.SUSPECT
     assert refusal.where == "MACS-NEW.frame"
-    assert "LOCATE MACS-NEW" in refusal.clears
+    assert "SET MACS-NEW FRAME 80 -80 60 CM" in refusal.clears
 
 
 @pytest.mark.parametrize("sentence", ["MOVE RIGHT-ARM TO BAY-2-FRONT", "STOW RIGHT-ARM"])

@@ -1,0 +1,74 @@
+"""What a report says of a thing nobody touched: what cannot be is refused, the rest believed, with what follows."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from rtc.outcomes import Refusal, RefusalReason
+from workers.belief import Belief
+from workers.facts import believed, seat_at
+
+VALUES = {"reach_m": 5.0, "seated_m": 0.05}
+UPRIGHT = [0.0, 0.0, 0.0, 1.0]
+
+
+@pytest.fixture
+def belief(bench) -> Belief:
+    return Belief(bench.model, bench.world)
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [
+        {"MACS-NEW.mass": 0.0},
+        {"MACS-NEW.mass": -2.0},
+        {"MACS-NEW.mass": math.nan},
+        {"MACS-NEW.frame": [3.0, 3.0, 3.0, *UPRIGHT]},
+        {"MACS-NEW.frame": [math.inf, 0.0, 0.0, *UPRIGHT]},
+        {"MACS-NEW.frame": [0.8, 0.0, 0.6]},
+        {"MACS-NEW.friction": math.inf},
+        {"MACS-NEW.mass": 2.0, "MACS-OLD.mass": 0.0},  # one of several: nothing is believed
+    ],
+)
+def test_what_cannot_be_is_refused(belief, facts):
+    refusal = believed(facts, belief, VALUES)
+
+    assert isinstance(refusal, Refusal)
+    assert refusal.reason is RefusalReason.INFEASIBLE
+    assert refusal.where in facts
+
+
+def test_two_things_are_not_in_one_seat(belief):
+    refusal = believed({"MACS-NEW.frame": [0.8, 0.8, 0.6, *UPRIGHT]}, belief, VALUES)
+
+    assert isinstance(refusal, Refusal)
+    assert "RACK-2, where MACS-OLD" in refusal.message
+
+
+def test_a_frame_brings_its_seat_and_an_end_of_any_grasp(belief):
+    changes = believed({"MACS-NEW.frame": [0.5, 0.0, 0.5, *UPRIGHT]}, belief, VALUES)
+
+    assert [(c.key, c.value) for c in changes] == [
+        ("MACS-NEW.frame", [0.5, 0.0, 0.5, *UPRIGHT]),
+        ("MACS-NEW.seat", ""),
+        ("MACS-NEW.grasp", None),
+    ]
+
+
+def test_what_is_seen_in_a_hand_stays_in_it(bench):
+    bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+
+    changes = believed({"MACS-NEW.frame": [0.5, 0.0, 0.5, *UPRIGHT]}, Belief(bench.model, bench.world), VALUES)
+
+    assert [c.key for c in changes] == ["MACS-NEW.frame"]
+
+
+@pytest.mark.parametrize(("x_m", "seat"), [(0.80, "RACK-1"), (0.76, "RACK-1"), (0.74, "")])
+def test_the_nearest_seat_if_it_is_near_enough(belief, x_m, seat):
+    assert seat_at([x_m, -0.8, 0.6, *UPRIGHT], belief, 0.05) == seat
+
+
+def test_facts_that_nobody_reports_change_nothing(belief):
+    assert believed({}, belief, VALUES) == []

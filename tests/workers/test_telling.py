@@ -1,0 +1,168 @@
+"""What somebody tells of a thing, from the sentence to the world; and what is not taken for told."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtc import geometry
+from rtc.messages import BoundStep, Script, Validity
+from rtc.outcomes import Refusal, RefusalReason
+
+GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
+
+
+def told(bench, sentence: str) -> None:
+    run = bench.do(sentence)
+    assert run.succeeded, (run.refusal, run.assessments)
+    assert run.primitives == []  # nobody has moved
+
+
+def refused(bench, sentence: str) -> Refusal:
+    run = bench.do(sentence)
+    assert run.refusal is not None, run
+    return run.refusal
+
+
+# --- believed ----------------------------------------------------------------------------------------------
+
+
+def test_a_suspect_frame_is_trusted_again_when_somebody_tells_it(bench):
+    bench.told("MACS-NEW.frame", bench.world.value("MACS-NEW.frame"), Validity.SUSPECT)
+    assert refused(bench, GRASP).reason is RefusalReason.SUSPECT
+
+    told(bench, "SET MACS-NEW FRAME 80 -80 60 CM")
+
+    assert bench.world.get("MACS-NEW.frame").validity is Validity.VALID
+    assert bench.do(GRASP).succeeded
+
+
+def test_what_the_refusal_says_would_clear_it_clears_it(bench):
+    bench.told("MACS-NEW.frame", [0.7912, -0.8, 0.6, 0, 0, 0, 1], Validity.SUSPECT)
+    advice = refused(bench, GRASP).clears
+
+    told(bench, advice.partition("tell it: ")[2].partition(",")[0])
+
+    assert bench.world.value("MACS-NEW.frame") == pytest.approx([0.7912, -0.8, 0.6, 0, 0, 0, 1])
+    assert isinstance(bench.elaborate(GRASP), Script)
+
+
+def test_it_is_an_analyzer_that_writes_what_was_told(bench):
+    """A24: the binder makes a report of it, which changes nothing yet."""
+    script = bench.elaborate("SET MACS-NEW MASS 2.1 KG")
+    bound = bench.bind(script, script.steps[0])
+
+    assert isinstance(bound, BoundStep)
+    assert bound.primitive is None
+    assert bound.subsystem == ""
+    assert bound.told.facts == {"MACS-NEW.mass": 2.1}
+    changes = bench.analyze(bound, bound.told).changes
+    assert [(c.key, c.value, c.validity) for c in changes] == [("MACS-NEW.mass", 2.1, Validity.VALID)]
+
+
+def test_it_claims_the_thing_alone_and_no_arm(bench):
+    bench.do(GRASP)  # what the nearest arm holds is none of its business
+    script = bench.elaborate("SET MACS-OLD MASS 2.1 KG")
+
+    assert script.resources == ["MACS-OLD"]
+    assert script.writes == ["MACS-OLD"]
+    assert script.context.arm == ""
+
+
+def test_a_position_keeps_the_attitude_believed_so_far(bench):
+    askew = geometry.from_rpy([0.5, 0.1, 0.4], [0.0, 0.1, 0.3]).tolist()
+    bench.told("MACS-NEW.frame", askew, Validity.SUSPECT)
+
+    told(bench, "SET MACS-NEW FRAME 70 10 40 CM")
+
+    assert bench.world.value("MACS-NEW.frame") == pytest.approx([0.7, 0.1, 0.4, *askew[3:]])
+
+
+@pytest.mark.parametrize(
+    ("sentence", "seat"),
+    [
+        ("SET MACS-NEW FRAME 81 -80 60 CM", "RACK-1"),  # a centimetre off its seat: it has been pushed
+        ("SET MACS-NEW FRAME 60 -80 60 CM", ""),  # out of it
+        ("SET MACS-NEW FRAME 93 0 70 CM", "BAY-2"),  # in another: somebody has put it there
+    ],
+)
+def test_where_a_thing_is_tells_which_seat_it_is_in(bench, sentence, seat):
+    told(bench, sentence)
+
+    assert bench.world.value("MACS-NEW.seat") == seat
+    assert bench.world.get("MACS-NEW.grasp").validity is Validity.VALID
+
+
+@pytest.mark.parametrize(
+    ("sentence", "key", "value"),
+    [
+        ("SET MACS-NEW FRICTION 0.4", "friction", 0.4),
+        ("SET MACS-NEW HANDLE-COLOUR RED", "handle_colour", "RED"),
+        ("SET MACS-NEW SIZE 30 20 20 CM", "size", [0.3, 0.2, 0.2]),
+    ],
+)
+def test_a_new_attribute_is_kept_as_it_is_said(bench, sentence, key, value):
+    told(bench, sentence)
+    assert bench.world.value(f"MACS-NEW.{key}") == (pytest.approx(value) if isinstance(value, list) else value)
+    told(bench, sentence)  # and again, now that it is known
+
+
+# --- refused -----------------------------------------------------------------------------------------------
+
+
+def test_a_name_nothing_bears_is_refused_with_the_nearest(bench):
+    refusal = refused(bench, "SET MACS-NEU MASS 2.1 KG")
+
+    assert refusal.reason is RefusalReason.NAME
+    assert refusal.nearest[0] == "MACS-NEW"
+
+
+def test_a_misspelt_attribute_is_no_new_one(bench):
+    refusal = refused(bench, "SET MACS-NEW FRAEM 80 -80 60 CM")
+
+    assert refusal.reason is RefusalReason.NAME
+    assert refusal.nearest == ["FRAME"]
+    assert {"FRAME", "MASS"} <= set(refusal.expected)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "said"),
+    [
+        ("SET MACS-NEW FRAME 80 -80 CM", "2 numbers in m"),
+        ("SET MACS-NEW FRAME 80 -80 60", "3 numbers without a unit"),
+        ("SET MACS-NEW FRAME HERE", "a name without a unit"),
+        ("SET MACS-NEW MASS 2 CM", "1 number in m"),
+        ("SET MACS-NEW MASS 1 2 KG", "2 numbers in kg"),
+    ],
+)
+def test_numbers_and_units_that_do_not_fit_are_refused_with_an_example(bench, sentence, said):
+    refusal = refused(bench, sentence)
+
+    assert refusal.reason is RefusalReason.SENTENCE
+    assert refusal.where == sentence.split()[2]
+    assert said in refusal.message
+    assert refusal.expected in (["71.5 12 28 CM"], ["2.1 KG"])
+
+
+@pytest.mark.parametrize("attribute", ["SEAT", "HELD-BY"])
+def test_what_is_found_out_is_not_told(bench, attribute):
+    refusal = refused(bench, f"SET MACS-NEW {attribute} RACK-2")
+
+    assert refusal.reason is RefusalReason.NOT_ALLOWED
+    assert "MACS-NEW" in refusal.clears
+
+
+def test_where_a_held_thing_is_follows_from_the_hand(bench):
+    bench.do(GRASP)
+    frame = bench.world.value("MACS-NEW.frame")
+
+    refusal = refused(bench, "SET MACS-NEW FRAME 80 -80 60 CM")
+
+    assert refusal.reason is RefusalReason.STATE
+    assert "held by RIGHT-ARM" in refusal.message
+    assert bench.do(refusal.clears).succeeded
+    told(bench, "SET MACS-NEW MASS 2.1 KG")  # what it weighs does not
+    assert bench.world.value("MACS-NEW.frame") == pytest.approx(frame, abs=1e-6)
+
+
+def test_a_fixed_thing_stays_where_it_is(bench):
+    assert refused(bench, "SET SATELLITE FRAME 80 -80 60 CM").reason is RefusalReason.STATE
