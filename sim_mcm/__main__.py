@@ -59,6 +59,7 @@ class Station:
     def _tick(self, now_s: float) -> None:
         doors, subsystem = self._doors, self._subsystem
         self._clock.begin(now_s)
+        doors.look()
         for caller, halt in doors.halts(now_s):
             doors.say(subsystem.hear(halt, caller, now_s))
         for order in doors.orders(now_s):

@@ -24,8 +24,8 @@ from sim_mcm.subsystem import BROKER, Said
 
 PER_TICK = 20  # messages taken from one socket in one tick, so that no sender can stretch it
 HALTS_PER_TICK = 100
-MONITOR_TICKS = 10  # the state of the connection to the broker is looked at once in so many ticks
 LOG_EVERY_S = 1.0
+NONE: frozenset[Any] = frozenset()
 
 _read_halt = reader(m.ToHalt)
 _read_broker = reader(m.BrokerToSubsystem)
@@ -41,16 +41,24 @@ class Doors:
         self._broker = me.socket(zmq.DEALER, settings.endpoint("subsystems"), identity=name)
         events = zmq.Event.HANDSHAKE_SUCCEEDED | zmq.Event.DISCONNECTED
         self._monitor = self._broker.get_monitor_socket(events)
-        self._asked = 0
+        self._poller = zmq.Poller()  # one look at all four costs no more than one at one of them
+        for socket in (self._estop, self._broker, self._bench, self._monitor):
+            self._poller.register(socket, zmq.POLLIN)
+        self._ready: set[Any] | frozenset[Any] = NONE
         self.connected = True  # until the monitor says otherwise: what is said first waits for the broker
         self.malformed = 0
         self._log_due = Every(LOG_EVERY_S)
 
     # --- in --------------------------------------------------------------------------------------------
 
+    def look(self) -> None:
+        """See where something lies; once, at the start of a tick."""
+        found = self._poller.poll(0)
+        self._ready = {socket for socket, _ in found} if found else NONE
+
     def halts(self, now_s: float) -> Iterator[tuple[bytes, m.HaltOrder]]:
         """What lies at the estop socket: (caller, order). What is no halt is told so."""
-        if not _readable(self._estop):
+        if self._estop not in self._ready:
             return
         for caller, parts in _from_router(self._estop, HALTS_PER_TICK):
             order = self._understand(_read_halt, parts, "estop", now_s)
@@ -63,7 +71,7 @@ class Doors:
 
     def orders(self, now_s: float) -> Iterator[m.Execute | m.HaltOrder | m.ReportAck]:
         """What the broker has sent."""
-        if not _readable(self._broker):
+        if self._broker not in self._ready:
             return
         for parts in inbox(self._broker, PER_TICK):
             order = self._understand(_read_broker, parts, "broker", now_s)
@@ -72,7 +80,7 @@ class Doors:
 
     def questions(self, now_s: float) -> Iterator[tuple[bytes, m.SimTruth | m.SimDisplace]]:
         """What the test bench asks."""
-        if not _readable(self._bench):
+        if self._bench not in self._ready:
             return
         for caller, parts in _from_router(self._bench, PER_TICK):
             question = self._understand(_read_bench, parts, "bench", now_s)
@@ -81,12 +89,11 @@ class Doors:
 
     def newly_connected(self) -> bool:
         """True once after every time the broker has been found."""
-        self._asked += 1
-        if self._asked % MONITOR_TICKS or not _readable(self._monitor):
+        if self._monitor not in self._ready:
             return False
         found = False
-        while _readable(self._monitor):
-            event = int.from_bytes(self._monitor.recv_multipart()[0][:2], "little")
+        for event_frame, *_ in inbox(self._monitor, PER_TICK):
+            event = int.from_bytes(event_frame[:2], "little")
             self.connected = found = event == zmq.Event.HANDSHAKE_SUCCEEDED
         self._log.info("broker found" if found else "broker gone; going on alone")
         return found
@@ -117,10 +124,6 @@ class Doors:
             if self._log_due.due(now_s):
                 self._log.warning("%s: dropped a message (%d so far): %s", where, self.malformed, error)
             return None
-
-
-def _readable(socket: zmq.Socket[bytes]) -> bool:
-    return bool(int(socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)  # ten times quicker than a poll
 
 
 def _from_router(socket: zmq.Socket[bytes], limit: int) -> Iterator[tuple[bytes, Sequence[bytes]]]:

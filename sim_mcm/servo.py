@@ -35,4 +35,7 @@ class Servo:
     def torque(self, joints: list[float], velocities: list[float]) -> list[float]:
         """For this tick, clipped to what the motors can (N.m)."""
         torques = self._law.torque(self._wanted, joints, velocities)
-        return [max(-most, min(most, torque)) for torque, most in zip(torques, self._effort, strict=True)]
+        return [
+            torque if -most < torque < most else (most if torque > 0.0 else -most)
+            for torque, most in zip(torques, self._effort, strict=True)
+        ]
