@@ -59,6 +59,8 @@ TOUCHED = frozenset({StopReason.CONTACT, StopReason.FORCE_LIMIT, StopReason.TORQ
 REST_RAD_S = 0.005  # measured joint speed that counts as rest
 REST_M_S = 0.002  # of a finger
 GOAL_RAD = 0.002  # measured joint error that counts as there
+# An arm that rests this long, this near, leans on something there and will not come nearer: the report says where it is.
+LEANING_TICKS, LEANING_RAD = 100, 0.03
 WIDTH_M = 0.0005  # the same for the opening of the hand
 LEAN_N = 20.0  # harder than at the start by this is a new touch
 SQUEEZE_N = 1.0  # less is no squeeze
@@ -182,6 +184,7 @@ class Executor:
         self._ticks = 0
         self._peaks = Peaks()
         self._yielded = False
+        self._still_ticks = 0
         every_s = self.primitive.reporting.every_s
         self._report_every = None if every_s is None else max(1, round(every_s / TICK_S))
         joints = self._command[0]
@@ -378,9 +381,13 @@ class Executor:
         if self._profile_time_s < self._profile.duration_s:
             return None
         error = max(abs(a - b) for a, b in zip(sample.joints, trajectory.positions[-1], strict=True))
-        if error > GOAL_RAD or max(map(abs, sample.velocities)) > REST_RAD_S:
-            return None
-        return error, GOAL_RAD, ""
+        slow = max(map(abs, sample.velocities)) <= REST_RAD_S
+        self._still_ticks = self._still_ticks + 1 if slow else 0
+        if slow and error <= GOAL_RAD:
+            return error, GOAL_RAD, ""
+        if self._still_ticks >= LEANING_TICKS and error <= LEANING_RAD:
+            return error, LEANING_RAD, ""
+        return None
 
     def _hand_arrived(self, trajectory: p.HandMotion) -> stop_functions.Finding | None:
         if max(map(abs, self.sample.finger_speeds)) > REST_M_S:

@@ -66,7 +66,7 @@ def test_a_motion_to_its_goal_ends_with_one_full_report(rig) -> None:
 
 
 def test_the_goal_waits_until_the_arm_is_there(rig) -> None:
-    rig.arm.lag = 0.01  # a servo that lags behind
+    rig.arm.lag = 0.05  # a servo that lags behind, further than one that leans on something
     rig.accept(rig.swing(limit_s=2.0))
     assert rig.until_end().reason is StopReason.TIMEOUT
 
@@ -81,6 +81,14 @@ def test_a_small_difference_at_the_start_is_worked_off_without_a_jump(rig, make)
     assert report.joints == pytest.approx(rig.away, abs=1e-9)
     steps = np.abs(np.diff([rig.home, *[motion[0] for motion in rig.arm.commands]], axis=0))
     assert steps.max() < 1.1 * 1.875 * 0.5 * TICK_S
+
+
+def test_an_arm_that_leans_on_something_at_the_goal_has_arrived(rig) -> None:
+    rig.arm.lag = 0.01  # a wall keeps it so far away
+    rig.accept(rig.swing(limit_s=2.0))
+    report = rig.until_end()
+    assert report.reason is StopReason.GOAL
+    assert report.measured == pytest.approx(0.01)  # and the report says how far it is
 
 
 def test_hold_still_for_a_time_and_for_ever(rig, make) -> None:
