@@ -392,12 +392,12 @@ def test_whatever_is_felt_every_primitive_ends_once_for_one_reason(cell, make, s
             make.stop(StopReason.TORQUE_LIMIT, p.TorqueAbove(limit_nm=30.0)),
             make.stop(StopReason.COLLISION, p.BodyTouch()),
             make.stop(StopReason.SLIP, p.GripForceBelow(2.0), Reflex.RELEASE),
-            duration_s=0.05,
-            limit_s=0.2,
+            duration_s=0.2,
+            limit_s=0.35,
         )
     )
     reports = []
-    for n in range(2500):
+    for n in range(4500):
         wrench, touches, grip, _ = senses[n % len(senses)]
         rig.arm.wrench, rig.arm.forces = wrench, (grip, grip)
         rig.arm.leaning = {touches: 1.0} if touches else {}
