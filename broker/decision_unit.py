@@ -137,6 +137,7 @@ def on_command(turn: Turn, event: CommandReceived) -> None:
         progress=event.progress,
         halt_if_lost=event.halt_if_lost,
         accepted_at_s=event.at_s,
+        given_at_s=min(event.sent_at_s or event.at_s, event.at_s),
     )
     state.commands[command.id] = command
     state.requests[key] = command.id
@@ -164,7 +165,10 @@ def on_halt(turn: Turn, event: HaltCalled) -> None:
             message = f"nothing live is called {event.scope}"
             turn.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
     if told_by_subsystem and not any(type(e) is SendHalt and e.halt == event.halt for e in turn.effects):
-        _order_halt(turn, event.client, event.halt, event.scope)  # it begins nothing until it hears that we know
+        # It begins nothing until it hears that we know.
+        turn.effects.append(
+            SendHalt(subsystem=event.client, halt=event.halt, scope=event.scope, called_at_s=event.called_at_s)
+        )
 
 
 def on_client_gone(turn: Turn, event: ClientGone) -> None:
@@ -295,10 +299,11 @@ def on_subsystem(turn: Turn, event: SubsystemConnected) -> None:
     state.subsystems[event.subsystem] = Subsystem(
         pid=event.pid, performers=event.performers, came_at_rest=event.at_rest
     )
-    moving = {c.id for c in state.commands.values() if c.phase in (Phase.EXECUTING, Phase.HALTING)}
     for primitive in event.outstanding:
         command_id = primitive.partition(".")[0]
-        if command_id not in moving:  # of one that moves, an earlier primitive can only be an unacknowledged report
+        command = state.commands.get(command_id)
+        # Of a command that lives, only what was given up may still be executed; the rest are unacknowledged reports.
+        if command is None or (command.phase is Phase.CLOSING and not command.at_rest):
             _order_halt(turn, event.subsystem, f"orphan-{primitive}", command_id)
     if event.at_rest:
         turn.confirm_rest(event.subsystem)

@@ -263,7 +263,7 @@ def elaborated(turn: Turn, command: Command, product: msgspec.Raw) -> None:
     claim: Claim = dict.fromkeys(script.reads, False)
     claim.update(dict.fromkeys(script.resources, True))
     claim.update(dict.fromkeys(script.writes, True))
-    halted = [r for r in script.resources if turn.state.halted_at_s.get(r, -1.0) > command.accepted_at_s]
+    halted = [r for r in script.resources if turn.state.halted_at_s.get(r, -1.0) > command.given_at_s]
     if halted:
         message = f"{halted[0]} was halted after this command was given"
         end(turn, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)

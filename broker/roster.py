@@ -55,6 +55,7 @@ class Roster:
     def __init__(self) -> None:
         self.workers: dict[str, Worker] = {}
         self.queues: dict[WorkerKind, deque[tuple[float, DispatchJob]]] = {kind: deque() for kind in WorkerKind}
+        self._queued: set[str] = set()
         self._cancelled: set[str] = set()  # queued jobs nobody wants any more
 
     # --- workers come and go --------------------------------------------------------------------------
@@ -78,12 +79,14 @@ class Roster:
             worker.heard_at_s = now
         return worker is not None
 
-    def answered(self, name: str, job: str, took_s: float, now: float) -> None:
+    def answered(self, name: str, job: str, attempt: int, took_s: float, now: float) -> None:
         worker = self.workers.get(name)
         if worker is None:
             return
         worker.heard_at_s = worker.since_s = now
-        if worker.held.pop(job, None) is not None:
+        held = worker.held.get(job)
+        if held is not None and held.attempt == attempt:  # a late answer to an earlier attempt frees nothing
+            del worker.held[job]
             worker.done += 1
             worker.mean_s = took_s if worker.done == 1 else 0.8 * worker.mean_s + 0.2 * took_s
 
@@ -91,6 +94,7 @@ class Roster:
 
     def submit(self, job: DispatchJob, now: float) -> None:
         self._cancelled.discard(job.job)
+        self._queued.add(job.job)
         self.queues[job.kind].append((now, job))
 
     def cancel(self, job: str) -> str:
@@ -98,7 +102,8 @@ class Roster:
         for worker in self.workers.values():
             if job in worker.held:
                 return worker.name
-        self._cancelled.add(job)
+        if job in self._queued:
+            self._cancelled.add(job)
         return ""
 
     def assign(self, now: float) -> Iterator[tuple[str, list[DispatchJob]]]:
@@ -121,11 +126,16 @@ class Roster:
         jobs: list[DispatchJob] = []
         while queue and len(jobs) < most:
             job = queue.popleft()[1]
-            if job.job in self._cancelled:
-                self._cancelled.discard(job.job)
-            else:
+            if self._wanted(job):
                 jobs.append(job)
         return jobs
+
+    def _wanted(self, job: DispatchJob) -> bool:
+        """Of a job that leaves its queue."""
+        self._queued.discard(job.job)
+        wanted = job.job not in self._cancelled
+        self._cancelled.discard(job.job)
+        return wanted
 
     # --- trouble --------------------------------------------------------------------------------------
 
@@ -141,10 +151,18 @@ class Roster:
                 found.append((worker, f"hung: silent for {now - worker.heard_at_s:.1f} s"))
         return found
 
+    def unheard(self, name: str, ready_since_s: float, now: float) -> bool:
+        """Whether a worker process that is ready for so long should have said a word by now, and has not: it hung
+        before this broker came. One that is busy for another broker may be silent for the length of a job."""
+        kind = name.partition("@")[0]
+        if name in self.workers or kind not in DEADLINE_S:
+            return False
+        return now - ready_since_s > DEADLINE_S[WorkerKind(kind)]
+
     def waited_too_long(self, now: float) -> list[DispatchJob]:
         """Jobs taken out of a queue because no worker of their kind took them within the limit."""
         expired = []
         for queue in self.queues.values():
             while queue and now - queue[0][0] > QUEUE_LIMIT_S:
                 expired.append(queue.popleft()[1])
-        return [job for job in expired if job.job not in self._cancelled]
+        return [job for job in expired if self._wanted(job)]

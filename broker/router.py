@@ -220,7 +220,7 @@ class Router:
             case m.ResultBatch():
                 known = self.roster.heard(name, now)
                 for result in message.results:
-                    self.roster.answered(name, result.id, getattr(result, "took_s", 0.0), now)
+                    self.roster.answered(name, result.id, result.attempt, getattr(result, "took_s", 0.0), now)
                     self._events.append(_result(name, result, now))
                 if not known:
                     send(self._socket["workers"], m.JobBatch(jobs=[]), peer)
@@ -307,6 +307,17 @@ class Router:
                 b"supervisor",
             )
             self._lose(worker.name, self.roster.gone(worker.name), why, now)
+        for process in self.processes:
+            ready_since_s = max(self.began_s, process.get("since_s", now))
+            if process.get("state") == "ready" and self.roster.unheard(process["name"], ready_since_s, now):
+                why = "hung: it has not said a word to this broker"
+                self.me.log.warning("%s (pid %d) %s", process["name"], process["pid"], why)
+                process["state"] = "hung"
+                send(
+                    self._socket["supervisor"],
+                    m.KillProcess(name=process["name"], pid=process["pid"], why=why),
+                    b"supervisor",
+                )
         for job in self.roster.waited_too_long(now):
             message = f"no {job.kind.value} took the job within the limit; is one alive? see `rtc status`"
             refusal = Refusal(reason=RefusalReason.TIMEOUT, message=message)

@@ -114,6 +114,7 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True):
     progress: bool
     halt_if_lost: bool
     accepted_at_s: float
+    given_at_s: float = 0.0  # when its client said it: what was given before a halt does not start after it
     phase: Phase = Phase.PARSING
     jobs: int = 0  # given out so far; numbers the next
     job: PendingJob | None = None

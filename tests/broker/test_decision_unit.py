@@ -754,6 +754,15 @@ def test_a_timer_that_rings_in_the_turn_that_sets_it_anew_is_late():
     assert s.phase("C-1") == "halting"
 
 
+def test_what_was_said_before_the_halt_of_an_arm_and_came_after_it_does_not_move_that_arm():
+    s = Story()
+    s.now = 10.0
+    s.halts("RIGHT-ARM")
+    s.says("X", sent_at_s=9.0)  # it was long under way: the broker was dead
+    s.answers("C-1", record(hand=None))
+    assert s.answers("C-1", script())[-1] == "end C-1 halted"
+
+
 def test_a_halt_of_a_command_that_has_moved_nothing_is_over_at_once():
     s = Story()
     s.parsed()

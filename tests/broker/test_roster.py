@@ -35,7 +35,7 @@ def test_slow_jobs_go_one_to_a_worker_and_the_rest_wait():
     for n in range(3):
         r.submit(job(n), 0.0)
     assert given_out(r) == {"a": ["C-0/1"], "b": ["C-1/1"]}
-    r.answered("b", "C-1/1", 0.1, 0.1)
+    r.answered("b", "C-1/1", 1, 0.1, 0.1)
     assert given_out(r) == {"b": ["C-2/1"]}
 
 
@@ -59,7 +59,7 @@ def test_of_a_lost_workers_jobs_only_the_first_was_in_its_hands():
     for n in range(3):
         r.submit(job(n), 0.0)
     given_out(r)
-    r.answered("a", "C-0/1", 0.0001, 0.01)
+    r.answered("a", "C-0/1", 1, 0.0001, 0.01)
     assert [(lost.job.job, lost.in_hand) for lost in r.gone("a")] == [("C-1/1", True), ("C-2/1", False)]
     assert r.gone("a") == []
 
@@ -78,7 +78,7 @@ def test_a_cancelled_job_is_never_given_out_and_its_holder_is_told():
     given_out(r)
     assert r.cancel("C-1/1") == "a"
     assert r.cancel("C-2/1") == ""
-    r.answered("a", "C-1/1", 0.1, 0.1)
+    r.answered("a", "C-1/1", 1, 0.1, 0.1)
     assert given_out(r) == {}
 
 
@@ -101,6 +101,35 @@ def test_hung_is_a_job_beyond_its_deadline_or_an_idle_worker_that_is_silent():
     ]
 
 
+def test_a_late_answer_to_an_earlier_attempt_frees_nothing():
+    r = roster("a")
+    r.submit(job(1, attempt=2), 0.0)
+    given_out(r)
+    r.answered("a", "C-1/1", 1, 0.1, 0.1)
+    assert [(lost.job.attempt, lost.in_hand) for lost in r.gone("a")] == [(2, True)]
+
+
+def test_a_job_cancelled_after_its_answer_leaves_no_trace():
+    r = roster("a")
+    r.submit(job(1), 0.0)
+    given_out(r)
+    r.answered("a", "C-1/1", 1, 0.1, 0.1)
+    assert r.cancel("C-1/1") == ""
+    r.submit(job(2), 0.0)
+    r.cancel("C-2/1")
+    r.waited_too_long(QUEUE_LIMIT_S + 1)
+    assert (r._queued, r._cancelled) == (set(), set())
+
+
+def test_a_worker_that_hung_before_this_broker_came_is_found_by_its_silence():
+    r = roster("a")
+    limit_s = DEADLINE_S[BINDER]
+    assert not r.unheard("a", 0.0, limit_s + 1)
+    assert not r.unheard("binder@6", 0.0, limit_s - 1)
+    assert r.unheard("binder@6", 0.0, limit_s + 1)
+    assert not r.unheard("MCM", 0.0, 1000.0)
+
+
 def test_a_job_nobody_takes_is_given_back_at_the_limit():
     r = Roster()
     r.submit(job(1), 0.0)
@@ -111,5 +140,5 @@ def test_a_job_nobody_takes_is_given_back_at_the_limit():
 def test_nobody_of_that_name():
     r = Roster()
     assert not r.heard("ghost", 0.0)
-    r.answered("ghost", "C-1/1", 0.1, 0.1)
+    r.answered("ghost", "C-1/1", 1, 0.1, 0.1)
     assert r.workers == {}

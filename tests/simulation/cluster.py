@@ -1,0 +1,487 @@
+"""A whole cluster on a simulated clock, driven by one seed: what is said, when, and what dies in the middle of it.
+
+Real: the broker's shell (`broker.router`) with its Decision Unit, roster, timers and journal, every byte on its sockets,
+replay after a crash, the MCM's subsystem and executors, the world database's server and store. Simulated: clock,
+sockets and the processes round them (tests/simulation/processes.py).
+
+The broker may be killed between two turns, before a turn is journalled, after that, and before any one of the messages
+of a turn leaves. What must hold is checked after each of its turns (`broker.invariants`) and at the end (`Ledger`).
+"""
+
+from __future__ import annotations
+
+import logging
+import sqlite3
+from collections import Counter
+from collections.abc import Callable
+from random import Random
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+
+from broker.events import BrokerRestarted, Event, ProgramInstalled
+from broker.invariants import violations
+from broker.journal import SCHEMA, Journal
+from broker.program_store import ProgramStore
+from broker.replay import replay
+from broker.router import Router
+from broker.state import State
+from rtc import messages as m
+from rtc import wire
+from rtc.outcomes import OutcomeKind, Refusal, StopReason
+from rtc.settings import Settings
+from rtc.world.server import Server
+from rtc.world.store import Store
+from tests.simulation import network, skills
+from tests.simulation.processes import ARMS, Caller, Client, Mcm, Supervisor, Worker
+
+FAULTS_S = 1.2  # sentences are said and things go wrong for so long; then all may come to an end
+LIMIT_S = 150.0  # of simulated time until everything must have ended
+KEY = bytes(32)
+SETTINGS = Settings(run_dir="/nowhere", run="simulated")
+SILENT = logging.getLogger("simulated broker")
+SILENT.disabled = True
+TRACES = ("front", "workers", "subsystems", "supervisor", "halt")
+
+
+class Wrong(AssertionError):
+    """Something that must always hold does not."""
+
+
+class Crash(BaseException):
+    """The broker's process is killed just here."""
+
+
+class Broker:
+    """One broker process: the real shell on simulated sockets."""
+
+    def __init__(self, cluster: Cluster, db: sqlite3.Connection, pid: int) -> None:
+        self.cluster, self.pid, self.name = cluster, pid, "broker"
+        self.alive = True
+        self.sends_left: int | None = None  # it dies before it sends one more
+        self.dies_in_journal = ""  # "before" or "after" the next turn is written
+        self.sockets: dict[str, network.Router] = {}
+        journal = FragileJournal(db, self)
+        state, _ = replay(journal)
+        self.state = state
+        me = SimpleNamespace(socket=self._socket, log=SILENT, stopping=False)
+        self.router = Router(me, SETTINGS, journal, state, ProgramStore(journal), KEY, cluster.clock)  # type: ignore[arg-type]
+        now_s = cluster.clock.now_s
+        if state.programs:
+            self.router.hear(BrokerRestarted(at_s=now_s))
+        else:
+            for kind in m.WorkerKind:
+                self.router.hear(ProgramInstalled(at_s=now_s, kind=kind, digest=kind.value))
+        self._wakes_at_s = 0.0
+
+    def _socket(self, kind: int, endpoint: str, **_: Any) -> network.Router:
+        name = endpoint.rpartition("/")[2].removesuffix(".sock")
+        self.sockets[name] = network.Router(self.cluster.clock, self.wake, self.sending)
+        return self.sockets[name]
+
+    def sending(self) -> None:
+        if self.sends_left is not None:
+            self.sends_left -= 1
+            if self.sends_left < 0:
+                raise Crash
+
+    def wake(self) -> None:
+        """Something has come: a turn soon."""
+        self._turn_at(self.cluster.clock.now_s + 0.00005)
+
+    def _turn_at(self, at_s: float) -> None:
+        if self._wakes_at_s <= self.cluster.clock.now_s or at_s < self._wakes_at_s:
+            self._wakes_at_s = at_s
+            self.cluster.clock.at(at_s, self._turn, at_s)
+
+    def _turn(self, planned_s: float) -> None:
+        if not self.alive or planned_s != self._wakes_at_s:
+            return
+        self.turn()
+
+    def turn(self) -> None:
+        try:
+            self.router.turn()
+        except Crash:
+            self.cluster.kill(self, "in the middle of a turn")
+            return
+        self._wakes_at_s = 0.0
+        self._turn_at(self.cluster.clock.now_s + self.router._patience_s() + 1e-6)
+
+    def die(self) -> None:
+        self.alive = False
+        for socket in self.sockets.values():
+            socket.close()
+
+
+class FragileJournal(Journal):
+    """The real one; its process may be killed at it."""
+
+    def __init__(self, db: sqlite3.Connection, broker: Broker) -> None:
+        super().__init__(db)
+        self._broker = broker
+
+    def append(self, events: list[Event], stories: list[m.CommandRecord]) -> None:
+        broker = self._broker
+        if broker.dies_in_journal == "before":
+            raise Crash
+        super().append(events, stories)
+        broker.cluster.journalled(events, stories)
+        if broker.dies_in_journal == "after":
+            raise Crash
+
+
+class Ledger:
+    """What really happened at the MCM, whatever the broker believes; and what it proves wrong."""
+
+    def __init__(self, cluster: Cluster) -> None:
+        self.cluster = cluster
+        self.begun: dict[str, float] = {}
+        self.ended: dict[str, StopReason] = {}
+        self.halts: list[tuple[Mcm, m.HaltOrder, float]] = []  # heard by which process, when
+
+    def halted(self, mcm: Mcm, order: m.HaltOrder, now_s: float) -> None:
+        self.halts.append((mcm, order, now_s))
+
+    def said(self, mcm: Mcm, message: m.Message) -> None:
+        if isinstance(message, m.Started):
+            if message.primitive in self.begun:
+                self.cluster.wrong(f"{message.primitive} was executed twice")
+            self.begun[message.primitive] = message.at_s
+            self._not_after_a_halt(mcm, message)
+        elif isinstance(message, m.EndReport):
+            known = self.ended.setdefault(message.primitive, message.reason)
+            if known is not message.reason:
+                self.cluster.wrong(f"{message.primitive} ended {known.value}, and {message.reason.value}")
+
+    def _not_after_a_halt(self, mcm: Mcm, started: m.Started) -> None:
+        command = started.primitive.partition(".")[0]
+        sent = self.cluster.sentence_of(command)
+        executor = next(e for e in mcm.subsystem.executors.values() if e.primitive_id == started.primitive)
+        for heard_by, order, heard_at_s in self.halts:
+            if heard_by is not mcm or heard_at_s > started.at_s or order.scope not in ("ALL", executor.name, command):
+                continue
+            if sent is None or sent.sent_at_s < order.called_at_s:
+                self.cluster.wrong(
+                    f"{started.primitive} began at {started.at_s:.4f}, after halt {order.halt} ({order.scope}) was called"
+                )
+
+    def of(self, command: str) -> list[str]:
+        return [primitive for primitive in self.begun if primitive.partition(".")[0] == command]
+
+
+class Cluster:
+    def __init__(self, seed: int, story: Callable[[str], None] | None = None) -> None:
+        self.seed = seed
+        self.random = Random(seed)
+        self.clock = network.Clock(self.random)
+        self.story = story
+        self.over = False
+        self.problems: list[str] = []
+        self.faults: Counter[str] = Counter()
+        self.ledger = Ledger(self)
+        self.dies_after_commit = 0.0
+        self._lines: list[tuple[str, network.Dealer]] = []
+        self._pids = iter(range(100, 10_000))
+        self._db = sqlite3.connect(":memory:", isolation_level=None)
+        self._db.executescript(SCHEMA)
+        Journal(self._db).snapshot(State())
+        self.world = Server(Store(":memory:"), KEY)
+        self.stories: dict[str, m.CommandRecord] = {}
+        self.accepted: dict[str, tuple[str, str]] = {}  # command -> client, request
+        self.broker: Broker | None = None
+        self._start_broker()
+        self.workers: dict[str, Worker] = {}
+        self.supervisor = Supervisor(self)
+        for node in range(4 * self.random.choice((1, 1, 2))):
+            self._start_worker(node)
+        self.mcm: Mcm | None = Mcm(self, next(self._pids))
+        self.clients = [Client(self, f"client-{n}") for n in range(self.random.choice((1, 2)))]
+        self.callers: list[Caller] = []
+
+    # --- the run --------------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Until all is over. Raises Wrong."""
+        self._plan()
+        began_s = self.clock.now_s
+        while not self._all_over():
+            if self.clock.now_s - began_s > LIMIT_S:
+                live = self.broker.state.commands.values() if self.broker else ()
+                self.wrong(f"not over after {LIMIT_S:g} s: {[(c.id, c.phase.value) for c in live]}")
+            self.clock.step()
+            if self.problems:
+                raise Wrong("; ".join(self.problems))
+        self.over = True
+        self._check()
+        if self.problems:
+            raise Wrong("; ".join(self.problems))
+
+    def _all_over(self) -> bool:
+        if (
+            self.clock.now_s < 1000.0 + FAULTS_S + 0.1
+            or self.broker is None
+            or not self.broker.alive
+            or self.mcm is None
+        ):
+            return False
+        if any(client.open for client in self.clients) or self.broker.state.commands:
+            return False
+        # a closed arm waits for its MCM, a kept report for its acknowledgement
+        waits = self.broker.state.resources.quarantine or self.mcm.subsystem.outstanding or self.mcm.stopped
+        return not waits and self.mcm.line.router is not None
+
+    def _plan(self) -> None:
+        random, clock = self.random, self.clock
+        for client in self.clients:
+            for _ in range(random.randint(1, 3)):
+                clock.after(random.uniform(0.15, FAULTS_S * 0.8), client.submit, self._sentence())
+        for n in range(random.choice((0, 0, 0, 1, 1, 2))):
+            scope = random.choice(("ALL", "ALL", "LEFT-ARM", "RIGHT-ARM", f"C-{random.randint(1, 4)}"))
+            clock.after(random.uniform(0.01, FAULTS_S), self._call_halt, f"H-{n}", scope)
+        for _ in range(random.choice((0, 1, 1, 2, 3, 5))):
+            fault = random.choice(FAULTS)
+            clock.after(random.uniform(0.005, FAULTS_S), fault, self)
+        self.dies_after_commit = random.choice((0.0, 0.0, 0.0, 0.2))
+        clock.after(FAULTS_S, self._calm_down)
+
+    def _sentence(self) -> str:
+        random = self.random
+        odd = random.random()
+        if odd < 0.12:
+            other = f"C-{random.randint(1, 4)}"
+            return random.choice(("HALT", f"HALT {other}", "HALT RIGHT-ARM", f"ABORT {other}", "NO", "STUCK", "POISON"))
+        words = ["DO", random.choice(("LEFT", "RIGHT")), *random.choices(skills.STEPS[:3], k=random.randint(1, 3))]
+        if odd < 0.4:
+            words.append(random.choice(skills.STEPS[3:]))
+        if odd > 0.85:
+            other = f"C-{random.randint(1, 3)}"
+            words += random.choice((["AFTER", other], ["TOGETHER-WITH", other], ["NOW"]))
+        return " ".join(words)
+
+    def _calm_down(self) -> None:
+        self.dies_after_commit = 0.0
+        if self.broker is not None:
+            self.broker.dies_in_journal, self.broker.sends_left = "", None
+
+    def _call_halt(self, halt: str, scope: str) -> None:
+        self.tell(f"somebody calls HALT {scope} ({halt})")
+        self.callers.append(Caller(self, halt, scope))
+
+    # --- processes ------------------------------------------------------------------------------------
+
+    def attach(self, socket: str, line: network.Dealer) -> None:
+        """A process's line to one of the broker's sockets; it is connected whenever there is a broker."""
+        self._lines = [(name, other) for name, other in self._lines if not other.dead]
+        self._lines.append((socket, line))
+        if self.broker is not None and self.broker.alive:
+            self.clock.after(0.0005, self._connect, socket, line)
+
+    def _connect(self, socket: str, line: network.Dealer) -> None:
+        if self.broker is not None and self.broker.alive and line.router is None:
+            line.connect(self.broker.sockets[socket])
+
+    def _start_broker(self) -> None:
+        self.broker = broker = Broker(self, self._db, next(self._pids))
+        self.tell(f"broker {broker.pid} is up")
+        if self.random.random() < 0.3:
+            broker.router.journal.turns_since_snapshot = 10**9  # a snapshot with its first turn
+        broker.turn()
+        for socket, line in self._lines:
+            self.clock.after(self.random.uniform(0.001, 0.1), self._connect, socket, line)
+
+    def _start_worker(self, node: int) -> None:
+        kind = list(m.WorkerKind)[node % 4]
+        name = f"{kind.value}@{node}"
+        self.workers[name] = Worker(self, name, node, kind, next(self._pids))
+        self.supervisor.tell_table()
+
+    def _start_mcm(self) -> None:
+        self.mcm = Mcm(self, next(self._pids))
+        self.tell(f"MCM {self.mcm.pid} is up")
+
+    def process(self, name: str) -> Worker | Mcm | None:
+        return self.mcm if name == "MCM" else self.workers.get(name)
+
+    def kill(self, process: Worker | Mcm | Broker, why: str = "") -> None:
+        """kill -9; the supervisor sees it and starts it anew."""
+        if not process.alive:
+            return
+        self.tell(f"{process.name} {process.pid} is killed {why}")
+        process.die()
+        self.clock.after(0.0005, self.supervisor.died, process.name, process.pid)
+        random, after = self.random, self.clock.after
+        if isinstance(process, Broker):
+            if self._db.in_transaction:
+                self._db.execute("ROLLBACK")
+            after(random.uniform(0.02, 0.3), self._start_broker)
+        elif isinstance(process, Mcm):
+            after(random.uniform(0.02, 0.4), self._start_mcm)
+        else:
+            after(random.uniform(0.005, 0.1), self._start_worker, process.node)
+
+    # --- what processes do here -----------------------------------------------------------------------
+
+    def commit(self, lease: m.Lease, changes: list[m.WorldChange]) -> Refusal | None:
+        """Of a worker, to the world database; now and then the first answer is lost, and it asks again."""
+        request = m.Commit(request="1", lease=lease, changes=changes, source=lease.job)
+        for _ in range(1 + (self.random.random() < 0.05)):
+            answer = self.world.answer(request, self.clock.now_s)
+            self.world.store.save()
+        return answer.refusal if isinstance(answer, m.WorldRefused) else None
+
+    def journalled(self, events: list[Event], stories: list[m.CommandRecord]) -> None:
+        """A turn of the broker is on record: what it decided must be right, and true."""
+        assert self.broker is not None
+        if self.story:
+            for event in events:
+                self.tell(f"  broker hears {_in_words(event)}")
+        for problem in violations(self.broker.state):
+            self.wrong(problem)
+        for record in stories:
+            self._true(record)
+
+    def _true(self, record: m.CommandRecord) -> None:
+        command, outcome = record.command, record.outcome
+        assert outcome is not None
+        self.tell(f"    {command} ends: {outcome.kind.value} {outcome.message}")
+        if command in self.stories:
+            self.wrong(f"{command} ended twice")
+        self.stories[command] = record
+        begun, ended = self.ledger.of(command), self.ledger.ended
+        kind = outcome.kind
+        if kind is OutcomeKind.SUCCEEDED and record.text.startswith("DO"):
+            if len(begun) != skills.primitives_of(record.text) or not all(primitive in ended for primitive in begun):
+                self.wrong(f"{command} succeeded with {begun} begun of '{record.text}', ended: {ended}")
+        moving = [e.primitive_id for e in self._executors() if e.primitive_id in begun]
+        if moving and kind not in (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM):
+            self.wrong(f"{command} ended {kind.value}, and {moving[0]} is still executed")
+        if kind in (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM) and not (
+            self.faults["MCM"] or (record.text.startswith("HALT") and self.faults["broker"])
+        ):
+            self.wrong(f"{command} ended {kind.value}, and the MCM was never away")
+
+    def _executors(self) -> list[Any]:
+        return list(self.mcm.subsystem.executors.values()) if self.mcm is not None and self.mcm.alive else []
+
+    def sentence_of(self, command: str) -> m.CommandText | None:
+        """What its client said."""
+        assert self.broker is not None
+        known = self.broker.state.commands.get(command) or self.stories.get(command)
+        return known and next((c.texts[known.request] for c in self.clients if known.request in c.texts), None)
+
+    # --- at the end -----------------------------------------------------------------------------------
+
+    def _check(self) -> None:
+        assert self.broker is not None
+        state = self.broker.state
+        said = {request: client for client in self.clients for request in client.texts}
+        for request, client in said.items():
+            result = client.results.get(request)
+            if not isinstance(result, m.CommandEnded):
+                self.wrong(f"{request} has no outcome: {result}")
+            elif (record := self.stories.get(result.command)) is None or record.outcome != result.outcome:
+                self.wrong(f"{request} was told {result.outcome}, the story says {record and record.outcome}")
+        if state.accepted != len(said):
+            self.wrong(f"{len(said)} sentences became {state.accepted} commands")
+        for what in ("held", "waiting", "holders", "lines", "quarantine"):
+            if left := getattr(state.resources, what):
+                self.wrong(f"{what} is not empty: {left}")
+        again, _ = replay(Journal(self._db))
+        if wire.encode(again) != wire.encode(state):
+            self.wrong("replayed, the journal gives another state")
+        self._check_world()
+
+    def _check_world(self) -> None:
+        """Each job wrote once; and what a command did that succeeded is written, in order."""
+        for arm in ARMS:
+            facts = self.world.store.history(f"{arm}.done", 1000)[::-1]
+            for job, times in Counter(fact.source for fact in facts).items():
+                if times > 1:
+                    self.wrong(f"{job} wrote {times} times")
+            written = [fact.value for fact in facts if fact.validity is m.Validity.VALID]
+            if len(set(written)) != len(written):
+                self.wrong(f"a primitive is written twice: {written}")
+            for record in self.stories.values():
+                if record.outcome and record.outcome.kind is OutcomeKind.SUCCEEDED:
+                    mine = [p for p in self.ledger.of(record.command) if f" {arm.partition('-')[0]} " in record.text]
+                    if [p for p in written if p in mine] != mine:
+                        self.wrong(f"{record.command} did {mine}, written is {written}")
+
+    def wrong(self, what: str) -> None:
+        self.tell(f"!! {what}")
+        self.problems.append(what)
+
+    def tell(self, what: str) -> None:
+        if self.story:
+            self.story(f"{self.clock.now_s - 1000.0:9.4f}  {what}")
+
+
+# --- what can go wrong -----------------------------------------------------------------------------------
+
+
+def _kill_broker(cluster: Cluster) -> None:
+    broker, random = cluster.broker, cluster.random
+    if broker is None or not broker.alive:
+        return
+    cluster.faults["broker"] += 1
+    way = random.choice(("now", "before", "after", "sending", "sending"))
+    cluster.tell(f"the broker is about to be killed: {way}")
+    if way == "now":
+        cluster.kill(broker, "between two turns")
+    elif way == "sending":
+        broker.sends_left = random.randint(0, 6)
+    else:
+        broker.dies_in_journal = way
+
+
+def _kill_worker(cluster: Cluster) -> None:
+    worker = cluster.random.choice(list(cluster.workers.values()))
+    cluster.faults["worker"] += 1
+    cluster.kill(worker)
+
+
+def _hang_worker(cluster: Cluster) -> None:
+    """Only where the limit is short: the others are found the same way."""
+    workers = [w for w in cluster.workers.values() if w.kind in (m.WorkerKind.PARSER, m.WorkerKind.ANALYZER)]
+    worker = cluster.random.choice(workers)
+    cluster.faults["worker"] += 1
+    cluster.tell(f"{worker.name} {worker.pid} hangs")
+    worker.hung = True
+
+
+def _kill_mcm(cluster: Cluster) -> None:
+    if cluster.mcm is not None and cluster.mcm.alive:
+        cluster.faults["MCM"] += 1
+        cluster.kill(cluster.mcm)
+
+
+def _stop_mcm(cluster: Cluster) -> None:
+    mcm = cluster.mcm
+    if mcm is not None and mcm.alive and not mcm.stopped:
+        cluster.faults["MCM"] += 1
+        for_s = cluster.random.choice((0.05, 0.3, 2.5, 4.0))
+        cluster.tell(f"the MCM stands still for {for_s} s")
+        mcm.stopped = True
+        cluster.clock.after(for_s, mcm.resume)
+
+
+def _cut_lines(cluster: Cluster) -> None:
+    """A client says everything again without need."""
+    client = cluster.random.choice(cluster.clients)
+    cluster.tell(f"{client.name} says everything again")
+    client.repeat()
+
+
+FAULTS = (_kill_broker, _kill_broker, _kill_worker, _kill_worker, _hang_worker, _kill_mcm, _stop_mcm, _cut_lines)
+
+
+def _in_words(event: Event) -> str:
+    fields = msgspec.structs.asdict(event)
+    shown = {
+        k: v for k, v in fields.items() if k not in ("at_s", "product", "report", "took_s") and v not in ("", [], None)
+    }
+    if (report := fields.get("report")) is not None:
+        shown |= {"primitive": report.primitive, "reason": report.reason.value}
+    return f"{type(event).__name__} {' '.join(f'{k}={v}' for k, v in shown.items())}"

@@ -1,0 +1,375 @@
+"""The processes round a simulated broker: workers, the MCM, clients, those who halt, the supervisor.
+
+Each follows the rules of the real one in the file named at its head. What is real is used as it is: the MCM's
+`Subsystem` with its executors, the world database's `Server` and `Store`, every message through `rtc.wire`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rtc import messages as m
+from rtc import wire
+from rtc.outcomes import Refusal, RefusalReason
+from rtc.primitive import ControlLaw
+from sim_mcm.arm import HandCommand, Motion, Sample, Traits
+from sim_mcm.subsystem import BROKER, REPEAT_S, Subsystem
+from tests.simulation import skills
+from tests.simulation.network import Dealer, Frames
+
+if TYPE_CHECKING:
+    from tests.simulation.cluster import Cluster
+
+ARMS = ("LEFT-ARM", "RIGHT-ARM")
+read_worker = wire.reader(m.BrokerToWorker)
+read_mcm = wire.reader(m.BrokerToSubsystem)
+read_client = wire.reader(m.BrokerToClient)
+read_halt = wire.reader(m.FromHalt)
+read_supervisor = wire.reader(m.BrokerToSupervisor)
+
+
+class Worker:
+    """workers/shell.py: jobs in order, an empty batch begins anew, what was dropped is answered unless begun."""
+
+    HEARTBEAT_S = 0.5
+    HELLO_AGAIN_S = 0.3
+
+    def __init__(self, cluster: Cluster, name: str, node: int, kind: m.WorkerKind, pid: int) -> None:
+        self.cluster, self.name, self.node, self.kind, self.pid = cluster, name, node, kind, pid
+        self.alive, self.hung = True, False
+        self.since_s = cluster.clock.now_s
+        self.queue: deque[m.Job] = deque()
+        self.busy = False
+        self._said_hello_s = -1.0
+        self.line = Dealer(cluster.clock, name.encode(), self._hear)
+        cluster.attach("workers", self.line)
+        self._say_hello()
+        cluster.clock.after(self.HEARTBEAT_S, self._beat)
+
+    def die(self) -> None:
+        self.alive = False
+        self.line.close()
+
+    def _say(self, message: m.WorkerToBroker) -> None:
+        if self.alive:
+            self.line.send(wire.frames(message))
+
+    def _say_hello(self) -> None:
+        self._said_hello_s = self.cluster.clock.now_s
+        self._say(m.WorkerHello(name=self.name, node=self.node, kind=self.kind, pid=self.pid))
+
+    def _beat(self) -> None:
+        if not self.alive or self.cluster.over:
+            return
+        if not self.hung and not self.busy:
+            self._say(m.Heartbeat(name=self.name))
+        self.cluster.clock.after(self.HEARTBEAT_S, self._beat)
+
+    def _hear(self, parts: Frames) -> None:
+        if self.hung:
+            return
+        match read_worker(parts):
+            case m.JobBatch(jobs=[]):
+                if self.cluster.clock.now_s - self._said_hello_s >= self.HELLO_AGAIN_S:
+                    self.queue.clear()
+                    self._say_hello()
+            case m.JobBatch(jobs=jobs):
+                self.queue.extend(jobs)
+                self._begin()
+            case m.Drop(jobs=unwanted):
+                dropped = [job for job in self.queue if job.id in unwanted]
+                self.queue = deque(job for job in self.queue if job.id not in unwanted)
+                refusal = Refusal(reason=RefusalReason.STATE, message="dropped: no longer wanted")
+                self._answer([m.JobRefused(id=job.id, attempt=job.attempt, refusal=refusal) for job in dropped])
+
+    def _begin(self) -> None:
+        if self.queue and not self.busy and not self.hung:
+            self.busy = True
+            job = self.queue.popleft()
+            random = self.cluster.random
+            took_s = random.uniform(0.0002, 0.004) if random.random() < 0.95 else random.uniform(0.01, 0.1)
+            self.cluster.clock.after(took_s, self._done, job, took_s)
+
+    def _done(self, job: m.Job, took_s: float) -> None:
+        if not self.alive or self.hung:
+            return
+        try:
+            product = skills.FUNCTIONS[self.kind.value](job.input)  # type: ignore[arg-type]
+        except skills.Kill:
+            self.cluster.kill(self, f"by {job.id}")
+            return
+        if isinstance(product, m.Assessment) and job.lease is not None:
+            refusal = self.cluster.commit(job.lease, product.changes)
+            if refusal is not None:
+                product = refusal
+            if self.cluster.random.random() < self.cluster.dies_after_commit:
+                self.cluster.kill(self, f"with {job.id} written and not answered")
+                return
+        self.busy = False
+        if isinstance(product, Refusal):
+            self._answer([m.JobRefused(id=job.id, attempt=job.attempt, refusal=product, took_s=took_s)])
+        else:
+            self._answer([m.JobDone(id=job.id, attempt=job.attempt, product=wire.raw(product), took_s=took_s)])
+        self._begin()
+
+    def _answer(self, results: Sequence[m.JobResult]) -> None:
+        if results:
+            self._say(m.ResultBatch(name=self.name, results=list(results)))
+
+
+class TinyArm:
+    """Two joints that follow exactly, and a hand that is always there."""
+
+    def __init__(self, name: str) -> None:
+        self.traits = Traits(
+            name=name,
+            joint_names=["a", "b"],
+            lower=[-1.0] * 2,
+            upper=[1.0] * 2,
+            velocity=[5.0] * 2,
+            max_opening_m=0.08,
+            max_grip_n=50.0,
+            hand_speed_m_s=0.05,
+        )
+        self.motion: Motion = ([0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
+
+    def read(self) -> Sample:
+        joints, velocities, _ = self.motion
+        return Sample(joints, velocities, [0.0] * 6, (0.04, 0.04), (0.0, 0.0), (0.0, 0.0))
+
+    def follow(self, motion: Motion) -> None:
+        self.motion = motion
+
+    def use_law(self, law: ControlLaw) -> None: ...
+
+    def command_hand(self, command: HandCommand) -> None: ...
+
+    def tcp_pose(self, joints: Sequence[float]) -> Any:
+        return POSE
+
+    def touches(self) -> dict[str, float]:
+        return {}
+
+
+class _Pose(list[float]):
+    def tolist(self) -> list[float]:
+        return list(self)
+
+
+POSE = _Pose([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+class Mcm:
+    """sim_mcm/__main__.py and doors.py: halts first, then the broker, then a tick; nothing is kept for a broker that is
+    away, who is found is greeted. A tick of the servo takes TICK_S of the cluster's time."""
+
+    HEARTBEAT_S = 0.25
+    TICK_S = 0.004
+
+    def __init__(self, cluster: Cluster, pid: int) -> None:
+        self.cluster, self.name, self.pid = cluster, "MCM", pid
+        self.alive, self.stopped = True, False
+        self.subsystem = Subsystem({name: TinyArm(name) for name in ARMS}, pid=pid)  # type: ignore[dict-item]
+        self._callers: dict[bytes, Callable[[Frames], None]] = {}
+        self._waiting: deque[tuple[bytes, Any]] = deque()  # read in the next tick
+        self._ticking = False
+        self.line = Dealer(cluster.clock, b"MCM", self._from_broker, self._greet)
+        cluster.attach("subsystems", self.line)
+        cluster.clock.after(self.HEARTBEAT_S, self._beat)
+        cluster.clock.after(REPEAT_S, self._look_again)
+
+    def die(self) -> None:
+        self.alive = False
+        self.line.close()
+
+    def hear_estop(self, caller: bytes, order: m.HaltOrder, answer: Callable[[Frames], None]) -> None:
+        self._callers[caller] = answer
+        self._wait(caller, order)
+
+    def resume(self) -> None:
+        """After SIGSTOP: everything that came meanwhile is read at once."""
+        self.stopped = False
+        self._tick_soon()
+
+    # --- inside ---
+
+    def _greet(self) -> None:
+        self._say(self.subsystem.hello())
+
+    def _from_broker(self, parts: Frames) -> None:
+        self._wait(BROKER, read_mcm(parts))
+
+    def _wait(self, door: bytes, order: Any) -> None:
+        self._waiting.append((door, order))
+        self._tick_soon()
+
+    def _tick_soon(self) -> None:
+        if not self._ticking:
+            self._ticking = True
+            self.cluster.clock.after(0.0002, self._tick)
+
+    def _tick(self) -> None:
+        self._ticking = False
+        if not self.alive or self.stopped or self.cluster.over:
+            return
+        now_s, subsystem = self.cluster.clock.now_s, self.subsystem
+        waiting = sorted(self._waiting, key=lambda entry: entry[0] == BROKER)  # halts at the estop door first
+        self._waiting.clear()
+        for door, order in waiting:
+            if isinstance(order, m.HaltOrder):
+                self.cluster.ledger.halted(self, order, now_s)
+            self._say(subsystem.hear(order, door, now_s))
+        self._say(subsystem.tick(now_s))
+        if not subsystem.idle or subsystem._open_halts:
+            self._ticking = True
+            self.cluster.clock.after(self.TICK_S, self._tick)
+
+    def _look_again(self) -> None:
+        """Idle, it ticks for nothing but reports that are due to be said again."""
+        if self.alive and not self.cluster.over:
+            if self.subsystem.outstanding:
+                self._tick_soon()
+            self.cluster.clock.after(REPEAT_S, self._look_again)
+
+    def _beat(self) -> None:
+        if self.alive and not self.cluster.over:
+            if not self.stopped:
+                self._say([(BROKER, m.Heartbeat(name="MCM"))])
+            self.cluster.clock.after(self.HEARTBEAT_S, self._beat)
+
+    def _say(self, said: list[tuple[bytes, m.Message]]) -> None:
+        for door, message in said:
+            self.cluster.ledger.said(self, message)
+            if door != BROKER:
+                self.cluster.clock.after(self.cluster.clock.delay_s(), self._callers[door], wire.frames(message))
+            elif self.line.router is not None:
+                self.line.send(wire.frames(message))
+
+
+class Client:
+    """rtc/front_door.py: hello, say open requests again to a new broker and after a silence, until the last answer."""
+
+    SILENCE_S = 2.0
+
+    def __init__(self, cluster: Cluster, name: str) -> None:
+        self.cluster, self.name = cluster, name
+        self.open: dict[str, m.CommandText] = {}
+        self.texts: dict[str, m.CommandText] = {}
+        self.command_of: dict[str, str] = {}
+        self.results: dict[str, m.CommandEnded | m.Declined] = {}
+        self._heard_at_s = cluster.clock.now_s
+        self._met = 0
+        self.line = Dealer(cluster.clock, name.encode(), self._hear, self._connected)
+        cluster.attach("front", self.line)
+        self._say(m.ClientHello(client=name))
+        cluster.clock.after(self.SILENCE_S, self._look)
+
+    def submit(self, text: str) -> None:
+        request = f"{self.name}/{len(self.texts) + 1}"
+        sentence = m.CommandText(request=request, text=text, sent_at_s=self.cluster.clock.now_s)
+        self.texts[request] = self.open[request] = sentence
+        self._say(sentence)
+
+    def repeat(self) -> None:
+        self._heard_at_s = self.cluster.clock.now_s
+        self._say(m.ClientHello(client=self.name))
+        for sentence in self.open.values():
+            self._say(sentence)
+
+    def _say(self, message: m.ClientToBroker) -> None:
+        self.line.send(wire.frames(message))
+
+    def _connected(self) -> None:
+        self._met += 1
+        if self._met > 1:
+            self.repeat()
+
+    def _look(self) -> None:
+        if self.cluster.over:
+            return
+        if self.open and self.cluster.clock.now_s - self._heard_at_s > self.SILENCE_S:
+            self.repeat()
+        self.cluster.clock.after(self.SILENCE_S / 4, self._look)
+
+    def _hear(self, parts: Frames) -> None:
+        self._heard_at_s = self.cluster.clock.now_s
+        message = read_client(parts)
+        match message:
+            case m.Accepted():
+                before = self.command_of.setdefault(message.request, message.command)
+                if before != message.command:
+                    self.cluster.wrong(f"{message.request} was accepted twice: {before}, {message.command}")
+            case m.CommandEnded() | m.Declined():
+                self.open.pop(message.request, None)
+                known = self.results.setdefault(message.request, message)
+                if known != message:
+                    self.cluster.wrong(f"{message.request} was told two outcomes: {known}, {message}")
+
+
+class Caller:
+    """rtc/halting.py: the same order to the broker and to the MCM; a door that is closed is tried again; never kept."""
+
+    LIMIT_S = 2.0
+    RETRY_S = 0.02
+
+    def __init__(self, cluster: Cluster, halt: str, scope: str) -> None:
+        self.cluster = cluster
+        now_s = cluster.clock.now_s
+        self.order = m.HaltOrder(halt=halt, scope=scope, called_at_s=now_s)
+        self.limit_s = now_s + self.LIMIT_S
+        self.told: set[str] = set()
+        self.at_rest = False
+        self.line = Dealer(cluster.clock, f"{halt}.halt".encode(), self._hear, immediate=True)
+        cluster.attach("halt", self.line)
+        self._tell()
+
+    def _tell(self) -> None:
+        cluster = self.cluster
+        if "halt" not in self.told and self.line.send(wire.frames(self.order)):
+            self.told.add("halt")
+        mcm = cluster.mcm
+        if "estop" not in self.told and mcm is not None and mcm.alive:
+            self.told.add("estop")
+            cluster.clock.after(cluster.clock.delay_s(), self._at_estop, mcm)
+        if len(self.told) < 2 and cluster.clock.now_s < self.limit_s:
+            cluster.clock.after(self.RETRY_S, self._tell)
+
+    def _at_estop(self, mcm: Mcm) -> None:
+        if mcm.alive:
+            mcm.hear_estop(self.line.identity, self.order, self._hear)
+
+    def _hear(self, parts: Frames) -> None:
+        message = read_halt(parts)
+        if isinstance(message, m.HaltAtRest) and message.halt == self.order.halt:
+            self.at_rest |= message.at_rest
+
+
+class Supervisor:
+    """deploy/supervisor.py: tells the broker of every death, starts anew, kills what the broker finds hung."""
+
+    def __init__(self, cluster: Cluster) -> None:
+        self.cluster = cluster
+        self.line = Dealer(cluster.clock, b"supervisor", self._hear, self.tell_table)
+        cluster.attach("supervisor", self.line)
+
+    def died(self, name: str, pid: int) -> None:
+        self.line.send(wire.frames(m.ProcessExited(name=name, pid=pid, status=-9, restarting=True)))
+        self.tell_table()
+
+    def tell_table(self) -> None:
+        """What runs; also after every start."""
+        rows = [
+            {"name": worker.name, "pid": worker.pid, "state": "ready", "since_s": worker.since_s}
+            for worker in self.cluster.workers.values()
+            if worker.alive
+        ]
+        self.line.send(wire.frames(m.ProcessTable(processes=rows)))
+
+    def _hear(self, parts: Frames) -> None:
+        message = read_supervisor(parts)
+        if isinstance(message, m.KillProcess):
+            process = self.cluster.process(message.name)
+            if process is not None and process.pid == message.pid:
+                self.cluster.kill(process, message.why)

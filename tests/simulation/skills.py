@@ -1,0 +1,143 @@
+"""Worker functions for the simulated cluster: plain, deterministic, and quick. A sentence is its own program.
+
+DO ARM STEP STEP ... [AFTER C-n] [TOGETHER-WITH C-n] [NOW]      a STEP is one of STEPS
+NO          refused by the parser          STUCK     refused by the elaborator
+POISON      kills every parser that reads it
+HALT, HALT ARM, HALT C-n, ABORT C-n        as in the language
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+from rtc import wire
+from rtc.messages import (
+    AnalyzerInput,
+    Assessment,
+    BinderInput,
+    BoundStep,
+    ElaboratorInput,
+    EvaluationContext,
+    ParserInput,
+    Script,
+    ScriptContext,
+    Step,
+    Trim,
+    Validity,
+    WorldChange,
+)
+from rtc.language.record import ParsedCommand
+from rtc.outcomes import Refusal, RefusalReason, StopReason
+from rtc.primitive import GoalReached, HoldStill, JointTrajectory, Primitive, StopFunction, TimeAbove, Trajectory
+
+ARMS = {"LEFT": "LEFT-ARM", "RIGHT": "RIGHT-ARM"}
+STEPS = ("swing", "hold", "let", "late", "late-mended", "late-skipped")
+LIMIT_S = 3.0  # for an end report
+SWING_RAD = 0.004  # so little that a swing may begin wherever another was stopped
+STILL = [[0.0, 0.0]] * 3
+SWING = JointTrajectory(
+    space="joint",
+    time_s=[0.0, 0.012, 0.024],
+    positions=[[0.0, 0.0], [SWING_RAD, -SWING_RAD], [0.0, 0.0]],
+    velocities=STILL,
+    accelerations=STILL,
+)
+MOTIONS: dict[str, Trajectory] = {
+    "swing": SWING,
+    "hold": HoldStill(duration_s=0.008),
+    "late": HoldStill(),  # only its time limit ends it: nobody can mend that,
+    "late-mended": HoldStill(),  # or a trim can,
+    "late-skipped": HoldStill(),  # or it is expected
+}
+TIME_S = 0.015  # the limit of what has no end of its own
+read_parsed = wire.decoder(ElaboratorInput)
+read_step = wire.decoder(BinderInput)
+read_report = wire.decoder(AnalyzerInput)
+read_text = wire.decoder(ParserInput)
+
+
+class Kill(Exception):
+    """The worker dies of it."""
+
+
+def no(reason: RefusalReason, message: str) -> Refusal:
+    return Refusal(reason=reason, message=message)
+
+
+def parse(data: bytes) -> ParsedCommand | Refusal:
+    words = read_text(data).text.split()
+    named = dict(zip(words, words[1:], strict=False))
+    match words[0]:
+        case "POISON":
+            raise Kill
+        case "NO":
+            return no(RefusalReason.SENTENCE, "no sentence")
+        case "ABORT":
+            return ParsedCommand(kind="control", verb="ABORT", object=words[1])
+    return ParsedCommand(
+        kind="task",
+        verb=words[0],
+        hand=ARMS.get(words[1]) if len(words) > 1 else None,
+        after=named.get("AFTER"),
+        together_with=named.get("TOGETHER-WITH"),
+        now="NOW" in words,
+        reason=" ".join(words),
+    )
+
+
+def elaborate(data: bytes) -> Script | Refusal:
+    text = read_parsed(data).parsed.reason or ""
+    return no(RefusalReason.NO_SCRIPT, "stuck") if text.startswith("STUCK") else script_of(text)
+
+
+@cache
+def script_of(text: str) -> Script:
+    words = text.split()
+    arm = ARMS[words[1]]
+    steps = [Step(do=word, label=word) for word in words[2:] if word in STEPS]
+    return Script(
+        context=ScriptContext(verb="DO", script=text, arm=arm),
+        case=1,
+        steps=steps,
+        trims=[Trim(n=1, label="hold instead", steps=[Step(do="hold", label="hold")], then="skip")],
+        resources=[arm],
+        writes=[arm],
+    )
+
+
+def bind(data: bytes) -> BoundStep | Refusal:
+    asked = read_step(data)
+    arm, step = asked.context.arm, asked.step
+    if step.do == "let":
+        return BoundStep(note="said, not done")
+    stops = [
+        StopFunction(reason=StopReason.GOAL, when=GoalReached()),
+        StopFunction(reason=StopReason.TIMEOUT, when=TimeAbove(TIME_S if step.do.startswith("late") else 5.0)),
+    ]
+    primitive = Primitive(id=asked.primitive_id, performer=arm, trajectory=MOTIONS[step.do], stop_functions=stops)
+    evaluation = EvaluationContext(context=asked.context, step=step, arm=arm)
+    return BoundStep(subsystem="MCM", primitive=primitive, evaluation=evaluation, limit_s=LIMIT_S)
+
+
+def analyze(data: bytes) -> Assessment:
+    asked = read_report(data)
+    report, evaluation = asked.report, asked.evaluation
+    done = WorldChange(key=f"{evaluation.arm}.done", value=report.primitive)
+    if asked.closing or report.reason is StopReason.HALT:
+        suspect = WorldChange(key=f"{evaluation.arm}.done", validity=Validity.SUSPECT, keep_value=True)
+        return Assessment(verdict="abort", reason=report.reason, changes=[suspect])
+    good = report.reason is StopReason.GOAL
+    expected = good or (report.reason is StopReason.TIMEOUT and evaluation.step.do == "late-skipped")
+    if expected:
+        return Assessment(verdict="continue", reason=report.reason, changes=[done])
+    if evaluation.step.do == "late-mended" and report.reason is StopReason.TIMEOUT:
+        return Assessment(verdict="trim", reason=report.reason, trim=1, changes=[done])
+    return Assessment(verdict="abort", reason=report.reason, message=report.message, changes=[done])
+
+
+FUNCTIONS = {"parser": parse, "elaborator": elaborate, "binder": bind, "analyzer": analyze}
+
+
+def primitives_of(text: str) -> int:
+    """How many primitives a run of this sentence takes, if it succeeds."""
+    return sum(2 if word == "late-mended" else 1 for word in text.split()[2:] if word in STEPS and word != "let")
