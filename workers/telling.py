@@ -86,7 +86,7 @@ def _value(program: ElaboratorProgram, parsed: ParsedCommand, thing: cells.Objec
     known = [_word(name) for name in (*program.told, *program.not_told, *_others(thing, belief))]
     like = naming.nearest(parsed.attribute or "", known, MISSPELT)
     if like and parsed.attribute not in known:
-        return naming.unknown(f"attribute of {thing.name}", parsed.attribute or "", known, where=parsed.attribute or "")
+        return naming.unknown("attribute", parsed.attribute or "", known, where=parsed.attribute or "")
     return said[0] if len(said) == 1 else said
 
 
