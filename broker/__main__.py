@@ -34,6 +34,7 @@ def main() -> None:
         now = time.monotonic()
         if state.programs:
             me.log.info("restarted: %d commands live, %d ended in the journal", len(state.commands), len(ended))
+            journal.keep_stories(ended.values())
             router.hear(BrokerRestarted(at_s=now))
         else:
             for kind in WorkerKind:

@@ -112,6 +112,7 @@ class Journal:
     def last_snapshot(self) -> tuple[int, State]:
         """(the number of the last turn in it, the state)."""
         n, state = self.db.execute("SELECT n, state FROM snapshot").fetchone()
+        self._forget_before = n
         return n, read_state(state)
 
     def turns(self, after: int = 0) -> Iterator[list[Event]]:
@@ -138,4 +139,4 @@ class Journal:
 def _number(command: str) -> int:
     """7 of C-7; -1 for what is no command's name."""
     number = command.removeprefix("C-")
-    return int(number) if number.isascii() and number.isdigit() else -1
+    return int(number) if number.isascii() and number.isdigit() and len(number) < 18 else -1

@@ -1,9 +1,10 @@
 """The broker's shell: sockets, journal and clock round the Decision Unit. It turns bytes into events and effects into
 bytes, and decides nothing.
 
-Every turn of the loop drains the sockets in order of priority: halts, subsystems, supervisor, workers, clients. Halts
-are a turn of their own: decided, journalled and sent before anything else is even read. The events of a turn are
-journalled in one transaction before any of its effects goes out (invariant 9).
+Every turn of the loop reads the sockets in order of priority: halts, subsystems, supervisor, workers, clients. Halts
+are a turn of their own: decided, journalled and sent before anything else is even read. A turn is short, however much
+lies waiting, so that the next halt is soon seen. The events of a turn are journalled in one transaction before any of
+its effects goes out (invariant 9).
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter, OrderedDict, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 import zmq
@@ -32,10 +33,12 @@ from rtc.process import Every, Process, inbox, send
 from rtc.settings import Settings
 from rtc.world.lease import sign
 
-WORKERS_PER_TURN = 200  # messages read from a socket in one turn: the loop comes back to the halts soon
-CLIENTS_PER_TURN = 64
+# A turn reads from a socket until it has heard of so many events; the shares are those of a stream of short commands,
+# so that none of them has to wait for long (workers tell several results in a message).
+EVENTS_PER_TURN = {"subsystems": 5, "workers": 16, "front": 20}
+MESSAGES_PER_TURN = 200  # of those that are no events
 SUBSYSTEM_SILENCE_S = 2.0
-SNAPSHOT_TURNS = 20_000
+SNAPSHOT_EVENTS = 30_000  # decided again in well under a second by a restarted broker
 HALTS_KEPT = 64
 
 
@@ -74,8 +77,7 @@ class Router:
 
     def run(self) -> None:
         while not self.me.stopping:
-            self.me.wait(self._patience_s())
-            self.turn()
+            self.turn(self.me.wait(self._patience_s()))
         self.journal.snapshot(self.state)
 
     def _patience_s(self) -> float:
@@ -83,17 +85,20 @@ class Router:
         next_s = self.timers.next_at_s()
         return min(self._audit.left_s(now), max(0.0, next_s - now) if next_s is not None else 1.0)
 
-    def turn(self) -> None:
+    def turn(self, readable: Collection[Any] | None = None) -> None:
+        """Hear and settle once. `readable`: the sockets that have something to read; None: look at all."""
         began = self._clock()
-        self._drain("halt", _read_halt, self._from_halt, 1000, began)
-        if self._events:
-            self._settle(began)
-        self._drain("subsystems", _read_subsystem, self._from_subsystem, 1000, began)
-        self._drain("supervisor", _read_supervisor, self._from_supervisor, 1000, began)
-        self._drain("workers", _read_worker, self._from_worker, WORKERS_PER_TURN, began)
-        self._drain("front", _read_client, self._from_client, CLIENTS_PER_TURN, began)
-        for frame in inbox(self._socket["events"]):
-            self._listeners += 1 if frame[0][:1] == b"\x01" else -1
+        waiting = [n for n, socket in self._socket.items() if readable is None or socket in readable]
+        if "halt" in waiting:
+            self._read("halt", began)
+            if self._events:
+                self._settle(began)
+        for name in waiting:
+            if name == "events":
+                for frame in inbox(self._socket["events"]):
+                    self._listeners += 1 if frame[0][:1] == b"\x01" else -1
+            elif name != "halt":
+                self._read(name, began)
         self._events += [heard.TimerFired(at_s=began, timer=name) for name in self.timers.due(began)]
         if self._audit.due(began):
             self._look_after(began)
@@ -113,33 +118,34 @@ class Router:
         for effect in effects:
             _PERFORM[type(effect)](self, effect)
         self._give_out(now)
-        if self.journal.turns_since_snapshot >= SNAPSHOT_TURNS:
+        if self.journal.events_since_snapshot >= SNAPSHOT_EVENTS:
             self.journal.snapshot(self.state)
 
     def hear(self, event: heard.Event) -> None:
         """An event that comes from nobody's socket: start-up."""
         self._events.append(event)
 
-    def _drain(
-        self,
-        name: str,
-        read: Callable[[Any], Any],
-        take: Callable[[bytes, Any, float], None],
-        most: int,
-        now: float,
-    ) -> None:
-        for peer, *parts in inbox(self._socket[name], most):
+    def _read(self, name: str, now: float) -> None:
+        """What lies on one socket, as far as there is room in this turn."""
+        read, take = _DOORS[name]
+        most = EVENTS_PER_TURN.get(name, MESSAGES_PER_TURN)
+        for peer, *parts in inbox(self._socket[name], MESSAGES_PER_TURN):
             try:
                 message = read(parts)
             except WireError as error:
-                self.dropped[name] += 1
-                if self.dropped[name] <= 20 or self.dropped[name] % 1000 == 0:
-                    self.me.log.warning("dropped a message on %s from %r: %s", name, peer[:40], error)
-                if name == "front":
-                    refusal = Refusal(reason=RefusalReason.SENTENCE, message=f"no message of this protocol: {error}")
-                    send(self._socket[name], m.Declined(request="", refusal=refusal), peer)
+                self._drop(name, peer, error)
                 continue
-            take(peer, message, now)
+            take(self, peer, message, now)
+            if len(self._events) >= most:
+                return
+
+    def _drop(self, name: str, peer: bytes, error: WireError) -> None:
+        self.dropped[name] += 1
+        if self.dropped[name] <= 20 or self.dropped[name] % 1000 == 0:
+            self.me.log.warning("dropped a message on %s from %r: %s", name, peer[:40], error)
+        if name == "front":
+            refusal = Refusal(reason=RefusalReason.SENTENCE, message=f"no message of this protocol: {error}")
+            send(self._socket[name], m.Declined(request="", refusal=refusal), peer)
 
     # --- bytes into events ----------------------------------------------------------------------------
 
@@ -299,6 +305,7 @@ class Router:
     # --- what only the clock tells --------------------------------------------------------------------
 
     def _look_after(self, now: float) -> None:
+        self.journal.tidy()
         for worker, why in self.roster.hung(now):
             self.me.log.warning("%s (pid %d) %s", worker.name, worker.pid, why)
             send(
@@ -426,11 +433,14 @@ def _peer(name: str) -> bytes:
     return name.encode("latin-1")
 
 
-_read_halt = wire.reader(m.ToHalt)
-_read_subsystem = wire.reader(m.SubsystemToBroker)
-_read_supervisor = wire.reader(m.SupervisorToBroker)
-_read_worker = wire.reader(m.WorkerToBroker)
-_read_client = wire.reader(m.ClientToBroker)
+#: socket -> how its messages are read, and who takes them
+_DOORS: dict[str, tuple[Callable[[Any], Any], Callable[[Router, bytes, Any, float], None]]] = {
+    "halt": (wire.reader(m.ToHalt), Router._from_halt),
+    "subsystems": (wire.reader(m.SubsystemToBroker), Router._from_subsystem),
+    "supervisor": (wire.reader(m.SupervisorToBroker), Router._from_supervisor),
+    "workers": (wire.reader(m.WorkerToBroker), Router._from_worker),
+    "front": (wire.reader(m.ClientToBroker), Router._from_client),
+}
 
 _PERFORM: dict[type[do.Effect], Callable[[Router, Any], None]] = {
     do.DispatchJob: Router._dispatch,

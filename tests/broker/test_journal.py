@@ -50,6 +50,8 @@ def test_replay_goes_on_from_a_snapshot(path):
     s.answers("C-1", go_on())
     s.journal.close()
     journal = Journal.open(path, "run", State())
+    journal.last_snapshot()
+    journal.tidy()
     assert journal.db.execute("SELECT count(*) FROM turns").fetchone()[0] <= 4  # the journal is bounded
     state, ended = replay.replay(journal)
     assert wire.encode(state) == wire.encode(s.state)
@@ -72,6 +74,32 @@ def test_the_story_of_an_ended_command_is_kept(path):
     assert story.outcome.kind == "succeeded"
     assert [n.phase.value for n in story.notes][-1] == "ended"
     assert s.journal.story("C-2") is None
+    assert s.journal.story("C-" + "9" * 30) is None
+    assert s.journal.story("X") is None
+
+
+def test_a_story_not_written_yet_is_told_again_by_the_replay(path):
+    s = Journalled(Journal.open(path, "run", State()))
+    s.analyzing()
+    s.answers("C-1", go_on())
+    story = s.journal.story("C-1")
+    s.journal.db.close()  # killed
+    journal = Journal.open(path, "run", State())
+    assert journal.story("C-1") is None
+    journal.keep_stories(replay.replay(journal)[1].values())
+    assert journal.story("C-1") == story
+    journal.tidy()
+    assert journal.story("C-1") == story
+
+
+def test_no_more_stories_are_kept_than_the_newest(path, monkeypatch):
+    monkeypatch.setattr("broker.journal.STORIES_KEPT", 2)
+    s = Journalled(Journal.open(path, "run", State()))
+    for n in range(1, 5):
+        s.analyzing()
+        s.answers(f"C-{n}", go_on())
+        s.journal.tidy()
+    assert [s.journal.story(f"C-{n}") is not None for n in range(1, 5)] == [False, False, True, True]
 
 
 def test_programs_outlive_a_restart(path):
@@ -94,6 +122,7 @@ def test_the_command_finds_a_changed_story(path, capsys):
     s.analyzing()
     s.answers("C-1", go_on())
     story = s.journal.story("C-1")
+    s.journal.tidy()
     s.journal.db.execute("UPDATE stories SET record = ?", (wire.encode(type(story)(**{**dump(story), "text": "Y"})),))
     assert replay.main([str(path)]) == 1
     assert "DIFFERENT decisions: C-1" in capsys.readouterr().out

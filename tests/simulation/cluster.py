@@ -1,8 +1,8 @@
 """A whole cluster on a simulated clock, driven by one seed: what is said, when, and what dies in the middle of it.
 
-Real: the broker's shell (`broker.router`) with its Decision Unit, roster, timers and journal, every byte on its sockets,
-replay after a crash, the MCM's subsystem and executors, the world database's server and store. Simulated: clock,
-sockets and the processes round them (tests/simulation/processes.py).
+Real: the broker's shell (`broker.router`) with its Decision Unit, roster, timers and journal, every byte on its
+sockets, replay after a crash, the MCM's subsystem and executors, the world database's server and store. Simulated:
+clock, sockets and the processes round them (tests/simulation/processes.py).
 
 The broker may be killed between two turns, before a turn is journalled, after that, and before any one of the messages
 of a turn leaves. What must hold is checked after each of its turns (`broker.invariants`) and at the end (`Ledger`).
@@ -42,7 +42,6 @@ KEY = bytes(32)
 SETTINGS = Settings(run_dir="/nowhere", run="simulated")
 SILENT = logging.getLogger("simulated broker")
 SILENT.disabled = True
-TRACES = ("front", "workers", "subsystems", "supervisor", "halt")
 
 
 class Wrong(AssertionError):
@@ -107,7 +106,10 @@ class Broker:
             self.cluster.kill(self, "in the middle of a turn")
             return
         self._wakes_at_s = 0.0
-        self._turn_at(self.cluster.clock.now_s + self.router._patience_s() + 1e-6)
+        if any(socket.readable for socket in self.sockets.values()):  # a turn takes some, not all
+            self.wake()
+        else:
+            self._turn_at(self.cluster.clock.now_s + self.router._patience_s() + 1e-6)
 
     def die(self) -> None:
         self.alive = False
@@ -157,14 +159,15 @@ class Ledger:
 
     def _not_after_a_halt(self, mcm: Mcm, started: m.Started) -> None:
         command = started.primitive.partition(".")[0]
-        sent = self.cluster.sentence_of(command)
+        said_s, accepted_s = self.cluster.given(command)
         executor = next(e for e in mcm.subsystem.executors.values() if e.primitive_id == started.primitive)
         for heard_by, order, heard_at_s in self.halts:
             if heard_by is not mcm or heard_at_s > started.at_s or order.scope not in ("ALL", executor.name, command):
                 continue
-            if sent is None or sent.sent_at_s < order.called_at_s:
+            # A number means nothing before it is given out.
+            if (accepted_s if order.scope == command else said_s) < order.called_at_s:
                 self.cluster.wrong(
-                    f"{started.primitive} began at {started.at_s:.4f}, after halt {order.halt} ({order.scope}) was called"
+                    f"{started.primitive} began at {started.at_s:.4f}, after halt {order.halt} of {order.scope}"
                 )
 
     def of(self, command: str) -> list[str]:
@@ -189,7 +192,6 @@ class Cluster:
         Journal(self._db).snapshot(State())
         self.world = Server(Store(":memory:"), KEY)
         self.stories: dict[str, m.CommandRecord] = {}
-        self.accepted: dict[str, tuple[str, str]] = {}  # command -> client, request
         self.broker: Broker | None = None
         self._start_broker()
         self.workers: dict[str, Worker] = {}
@@ -220,7 +222,7 @@ class Cluster:
 
     def _all_over(self) -> bool:
         if (
-            self.clock.now_s < 1000.0 + FAULTS_S + 0.1
+            self.clock.now_s < network.START_S + FAULTS_S + 0.1
             or self.broker is None
             or not self.broker.alive
             or self.mcm is None
@@ -286,7 +288,7 @@ class Cluster:
         self.broker = broker = Broker(self, self._db, next(self._pids))
         self.tell(f"broker {broker.pid} is up")
         if self.random.random() < 0.3:
-            broker.router.journal.turns_since_snapshot = 10**9  # a snapshot with its first turn
+            broker.router.journal.events_since_snapshot = 10**9  # a snapshot with its first turn
         broker.turn()
         for socket, line in self._lines:
             self.clock.after(self.random.uniform(0.001, 0.1), self._connect, socket, line)
@@ -351,9 +353,9 @@ class Cluster:
         self.stories[command] = record
         begun, ended = self.ledger.of(command), self.ledger.ended
         kind = outcome.kind
-        if kind is OutcomeKind.SUCCEEDED and record.text.startswith("DO"):
-            if len(begun) != skills.primitives_of(record.text) or not all(primitive in ended for primitive in begun):
-                self.wrong(f"{command} succeeded with {begun} begun of '{record.text}', ended: {ended}")
+        whole = len(begun) == skills.primitives_of(record.text) and all(primitive in ended for primitive in begun)
+        if kind is OutcomeKind.SUCCEEDED and record.text.startswith("DO") and not whole:
+            self.wrong(f"{command} succeeded with {begun} begun of '{record.text}', ended: {ended}")
         moving = [e.primitive_id for e in self._executors() if e.primitive_id in begun]
         if moving and kind not in (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM):
             self.wrong(f"{command} ended {kind.value}, and {moving[0]} is still executed")
@@ -365,11 +367,12 @@ class Cluster:
     def _executors(self) -> list[Any]:
         return list(self.mcm.subsystem.executors.values()) if self.mcm is not None and self.mcm.alive else []
 
-    def sentence_of(self, command: str) -> m.CommandText | None:
-        """What its client said."""
+    def given(self, command: str) -> tuple[float, float]:
+        """When its client said it, and when it was accepted."""
         assert self.broker is not None
-        known = self.broker.state.commands.get(command) or self.stories.get(command)
-        return known and next((c.texts[known.request] for c in self.clients if known.request in c.texts), None)
+        known = self.broker.state.commands.get(command) or self.stories[command]
+        (sentence,) = (c.texts[known.request] for c in self.clients if known.request in c.texts)
+        return sentence.sent_at_s, known.accepted_at_s
 
     # --- at the end -----------------------------------------------------------------------------------
 
@@ -415,7 +418,7 @@ class Cluster:
 
     def tell(self, what: str) -> None:
         if self.story:
-            self.story(f"{self.clock.now_s - 1000.0:9.4f}  {what}")
+            self.story(f"{self.clock.now_s - network.START_S:9.4f}  {what}")
 
 
 # --- what can go wrong -----------------------------------------------------------------------------------
@@ -467,14 +470,14 @@ def _stop_mcm(cluster: Cluster) -> None:
         cluster.clock.after(for_s, mcm.resume)
 
 
-def _cut_lines(cluster: Cluster) -> None:
+def _repeat(cluster: Cluster) -> None:
     """A client says everything again without need."""
     client = cluster.random.choice(cluster.clients)
     cluster.tell(f"{client.name} says everything again")
     client.repeat()
 
 
-FAULTS = (_kill_broker, _kill_broker, _kill_worker, _kill_worker, _hang_worker, _kill_mcm, _stop_mcm, _cut_lines)
+FAULTS = (_kill_broker, _kill_broker, _kill_worker, _kill_worker, _hang_worker, _kill_mcm, _stop_mcm, _repeat)
 
 
 def _in_words(event: Event) -> str:
