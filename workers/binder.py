@@ -305,7 +305,7 @@ def primitive(
         trajectory=trajectory,
         stop_functions=stops,
         control_law=ControlLaw(
-            name=stop_class.control_law, load=load, gains={"wn": values["laden_wn"]} if load else {}
+            name=stop_class.control_law, load=load, gains={"wn": values["laden_wn_rad_s"]} if load else {}
         ),
         reporting=Reporting(every_s=float(every_s) if every_s is not None else None),
     )
