@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from broker.events import BrokerRestarted, ProgramInstalled
@@ -12,8 +13,7 @@ from broker.program_store import ProgramStore
 from broker.replay import replay
 from broker.router import Router
 from broker.state import State
-from rtc import process, program
-from rtc.cell import Cell
+from rtc import process
 from rtc.messages import WorkerKind
 from rtc.settings import Settings
 from rtc.world.lease import KEY_FILE
@@ -37,15 +37,23 @@ def main() -> None:
             journal.keep_stories(ended.values())
             router.hear(BrokerRestarted(at_s=now))
         else:
-            for kind in WorkerKind:
-                router.hear(ProgramInstalled(at_s=now, kind=kind, digest=store.keep(program.default(kind))))
-            cell = Cell.load(settings.cell).encode()
-            router.hear(ProgramInstalled(at_s=now, kind=None, digest=store.keep(cell)))
+            for installed in _first_programs(settings, store, now):
+                router.hear(installed)
         router.turn()
         process.freeze_heap()
         me.ready()
         router.run()
         journal.close()
+
+
+def _first_programs(settings: Settings, store: ProgramStore, now: float) -> Iterator[ProgramInstalled]:
+    """Of a new cluster: the programs that come with the project, and its cell."""
+    from rtc import program  # these two bring lark, yaml and numpy; a restart, which should be quick, does without
+    from rtc.cell import Cell
+
+    for kind in WorkerKind:
+        yield ProgramInstalled(at_s=now, kind=kind, digest=store.keep(program.default(kind)))
+    yield ProgramInstalled(at_s=now, kind=None, digest=store.keep(Cell.load(settings.cell).encode()))
 
 
 if __name__ == "__main__":

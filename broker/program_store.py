@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from broker.journal import Journal
-from rtc import program
+from rtc.digest import digest
 from rtc.messages import ProgramText
 from rtc.outcomes import ProgramError, Refusal, RefusalReason
 
@@ -15,17 +15,19 @@ class ProgramStore:
 
     def keep(self, body: bytes) -> str:
         """Keep a body, through restarts too; returns its digest."""
-        digest = program.digest(body)
-        if digest not in self._bodies:
-            self._bodies[digest] = body
-            self._journal.keep_program(digest, body)
-        return digest
+        name = digest(body)
+        if name not in self._bodies:
+            self._bodies[name] = body
+            self._journal.keep_program(name, body)
+        return name
 
     def body(self, digest: str) -> bytes | None:
         return self._bodies.get(digest)
 
     def load(self, current: str, text: ProgramText) -> str | Refusal:
         """Put a file into the program of a kind (LOAD). Returns the new digest, or why it does not check."""
+        from rtc import program  # brings lark, yaml and numpy; a restart, which should be quick, does without
+
         try:
             return self.keep(program.merge(text.kind, self._bodies[current], text.name, text.body))
         except ProgramError as error:

@@ -10,7 +10,6 @@ Angles in the file are degrees in fields that end in `_deg`; everything handed o
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ import msgspec.yaml
 from msgspec import Meta
 
 from rtc import geometry
+from rtc.digest import digest
 from rtc.outcomes import ProgramError
 
 CELLS = Path(__file__).parent / "cells"  # the cells that come with the project: cells/NAME/cell.yaml
@@ -263,7 +263,7 @@ class Cell(Part, frozen=True, kw_only=True):
         return msgspec.json.encode(self, order="deterministic")
 
     def digest(self) -> str:
-        return hashlib.sha256(self.encode()).hexdigest()[:16]
+        return digest(self.encode())
 
     # --- asking ----------------------------------------------------------------------------------------
 

@@ -8,7 +8,6 @@ that equal programs have equal digests. Every complaint is a ProgramError that n
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable, Iterator
 from functools import lru_cache
@@ -56,11 +55,6 @@ def default(kind: WorkerKind | str) -> bytes:
     for path in sorted(folder.rglob("*.yaml")):
         _put(document, _read(path.read_bytes(), str(path.relative_to(PROGRAMS))), str(path.relative_to(PROGRAMS)))
     return _canonical(kind, document, str(folder.relative_to(PROGRAMS.parent)))
-
-
-def digest(program: bytes) -> str:
-    """The name of a program: what it says, in 16 hex digits."""
-    return hashlib.sha256(program).hexdigest()[:16]
 
 
 def merge(kind: WorkerKind | str, program: bytes, name: str, text: bytes) -> bytes:

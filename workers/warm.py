@@ -14,6 +14,7 @@ from typing import Any
 
 from rtc import program
 from rtc.cell import Cell
+from rtc.digest import digest
 from rtc.messages import WorkerKind
 from rtc.outcomes import ProgramError
 from rtc.settings import Settings
@@ -35,10 +36,10 @@ def warm(run_dir: Path) -> Warm:
     for kind in WorkerKind:
         try:
             body = program.default(kind)
-            programs[kind] = {program.digest(body): imports.load(kind).compile(body)}
+            programs[kind] = {digest(body): imports.load(kind).compile(body)}
         except ProgramError as error:
             logging.getLogger("template").warning("%s: %s", kind, error)
     body = Cell.load(Settings.load(run_dir).cell).encode()
     model = imports.load("cell_model").CellModel(Cell.from_bytes(body))
     _ = model.arms, model.collision  # built when first asked for
-    return Warm(programs, {program.digest(body): model})
+    return Warm(programs, {digest(body): model})
