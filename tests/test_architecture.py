@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import sys
 from collections.abc import Iterator
@@ -145,6 +146,7 @@ def test_code_names_no_skill(path: Path) -> None:
     assert not found
 
 
+@functools.cache
 def skill_names() -> set[str]:
     """Verbs of the decision tree and names of scripts, as the programs have them (but for plain English words)."""
     programs = ROOT / "rtc" / "programs" / "elaborator"
