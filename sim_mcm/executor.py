@@ -59,7 +59,7 @@ TOUCHED = frozenset({StopReason.CONTACT, StopReason.FORCE_LIMIT, StopReason.TORQ
 REST_RAD_S = 0.005  # measured joint speed that counts as rest
 REST_M_S = 0.002  # of a finger
 GOAL_RAD = 0.002  # measured joint error that counts as there
-# An arm that rests this long, this near, leans on something there and will not come nearer: the report says where it is.
+# An arm that rests this long, this near, leans on something and will not come nearer: the report says where it is.
 LEANING_TICKS, LEANING_RAD = 100, 0.03
 WIDTH_M = 0.0005  # the same for the opening of the hand
 LEAN_N = 20.0  # harder than at the start by this is a new touch
