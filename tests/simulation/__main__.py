@@ -5,29 +5,36 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 
 import msgspec
 
-from tests.simulation.cluster import Cluster, Wrong
+from tests.simulation.cluster import Cluster
+from tests.simulation.network import START_S
 
 
 class Result(msgspec.Struct):
+    """What came of one seed."""
+
     seed: int
-    problem: str
+    problem: str  # empty: all that must hold held
     commands: int
-    faults: int
+    faults: Counter[str]
+    outcomes: Counter[str]
     simulated_s: float
 
 
 def run(seed: int, story: Callable[[str], None] | None = None) -> Result:
+    """One seed, from start to end. The story is told line by line, if somebody wants to hear it."""
     cluster = Cluster(seed, story)
     problem = ""
     try:
         cluster.run()
     except AssertionError as error:
         problem = str(error) or repr(error)
-    return Result(seed, problem, len(cluster.stories), cluster.faults.total(), cluster.clock.now_s - 1000.0)
+    outcomes = Counter(story.outcome.kind.value for story in cluster.stories.values() if story.outcome)
+    return Result(seed, problem, len(cluster.stories), cluster.faults, outcomes, cluster.clock.now_s - START_S)
 
 
 def main() -> int:

@@ -29,6 +29,7 @@ from broker.router import Router
 from broker.state import State
 from rtc import messages as m
 from rtc import wire
+from rtc.language.fastpath import halt_scope
 from rtc.outcomes import OutcomeKind, Refusal, StopReason
 from rtc.settings import Settings
 from rtc.world.server import Server
@@ -101,7 +102,7 @@ class Broker:
 
     def turn(self) -> None:
         try:
-            self.router.turn()
+            self.router.turn([socket for socket in self.sockets.values() if socket.readable])
         except Crash:
             self.cluster.kill(self, "in the middle of a turn")
             return
@@ -142,9 +143,12 @@ class Ledger:
         self.begun: dict[str, float] = {}
         self.ended: dict[str, StopReason] = {}
         self.halts: list[tuple[Mcm, m.HaltOrder, float]] = []  # heard by which process, when
+        self.last_halt_s: dict[str, float] = {}  # scope -> when anybody last heard of one that was called
 
     def halted(self, mcm: Mcm, order: m.HaltOrder, now_s: float) -> None:
         self.halts.append((mcm, order, now_s))
+        if not order.halt.startswith(("stop-", "orphan-", "rejoin-")):
+            self.last_halt_s[order.scope] = now_s
 
     def said(self, mcm: Mcm, message: m.Message) -> None:
         if isinstance(message, m.Started):
@@ -268,8 +272,9 @@ class Cluster:
             self.broker.dies_in_journal, self.broker.sends_left = "", None
 
     def _call_halt(self, halt: str, scope: str) -> None:
-        self.tell(f"somebody calls HALT {scope} ({halt})")
-        self.callers.append(Caller(self, halt, scope))
+        knows_broker = self.random.random() < 0.7
+        self.tell(f"somebody calls HALT {scope} ({halt}){'' if knows_broker else ' at the door of the MCM alone'}")
+        self.callers.append(Caller(self, halt, scope, knows_broker=knows_broker))
 
     # --- processes ------------------------------------------------------------------------------------
 
@@ -339,6 +344,10 @@ class Cluster:
         if self.story:
             for event in events:
                 self.tell(f"  broker hears {_in_words(event)}")
+        for event in events:
+            scope = getattr(event, "scope", None) or halt_scope(getattr(event, "text", None))  # type: ignore[arg-type]
+            if scope:
+                self.ledger.last_halt_s[scope] = event.at_s
         for problem in violations(self.broker.state):
             self.wrong(problem)
         for record in stories:
@@ -359,6 +368,11 @@ class Cluster:
         moving = [e.primitive_id for e in self._executors() if e.primitive_id in begun]
         if moving and kind not in (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM):
             self.wrong(f"{command} ended {kind.value}, and {moving[0]} is still executed")
+        if kind is OutcomeKind.HALTED and record.text.startswith("DO"):
+            scopes = ("ALL", skills.ARMS[record.text.split()[1]], command)
+            said_s, _ = self.given(command, record)
+            if not any(self.ledger.last_halt_s.get(scope, 0.0) >= said_s for scope in scopes):
+                self.wrong(f"{command} ended halted, and no halt of it was heard after it was said")
         if kind in (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM) and not (
             self.faults["MCM"] or (record.text.startswith("HALT") and self.faults["broker"])
         ):
@@ -367,10 +381,10 @@ class Cluster:
     def _executors(self) -> list[Any]:
         return list(self.mcm.subsystem.executors.values()) if self.mcm is not None and self.mcm.alive else []
 
-    def given(self, command: str) -> tuple[float, float]:
+    def given(self, command: str, record: m.CommandRecord | None = None) -> tuple[float, float]:
         """When its client said it, and when it was accepted."""
         assert self.broker is not None
-        known = self.broker.state.commands.get(command) or self.stories[command]
+        known = record or self.broker.state.commands.get(command) or self.stories[command]
         (sentence,) = (c.texts[known.request] for c in self.clients if known.request in c.texts)
         return sentence.sent_at_s, known.accepted_at_s
 

@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 import zmq
 
 Frames = Sequence[bytes]
+AGAIN = zmq.Again()
+START_S = 1000.0  # what the clock shows first
 
 
 class Frame(NamedTuple):
@@ -29,7 +31,7 @@ class Clock:
     """What happens next, and when. The time jumps from one thing to the next."""
 
     def __init__(self, random: Random) -> None:
-        self.now_s = 1000.0
+        self.now_s = START_S
         self.random = random
         self._heap: list[tuple[float, int, Callable[..., None], tuple[Any, ...]]] = []
         self._count = 0
@@ -67,9 +69,13 @@ class Router:
         self._inbox: deque[Frame] = deque()
         self._parts: list[bytes] = []
 
+    @property
+    def readable(self) -> bool:
+        return bool(self._inbox)
+
     def recv(self, flags: int = 0, copy: bool = True) -> Frame:
         if not self._inbox:
-            raise zmq.Again
+            raise AGAIN
         return self._inbox.popleft()
 
     def send(self, part: bytes, flags: int = 0) -> None:

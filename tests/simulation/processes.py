@@ -309,17 +309,18 @@ class Client:
 
 
 class Caller:
-    """rtc/halting.py: the same order to the broker and to the MCM; a door that is closed is tried again; never kept."""
+    """rtc/halting.py: the same order to the broker and to the MCM; a door that is closed is tried again; never kept.
+    Or an emergency switch, which knows the MCM's door alone."""
 
     LIMIT_S = 2.0
     RETRY_S = 0.02
 
-    def __init__(self, cluster: Cluster, halt: str, scope: str) -> None:
+    def __init__(self, cluster: Cluster, halt: str, scope: str, *, knows_broker: bool) -> None:
         self.cluster = cluster
         now_s = cluster.clock.now_s
         self.order = m.HaltOrder(halt=halt, scope=scope, called_at_s=now_s)
         self.limit_s = now_s + self.LIMIT_S
-        self.told: set[str] = set()
+        self.told: set[str] = set() if knows_broker else {"halt"}
         self.at_rest = False
         self.line = Dealer(cluster.clock, f"{halt}.halt".encode(), self._hear, immediate=True)
         cluster.attach("halt", self.line)

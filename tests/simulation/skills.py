@@ -9,8 +9,10 @@ HALT, HALT ARM, HALT C-n, ABORT C-n        as in the language
 from __future__ import annotations
 
 from functools import cache
+from itertools import pairwise
 
 from rtc import wire
+from rtc.language.record import ParsedCommand
 from rtc.messages import (
     AnalyzerInput,
     Assessment,
@@ -26,7 +28,6 @@ from rtc.messages import (
     Validity,
     WorldChange,
 )
-from rtc.language.record import ParsedCommand
 from rtc.outcomes import Refusal, RefusalReason, StopReason
 from rtc.primitive import GoalReached, HoldStill, JointTrajectory, Primitive, StopFunction, TimeAbove, Trajectory
 
@@ -66,7 +67,7 @@ def no(reason: RefusalReason, message: str) -> Refusal:
 
 def parse(data: bytes) -> ParsedCommand | Refusal:
     words = read_text(data).text.split()
-    named = dict(zip(words, words[1:], strict=False))
+    named = dict(pairwise(words))
     match words[0]:
         case "POISON":
             raise Kill

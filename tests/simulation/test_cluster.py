@@ -1,0 +1,98 @@
+"""Some hundred simulated clusters; the same seed gives the same story; and broken rules would be found."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+
+from broker import decision_unit, router
+from broker.events import BrokerRestarted
+from rtc import messages as m
+from sim_mcm.subsystem import Subsystem
+from tests.simulation.__main__ import Result, run
+
+SEEDS = 150
+
+
+def first_problem(seeds: int = 600) -> Result:
+    """The first seed in which something is wrong."""
+    for seed in range(seeds):
+        result = run(seed)
+        if result.problem:
+            return result
+    raise AssertionError(f"{seeds} seeds, and nothing wrong is found")
+
+
+def test_clusters_lose_repeat_and_misreport_nothing():
+    faults, outcomes = Counter(), Counter()
+    for seed in range(SEEDS):
+        result = run(seed)
+        assert not result.problem, f"{result.problem}\n  python -m tests.simulation --seed {seed} --story"
+        faults += result.faults
+        outcomes += result.outcomes
+    assert min(faults[kind] for kind in ("broker", "worker", "MCM")) > SEEDS / 10  # things did go wrong,
+    assert outcomes["succeeded"] > SEEDS / 2  # and much went well all the same
+    assert {"failed", "refused", "halted", "lost_subsystem"} <= set(outcomes)
+
+
+def test_a_seed_tells_the_same_story_every_time():
+    stories = []
+    for _ in range(2):
+        lines: list[str] = []
+        run(26, lines.append)
+        stories.append(lines)
+    assert stories[0] == stories[1]
+    assert len(stories[0]) > 20
+
+
+# --- rules broken on purpose: some seed finds each ---------------------------------------------------
+
+
+def test_an_mcm_that_forgets_what_it_has_done_is_found(monkeypatch):
+    end = Subsystem._end
+
+    def forgetful(self, report, now_s):
+        said = end(self, report, now_s)
+        self._ended.clear()
+        self._kept.clear()
+        return said
+
+    monkeypatch.setattr(Subsystem, "_end", forgetful)
+    assert first_problem().problem
+
+
+def test_a_restart_that_gives_nothing_out_again_is_found(monkeypatch):
+    monkeypatch.setitem(decision_unit.HEARD, BrokerRestarted, lambda turn, event: None)
+    assert first_problem().problem
+
+
+def test_a_broker_that_acts_before_it_remembers_is_found(monkeypatch):
+    """Effects out before the journal has the events: a crash between them, and something is done that nobody knows."""
+
+    def hasty(self, now):
+        events, self._events = self._events, []
+        effects = [effect for event in events for effect in decision_unit.decide(self.state, event)]
+        for effect in effects:
+            router._PERFORM[type(effect)](self, effect)
+        self.journal.append(events, [e.record for e in effects if type(e).__name__ == "ReportEnd"])
+        self._give_out(now)
+
+    monkeypatch.setattr(router.Router, "_settle", hasty)
+    assert first_problem().problem
+
+
+def test_a_broker_that_does_not_listen_to_halts_of_its_mcm_is_found(monkeypatch):
+    read, listen = router._DOORS["subsystems"]
+
+    def deaf(self, peer, message, now):
+        if not isinstance(message, m.HaltOrder):
+            listen(self, peer, message, now)
+
+    monkeypatch.setitem(router._DOORS, "subsystems", (read, deaf))
+    assert first_problem().problem
+
+
+@pytest.mark.parametrize("seed", [100, 159, 1120])  # each was a bug once
+def test_what_was_wrong_once(seed):
+    assert not run(seed).problem
