@@ -100,7 +100,8 @@ def halt(turn: Turn, halt_id: str, scope: str, called_at_s: float, spare: str = 
     if scope != "ALL" and not targets and not performer:
         return False
     if scope not in state.commands:
-        state.halted_at_s[scope] = min(called_at_s or turn.now, turn.now)
+        at_s = min(called_at_s or turn.now, turn.now)
+        state.halted_at_s[scope] = max(at_s, state.halted_at_s.get(scope, 0.0))  # an earlier one may be heard later
     for name, subsystem in state.subsystems.items():
         concerned = scope == "ALL" or name == performer or any(c.subsystem == name for c in targets)
         if concerned and subsystem.link is not Link.LOST:
@@ -290,6 +291,7 @@ def next_step(turn: Turn, command: Command) -> None:
     else:
         assert command.script is not None
         command.step = command.stack.pop()
+        command.step_words = step_in_words(command, command.step)
         data = {
             "primitive_id": f"{command.id}.{command.primitives + 1}",
             "context": command.script.context,
@@ -321,7 +323,7 @@ def bound(turn: Turn, command: Command, product: msgspec.Raw) -> None:
     primitive = read_primitive(result.primitive)
     if not turn.state.resources.held.get(command.id, {}).get(primitive.performer):
         message = f"the step moves {primitive.performer}, which its script has not claimed"
-        refuse(turn, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=step_in_words(command)))
+        refuse(turn, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
         return
     command.primitives += 1
     command.primitive = primitive.id

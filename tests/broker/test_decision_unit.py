@@ -754,6 +754,14 @@ def test_a_timer_that_rings_in_the_turn_that_sets_it_anew_is_late():
     assert s.phase("C-1") == "halting"
 
 
+def test_of_two_halts_the_later_counts_in_whatever_order_they_are_heard():
+    s = Story()
+    s.now = 10.0
+    s.hear(HaltCalled, client="ann", halt="h2", scope="ALL", called_at_s=9.0)
+    s.hear(HaltCalled, client="ann", halt="h1", scope="ALL", called_at_s=7.0)
+    assert s.says("X", sent_at_s=8.0)[-1] == "end C-1 halted"
+
+
 def test_what_was_said_before_the_halt_of_an_arm_and_came_after_it_does_not_move_that_arm():
     s = Story()
     s.now = 10.0
