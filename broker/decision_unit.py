@@ -89,8 +89,7 @@ def decide(state: State, event: Event) -> list[Effect]:
     """What is to be done about one event. Changes `state`; effects are in the order they must happen."""
     turn = Turn(state, event.at_s)
     HEARD[type(event)](turn, event)
-    while turn.followups:
-        name, stimulus, payload = turn.followups.popleft()
+    for name, stimulus, payload in turn.followups:  # to which more are added meanwhile
         turn.node, turn.took_s = "", 0.0
         command = state.commands.get(name)
         if command is not None:

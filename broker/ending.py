@@ -13,7 +13,7 @@ from broker.effects import AcknowledgeReport, CancelJob, ReportEnd, SendHalt
 from broker.resources import Quarantine
 from broker.state import NIL, Command, Ending
 from broker.transitions import Stimulus
-from broker.turn import Turn, step_in_words
+from broker.turn import Turn
 from rtc import wire
 from rtc.messages import CommandEnded, CommandRecord, EndReport, Phase, WorkerKind
 from rtc.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
@@ -43,7 +43,7 @@ def end(
         message=message,
         stop=stop,
         refusal=refusal,
-        step=step_in_words(command) if kind is not OutcomeKind.SUCCEEDED else "",
+        step=command.step_words if kind is not OutcomeKind.SUCCEEDED else "",
         trims=command.trims_told,
         steps_done=command.steps_done,
     )
@@ -134,7 +134,7 @@ def again(turn: Turn, command: Command, loss: Any) -> None:
     refusal = Refusal(
         reason=RefusalReason.POISON,
         message=message,
-        where=step_in_words(command),
+        where=command.step_words,
         clears="the evidence is in the trace; change the sentence or the program",
         detail={f"death {n}": evidence[-800:] for n, evidence in enumerate(job.deaths, 1)},
     )

@@ -62,6 +62,8 @@ class Resources(msgspec.Struct, kw_only=True):
     def take(self, command: str, claim: Claim) -> Blocked | list[str]:
         """Swap what the command holds for this claim. Granted: the list of who else can be granted now, by what it let
         go of. Blocked: what it held before is unchanged."""
+        if claim == self.held.get(command):
+            return self._grantable(self._leave_line(command))
         blocked = self.blocker(command, claim)
         if blocked is not None:
             return blocked
@@ -122,7 +124,9 @@ class Resources(msgspec.Struct, kw_only=True):
 
     @staticmethod
     def _forget(claims: dict[str, Claim], index: dict[str, Claim], command: str) -> list[str]:
-        names = list(claims.pop(command, {}))
+        if command not in claims:
+            return []
+        names = list(claims.pop(command))
         for name in names:
             del index[name][command]
             if not index[name]:

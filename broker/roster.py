@@ -8,7 +8,7 @@ the one in its hands.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import OrderedDict
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -21,6 +21,9 @@ SLOW_S = 0.005  # jobs longer than this are given one at a time
 DEADLINE_S = {WorkerKind.PARSER: 3.0, WorkerKind.ELABORATOR: 15.0, WorkerKind.BINDER: 15.0, WorkerKind.ANALYZER: 5.0}
 SILENCE_S = 3.0  # an idle worker says something every half second
 QUEUE_LIMIT_S = 60.0  # longest wait of a job for a worker of its kind
+
+
+Queue = OrderedDict[str, tuple[float, DispatchJob]]  # job -> since when it waits; the oldest first
 
 
 class Lost(NamedTuple):
@@ -54,9 +57,7 @@ class Worker:
 class Roster:
     def __init__(self) -> None:
         self.workers: dict[str, Worker] = {}
-        self.queues: dict[WorkerKind, deque[tuple[float, DispatchJob]]] = {kind: deque() for kind in WorkerKind}
-        self._queued: set[str] = set()
-        self._cancelled: set[str] = set()  # queued jobs nobody wants any more
+        self.queues: dict[WorkerKind, Queue] = {kind: OrderedDict() for kind in WorkerKind}
 
     # --- workers come and go --------------------------------------------------------------------------
 
@@ -93,18 +94,13 @@ class Roster:
     # --- jobs -----------------------------------------------------------------------------------------
 
     def submit(self, job: DispatchJob, now: float) -> None:
-        self._cancelled.discard(job.job)
-        self._queued.add(job.job)
-        self.queues[job.kind].append((now, job))
+        self.queues[job.kind][job.job] = (now, job)
 
     def cancel(self, job: str) -> str:
         """Nobody wants it any more. Returns the worker that holds it and should be told, or an empty name."""
-        for worker in self.workers.values():
-            if job in worker.held:
-                return worker.name
-        if job in self._queued:
-            self._cancelled.add(job)
-        return ""
+        for queue in self.queues.values():
+            queue.pop(job, None)
+        return next((worker.name for worker in self.workers.values() if job in worker.held), "")
 
     def assign(self, now: float) -> Iterator[tuple[str, list[DispatchJob]]]:
         """Give out what can be given out: (worker, jobs) pairs, the least loaded worker first."""
@@ -114,28 +110,12 @@ class Roster:
                 if not free:
                     break
                 worker = min(free, key=lambda w: len(w.held))
-                jobs = self._take(queue, min(worker.handful, worker.room))
-                if not jobs:
-                    continue
+                most = min(worker.handful, worker.room, len(queue))
+                jobs = [queue.popitem(last=False)[1][1] for _ in range(most)]
                 if not worker.held:
                     worker.since_s = now
                 worker.held.update((job.job, job) for job in jobs)
                 yield worker.name, jobs
-
-    def _take(self, queue: deque[tuple[float, DispatchJob]], most: int) -> list[DispatchJob]:
-        jobs: list[DispatchJob] = []
-        while queue and len(jobs) < most:
-            job = queue.popleft()[1]
-            if self._wanted(job):
-                jobs.append(job)
-        return jobs
-
-    def _wanted(self, job: DispatchJob) -> bool:
-        """Of a job that leaves its queue."""
-        self._queued.discard(job.job)
-        wanted = job.job not in self._cancelled
-        self._cancelled.discard(job.job)
-        return wanted
 
     # --- trouble --------------------------------------------------------------------------------------
 
@@ -163,6 +143,6 @@ class Roster:
         """Jobs taken out of a queue because no worker of their kind took them within the limit."""
         expired = []
         for queue in self.queues.values():
-            while queue and now - queue[0][0] > QUEUE_LIMIT_S:
-                expired.append(queue.popleft()[1])
-        return [job for job in expired if self._wanted(job)]
+            while queue and now - next(iter(queue.values()))[0] > QUEUE_LIMIT_S:
+                expired.append(queue.popitem(last=False)[1][1])
+        return expired

@@ -125,6 +125,7 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True):
     bindings: dict[str, msgspec.Raw] = {}
     stack: list[StepRef] = []  # the Action_Stack; its last element is next
     step: StepRef | None = None  # being bound, executed or analysed
+    step_words: str = ""  # the same for people: "5 of 9: feel one side"
     trims_used: dict[str, list[int]] = {}  # "trim/index" of a step -> entries used for it
     trims_told: list[str] = []
     steps_done: int = 0

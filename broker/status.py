@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any
 
-from broker.turn import step_in_words
 from rtc.messages import Phase
 from rtc.wire import PROTOCOL
 
@@ -56,7 +55,7 @@ def status(router: Router) -> dict[str, Any]:
                 "command": c.id,
                 "text": c.text,
                 "phase": c.phase.value,
-                "step": step_in_words(c),
+                "step": c.step_words,
                 "resources": sorted(name for name, alone in resources.held.get(c.id, {}).items() if alone),
                 "age_s": now - c.accepted_at_s,
             }

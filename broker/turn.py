@@ -5,7 +5,6 @@ The few things every action needs (give out a job, write a note) are here; what 
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Any
 
 import msgspec
@@ -23,16 +22,13 @@ from rtc import wire
 from rtc.messages import Phase, ProgressNote, WorkerKind
 
 
-class Turn:
-    __slots__ = ("effects", "followups", "node", "now", "state", "took_s")
-
-    def __init__(self, state: State, now: float) -> None:
-        self.state = state
-        self.now = now
-        self.effects: list[Effect] = []
-        self.followups: deque[tuple[str, Stimulus, Any]] = deque()  # command, stimulus, what comes with it
-        self.node = ""  # who did the work that is being heard of
-        self.took_s = 0.0
+class Turn(msgspec.Struct, gc=False):
+    state: State
+    now: float
+    effects: list[Effect] = []
+    followups: list[tuple[str, Stimulus, Any]] = []  # command, stimulus, what comes with it
+    node: str = ""  # who did the work that is being heard of
+    took_s: float = 0.0
 
     def follow(self, command: str, stimulus: Stimulus, payload: Any = None) -> None:
         """Stimulate another command, after this action is done."""
@@ -71,7 +67,7 @@ class Turn:
             at_s=self.now,
             command=command.id,
             phase=command.phase,
-            step=step_in_words(command),
+            step=command.step_words,
             node=self.node,
             took_s=self.took_s,
             note=text,
@@ -126,11 +122,10 @@ def step_body(command: Command, step: StepRef) -> msgspec.Raw:
     return next(t for t in command.script.trims if t.n == trim).steps[index]
 
 
-def step_in_words(command: Command) -> str:
-    """ "5 of 9: feel one side", or "trim 2, 1 of 1: ..."; empty outside of the steps."""
-    if command.step is None or command.script is None:
-        return ""
-    trim, index = command.step
+def step_in_words(command: Command, step: StepRef) -> str:
+    """ "5 of 9: feel one side", or "trim 2, 1 of 1: ..." """
+    trim, index = step
+    assert command.script is not None
     if trim == NOMINAL:
         return f"{index + 1} of {len(command.labels)}: {command.labels[index]}"
     entry = next(t for t in command.script.trims if t.n == trim)
