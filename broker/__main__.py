@@ -1,4 +1,5 @@
-"""`python -m broker --run-dir DIR`: the broker process of one cluster, new or restarted."""
+"""`python -m broker --run-dir DIR`: the broker process of one cluster, new or restarted; with --template, the process
+that the next broker is forked from."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from broker.program_store import ProgramStore
 from broker.replay import replay
 from broker.router import Router
 from broker.state import State
-from rtc import process
+from rtc import process, template
 from rtc.messages import WorkerKind
 from rtc.settings import Settings
 from rtc.world.lease import KEY_FILE
@@ -22,7 +23,17 @@ from rtc.world.lease import KEY_FILE
 def main() -> None:
     arguments = argparse.ArgumentParser(prog="python -m broker", description=__doc__)
     arguments.add_argument("--run-dir", required=True, type=Path, help="of the cluster, as made by `rtc up`")
-    run_dir = arguments.parse_args().run_dir
+    arguments.add_argument("--template", action="store_true", help="be the one that a broker is forked from")
+    given = arguments.parse_args()
+    if given.template:
+        template.serve(lambda order: live(given.run_dir))
+    else:
+        live(given.run_dir)
+
+
+def live(run_dir: Path) -> None:
+    """Be the broker until told to end."""
+    process.show_name("broker")
     settings = Settings.load(run_dir)
     with process.start("broker", run_dir) as me:
         process.nice(-5)

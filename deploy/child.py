@@ -32,8 +32,10 @@ class Spec:
     command: tuple[str, ...]
     node: int | None = None  # a worker's address
     is_template: bool = False  # others are forked from it: it gets a line for orders as its stdin
+    later: bool = False  # of a template: nothing needs it to begin with, so it is started when the cluster is ready
     template: str = ""  # the process that this one can be forked from, and
     order: bytes = b""  # what that must be told
+    awaits_template: bool = False  # it starts no quicker by itself than its template does
 
 
 class State(StrEnum):
@@ -42,6 +44,7 @@ class State(StrEnum):
     STARTING = "starting"
     READY = "ready"
     WAITING = "restarting"  # until its next start
+    LOOPING = "crash loop"  # the same, but not at once: it has died too often too soon
     FAILED = "failed"  # given up
     ENDING = "ending"  # told to end
     ENDED = "ended"
@@ -76,7 +79,7 @@ class Child:
         self.since_s = now_s()
         self.restarts = 0
         self.deaths: deque[Death] = deque(maxlen=REMEMBERED_DEATHS)
-        self.start_at_s = 0.0  # while WAITING: when to start it
+        self.start_at_s = 0.0  # while WAITING or LOOPING: when to start it
         self.kill_at_s = 0.0  # while ENDING: when patience ends
         self.exited_fd = self.output_fd = -1
         self.line: Line | None = None  # of a template
@@ -84,6 +87,11 @@ class Child:
         self._popen: subprocess.Popen[bytes] | None = None  # None also when it was forked from a template
         self.output_over = False  # it has closed its stdout
         self._line = b""
+
+    @property
+    def waits(self) -> bool:
+        """For its next start."""
+        return self.state in (State.WAITING, State.LOOPING)
 
     def become(self, state: State) -> None:
         self.state, self.since_s = state, now_s()

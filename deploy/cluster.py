@@ -36,7 +36,7 @@ from rtc.world import lease
 REPORT = "supervisor.json"
 LOCK = "supervisor.lock"
 LOGS = "logs"
-TEMPLATE = "template"  # of workers
+TEMPLATE = "template"  # of workers; NAME-template of the process NAME
 PREVIOUS = "previous"
 
 
@@ -44,9 +44,9 @@ def specs(settings: Settings) -> list[Spec]:
     """The processes of a cluster."""
     return [
         _spec(TEMPLATE, "workers", settings, "--template", is_template=True),
-        _spec("broker", "broker", settings),
-        _spec("world", "rtc.world", settings),
-        _spec("MCM", "sim_mcm", settings),
+        *_with_template("broker", "broker", settings),
+        *_with_template("world", "rtc.world", settings),
+        *_with_template("MCM", "sim_mcm", settings),
         *(worker(settings, address) for address in hypercube.addresses(settings.dim)),
     ]
 
@@ -56,7 +56,17 @@ def worker(settings: Settings, address: int) -> Spec:
     arguments = ("--kind", kind, "--node", str(address))
     order = msgspec.json.encode({"kind": kind, "node": address})
     name = hypercube.name_of(address)
-    return _spec(name, "workers", settings, *arguments, node=address, template=TEMPLATE, order=order)
+    about = {"node": address, "template": TEMPLATE, "order": order, "awaits_template": True}
+    return _spec(name, "workers", settings, *arguments, **about)
+
+
+def _with_template(name: str, module: str, settings: Settings) -> list[Spec]:
+    """A process there is one of, which all others wait for when it has been killed, and what it is then forked from."""
+    template = f"{name}-{TEMPLATE}"
+    return [
+        _spec(name, module, settings, template=template, order=b"start"),
+        _spec(template, module, settings, "--template", is_template=True, later=True),
+    ]
 
 
 def _spec(name: str, module: str, settings: Settings, *more: str, **about: Any) -> Spec:

@@ -1,8 +1,9 @@
 """Whether a process that has died is started again, and when. Pure: the times are arguments.
 
-One that was at work is started again at once: a killed worker costs nobody more than its start. One that dies before
-it was ready waits, twice as long each time, and is given up after a few. Whoever dies too often in all is given up
-too: something else is wrong then, and restarting it would only hide that.
+One that has been at work for a while is started again at once, however often that happens: a killed process costs
+nobody more than its start. One that dies again and again soon after its start is in a crash loop: it waits, twice as
+long each time up to a longest, so that it takes little from the others, and is back soon after its trouble is over. One
+that was never ready in many starts is given up.
 """
 
 from __future__ import annotations
@@ -16,15 +17,17 @@ import msgspec
 class Death(msgspec.Struct, frozen=True):
     at_s: float
     was_ready: bool
+    lived_s: float = 0.0  # since it was ready
 
 
 @dataclass(frozen=True)
 class Policy:
     within_s: float = 30.0  # deaths longer ago are forgotten
-    unready_deaths: int = 5  # this many without ever having been ready: given up
-    deaths: int = 20  # this many in all: given up
+    short_s: float = 1.0  # a life shorter than this is a short one
+    spared: int = 3  # that many short lives are nobody's fault: a job that kills whoever does it is refused after three
     first_delay_s: float = 0.1
     longest_delay_s: float = 5.0
+    unready_deaths: int = 10  # this many in a row without ever having been ready: given up
 
 
 DEFAULT = Policy()
@@ -32,11 +35,15 @@ DEFAULT = Policy()
 
 def delay_s(policy: Policy, deaths: Sequence[Death]) -> float | None:
     """How long to wait after the last of `deaths` (the oldest first) before the next start; None = give up."""
-    now_s = deaths[-1].at_s
-    recent = [death for death in deaths if now_s - death.at_s <= policy.within_s]
-    unready = sum(not death.was_ready for death in recent)
-    if unready >= policy.unready_deaths or len(recent) >= policy.deaths:
-        return None
-    if deaths[-1].was_ready:
+    last = deaths[-1]
+    if not _short(policy, last):
         return 0.0
-    return min(policy.longest_delay_s, policy.first_delay_s * 2.0 ** (unready - 1))
+    if len(deaths) >= policy.unready_deaths and not any(d.was_ready for d in deaths[-policy.unready_deaths :]):
+        return None
+    short = sum(_short(policy, d) for d in deaths if last.at_s - d.at_s <= policy.within_s)
+    loop = short - (policy.spared if last.was_ready else 0)
+    return 0.0 if loop <= 0 else min(policy.longest_delay_s, policy.first_delay_s * 2.0 ** (loop - 1))
+
+
+def _short(policy: Policy, death: Death) -> bool:
+    return not death.was_ready or death.lived_s < policy.short_s

@@ -81,7 +81,7 @@ class Supervisor:
         adopt_orphans()  # workers are forked away by their template
         self._start_waiting()
         end_s = self._begun_s + limit_s
-        while waiting := [child for child in self._children.values() if child.state != State.READY]:
+        while waiting := [c for c in self._children.values() if c.state != State.READY and not c.spec.later]:
             if now_s() >= end_s:
                 raise _not_ready(waiting, limit_s)
             if self._me.stopping:
@@ -132,22 +132,29 @@ class Supervisor:
     def _patience_s(self) -> float:
         """Until the next thing that happens by the clock."""
         now = now_s()
-        waiting = (c for c in self._children.values() if c.state == State.WAITING and not self._awaits_template(c))
-        starts = (c.start_at_s - now for c in waiting)
+        starts = (c.start_at_s - now for c in self._children.values() if c.waits and self._may_start(c))
         kills = (c.kill_at_s - now for c in self._children.values() if c.state == State.ENDING)
         return max(0.0, min(self._table.left_s(now), *starts, *kills, 3600.0))
 
     def _start_waiting(self) -> None:
         for child in self._children.values():
-            if child.state == State.WAITING and now_s() >= child.start_at_s and not self._awaits_template(child):
+            if child.waits and now_s() >= child.start_at_s and self._may_start(child):
                 self._spawn(child)
                 self._changed()
 
+    def _may_start(self, child: Child) -> bool:
+        if child.spec.later:  # one after the other, so that they take one core at most from those at work
+            others = (c for c in self._children.values() if c.spec.later and c is not child)
+            return self._up and not any(c.state == State.STARTING for c in others)
+        return not self._awaits_template(child)
+
     def _awaits_template(self, child: Child) -> bool:
-        """One that starts by itself takes as long as a template that starts, and takes the processor from it. So
-        workers wait for it, unless it has been given up or takes suspiciously long."""
+        """One that starts by itself takes as long as a template that starts, and takes the processor from it. So it
+        waits, unless the template cannot be had, or takes suspiciously long."""
         template = self._children.get(child.spec.template)
-        if template is None or template.state in (State.READY, State.FAILED):
+        if template is None or not child.spec.awaits_template:
+            return False
+        if template.state in (State.READY, State.LOOPING, State.FAILED):
             return False
         return not self._up or now_s() - template.since_s < TEMPLATE_PATIENCE_S
 
@@ -181,7 +188,7 @@ class Supervisor:
             raise ClusterError(f"{name} cannot be started: {error}") from error
         else:
             child.deaths.append(Death(now_s(), was_ready=False))
-            self._mourn(child, f"{name} cannot be started: {error}", delay_s(self._policy, child.deaths))
+            self._mourn(child, f"{name} cannot be started: {error}", delay_s(self._policy, [*child.deaths]))
 
     def _heard(self, child: Child) -> None:
         said = child.heard_ready()
@@ -201,7 +208,7 @@ class Supervisor:
         self._heard(child)  # its last words
         self._forget(child.exited_fd)
         self._forget(child.output_fd)
-        pid, state, name = child.pid, child.state, child.spec.name
+        pid, state, name, lived_s = child.pid, child.state, child.spec.name, now_s() - child.since_s
         status = child.reap()
         if state == State.ENDING:
             child.become(State.ENDED)
@@ -211,8 +218,8 @@ class Supervisor:
                 self._say(f"{name} has retired")
                 self._changed()
             return
-        child.deaths.append(Death(now_s(), was_ready=state == State.READY))
-        delay = delay_s(self._policy, child.deaths) if self._up else None
+        child.deaths.append(Death(now_s(), was_ready=state == State.READY, lived_s=lived_s))
+        delay = delay_s(self._policy, [*child.deaths]) if self._up else None
         self._tell(ProcessExited(name=name, pid=pid, status=status, restarting=delay is not None))
         if not self._up:
             raise ClusterError(f"{name} {in_words(status)} before the cluster was ready.\n{_log_of(child)}")
@@ -223,7 +230,7 @@ class Supervisor:
             child.become(State.FAILED)
             self._say(f"{what}; given up after {len(child.deaths)} deaths, see {child.log}")
         else:
-            child.become(State.WAITING)
+            child.become(State.LOOPING if delay else State.WAITING)
             child.restarts += 1
             child.start_at_s = now_s() + delay
             self._say(f"{what}; restarting" + (f" in {delay:g} s" if delay else ""))

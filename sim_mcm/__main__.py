@@ -1,5 +1,7 @@
 """`python -m sim_mcm --run-dir D`: the simulated MCM, two arms in physics (or exact ones), ticking at 1 kHz.
 
+With --template it is the process that the next one is forked from: libraries and cell are there already.
+
 Every tick: halts first, then the broker, then one servo tick, then the world's step. A tick never waits for anybody.
 """
 
@@ -13,7 +15,7 @@ import time
 from collections.abc import Callable
 
 from rtc import messages as m
-from rtc import process
+from rtc import process, template
 from rtc.cell import Cell
 from rtc.settings import Settings
 from sim_mcm.arm import Simulation
@@ -34,9 +36,9 @@ SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": BulletCell, "k
 class Station:
     """The loop round a simulation: sockets, subsystem, clock."""
 
-    def __init__(self, me: process.Process, settings: Settings) -> None:
+    def __init__(self, me: process.Process, settings: Settings, simulation: Simulation) -> None:
         self._me = me
-        self._simulation = SIMULATIONS[settings.mcm](Cell.load(settings.cell))
+        self._simulation = simulation
         self._subsystem = Subsystem(self._simulation.arms, NAME, os.getpid())
         self._doors = Doors(me, settings, NAME)
         self._clock = Clock(settings.speed, process.now_s())
@@ -133,10 +135,22 @@ def _come_first(settings: Settings) -> str:
 def main() -> None:
     arguments = argparse.ArgumentParser(prog="python -m sim_mcm", description=__doc__)
     arguments.add_argument("--run-dir", required=True, help="of the cluster, with its settings.json")
-    run_dir = arguments.parse_args().run_dir
+    arguments.add_argument("--template", action="store_true", help="be the one that an MCM is forked from")
+    given = arguments.parse_args()
+    if given.template:
+        settings = Settings.load(given.run_dir)
+        simulation = SIMULATIONS[settings.mcm](Cell.load(settings.cell))
+        template.serve(lambda order: live(given.run_dir, simulation))
+    else:
+        live(given.run_dir)
+
+
+def live(run_dir: str, simulation: Simulation | None = None) -> None:
+    """Be the MCM until told to end. `simulation`: one made already, in which nothing has happened."""
+    process.show_name(NAME)
     settings = Settings.load(run_dir)
     with process.start(NAME, run_dir) as me:
-        station = Station(me, settings)
+        station = Station(me, settings, simulation or SIMULATIONS[settings.mcm](Cell.load(settings.cell)))
         me.log.info("scheduling: %s", _come_first(settings))
         station.run()
 

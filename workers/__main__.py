@@ -1,5 +1,5 @@
 """One worker process: `python -m workers --run-dir D --kind binder --node 2`; or, with --template, the process that
-others are forked from.
+others are forked from, each by an order: {"kind", "node"}.
 
 Only the module of its own kind is imported, before `ready` is said: a parser never pays for robot models.
 """
@@ -12,16 +12,17 @@ import os
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import zmq
 
-from rtc import process
+from rtc import process, template
 from rtc.cell import Cell
 from rtc.messages import WorkerHello, WorkerKind
 from rtc.settings import Settings
 from rtc.world.client import WorldClient
-from workers import imports, template
+from workers import imports
 from workers.shell import Shell
-from workers.warm import Warm
+from workers.warm import Warm, warm
 
 NICENESS = 5  # the broker and the MCM come first
 
@@ -34,16 +35,35 @@ def main() -> None:
     parser.add_argument("--node", type=int, help="address in the cube")
     given = parser.parse_args()
     if given.template:
-        template.serve(given.run_dir, work)
+        serve(given.run_dir)
     elif given.kind is None or given.node is None:
         parser.error("a worker needs --kind and --node")
     else:
         work(given.run_dir, given.kind, given.node, Warm())
 
 
+class Order(msgspec.Struct, frozen=True):
+    kind: WorkerKind
+    node: int
+
+
+def serve(run_dir: Path) -> None:
+    """Be the template: make for all kinds what each needs, then fork as ordered."""
+    process.log_to_stderr()
+    prepared = warm(run_dir)
+    read = msgspec.json.Decoder(Order).decode
+
+    def be(order: bytes) -> None:
+        wanted = read(order)
+        work(run_dir, wanted.kind, wanted.node, prepared)
+
+    template.serve(be)
+
+
 def work(run_dir: Path, kind: WorkerKind, node: int, warm: Warm) -> None:
     """Be one worker until told to end. `warm` is what has been made for it already."""
     name = f"{kind}@{node}"
+    process.show_name(name)
     with process.start(name, run_dir) as me:
         process.nice(NICENESS)
         function: Any = imports.load(kind)

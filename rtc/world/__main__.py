@@ -1,6 +1,7 @@
 """The world database process: `python -m rtc.world --run-dir D`. A socket round `server.Server`; it decides nothing.
 
-A database found in the run directory is gone on with; otherwise it begins with what the cell says.
+A database found in the run directory is gone on with; otherwise it begins with what the cell says. With --template it
+is the process that the next one is forked from.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import Any
 
 import zmq
 
-from rtc import process, wire
+from rtc import process, template, wire
 from rtc.messages import ToWorld
 from rtc.outcomes import WireError
 from rtc.process import Process, inbox, now_s, send
@@ -28,7 +29,17 @@ PER_TURN = 256  # requests in one turn of the loop, and so in one transaction
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m rtc.world", description="The world database of one cluster.")
     parser.add_argument("--run-dir", required=True, type=Path)
-    run_dir = parser.parse_args().run_dir
+    parser.add_argument("--template", action="store_true", help="be the one that a database is forked from")
+    given = parser.parse_args()
+    if given.template:
+        template.serve(lambda order: live(given.run_dir))
+    else:
+        live(given.run_dir)
+
+
+def live(run_dir: Path) -> None:
+    """Be the world database until told to end."""
+    process.show_name("world")
     with process.start("world", run_dir) as me:
         settings = Settings.load(run_dir)
         store = Store(run_dir / FILE)

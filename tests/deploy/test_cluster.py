@@ -18,7 +18,9 @@ from rtc.outcomes import ClusterError, NoCluster
 pytestmark = pytest.mark.slow
 
 LIMIT_S = 60.0
-NAMES = ["template", "broker", "world", "MCM", "parser@0", "elaborator@1", "binder@2", "analyzer@3"]
+WORKERS = ["parser@0", "elaborator@1", "binder@2", "analyzer@3"]
+TEMPLATES = ["template", "broker-template", "world-template", "MCM-template"]
+NAMES = [*TEMPLATES, "broker", "world", "MCM", *WORKERS]
 
 
 def deploy(*arguments, run_dir):
@@ -40,7 +42,7 @@ def rows(run_dir):
 
 def gone(pids):
     """Wait until none of these processes is left."""
-    for pid in pids:
+    for pid in filter(None, pids):
         try:
             fd = os.pidfd_open(pid)
         except ProcessLookupError:
@@ -50,6 +52,14 @@ def gone(pids):
         ended = poller.poll(10_000)
         os.close(fd)
         assert ended, f"process {pid} is still there"
+
+
+def all_ready(run_dir):
+    """Wait for the templates too, which start when the cluster is ready."""
+    end = os.times().elapsed + LIMIT_S
+    while {row["state"] for row in rows(run_dir).values()} != {"ready"}:
+        assert os.times().elapsed < end, rows(run_dir)
+        zmq.Poller().poll(10)
 
 
 def ready_again(run_dir, name, old_pid):
@@ -95,6 +105,7 @@ def test_down_without_a_cluster_is_what_was_wanted(run_dir):
 
 def test_a_second_cluster_in_the_directory_is_refused_and_the_first_unharmed(run_dir):
     assert up(run_dir).returncode == 0
+    all_ready(run_dir)
     before = report(run_dir)
     second = up(run_dir)
     assert second.returncode == 1
@@ -105,6 +116,7 @@ def test_a_second_cluster_in_the_directory_is_refused_and_the_first_unharmed(run
 
 def test_any_process_killed_comes_back_and_nothing_outlives_a_killed_supervisor(run_dir):
     assert up(run_dir).returncode == 0
+    all_ready(run_dir)
     for name in NAMES:
         pid = rows(run_dir)[name]["pid"]
         os.kill(pid, signal.SIGKILL)
@@ -121,10 +133,10 @@ def test_any_process_killed_comes_back_and_nothing_outlives_a_killed_supervisor(
 def test_two_clusters_are_independent(run_dir, tmp_path):
     assert up(run_dir).returncode == 0
     assert up(tmp_path, "--dim", "3").returncode == 0
-    assert len(rows(tmp_path)) == 4 + 8
+    assert len(rows(tmp_path)) == len(TEMPLATES) + 3 + 8
     assert report(run_dir)["cluster"] != report(tmp_path)["cluster"]
     deploy("down", run_dir=tmp_path)
-    assert {row["state"] for row in rows(run_dir).values()} == {"ready"}
+    all_ready(run_dir)
     assert deploy("down", run_dir=run_dir).returncode == 0
 
 

@@ -146,15 +146,14 @@ def test_a_killed_process_is_told_at_once_and_comes_back(cluster):
     assert (row["pid"] != before, row["restarts"]) == (True, 1)
 
 
-def test_a_process_that_keeps_dying_is_given_up(cluster):
-    it = cluster(spec("binder@2", GOOD, 2), policy=Policy(deaths=3)).go()
-    for _ in range(3):
+def test_a_process_in_a_crash_loop_is_held_back_told_as_such_and_goes_on_trying(cluster):
+    it = cluster(spec("binder@2", GOOD, 2), policy=Policy(short_s=60.0, spared=1, first_delay_s=0.01)).go()
+    for _ in range(2):
         pid = it.hear_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]["pid"]
         os.kill(pid, signal.SIGKILL)
-        exited = it.hear(ProcessExited)
-    assert exited.restarting is False
-    assert it.hear_table(lambda t: t["binder@2"]["state"] == "failed")["binder@2"]["pid"] == 0
-    assert "given up after 3 deaths" in it.lines[-1]
+        assert it.hear(ProcessExited).restarting
+    assert it.hear_table(lambda t: t["binder@2"]["state"] == "crash loop")["binder@2"]["pid"] == 0
+    assert it.hear_table(lambda t: t["binder@2"]["state"] == "ready")["binder@2"]["restarts"] == 2
 
 
 def test_what_cannot_start_fails_the_whole_with_the_end_of_its_log(cluster):
@@ -240,26 +239,25 @@ def test_a_killed_process_leaves_no_zombie_and_no_open_file(cluster):
 
 TEMPLATE = """
 import os, signal, sys
-from pathlib import Path
-from workers.template import serve
-def work(run_dir, kind, node, warm):
-    print(f"{kind}@{node} of {os.getppid()}", file=sys.stderr, flush=True)
-    if node == 7:
+from rtc.template import serve
+def be(order):
+    print(f"{order.decode()} of {os.getppid()}", file=sys.stderr, flush=True)
+    if order == b"analyzer@7":
         raise ZeroDivisionError("a bug")
     print("ready", flush=True)
     signal.pause()
-serve(Path("."), work, prepare=lambda run_dir: None)
+serve(be)
 """
 
 
-def template():
-    return Spec("template", (sys.executable, "-c", TEMPLATE), is_template=True)
+def template(**about):
+    return Spec("template", (sys.executable, "-c", TEMPLATE), is_template=True, **about)
 
 
-def forked(name):
-    kind, node = name.split("@")
-    order = b'{"kind": "%s", "node": %s}' % (kind.encode(), node.encode())
-    return Spec(name, (sys.executable, "-S", "-E", "-c", GOOD), int(node), template="template", order=order)
+def forked(name, **about):
+    command = (sys.executable, "-S", "-E", "-c", GOOD)
+    about = {"awaits_template": True} | about
+    return Spec(name, command, int(name.split("@")[1]), template="template", order=name.encode(), **about)
 
 
 def command_line(pid):
@@ -271,7 +269,7 @@ def test_workers_are_forked_from_the_template_and_are_the_supervisors_own_childr
     it = cluster(forked("binder@2"), forked("parser@0"), template()).go()
     table = it.hear_table(lambda t: True)
     assert {row["state"] for row in table.values()} == {"ready"}
-    assert b"workers.template" in command_line(table["binder@2"]["pid"])
+    assert b"rtc.template" in command_line(table["binder@2"]["pid"])
     assert (tmp_path / "binder@2.log").read_text() == f"binder@2 of {os.getpid()}\n"
     os.kill(table["binder@2"]["pid"], signal.SIGKILL)
     assert it.hear(ProcessExited).status == -9
@@ -292,17 +290,27 @@ def test_a_template_that_does_not_answer_is_replaced_and_then_forks_the_worker(c
     os.kill(table["binder@2"]["pid"], signal.SIGKILL)
     back = it.hear_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 1)
     assert back["template"]["restarts"] == 1
-    assert b"workers.template" in command_line(back["binder@2"]["pid"])
+    assert b"rtc.template" in command_line(back["binder@2"]["pid"])
 
 
 def test_without_a_template_workers_start_by_themselves(cluster):
-    it = cluster(template(), policy=Policy(deaths=1), new_worker=lambda address: forked(f"new@{address}")).go()
+    policy = Policy(short_s=60.0, spared=0, first_delay_s=60.0, longest_delay_s=60.0)
+    it = cluster(template(), policy=policy, new_worker=lambda address: forked(f"new@{address}")).go()
     table = it.hear_table(lambda t: True)
     os.kill(table["template"]["pid"], signal.SIGKILL)
-    it.hear_table(lambda t: t["template"]["state"] == "failed")
+    it.hear_table(lambda t: t["template"]["state"] == "crash loop")
     it.say(SpawnWorker(kind=WorkerKind.PARSER))
     now = it.hear_table(lambda t: t.get("new@0", {}).get("state") == "ready")
     assert b"signal.pause()" in command_line(now["new@0"]["pid"])
+
+
+def test_a_template_for_later_is_not_waited_for_and_forks_what_is_killed(cluster):
+    it = cluster(forked("broker@0", awaits_template=False), template(later=True)).go()
+    first = it.hear_table(lambda t: t["template"]["state"] == "ready")["broker@0"]
+    assert b"signal.pause()" in command_line(first["pid"])  # it has started by itself
+    os.kill(first["pid"], signal.SIGKILL)
+    again = it.hear_table(lambda t: t["broker@0"]["state"] == "ready" and t["broker@0"]["restarts"] == 1)
+    assert b"rtc.template" in command_line(again["broker@0"]["pid"])
 
 
 def test_what_cannot_be_run_later_is_given_up_and_the_rest_goes_on(cluster):

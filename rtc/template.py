@@ -1,12 +1,12 @@
-"""The template of all workers: one process that has imported and built what every kind needs, and forks on demand.
+"""A template: one process that has imported and built what a kind of process needs, and forks such processes on demand.
 
-Importing the robot libraries and building a cell's models costs seconds of processor time, a fork milliseconds. So a
-cluster of many workers starts as quickly as one of few, a killed worker is back at once, and all share the libraries'
-memory. It holds no socket of the cluster, no thread and no state: losing it costs nothing but time (the supervisor then
-starts workers by themselves).
+Importing libraries and building a cell's models costs seconds of processor time, a fork milliseconds. So a killed
+process is back at once, a cluster of many workers starts as quickly as one of few, and all share the libraries' memory.
+A template holds no socket of the cluster, no thread and no state: losing it costs nothing but time (the supervisor then
+starts processes by themselves). This file does not know what it forks.
 
-Orders come on stdin, a Unix socket of whole messages: {"kind", "node"} with two file descriptors, the worker's stdout
-and stderr; the answer is the worker's pid. The worker becomes a child of whoever started the template, who must be a
+Orders come on stdin, a Unix socket of whole messages: bytes for `be`, with two file descriptors, the new process's
+stdout and stderr; the answer is its pid. The process becomes a child of whoever started the template, who must be a
 subreaper: it is forked twice, and the one between ends at once.
 """
 
@@ -19,43 +19,26 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
-from pathlib import Path
 from typing import NoReturn
 
-import msgspec
-
 from rtc import process
-from rtc.messages import WorkerKind
-from workers.warm import Warm, warm
 
 ADOPTION_LIMIT_S = 5.0
 
-Work = Callable[[Path, WorkerKind, int, Warm], None]
+Be = Callable[[bytes], None]
 
 
-class Order(msgspec.Struct, frozen=True):
-    kind: WorkerKind
-    node: int
-
-
-def serve(run_dir: Path, work: Work, prepare: Callable[[Path], Warm] = warm) -> None:
-    """Prepare, say ready, then fork as ordered, until the other end is closed."""
-    process.log_to_stderr()
-    prepared = prepare(run_dir)
-    process.freeze_heap()  # what is collected later would be copied in every worker
+def serve(be: Be) -> None:
+    """Say ready, then fork as ordered, until the other end is closed: each new process lives by `be(order)`."""
+    process.freeze_heap()  # what is collected later would be copied in every process
     print("ready", flush=True)
     supervisor = os.getppid()
     orders = socket.socket(fileno=os.dup(0))
     while True:
-        message, fds, _, _ = socket.recv_fds(orders, 4096, 2)
-        if not message:
+        order, fds, _, _ = socket.recv_fds(orders, 4096, 2)
+        if not order:
             return
-        order = msgspec.json.decode(message, type=Order)
-
-        def be_worker() -> None:
-            work(run_dir, order.kind, order.node, prepared)  # noqa: B023
-
-        pid = _fork_away(lambda: _become(order, fds, orders, supervisor, be_worker))  # noqa: B023
+        pid = _fork_away(lambda: _become(order, fds, orders, supervisor, be))  # noqa: B023
         for fd in fds:
             os.close(fd)
         orders.send(str(pid).encode())
@@ -80,10 +63,8 @@ def _fork_away(child: Callable[[], NoReturn]) -> int:
     return pid
 
 
-def _become(
-    order: Order, fds: list[int], orders: socket.socket, supervisor: int, be_worker: Callable[[], None]
-) -> NoReturn:
-    """The worker's life, from a fork of the template to its end."""
+def _become(order: bytes, fds: list[int], orders: socket.socket, supervisor: int, be: Be) -> NoReturn:
+    """The life of a process, from the fork to its end."""
     status = 1
     try:
         orders.close()
@@ -94,10 +75,9 @@ def _become(
             os.close(mine)
         _await_adoption(supervisor)
         process.die_with_parent(supervisor)
-        process.show_name(f"{order.kind}@{order.node}")
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)
-        be_worker()
+        be(order)
         status = 0
     except BaseException:
         traceback.print_exc()
