@@ -38,6 +38,7 @@ from rtc.world.lease import sign
 EVENTS_PER_TURN = {"subsystems": 5, "workers": 16, "front": 20}
 MESSAGES_PER_TURN = 200  # of those that are no events
 SUBSYSTEM_SILENCE_S = 2.0
+STOOD_STILL_S = 1.0  # between two turns of ours: we were stopped, or the machine was
 SNAPSHOT_EVENTS = 30_000  # decided again in well under a second by a restarted broker
 HALTS_KEPT = 64
 
@@ -61,7 +62,7 @@ class Router:
         self.dropped: Counter[str] = Counter()  # malformed messages, by socket
         self.processes: list[dict[str, Any]] = []  # as the supervisor told last
         self.turn_times_s: deque[float] = deque(maxlen=4096)
-        self.began_s = self._clock()
+        self.began_s = self._turn_at_s = self._clock()
         self._halt_callers: OrderedDict[str, set[bytes]] = OrderedDict()
         self._subsystem_heard_s: dict[str, float] = {}
         self._supervisor = False
@@ -93,14 +94,19 @@ class Router:
             self._read("halt", began)
             if self._events:
                 self._settle(began)
+        reports_heard = True
         for name in waiting:
             if name == "events":
                 for frame in inbox(self._socket["events"]):
                     self._listeners += 1 if frame[0][:1] == b"\x01" else -1
             elif name != "halt":
-                self._read(name, began)
-        self._events += [heard.TimerFired(at_s=began, timer=name) for name in self.timers.due(began)]
-        if self._audit.due(began):
+                all_read = self._read(name, began)
+                reports_heard &= all_read or name != "subsystems"
+        if reports_heard:  # or what a timer waits for may be lying there
+            self._events += [heard.TimerFired(at_s=began, timer=name) for name in self.timers.due(began)]
+        stood_still = began - self._turn_at_s > STOOD_STILL_S  # then nobody else is to blame for silence
+        self._turn_at_s = began
+        if self._audit.due(began) and not stood_still:
             self._look_after(began)
         if self._events:
             self._settle(began)
@@ -125,11 +131,13 @@ class Router:
         """An event that comes from nobody's socket: start-up."""
         self._events.append(event)
 
-    def _read(self, name: str, now: float) -> None:
-        """What lies on one socket, as far as there is room in this turn."""
+    def _read(self, name: str, now: float) -> bool:
+        """What lies on one socket, as far as there is room in this turn. False: there may be more."""
         read, take = _DOORS[name]
         most = EVENTS_PER_TURN.get(name, MESSAGES_PER_TURN)
+        messages = 0
         for peer, *parts in inbox(self._socket[name], MESSAGES_PER_TURN):
+            messages += 1
             try:
                 message = read(parts)
             except WireError as error:
@@ -137,7 +145,8 @@ class Router:
                 continue
             take(self, peer, message, now)
             if len(self._events) >= most:
-                return
+                return False
+        return messages < MESSAGES_PER_TURN
 
     def _drop(self, name: str, peer: bytes, error: WireError) -> None:
         self.dropped[name] += 1

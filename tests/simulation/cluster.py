@@ -58,7 +58,7 @@ class Broker:
 
     def __init__(self, cluster: Cluster, db: sqlite3.Connection, pid: int) -> None:
         self.cluster, self.pid, self.name = cluster, pid, "broker"
-        self.alive = True
+        self.alive, self.stopped = True, False
         self.sends_left: int | None = None  # it dies before it sends one more
         self.dies_in_journal = ""  # "before" or "after" the next turn is written
         self.sockets: dict[str, network.Router] = {}
@@ -96,9 +96,14 @@ class Broker:
             self.cluster.clock.at(at_s, self._turn, at_s)
 
     def _turn(self, planned_s: float) -> None:
-        if not self.alive or planned_s != self._wakes_at_s:
-            return
-        self.turn()
+        if self.alive and not self.stopped and planned_s == self._wakes_at_s:
+            self.turn()
+
+    def resume(self) -> None:
+        """After SIGSTOP."""
+        self.stopped = False
+        if self.alive:
+            self.turn()
 
     def turn(self) -> None:
         try:
@@ -453,6 +458,16 @@ def _kill_broker(cluster: Cluster) -> None:
         broker.dies_in_journal = way
 
 
+def _stop_broker(cluster: Cluster) -> None:
+    broker = cluster.broker
+    if broker is not None and broker.alive and not broker.stopped:
+        cluster.faults["broker stopped"] += 1
+        for_s = cluster.random.choice((0.3, 2.5, 6.0))
+        cluster.tell(f"the broker stands still for {for_s} s")
+        broker.stopped = True
+        cluster.clock.after(for_s, broker.resume)
+
+
 def _kill_worker(cluster: Cluster) -> None:
     worker = cluster.random.choice(list(cluster.workers.values()))
     cluster.faults["worker"] += 1
@@ -491,7 +506,10 @@ def _repeat(cluster: Cluster) -> None:
     client.repeat()
 
 
-FAULTS = (_kill_broker, _kill_broker, _kill_worker, _kill_worker, _hang_worker, _kill_mcm, _stop_mcm, _repeat)
+FAULTS = (
+    *(_kill_broker, _kill_broker, _stop_broker, _kill_worker, _kill_worker),
+    *(_hang_worker, _kill_mcm, _stop_mcm, _repeat),
+)
 
 
 def _in_words(event: Event) -> str:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 import pytest
 
 from broker import decision_unit, router
 from broker.events import BrokerRestarted
 from rtc import messages as m
+from rtc import wire
+from rtc.outcomes import StopReason
+from sim_mcm.reports import not_begun
 from sim_mcm.subsystem import Subsystem
 from tests.simulation.__main__ import Result, run
+from tests.simulation.cluster import Cluster
 
 SEEDS = 150
 
@@ -44,6 +49,34 @@ def test_a_seed_tells_the_same_story_every_time():
         stories.append(lines)
     assert stories[0] == stories[1]
     assert len(stories[0]) > 20
+
+
+def test_a_report_that_lies_waiting_is_heard_before_the_timer_that_waits_for_it():
+    """A broker that stood still for seconds, and finds more than it reads in one turn."""
+    cluster = Cluster(3)
+    broker, mcm, client = cluster.broker, cluster.mcm, cluster.clients[0]
+    assert broker is not None
+    assert mcm is not None
+    until(cluster, lambda: "MCM" in broker.state.subsystems)
+    client.submit("DO LEFT hold")
+    client.submit("DO RIGHT hold")
+    until(cluster, lambda: len([c for c in broker.state.commands.values() if c.phase is m.Phase.EXECUTING]) == 2)
+    broker.stopped = mcm.stopped = True
+    for primitive in ["C-1.1"] * 20 + ["C-2.1"]:
+        report = not_begun(primitive, "LEFT-ARM", "", at_s=0.0, reason=StopReason.GOAL)
+        broker.sockets["subsystems"].arrive(mcm.line, wire.frames(report))
+    cluster.clock.now_s += 30.0
+    broker.resume()
+    until(cluster, lambda: broker.state.accepted == 2 and not broker.sockets["subsystems"].readable)
+    assert {c.phase for c in broker.state.commands.values()} == {m.Phase.ANALYZING}
+
+
+def until(cluster: Cluster, done: Callable[[], bool]) -> None:
+    for _ in range(5000):
+        if done():
+            return
+        cluster.clock.step()
+    raise AssertionError("it does not come to that")
 
 
 # --- rules broken on purpose: some seed finds each ---------------------------------------------------
