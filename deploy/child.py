@@ -17,7 +17,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from deploy.restarts import Death
-from rtc.process import die_with_parent, now_s
+from rtc.process import ALIVE, READY, die_with_parent, now_s
 
 LOG_LIMIT = 10 << 20  # bytes; then the log becomes NAME.log.1 and begins anew
 REMEMBERED_DEATHS = 100
@@ -32,6 +32,7 @@ class Spec:
     command: tuple[str, ...]
     node: int | None = None  # a worker's address
     is_template: bool = False  # others are forked from it: it gets a line for orders as its stdin
+    beats: bool = False  # when its loop turns it says so every second: one that does not is hung
     later: bool = False  # of a template: nothing needs it to begin with, so it is started when the cluster is ready
     template: str = ""  # the process that this one can be forked from, and
     order: bytes = b""  # what that must be told
@@ -77,6 +78,7 @@ class Child:
         self.log = log
         self.state = State.WAITING
         self.since_s = now_s()
+        self.heard_s = 0.0  # when it said something last
         self.restarts = 0
         self.deaths: deque[Death] = deque(maxlen=REMEMBERED_DEATHS)
         self.start_at_s = 0.0  # while WAITING or LOOPING: when to start it
@@ -135,14 +137,15 @@ class Child:
         return popen
 
     def heard_ready(self) -> bool:
-        """Read what it said; True when `ready` was among it. Anything else it prints goes to its log."""
+        """Read what it said; True when `ready` was among it. Anything but that and `alive` goes to its log."""
         said = self._read()
+        self.heard_s = now_s()
         *lines, self._line = (self._line + said).split(b"\n")
-        other = [line for line in lines if line.strip() != b"ready"]
+        other = [line for line in lines if line.strip() not in (READY, ALIVE)]
         if other:
             with open(self.log, "ab") as log:
                 log.write(b"\n".join([*other, b""]))
-        return len(other) < len(lines)
+        return READY in lines
 
     def _read(self) -> bytes:
         try:

@@ -64,7 +64,7 @@ def _with_template(name: str, module: str, settings: Settings) -> list[Spec]:
     """A process there is one of, which all others wait for when it has been killed, and what it is then forked from."""
     template = f"{name}-{TEMPLATE}"
     return [
-        _spec(name, module, settings, template=template, order=b"start"),
+        _spec(name, module, settings, beats=True, template=template, order=b"start"),
         _spec(template, module, settings, "--template", is_template=True, later=True),
     ]
 

@@ -33,8 +33,9 @@ from rtc.process import Every, Process, adopt_orphans, inbox, now_s, send
 
 START_LIMIT_S = 30.0  # until every process is ready
 END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL
-TABLE_S = 2.0
+TABLE_S = 1.0
 TEMPLATE_PATIENCE_S = 10.0
+SILENCE_S = 4.0  # one that should have said every second that it is alive: it hangs
 FORK_AGAIN_S = 0.05  # after which a killed template is known to be dead
 
 
@@ -101,6 +102,7 @@ class Supervisor:
                 self._tell_table()
                 for child in self._children.values():
                     limit_log(child.log)
+                    self._kill_if_hung(child)
 
     def stop(self, limit_s: float = END_LIMIT_S) -> None:
         """End all: SIGTERM, and SIGKILL for whoever has not ended within the limit."""
@@ -163,6 +165,16 @@ class Supervisor:
             if child.state == State.ENDING and now_s() >= child.kill_at_s:
                 child.signal(signal.SIGKILL)
                 child.kill_at_s = now_s() + 1.0
+
+    def _kill_if_hung(self, child: Child) -> None:
+        """Stopped, or in a loop without end. (That a worker hangs the broker finds, who knows what it has in hand.)"""
+        silent_s = now_s() - max(child.heard_s, child.since_s)
+        if child.state == State.STARTING and silent_s > START_LIMIT_S:
+            self._say(f"{child.spec.name} (pid {child.pid}) is killed: not ready within {silent_s:.0f} s")
+            child.signal(signal.SIGKILL)
+        elif child.state == State.READY and child.spec.beats and silent_s > SILENCE_S:
+            self._say(f"{child.spec.name} (pid {child.pid}) is killed: hung, silent for {silent_s:.1f} s")
+            child.signal(signal.SIGKILL)
 
     # --- what happens to processes ---------------------------------------------------------------------
 

@@ -9,10 +9,10 @@
                     ...
 
 SIGTERM and SIGINT only set `stopping` and wake `wait` (or any poll that holds `me.wake_fd`); the loop ends by itself.
-Logs go to stderr, which the supervisor keeps in the run directory; stdout carries one word, `ready`. That nothing
-outlives a killed supervisor is the business of the parent, who calls `die_with_parent` in the child it forks (SIGKILL
-for every kind of process: whoever wants an orderly end sends SIGTERM first). This file knows no message and no kind of
-process.
+Logs go to stderr, which the supervisor keeps in the run directory; stdout carries two words: `ready`, and from then on,
+every second that the loop turns, `alive`; so the supervisor knows who is there and does nothing. That nothing outlives
+a killed supervisor is the business of the parent, who calls `die_with_parent` in the child it forks (SIGKILL for every
+kind of process: whoever wants an orderly end sends SIGTERM first). This file knows no message and no kind of process.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import logging
 import os
 import signal
 import socket as sockets
+import stat
 import sys
 import threading
 import time
@@ -36,6 +37,8 @@ import zmq
 
 from rtc import wire
 
+READY, ALIVE = b"ready", b"alive"
+BEAT_S = 1.0
 QUEUE_LENGTH = 10_000  # messages per peer that ZeroMQ holds before it drops (ROUTER, PUB) or says no (DEALER)
 LINGER_MS = 200  # how long the last words of a process may take to leave it
 RECONNECT_MS, RECONNECT_MAX_MS = 10, 100  # a restarted peer is found again within this
@@ -60,6 +63,8 @@ class Process:
         self.wake_fd = self._wake_end.fileno()
         self.poller = zmq.Poller()
         self.poller.register(self.wake_fd, zmq.POLLIN)
+        self._beat = Every(BEAT_S)
+        self._watched = zmq.Poller()  # holds our stdout, once somebody is known to listen there
 
     def socket(
         self,
@@ -82,7 +87,12 @@ class Process:
         return made
 
     def wait(self, timeout_s: float | None = None) -> list[Any]:
-        """The sockets with something to read, in the order of their making; none: the time is up, or a signal came."""
+        """The sockets with something to read, in the order of their making; none: the time is up, a signal came, or
+        another second has passed."""
+        if self._watched.sockets:
+            self.beat(now := now_s())
+            left_s = self._beat.left_s(now)
+            timeout_s = left_s if timeout_s is None else min(timeout_s, left_s)
         timeout_ms = None if timeout_s is None else max(0, int(timeout_s * 1000 + 0.999))
         readable = dict(self.poller.poll(timeout_ms))
         if readable.pop(self.wake_fd, 0):
@@ -104,9 +114,18 @@ class Process:
     def ready(self) -> None:
         """Tell the supervisor, once, that the sockets are there and work can begin."""
         with contextlib.suppress(OSError, ValueError):
-            sys.stdout.write("ready\n")
+            sys.stdout.write(f"{READY.decode()}\n")
             sys.stdout.flush()
+            if stat.S_ISFIFO(os.fstat(sys.stdout.fileno()).st_mode):
+                self._watched.register(sys.stdout.fileno(), zmq.POLLOUT)
         self.log.info("ready")
+
+    def beat(self, now: float) -> None:
+        """Tell the supervisor, every second, that the loop turns; for a loop that does not `wait`. Never blocks: what
+        nobody reads is not said."""
+        if self._beat.due(now) and self._watched.poll(0):
+            with contextlib.suppress(OSError):
+                os.write(sys.stdout.fileno(), ALIVE + b"\n")
 
     def close(self) -> None:
         self.context.destroy(linger=LINGER_MS)

@@ -23,7 +23,7 @@ from sim_mcm.bullet_arm import BulletCell
 from sim_mcm.clock import Clock
 from sim_mcm.doors import Doors
 from sim_mcm.kinematic_arm import KinematicCell
-from sim_mcm.subsystem import BROKER, Subsystem
+from sim_mcm.subsystem import BROKER, Said, Subsystem
 
 NAME = "MCM"
 HEARTBEAT_S = 0.25
@@ -65,7 +65,9 @@ class Station:
         for caller, halt in doors.halts(now_s):
             doors.say(subsystem.hear(halt, caller, now_s))
         for order in doors.orders(now_s):
-            doors.say(subsystem.hear(order, BROKER, now_s))
+            answers = subsystem.hear(order, BROKER, now_s)
+            doors.say(answers)
+            self._keep_in_mind(answers)
         said = subsystem.tick(process.now_s())
         self._simulation.step()
         doors.say(said)
@@ -74,6 +76,7 @@ class Station:
     def _between_ticks(self, now_s: float) -> None:
         """What is not urgent."""
         doors = self._doors
+        self._me.beat(now_s)
         if doors.newly_connected():
             doors.say(self._subsystem.hello())
         if self._heartbeat.due(now_s):
@@ -82,6 +85,12 @@ class Station:
             doors.publish(self._look(now_s))
         for caller, question in doors.questions(now_s):
             doors.answer(caller, self._answer(question))
+
+    def _keep_in_mind(self, said: Said) -> None:
+        """The log says what was begun, whoever dies: whether anything was done twice is seen there."""
+        for _, message in said:
+            if isinstance(message, m.Started):
+                self._me.log.info("begins %s", message.primitive)
 
     def _look(self, now_s: float) -> m.Telemetry:
         arms = {}
