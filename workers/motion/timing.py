@@ -1,6 +1,6 @@
 """When a motion is where: a path becomes knots in time, at rest at both ends, within every limit.
 
-A line gets a jerk-limited profile along its own parameter (ruckig from rest to rest: 0.02 ms); a curve through
+A line gets a jerk-limited profile along its own parameter (from rest to rest, in closed form); a curve through
 way-points the quickest one that the joints allow (toppra: some 10 ms), because there one pace for the whole would be
 that of the sharpest bend. Joint limits of speed and acceleration are kept everywhere; the tcp's speed limit too.
 """
@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import ruckig
 import toppra
 import toppra.algorithm
 import toppra.constraint
@@ -21,6 +20,7 @@ from rtc.geometry import Array
 from rtc.primitive import JointTrajectory
 from rtc.robot.kinematics import ArmModel
 from workers.motion.path import Path
+from workers.motion.rest_to_rest import rest_to_rest
 
 KNOT_S = 0.03  # quintic Hermite between knots this far apart is off by some micrometres
 KNOT_M = 0.0075  # at an even pace knots need be no closer than this along the way: slow motions get few
@@ -89,33 +89,12 @@ def _time_line(arm: ArmModel, path: Path, pace: Pace) -> Timed:
     change_limit = min(
         pace.acceleration_m_s2 / max(rate, 1e-9), float(((acceleration - bend * pace_limit**2) / slope).min())
     )
-    profile = _rest_to_rest(path.length, pace_limit, change_limit)
-    time_s = _knot_times(profile.duration, pace_limit / change_limit + RAMP_S, pace.speed_m_s)
-    along, along_v, along_a = np.array([profile.at_time(t) for t in time_s.tolist()])[:, :, 0].T
+    profile = rest_to_rest(path.length, pace_limit, change_limit, change_limit / RAMP_S)
+    time_s = _knot_times(profile.duration_s, pace_limit / change_limit + RAMP_S, pace.speed_m_s)
+    along, along_v, along_a = profile.at(time_s)
     q, slope, bend = path.at(along)
     accelerations = bend * along_v[:, None] ** 2 + slope * along_a[:, None]
     return _at_rest(Timed(path.space, time_s, q, slope * along_v[:, None], accelerations), path)
-
-
-def _rest_to_rest(length: float, speed: float, acceleration: float) -> ruckig.Trajectory:
-    """State to state only: ruckig's way-points would be computed by a web service.
-
-    Its solver loses some round figures (0.02 m at 0.25 m/s and 1 m/s^2) to rounding. A per mille less of the limits is
-    always within them, and found.
-    """
-    for slower in (1.0, 0.999, 0.997, 0.99, 0.97):
-        ask = ruckig.InputParameter(1)
-        ask.current_position, ask.target_position = [0.0], [length]
-        ask.max_velocity, ask.max_acceleration = [speed * slower], [acceleration * slower**2]
-        ask.max_jerk = [acceleration / RAMP_S * slower**3]
-        profile = ruckig.Trajectory(1)
-        try:
-            result = ruckig.Ruckig(1).calculate(ask, profile)
-        except ruckig.RuckigError:
-            continue
-        if result in (ruckig.Result.Working, ruckig.Result.Finished):
-            return profile
-    raise AssertionError(f"no profile for {length} m at {speed} m/s, {acceleration} m/s^2")
 
 
 def _time_curve(arm: ArmModel, path: Path, pace: Pace) -> Timed:
