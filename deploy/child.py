@@ -58,9 +58,9 @@ class Line:
         self._ours, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)  # whole messages
         self._ours.settimeout(FORK_LIMIT_S)
 
-    def fork(self, order: bytes, output: int, log: int) -> int:
+    def fork(self, order: bytes, output: int, log: int, *stdin: int) -> int:
         """The pid of a new process, a child of ours. Raises OSError when the template does not answer."""
-        socket.send_fds(self._ours, [order], [output, log])
+        socket.send_fds(self._ours, [order], [output, log, *stdin])
         answer = self._ours.recv(32)
         if not answer:
             raise ConnectionError("the template is gone")
@@ -102,39 +102,40 @@ class Child:
         """Run it, or have the template fork it, its stderr going to the log. Raises OSError when that cannot be."""
         limit_log(self.log)
         self.output_fd, output = os.pipe()
+        self.line = Line() if self.spec.is_template else None
+        stdin = (self.line.theirs.fileno(),) if self.line else ()
         try:
             with open(self.log, "ab") as log:
                 if template is None:
-                    self._popen = self._run(output, log.fileno())
+                    self._popen = self._run(output, log.fileno(), *stdin)
                     self.pid = self._popen.pid
                 else:
-                    self.pid = template.fork(self.spec.order, output, log.fileno())
+                    self.pid = template.fork(self.spec.order, output, log.fileno(), *stdin)
             self.exited_fd = os.pidfd_open(self.pid)
         except OSError:
             os.close(self.output_fd)
+            if self.line:
+                self.line.close()
             raise
         finally:
             os.close(output)
+            if self.line:
+                self.line.theirs.close()  # then its death closes the line
         os.set_blocking(self.output_fd, False)
         self._line, self.output_over = b"", False
         self.become(State.STARTING)
 
-    def _run(self, output: int, log: int) -> subprocess.Popen[bytes]:
+    def _run(self, output: int, log: int, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
         me = os.getpid()
-        if self.spec.is_template:
-            self.line = Line()
-        popen = subprocess.Popen(
+        return subprocess.Popen(
             self.spec.command,
-            stdin=self.line.theirs.fileno() if self.line else subprocess.DEVNULL,
+            stdin=stdin,
             stdout=output,
             stderr=log,
             start_new_session=True,  # Ctrl-C is for the supervisor, who ends the others in order
             preexec_fn=lambda: die_with_parent(me),
             env=os.environ | ONE_THREAD,
         )
-        if self.line:
-            self.line.theirs.close()  # then its death closes the line
-        return popen
 
     def heard_ready(self) -> bool:
         """Read what it said; True when `ready` was among it. Anything but that and `alive` goes to its log."""

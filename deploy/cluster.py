@@ -28,7 +28,7 @@ import zmq
 from deploy import hypercube
 from deploy.child import Spec
 from deploy.supervisor import END_LIMIT_S, Supervisor
-from rtc import process
+from rtc import process, template
 from rtc.outcomes import ClusterError, NoCluster, RtcError
 from rtc.settings import ENDPOINTS, Settings, prepare_run_dir
 from rtc.world import lease
@@ -37,13 +37,24 @@ REPORT = "supervisor.json"
 LOCK = "supervisor.lock"
 LOGS = "logs"
 TEMPLATE = "template"  # of workers; NAME-template of the process NAME
+TWIN = "twin-template"  # making a template of workers takes seconds, so each of two is forked from the other
 PREVIOUS = "previous"
 
 
 def specs(settings: Settings) -> list[Spec]:
     """The processes of a cluster."""
     return [
-        _spec(TEMPLATE, "workers", settings, "--template", is_template=True),
+        _spec(TEMPLATE, "workers", settings, "--template", is_template=True, template=TWIN, order=template.TWIN),
+        _spec(
+            TWIN,
+            "workers",
+            settings,
+            "--template",
+            is_template=True,
+            template=TEMPLATE,
+            order=template.TWIN,
+            later=True,
+        ),
         *_with_template("broker", "broker", settings),
         *_with_template("world", "rtc.world", settings),
         *_with_template("MCM", "sim_mcm", settings),
@@ -62,10 +73,10 @@ def worker(settings: Settings, address: int) -> Spec:
 
 def _with_template(name: str, module: str, settings: Settings) -> list[Spec]:
     """A process there is one of, which all others wait for when it has been killed, and what it is then forked from."""
-    template = f"{name}-{TEMPLATE}"
+    its_template = f"{name}-{TEMPLATE}"
     return [
-        _spec(name, module, settings, beats=True, template=template, order=b"start"),
-        _spec(template, module, settings, "--template", is_template=True, later=True),
+        _spec(name, module, settings, beats=True, template=its_template, order=b"start"),
+        _spec(its_template, module, settings, "--template", is_template=True, later=True),
     ]
 
 

@@ -5,9 +5,10 @@ process is back at once, a cluster of many workers starts as quickly as one of f
 A template holds no socket of the cluster, no thread and no state: losing it costs nothing but time (the supervisor then
 starts processes by themselves). This file does not know what it forks.
 
-Orders come on stdin, a Unix socket of whole messages: bytes for `be`, with two file descriptors, the new process's
-stdout and stderr; the answer is its pid. The process becomes a child of whoever started the template, who must be a
-subreaper: it is forked twice, and the one between ends at once.
+Orders come on stdin, a Unix socket of whole messages: bytes for `be`, with the file descriptors of the new process's
+stdout and stderr (and stdin, if it is to have one); the answer is its pid. The process becomes a child of whoever
+started the template, who must be a subreaper: it is forked twice, and the one between ends at once. The order TWIN
+makes another template: two that are forked from each other need never be made anew.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from typing import NoReturn
 from rtc import process
 
 ADOPTION_LIMIT_S = 5.0
+TWIN = b"twin"
 
 Be = Callable[[bytes], None]
 
@@ -35,7 +37,7 @@ def serve(be: Be) -> None:
     supervisor = os.getppid()
     orders = socket.socket(fileno=os.dup(0))
     while True:
-        order, fds, _, _ = socket.recv_fds(orders, 4096, 2)
+        order, fds, _, _ = socket.recv_fds(orders, 4096, 3)
         if not order:
             return
         pid = _fork_away(lambda: _become(order, fds, orders, supervisor, be))  # noqa: B023
@@ -69,15 +71,18 @@ def _become(order: bytes, fds: list[int], orders: socket.socket, supervisor: int
     try:
         orders.close()
         os.setsid()
-        null = os.open(os.devnull, os.O_RDONLY)
-        for mine, standard in ((null, 0), (fds[0], 1), (fds[1], 2)):
+        stdin = fds[2] if len(fds) > 2 else os.open(os.devnull, os.O_RDONLY)
+        for mine, standard in ((stdin, 0), (fds[0], 1), (fds[1], 2)):
             os.dup2(mine, standard)
             os.close(mine)
         _await_adoption(supervisor)
         process.die_with_parent(supervisor)
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)
-        be(order)
+        if order == TWIN:
+            serve(be)
+        else:
+            be(order)
         status = 0
     except BaseException:
         traceback.print_exc()

@@ -30,6 +30,7 @@ COMMANDS = {
     "dictionary": "language",
     "grammar": "language",
     "shell": "shell",
+    "chaos": "chaos",
     "demo": "demo",
 }
 EPILOG = 'First steps: rtc demo, or: rtc up -d; rtc do "STOW LEFT-ARM"; rtc halt; rtc down'

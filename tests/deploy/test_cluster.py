@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 
 LIMIT_S = 60.0
 WORKERS = ["parser@0", "elaborator@1", "binder@2", "analyzer@3"]
-TEMPLATES = ["template", "broker-template", "world-template", "MCM-template"]
+TEMPLATES = ["template", "twin-template", "broker-template", "world-template", "MCM-template"]
 NAMES = [*TEMPLATES, "broker", "world", "MCM", *WORKERS]
 
 

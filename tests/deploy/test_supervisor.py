@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+from dataclasses import replace
 
 import pytest
 import zmq
@@ -27,6 +28,7 @@ from rtc.messages import (
 )
 from rtc.outcomes import ClusterError
 from rtc.process import Process, send
+from rtc.template import TWIN
 
 pytestmark = pytest.mark.slow
 
@@ -324,6 +326,20 @@ def test_a_template_for_later_is_not_waited_for_and_forks_what_is_killed(cluster
     os.kill(first["pid"], signal.SIGKILL)
     again = it.hear_table(lambda t: t["broker@0"]["state"] == "ready" and t["broker@0"]["restarts"] == 1)
     assert b"rtc.template" in command_line(again["broker@0"]["pid"])
+
+
+def test_templates_are_forked_from_each_other_and_from_them_all_else(cluster):
+    one = replace(template(), template="twin", order=TWIN)
+    two = replace(template(later=True), name="twin", template="template", order=TWIN, command=("/no/such/program",))
+    it = cluster(one, two, forked("binder@2")).go()
+    for n in (1, 2):
+        table = it.hear_table(lambda t: all(row["state"] == "ready" for row in t.values()))
+        for name in ("template", "binder@2"):
+            os.kill(table[name]["pid"], signal.SIGKILL)
+        back = lambda t: all(row["state"] == "ready" for row in t.values()) and t["binder@2"]["restarts"] == n  # noqa: B023, E731
+        it.hear_table(back)
+        os.kill(table["twin"]["pid"], signal.SIGKILL)  # the next template must come from the new twin
+        it.hear_table(lambda t: t["twin"]["restarts"] == n and t["twin"]["state"] == "ready")  # noqa: B023
 
 
 def test_what_cannot_be_run_later_is_given_up_and_the_rest_goes_on(cluster):

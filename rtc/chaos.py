@@ -1,0 +1,119 @@
+"""Trouble made on purpose: kill or stop processes of a running cluster, and see when each is back.
+
+It looks where the supervisor writes what it runs, and asks nobody: it works, and tells the truth, whoever is dead.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+
+from rtc.outcomes import NoCluster
+from rtc.process import now_s
+
+REPORT = "supervisor.json"  # in the run directory: who the supervisor is and what it runs
+
+
+class Row(msgspec.Struct, frozen=True):
+    """One process, as the supervisor has it."""
+
+    name: str
+    pid: int  # 0 = it does not run
+    state: str
+    restarts: int
+    since_s: float  # CLOCK_MONOTONIC: in this state
+    node: int | None = None  # a worker's address
+
+
+class _Report(msgspec.Struct):
+    processes: list[Row]
+
+
+VICTIMS: dict[str, Callable[[Row], bool]] = {  # the words of `rtc chaos --kill`
+    "worker": lambda row: row.node is not None,
+    "broker": lambda row: row.name == "broker",
+    "world": lambda row: row.name == "world",
+    "mcm": lambda row: row.name == "MCM",
+    "template": lambda row: row.name.endswith("template"),
+    "any": lambda row: True,
+}
+
+
+class Strike(msgspec.Struct):
+    """One process that was hit."""
+
+    name: str
+    pid: int
+    at_s: float
+    back_s: float | None = None  # from the strike until its successor was ready
+    new_pid: int = 0
+
+
+class Chaos:
+    """`strike` now and then, and ask `returned` in between."""
+
+    def __init__(self, run_dir: Path, rng: random.Random, stop: bool = False) -> None:
+        self._run_dir, self._rng = run_dir, rng
+        self._signal = signal.SIGSTOP if stop else signal.SIGKILL
+        self.strikes: list[Strike] = []
+
+    @property
+    def missing(self) -> list[Strike]:
+        """Whoever is not back yet."""
+        return [strike for strike in self.strikes if strike.back_s is None]
+
+    def strike(self, kind: str, name: str = "") -> Strike | None:
+        """Hit one process of this kind that is at work (or the one of this name); None when there is none."""
+        struck = {strike.pid for strike in self.missing}
+        able = [
+            row
+            for row in processes(self._run_dir).values()
+            if VICTIMS[kind](row) and name in ("", row.name) and row.state == "ready" and row.pid not in struck
+        ]
+        if not able:
+            return None
+        victim = self._rng.choice(able)
+        at_s = now_s()
+        if not self._hit(victim):
+            return None
+        self.strikes.append(Strike(name=victim.name, pid=victim.pid, at_s=at_s))
+        return self.strikes[-1]
+
+    def _hit(self, row: Row) -> bool:
+        """False when it has ended meanwhile: its number may be somebody else's by now."""
+        with contextlib.suppress(ProcessLookupError):
+            fd = os.pidfd_open(row.pid)
+            try:
+                now = processes(self._run_dir).get(row.name)
+                if now is not None and now.pid == row.pid:
+                    signal.pidfd_send_signal(fd, self._signal)
+                    return True
+            finally:
+                os.close(fd)
+        return False
+
+    def returned(self) -> list[Strike]:
+        """Those that are back, each told once."""
+        rows = processes(self._run_dir)
+        found = []
+        for strike in self.missing:
+            row = rows.get(strike.name)
+            if row is not None and row.pid not in (0, strike.pid) and row.state == "ready":
+                strike.back_s, strike.new_pid = row.since_s - strike.at_s, row.pid
+                found.append(strike)
+        return found
+
+
+def processes(run_dir: Path) -> dict[str, Row]:
+    """What the supervisor runs, by name. Raises NoCluster when there is none."""
+    try:
+        report = msgspec.json.decode((run_dir / REPORT).read_bytes(), type=_Report)
+    except FileNotFoundError:
+        raise NoCluster(f"no cluster is running in {run_dir}; start one with: rtc up -d") from None
+    return {row.name: row for row in report.processes}
