@@ -161,7 +161,7 @@ def on_halt(turn: Turn, event: HaltCalled) -> None:
         turn.count("halts")
         known = journey.halt(turn, event.halt, event.scope, event.called_at_s)
         if not known and not told_by_subsystem:
-            message = f"nothing live is called {event.scope}"
+            message = journey.no_target(turn, event.scope).message
             turn.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
     if told_by_subsystem and not any(type(e) is SendHalt and e.halt == event.halt for e in turn.effects):
         # It begins nothing until it hears that we know.

@@ -50,11 +50,11 @@ read_assessment = wire.decoder(AssessmentHead)
 def parsed(turn: Turn, command: Command, product: msgspec.Raw) -> None:
     command.parsed = product
     command.head = head = read_parsed(product)
-    if head.kind == "control":
-        control(turn, command, head)
-    elif head.test:
+    if head.test:  # first: the test of a HALT halts nothing
         message = "hypothesis tests (TEST ...) are not in this release"
-        refuse(turn, command, Refusal(reason=RefusalReason.NO_SCRIPT, message=message))
+        refuse(turn, command, Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears="leave out TEST"))
+    elif head.kind == "control":
+        control(turn, command, head)
     elif not _wait_for_another(turn, command, head):
         plan(turn, command)
 
@@ -67,7 +67,7 @@ def control(turn: Turn, command: Command, head: ParsedHead) -> None:
         return
     targets = [c.id for c in in_scope(turn, scope) if c.id != command.id]
     if not targets and scope != "ALL":
-        refuse(turn, command, _no_target(turn, scope))
+        refuse(turn, command, no_target(turn, scope, command.id))
         return
     stimulus = {"PAUSE": Stimulus.PAUSE, "RESUME": Stimulus.RESUME, "ABORT": Stimulus.STOP}[head.verb]
     ending = Ending(kind=OutcomeKind.ABORTED, message=f"aborted by {command.id}")
@@ -79,7 +79,7 @@ def control(turn: Turn, command: Command, head: ParsedHead) -> None:
 def halt_by_command(turn: Turn, command: Command, scope: str) -> None:
     """A halt that came as a sentence. It ends when rest is confirmed, and not by its own halt."""
     if scope != "ALL" and not in_scope(turn, scope) and not _subsystem_of(turn, scope):
-        refuse(turn, command, _no_target(turn, scope))
+        refuse(turn, command, no_target(turn, scope, command.id))
         return
     target = turn.state.commands.get(scope)
     if target is not None and not target.subsystem:
@@ -135,10 +135,12 @@ def _subsystem_of(turn: Turn, performer: str) -> str:
     return next((n for n, s in turn.state.subsystems.items() if performer in s.performers), "")
 
 
-def _no_target(turn: Turn, scope: str) -> Refusal:
+def no_target(turn: Turn, scope: str, asker: str = "") -> Refusal:
+    """Why nothing is in scope; `asker` is the command that wanted it and is no answer itself."""
     if scope in turn.state.successes:
         return Refusal(reason=RefusalReason.STATE, message=f"{scope} has ended already")
-    known = [*turn.state.commands, *(p for s in turn.state.subsystems.values() for p in s.performers)]
+    live = [command for command in turn.state.commands if command != asker]
+    known = [*(p for s in turn.state.subsystems.values() for p in s.performers), *live]
     return Refusal(reason=RefusalReason.NAME, message=f"nothing live is called {scope}", expected=["ALL", *known[:20]])
 
 
@@ -163,7 +165,8 @@ def _wait_for_another(turn: Turn, command: Command, head: ParsedHead) -> bool:
             else f"there is no command {other}"
         )
         reason = RefusalReason.NAME if target is None and done is None else RefusalReason.STATE
-        refuse(turn, command, Refusal(reason=reason, message=message))
+        clears = f"leave out {'AFTER' if head.after else 'TOGETHER-WITH'} {other}"
+        refuse(turn, command, Refusal(reason=reason, message=message, clears=clears))
         return True
     if command.id in _waits_for(turn, target):
         message = f"{command.id} and {other} would wait for each other for ever"

@@ -104,6 +104,15 @@ def test_a_hypothesis_test_reaches_no_subsystem():
     assert s.answers("C-1", record(test=True)) == ["note C-1 ended", "end C-1 refused"]
 
 
+@pytest.mark.parametrize("verb", ["HALT", "PAUSE", "ABORT"])
+def test_the_test_of_a_control_stops_nothing(verb):
+    s = Story()
+    s.executing()
+    s.says(f"TEST {verb}")
+    assert s.answers("C-2", record(test=True, kind="control", verb=verb)) == ["note C-2 ended", "end C-2 refused"]
+    assert s.phase("C-1") == "executing"
+
+
 # --- lost workers, late and double answers -----------------------------------------------------------
 
 
