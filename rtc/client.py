@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import socket as unix
 import time
 import uuid
@@ -39,12 +40,18 @@ ANSWER_S = 5.0  # longest wait for an answer that needs no motion
 WINDOW = 512  # sentences under way at once in `run_many`
 LAST_WORDS_MS = 200  # how long a sentence may take to leave us when we close
 KEPT = 10_000  # outcomes nobody has asked for yet
+NO_TEXT = re.compile("[\ud800-\udfff]")  # what Python makes of bytes that are no text; UTF-8 cannot carry it
 
 Source = Literal["operator", "aip"]
 OnAccept = Callable[[int, str], None]
 OnProgress = Callable[[m.ProgressNote], None]
 OnEnd = Callable[[int, m.CommandEnded], None]
 Answer = TypeVar("Answer")
+
+
+def as_text(sentence: str) -> str:
+    """The sentence as it can travel; what is no text in it is a mark that is refused at its place."""
+    return NO_TEXT.sub("\ufffd", sentence)
 
 
 class Client:
@@ -255,7 +262,7 @@ class Client:
             self._accept_listeners[request] = on_accept
         sentence = m.CommandText(
             request=request,
-            text=text,
+            text=as_text(text),
             source=self.source,
             progress=on_progress is not None,
             sent_at_s=time.monotonic(),  # said again after a halt it is still what was said before it

@@ -48,6 +48,7 @@ class HaltResult(msgspec.Struct, kw_only=True):
     told: list[str]  # the sockets that took the order: "halt" (broker), "estop" (MCM)
     subsystems: list[SubsystemHalt]
     message: str = ""  # why it is not confirmed
+    declined: bool = False  # nothing is called so: nobody was asked to stop
 
     @property
     def moving(self) -> list[str]:
@@ -172,4 +173,5 @@ def _result(order: m.HaltOrder, told: list[str], subsystems: list[SubsystemHalt]
         told=sorted(told),
         subsystems=sorted(subsystems, key=lambda sub: sub.name),
         message=message,
+        declined=bool(declined) and not subsystems,
     )

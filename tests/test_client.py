@@ -161,6 +161,13 @@ def test_run_gives_the_outcome_and_tells_the_progress(broker: SmallBroker, run_d
     assert broker.sentences()[0].progress
 
 
+def test_bytes_that_are_no_text_travel_as_a_mark(broker: SmallBroker, run_dir: Path) -> None:
+    with Client(run_dir) as rtc:
+        rtc.run("GRASP MACS-\udcff")
+
+    assert [message.text for message in broker.heard if isinstance(message, m.CommandText)] == ["GRASP MACS-\ufffd"]
+
+
 def test_submit_then_wait(broker: SmallBroker, run_dir: Path) -> None:
     with Client(run_dir, source="aip") as rtc:
         command = rtc.submit("STOW LEFT-ARM 7")

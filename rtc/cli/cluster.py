@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from rtc.cli.output import AsJson, RunDir, console, emit_json, seconds, table, trouble
+from rtc.cli.output import AsJson, RunDir, console, emit_json, said, seconds, table, trouble
 from rtc.client import Client
 from rtc.settings import default_run_dir
 
@@ -106,7 +106,7 @@ def _commands(commands: list[dict[str, Any]]) -> None:
             str(row.get("step", "")),
             seconds(row.get("age_s", 0.0)),
             ", ".join(row.get("resources", [])),
-            Text(row.get("text", "")),
+            Text(said(row.get("text", ""))),
         )
     console.print(out)
 

@@ -40,7 +40,9 @@ def halt(
 
 def print_halt(result: HaltResult, out: Console = console) -> None:
     line = Text(f"HALT {result.scope}: ", style="bold")
-    if result.latency_s is None:
+    if result.declined:
+        line.append(f"NOTHING HALTED: {result.message}", style="bold white on red")
+    elif result.latency_s is None:
         line.append(f"REST NOT CONFIRMED: {result.message}", style="bold white on red")
     else:
         what = f"{', '.join(result.moving)} decelerating" if result.moving else "nothing was moving; it was heard"

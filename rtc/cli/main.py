@@ -70,6 +70,8 @@ def main() -> None:
         sys.exit(trouble(str(error) + clears, 2).exit_code)
     except RtcError as error:
         sys.exit(trouble(str(error), 1).exit_code)
+    except UnicodeEncodeError as error:  # bytes that are no text, where a sentence would be refused at its place
+        sys.exit(trouble(f"this is no text: {error.object!a}", 2).exit_code)
     except BrokenPipeError:  # `rtc trace C-7 | head`
         sys.stderr.close()
         sys.exit(0)

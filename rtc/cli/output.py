@@ -16,7 +16,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from rtc.language.caret import show
+from rtc.language.caret import CUT, show
+from rtc.language.refuse import visible
 from rtc.outcomes import OutcomeKind, Refusal
 
 NO_CLUSTER = 4
@@ -40,6 +41,7 @@ COLOUR = {
     OutcomeKind.LOST_SUBSYSTEM: "bold white on red",
 }
 
+MOST_SAID = 200  # characters of a sentence that are repeated
 PIPED_WIDTH = 160  # columns of a table that no terminal bounds
 console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else PIPED_WIDTH)
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -80,6 +82,12 @@ def refusal_lines(refusal: Refusal, text: str = "") -> list[str]:
     if refusal.clears:
         lines.append(f"to clear it: {refusal.clears}")
     return lines
+
+
+def said(text: str, most: int = MOST_SAID) -> str:
+    """A sentence as it is repeated: one line that does nothing to the screen, and no longer than is read."""
+    text = visible(text)
+    return text if len(text) <= most else text[: most - len(CUT)] + CUT
 
 
 def figure(value: float | str) -> str:

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rtc import messages as m
-from rtc.cli.output import COLOUR, console, refusal_lines, seconds, table
+from rtc.cli.output import COLOUR, console, refusal_lines, said, seconds, table
 from rtc.outcomes import OutcomeKind
 
 #: phases too short to be a line of their own (`rtc trace` has them); ENDED has its result line
@@ -70,7 +70,7 @@ class Board:
         row = self._rows[n]
         row.command, row.phase, row.started_s = command, "accepted", time.monotonic()
         self._row_of[command] = row
-        self._line(f"{command}  accepted  {row.text}")
+        self._line(f"{command}  accepted  {said(row.text)}")
 
     def progress(self, note: m.ProgressNote) -> None:
         if (row := self._row_of.get(note.command)) is None:
@@ -103,7 +103,9 @@ class Board:
         out = table("", "phase", "step", "last done by", "time>", "sentence")
         for row in self._row_of.values():
             age = seconds(time.monotonic() - row.started_s)
-            out.add_row(row.command, row.phase, Text(row.step), row.node, age, Text(row.text, overflow="ellipsis"))
+            out.add_row(
+                row.command, row.phase, Text(row.step), row.node, age, Text(said(row.text), overflow="ellipsis")
+            )
         return out
 
 
@@ -112,7 +114,7 @@ def print_result(ended: m.CommandEnded, text: str, out: Console = console) -> No
     kind = ended.outcome.kind
     head = Text(f"{ended.command or '(not taken)'} ", style="bold")
     head.append(kind.value.upper().replace("_", " "), style=COLOUR[kind])
-    head.append(f"  {text}  ").append(f"({_figures(ended)})", style="dim")
+    head.append(f"  {said(text)}  ").append(f"({_figures(ended)})", style="dim")
     out.print(head)
     for line in explain(ended, text):
         out.print(Text("    " + line))

@@ -25,10 +25,11 @@ from rtc.cli.output import (
     errors,
     exit_code,
     refusal_lines,
+    said,
     trouble,
 )
 from rtc.cli.progress import Board
-from rtc.client import Client, Source
+from rtc.client import Client, Source, as_text
 from rtc.halting import HaltResult
 from rtc.language.fastpath import halt_scope
 from rtc.outcomes import OutcomeKind, RequestDeclined
@@ -58,7 +59,7 @@ def do(
 
     Example:  rtc do "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A" "LIFT MACS-NEW BY 5 CM"
     """
-    texts = [*(sentences or []), *(_lines(file) if file else [])]
+    texts = [as_text(text) for text in (*(sentences or []), *(_lines(file) if file else []))]
     if not texts:
         raise trouble('no sentence; say one in quotes: rtc do "STOW LEFT-ARM"', 2)
     if source not in ("operator", "aip"):
@@ -104,7 +105,9 @@ def _see_through(
     for text in texts[len(results) :]:
         results.append({"text": text, "kind": "not_sent"})
         if not json:
-            console.print(Text("NOT SENT", style="bold") + Text(f"  {text}  ") + Text("(use -k to go on)", style="dim"))
+            console.print(
+                Text("NOT SENT", style="bold") + Text(f"  {said(text)}  ") + Text("(use -k to go on)", style="dim")
+            )
     return exit_code(kinds), results
 
 
@@ -139,7 +142,7 @@ def _hand_in(rtc: Client, texts: list[str]) -> tuple[int, list[dict[str, Any]]]:
                 errors.print(Text(line))
             results.append({"text": text, "kind": "refused", "refusal": msgspec.to_builtins(declined.refusal)})
             return 2, results
-        console.print(Text(f"{command} accepted  {text}"))
+        console.print(Text(f"{command} accepted  {said(text)}"))
         results.append({"text": text, "kind": "accepted", "command": command})
     return 0, results
 

@@ -10,7 +10,7 @@ import typer
 from rich.text import Text
 
 from rtc import messages as m
-from rtc.cli.output import COLOUR, AsJson, RunDir, console, emit_json, refusal_lines, seconds
+from rtc.cli.output import COLOUR, AsJson, RunDir, console, emit_json, refusal_lines, said, seconds
 from rtc.client import Client
 from rtc.outcomes import OutcomeKind
 
@@ -34,7 +34,9 @@ def trace(command: Command, json: AsJson = False, run_dir: RunDir = None) -> Non
 
 def print_trace(record: m.CommandRecord) -> None:
     """Lines, not a table: what came of a phase may be long. A step's phases stand below its name."""
-    console.print(Text(f"{record.command}  {record.text}  ", style="bold") + Text(f"({record.source})", style="dim"))
+    console.print(
+        Text(f"{record.command}  {said(record.text)}  ", style="bold") + Text(f"({record.source})", style="dim")
+    )
     console.print(Text(f"{'since':>9}  {'took':>8}  {'done by':<13} {'at':<4} now", style="bold"))
     step, node = "", ""
     for note in record.notes:
@@ -91,7 +93,7 @@ def as_json(record: m.CommandRecord) -> dict[str, Any]:
 
 def chain(record: m.CommandRecord) -> list[str]:
     """The story in words: one line for each step that went well, every link for the one it ended in."""
-    lines = [f"{record.command} was said by the {record.source}: {record.text}"]
+    lines = [f"{record.command} was said by the {record.source}: {said(record.text)}"]
     steps = [(step, list(notes)) for step, notes in groupby(_by_step(record.notes), key=lambda pair: pair[0])]
     last = len(steps) - 1
     ended_well = record.outcome is not None and record.outcome.kind == OutcomeKind.SUCCEEDED

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rtc.cli.output import EXIT, exit_code, refusal_lines, seconds
+from rtc.cli.output import EXIT, exit_code, refusal_lines, said, seconds
 from rtc.language.parse import default_grammar, parse
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason
 
@@ -53,6 +53,11 @@ def test_a_refusal_names_the_owner_and_what_would_clear_it() -> None:
         "figures: limit_rad 2.793",
         "to clear it: wait for C-3",
     ]
+
+
+def test_a_sentence_is_repeated_in_one_short_line_that_does_nothing_to_the_screen() -> None:
+    assert said("GRASP \x1b[31mMACS-NEW\nSTOW \udcff") == "GRASP \u241b[31mMACS-NEW\u240aSTOW \ufffd"
+    assert len(said("A" * 10_000)) <= 200
 
 
 @pytest.mark.parametrize(
