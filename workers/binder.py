@@ -286,7 +286,7 @@ def primitive(
         if evaluation.predicted_s > most_s:
             return Refusal(
                 reason=RefusalReason.INFEASIBLE,
-                message=f"this step takes {evaluation.predicted_s:.1f} s; the time limit is {most_s:g} s",
+                message=f"this step takes {evaluation.predicted_s:.3g} s; the time limit is {most_s:g} s",
                 clears="more time, or more speed",
                 detail={"cause": "time", "predicted_s": evaluation.predicted_s, "limit_s": most_s},
             )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import msgspec
 
@@ -358,7 +358,7 @@ def _no_script(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal:
         message=f"there is no script for {parsed.verb} yet; there are scripts for {', '.join(verbs)}",
         where=parsed.verb,
         expected=verbs,
-        clears=f"LOAD a script for {parsed.verb}, or do it with {', '.join(verbs)}",
+        clears=f"a script for {parsed.verb} (docs/scripts.md), or do it with {', '.join(verbs)}",
     )
 
 
@@ -368,8 +368,17 @@ def _none_fits(parsed: ParsedCommand, branches: list[Branch]) -> Refusal:
         reason=RefusalReason.NO_SCRIPT,
         message=f"{parsed.verb} is done by {scripts}, and none of these is for what was said",
         where=parsed.verb,
-        clears="say it in a way that one of them is for (rtc dictionary shows how)",
+        clears="; ".join(f"{branch.script} is for a sentence {_wants(branch)}" for branch in branches),
     )
+
+
+def _wants(branch: Branch) -> str:
+    """What a branch asks of the sentence, in words."""
+    said = [f"with {check.given}" for check in branch.when if check.given]
+    unsaid = [f"without {check.missing}" for check in branch.when if check.missing]
+    values = [f"whose {path} is {value}" for check in branch.when for path, value in check.equals.items()]
+    others = [f"whose {path} is not {value}" for check in branch.when for path, value in check.differs.items()]
+    return ", ".join([*said, *unsaid, *values, *others]) or f"whose {branch.verb} has the figures it needs"
 
 
 def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refusal:
@@ -382,20 +391,25 @@ def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refusal:
 # --- what a script may need of the world -------------------------------------------------------------------
 
 
-Lack = tuple[str, str]  # what is not so, and the thing that is in the way
+class Lack(NamedTuple):
+    """What is not so, the thing that is in the way, and the row of `needs` that clears it (else the need's own)."""
+
+    message: str
+    held: str
+    row: str = ""
 
 
 def _hand_empty(at: Situation) -> Lack | None:
     held = at.belief.holding(at.arm.name)
-    return (f"{at.arm.name} holds {held}", held) if held else None
+    return Lack(f"{at.arm.name} holds {held}", held) if held else None
 
 
 def _object_free(at: Situation) -> Lack | None:
     assert at.thing is not None
     if at.thing.fixed:
-        return f"{at.thing.name} is fixed", at.thing.name
+        return Lack(f"{at.thing.name} is fixed", at.thing.name)
     holder = at.belief.held_by(at.thing.name)
-    return (f"{at.thing.name} is held by {holder}", holder) if holder else None
+    return Lack(f"{at.thing.name} is held by {holder}", holder) if holder else None
 
 
 def _object_held(at: Situation) -> Lack | None:
@@ -404,15 +418,15 @@ def _object_held(at: Situation) -> Lack | None:
     if holder == at.arm.name:
         return None
     if holder:
-        return f"{at.thing.name} is held by {holder}, not by {at.arm.name}", holder
-    return f"{at.thing.name} is not held", at.thing.name
+        return Lack(f"{at.thing.name} is held by {holder}, not by {at.arm.name}", holder, "held_by_another")
+    return Lack(f"{at.thing.name} is not held", at.thing.name)
 
 
 def _seat_free(at: Situation) -> Lack | None:
     assert at.target is not None
     inside = [t.name for t in at.belief.cell.objects if at.belief.seat(t.name) == at.target.name]
     others = [name for name in inside if at.thing is None or name != at.thing.name]
-    return (f"{at.target.name} holds {others[0]}", others[0]) if others else None
+    return Lack(f"{at.target.name} holds {others[0]}", others[0]) if others else None
 
 
 NEEDS: dict[str, Callable[[Situation], Lack | None]] = {
@@ -427,9 +441,8 @@ def _lacking(need: str, at: Situation) -> Refusal | None:
     lack = NEEDS[need](at)
     if lack is None:
         return None
-    message, held = lack
-    clears = at.say(at.program.needs.get(need, "")).replace("{held}", held)
-    return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
+    clears = at.say(at.program.needs.get(lack.row or need, "")).replace("{held}", lack.held)
+    return Refusal(reason=RefusalReason.STATE, message=lack.message, clears=clears)
 
 
 def verbs(program: ElaboratorProgram) -> Iterator[str]:

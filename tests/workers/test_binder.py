@@ -184,6 +184,13 @@ def test_a_grip_beyond_the_hands_force_is_refused(bench):
     assert refusal.detail["limit"] == 60
 
 
+def test_a_hand_is_not_opened_wider_than_it_goes(bench):
+    refusal = refused(bench, "OPEN RIGHT-END-EFF BY 7 M", "open")
+
+    assert refusal.reason is RefusalReason.INFEASIBLE
+    assert refusal.detail["limit"] == 0.08
+
+
 def test_holding_has_an_end(bench):
     _, bound = bound_to(bench, "HOLD RIGHT-ARM FOR 5 SEC", "")
 

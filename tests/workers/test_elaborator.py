@@ -217,6 +217,21 @@ def test_what_is_not_held_can_be_neither_lifted_nor_let_go(bench, sentence):
     assert refusal.clears == "GRASP MACS-NEW"
 
 
+def test_what_another_hand_holds_is_lifted_by_that_hand(bench):
+    bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+
+    refusal = refusal_of(bench, "LIFT MACS-NEW WITH LEFT-ARM")
+
+    assert refusal.message == "MACS-NEW is held by RIGHT-ARM, not by LEFT-ARM"
+    assert refusal.clears == "say RIGHT-ARM, or RELEASE MACS-NEW"
+
+
+def test_a_sentence_that_no_script_of_its_verb_is_for_hears_what_they_are_for(bench):
+    refusal = refusal_of(bench, "VERIFY MACS-NEW AT RACK-1")
+
+    assert refusal.clears == "verify-held is for a sentence with hand"
+
+
 def test_a_suspect_frame_is_not_planned_upon(bench):
     bench.told("MACS-NEW.frame", bench.world.value("MACS-NEW.frame"), Validity.SUSPECT)
 
