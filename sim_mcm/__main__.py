@@ -22,6 +22,7 @@ from sim_mcm.arm import Simulation
 from sim_mcm.bullet_arm import BulletCell
 from sim_mcm.clock import Clock
 from sim_mcm.doors import Doors
+from sim_mcm.hardware import Memory
 from sim_mcm.kinematic_arm import KinematicCell
 from sim_mcm.subsystem import BROKER, Said, Subsystem
 
@@ -39,6 +40,9 @@ class Station:
     def __init__(self, me: process.Process, settings: Settings, simulation: Simulation) -> None:
         self._me = me
         self._simulation = simulation
+        self._memory = Memory(settings.path, settings.run)
+        if (before := self._memory.last()) is not None:
+            simulation.restore(before)
         self._subsystem = Subsystem(self._simulation.arms, NAME, os.getpid())
         self._doors = Doors(me, settings, NAME)
         self._clock = Clock(settings.speed, process.now_s())
@@ -70,6 +74,8 @@ class Station:
             self._keep_in_mind(answers)
         said = subsystem.tick(process.now_s())
         self._simulation.step()
+        if any(isinstance(message, m.EndReport) for _, message in said):
+            self._memory.keep(self._simulation.state())  # what has been reported stays so
         doors.say(said)
         self._between_ticks(now_s)
 
@@ -83,6 +89,7 @@ class Station:
             doors.say([(BROKER, m.Heartbeat(name=NAME))])
         if self._telemetry.due(now_s):
             doors.publish(self._look(now_s))
+            self._memory.keep(self._simulation.state())
         for caller, question in doors.questions(now_s):
             doors.answer(caller, self._answer(question))
 

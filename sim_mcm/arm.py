@@ -42,6 +42,23 @@ class HandCommand(msgspec.Struct, frozen=True):
     speed_m_s: float
 
 
+class ArmState(msgspec.Struct):
+    """What stays as it is when an arm's controller dies: it is braked, and the hand keeps its grip."""
+
+    joints: list[float]
+    fingers: tuple[float, float]
+    hand: HandCommand
+    opening_m: float  # where the hand's servo is on its way to that
+
+
+class CellState(msgspec.Struct):
+    """The same of a whole simulated cell."""
+
+    arms: dict[str, ArmState]
+    poses: dict[str, list[float]]  # of objects and seats, world frame
+    carried: dict[str, tuple[str, list[float]]] = {}  # object -> arm, pose in tcp axes; where holding is no physics
+
+
 class Traits(msgspec.Struct, frozen=True, kw_only=True):
     """The figures of an arm that do not change: names, limits, hand."""
 
@@ -107,6 +124,12 @@ class Simulation(Protocol):
 
     def held(self) -> dict[str, list[str]]:
         """Arm -> objects that both its fingers press on."""
+
+    def state(self) -> CellState:
+        """All that stays as it is when the controller dies."""
+
+    def restore(self, state: CellState) -> None:
+        """Be as it was, at rest."""
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
         """Move an object with the seat it sits in (x y z roll pitch yaw). Returns why not, or ''."""

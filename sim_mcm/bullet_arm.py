@@ -17,7 +17,7 @@ from rtc import geometry
 from rtc.geometry import Array
 from rtc.primitive import ControlLaw
 from rtc.robot.kinematics import ArmModel
-from sim_mcm.arm import HandCommand, Motion, Sample, Traits
+from sim_mcm.arm import ArmState, CellState, HandCommand, Motion, Sample, Traits
 from sim_mcm.bullet_world import World
 from sim_mcm.detents import Detents
 from sim_mcm.hand import Hand, pressed
@@ -124,6 +124,16 @@ class BulletArm:
         dof = len(self._arm)
         return np.asarray(full)[:dof, :dof]
 
+    def state(self) -> ArmState:
+        sample, hand = self._sample, self._hand
+        return ArmState(joints=sample.joints, fingers=sample.fingers, hand=hand.command, opening_m=hand.wanted_m)
+
+    def restore(self, state: ArmState) -> None:
+        self._put([*state.joints, *state.fingers])
+        still = [0.0] * len(state.joints)
+        self._servo.want((list(state.joints), still, still))
+        self._hand = Hand(state.hand, state.opening_m)
+
     # --- making it -------------------------------------------------------------------------------------
 
     def _indices(self, field: int) -> dict[str, int]:
@@ -151,10 +161,13 @@ class BulletArm:
             self.body, self._all, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._all), physicsClientId=client
         )
         pybullet.enableJointForceTorqueSensor(self.body, sensor, True, physicsClientId=client)
-        for joint, value in zip(self._arm, spec.home_rad, strict=True):
-            pybullet.resetJointState(self.body, joint, value, 0.0, physicsClientId=client)
-        for joint in self._finger_joints:
-            pybullet.resetJointState(self.body, joint, 0.5 * spec.gripper.max_opening_m, 0.0, physicsClientId=client)
+        half = 0.5 * spec.gripper.max_opening_m
+        self._put([*spec.home_rad, half, half])
+
+    def _put(self, values: Sequence[float]) -> None:
+        """Joints and fingers somewhere, at rest."""
+        for joint, value in zip(self._all, values, strict=True):
+            pybullet.resetJointState(self.body, joint, value, 0.0, physicsClientId=self._client)
 
 
 class BulletCell:
@@ -165,9 +178,13 @@ class BulletCell:
         self.world = World(cell)
         self.arms = {arm.name: BulletArm(self.world, arm.name) for arm in cell.arms}
         self._detents = Detents(self.world)
-        for _ in range(5):  # the sensors show some tenths of a newton in the first steps after a reset
-            for bullet_arm in self.arms.values():
-                bullet_arm.read()
+        self._settle()
+
+    def _settle(self) -> None:
+        """The sensors show some tenths of a newton in the first steps after a reset."""
+        for _ in range(5):
+            for arm in self.arms.values():
+                arm.read()
             self.step()
 
     def step(self) -> None:
@@ -192,6 +209,26 @@ class BulletCell:
             arm: sorted(name for name in self.world.free if self.world.objects[name].id in pressed_bodies)
             for arm, pressed_bodies in bodies.items()
         }
+
+    def state(self) -> CellState:
+        world = self.world
+        return CellState(
+            arms={name: arm.state() for name, arm in self.arms.items()},
+            poses={name: world.pose(name).tolist() for name in world.objects}
+            | {name: seat.home.tolist() for name, seat in world.seats.items()},
+        )
+
+    def restore(self, state: CellState) -> None:
+        self._detents.let_go_all()
+        for name, seat in self.world.seats.items():
+            seat.home = np.array(state.poses[name])
+            self.world.place(seat, seat.home)
+        for name in self.world.free:
+            self.world.place(self.world.objects[name], state.poses[name])
+        for name, arm in self.arms.items():
+            arm.restore(state.arms[name])
+        self._detents.look()
+        self._settle()
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
         if name not in self.world.objects:

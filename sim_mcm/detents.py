@@ -54,6 +54,10 @@ class Detents:
             constraint, _ = self._caught.pop(name)
             pybullet.removeConstraint(constraint, physicsClientId=self._world.client)
 
+    def let_go_all(self) -> None:
+        for name in list(self._caught):
+            self.let_go(name)
+
     def _catch(self, name: str, pose: geometry.Array, force_n: float) -> None:
         position, quaternion = pybullet.getBasePositionAndOrientation(
             self._world.objects[name].id, physicsClientId=self._world.client

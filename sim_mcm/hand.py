@@ -18,7 +18,7 @@ THERE_M = 0.0005
 class Hand:
     def __init__(self, command: HandCommand, width_m: float) -> None:
         self.command = command
-        self._wanted_m = width_m
+        self.wanted_m = width_m
 
     def forces(self, fingers: tuple[float, float], speeds: tuple[float, float]) -> tuple[float, float]:
         """Of the two finger motors (N, opening is positive) in this tick."""
@@ -26,7 +26,7 @@ class Hand:
         limit = self.command.force_n
         self._run(width, limit)
         opening_speed = 0.5 * (speeds[0] + speeds[1])
-        pull = 0.5 * OPENING_N_M * (self._wanted_m - width) - OPENING_NS_M * opening_speed
+        pull = 0.5 * OPENING_N_M * (self.wanted_m - width) - OPENING_NS_M * opening_speed
         pull = max(-limit, min(limit, pull))
         aside = 0.5 * CENTRE_N_M * (fingers[0] - fingers[1]) + 0.5 * CENTRE_NS_M * (speeds[0] - speeds[1])
         return pull - aside, pull + aside
@@ -39,7 +39,7 @@ class Hand:
             # Beyond the target as far as the spring needs to give its whole force, should something be in the way.
             stretch = 2.0 * limit_n / OPENING_N_M
             target = min(target, width - stretch) if missing < 0.0 else max(target, width + stretch)
-        self._wanted_m += max(-most, min(most, target - self._wanted_m))
+        self.wanted_m += max(-most, min(most, target - self.wanted_m))
 
 
 def pressed(forces: tuple[float, float]) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from rtc.geometry import Array
 from rtc.primitive import ControlLaw
 from rtc.robot.kinematics import ArmModel
 from sim_mcm import control_laws
-from sim_mcm.arm import TICK_S, HandCommand, Motion, Sample, Traits
+from sim_mcm.arm import TICK_S, ArmState, CellState, HandCommand, Motion, Sample, Traits
 from sim_mcm.hand import CENTRE_N_M
 
 SPRING_N_M = 50_000.0  # a millimetre of depth would be 50 N; at 20 mm/s a tick adds 1 N
@@ -95,6 +95,21 @@ class KinematicCell:
 
     def held(self) -> dict[str, list[str]]:
         return {arm: [name for name, (by, _) in self.carried.items() if by == arm] for arm in self.arms}
+
+    def state(self) -> CellState:
+        return CellState(
+            arms={name: arm.state() for name, arm in self.arms.items()},
+            poses={name: pose.tolist() for name, pose in self.poses.items()},
+            carried={name: (arm, grasp.tolist()) for name, (arm, grasp) in self.carried.items()},
+        )
+
+    def restore(self, state: CellState) -> None:
+        self.poses = {name: np.array(pose) for name, pose in state.poses.items()}
+        self.carried = {name: (arm, np.array(grasp)) for name, (arm, grasp) in state.carried.items()}
+        for owner in self.pieces:
+            self._place(owner)
+        for name, arm in self.arms.items():
+            arm.restore(state.arms[name])
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
         if name not in self.poses or name not in {thing.name for thing in self.cell.objects}:
@@ -180,6 +195,17 @@ class KinematicArm:
         if self._pose is None:
             self._pose = self._model.fk(self.joints)
         return self._pose
+
+    def state(self) -> ArmState:
+        a, b = self.fingers
+        return ArmState(joints=list(self.joints), fingers=(a, b), hand=self._hand, opening_m=a + b)
+
+    def restore(self, state: ArmState) -> None:
+        self.joints, self.fingers, self._pose = list(state.joints), list(state.fingers), None
+        self._velocities = [0.0] * len(self.joints)
+        self._wanted = (self.joints, self._velocities)
+        self.command_hand(state.hand)
+        self.forget_clearance()
 
     # --- the world's step ------------------------------------------------------------------------------
 

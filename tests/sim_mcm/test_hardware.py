@@ -1,0 +1,71 @@
+"""What outlives its controller."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtc import geometry
+from rtc import primitive as p
+from rtc.robot.kinematics import ArmModel
+from sim_mcm.bullet_arm import BulletCell
+from sim_mcm.hardware import Memory
+from sim_mcm.kinematic_arm import KinematicCell
+
+ARM, MODULE = "RIGHT-ARM", "MACS-NEW"
+SIMULATIONS = [(KinematicCell, 1e-9), pytest.param(BulletCell, 1e-3, marks=pytest.mark.slow)]
+
+
+@pytest.fixture
+def memory(tmp_path):
+    return lambda run: Memory(tmp_path, run)
+
+
+@pytest.mark.parametrize(("simulation", "tolerance_m"), SIMULATIONS)
+def test_a_module_in_the_hand_is_in_the_hand_of_the_next_process_too(cell, make, memory, simulation, tolerance_m):
+    # Given a module gripped and lifted
+    bench, model = make.Bench(simulation(cell)), ArmModel.of(cell, ARM)
+    handle = geometry.compose(cell.object_pose(MODULE), cell.object(MODULE).grasp_point("HANDLE-A").frame.pose)
+    before = geometry.compose(handle, (0.0, 0.0, -0.1, 0.0, 0.0, 0.0, 1.0))
+    home = list(cell.arm(ARM).home_rad)
+    there = model.ik(before, near=home)[0].tolist()
+    ways = [
+        make.joint_path(home, there, 2.5),
+        make.line_path(model, there, handle, 0.1),
+        p.HandMotion(width_m=0.0, force_n=30.0),
+    ]
+    for n, way in enumerate(ways, 1):
+        bench.perform(make.primitive(way, id=f"C-1.{n}"))
+    up = geometry.translate(handle, (0.0, 0.0, 0.1))
+    start = bench.subsystem.executors[ARM]._command[0]
+    bench.perform(make.primitive(make.line_path(model, start, up, 0.1), id="C-1.4"))
+    told = bench.simulation.truth()
+
+    # When its controller dies, and another process begins with what was kept
+    memory("run 1").keep(bench.simulation.state())
+    successor = simulation(cell)
+    successor.restore(memory("run 1").last())
+    bench = make.Bench(successor)
+    bench.perform(make.primitive(p.HoldStill(duration_s=0.5), id="C-2.1"))
+
+    # Then all is where it was, and it can be carried on
+    found = successor.truth()
+    assert found["joints"][ARM] == pytest.approx(told["joints"][ARM], abs=2e-4)
+    assert geometry.distance(found["poses"][MODULE], told["poses"][MODULE]) <= tolerance_m
+    assert successor.held() == {ARM: [MODULE], "LEFT-ARM": []}
+    start = bench.subsystem.executors[ARM]._command[0]
+    bench.perform(make.primitive(make.line_path(model, start, handle, 0.1), id="C-2.2"))
+    assert geometry.distance(successor.truth()["poses"][MODULE], cell.object_pose(MODULE)) <= 2 * tolerance_m
+    assert successor.held()[ARM] == [MODULE]
+
+
+def test_a_new_run_begins_anew(cell, memory):
+    memory("run 1").keep(KinematicCell(cell).state())
+    assert memory("run 2").last() is None
+
+
+def test_a_shorter_state_after_a_longer_one_is_whole(cell, memory):
+    state = KinematicCell(cell).state()
+    memory("run 1").keep(state)
+    state.poses = {}
+    memory("run 1").keep(state)
+    assert memory("run 1").last() == state
