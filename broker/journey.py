@@ -62,6 +62,8 @@ def parsed(turn: Turn, command: Command, product: msgspec.Raw) -> None:
 def control(turn: Turn, command: Command, head: ParsedHead) -> None:
     """PAUSE, RESUME, ABORT, HALT of a command, of whatever uses an arm, or of all."""
     scope = head.object or head.hand or "ALL"
+    if scope == "BOTH-ARMS":
+        scope = "ALL"
     if head.verb == "HALT":
         halt_by_command(turn, command, scope)
         return

@@ -17,11 +17,13 @@ import msgspec
 import zmq
 
 from rtc import messages as m
+from rtc.language.fastpath import EVERYTHING, halt_scope
 from rtc.outcomes import ClusterError, WireError
 from rtc.settings import Settings
 from rtc.wire import frames, reader
 
 CONNECT_S = 0.5  # longest wait for a first connection
+UNNAMED_S = 0.1  # a subsystem that has nothing in scope is at rest; for so long the broker may know no such name
 RETRY_S = 0.02  # how often the order is offered to a door that was closed
 DOORS = ("halt", "estop")  # who is told: broker, MCM
 
@@ -35,6 +37,7 @@ class SubsystemHalt(msgspec.Struct, kw_only=True):
     latency_s: float | None = None  # call -> first decelerating tick
     moving: list[str] = []  # performers that were in motion
     at_rest: bool | None = None  # None: it has not said
+    performers: list[str] = []  # that were in scope, in motion or not
     rest_s: float | None = None  # call -> rest
 
 
@@ -76,7 +79,8 @@ class HaltLine:
         """Send the order, wait for rest. Raises ClusterError when neither the broker nor the MCM could be told."""
         with self._lock:
             called_at_s = time.monotonic()
-            order = m.HaltOrder(halt=f"H-{uuid.uuid4().hex[:12]}", scope=scope.upper(), called_at_s=called_at_s)
+            scope = halt_scope(f"HALT {scope}") or scope.upper()
+            order = m.HaltOrder(halt=f"H-{uuid.uuid4().hex[:12]}", scope=scope, called_at_s=called_at_s)
             told = self._tell(order, self._doors)
             if not told:
                 told = self._tell_whoever_comes(order, called_at_s + CONNECT_S)
@@ -117,13 +121,17 @@ class HaltLine:
         """Hear both doors until rest is confirmed and the broker has been told, so that nothing queued starts."""
         subsystems: dict[str, SubsystemHalt] = {}
         declined = ""
-        while (left_s := limit_s - time.monotonic()) > 0 and not (_at_rest(subsystems.values()) and "halt" in told):
+        while (left_s := limit_s - time.monotonic()) > 0:
+            if _at_rest(subsystems.values()) and "halt" in told:
+                if order.scope == EVERYTHING or _reached(subsystems.values()):
+                    break
+                limit_s = min(limit_s, order.called_at_s + UNNAMED_S)
             untold = {name: socket for name, socket in self._doors.items() if name not in told}
             ready = self._poller.poll(_ms(min(left_s, RETRY_S) if untold else left_s))
             told += self._tell(order, untold)
             for socket, _ in ready:
                 declined = self._hear(socket, order, subsystems) or declined
-            if declined and not subsystems and len(told) == len(DOORS):
+            if declined and not _reached(subsystems.values()) and len(told) == len(DOORS):
                 break
         return _result(order, told, list(subsystems.values()), declined)
 
@@ -143,7 +151,7 @@ class HaltLine:
                 said.latency_s = answer.decelerating_at_s - order.called_at_s
                 said.moving = answer.moving
         else:
-            said.at_rest = answer.at_rest
+            said.at_rest, said.performers = answer.at_rest, answer.performers
             said.rest_s = answer.at_s - order.called_at_s
         return ""
 
@@ -156,9 +164,14 @@ def _at_rest(subsystems: Collection[SubsystemHalt]) -> bool:
     return bool(subsystems) and all(sub.at_rest for sub in subsystems)
 
 
+def _reached(subsystems: Collection[SubsystemHalt]) -> bool:
+    return any(sub.moving or sub.performers for sub in subsystems)
+
+
 def _result(order: m.HaltOrder, told: list[str], subsystems: list[SubsystemHalt], declined: str) -> HaltResult:
     latencies = [sub.latency_s for sub in subsystems if sub.latency_s is not None]
-    confirmed = _at_rest(subsystems)
+    nothing = bool(declined) and not _reached(subsystems)  # at rest is then not what was meant
+    confirmed = _at_rest(subsystems) and not nothing
     message = ""
     if not confirmed:
         silent = [sub.name for sub in subsystems if not sub.at_rest]
@@ -173,5 +186,5 @@ def _result(order: m.HaltOrder, told: list[str], subsystems: list[SubsystemHalt]
         told=sorted(told),
         subsystems=sorted(subsystems, key=lambda sub: sub.name),
         message=message,
-        declined=bool(declined) and not subsystems,
+        declined=nothing,
     )

@@ -11,13 +11,14 @@ in its scope begins, so a broker that was dead or blind meanwhile cannot start w
 
 from __future__ import annotations
 
+import re
 from collections import OrderedDict
 from collections.abc import Mapping
 
 import msgspec
 
 from rtc import messages as m
-from rtc.outcomes import StopReason
+from rtc.outcomes import Refusal, RefusalReason, StopReason
 from sim_mcm.arm import Arm
 from sim_mcm.executor import Executor
 from sim_mcm.reports import not_begun
@@ -26,6 +27,8 @@ BROKER = b""  # no caller at the estop socket has this identity
 REPEAT_S = 0.5  # an end report is said again until it is acknowledged
 REMEMBERED = 2_000  # ended primitives, and halts
 REST_LIMIT_S = 2.0  # after a halt: no rest by then is told as such
+
+COMMAND = re.compile(r"C-\d+", re.ASCII)
 
 Said = list[tuple[bytes, m.Message]]
 
@@ -166,6 +169,10 @@ class Subsystem:
 
     def _halt(self, order: m.HaltOrder, door: bytes, now_s: float) -> Said:
         """Brake now what is in scope; who asks about a halt that is known is told what became of it."""
+        if door != BROKER and not self._may_mean(order.scope):
+            words = f"nothing here is called {order.scope}; there are ALL, {', '.join(self.executors)}"
+            refusal = Refusal(reason=RefusalReason.NAME, message=words, expected=["ALL", *self.executors])
+            return [(door, m.Declined(request=order.halt, refusal=refusal))]
         halt = self._halts.get(order.halt)
         said: Said = []
         if door == BROKER:  # what comes on this socket from here on, the broker has sent knowing of the halt
@@ -186,6 +193,10 @@ class Subsystem:
             self._halts.popitem(last=False)
         self._open_halts.append(halt)
         return said if halt.moving else said + self._follow_halts(now_s)  # nothing moves: no tick need pass
+
+    def _may_mean(self, scope: str) -> bool:
+        """Whether a scope is one of ours, or a command, of which only the broker knows whether it is there."""
+        return scope == "ALL" or scope in self.executors or COMMAND.fullmatch(scope) is not None
 
     def _follow_halts(self, now_s: float) -> Said:
         """Called in the tick whose command brakes, and every tick until rest."""

@@ -19,6 +19,7 @@ from rtc.wire import frames, reader
 Answer = Callable[[m.ClientToBroker], list[object]]
 read_client = reader(m.ClientToBroker)
 read_halt = reader(m.ToHalt)
+NOBODY = ("C-99", "RIGHT-AMR")  # names of nothing
 
 
 class SmallBroker(threading.Thread):
@@ -56,13 +57,17 @@ class SmallBroker(threading.Thread):
                 else:
                     order = read_halt(parts)
                     self.halted.append((self._doors[socket], order))
-                    answers = self._obey(order)
+                    answers = self._obey(order, self._doors[socket])
                 for answer in answers:
                     socket.send_multipart([who, *frames(answer)])
         for socket in (self._stop_in, *self._doors):
             socket.close(linger=100)
 
-    def _obey(self, order: m.HaltOrder) -> list[object]:
+    def _obey(self, order: m.HaltOrder, door: str) -> list[object]:
+        if order.scope in NOBODY:  # the MCM cannot know; the broker does
+            rest = m.HaltAtRest(halt=order.halt, subsystem="MCM", at_s=0.0, at_rest=True, performers=[])
+            refusal = Refusal(reason=RefusalReason.NAME, message=f"nothing live is called {order.scope}")
+            return [rest if door == "estop" else m.Declined(request=order.halt, refusal=refusal)]
         started = m.HaltStarted(
             halt=order.halt,
             subsystem="MCM",
@@ -258,6 +263,28 @@ def test_a_halt_goes_to_broker_and_mcm_with_one_name(broker: SmallBroker, run_di
     assert (result.scope, result.moving, result.told) == ("RIGHT-ARM", ["RIGHT-ARM"], ["estop", "halt"])
     assert {door for door, _ in broker.halted} == {"halt", "estop"}
     assert {order.halt for _, order in broker.halted} == {result.halt}
+
+
+@pytest.mark.parametrize("scope", NOBODY)
+def test_a_halt_of_nothing_is_not_confirmed_although_nothing_of_it_moves(
+    broker: SmallBroker, run_dir: Path, scope: str
+) -> None:
+    with Client(run_dir) as rtc:
+        for _ in range(20):  # whichever answer comes first
+            result = rtc.halt(scope)
+            assert (result.confirmed, result.declined) == (False, True)
+            assert result.message == f"nothing live is called {scope}"
+
+
+@pytest.mark.parametrize(
+    ("said", "scope"),
+    [("", "ALL"), (" all ", "ALL"), ("both-arms", "ALL"), ("RIGHT-END-EFF", "RIGHT-ARM"), ("c-7", "C-7")],
+)
+def test_the_scope_of_a_halt_is_understood_as_in_a_sentence(
+    broker: SmallBroker, run_dir: Path, said: str, scope: str
+) -> None:
+    with Client(run_dir) as rtc:
+        assert rtc.halt(said).scope == scope
 
 
 @pytest.mark.parametrize(("at_rest", "why"), [(False, "has not come to rest"), (None, "has not come to rest")])

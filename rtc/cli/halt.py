@@ -11,7 +11,6 @@ from rich.text import Text
 from rtc.cli.output import AsJson, RunDir, console, emit_json
 from rtc.client import Client
 from rtc.halting import HaltResult
-from rtc.language.fastpath import halt_scope
 
 NOT_CONFIRMED = 3
 
@@ -30,7 +29,7 @@ def halt(
     Example:  rtc halt RIGHT-ARM
     """
     with Client(run_dir, need_broker=False) as rtc:
-        result = rtc.halt(halt_scope(f"HALT {scope}") or scope, timeout_s=timeout)
+        result = rtc.halt(scope, timeout_s=timeout)
     if json:
         emit_json(result)
     else:

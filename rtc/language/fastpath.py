@@ -16,7 +16,7 @@ EVERYTHING = "ALL"
 ARMS = {
     "LEFT-ARM": "LEFT-ARM",
     "RIGHT-ARM": "RIGHT-ARM",
-    "BOTH-ARMS": "BOTH-ARMS",
+    "BOTH-ARMS": EVERYTHING,  # no arm is left, and nothing that wants one may begin
     "LEFT-END-EFF": "LEFT-ARM",
     "RIGHT-END-EFF": "RIGHT-ARM",
 }

@@ -104,6 +104,15 @@ def test_a_hypothesis_test_reaches_no_subsystem():
     assert s.answers("C-1", record(test=True)) == ["note C-1 ended", "end C-1 refused"]
 
 
+def test_both_arms_of_a_control_are_all():
+    s = Story()
+    s.executing()
+    s.says("ABORT BOTH-ARMS")
+    assert "halt C-1 to MCM" in s.answers("C-2", record(kind="control", verb="ABORT", hand="BOTH-ARMS"))
+    s.says("HALT BOTH-ARMS")
+    assert s.phase("C-1") == "halting"
+
+
 @pytest.mark.parametrize("verb", ["HALT", "PAUSE", "ABORT"])
 def test_the_test_of_a_control_stops_nothing(verb):
     s = Story()

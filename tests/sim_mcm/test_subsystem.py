@@ -137,6 +137,16 @@ def test_a_halt_stops_what_is_in_its_scope_and_nothing_else(bench, swing, scope:
     assert gone_on == {ARM, OTHER} - set(moving)
 
 
+def test_a_halt_of_an_arm_that_is_not_there_is_not_told_to_be_at_rest(bench, swing) -> None:
+    bench.hear(m.Execute(primitive=swing("C-7.1", ARM)))
+    bench.tick(500)
+    ((door, declined),) = bench.hear(m.HaltOrder(halt="H-1", scope="RIGHT-AMR"), CALLER)
+
+    assert door == CALLER
+    assert isinstance(declined, m.Declined)
+    assert (declined.request, declined.refusal.expected) == ("H-1", ["ALL", ARM, OTHER])
+
+
 def test_a_halt_of_an_idle_arm_is_answered_at_once(bench) -> None:
     _, started, rest = (message for _, message in bench.hear(m.HaltOrder(halt="H-1"), CALLER))
     assert isinstance(started, m.HaltStarted)
