@@ -22,7 +22,7 @@ NIL = msgspec.Raw(b"\xc0")  # MessagePack's nil: no bytes of this kind
 StepRef = tuple[int, int]  # (NOMINAL or number of a trim, index of the step in it)
 
 
-class ParsedHead(msgspec.Struct, frozen=True, kw_only=True):
+class ParsedHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """Of a ParsedCommand: how the command relates to others, never what it does."""
 
     kind: str
@@ -36,18 +36,18 @@ class ParsedHead(msgspec.Struct, frozen=True, kw_only=True):
     now: bool = False
 
 
-class StepHead(msgspec.Struct, frozen=True, kw_only=True):
+class StepHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     label: str
 
 
-class TrimHead(msgspec.Struct, frozen=True, kw_only=True):
+class TrimHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     n: int
     label: str
     steps: list[msgspec.Raw]
     then: str = "retry_step"
 
 
-class ScriptHead(msgspec.Struct, frozen=True, kw_only=True):
+class ScriptHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     context: msgspec.Raw
     steps: list[msgspec.Raw]
     trims: list[TrimHead] = []
@@ -59,12 +59,12 @@ class ScriptHead(msgspec.Struct, frozen=True, kw_only=True):
     notes: list[str] = []
 
 
-class PrimitiveHead(msgspec.Struct, frozen=True, kw_only=True):
+class PrimitiveHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     id: str
     performer: str
 
 
-class BoundHead(msgspec.Struct, frozen=True, kw_only=True, tag="BoundStep"):
+class BoundHead(msgspec.Struct, frozen=True, kw_only=True, tag="BoundStep", gc=False):
     subsystem: str = ""
     primitive: msgspec.Raw = NIL
     told: msgspec.Raw = NIL  # a report that needs no subsystem
@@ -74,7 +74,7 @@ class BoundHead(msgspec.Struct, frozen=True, kw_only=True, tag="BoundStep"):
     note: str = ""
 
 
-class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment"):
+class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment", gc=False):
     verdict: str
     reason: StopReason
     message: str = ""
@@ -83,7 +83,7 @@ class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment"
     clears: str = ""
 
 
-class PendingJob(msgspec.Struct, kw_only=True):
+class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     """The one job of a command that is given out. Its input is kept: it may have to be given out again."""
 
     id: str
@@ -105,7 +105,7 @@ class Ending(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     refusal: Refusal | None = None
 
 
-class Command(msgspec.Struct, kw_only=True, omit_defaults=True):
+class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     id: str
     client: str
     request: str

@@ -22,8 +22,9 @@ from rtc.outcomes import Outcome, Refusal, StopReason
 from rtc.primitive import Primitive
 
 
-class Message(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag=True):
-    """Base of all: map on the wire, tagged with the name of the class."""
+class Message(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag=True, gc=False):
+    """Base of all: map on the wire, tagged with the name of the class. None refers back to itself, so the garbage
+    collector need not look at them."""
 
 
 # --- 1. client -> broker (front door) -----------------------------------------------------------------
@@ -178,7 +179,7 @@ class Lease(msgspec.Struct, frozen=True, kw_only=True):
     signature: bytes
 
 
-class Job(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Job(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """One stateless piece of work. Its bytes and the world version it read are enough to do it again (R10)."""
 
     id: str  # "C-7/12": command and a number
@@ -220,7 +221,7 @@ class Heartbeat(Message, frozen=True, kw_only=True):
     job: str = ""
 
 
-class JobDone(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="done"):
+class JobDone(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="done", gc=False):
     id: str
     attempt: int
     product: msgspec.Raw  # ParsedCommand | Script | BoundStep | Assessment

@@ -136,7 +136,7 @@ class Refusal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     detail: dict[str, float | str] = {}  # figures: joint, limit_rad, value_rad, bodies, distance_m ...
 
 
-class Outcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Outcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """How one command ended, told to whoever submitted it."""
 
     kind: OutcomeKind
