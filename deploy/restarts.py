@@ -23,7 +23,7 @@ class Death(msgspec.Struct, frozen=True):
 @dataclass(frozen=True)
 class Policy:
     within_s: float = 30.0  # deaths longer ago are forgotten
-    short_s: float = 1.0  # a life shorter than this is a short one
+    short_s: float = 0.5  # a life shorter than this is a short one
     spared: int = 3  # that many short lives are nobody's fault: a job that kills whoever does it is refused after three
     first_delay_s: float = 0.1
     longest_delay_s: float = 5.0

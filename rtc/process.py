@@ -225,6 +225,27 @@ def _frames(socket: zmq.Socket[bytes], part: zmq.Frame) -> list[bytes]:
     return parts
 
 
+class Reconnections:
+    """Tells when the peer of a connecting socket was found again: most likely it is a new process, and knows us not."""
+
+    def __init__(self, me: Process, socket: zmq.Socket[bytes]) -> None:
+        self._socket = socket
+        self._monitor = socket.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED)
+        self._first = True
+        me.poller.register(self._monitor, zmq.POLLIN)
+
+    def happened(self) -> bool:
+        """True once after every time but the first."""
+        found = sum(1 for _ in inbox(self._monitor))
+        again, self._first = found > (1 if self._first else 0), self._first and not found
+        return again
+
+    def close(self) -> None:
+        """Before the socket's context ends: the monitor would hold that up."""
+        self._socket.disable_monitor()
+        self._monitor.close(linger=0)
+
+
 class Every:
     """A period: `due(now)` is true once per period, and never twice in a row to catch up."""
 

@@ -5,8 +5,8 @@ analyzer's changes before it answers, and turns whatever the function does into 
 evidence of a crash. It decides nothing, and knows neither commands nor scripts.
 
 Jobs are done in order. Results of quick jobs travel together, for at most FLUSH_S; a result never waits for a job that
-may be slow. The broker that does not know us sends an empty JobBatch: whatever it gave us before is void, and we say
-hello again.
+may be slow. To a broker that was found again, or that does not know us and sends an empty JobBatch, we say hello anew:
+whatever the one before gave us is void.
 """
 
 from __future__ import annotations
@@ -42,14 +42,15 @@ from rtc.messages import (
     WorkerHello,
 )
 from rtc.outcomes import ClusterError, ProgramError, Refusal, RefusalReason, WireError
-from rtc.process import Every, Process, inbox, now_s, send
+from rtc.process import Every, Process, Reconnections, inbox, now_s, send
 from rtc.world.client import WorldClient
 from rtc.world.model import World
 
 HEARTBEAT_S = 0.5
-HELLO_AGAIN_S = 0.3  # less than a heartbeat: a broker that still does not know us asks again
+HELLO_AGAIN_S = 0.3  # one hello answers several questions; less than a heartbeat: who still does not know us asks again
 FLUSH_S = 0.002  # the longest that a quick job's result waits for company
 QUICK_S = 0.0005  # a worker whose jobs have lately taken less than this is quick
+LISTEN_S = 0.001  # between two jobs the broker is heard, but not after every one that takes microseconds
 FRESH_S = 0.002  # a view of the world is good for jobs that were here when it was read, for so long
 PROGRAM_LIMIT_S = 5.0  # to get a program from the broker; a restart of it fits in
 ASK_AGAIN_S = 0.5
@@ -104,8 +105,10 @@ class Shell:
         self._cells = Kept(lambda body: build_cell(Cell.from_bytes(body)), cells)
         self._view = WorldView(world)
         self._retiring = False
+        self._reconnections = Reconnections(me, socket)
         self._heartbeat = Every(HEARTBEAT_S)
         self._said_hello_s = 0.0
+        self._listened_s = 0.0
 
     def run(self) -> None:
         """Work until told to stop, or until the last job is done after being told to retire."""
@@ -113,13 +116,17 @@ class Shell:
         while not self._me.stopping and not (self._retiring and not self._queue):
             if not self._queue:
                 self._me.wait(self._heartbeat.left_s(now_s()))
+                if self._reconnections.happened():
+                    self._begin_anew()
                 if self._heartbeat.due(now_s()):
                     self._say(Heartbeat(name=self._hello.name))
-            self._listen()
+            if not self._queue or now_s() - self._listened_s > LISTEN_S:
+                self._listen()
             if self._queue:
                 job, came_s = self._queue.popleft()
                 self._do(job, came_s)
             self._flush(late=not self._queue)
+        self._reconnections.close()
 
     # --- to and from the broker ------------------------------------------------------------------------
 
@@ -128,6 +135,7 @@ class Shell:
             self._me.log.error("no room for %s: dropped", type(message).__name__)
 
     def _listen(self) -> None:
+        self._listened_s = now_s()
         for parts in inbox(self._socket):
             try:
                 self._hear(self._read(parts))
@@ -137,7 +145,8 @@ class Shell:
     def _hear(self, message: BrokerToWorker) -> None:
         match message:
             case JobBatch(jobs=[]):
-                self._begin_anew()
+                if now_s() - self._said_hello_s >= HELLO_AGAIN_S:  # else our hello has crossed its question
+                    self._begin_anew()
             case JobBatch(jobs=jobs):
                 came_s = now_s()
                 self._queue.extend((job, came_s) for job in jobs)
@@ -150,9 +159,6 @@ class Shell:
                 self._retiring = True
 
     def _begin_anew(self) -> None:
-        """The broker does not know us. Several of our heartbeats may have made it ask: one hello answers all."""
-        if now_s() - self._said_hello_s < HELLO_AGAIN_S:
-            return
         self._queue.clear()
         self._results.clear()
         self._say_hello()
@@ -198,12 +204,12 @@ class Shell:
             return
         took_s = time.perf_counter() - started_s
         self._slow_s = max(took_s, 0.9 * self._slow_s)
-        about: dict[str, Any] = {"id": job.id, "attempt": job.attempt, "took_s": took_s}
-        about["world_version"] = self._view.version_read
-        if isinstance(product, Refusal):
-            self._answer(JobRefused(refusal=product, **about))
-        else:
-            self._answer(JobDone(product=product, **about))
+        name, attempt, version = job.id, job.attempt, self._view.version_read
+        self._answer(
+            JobRefused(id=name, attempt=attempt, refusal=product, took_s=took_s, world_version=version)
+            if isinstance(product, Refusal)
+            else JobDone(id=name, attempt=attempt, product=product, took_s=took_s, world_version=version)
+        )
 
     def _work(self, job: Job, came_s: float) -> msgspec.Raw | Refusal:
         """The function's product, as bytes; what it wrote is committed."""
@@ -218,7 +224,10 @@ class Shell:
         product = function.run(program, cell, world, self._read_input(job.input))
         if isinstance(product, Refusal):
             return product
-        if job.lease is not None and isinstance(product, Assessment) and product.changes:
+        if isinstance(product, Assessment) and product.changes:
+            if job.lease is None:
+                message = f"it wants to write {product.changes[0].key}, and its script names nothing that is written"
+                return Refusal(reason=RefusalReason.PROGRAM, message=message)
             refusal = self._view.commit(job.lease, product, source=job.id)
             if refusal is not None:
                 return refusal

@@ -26,7 +26,7 @@ from rtc.messages import (
 from rtc.outcomes import ClusterError, Refusal, RtcError, WireError
 from rtc.process import now_s
 
-FIRST_TRY_S = 0.1  # then twice as long, and so on, until the limit
+FIRST_TRY_S = 0.04  # then twice as long, and so on, until the limit
 LIMIT_S = 5.0  # longer than a restart of the server takes
 
 _read = wire.reader(FromWorld)

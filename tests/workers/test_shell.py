@@ -151,8 +151,10 @@ def world(tmp_path):
 
 
 @pytest.fixture
-def at(tmp_path, world):
-    """A shell at work in a thread, its broker, and its function; hello has been said."""
+def at(tmp_path, world, monkeypatch):
+    """A shell at work in a thread, its broker, and its function; hello has been said. It hears the broker before every
+    job: tests do not wait."""
+    monkeypatch.setattr("workers.shell.LISTEN_S", 0.0)
     process, mine = Process("parser@0", tmp_path), Process("broker", tmp_path)
     broker = Broker(mine, tmp_path)
     socket = process.socket(zmq.DEALER, f"ipc://{tmp_path}/workers.sock", identity="parser@0")
@@ -163,7 +165,9 @@ def at(tmp_path, world):
     thread = threading.Thread(target=shell.run)
     thread.start()
     assert broker.hear() == HELLO
-    yield SimpleNamespace(broker=broker, function=function, thread=thread, process=process)
+    yield SimpleNamespace(
+        broker=broker, function=function, thread=thread, process=process, process_of_broker=mine, path=tmp_path
+    )
     function.go_on.set()
     process.stop()
     thread.join(5)
@@ -258,10 +262,12 @@ def test_a_commit_outside_the_lease_is_a_refusal(at):
     assert refused.refusal.reason == RefusalReason.NOT_ALLOWED
 
 
-def test_without_a_lease_nothing_is_written(at):
+def test_without_a_lease_nothing_is_written_and_the_job_is_refused(at):
     at.broker.give("write A.seat RACK-1", "seat A.seat")
     at.broker.provide()
-    assert value(at.broker.results(2)[1])[1:] == ["BAY-1", 1]
+    refused, after = at.broker.results(2)
+    assert "write A.seat" in refused.refusal.message
+    assert value(after)[1:] == ["BAY-1", 1]
 
 
 def test_a_dropped_job_that_has_not_begun_is_not_done(at):
@@ -289,6 +295,17 @@ def test_a_broker_begun_anew_gets_a_hello_and_no_work_of_the_old_one(at):
     assert heard.count(HELLO) == 1
     done = [r.id for message in heard if isinstance(message, ResultBatch) for r in message.results]
     assert done == ["C-1/1", "C-1/7"]
+
+
+def test_a_broker_that_was_killed_and_is_back_gets_a_hello_at_once(at, monkeypatch):
+    monkeypatch.setattr(shells, "HEARTBEAT_S", 60.0)  # so it does not come of being asked
+    at.process_of_broker.poller.unregister(at.broker.socket)
+    at.broker.socket.close(linger=0)
+    at.broker = Broker(at.process_of_broker, at.path)
+    assert at.broker.hear() == HELLO
+    at.broker.give("new")
+    at.broker.provide()
+    assert [r.id for r in at.broker.results(1)] == ["C-1/1"]
 
 
 def test_results_of_quick_jobs_travel_together_and_in_order(at):
