@@ -10,6 +10,7 @@ with an outcome that is true of what the simulated MCM did.
 from __future__ import annotations
 
 import argparse
+import gc
 import sys
 import time
 from collections import Counter
@@ -24,6 +25,8 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="the first")
     asked = parser.parse_args()
     question("simulation", f"what do {asked.seeds} clusters lose, each with its own faults?", seed=asked.seed)
+    gc.freeze()  # all that is imported stays: a quarter of the time is saved
+    gc.set_threshold(50_000, 20, 100)
     faults: Counter[str] = Counter()
     outcomes: Counter[str] = Counter()
     failed, simulated_s, began = [], 0.0, time.perf_counter()

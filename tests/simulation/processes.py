@@ -96,7 +96,7 @@ class Worker:
         if not self.alive or self.hung:
             return
         try:
-            product = skills.FUNCTIONS[self.kind.value](job.input)  # type: ignore[arg-type]
+            product = skills.FUNCTIONS[self.kind.value](job.input)
         except skills.Kill:
             self.cluster.kill(self, f"by {job.id}")
             return
@@ -171,7 +171,7 @@ class Mcm:
     def __init__(self, cluster: Cluster, pid: int) -> None:
         self.cluster, self.name, self.pid = cluster, "MCM", pid
         self.alive, self.stopped = True, False
-        self.subsystem = Subsystem({name: TinyArm(name) for name in ARMS}, pid=pid)  # type: ignore[dict-item]
+        self.subsystem = Subsystem({name: TinyArm(name) for name in ARMS}, pid=pid)
         self._callers: dict[bytes, Callable[[Frames], None]] = {}
         self._waiting: deque[tuple[bytes, Any]] = deque()  # read in the next tick
         self._ticking = False

@@ -50,6 +50,7 @@ class Sentence(msgspec.Struct, frozen=True, kw_only=True):
     parsed: tuple[tuple[str, Any], ...] = ()  # fields of its record
     steps: int = 1  # with a primitive each
     empty_steps: int = 0  # before them, without one
+    told: bool = False  # its steps are reports of somebody who tells: no subsystem is asked
     arms: tuple[str, ...] = ("RIGHT-ARM",)
     trims: int = 0
     halt_if_lost: bool = False
@@ -322,6 +323,8 @@ def _product(
             assert step is not None
             if step[0] == 0 and step[1] < sentence.empty_steps:
                 return wire.raw(BoundStep(note="nothing to do"))
+            if sentence.told:
+                return wire.raw(BoundStep(told=report("", StopReason.GOAL), evaluation=bound("").evaluation))
             return wire.raw(bound(f"{command}.{primitive}", sentence.arms[(primitive - 1) % len(sentence.arms)]))
         case WorkerKind.ANALYZER:
             if product.startswith("trim"):
@@ -329,7 +332,9 @@ def _product(
             return wire.raw(give_up() if product == "give up" else go_on())
 
 
-def _about_job(kind: type[heard.Event], **fields: Any) -> Callable[[Model, Scenario, str], heard.Event]:
+def _about_job(
+    kind: type[heard.JobFinished | heard.JobDeclined | heard.JobLost], **fields: Any
+) -> Callable[[Model, Scenario, str], heard.Event]:
     def event(model: Model, scenario: Scenario, command: str) -> heard.Event:
         job = model.du.commands[command].job
         assert job is not None
@@ -348,7 +353,7 @@ def _called(model: Model, scope: str) -> Halt:
     return model.halts.setdefault(f"h-{scope}", Halt(scope, model.handed_in))
 
 
-def _hello(model: Model) -> heard.Event:
+def _hello(model: Model) -> heard.SubsystemConnected:
     mcm = model.mcm
     executing = [primitive for primitive in mcm.arms.values() if primitive]
     return heard.SubsystemConnected(
@@ -410,15 +415,14 @@ def _hear(model: Model, event: heard.Event, out: int | None = None) -> list[do.E
     """The Decision Unit hears; its effects are carried out, or only the first `out` of those that leave the broker."""
     du = model.du
     live = set(du.commands)
-    is_halt = isinstance(event, heard.HaltCalled) and event.halt not in du.halts
-    halt_all = is_halt and event.scope == "ALL"
+    new_halt = event.scope if isinstance(event, heard.HaltCalled) and event.halt not in du.halts else ""
     effects = decide(du, event)
     for command in du.commands.values():
         command.notes.clear()  # told, and never read again
     du.counts.clear()
-    wrong = [*violations(du), *forbidden(du, live, effects, halt_all=halt_all)]
-    if is_halt:
-        model.stopped += [c for c in _stopped_by(model, live, event.scope) if c not in model.stopped]
+    wrong = [*violations(du), *forbidden(du, live, effects, halt_all=new_halt == "ALL")]
+    if new_halt:
+        model.stopped += [c for c in _stopped_by(model, live, new_halt) if c not in model.stopped]
     for effect in effects:
         wrong += _untrue(model, effect)
     if wrong:

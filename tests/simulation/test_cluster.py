@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 
-import pytest
-
 from broker import decision_unit, router
 from broker.events import BrokerRestarted
 from rtc import messages as m
@@ -124,8 +122,3 @@ def test_a_broker_that_does_not_listen_to_halts_of_its_mcm_is_found(monkeypatch)
 
     monkeypatch.setitem(router._DOORS, "subsystems", (read, deaf))
     assert first_problem().problem
-
-
-@pytest.mark.parametrize("seed", [100, 159, 1120])  # each was a bug once
-def test_what_was_wrong_once(seed):
-    assert not run(seed).problem
