@@ -133,7 +133,7 @@ class Child:
             stdout=output,
             stderr=log,
             start_new_session=True,  # Ctrl-C is for the supervisor, who ends the others in order
-            preexec_fn=lambda: die_with_parent(me),
+            preexec_fn=lambda: _begin(me),
             env=os.environ | ONE_THREAD,
         )
 
@@ -183,6 +183,15 @@ class Child:
                 return "\n".join(log.read().decode(errors="replace").splitlines()[-lines:])
         except OSError:
             return ""
+
+
+NICENESS = os.getpriority(os.PRIO_PROCESS, 0)  # as we were started, before the supervisor took a better one
+
+
+def _begin(supervisor: int) -> None:
+    """In the child, before it becomes what it shall be."""
+    die_with_parent(supervisor)
+    os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
 
 
 # Numeric libraries start a thread per core when they are imported; many workers on few cores only lose by that.

@@ -39,6 +39,7 @@ LOGS = "logs"
 TEMPLATE = "template"  # of workers; NAME-template of the process NAME
 TWIN = "twin-template"  # making a template of workers takes seconds, so each of two is forked from the other
 PREVIOUS = "previous"
+NICENESS = -10  # of the supervisor: it does little, and until it has done it a dead process's work waits
 
 
 def specs(settings: Settings) -> list[Spec]:
@@ -103,6 +104,7 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
         report = _Report(run_dir, settings.run)
         report.save([])
         with process.start("supervisor", run_dir) as me:
+            process.nice(NICENESS)
             supervisor = Supervisor(
                 me,
                 specs(settings),

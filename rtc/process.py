@@ -279,8 +279,8 @@ def nice(by: int) -> bool:
 
 
 def freeze_heap() -> None:
-    """Take all that is imported and built so far out of the garbage collector's rounds, and make these rare: what a loop
-    makes is freed when nobody refers to it any more, and seldom goes in circles."""
+    """Take all that is imported and built so far out of the garbage collector's rounds, and make these rare: what a
+    loop makes is freed when nobody refers to it any more, and seldom goes in circles."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 50)

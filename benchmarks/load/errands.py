@@ -1,0 +1,106 @@
+"""Short real commands, one after the other on each arm, by clients that do not know what goes wrong meanwhile.
+
+Every arm goes to and fro between two postures; what each command came to is kept, to be checked against what the
+journal and the MCM's own log say (`benchmarks.load.verdict`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from rtc import messages as m
+from rtc.client import Client
+from rtc.outcomes import Outcome, RtcError
+
+ARMS = ("RIGHT-ARM", "LEFT-ARM")
+POSTURES_DEG = ((0, 110, -160, 0, 50, 0), (5, 110, -160, 0, 50, 0))
+NONSENSE = "FLY TO THE MOON"  # refused by the parser: something that is always under way
+NONSENSE_S = 0.01  # between two of it
+LIMIT_S = 60.0  # for one command, whatever happens: longer, and it is lost
+
+
+@dataclass(frozen=True)
+class Errand:
+    """One sentence and what became of it."""
+
+    arm: str  # empty: nonsense
+    text: str
+    goal_rad: tuple[float, ...]
+    sent_at_s: float
+    ended_at_s: float
+    command: str
+    outcome: Outcome | None  # None: nothing was heard of it within the limit
+
+
+class Errands:
+    """`with Errands(run_dir) as errands:` they run until the block is left; `how_many` of them, if that is given."""
+
+    def __init__(self, run_dir: Path, *, nonsense: bool = True, how_many: int | None = None) -> None:
+        self._run_dir = run_dir
+        self._over = threading.Event()
+        self._left = None if how_many is None else iter(range(how_many))
+        self._lock = threading.Lock()
+        self.done: list[Errand] = []
+        self._threads = [threading.Thread(target=self._go_to_and_fro, args=(arm,)) for arm in ARMS]
+        if nonsense:
+            self._threads.append(threading.Thread(target=self._talk_nonsense))
+
+    def __enter__(self) -> Errands:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self.join()
+
+    @property
+    def running(self) -> bool:
+        return any(thread.is_alive() for thread in self._threads)
+
+    def join(self) -> None:
+        for thread in self._threads:
+            thread.join()
+
+    def _go_to_and_fro(self, arm: str) -> None:
+        with Client(self._run_dir) as rtc:
+            for posture in itertools.cycle(POSTURES_DEG):
+                if not self._another():
+                    return
+                text = f"MOVE {arm} TO JOINTS {' '.join(map(str, posture))} DEG JOINT-MOTION"
+                self._run(rtc, arm, text, tuple(map(math.radians, posture)))
+
+    def _talk_nonsense(self) -> None:
+        with Client(self._run_dir) as rtc:
+            while not self._over.is_set():
+                self._run(rtc, "", NONSENSE, ())
+                self._over.wait(NONSENSE_S)
+
+    def _another(self) -> bool:
+        with self._lock:
+            return not self._over.is_set() and (self._left is None or next(self._left, None) is not None)
+
+    def _run(self, rtc: Client, arm: str, text: str, goal_rad: tuple[float, ...]) -> None:
+        sent_at_s = time.monotonic()
+        ended: m.CommandEnded | None = None
+        while ended is None and time.monotonic() - sent_at_s < LIMIT_S:
+            try:
+                ended = rtc.run(text, timeout_s=LIMIT_S)
+            except RtcError:
+                break
+        errand = Errand(
+            arm=arm,
+            text=text,
+            goal_rad=goal_rad,
+            sent_at_s=sent_at_s,
+            ended_at_s=time.monotonic(),
+            command=ended.command if ended else "",
+            outcome=ended.outcome if ended else None,
+        )
+        with self._lock:
+            self.done.append(errand)

@@ -1,0 +1,226 @@
+"""How long is a cluster's work held up when a process of it is killed, and is anything lost, repeated or told wrongly?
+
+    python -m benchmarks.recovery [--kills 100]
+
+A real cluster (exact arms in real time; two workers of each kind) runs short commands on both arms all the
+time, and a client talks nonsense to the parser. One process after the other is killed with SIGKILL, at a random moment:
+
+    worker   with a job in its hands: until that job runs on another worker
+    broker   until the new one hears of work that is done again (journal replayed, workers and MCM found)
+    world    until a read of the world is answered
+    mcm      until the broker knows the new one and that it is at rest
+
+Then what every client was told is held against the journal and the MCM's log (`benchmarks.load.verdict`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from benchmarks.load.errands import Errands
+from benchmarks.load.verdict import JournalReader, judge
+from benchmarks.report import finish, percentile, question, spread
+from broker.events import BrokerRestarted, Event, JobDeclined, JobFinished, JobLost, SubsystemConnected
+from rtc import messages as m
+from rtc.chaos import Chaos, Strike, processes
+from rtc.client import Client
+from rtc.demos.own_cluster import own_cluster
+
+SEED = 20
+PAUSE_S = (0.6, 0.9)  # between two kills: some work is done, nobody seems to be in a crash loop
+LIMIT_S = 20.0
+LOOK_S = 0.002
+IN_HAND_S = 0.004  # after a job was given out it is killed within this: most jobs of those kinds take longer
+PHASES = {m.Phase.ELABORATING: "elaborator", m.Phase.BINDING: "binder"}
+
+
+class Bench:
+    """One cluster under load, and one kill after the other."""
+
+    def __init__(self, run_dir: Path, rng: random.Random) -> None:
+        self._run_dir, self._rng = run_dir, rng
+        self.chaos = Chaos(run_dir, rng)
+        self.journal = JournalReader(run_dir)
+        self.worker_told_s: list[float] = []
+        self._marked = 0
+
+    def run(self, kind: str, kills: int) -> list[float]:
+        """So many times from the kill until the work goes on, s."""
+        found: list[float] = []
+        kill = KILLS[kind]
+        for took_s in kill(self):
+            found.append(took_s)
+            if len(found) % 20 == 0 or len(found) == kills:
+                print(f"  {kind}: {len(found)} of {kills}, {spread(found, 1e3, 'ms')}", flush=True)
+            if len(found) == kills:
+                break
+            self._rest()
+        return found
+
+    # --- one kind each ---------------------------------------------------------------------------------
+
+    def worker(self) -> Iterator[float]:
+        """Kills that met a job in hand; the others do not count, they hold up nothing."""
+        with Client(self._run_dir) as rtc, Client(self._run_dir) as asking:
+            for note in rtc.events(silence_s=LIMIT_S):
+                if (
+                    not isinstance(note, m.ProgressNote)
+                    or note.phase not in PHASES
+                    or time.monotonic() - note.at_s > 0.002
+                ):
+                    continue
+                holder = self._holder(asking, note)
+                if holder is None:
+                    continue
+                time.sleep(self._rng.uniform(0.0, IN_HAND_S))
+                self._mark()
+                strike = self.chaos.strike("worker", holder)
+                if strike is not None:
+                    self._await_back(strike)  # by then the broker knows long since
+                    yield from self._begun_by_another(strike)
+
+    def _holder(self, rtc: Client, note: m.ProgressNote) -> str | None:
+        for worker in rtc.status()["workers"]:
+            if worker["kind"] == PHASES[note.phase] and worker["busy_with"].partition("/")[0] == note.command:
+                return str(worker["name"])
+        return None
+
+    def _begun_by_another(self, strike: Strike) -> Iterator[float]:
+        """When the job that was in its hands was begun by another; nothing when there was none."""
+        self.journal.read()
+        lost = next((e for e in self._events() if isinstance(e, JobLost) and e.node == strike.name and e.blamed), None)
+        if lost is not None:
+            done = self._await(strike, lambda e: isinstance(e, JobFinished | JobDeclined) and e.job == lost.job)
+            if isinstance(done, JobFinished):
+                self.worker_told_s.append(lost.at_s - strike.at_s)
+                yield done.at_s - done.took_s - strike.at_s
+
+    def broker(self) -> Iterator[float]:
+        while True:
+            strike = self._strike("broker")
+            restarted = self._await(strike, lambda e: isinstance(e, BrokerRestarted))
+            going_on = self._await(
+                strike,
+                lambda e: e.at_s > restarted.at_s and isinstance(e, JobFinished | JobDeclined),  # noqa: B023
+            )
+            yield going_on.at_s - strike.at_s
+            self._await_back(strike)
+
+    def world(self) -> Iterator[float]:
+        with Client(self._run_dir) as rtc:
+            rtc.world.view()
+            while True:
+                strike = self._strike("world")
+                rtc.world.view()
+                yield time.monotonic() - strike.at_s
+                self._await_back(strike)
+
+    def mcm(self) -> Iterator[float]:
+        while True:
+            strike = self._strike("mcm")
+            self._await_back(strike)
+            known = self._await(
+                strike,
+                lambda e: isinstance(e, SubsystemConnected) and e.pid == strike.new_pid and e.at_rest,  # noqa: B023
+            )
+            yield known.at_s - strike.at_s
+
+    # --- inside ----------------------------------------------------------------------------------------
+
+    def _strike(self, kind: str) -> Strike:
+        limit_s = time.monotonic() + LIMIT_S
+        self._mark()
+        while time.monotonic() < limit_s:
+            if (strike := self.chaos.strike(kind)) is not None:
+                return strike
+            time.sleep(LOOK_S)
+        raise SystemExit(f"no {kind} came up within {LIMIT_S} s: {processes(self._run_dir)}")
+
+    def _await_back(self, strike: Strike) -> None:
+        limit_s = time.monotonic() + LIMIT_S
+        while strike.back_s is None:
+            if time.monotonic() > limit_s:
+                raise SystemExit(f"{strike.name} did not come back within {LIMIT_S} s")
+            self.chaos.returned()
+            time.sleep(LOOK_S)
+
+    def _mark(self) -> None:
+        self.journal.read()
+        self._marked = len(self.journal.events)
+
+    def _events(self) -> list[Event]:
+        """Since the mark."""
+        return self.journal.events[self._marked :]
+
+    def _await(self, strike: Strike, wanted: Callable[[Event], bool]) -> Event:
+        """The first such event since the mark and the kill. SystemExit when none comes."""
+        limit_s = time.monotonic() + LIMIT_S
+        while time.monotonic() < limit_s:
+            for event in self._events():
+                if event.at_s >= strike.at_s and wanted(event):
+                    return event
+            time.sleep(LOOK_S)
+            self.journal.read()
+        raise SystemExit(f"{strike.name} was killed, and the work did not go on within {LIMIT_S} s")
+
+    def _rest(self) -> None:
+        time.sleep(self._rng.uniform(*PAUSE_S))
+        self.journal.read()
+
+
+KILLS: dict[str, Callable[[Bench], Iterator[float]]] = {
+    "worker": Bench.worker,
+    "broker": Bench.broker,
+    "world": Bench.world,
+    "mcm": Bench.mcm,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.recovery", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--kills", type=int, default=100, help="of each kind")
+    parser.add_argument("--kinds", default=",".join(KILLS), help="some of: " + ",".join(KILLS))
+    given = parser.parse_args()
+    question("recovery", "How long is work held up when a process is killed, and is anything lost?", seed=SEED)
+    metrics: dict[str, float | None] = {}
+    rows: list[tuple[str, str]] = []
+    with own_cluster(mcm="kinematic", dim=3) as run_dir:
+        bench = Bench(run_dir, random.Random(SEED))
+        with Errands(run_dir) as errands:
+            time.sleep(2.0)  # everything has been done once
+            for kind in given.kinds.split(","):
+                found = bench.run(kind, given.kills)
+                metrics |= {
+                    f"{kind}_p50_ms": percentile(found, 50) * 1e3,
+                    f"{kind}_p99_ms": percentile(found, 99) * 1e3,
+                }
+                rows.append((f"{kind} killed", spread(found, 1e3, "ms")))
+                if kind == "worker":
+                    rows.append(("  of which until the broker knows", spread(bench.worker_told_s, 1e3, "ms")))
+        bench.journal.read()
+        verdict = judge(errands.done, bench.journal.events, run_dir, bench.chaos.strikes)
+    verdict.tell()
+    metrics |= {
+        "commands_lost": len(verdict.lost),
+        "commands_repeated": len(verdict.repeated),
+        "wrong_outcomes": len(verdict.wrong),
+        "commands": len(errands.done),
+        "kills": len(bench.chaos.strikes),
+    }
+    rows += [
+        ("commands", f"{len(errands.done)}: {', '.join(f'{n} {kind}' for kind, n in verdict.outcomes.most_common())}"),
+        ("lost, repeated, told wrongly", f"{len(verdict.lost)}, {len(verdict.repeated)}, {len(verdict.wrong)}"),
+    ]
+    finish("recovery", metrics, rows)
+    sys.exit(1 if verdict.lost or verdict.repeated or verdict.wrong else 0)
+
+
+if __name__ == "__main__":
+    main()
