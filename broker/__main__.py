@@ -43,7 +43,8 @@ def live(run_dir: Path) -> None:
         store = ProgramStore(journal)
         router = Router(me, settings, journal, state, store, (run_dir / KEY_FILE).read_bytes())
         now = time.monotonic()
-        if state.programs:
+        restarted = bool(state.programs)
+        if restarted:
             me.log.info("restarted: %d commands live, %d ended in the journal", len(state.commands), len(ended))
             journal.keep_stories(ended.values())
             router.hear(BrokerRestarted(at_s=now))
@@ -53,6 +54,8 @@ def live(run_dir: Path) -> None:
         router.turn()
         process.freeze_heap()
         me.ready()
+        if restarted:  # whoever is killed again and again has not ever more to replay
+            journal.snapshot(state)
         router.run()
         journal.close()
 

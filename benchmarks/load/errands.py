@@ -1,7 +1,7 @@
 """Short real commands, one after the other on each arm, by clients that do not know what goes wrong meanwhile.
 
-Every arm goes to and fro between two postures; what each command came to is kept, to be checked against what the
-journal and the MCM's own log say (`benchmarks.load.verdict`).
+Every arm goes to and fro between two postures, `far_deg` apart; what each command came to is kept, to be checked against
+what the journal and the MCM's own log say (`benchmarks.load.verdict`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from rtc.client import Client
 from rtc.outcomes import Outcome, RtcError
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
-POSTURES_DEG = ((0, 110, -160, 0, 50, 0), (5, 110, -160, 0, 50, 0))
+STOWED_DEG = (0, 110, -160, 0, 50, 0)
+OUTWARDS = {"RIGHT-ARM": -1, "LEFT-ARM": 1}  # the sense of the first joint that leads away from the other arm
 NONSENSE = "FLY TO THE MOON"  # refused by the parser: something that is always under way
 NONSENSE_S = 0.01  # between two of it
 LIMIT_S = 60.0  # for one command, whatever happens: longer, and it is lost
@@ -40,8 +41,10 @@ class Errand:
 class Errands:
     """`with Errands(run_dir) as errands:` they run until the block is left; `how_many` of them, if that is given."""
 
-    def __init__(self, run_dir: Path, *, nonsense: bool = True, how_many: int | None = None) -> None:
-        self._run_dir = run_dir
+    def __init__(
+        self, run_dir: Path, *, far_deg: float = 5, nonsense: bool = True, how_many: int | None = None
+    ) -> None:
+        self._run_dir, self._far_deg = run_dir, far_deg
         self._over = threading.Event()
         self._left = None if how_many is None else iter(range(how_many))
         self._lock = threading.Lock()
@@ -69,7 +72,8 @@ class Errands:
 
     def _go_to_and_fro(self, arm: str) -> None:
         with Client(self._run_dir) as rtc:
-            for posture in itertools.cycle(POSTURES_DEG):
+            away = (OUTWARDS[arm] * self._far_deg, *STOWED_DEG[1:])
+            for posture in itertools.cycle((away, STOWED_DEG)):
                 if not self._another():
                     return
                 text = f"MOVE {arm} TO JOINTS {' '.join(map(str, posture))} DEG JOINT-MOTION"

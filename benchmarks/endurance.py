@@ -1,0 +1,115 @@
+"""Do all commands come to a true end, each done once, when a process of the cluster is killed every second?
+
+    python -m benchmarks.endurance [--seconds 300] [--commands 500] [--every 1] [--kill any]
+
+A real cluster (exact arms, as fast as possible) is given commands, one after the other on each arm. Every second one of
+its processes, any of them, is killed with SIGKILL. It ends when all commands have ended, or the time is up; then what
+every client was told is held against the journal, the MCM's log, and where the arms really are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import sys
+import time
+from collections import Counter
+
+from benchmarks.load.errands import ARMS, Errands
+from benchmarks.load.verdict import JournalReader, Verdict, judge
+from benchmarks.report import finish, percentile, question, spread
+from rtc.chaos import VICTIMS, Chaos, Strike
+from rtc.client import Client
+from rtc.demos.own_cluster import own_cluster
+from rtc.messages import Validity
+
+SEED = 20
+FAR_DEG = 60  # a command moves for seconds of the arm's time
+LOOK_S = 0.005
+BELIEF_RAD = 0.01
+BACK_LIMIT_S = 30.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.endurance", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seconds", type=float, default=300.0, help="at most")
+    parser.add_argument("--commands", type=int, default=500)
+    parser.add_argument("--every", type=float, default=1.0, help="seconds between two kills")
+    parser.add_argument("--kill", default="any", choices=list(VICTIMS))
+    parser.add_argument("--seed", type=int, default=SEED)
+    given = parser.parse_args()
+    question(
+        "endurance", f"do {given.commands} commands end truly with a kill every {given.every:g} s?", seed=given.seed
+    )
+    with own_cluster(mcm="kinematic", speed="max") as run_dir:
+        chaos, journal = Chaos(run_dir, random.Random(given.seed)), JournalReader(run_dir)
+        began_s = time.monotonic()
+        with Errands(run_dir, far_deg=FAR_DEG, nonsense=False, how_many=given.commands) as errands:
+            next_s = began_s + given.every
+            while errands.running and time.monotonic() - began_s < given.seconds:
+                if time.monotonic() >= next_s:
+                    next_s += given.every
+                    chaos.strike(given.kill)
+                    if len(chaos.strikes) % 20 == 0:
+                        print(
+                            f"  {time.monotonic() - began_s:.0f} s: {len(errands.done)} commands ended, "
+                            f"{len(chaos.strikes)} kills",
+                            flush=True,
+                        )
+                chaos.returned()
+                journal.read()
+                time.sleep(LOOK_S)
+        took_s = time.monotonic() - began_s
+        while chaos.missing and time.monotonic() - began_s - took_s < BACK_LIMIT_S:
+            chaos.returned()
+            time.sleep(LOOK_S)
+        journal.read()
+        verdict = judge(errands.done, journal.events, run_dir, chaos.strikes)
+        with Client(run_dir) as rtc:
+            verdict.wrong += _false_beliefs(rtc)
+    verdict.tell()
+    _report(given.commands, took_s, chaos.strikes, errands, verdict)
+
+
+def _false_beliefs(rtc: Client) -> list[str]:
+    """Arms that the world says are where they are not. What it does not vouch for is no lie."""
+    truth = rtc.truth()
+    false = []
+    for arm in ARMS:
+        fact = next(fact for fact in rtc.world.view(keys=[f"{arm}.joints"]).facts)
+        off = max(abs(a - b) for a, b in zip(fact.value, truth.joints[arm], strict=True))
+        if fact.validity is Validity.VALID and off > BELIEF_RAD:
+            false.append(f"{arm} is {off:.3f} rad from where the world believes it to be")
+    return false
+
+
+def _report(commands: int, took_s: float, strikes: list[Strike], errands: Errands, verdict: Verdict) -> None:
+    killed = Counter(strike.name for strike in strikes)
+    back_s = [strike.back_s for strike in strikes if strike.back_s is not None]
+    held_up_s = [errand.ended_at_s - errand.sent_at_s for errand in errands.done]
+    metrics: dict[str, float | None] = {
+        "commands": len(errands.done),
+        "kills": len(strikes),
+        "seconds": took_s,
+        "commands_lost": len(verdict.lost) + commands - len(errands.done),
+        "commands_repeated": len(verdict.repeated),
+        "wrong_outcomes": len(verdict.wrong),
+        "command_p50_s": percentile(held_up_s, 50),
+        "command_worst_s": max(held_up_s),
+    }
+    rows = [
+        ("commands ended", f"{len(errands.done)} of {commands} in {took_s:.0f} s"),
+        ("outcomes", ", ".join(f"{n} {kind}" for kind, n in verdict.outcomes.most_common())),
+        ("kills", f"{len(strikes)}: {', '.join(f'{n} {name}' for name, n in killed.most_common())}"),
+        ("back after", spread(back_s, 1e3, "ms")),
+        ("a command took", spread(held_up_s)),
+        ("lost, repeated, told wrongly", f"{metrics['commands_lost']}, {len(verdict.repeated)}, {len(verdict.wrong)}"),
+    ]
+    finish("endurance", metrics, rows)
+    sys.exit(1 if metrics["commands_lost"] or verdict.repeated or verdict.wrong else 0)
+
+
+if __name__ == "__main__":
+    main()
