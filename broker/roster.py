@@ -34,7 +34,7 @@ class Lost(NamedTuple):
 
 
 class Worker:
-    __slots__ = ("done", "heard_at_s", "held", "kind", "mean_s", "name", "node", "pid", "since_s")
+    __slots__ = ("done", "heard_at_s", "held", "kind", "mean_s", "name", "node", "pid", "retiring", "since_s")
 
     def __init__(self, name: str, node: int, kind: WorkerKind, pid: int, now: float) -> None:
         self.name, self.node, self.kind, self.pid = name, node, kind, pid
@@ -43,6 +43,7 @@ class Worker:
         self.heard_at_s = now
         self.done = 0
         self.mean_s = 1.0  # of a job; unknown is slow, until shown otherwise
+        self.retiring = False  # told to end: it gets no more jobs
 
     @property
     def handful(self) -> int:
@@ -50,6 +51,8 @@ class Worker:
 
     @property
     def room(self) -> int:
+        if self.retiring:
+            return 0
         most = 1 if self.mean_s > SLOW_S else 2 * self.handful
         return most - len(self.held)
 
@@ -116,6 +119,11 @@ class Roster:
                     worker.since_s = now
                 worker.held.update((job.job, job) for job in jobs)
                 yield worker.name, jobs
+
+    def waiting_s(self, kind: WorkerKind, now: float) -> float | None:
+        """How long the first job in line has waited for a worker of this kind; None: none waits."""
+        first = next(iter(self.queues[kind].values()), None)
+        return None if first is None else now - first[0]
 
     # --- trouble --------------------------------------------------------------------------------------
 

@@ -21,6 +21,7 @@ from broker import effects as do
 from broker import events as heard
 from broker.decision_unit import decide
 from broker.journal import Journal
+from broker.pools import Pools
 from broker.program_store import ProgramStore
 from broker.roster import Lost, Roster
 from broker.state import Link, State
@@ -58,6 +59,7 @@ class Router:
         self.me, self.settings, self.journal, self.state = me, settings, journal, state
         self.store, self.lease_key = store, lease_key
         self.roster = Roster()
+        self._pools = Pools(settings.least, settings.most_workers)
         self.timers = Timers()
         self.dropped: Counter[str] = Counter()  # malformed messages, by socket
         self.processes: list[dict[str, Any]] = []  # as the supervisor told last
@@ -334,6 +336,10 @@ class Router:
                     m.KillProcess(name=process["name"], pid=process["pid"], why=why),
                     b"supervisor",
                 )
+        if self._supervisor:
+            for order in self._pools.look(self.roster, self.processes, now):
+                self.me.log.info("%s", order)
+                send(self._socket["supervisor"], order, b"supervisor")
         for job in self.roster.waited_too_long(now):
             message = f"no {job.kind.value} took the job within the limit; is one alive? see `rtc status`"
             refusal = Refusal(reason=RefusalReason.TIMEOUT, message=message)

@@ -10,6 +10,8 @@ from deploy import cluster
 from rtc.outcomes import NoCluster, RtcError
 from rtc.settings import Settings, default_run_dir
 
+MOST_WORKERS = 64  # of a kind; a desk has fewer cores
+
 
 def main(arguments: list[str] | None = None) -> int:
     """0 = ready and, later, ended in order; 1 = it did not come up."""
@@ -27,7 +29,14 @@ def main(arguments: list[str] | None = None) -> int:
 def _up(given: argparse.Namespace, run_dir: Path) -> int:
     cell = str(Path(given.cell).absolute()) if Path(given.cell).suffix in (".yaml", ".yml") else given.cell
     settings = Settings(
-        run_dir=str(run_dir), cell=cell, dim=given.dim, mcm=given.mcm, speed=given.speed, seed=given.seed
+        run_dir=str(run_dir),
+        cell=cell,
+        dim=given.dim,
+        least_workers=given.least,
+        most_workers=given.most,
+        mcm=given.mcm,
+        speed=given.speed,
+        seed=given.seed,
     )
     if given.detach:
         cluster.up_detached(settings, say)
@@ -56,6 +65,8 @@ def _parser() -> argparse.ArgumentParser:
     up = what.add_parser("up", help="start a cluster and stay with it until Ctrl-C")
     up.add_argument("--cell", default="swapout", help="name of a cell, or a cell file")
     up.add_argument("--dim", type=int, default=2, choices=range(2, 9), help="of the cube: 2^dim workers")
+    up.add_argument("--least", type=_count, default=None, help="workers of each kind; else as many as the cube has")
+    up.add_argument("--most", type=_count, default=4, help="workers of each kind, while jobs wait")
     up.add_argument("--mcm", default="bullet", choices=("bullet", "kinematic"))
     up.add_argument("--speed", type=_speed, default=1.0, help="simulated seconds per second, or max")
     up.add_argument("--seed", type=int, default=0)
@@ -64,6 +75,13 @@ def _parser() -> argparse.ArgumentParser:
     for command in (up, down):
         command.add_argument("--run-dir", type=Path, default=None)
     return parser
+
+
+def _count(text: str) -> int:
+    count = int(text)
+    if not 0 <= count <= MOST_WORKERS:
+        raise ValueError
+    return count
 
 
 def _speed(text: str) -> float:

@@ -59,8 +59,15 @@ def specs(settings: Settings) -> list[Spec]:
         *_with_template("broker", "broker", settings),
         *_with_template("world", "rtc.world", settings),
         *_with_template("MCM", "sim_mcm", settings),
-        *(worker(settings, address) for address in hypercube.addresses(settings.dim)),
+        *(worker(settings, address) for address in _first_workers(settings)),
     ]
+
+
+def _first_workers(settings: Settings) -> list[int]:
+    """The whole cube; or so many of each kind as there are to be at least."""
+    if settings.least_workers is None:
+        return list(hypercube.addresses(settings.dim))
+    return sorted(a for kind in hypercube.KINDS for a in hypercube.replicas(kind, settings.least_workers))
 
 
 def worker(settings: Settings, address: int) -> Spec:

@@ -40,6 +40,11 @@ def addresses(dim: int) -> range:
     return range(1 << dim)
 
 
+def replicas(kind: WorkerKind, count: int) -> list[int]:
+    """The lowest addresses of a kind."""
+    return [KINDS.index(kind) + n * len(KINDS) for n in range(count)]
+
+
 def neighbours(address: int, dim: int) -> list[int]:
     """The nodes one bit away, lowest dimension first."""
     return [address ^ (1 << bit) for bit in range(dim)]

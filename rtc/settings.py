@@ -19,6 +19,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     run: str = ""  # identifies this run: what an earlier run left in the directory is not continued
     cell: str = "swapout"  # name or file
     dim: int = 2  # of the cube: 2^dim workers
+    least_workers: int | None = None  # of each kind, when there is little to do; None = as many as the cube has
+    most_workers: int = 4  # of each kind, when jobs wait
     mcm: str = "bullet"  # or "kinematic"
     speed: float = 1.0  # simulated seconds per second; 0 = as fast as possible
     seed: int = 0
@@ -26,6 +28,11 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def path(self) -> Path:
         return Path(self.run_dir)
+
+    @property
+    def least(self) -> int:
+        """Workers of each kind that there are always."""
+        return 1 << (self.dim - 2) if self.least_workers is None else self.least_workers
 
     def endpoint(self, name: str) -> str:
         """The ZeroMQ address of one of the cluster's sockets; see ENDPOINTS."""

@@ -37,7 +37,7 @@ PURE = (
     "rtc/language/", "rtc/world/model.py",
     "broker/decision_unit.py", "broker/transitions.py", "broker/events.py", "broker/effects.py",
     "broker/resources.py", "broker/journey.py", "broker/ending.py", "broker/turn.py", "broker/state.py",
-    "broker/roster.py",
+    "broker/roster.py", "broker/pools.py",
     "sim_mcm/executor.py", "sim_mcm/stop_functions.py", "sim_mcm/reports.py",
 )  # fmt: skip
 IMPURE = {"time", "random", "socket", "zmq", "sqlite3", "subprocess", "threading", "multiprocessing", "uuid", "logging"}

@@ -18,6 +18,10 @@ from rtc.settings import default_run_dir
 def up(
     cell: Annotated[str, typer.Option(help="Name of a cell that comes with rtc, or a cell file.")] = "swapout",
     dim: Annotated[int, typer.Option(min=2, max=8, help="Of the cube: 2^dim workers.")] = 2,
+    least: Annotated[
+        int | None, typer.Option(min=0, max=64, help="Workers of each kind when idle.", show_default="the cube's")
+    ] = None,
+    most: Annotated[int, typer.Option(min=1, max=64, help="Workers of each kind while jobs wait.")] = 4,
     mcm: Annotated[str, typer.Option(help="bullet (physics) or kinematic (exact, no physics).")] = "bullet",
     speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = "1",
     run_dir: RunDir = None,
@@ -30,8 +34,9 @@ def up(
     if mcm not in ("bullet", "kinematic"):
         raise trouble(f"--mcm is bullet or kinematic, not {mcm}", 2)
     _check_speed(speed)
-    arguments = ["up", "--cell", cell, "--dim", str(dim), "--mcm", mcm, "--speed", speed]
-    _deploy([*arguments, *(["-d"] if detach else [])], run_dir)
+    arguments = ["up", "--cell", cell, "--dim", str(dim), "--most", str(most), "--mcm", mcm, "--speed", speed]
+    at_least = [] if least is None else ["--least", str(least)]
+    _deploy([*arguments, *at_least, *(["-d"] if detach else [])], run_dir)
 
 
 def down(run_dir: RunDir = None) -> None:

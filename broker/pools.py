@@ -1,0 +1,61 @@
+"""How many workers of each kind there should be: pool sizes follow the queues, within limits (R50, R124). Pure.
+
+A kind whose jobs wait gets one worker more, again and again, up to a most; a worker that has had nothing to do for long
+retires, down to a least. A kind that nobody is left of gets one as soon as a job waits for it. Who starts and ends
+processes is the supervisor; while one that was asked for has not come, no other of that kind is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from broker.roster import Roster, Worker
+from rtc.messages import RetireWorker, SpawnWorker, WorkerKind
+
+WAIT_S = 0.25  # a job that has waited this long for a worker of its kind shows that there are too few
+COMING_S = 5.0  # to start one; then the supervisor is asked again
+IDLE_S = 20.0  # without a job: there are too many
+COMING = ("starting", "restarting")  # states of a process that will soon be there
+
+Processes = Sequence[dict[str, Any]]
+
+
+class Pools:
+    """`look` now and then, with what the supervisor last told of its processes. Limits are of each kind."""
+
+    def __init__(self, least: int, most: int) -> None:
+        self._least, self._most = least, max(least, most, 1)
+        self._asked: dict[WorkerKind, tuple[float, int]] = {}  # when a worker was asked for, how many there were then
+
+    def look(self, roster: Roster, processes: Processes, now: float) -> Iterator[SpawnWorker | RetireWorker]:
+        """What to ask of the supervisor. Who is to retire gets no more jobs from here on."""
+        for kind in WorkerKind:
+            workers = [w for w in roster.workers.values() if w.kind is kind and not w.retiring]
+            waiting_s = roster.waiting_s(kind, now)
+            if waiting_s is not None:
+                there = len(workers) + _coming(kind, workers, processes)
+                if self._too_few(kind, there, waiting_s, now):
+                    self._asked[kind] = now, there
+                    yield SpawnWorker(kind=kind)
+            elif len(workers) > self._least and (idle := _idle(workers, now)) is not None:
+                idle.retiring = True
+                yield RetireWorker(name=idle.name)
+
+    def _too_few(self, kind: WorkerKind, there: int, waiting_s: float, now: float) -> bool:
+        asked_s, before = self._asked.get(kind, (-COMING_S, 0))
+        still_coming = now - asked_s < COMING_S and there <= before
+        return there < self._most and not still_coming and (there == 0 or waiting_s > WAIT_S)
+
+
+def _coming(kind: WorkerKind, workers: Sequence[Worker], processes: Processes) -> int:
+    """Processes of this kind that are on their way, and have not said hello."""
+    known = {worker.name for worker in workers}
+    rows = (row for row in processes if row["name"].startswith(f"{kind.value}@") and row["name"] not in known)
+    return sum(row["state"] in COMING for row in rows)
+
+
+def _idle(workers: Sequence[Worker], now: float) -> Worker | None:
+    """One that has had nothing to do for long: the one with the highest address, so that a cube stays whole."""
+    idle = (worker for worker in workers if not worker.held and now - worker.since_s > IDLE_S)
+    return max(idle, key=lambda worker: worker.node, default=None)
