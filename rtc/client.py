@@ -29,7 +29,7 @@ from typing import Any, Literal, TypeVar
 import zmq
 
 from rtc import messages as m
-from rtc.front_door import FrontDoor
+from rtc.front_door import LAST_WORDS_MS, FrontDoor
 from rtc.halting import HaltLine, HaltResult
 from rtc.outcomes import NoCluster, Outcome, OutcomeKind, Refusal, RefusalReason, RequestDeclined, TimedOut, WireError
 from rtc.settings import ENDPOINTS, Settings, default_run_dir
@@ -38,7 +38,6 @@ from rtc.world.client import WorldClient
 
 ANSWER_S = 5.0  # longest wait for an answer that needs no motion
 WINDOW = 512  # sentences under way at once in `run_many`
-LAST_WORDS_MS = 200  # how long a sentence may take to leave us when we close
 KEPT = 10_000  # outcomes nobody has asked for yet
 NO_TEXT = re.compile("[\ud800-\udfff]")  # what Python makes of bytes that are no text; UTF-8 cannot carry it
 

@@ -18,6 +18,7 @@ from rtc.outcomes import NoCluster, WireError
 from rtc.wire import MAX_BYTES, frames, reader
 
 HELLO_S = 0.8  # longest wait for the first Welcome
+LAST_WORDS_MS = 200  # how long a sentence may take to leave us when we close
 SILENCE_S = 2.0  # nothing heard for so long: say what is open again
 LAST_ANSWERS = (m.Declined, m.CommandEnded, m.StatusReply, m.TraceReply, m.ProgramLoaded)
 
@@ -35,6 +36,7 @@ class FrontDoor:
         self._heard_at_s = time.monotonic()
         self._socket = context.socket(zmq.DEALER)
         self._socket.setsockopt(zmq.IDENTITY, name.encode())
+        self._socket.setsockopt(zmq.LINGER, LAST_WORDS_MS)  # a broker that is gone for good holds nobody up
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
         self._socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
         self._socket.setsockopt(zmq.SNDHWM, 10_000)

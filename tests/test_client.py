@@ -248,6 +248,20 @@ def test_a_lost_broker_hears_the_same_requests_again(run_dir: Path) -> None:
     second.stop()
 
 
+def test_a_client_closes_although_its_broker_is_gone_for_good(run_dir: Path) -> None:
+    """Given a sentence said again to nobody, then closing does not wait for somebody to take it."""
+    broker = SmallBroker(run_dir, accepting)
+    rtc = Client(run_dir)
+    command = rtc.submit("STOW LEFT-ARM 1")
+    broker.stop()
+    with pytest.raises(TimedOut):
+        rtc.wait(command, timeout_s=2.5)  # more than the silence after which it is said again
+    closing = threading.Thread(target=rtc.close, daemon=True)
+    closing.start()
+    closing.join(3)
+    assert not closing.is_alive()
+
+
 def test_an_unknown_command_has_no_trace(broker: SmallBroker, run_dir: Path) -> None:
     with Client(run_dir) as rtc, pytest.raises(RequestDeclined, match="no command C-99"):
         rtc.trace("c-99")
