@@ -79,6 +79,7 @@ class Child:
         self.state = State.WAITING
         self.since_s = now_s()
         self.heard_s = 0.0  # when it said something last
+        self.stopped_since_s = 0.0  # by a signal; 0 = it is not
         self.restarts = 0
         self.deaths: deque[Death] = deque(maxlen=REMEMBERED_DEATHS)
         self.start_at_s = 0.0  # while WAITING or LOOPING: when to start it
@@ -155,6 +156,15 @@ class Child:
             return b""
         self.output_over = not said
         return said
+
+    def stopped_s(self, now: float) -> float:
+        """For how long it has been seen stopped (SIGSTOP): whoever is stopped does nothing, whatever it is."""
+        try:
+            stopped = Path(f"/proc/{self.pid}/stat").read_bytes().rpartition(b") ")[2].startswith(b"T")
+        except OSError:
+            stopped = False
+        self.stopped_since_s = (self.stopped_since_s or now) if stopped else 0.0
+        return now - self.stopped_since_s if stopped else 0.0
 
     def signal(self, number: signal.Signals) -> None:
         if self.exited_fd >= 0:

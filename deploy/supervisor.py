@@ -36,6 +36,7 @@ END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL
 TABLE_S = 1.0
 TEMPLATE_PATIENCE_S = 10.0
 SILENCE_S = 4.0  # one that should have said every second that it is alive: it hangs
+STOPPED_S = 2.0  # seen stopped by a signal for so long
 FORK_AGAIN_S = 0.05  # after which a killed template is known to be dead
 
 
@@ -167,14 +168,20 @@ class Supervisor:
                 child.kill_at_s = now_s() + 1.0
 
     def _kill_if_hung(self, child: Child) -> None:
-        """Stopped, or in a loop without end. (That a worker hangs the broker finds, who knows what it has in hand.)"""
-        silent_s = now_s() - max(child.heard_s, child.since_s)
+        """Stopped by a signal, in a loop without end, or never ready. (A worker may be silent for the length of a job:
+        what is too long for one, the broker knows.)"""
+        now = now_s()
+        silent_s = now - max(child.heard_s, child.since_s)
         if child.state == State.STARTING and silent_s > START_LIMIT_S:
-            self._say(f"{child.spec.name} (pid {child.pid}) is killed: not ready within {silent_s:.0f} s")
-            child.signal(signal.SIGKILL)
+            why = f"not ready within {silent_s:.0f} s"
+        elif child.state == State.READY and (stopped_s := child.stopped_s(now)) >= STOPPED_S:
+            why = f"hung, stopped for {stopped_s:.1f} s"
         elif child.state == State.READY and child.spec.beats and silent_s > SILENCE_S:
-            self._say(f"{child.spec.name} (pid {child.pid}) is killed: hung, silent for {silent_s:.1f} s")
-            child.signal(signal.SIGKILL)
+            why = f"hung, silent for {silent_s:.1f} s"
+        else:
+            return
+        self._say(f"{child.spec.name} (pid {child.pid}) is killed: {why}")
+        child.signal(signal.SIGKILL)
 
     # --- what happens to processes ---------------------------------------------------------------------
 

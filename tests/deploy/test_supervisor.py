@@ -204,14 +204,24 @@ def test_the_broker_has_a_hung_process_killed_but_never_its_successor(cluster):
 def test_one_that_should_say_that_it_is_alive_and_does_not_is_killed_and_replaced(cluster, monkeypatch):
     monkeypatch.setattr("deploy.supervisor.TABLE_S", 0.05)
     monkeypatch.setattr("deploy.supervisor.SILENCE_S", 0.3)
-    beating = "import time\nprint('ready', flush=True)\nwhile True: print('alive', flush=True); time.sleep(0.02)"
-    it = cluster(Spec("world", (sys.executable, "-S", "-E", "-c", beating), beats=True), spec("mute", GOOD)).go()
+    hanging = "import signal\nprint('ready\\nalive', flush=True)\nsignal.pause()"
+    it = cluster(Spec("world", (sys.executable, "-S", "-E", "-c", hanging), beats=True), spec("mute", GOOD)).go()
     pid = it.hear_table(lambda t: True)["world"]["pid"]
-    os.kill(pid, signal.SIGSTOP)
     assert it.hear(ProcessExited) == ProcessExited(name="world", pid=pid, status=-9, restarting=True)
     back = it.hear_table(lambda t: t["world"]["state"] == "ready")
     assert (back["world"]["restarts"], back["mute"]["restarts"]) == (1, 0)
-    assert any("hung" in line for line in it.lines)
+    assert any("world" in line and "hung, silent" in line for line in it.lines)
+
+
+def test_one_that_is_stopped_is_killed_and_replaced(cluster, monkeypatch):
+    monkeypatch.setattr("deploy.supervisor.TABLE_S", 0.05)
+    monkeypatch.setattr("deploy.supervisor.STOPPED_S", 0.2)
+    it = cluster(spec("binder@2", GOOD, 2), spec("binder@6", GOOD, 6)).go()
+    pid = it.hear_table(lambda t: True)["binder@2"]["pid"]
+    os.kill(pid, signal.SIGSTOP)
+    assert it.hear(ProcessExited) == ProcessExited(name="binder@2", pid=pid, status=-9, restarting=True)
+    back = it.hear_table(lambda t: t["binder@2"]["state"] == "ready")
+    assert (back["binder@2"]["restarts"], back["binder@6"]["restarts"]) == (1, 0)
 
 
 def test_workers_are_added_at_the_next_free_address_and_retired(cluster):
