@@ -10,7 +10,7 @@ import typer
 
 from rtc.cli.output import console, trouble
 
-DEMOS = ["grasp"]  # modules of rtc.demos, each with `tell(console, speed, out) -> passed`
+DEMOS = ["grasp", "faults"]  # modules of rtc.demos, each with `tell(console, speed, out) -> passed`
 
 
 def demo(

@@ -1,0 +1,288 @@
+"""What happens when things die: workers killed and hung, the broker and the MCM killed in the middle of motions, and a
+halt under full load. Every chapter does its damage to the running cluster, and checks that the work did not notice, or
+was told truly what became of it.
+
+Talks to the cluster as any user does, through `rtc.client`; damage is done by `rtc.chaos`, from outside.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+
+from rich.console import Console
+
+from rtc import messages as m
+from rtc.chaos import Chaos, Strike, processes
+from rtc.client import Client
+from rtc.demos.own_cluster import own_cluster
+from rtc.demos.telling import Story
+from rtc.outcomes import OutcomeKind
+from rtc.process import die_with_parent
+
+SEED = 20
+STOWS = ["STOW RIGHT-ARM", "STOW LEFT-ARM"]
+FAR = {"RIGHT-ARM": "MOVE RIGHT-ARM TO JOINTS -60 110 -160 0 50 0 DEG JOINT-MOTION",
+       "LEFT-ARM": "MOVE LEFT-ARM TO JOINTS 60 110 -160 0 50 0 DEG JOINT-MOTION"}  # fmt: skip
+PAIRS = [FAR["RIGHT-ARM"], FAR["LEFT-ARM"], *STOWS]
+REFUSED = "LIFT MACS-OLD BY 5 CM"  # nobody holds it; parsed and planned all the same
+
+COMMAND_S = 40.0  # no command of this story takes so long
+BACK_S = 15.0
+JOB_AGAIN_S = 1.0  # until a killed worker's job is done by another; the figure itself is told
+HUNG_S = 6.0  # until a stopped worker is found and replaced
+BROKER_S = 1.0
+MCM_S = 3.0
+HALT_S = 0.05  # from the call to the first decelerating tick, all cores busy
+MOVING_RAD_S = 0.05
+TRIES = 4  # of each, to catch a worker in the milliseconds of a bind
+
+
+def tell(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
+    """Run it all; True when every check passed. Leaves nothing running."""
+    story = Story(console)
+    story.chapter("A cluster: broker, world database, eight workers (two of each kind), and two arms that move exactly")
+    with own_cluster(mcm="kinematic", speed=speed, dim=3) as run_dir:
+        with Client(run_dir) as rtc, Client(run_dir) as asking:
+            story.line(f"ready, run directory {run_dir}")
+            _Faults(story, rtc, asking, Chaos(run_dir, random.Random(SEED))).tell()
+        pids = [row.pid for row in processes(run_dir).values() if row.pid]
+    left = [pid for pid in pids if Path(f"/proc/{pid}").exists()]
+    story.check(f"the cluster has ended, {len(left)} of its {len(pids)} processes are left", not left)
+    return story.passed()
+
+
+class _Faults:
+    """`rtc` gives the commands, `asking` looks at the cluster meanwhile."""
+
+    def __init__(self, story: Story, rtc: Client, asking: Client, chaos: Chaos) -> None:
+        self.story, self.rtc, self.asking, self.chaos = story, rtc, asking, chaos
+
+    def tell(self) -> None:
+        self.parallel()
+        self.worker_killed()
+        self.worker_hung()
+        self.broker_killed()
+        self.mcm_killed()
+        self.halt_under_load()
+        self.restarts()
+
+    # --- the chapters ----------------------------------------------------------------------------------
+
+    def parallel(self) -> None:
+        self.story.chapter("Four commands at once: what needs different arms goes on at the same time, the rest waits")
+        began_s = time.monotonic()
+        ends = self.rtc.run_many([*STOWS, *PAIRS[:2]], timeout_s=COMMAND_S)
+        took_s = time.monotonic() - began_s
+        alone_s = sum(end.took_s for end in ends[2:])  # each with the one it had to wait for
+        self.story.check("all four succeeded", all(end.outcome.kind is OutcomeKind.SUCCEEDED for end in ends))
+        self.story.check(f"they took {took_s:.1f} s; one after the other {alone_s:.1f} s", took_s < 0.75 * alone_s)
+
+    def worker_killed(self) -> None:
+        self.story.chapter("kill -9 of a binder in the middle of a bind")
+        caught = next(filter(None, map(self._strike_in_bind, TRIES * STOWS)), None)
+        if caught is None:
+            self.story.check("a binder was met with a job in its hands", False)
+            return
+        strike, end, told, done = caught
+        self.story.line(f"{strike.name} (pid {strike.pid}) killed while it was binding {end.command}")
+        self.story.line(f"{_ms(told.at_s - strike.at_s)} later the broker knew and gave its job to another")
+        took_s = done.at_s - strike.at_s
+        self.story.check(f"{done.node} had it done {_ms(took_s)} after the kill", took_s < JOB_AGAIN_S)
+        self.story.check(f"{end.command} {end.outcome.kind.value}", end.outcome.kind is OutcomeKind.SUCCEEDED)
+        self._check_back(strike, BACK_S)
+
+    def worker_hung(self) -> None:
+        self.story.chapter("A binder hangs: SIGSTOP, alive but doing nothing")
+        stopper = Chaos(self.rtc.run_dir, random.Random(SEED), stop=True)
+        strike = stopper.strike("worker", "binder@2")
+        if strike is None:
+            self.story.check("there was a binder to be stopped", False)
+            return
+        self.story.line(f"{strike.name} (pid {strike.pid}) stopped; now commands that need it")
+        ends = self.rtc.run_many(PAIRS, timeout_s=COMMAND_S)
+        self.story.check("four commands succeeded", all(end.outcome.kind is OutcomeKind.SUCCEEDED for end in ends))
+        self._check_back(strike, HUNG_S, stopper)
+
+    def broker_killed(self) -> None:
+        self.story.chapter("kill -9 of the broker in the middle of a motion")
+        arm = "RIGHT-ARM"
+        with _watch(self.rtc, arm) as speeds:
+            command = self.rtc.submit(FAR[arm])
+            speeds.await_motion()
+            strike = self.chaos.strike("broker")
+            assert strike is not None
+            self.story.line(f"broker (pid {strike.pid}) killed while {command} moves {arm}")
+            end = self.rtc.wait(command, COMMAND_S)
+        self._check_back(strike, BROKER_S)
+        slowest = speeds.slowest_rad_s(strike.at_s, strike.at_s + (strike.back_s or 0.0))
+        self.story.check(f"the arm went on meanwhile, at {slowest:.2f} rad/s or more", slowest > MOVING_RAD_S)
+        self.story.check(f"the result arrived all the same: {end.command} {end.outcome.kind.value}",
+                         end.outcome.kind is OutcomeKind.SUCCEEDED)  # fmt: skip
+        notes = [note.note for note in self.asking.trace(command).notes]
+        self.story.check("it was sent to the arm once", sum(note == "started" for note in notes) == 1)
+
+    def mcm_killed(self) -> None:
+        self.story.chapter("kill -9 of the MCM itself in the middle of a motion")
+        arm = "RIGHT-ARM"
+        with _watch(self.rtc, arm) as speeds:
+            command = self.rtc.submit("STOW RIGHT-ARM")
+            speeds.await_motion()
+            time.sleep(0.5)  # let it come away from where it was last known to be
+            strike = self.chaos.strike("mcm")
+            assert strike is not None
+            end = self.rtc.wait(command, COMMAND_S)
+        self.story.line(f"MCM (pid {strike.pid}) killed; {command}: {end.outcome.message}")
+        self.story.check(
+            f"{command} is told as {end.outcome.kind.value}", end.outcome.kind is OutcomeKind.LOST_SUBSYSTEM
+        )
+        fact = self.rtc.world.view(keys=[f"{arm}.joints"]).facts[0]
+        self.story.check(f"where {arm} is, the world calls {fact.validity.value}", fact.validity is m.Validity.SUSPECT)
+        self._check_back(strike, MCM_S)
+        first = self.rtc.run("STOW RIGHT-ARM", timeout_s=COMMAND_S)
+        if first.outcome.kind is OutcomeKind.FAILED:
+            self.story.line(f"{first.command}: {first.outcome.message[:100]}... so now it is known")
+            first = self.rtc.run("STOW RIGHT-ARM", timeout_s=COMMAND_S)
+        self.story.check(f"the arm can be used again: {first.command} {first.outcome.kind.value}",
+                         first.outcome.kind is OutcomeKind.SUCCEEDED)  # fmt: skip
+
+    def halt_under_load(self) -> None:
+        self.story.chapter("HALT ALL under full load: both arms move, every core is busy with planning")
+        with _load(self.rtc.run_dir), _watch(self.rtc, "RIGHT-ARM") as speeds:
+            commands = [self.rtc.submit(FAR[arm]) for arm in FAR]
+            speeds.await_motion()
+            time.sleep(0.3)
+            halted = self.rtc.halt("ALL")
+            ends = [self.rtc.wait(command, COMMAND_S) for command in commands]
+        latency_s = halted.latency_s if halted.latency_s is not None else float("inf")
+        moving = ", ".join(halted.moving) or "nothing"
+        self.story.check(
+            f"first decelerating tick {_ms(latency_s)} after the call ({moving} moved)", latency_s < HALT_S
+        )
+        rest_s = max((sub.rest_s or 0.0 for sub in halted.subsystems), default=0.0)
+        self.story.check(f"rest is confirmed, {_ms(rest_s)} after the call", halted.confirmed)
+        told = {end.outcome.kind for end in ends}
+        self.story.check("the commands are told as halted", told == {OutcomeKind.HALTED})
+        end = self.rtc.run("STOW RIGHT-ARM", timeout_s=COMMAND_S)
+        self.story.check(f"a new command works at once: {end.command} {end.outcome.kind.value}",
+                         end.outcome.kind is OutcomeKind.SUCCEEDED)  # fmt: skip
+
+    def restarts(self) -> None:
+        self.story.chapter("What the supervisor did")
+        for row in processes(self.rtc.run_dir).values():
+            if row.restarts:
+                self.story.line(f"{row.name}: {row.restarts} restart{'s' * (row.restarts > 1)}, {row.state}")
+        live = self.asking.status()["commands_live"]
+        self.story.check(f"{live} commands are left without an end", live == 0)
+
+    # --- inside ----------------------------------------------------------------------------------------
+
+    def _strike_in_bind(self, text: str) -> tuple[Strike, m.CommandEnded, m.ProgressNote, m.ProgressNote] | None:
+        """Run this sentence, and kill the binder that has got its job: (who was killed, the end, the note that the job
+        was given out again, the note of who then did it). None when the binder was quicker."""
+        struck: list[Strike] = []
+
+        def heard(note: m.ProgressNote) -> None:
+            if note.phase is m.Phase.BINDING and not struck:
+                for worker in self.asking.status()["workers"]:
+                    if worker["kind"] == "binder" and worker["busy_with"].partition("/")[0] == note.command:
+                        strike = self.chaos.strike("worker", worker["name"])
+                        struck.extend([strike] if strike else [])
+
+        end = self.rtc.run(text, heard, COMMAND_S)
+        notes = self.asking.trace(end.command).notes
+        for told, done in pairwise(notes):
+            if struck and told.note.startswith(f"{struck[0].name} lost"):
+                return struck[0], end, told, done
+        return None
+
+    def _check_back(self, strike: Strike, limit_s: float, chaos: Chaos | None = None) -> None:
+        chaos = chaos or self.chaos
+        give_up_s = time.monotonic() + BACK_S
+        while strike.back_s is None and time.monotonic() < give_up_s:
+            chaos.returned()
+            time.sleep(0.002)
+        if strike.back_s is None:
+            self.story.check(f"{strike.name} is back", False)
+        else:
+            took = f"{strike.name} was back, as pid {strike.new_pid}, after {_ms(strike.back_s)}"
+            self.story.check(took, strike.back_s < limit_s)
+
+
+class _Speeds:
+    """How fast an arm moved, sample by sample, heard beside everything else."""
+
+    def __init__(self, rtc: Client, arm: str) -> None:
+        self._client = Client(rtc.run_dir, need_broker=False)
+        self._arm, self._samples = arm, list[tuple[float, float]]()
+        self._moves, self._over = threading.Event(), False
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
+
+    def _listen(self) -> None:
+        for sample in self._client.telemetry():
+            speed = max(map(abs, sample.arms[self._arm].velocities))
+            self._samples.append((sample.at_s, speed))
+            if speed > MOVING_RAD_S:
+                self._moves.set()
+            if self._over:
+                break
+
+    def await_motion(self) -> None:
+        self._moves.wait(COMMAND_S)
+
+    def slowest_rad_s(self, since_s: float, until_s: float) -> float:
+        return min((speed for at_s, speed in self._samples if since_s <= at_s <= until_s), default=0.0)
+
+    def close(self) -> None:
+        self._over = True
+        self._thread.join(2.0)
+        self._client.close()
+
+
+@contextmanager
+def _watch(rtc: Client, arm: str) -> Iterator[_Speeds]:
+    speeds = _Speeds(rtc, arm)
+    try:
+        yield speeds
+    finally:
+        speeds.close()
+
+
+@contextmanager
+def _load(run_dir: Path) -> Iterator[None]:
+    """A busy process for every core, and sentences through parsers and elaborators, over and over."""
+    over = threading.Event()
+
+    def say() -> None:
+        with Client(run_dir) as other:
+            while not over.is_set():
+                other.run_many([REFUSED] * 4, timeout_s=COMMAND_S)
+
+    talking = threading.Thread(target=say)
+    me = os.getpid()
+    burn = [sys.executable, "-c", "while True: pass"]
+    burning = [subprocess.Popen(burn, preexec_fn=lambda: die_with_parent(me)) for _ in range(os.cpu_count() or 1)]
+    talking.start()
+    try:
+        yield
+    finally:
+        over.set()
+        for process in burning:
+            process.kill()
+            process.wait()
+        talking.join()
+
+
+def _ms(seconds: float) -> str:
+    return (
+        f"{seconds * 1e3:.1f} ms" if seconds < 0.1 else f"{seconds * 1e3:.0f} ms" if seconds < 2 else f"{seconds:.1f} s"
+    )
