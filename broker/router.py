@@ -13,6 +13,7 @@ import os
 import time
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Collection, Iterable
+from functools import partial
 from typing import Any
 
 import zmq
@@ -75,6 +76,7 @@ class Router:
             self._socket[name] = me.socket(zmq.ROUTER, settings.endpoint(name), bind=True, queue_length=100_000)
         self._socket["events"] = me.socket(zmq.XPUB, settings.endpoint("events"), bind=True)
         self._events: list[heard.Event] = []
+        self._perform = {kind: partial(perform, self) for kind, perform in _PERFORM.items()}
 
     # --- the loop -------------------------------------------------------------------------------------
 
@@ -123,8 +125,9 @@ class Router:
         for event in events:
             effects += decide(self.state, event)
         self.journal.append(events, [e.record for e in effects if type(e) is do.ReportEnd])
+        perform = self._perform
         for effect in effects:
-            _PERFORM[type(effect)](self, effect)
+            perform[type(effect)](effect)
         self._give_out(now)
         if self.journal.events_since_snapshot >= SNAPSHOT_EVENTS:
             self.journal.snapshot(self.state)
@@ -363,7 +366,7 @@ class Router:
                     program=job.program,
                     cell=job.cell,
                     input=job.input,
-                    lease=None if job.locations is None else sign(self.lease_key, job.job, job.locations),
+                    lease=None if not job.locations else sign(self.lease_key, job.job, job.locations),
                 )
                 for job in jobs
             ]
