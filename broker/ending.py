@@ -7,6 +7,7 @@ been given up. Rule 2: what it touched is put right in the world by one last ana
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import Any
 
 from broker.effects import AcknowledgeReport, CancelJob, ReportEnd, SendHalt
@@ -22,7 +23,8 @@ HALT_LIMIT_S = 2.0  # for a subsystem to confirm rest
 CLOSING_LIMIT_S = 10.0  # for the last analysis; then the command ends without it
 STOP = "stop-"  # with a command's number: the name of the halt that stops its primitive
 MAX_DEATHS = 3  # of workers with the same job in hand: it is poison
-ENDED_KEPT = 4096  # results kept for clients that ask again
+ENDED_KEPT = 4096  # results kept, at least, for clients that ask again
+FORGOTTEN_AT_ONCE = 512  # of them: finding the oldest key of a dict takes the longer the more were deleted before it
 
 UNCONFIRMED = (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM)
 
@@ -91,15 +93,12 @@ def _remember(turn: Turn, command: Command, ended: CommandEnded) -> None:
     state = turn.state
     state.ended[command.id] = wire.raw(ended)
     state.successes[command.id] = ended.outcome.kind is OutcomeKind.SUCCEEDED
-    if len(state.ended) > ENDED_KEPT:
-        oldest = next(iter(state.ended))
+    if len(state.ended) < ENDED_KEPT + FORGOTTEN_AT_ONCE:
+        return
+    for oldest in list(islice(state.ended, FORGOTTEN_AT_ONCE)):
         del state.ended[oldest]
         del state.successes[oldest]
-    while len(state.requests) > ENDED_KEPT + len(state.commands):
-        oldest = next(iter(state.requests))
-        name = state.requests.pop(oldest)
-        if name in state.commands:  # it lives long: said again, it must still be known
-            state.requests[oldest] = name
+    state.requests = {r: c for r, c in state.requests.items() if c in state.commands or c in state.ended}
 
 
 # --- refused -----------------------------------------------------------------------------------------

@@ -37,7 +37,7 @@ from rtc.world.lease import sign
 
 # A turn reads from a socket until it has heard of so many events; the shares are those of a stream of short commands,
 # so that none of them has to wait for long (workers tell several results in a message).
-EVENTS_PER_TURN = {"subsystems": 5, "workers": 16, "front": 20}
+EVENTS_PER_TURN = {"subsystems": 16, "workers": 48, "front": 64}
 MESSAGES_PER_TURN = 200  # of those that are no events
 SUBSYSTEM_SILENCE_S = 2.0
 STOOD_STILL_S = 1.0  # between two turns of ours: we were stopped, or the machine was
@@ -409,12 +409,13 @@ class Router:
         if effect.client:
             send(self._socket["front"], effect.note, _peer(effect.client))
         if self._listeners:
-            self._socket["events"].send_multipart(wire.frames(effect.note))
+            send(self._socket["events"], effect.note)
 
     def _report_end(self, effect: do.ReportEnd) -> None:
-        send(self._socket["front"], effect.ended, _peer(effect.client))
+        encoded = self.state.ended.get(effect.ended.command, effect.ended)  # once is enough
+        send(self._socket["front"], encoded, _peer(effect.client))
         if self._listeners:
-            self._socket["events"].send_multipart(wire.frames(effect.ended))
+            send(self._socket["events"], encoded)
 
     def _decline_halt(self, effect: do.DeclineHalt) -> None:
         refusal = Refusal(reason=RefusalReason.NAME, message=effect.message)

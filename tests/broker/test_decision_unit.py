@@ -806,6 +806,7 @@ def test_a_step_may_move_only_what_its_script_has_claimed():
 
 def test_the_request_of_a_long_command_outlives_thousands_of_short_ones(monkeypatch):
     monkeypatch.setattr(ending, "ENDED_KEPT", 5)
+    monkeypatch.setattr(ending, "FORGOTTEN_AT_ONCE", 1)
     s = Story()
     s.says("X", request="long")
     for n in range(20):
