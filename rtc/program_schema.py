@@ -139,6 +139,7 @@ class ElaboratorProgram(Part, frozen=True, kw_only=True):
     told: dict[str, Tellable] = {}  # attribute of a thing -> how it is told
     not_told: dict[str, str] = {}  # attribute that is found out, not told -> what finds it out
     clears: dict[str, str] = {}  # attribute of a fact -> what would make it trusted again
+    senses: dict[str, str] = {}  # attribute of an arm that is not trusted -> the piece of script that comes first then
 
 
 # --- binder --------------------------------------------------------------------------------------------

@@ -189,8 +189,11 @@ def _carried(
     """What is in the hand goes where the hand goes; a hand that has come open has let go of it."""
     arm, thing = data.evaluation.arm, data.evaluation.held
     grasp = belief.grasp(thing) if thing else None
-    if grasp is None or not data.report.tcp_pose or any(change.key == f"{thing}.grasp" for change in changes):
+    if grasp is None or any(change.key == f"{thing}.grasp" for change in changes):
         return []
+    if not data.report.tcp_pose:  # nobody knows where the hand is, nor so what it holds
+        doubtful = [f"{thing}.frame", f"{thing}.grasp"] if suspect else []
+        return [WorldChange(key=key, keep_value=True, validity=Validity.SUSPECT) for key in doubtful]
     opened = data.report.hand_width_m > belief.hand_width(arm) + program.values["opened_m"]
     fact = belief.world.get(f"{thing}.grasp")
     trusted = fact is None or fact.validity in TRUSTED

@@ -94,6 +94,10 @@ class Belief:
         (xx, xy, xz), (_, yy, yz), (_, _, zz) = (turn @ own @ turn.T).tolist()
         return Load(mass_kg=mass_kg, com_m=grasp[:3].tolist(), inertia_kg_m2=[xx, yy, zz, xy, xz, yz])
 
+    def trusts(self, key: str) -> bool:
+        """Whether this fact can be built upon, whoever asks."""
+        return self.distrusted(key, {}) is None
+
     def distrusted(self, key: str, clears: Mapping[str, str], own: str = "") -> Refusal | None:
         """Why this fact cannot be built upon; None when it can. A doubt that the command `own` has itself raised is no
         reason: its script has foreseen it, and is about to mend it."""

@@ -250,12 +250,13 @@ def bind_still(at: Bind) -> BoundStep | Refusal:
     duration_s = values["duration_s"]
     if at.data.context.limits.time_s is not None:
         duration_s = min(duration_s, at.data.context.limits.time_s)
+    known = belief.trusts(f"{at.arm}.joints")  # else it stays wherever that is, and the report tells
     evaluation = EvaluationContext(
         context=at.data.context,
         step=step,
         arm=at.arm,
-        goal_pose=belief.tcp(at.arm).tolist(),
-        goal_joints=list(belief.joints(at.arm)),
+        goal_pose=belief.tcp(at.arm).tolist() if known else None,
+        goal_joints=list(belief.joints(at.arm)) if known else None,
         held=belief.holding(at.arm),
         predicted_s=duration_s,
         force_n=values.get("force_n"),

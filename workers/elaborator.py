@@ -59,6 +59,10 @@ def compile(program: bytes) -> Compiled:
         for need in script.needs:
             if need not in NEEDS:
                 raise ProgramError(f"$.scripts[{n}].needs: nothing checks {need}; there are {', '.join(NEEDS)}")
+    known = {piece.skill for piece in document.pieces}
+    for attribute, piece in document.senses.items():
+        if piece not in known:
+            raise ProgramError(f"$.senses.{attribute}: there is no piece {piece}; there are {', '.join(sorted(known))}")
     return Compiled(document, {s.script: s for s in document.scripts}, {p.skill: p for p in document.pieces})
 
 
@@ -256,7 +260,7 @@ def _script(
         if isinstance(trims, Refusal):
             return trims
         entries, left_out = trims
-        steps = [_step(step, at, entries, nominal=True) for step in script.steps]
+        steps = [*_sensed_first(compiled, at), *(_step(step, at, entries, nominal=True) for step in script.steps)]
     except expressions.ExpressionError as error:
         return Refusal(reason=RefusalReason.PROGRAM, message=f"{script.script}: {error}", where=script.script)
     held = at.belief.holding(at.arm.name)
@@ -320,6 +324,13 @@ def _step(step: ScriptStep, at: Situation, entries: list[Trim], nominal: bool) -
         trims=[*asked, *own],
         args={**figures, **{name: at.say(word) for name, word in step.words.items()}},
     )
+
+
+def _sensed_first(compiled: Compiled, at: Situation) -> list[Step]:
+    """What is not known of the arm and can be sensed is, before anything rests on it."""
+    senses = compiled.program.senses
+    unknown = [piece for attribute, piece in senses.items() if not at.belief.trusts(f"{at.arm.name}.{attribute}")]
+    return [_step(step, at, [], nominal=False) for piece in unknown for step in compiled.pieces[piece].steps]
 
 
 MOST_ENTRIES = 100  # of a trimming stack; the trims that a sentence itself names (AND TRY) are numbered above

@@ -256,6 +256,16 @@ def test_without_a_report_of_the_arm_its_joints_are_suspect(bench):
     assert (joints.validity, joints.keep_value) == (Validity.SUSPECT, True)
 
 
+def test_what_the_hand_holds_is_suspect_with_it_when_nobody_reports(bench):
+    assert bench.do(GRASP).succeeded
+    bound, report = bound_and_done(bench, "LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM")
+    made = judged(bench, bound, ended(report, StopReason.SUBSYSTEM_LOST, joints=[], tcp_pose=[]), closing=True)
+    bench.world = bench.world.overlay(made.changes, source="C-2/9")
+    facts = {key: bench.world.get(key).validity for key in ("MACS-NEW.frame", "MACS-NEW.grasp", "RIGHT-ARM.joints")}
+    assert set(facts.values()) == {Validity.SUSPECT}
+    assert bench.world.value("MACS-NEW.held_by") == "RIGHT-ARM"
+
+
 def test_a_refused_primitive_tells_where_the_arm_really_is(bench):
     """It did not begin because the arm is elsewhere: the report puts the fact right, the next command works."""
     bound, report = bound_and_done(bench, "STOW RIGHT-ARM")

@@ -369,3 +369,24 @@ def test_the_same_input_gives_the_same_script(bench, parse):
     first, second = (elaborator.run(compiled, bench.model, bench.world, data) for _ in range(2))
 
     assert msgspec.json.encode(first) == msgspec.json.encode(second)
+
+
+# --- facts of the arm that are not trusted -----------------------------------------------------------------
+
+
+def test_an_arm_that_may_be_elsewhere_first_reads_where_it_stands(either):
+    joints = list(either.world.value("RIGHT-ARM.joints"))
+    either.told("RIGHT-ARM.joints", [joints[0] + 0.3, *joints[1:]], Validity.SUSPECT)
+
+    run = either.do("STOW RIGHT-ARM")
+
+    assert run.succeeded, run
+    assert run.labels == ["see where RIGHT-ARM stands", "stow RIGHT-ARM"]
+    assert either.world.get("RIGHT-ARM.joints").validity is Validity.VALID
+    assert script_of(either, "STOW LEFT-ARM").steps[0].label == "stow LEFT-ARM"
+
+
+def test_a_program_that_senses_by_a_piece_there_is_not_does_not_check(bench):
+    bench.load("elaborator", "senses: {joints: crystal-ball}")
+    with pytest.raises(ProgramError, match=r"\$\.senses\.joints: there is no piece crystal-ball"):
+        elaborator.compile(bench.programs["elaborator"])
