@@ -26,6 +26,7 @@ from broker.events import (
     JobDeclined,
     JobFinished,
     JobLost,
+    ListenersChanged,
     PrimitiveEnded,
     PrimitiveStarted,
     ProgramInstalled,
@@ -342,6 +343,10 @@ def _gone(turn: Turn, name: str, why: str) -> None:
             turn.follow(command.id, Stimulus.GONE, why)
 
 
+def on_listeners(turn: Turn, event: ListenersChanged) -> None:
+    turn.state.listened = event.listening
+
+
 # --- time and restart --------------------------------------------------------------------------------
 
 
@@ -357,6 +362,7 @@ def on_timer(turn: Turn, event: TimerFired) -> None:
 def on_restart(turn: Turn, event: BrokerRestarted) -> None:
     """Everything that was given out is given out again; subsystems are waited for, they know what they do."""
     turn.count("broker_restarts")
+    turn.state.listened = False  # who listens subscribes anew
     for subsystem in turn.state.subsystems.values():
         if subsystem.link is Link.CONNECTED:
             subsystem.link = Link.AWAITED
@@ -384,5 +390,6 @@ HEARD: dict[type[Event], Callable[[Turn, Any], None]] = {
     ClientGone: on_client_gone,
     TimerFired: on_timer,
     ProgramInstalled: on_program,
+    ListenersChanged: on_listeners,
     BrokerRestarted: on_restart,
 }

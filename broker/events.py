@@ -111,6 +111,12 @@ class ProgramInstalled(Event, frozen=True, kw_only=True, gc=False):
     digest: str
 
 
+class ListenersChanged(Event, frozen=True, kw_only=True, gc=False):
+    """The event stream has listeners now, or none any more: notes that nobody asked for are published or not."""
+
+    listening: bool
+
+
 class BrokerRestarted(Event, frozen=True, kw_only=True, gc=False):
     """The broker came up with a replayed journal: nobody has the jobs it gave out any more."""
 
@@ -129,5 +135,6 @@ AnyEvent = (
     | ClientGone
     | TimerFired
     | ProgramInstalled
+    | ListenersChanged
     | BrokerRestarted
 )

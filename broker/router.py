@@ -101,8 +101,7 @@ class Router:
         reports_heard = True
         for name in waiting:
             if name == "events":
-                for frame in inbox(self._socket["events"]):
-                    self._listeners += 1 if frame[0][:1] == b"\x01" else -1
+                self._count_listeners(began)
             elif name != "halt":
                 all_read = self._read(name, began)
                 reports_heard &= all_read or name != "subsystems"
@@ -135,6 +134,14 @@ class Router:
     def hear(self, event: heard.Event) -> None:
         """An event that comes from nobody's socket: start-up."""
         self._events.append(event)
+
+    def _count_listeners(self, now: float) -> None:
+        """XPUB tells the first subscription to a topic and the end of the last; ours all subscribe to everything."""
+        before = self._listeners
+        for frame in inbox(self._socket["events"]):
+            self._listeners += 1 if frame[0][:1] == b"\x01" else -1
+        if bool(before) is not bool(self._listeners):
+            self._events.append(heard.ListenersChanged(at_s=now, listening=self._listeners > 0))
 
     def _read(self, name: str, now: float) -> bool:
         """What lies on one socket, as far as there is room in this turn. False: there may be more."""

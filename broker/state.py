@@ -180,5 +180,6 @@ class State(msgspec.Struct, kw_only=True):
     trials: dict[str, Trial] = {}
     halted_at_s: dict[str, float] = {}  # scope of a halt -> when: what was sent before it does not start
     halts: dict[str, float] = {}  # halt id -> when, the last few: a halt told twice is one
+    listened: bool = False  # somebody hears the event stream
     patience: float = 1.0  # seconds of ours per simulated second: limits of primitives are in simulated time
     counts: dict[str, int] = {}  # ended by outcome, stale answers, trims, ...

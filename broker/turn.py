@@ -75,7 +75,8 @@ class Turn(msgspec.Struct, gc=False):
         command.notes.append(note)
         if len(command.notes) > NOTES_KEPT:
             del command.notes[NOTES_KEPT // 2]
-        self.effects.append(PublishNote(client=command.client if command.progress else "", note=note))
+        if command.progress or state.listened:
+            self.effects.append(PublishNote(client=command.client if command.progress else "", note=note))
 
     def give_out(self, command: Command, kind: WorkerKind, data: Any, locations: list[str] | None = None) -> None:
         """One more job for this command."""

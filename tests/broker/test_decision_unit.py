@@ -7,8 +7,16 @@ from stories import Story, bound, give_up, go_on, mend, record, report, script, 
 
 from broker import ending
 from broker.decision_unit import ACTIONS, InvalidTransition, stimulate
-from broker.effects import SendHalt, SendPrimitive
-from broker.events import BrokerRestarted, ClientGone, HaltCalled, HaltConfirmed, ProgramInstalled, TimerFired
+from broker.effects import PublishNote, SendHalt, SendPrimitive
+from broker.events import (
+    BrokerRestarted,
+    ClientGone,
+    HaltCalled,
+    HaltConfirmed,
+    ListenersChanged,
+    ProgramInstalled,
+    TimerFired,
+)
 from broker.state import State
 from broker.transitions import TABLE, Stimulus
 from broker.turn import Turn
@@ -813,6 +821,25 @@ def test_the_request_of_a_long_command_outlives_thousands_of_short_ones(monkeypa
         s.says("HALT C-99", request=f"short-{n}")
     assert s.says("X", request="long") == ["tell ann Accepted C-1"]
     assert len(s.state.requests) <= 5 + len(s.state.commands)
+
+
+def test_notes_are_told_to_the_client_that_wants_them_and_to_listeners_and_kept_in_any_case():
+    s = Story()
+    assert "note C-1 parsing" in s.says("X")
+    assert [line for line in s.says("X", progress=False) if line.startswith("note")] == []
+    assert s.hear(ListenersChanged, listening=True) == []
+    assert "note C-3 parsing" in s.says("X", progress=False)
+    s.hear(ListenersChanged, listening=False)
+    assert [line for line in s.says("X", progress=False) if line.startswith("note")] == []
+    assert all(len(command.notes) == 1 for command in s.state.commands.values())
+    assert [e.client for e in s.log if isinstance(e, PublishNote)] == ["ann", ""]
+
+
+def test_a_restarted_broker_has_no_listeners_until_they_come_back():
+    s = Story()
+    s.hear(ListenersChanged, listening=True)
+    s.hear(BrokerRestarted)
+    assert [line for line in s.says("X", progress=False) if line.startswith("note")] == []
 
 
 # --- the table itself --------------------------------------------------------------------------------
