@@ -18,7 +18,8 @@ from rtc.messages import WorkerKind
 HANDFUL_S = 0.002  # of work that may go to a worker in one message
 HANDFUL_MAX = 64
 SLOW_S = 0.005  # jobs longer than this are given one at a time
-DEADLINE_S = {WorkerKind.PARSER: 3.0, WorkerKind.ELABORATOR: 15.0, WorkerKind.BINDER: 15.0, WorkerKind.ANALYZER: 5.0}
+# An analyzer waits for the world, which may be away for half of that.
+DEADLINE_S = {WorkerKind.PARSER: 3.0, WorkerKind.ELABORATOR: 15.0, WorkerKind.BINDER: 15.0, WorkerKind.ANALYZER: 10.0}
 SILENCE_S = 3.0  # an idle worker says something every half second
 QUEUE_LIMIT_S = 60.0  # longest wait of a job for a worker of its kind
 

@@ -1,7 +1,7 @@
 """Short real commands, one after the other on each arm, by clients that do not know what goes wrong meanwhile.
 
-Every arm goes to and fro between two postures, `far_deg` apart; what each command came to is kept, to be checked against
-what the journal and the MCM's own log say (`benchmarks.load.verdict`).
+Every arm goes to and fro between two postures, `far_deg` apart; what each command came to is kept, to be checked
+against what the journal and the MCM's own log say (`benchmarks.load.verdict`).
 """
 
 from __future__ import annotations

@@ -74,18 +74,18 @@ def judge(errands: Sequence[Errand], events: Sequence[Event], run_dir: Path, str
             continue
         kind = errand.outcome.kind
         verdict.outcomes[kind.value] += 1
-        primitive = f"{errand.command}.1"
-        report = ended.get(primitive)
+        primitives = [primitive for primitive in begun if primitive.startswith(f"{errand.command}.")]
+        report = ended.get(max(primitives, key=_number, default=""))
         if not errand.arm:
             true = kind is OutcomeKind.REFUSED and _refused_for(errand, RefusalReason.SENTENCE, RefusalReason.NAME)
         elif kind is OutcomeKind.SUCCEEDED:
             there = report is not None and report.reason is StopReason.GOAL and _at(report.joints, errand.goal_rad)
-            true = there and begun[primitive] == 1
+            true = there and all(begun[primitive] == 1 for primitive in primitives)
         elif kind is OutcomeKind.LOST_SUBSYSTEM:
             true = any(gone <= errand.ended_at_s and back >= errand.sent_at_s for gone, back in away)
         elif kind is OutcomeKind.FAILED:
             unknown = any(back > known_s.get(errand.arm, 0.0) for _, back in away)
-            true = NOT_WHERE in errand.outcome.message and unknown and begun[primitive] == 0
+            true = NOT_WHERE in errand.outcome.message and unknown and not primitives
         else:
             true = False
         if not true:
@@ -93,6 +93,11 @@ def judge(errands: Sequence[Errand], events: Sequence[Event], run_dir: Path, str
         if errand.arm and kind in (OutcomeKind.SUCCEEDED, OutcomeKind.FAILED):
             known_s[errand.arm] = errand.ended_at_s
     return verdict
+
+
+def _number(primitive: str) -> int:
+    """2 of C-7.2"""
+    return int(primitive.partition(".")[2])
 
 
 def _refused_for(errand: Errand, *reasons: RefusalReason) -> bool:

@@ -26,7 +26,7 @@ from rtc.messages import (
 from rtc.outcomes import ClusterError, Refusal, RtcError, WireError
 from rtc.process import now_s
 
-FIRST_TRY_S = 0.04  # then twice as long, and so on, until the limit
+FIRST_TRY_S, LONGEST_TRY_S = 0.04, 0.5  # each twice as long as the one before
 LIMIT_S = 5.0  # longer than a restart of the server takes
 
 _read = wire.reader(FromWorld)
@@ -72,7 +72,7 @@ class WorldClient:
             answer = self._answer_to(message.request, min(patience_s, left_s))
             if answer is not None:
                 return answer
-            patience_s *= 2
+            patience_s = min(2 * patience_s, LONGEST_TRY_S)
         raise ClusterError(f"the world database did not answer within {self._limit_s:g} s")
 
     def _answer_to(self, request: str, patience_s: float) -> Any:
