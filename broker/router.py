@@ -40,6 +40,7 @@ from rtc.world.lease import sign
 EVENTS_PER_TURN = {"subsystems": 16, "workers": 48, "front": 64}
 MESSAGES_PER_TURN = 200  # of those that are no events
 SUBSYSTEM_SILENCE_S = 2.0
+CLIENT_SILENCE_S = 5.0  # of one that is watched
 STOOD_STILL_S = 1.0  # between two turns of ours: we were stopped, or the machine was
 SNAPSHOT_EVENTS = 30_000  # decided again in well under a second by a restarted broker
 HALTS_KEPT = 64
@@ -68,6 +69,8 @@ class Router:
         self.began_s = self._turn_at_s = self._clock()
         self._halt_callers: OrderedDict[str, set[bytes]] = OrderedDict()
         self._subsystem_heard_s: dict[str, float] = {}
+        # Clients with commands that are halted when they go away; when each was heard last.
+        self._watched_s = {c.client: self.began_s for c in state.commands.values() if c.halt_if_lost}
         self._supervisor = False
         self._listeners = 0
         self._audit = Every(0.1)
@@ -270,6 +273,8 @@ class Router:
     def _from_client(self, peer: bytes, message: Any, now: float) -> None:
         match message:
             case m.CommandText():
+                if message.halt_if_lost:
+                    self._watched_s[_name(peer)] = now
                 self._events.append(
                     heard.CommandReceived(
                         at_s=now,
@@ -282,6 +287,9 @@ class Router:
                         sent_at_s=message.sent_at_s,
                     )
                 )
+            case m.Heartbeat(name=name):
+                if name in self._watched_s:
+                    self._watched_s[name] = now
             case m.ClientHello():
                 self._answer(peer, m.Welcome(cluster=self.settings.run, pid=os.getpid()))
             case m.StatusQuery():
@@ -356,6 +364,9 @@ class Router:
             self._events.append(
                 heard.JobDeclined(at_s=now, job=job.job, attempt=job.attempt, node="broker", refusal=refusal)
             )
+        for name in [name for name, heard_s in self._watched_s.items() if now - heard_s > CLIENT_SILENCE_S]:
+            del self._watched_s[name]
+            self._events.append(heard.ClientGone(at_s=now, client=name))
         for name, subsystem in self.state.subsystems.items():
             silent_s = now - self._subsystem_heard_s.get(name, self.began_s)
             if subsystem.link is not Link.LOST and silent_s > SUBSYSTEM_SILENCE_S:

@@ -31,6 +31,7 @@ import zmq
 from rtc import messages as m
 from rtc.front_door import LAST_WORDS_MS, FrontDoor
 from rtc.halting import HaltLine, HaltResult
+from rtc.lifeline import Lifeline
 from rtc.outcomes import NoCluster, Outcome, OutcomeKind, Refusal, RefusalReason, RequestDeclined, TimedOut, WireError
 from rtc.settings import ENDPOINTS, Settings, default_run_dir
 from rtc.wire import MAX_BYTES, frames, reader
@@ -58,6 +59,7 @@ class Client:
 
     `run_dir` is the cluster's run directory; None = where `rtc up` puts it. Raises NoCluster, within a second, when
     nothing answers there. `need_broker=False` connects although the broker is away: halt, truth and telemetry work.
+    `halt_if_lost`: what it has under way is halted when this process dies or stands still for some seconds.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class Client:
         name: str | None = None,
         source: Source = "operator",
         need_broker: bool = True,
+        halt_if_lost: bool = False,
     ) -> None:
         self.run_dir = Path(run_dir) if run_dir is not None else default_run_dir()
         self.settings = _settings_of(self.run_dir)
@@ -84,6 +87,7 @@ class Client:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._halt_line = HaltLine(self._context, self.settings, self.name)
         self._front = FrontDoor(self._context, self.settings.endpoint("front"), self.name)
+        self._lifeline = Lifeline(self._context, self.settings.endpoint("front"), self.name) if halt_if_lost else None
         self._world: WorldClient | None = None
         if need_broker:
             try:
@@ -103,6 +107,8 @@ class Client:
         if self._world is not None:
             self._world.close()
             self._world = None
+        if self._lifeline is not None:
+            self._lifeline.close()
         self._halt_line.close()
         self._front.close()
         self._context.destroy(linger=LAST_WORDS_MS)  # also what `events` and `telemetry` left open
@@ -264,6 +270,7 @@ class Client:
             text=as_text(text),
             source=self.source,
             progress=on_progress is not None,
+            halt_if_lost=self._lifeline is not None,
             sent_at_s=time.monotonic(),  # said again after a halt it is still what was said before it
         )
         self._front.ask(request, sentence)

@@ -37,7 +37,7 @@ class CommandText(Message, frozen=True, kw_only=True):
     text: str
     source: Literal["operator", "aip"] = "operator"  # told apart in records only (R133)
     progress: bool = True  # send ProgressNotes too, not only the end
-    halt_if_lost: bool = False  # halt this command when the client goes away
+    halt_if_lost: bool = False  # halt this command when the client goes away: it says Heartbeat every second
     sent_at_s: float = 0.0  # a sentence sent before a HALT ALL does not start after it; 0 = not told
 
 
@@ -215,7 +215,7 @@ class WorkerHello(Message, frozen=True, kw_only=True):
 
 
 class Heartbeat(Message, frozen=True, kw_only=True):
-    """Alive, and this is the job in hand, if any."""
+    """Alive, and this is the job in hand, if any. From a worker, a subsystem, or a client that is watched."""
 
     name: str
     job: str = ""
@@ -675,7 +675,7 @@ class SimDone(Message, frozen=True, kw_only=True):
 
 # --- who may say what: one union per socket and direction ----------------------------------------------
 
-ClientToBroker = ClientHello | CommandText | StatusQuery | TraceQuery | ProgramText | Shutdown
+ClientToBroker = ClientHello | CommandText | StatusQuery | TraceQuery | ProgramText | Shutdown | Heartbeat
 BrokerToClient = Welcome | Accepted | Declined | ProgressNote | CommandEnded | StatusReply | TraceReply | ProgramLoaded
 WorkerToBroker = WorkerHello | Heartbeat | ResultBatch | ProgramWanted
 BrokerToWorker = JobBatch | Drop | ProgramBody | Shutdown

@@ -148,6 +148,34 @@ def test_what_a_killed_mcm_was_doing_is_lost_and_the_arm_stays_where_it_was(
     assert begun(run_dir, command) == 1
 
 
+TIED = """
+import sys
+from rtc.client import Client
+rtc = Client(sys.argv[1], halt_if_lost=True)
+print(rtc.submit(sys.argv[2]), flush=True)
+rtc.wait(rtc.submit(sys.argv[2]))
+"""
+
+
+def test_the_commands_of_a_dead_client_are_halted_if_it_wanted_that(rtc: Client, run_dir: Path) -> None:
+    free = rtc.submit("HOLD LEFT-ARM FOR 9 SEC")
+    words = [sys.executable, "-c", TIED, str(run_dir), "HOLD RIGHT-ARM FOR 60 SEC"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        command = other.stdout.readline().strip()
+        other.kill()
+    record = None
+    for event in rtc.events(silence_s=LIMIT_S):
+        if event.command == command and isinstance(event, m.CommandEnded):
+            record = rtc.trace(command)
+            break
+    assert record is not None
+    assert record.outcome is not None
+    assert record.outcome.kind is OutcomeKind.HALTED
+    assert any("its client went away" in note.note for note in record.notes)
+    assert rtc.wait(free, LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED  # nobody else's
+
+
 def test_all_at_once(rtc: Client, chaos: Chaos, run_dir: Path) -> None:
     """Everything but the MCM is killed in the middle of a motion."""
     command = submit_and_move(rtc, AWAY)
