@@ -43,6 +43,7 @@ SUBSYSTEM_SILENCE_S = 2.0
 CLIENT_SILENCE_S = 5.0  # of one that is watched
 STOOD_STILL_S = 1.0  # between two turns of ours: we were stopped, or the machine was
 SNAPSHOT_EVENTS = 30_000  # decided again in well under a second by a restarted broker
+SNAPSHOT_S, WORTH_A_SNAPSHOT = 10.0, 2_000  # and this many events after so long, for a restart in a moment
 HALTS_KEPT = 64
 
 
@@ -74,6 +75,7 @@ class Router:
         self._supervisor = False
         self._listeners = 0
         self._audit = Every(0.1)
+        self._snapshots = Every(SNAPSHOT_S)
         self._socket: dict[str, zmq.Socket[bytes]] = {}
         for name in ("halt", "subsystems", "supervisor", "workers", "front"):
             self._socket[name] = me.socket(zmq.ROUTER, settings.endpoint(name), bind=True, queue_length=100_000)
@@ -335,6 +337,8 @@ class Router:
 
     def _look_after(self, now: float) -> None:
         self.journal.tidy()
+        if self._snapshots.due(now) and self.journal.events_since_snapshot >= WORTH_A_SNAPSHOT:
+            self.journal.snapshot(self.state)
         for worker, why in self.roster.hung(now):
             self.me.log.warning("%s (pid %d) %s", worker.name, worker.pid, why)
             send(
