@@ -7,13 +7,17 @@ reported, analysed, its end told; by the real broker and the real shells with fu
 (`benchmarks.load`). The peers only pass bytes of the same sizes along a chain of four jobs (`benchmarks.peers`). Every
 round measures everybody once, one after the other, so that a busy neighbour is everybody's; a ratio is the median of
 the rounds' ratios. Nothing is trimmed.
+
+Two further questions to the same cluster: how long the broker takes from a message to its effects while all workers
+are saturated (jobs of BUSY_S each), and how many real sentences go as far as a bound motion: real parser, elaborator
+and binder on the real cell, two arms, a subsystem that is done at once and never moves, so every plan begins anew.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 
@@ -22,9 +26,14 @@ from benchmarks.load.cluster import cluster
 from benchmarks.load.trivial import sentence
 from benchmarks.peers import chain
 from benchmarks.report import RESULTS, finish, question
+from rtc.messages import WorkerKind
 from rtc.outcomes import OutcomeKind
 
 WARM_UP_S = 1.5
+BUSY_S = 0.002  # of work in every job, to saturate the workers
+SATURATING = 100  # commands under way are enough for that
+PLANNERS = (WorkerKind.PARSER, WorkerKind.ELABORATOR, WorkerKind.BINDER)
+MOTIONS = ("MOVE RIGHT-ARM TO BAY-2-FRONT", "MOVE LEFT-ARM TO CLEAR-POINT-1")
 #: metric -> module and name of the peer
 PEERS = {
     "vs_raw_pyzmq": ("raw_pyzmq", "raw pyzmq, ROUTER and DEALER echo"),
@@ -40,7 +49,8 @@ class Run:
     """One measurement of ours."""
 
     commands_per_s: float
-    decision_p99_ms: float
+    turn_p50_ms: float  # of the broker's loop: from its messages to their effects, the last 4096
+    turn_p99_ms: float
     latency_p50_ms: float
     cpu_us: dict[str, float]  # processor time per command, by process
 
@@ -57,91 +67,130 @@ def main() -> None:
     text = f"how many trivial commands per second, {given.window} under way, journal on; and on other machinery?"
     question("throughput", text)
     if given.profile:
-        print(
-            f"with the profiler on: {ours(2, given.seconds, given.window, given.profile).commands_per_s:.0f} commands/s"
-        )
+        rate = flood(2, given.seconds, given.window, profile=given.profile).commands_per_s
+        print(f"with the profiler on: {rate:.0f} commands/s; see python -m pstats {given.profile}")
         return
-    runs: dict[int, list[Run]] = {dim: [] for dim in given.dims}
-    rates: dict[str, list[float]] = {}
-    missing: dict[str, str] = {}
+    found = Found()
     for number in range(1, given.rounds + 1):
-        for dim in given.dims:
-            run = ours(dim, given.seconds, given.window)
-            runs[dim].append(run)
-            say(
-                number, f"{1 << dim} workers", f"{run.commands_per_s:.0f}/s, decisions p99 {run.decision_p99_ms:.2f} ms"
-            )
-        for metric, (module, name) in PEERS.items():
-            if given.no_peers or metric in missing:
-                continue
-            answer = chain.ask(module, chain.SIZES, WARM_UP_S, given.seconds)
-            if isinstance(answer, str):
-                missing[metric] = answer
-                say(number, name, answer)
-            else:
-                rates.setdefault(metric, []).append(answer)
-                say(number, name, f"{answer:.0f}/s")
-    report(given.dims, runs, rates, missing)
+        for who, what in measure(found, given):
+            print(f"  round {number}: {who}: {what}", flush=True)
+    draw(found)
+    finish("throughput", found.metrics(), found.rows())
 
 
-def ours(dim: int, for_s: float, window: int, profile: Path | None = None) -> Run:
+def measure(found: Found, given: argparse.Namespace) -> Iterator[tuple[str, str]]:
+    """One round; tells what it finds."""
+    for dim in given.dims:
+        run = flood(dim, given.seconds, given.window)
+        found.floods.setdefault(dim, []).append(run)
+        yield f"{1 << dim} workers", f"{run.commands_per_s:.0f}/s, a turn takes {run.turn_p50_ms:.2f} ms"
+    run = flood(2, given.seconds, SATURATING, busy_s=BUSY_S)
+    found.saturated.append(run.turn_p99_ms)
+    yield "workers saturated", f"message to effects p99 {run.turn_p99_ms:.2f} ms"
+    run = flood(3, given.seconds, SATURATING, real=PLANNERS, text=motion)
+    found.sentences.append(run.commands_per_s)
+    yield "real sentences as far as bound, 8 workers", f"{run.commands_per_s:.0f}/s"
+    for metric, (module, name) in PEERS.items():
+        if given.no_peers or metric in found.missing:
+            continue
+        answer = chain.ask(module, chain.SIZES, WARM_UP_S, given.seconds)
+        if isinstance(answer, str):
+            found.missing[metric] = answer
+            yield name, answer
+        else:
+            found.peers.setdefault(metric, []).append(answer)
+            yield name, f"{answer:.0f}/s"
+
+
+def motion(n: int) -> str:
+    return MOTIONS[n % len(MOTIONS)]
+
+
+def flood(
+    dim: int,
+    for_s: float,
+    window: int,
+    *,
+    profile: Path | None = None,
+    busy_s: float = 0.0,
+    real: Sequence[WorkerKind] = (),
+    text: Callable[[int], str] = sentence,
+) -> Run:
     """One cluster, warmed up, measured, ended. SystemExit when a command did not succeed."""
-    with cluster(dim, profile) as running, LoadClient(running.settings, sentence, window) as client:
-        client.run(WARM_UP_S)
+    with (
+        cluster(dim, profile=profile, busy_s=busy_s, real=real) as running,
+        LoadClient(running.settings, text, window) as client,
+    ):
+        client.run(2 * WARM_UP_S if real else WARM_UP_S)
         client.latencies_s.clear()
         before = running.cpu_s()
         rate = client.run(for_s)
         after = running.cpu_s()
-        latencies = sorted(client.latencies_s)
+        latencies = client.latencies_s.copy()
         client.drain()
-        status = client.status()
+        turn_ms = client.status()["decision_ms"]
         if set(client.outcomes) != {OutcomeKind.SUCCEEDED}:
             raise SystemExit(f"not every command succeeded: {dict(client.outcomes)}")
         return Run(
             commands_per_s=rate,
-            decision_p99_ms=status["decision_ms"]["p99"],
+            turn_p50_ms=turn_ms["p50"],
+            turn_p99_ms=turn_ms["p99"],
             latency_p50_ms=1e3 * median(latencies),
             cpu_us={name: 1e6 * (after[name] - before[name]) / len(latencies) for name in after},
         )
 
 
-def say(number: int, who: str, what: str) -> None:
-    print(f"  round {number}: {who}: {what}", flush=True)
+@dataclass
+class Found:
+    """All that was measured, round by round."""
+
+    floods: dict[int, list[Run]] = field(default_factory=dict)  # by dimension of the cube
+    saturated: list[float] = field(default_factory=list)  # p99 of message to effects, ms
+    sentences: list[float] = field(default_factory=list)  # per second
+    peers: dict[str, list[float]] = field(default_factory=dict)  # metric -> commands per second
+    missing: dict[str, str] = field(default_factory=dict)  # metric -> why there is none
+
+    @property
+    def first(self) -> list[Run]:
+        """Those that are compared: of the smallest cube."""
+        return next(iter(self.floods.values()))
+
+    def ratios(self, metric: str) -> list[float]:
+        return [run.commands_per_s / rate for run, rate in zip(self.first, self.peers.get(metric, ()), strict=False)]
+
+    def metrics(self) -> dict[str, float | None]:
+        return {
+            "commands_per_s": median(run.commands_per_s for run in self.first),
+            **{metric: median(ratios) if (ratios := self.ratios(metric)) else None for metric in PEERS},
+            "decision_p99_ms": median(self.saturated),
+            "sentences_per_s": median(self.sentences),
+        }
+
+    def rows(self) -> Iterator[tuple[str, str]]:
+        for dim, runs in self.floods.items():
+            yield f"ours, {1 << dim} workers", f"{spread([run.commands_per_s for run in runs])} commands/s"
+        for metric, (_, name) in PEERS.items():
+            if ratios := self.ratios(metric):
+                yield name, f"{spread(self.peers[metric])} commands/s; ours is {spread(ratios, 2)} times that"
+            else:
+                yield name, self.missing.get(metric, "not asked")
+        yield "message to effects, workers saturated, p99", f"{spread(self.saturated, 2)} ms"
+        yield "a turn of the broker under the flood, p50", f"{spread([run.turn_p50_ms for run in self.first], 2)} ms"
+        yield "the same, p99", f"{spread([run.turn_p99_ms for run in self.first], 2)} ms"
+        yield "a command under the flood, p50", f"{spread([run.latency_p50_ms for run in self.first])} ms"
+        for name in self.first[0].cpu_us:
+            yield f"processor time of {name}", f"{spread([run.cpu_us[name] for run in self.first])} us per command"
+        yield "real sentences as far as bound", f"{spread(self.sentences)} commands/s"
 
 
-def report(
-    dims: Sequence[int], runs: dict[int, list[Run]], rates: dict[str, list[float]], missing: dict[str, str]
-) -> None:
-    first = runs[dims[0]]
-    metrics: dict[str, float | None] = {
-        "commands_per_s": median(run.commands_per_s for run in first),
-        "decision_p99_ms": median(run.decision_p99_ms for run in first),
-    }
-    rows = [
-        (f"ours, {1 << dim} workers", f"{_spread([run.commands_per_s for run in runs[dim]])} commands/s")
-        for dim in dims
-    ]
-    for metric, (_, name) in PEERS.items():
-        theirs = rates.get(metric, [])
-        ratios = [run.commands_per_s / rate for run, rate in zip(first, theirs, strict=False)]
-        metrics[metric] = median(ratios) if ratios else None
-        told = f"{_spread(theirs)} commands/s; ours is {_spread(ratios, 2)} times that" if ratios else ""
-        rows.append((name, told or missing.get(metric, "not asked")))
-    rows.append(("decision, p99 of the last 4096 turns", f"{_spread([r.decision_p99_ms for r in first], 2)} ms"))
-    rows.append(("command, from sentence to end, p50", f"{_spread([r.latency_p50_ms for r in first])} ms"))
-    for name in first[0].cpu_us:
-        rows.append((f"processor time of {name}", f"{_spread([r.cpu_us[name] for r in first])} us per command"))
-    draw({dim: [run.commands_per_s for run in runs[dim]] for dim in dims}, rates)
-    finish("throughput", metrics, rows)
-
-
-def _spread(values: Sequence[float], digits: int = 0) -> str:
+def spread(values: Sequence[float], digits: int = 0) -> str:
     """Median and range."""
     return f"{median(values):.{digits}f} ({min(values):.{digits}f} to {max(values):.{digits}f})"
 
 
-def draw(rates: dict[int, list[float]], peers: dict[str, list[float]]) -> None:
+def draw(found: Found) -> None:
     """results/throughput.png; nothing when matplotlib is not installed."""
+    rates = {1 << dim: [run.commands_per_s for run in runs] for dim, runs in found.floods.items()}
     try:
         import matplotlib
 
@@ -150,14 +199,14 @@ def draw(rates: dict[int, list[float]], peers: dict[str, list[float]]) -> None:
     except ImportError:
         return
     figure, axes = pyplot.subplots(figsize=(7, 4.5))
-    workers = [1 << dim for dim in rates]
+    workers = list(rates)
     middle = [median(values) for values in rates.values()]
     below = [m - min(values) for m, values in zip(middle, rates.values(), strict=True)]
     above = [max(values) - m for m, values in zip(middle, rates.values(), strict=True)]
     axes.errorbar(
         workers, middle, yerr=[below, above], marker="o", capsize=4, label="ours, all four phases, journal on"
     )
-    for (metric, values), style in zip(peers.items(), ("--", "-.", ":", (0, (5, 5)), (0, (1, 4))), strict=False):
+    for (metric, values), style in zip(found.peers.items(), ("--", "-.", ":", (0, (5, 5)), (0, (1, 4))), strict=False):
         axes.axhline(median(values), linestyle=style, color="0.4", linewidth=1)
         axes.text(workers[-1], median(values), f" {PEERS[metric][1]}", fontsize=8, va="bottom", ha="right")
     axes.set_xscale("log", base=2)

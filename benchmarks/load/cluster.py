@@ -14,11 +14,13 @@ import secrets
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from deploy.hypercube import addresses, kind_of
+from rtc.cell import Cell
+from rtc.messages import WorkerKind
 from rtc.process import die_with_parent
 from rtc.settings import Settings, prepare_run_dir
 from rtc.world.lease import KEY_BYTES, KEY_FILE
@@ -49,8 +51,12 @@ class Running:
 
 
 @contextlib.contextmanager
-def cluster(dim: int = 2, profile: Path | None = None) -> Iterator[Running]:
-    """2^dim workers. `profile`: a file for the broker's profile (cProfile; it then runs at about half its speed)."""
+def cluster(
+    dim: int = 2, *, profile: Path | None = None, busy_s: float = 0.0, real: Sequence[WorkerKind] = ()
+) -> Iterator[Running]:
+    """2^dim workers. `profile`: a file for the broker's profile (cProfile; it then runs at about half its speed).
+    `busy_s`: work of every trivial job. `real`: kinds that have their real functions; the subsystem then has the arms
+    of the cell."""
     with tempfile.TemporaryDirectory(prefix="rtc-bench-") as folder:
         run_dir = prepare_run_dir(Path(folder) / "run")
         settings = Settings(run_dir=str(run_dir), run=secrets.token_hex(4), dim=dim)
@@ -60,10 +66,12 @@ def cluster(dim: int = 2, profile: Path | None = None) -> Iterator[Running]:
         try:
             _start(running, "world", "-m", "rtc.world")
             _start(running, "broker", *((*PROFILED, str(profile)) if profile else ()), "-m", "broker")
-            _start(running, "MCM", "-m", "benchmarks.load.subsystem")
+            arms = [arm.name for arm in Cell.load(settings.cell).arms] if real else []
+            _start(running, "MCM", "-m", "benchmarks.load.subsystem", *(("--performers", *arms) if arms else ()))
             for node in addresses(dim):
                 kind = kind_of(node)
-                _start(running, f"{kind}@{node}", "-m", "benchmarks.load.worker", "--kind", kind, "--node", str(node))
+                module = ("workers",) if kind in real else ("benchmarks.load.worker", "--busy-s", str(busy_s))
+                _start(running, f"{kind}@{node}", "-m", *module, "--kind", kind, "--node", str(node))
             for name, process in running.processes.items():
                 assert process.stdout is not None
                 if process.stdout.readline() != b"ready\n":

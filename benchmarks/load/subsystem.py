@@ -27,9 +27,8 @@ REPEAT_S = 0.5
 class Instant:
     """What it says to what it hears. Pure."""
 
-    def __init__(self, pid: int) -> None:
-        self.pid = pid
-        self.performers = [performer(n) for n in range(PERFORMERS)]
+    def __init__(self, pid: int, performers: list[str]) -> None:
+        self.pid, self.performers = pid, performers
         self.kept: dict[str, tuple[m.EndReport, float]] = {}  # not acknowledged; when it was said last
 
     def hear(self, message: m.BrokerToSubsystem, now: float) -> list[m.Message]:
@@ -75,12 +74,14 @@ def _done(primitive: str, who: str, now: float) -> m.EndReport:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--run-dir", required=True, type=Path)
-    run_dir = parser.parse_args().run_dir
+    parser.add_argument("--performers", nargs="+", default=[performer(n) for n in range(PERFORMERS)])
+    given = parser.parse_args()
+    run_dir = given.run_dir
     with process.start(SUBSYSTEM, run_dir) as me:
         process.show_name(SUBSYSTEM)
         socket = me.socket(zmq.DEALER, Settings.load(run_dir).endpoint("subsystems"), identity=SUBSYSTEM)
         read = wire.reader(m.BrokerToSubsystem)
-        instant, heartbeat = Instant(os.getpid()), Every(HEARTBEAT_S)
+        instant, heartbeat = Instant(os.getpid(), given.performers), Every(HEARTBEAT_S)
         process.freeze_heap()
         me.ready()
         said = instant.hello()

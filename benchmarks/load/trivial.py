@@ -1,5 +1,5 @@
 """Four worker functions that do as little as a worker can: one sentence of two words becomes one step, one primitive
-and one plain success. They are functions like the real ones, run by the real shell. Pure.
+and one plain success. They are functions like the real ones, run by the real shell. Pure, but for `busy`.
 
     MOVE LOAD-17    moves the performer LOAD-17, which it holds from its plan to its end; writes nothing into the world
 
@@ -8,6 +8,7 @@ The subsystem has PERFORMERS of them, so that many commands can be under way at 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -72,6 +73,18 @@ def bind(data: BinderInput) -> BoundStep:
 def analyze(data: AnalyzerInput) -> Assessment:
     expected = data.report.reason in data.evaluation.step.expect
     return Assessment(verdict="continue" if expected else "abort", reason=data.report.reason)
+
+
+def busy(body: Callable[[Any], Any], for_s: float) -> Callable[[Any], Any]:
+    """The same, after so much work."""
+
+    def work(data: Any) -> Any:
+        until_s = time.perf_counter() + for_s
+        while time.perf_counter() < until_s:
+            pass
+        return body(data)
+
+    return work
 
 
 class Function(NamedTuple):

@@ -13,7 +13,7 @@ from typing import Any
 
 import zmq
 
-from benchmarks.load.trivial import FUNCTIONS
+from benchmarks.load.trivial import FUNCTIONS, busy
 from rtc import process
 from rtc.messages import WorkerHello, WorkerKind
 from rtc.settings import Settings
@@ -28,6 +28,7 @@ def main() -> None:
     parser.add_argument("--run-dir", required=True, type=Path)
     parser.add_argument("--kind", required=True, type=WorkerKind)
     parser.add_argument("--node", required=True, type=int)
+    parser.add_argument("--busy-s", type=float, default=0.0, help="work of every job")
     given = parser.parse_args()
     name = f"{given.kind}@{given.node}"
     with process.start(name, given.run_dir) as me:
@@ -35,6 +36,8 @@ def main() -> None:
         process.show_name(name)
         settings = Settings.load(given.run_dir)
         function: Any = FUNCTIONS[given.kind]
+        if given.busy_s:
+            function = function._replace(body=busy(function.body, given.busy_s))
         socket = me.socket(zmq.DEALER, settings.endpoint("workers"), identity=name)
         world = WorldClient(settings.endpoint("world"), me.context)
         hello = WorkerHello(name=name, node=given.node, kind=given.kind, pid=os.getpid())
