@@ -15,6 +15,7 @@ from broker.replay import replay
 from broker.router import Router
 from broker.state import State
 from rtc import process, template
+from rtc.memory import Guard
 from rtc.messages import WorkerKind
 from rtc.settings import Settings
 from rtc.world.lease import KEY_FILE
@@ -42,6 +43,7 @@ def live(run_dir: Path) -> None:
         state, ended = replay(journal)
         store = ProgramStore(journal)
         router = Router(me, settings, journal, state, store, (run_dir / KEY_FILE).read_bytes())
+        router.guard = Guard()
         now = time.monotonic()
         restarted = bool(state.programs)
         if restarted:

@@ -42,7 +42,9 @@ from rtc.messages import Accepted, Declined, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
 
 MAX_COMMANDS = 10_000  # live at once; more are declined
-MAX_TEXT = 20_000  # characters kept of a sentence (the parser refuses far shorter ones, with the place)
+LIVE_PER_CLIENT = 2_000  # of one client, so that no one client can take the place of all others
+MAX_TEXT = 4_000  # characters kept of a sentence (the parser refuses shorter ones, with the place)
+MAX_SUBSYSTEMS = 32  # known by name, lost ones too
 HALTS_KEPT = 64
 
 ACTIONS: dict[str, Callable[[Turn, Command, Any], None]] = {
@@ -121,11 +123,9 @@ def on_command(turn: Turn, event: CommandReceived) -> None:
         if known in state.ended:
             turn.effects.append(TellClient(client=event.client, message=state.ended[known]))  # type: ignore[arg-type]
         return
-    if len(state.commands) >= MAX_COMMANDS:
-        turn.count("declined")
-        message = f"{len(state.commands)} commands are live, which is the limit"
-        refusal = Refusal(reason=RefusalReason.OVERLOAD, message=message, clears="wait until some have ended")
-        turn.effects.append(TellClient(client=event.client, message=Declined(request=event.request, refusal=refusal)))
+    live = state.live.get(event.client, 0)
+    if live >= LIVE_PER_CLIENT or len(state.commands) >= MAX_COMMANDS:
+        _decline(turn, event, live)
         return
     state.accepted += 1
     command = Command(
@@ -140,6 +140,7 @@ def on_command(turn: Turn, event: CommandReceived) -> None:
         given_at_s=min(event.sent_at_s or event.at_s, event.at_s),
     )
     state.commands[command.id] = command
+    state.live[event.client] = live + 1
     state.requests[key] = command.id
     turn.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
     if scope := halt_scope(event.text):
@@ -150,6 +151,19 @@ def on_command(turn: Turn, event: CommandReceived) -> None:
     else:
         turn.give_out(command, WorkerKind.PARSER, {"text": command.text})
         turn.enter(command, Phase.PARSING)
+
+
+def _decline(turn: Turn, event: CommandReceived, live: int) -> None:
+    """Too many are live. A halt is obeyed all the same."""
+    turn.count("declined")
+    message = f"{len(turn.state.commands)} commands are live, {live} of them yours; the limit is " + (
+        f"{LIVE_PER_CLIENT} of one client" if live >= LIVE_PER_CLIENT else f"{MAX_COMMANDS} in all"
+    )
+    if scope := halt_scope(event.text):
+        journey.halt(turn, f"declined-{turn.state.counts['declined']}", scope, turn.now)
+        message = f"{scope} is halted, but nobody waits for rest: {message}"
+    refusal = Refusal(reason=RefusalReason.OVERLOAD, message=message, clears="wait until some have ended")
+    turn.effects.append(TellClient(client=event.client, message=Declined(request=event.request, refusal=refusal)))
 
 
 def on_halt(turn: Turn, event: HaltCalled) -> None:
@@ -255,7 +269,8 @@ def on_program(turn: Turn, event: ProgramInstalled) -> None:
 
 def on_started(turn: Turn, event: PrimitiveStarted) -> None:
     command = turn.state.commands.get(event.primitive.partition(".")[0])
-    if command is not None and command.primitive == event.primitive and command.phase is Phase.EXECUTING:
+    awaited = command is not None and (command.primitive, command.subsystem) == (event.primitive, event.subsystem)
+    if awaited and command is not None and command.phase is Phase.EXECUTING:
         turn.node = event.subsystem
         turn.note(command, "started")
 
@@ -266,6 +281,7 @@ def on_ended(turn: Turn, event: PrimitiveEnded) -> None:
     awaited = (
         command is not None
         and command.primitive == report.primitive
+        and command.subsystem == event.subsystem
         and command.phase in (Phase.EXECUTING, Phase.HALTING)
     )
     if not awaited or command is None:
@@ -284,7 +300,7 @@ def on_halt_confirmed(turn: Turn, event: HaltConfirmed) -> None:
     if event.at_rest:
         turn.confirm_rest(event.subsystem, event.performers, name if name != event.halt else "")
     command = turn.state.commands.get(name)
-    if command is not None:
+    if command is not None and command.subsystem in ("", event.subsystem):  # "": of a HALT sentence
         turn.node = event.subsystem
         stimulate(turn, command, Stimulus.REST, event.at_rest)
 
@@ -293,6 +309,9 @@ def on_subsystem(turn: Turn, event: SubsystemConnected) -> None:
     """Come, or come back. What it does not know any more it never got, or it forgot by dying."""
     state = turn.state
     before = state.subsystems.get(event.subsystem)
+    if before is None and len(state.subsystems) >= MAX_SUBSYSTEMS and not _forget_a_subsystem(state):
+        turn.count("subsystems_declined")
+        return
     reborn = before is not None and before.pid != event.pid
     if reborn:
         _gone(turn, event.subsystem, "it was restarted")
@@ -317,6 +336,13 @@ def on_subsystem(turn: Turn, event: SubsystemConnected) -> None:
                 ending.order_halt(turn, command)
             elif command.phase is Phase.EXECUTING and command.primitive not in event.outstanding:
                 journey.send(turn, command)
+
+
+def _forget_a_subsystem(state: State) -> bool:
+    """One that is lost and that nothing waits for."""
+    wanted = {c.subsystem for c in state.commands.values()} | {q.subsystem for q in state.resources.quarantine.values()}
+    lost = (name for name, s in state.subsystems.items() if s.link is Link.LOST and name not in wanted)
+    return state.subsystems.pop(next(lost, ""), None) is not None
 
 
 def _order_halt(turn: Turn, subsystem: str, halt: str, scope: str) -> None:

@@ -81,6 +81,9 @@ def end(
     )
     turn.effects.append(ReportEnd(client=command.client, ended=ended, record=record))
     del state.commands[command.id]
+    state.live[command.client] -= 1
+    if not state.live[command.client]:
+        del state.live[command.client]
     _remember(turn, command, ended)
 
 

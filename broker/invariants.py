@@ -3,6 +3,7 @@ model check and the cluster simulation, never in production."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 
 from broker.effects import CancelJob, DispatchJob, Effect, PublishNote, ReportEnd, SendPrimitive, StartTimer
@@ -48,6 +49,8 @@ def _motions(state: State) -> Iterable[str]:
 
 def _commands(state: State) -> Iterable[str]:
     """A command that is waited for by nothing would never end."""
+    if state.live != Counter(command.client for command in state.commands.values()):
+        yield f"{state.live} is not how many commands each client has live"
     joined = {c for waiting in [*state.awaiting.values(), *state.joining.values()] for c in waiting}
     for command in state.commands.values():
         by_job = command.phase in (Phase.PARSING, Phase.ELABORATING, Phase.BINDING, Phase.ANALYZING, Phase.CLOSING)

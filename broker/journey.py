@@ -36,6 +36,8 @@ MAX_TRIMS = 6  # of one command (A17)
 MAX_ELABORATIONS = 20  # a command whose needs change each time it gets them
 REPORT_MARGIN_S = 2.0  # beyond the limit of a primitive, before silence is taken for trouble
 
+CONTROLS = {"PAUSE": Stimulus.PAUSE, "RESUME": Stimulus.RESUME, "ABORT": Stimulus.STOP}  # besides HALT
+
 read_parsed = wire.decoder(ParsedHead)
 read_script = wire.decoder(ScriptHead)
 read_step = wire.decoder(StepHead)
@@ -67,11 +69,15 @@ def control(turn: Turn, command: Command, head: ParsedHead) -> None:
     if head.verb == "HALT":
         halt_by_command(turn, command, scope)
         return
+    if head.verb not in CONTROLS:
+        message = f"the grammar says that {head.verb!r:.80} controls commands, which it does not"
+        refuse(turn, command, Refusal(reason=RefusalReason.PROGRAM, message=message))
+        return
     targets = [c.id for c in in_scope(turn, scope) if c.id != command.id]
     if not targets and scope != "ALL":
         refuse(turn, command, no_target(turn, scope, command.id))
         return
-    stimulus = {"PAUSE": Stimulus.PAUSE, "RESUME": Stimulus.RESUME, "ABORT": Stimulus.STOP}[head.verb]
+    stimulus = CONTROLS[head.verb]
     ending = Ending(kind=OutcomeKind.ABORTED, message=f"aborted by {command.id}")
     for target in targets:
         turn.follow(target, stimulus, ending if stimulus is Stimulus.STOP else None)

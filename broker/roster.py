@@ -24,7 +24,54 @@ SILENCE_S = 3.0  # an idle worker says something every half second
 QUEUE_LIMIT_S = 60.0  # longest wait of a job for a worker of its kind
 
 
-Queue = OrderedDict[str, tuple[float, DispatchJob]]  # job -> since when it waits; the oldest first
+Lane = OrderedDict[str, tuple[float, DispatchJob]]  # job -> since when it waits; the oldest first
+
+
+class Queue:
+    """Jobs of one kind that wait for a worker. Clients take turns, so that one with thousands of commands keeps
+    another's waiting for one job; the jobs of one client go in order."""
+
+    def __init__(self) -> None:
+        self._lanes: OrderedDict[str, Lane] = OrderedDict()  # by client, the one whose turn it is first; none is empty
+        self._client_of: dict[str, str] = {}
+
+    def __len__(self) -> int:
+        return len(self._client_of)
+
+    def add(self, job: DispatchJob, client: str, now: float) -> None:
+        self._client_of[job.job] = client
+        if client not in self._lanes:
+            self._lanes[client] = OrderedDict()
+        self._lanes[client][job.job] = (now, job)
+
+    def next(self) -> DispatchJob:
+        client = next(iter(self._lanes))
+        _, job = self._lanes[client][next(iter(self._lanes[client]))]
+        self.drop(job.job)
+        if client in self._lanes:
+            self._lanes.move_to_end(client)
+        return job
+
+    def drop(self, job: str) -> None:
+        client = self._client_of.pop(job, None)
+        if client is not None:
+            del self._lanes[client][job]
+            if not self._lanes[client]:
+                del self._lanes[client]
+
+    def oldest_s(self) -> float | None:
+        """Since when the one that has waited longest waits."""
+        return min((next(iter(lane.values()))[0] for lane in self._lanes.values()), default=None)
+
+    def waiting_since(self, before_s: float) -> list[DispatchJob]:
+        """Those that wait since before then."""
+        found = []
+        for lane in self._lanes.values():
+            for since_s, job in lane.values():
+                if since_s >= before_s:
+                    break
+                found.append(job)
+        return found
 
 
 class Lost(NamedTuple):
@@ -61,7 +108,7 @@ class Worker:
 class Roster:
     def __init__(self) -> None:
         self.workers: dict[str, Worker] = {}
-        self.queues: dict[WorkerKind, Queue] = {kind: OrderedDict() for kind in WorkerKind}
+        self.queues: dict[WorkerKind, Queue] = {kind: Queue() for kind in WorkerKind}
 
     # --- workers come and go --------------------------------------------------------------------------
 
@@ -84,26 +131,30 @@ class Roster:
             worker.heard_at_s = now
         return worker is not None
 
-    def answered(self, name: str, job: str, attempt: int, took_s: float, now: float) -> None:
+    def answered(self, name: str, job: str, attempt: int, took_s: float, now: float) -> bool:
+        """False: this attempt was not given to this worker, or it was taken for lost meanwhile."""
         worker = self.workers.get(name)
         if worker is None:
-            return
+            return False
         worker.heard_at_s = worker.since_s = now
         held = worker.held.get(job)
-        if held is not None and held.attempt == attempt:  # a late answer to an earlier attempt frees nothing
-            del worker.held[job]
-            worker.done += 1
-            worker.mean_s = took_s if worker.done == 1 else 0.8 * worker.mean_s + 0.2 * took_s
+        if held is None or held.attempt != attempt:  # a late answer to an earlier attempt frees nothing
+            return False
+        del worker.held[job]
+        worker.done += 1
+        worker.mean_s = took_s if worker.done == 1 else 0.8 * worker.mean_s + 0.2 * took_s
+        return True
 
     # --- jobs -----------------------------------------------------------------------------------------
 
-    def submit(self, job: DispatchJob, now: float) -> None:
-        self.queues[job.kind][job.job] = (now, job)
+    def submit(self, job: DispatchJob, now: float, client: str = "") -> None:
+        """`client`: whose command it is for."""
+        self.queues[job.kind].add(job, client, now)
 
     def cancel(self, job: str) -> str:
         """Nobody wants it any more. Returns the worker that holds it and should be told, or an empty name."""
         for queue in self.queues.values():
-            queue.pop(job, None)
+            queue.drop(job)
         return next((worker.name for worker in self.workers.values() if job in worker.held), "")
 
     def assign(self, now: float) -> Iterator[tuple[str, list[DispatchJob]]]:
@@ -115,7 +166,7 @@ class Roster:
                     break
                 worker = min(free, key=lambda w: len(w.held))
                 most = min(worker.handful, worker.room, len(queue))
-                jobs = [queue.popitem(last=False)[1][1] for _ in range(most)]
+                jobs = [queue.next() for _ in range(most)]
                 if not worker.held:
                     worker.since_s = now
                 worker.held.update((job.job, job) for job in jobs)
@@ -123,8 +174,8 @@ class Roster:
 
     def waiting_s(self, kind: WorkerKind, now: float) -> float | None:
         """How long the first job in line has waited for a worker of this kind; None: none waits."""
-        first = next(iter(self.queues[kind].values()), None)
-        return None if first is None else now - first[0]
+        since_s = self.queues[kind].oldest_s()
+        return None if since_s is None else now - since_s
 
     # --- trouble --------------------------------------------------------------------------------------
 
@@ -152,6 +203,8 @@ class Roster:
         """Jobs taken out of a queue because no worker of their kind took them within the limit."""
         expired = []
         for queue in self.queues.values():
-            while queue and now - next(iter(queue.values()))[0] > QUEUE_LIMIT_S:
-                expired.append(queue.popitem(last=False)[1][1])
+            late = queue.waiting_since(now - QUEUE_LIMIT_S)
+            for job in late:
+                queue.drop(job.job)
+            expired += late
         return expired

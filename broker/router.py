@@ -20,7 +20,7 @@ import zmq
 
 from broker import effects as do
 from broker import events as heard
-from broker.decision_unit import decide
+from broker.decision_unit import MAX_TEXT, decide
 from broker.journal import Journal
 from broker.pools import Pools
 from broker.program_store import ProgramStore
@@ -30,21 +30,27 @@ from broker.status import status
 from broker.timers import Timers
 from rtc import messages as m
 from rtc import wire
+from rtc.halting import Fold, as_a_callers
+from rtc.memory import Guard
 from rtc.outcomes import Refusal, RefusalReason, WireError
 from rtc.process import Every, Process, inbox, send
-from rtc.settings import Settings
+from rtc.settings import BOUNDS, Settings
 from rtc.world.lease import sign
 
 # A turn reads from a socket until it has heard of so many events; the shares are those of a stream of short commands,
 # so that none of them has to wait for long (workers tell several results in a message).
-EVENTS_PER_TURN = {"subsystems": 16, "workers": 48, "front": 64}
+EVENTS_PER_TURN = {"halt": 10, "subsystems": 16, "workers": 48, "front": 64}
 MESSAGES_PER_TURN = 200  # of those that are no events
+READ_S = 0.003  # and no longer than this: what is asked, long, or no message at all costs time too
+QUESTIONS_PER_S = 100  # of one client: answers are long, and wait in our memory for who does not fetch them
+LOAD_QUESTIONS = 20  # a program that is loaded counts as so many
 SUBSYSTEM_SILENCE_S = 2.0
 CLIENT_SILENCE_S = 5.0  # of one that is watched
 STOOD_STILL_S = 1.0  # between two turns of ours: we were stopped, or the machine was
 SNAPSHOT_EVENTS = 30_000  # decided again in well under a second by a restarted broker
 SNAPSHOT_S, WORTH_A_SNAPSHOT = 10.0, 2_000  # and this many events after so long, for a restart in a moment
-HALTS_KEPT = 64
+CALLERS_KEPT = 200  # who are told what becomes of their halts: of the last HALTS_OF_CALLER of each
+HALTS_OF_CALLER = 8
 
 
 class Router:
@@ -64,22 +70,27 @@ class Router:
         self.roster = Roster()
         self._pools = Pools(settings.least, settings.most_workers)
         self.timers = Timers()
-        self.dropped: Counter[str] = Counter()  # malformed messages, by socket
+        self.dropped: Counter[str] = Counter()  # messages nobody could read, or from who may not say such; by socket
+        self.told_dropped: dict[str, int] = {}  # the same by other processes' sockets, as they tell
         self.processes: list[dict[str, Any]] = []  # as the supervisor told last
         self.turn_times_s: deque[float] = deque(maxlen=4096)
         self.began_s = self._turn_at_s = self._clock()
-        self._halt_callers: OrderedDict[str, set[bytes]] = OrderedDict()
+        self._fold = Fold()
+        self._halts_of: OrderedDict[bytes, deque[str]] = OrderedDict()  # by caller
         self._subsystem_heard_s: dict[str, float] = {}
         # Clients with commands that are halted when they go away; when each was heard last.
         self._watched_s = {c.client: self.began_s for c in state.commands.values() if c.halt_if_lost}
         self._supervisor = False
-        self._listeners = 0
+        self._topics: set[bytes] = set()  # that somebody listens to: beginnings of all that is published
+        self._asked: Counter[bytes] = Counter()  # questions of a client in this second
+        self._second = Every(1.0)
         self._audit = Every(0.1)
         self._snapshots = Every(SNAPSHOT_S)
+        self.guard: Guard | None = None  # of this process's memory; none in a simulation
         self._socket: dict[str, zmq.Socket[bytes]] = {}
         for name in ("halt", "subsystems", "supervisor", "workers", "front"):
-            self._socket[name] = me.socket(zmq.ROUTER, settings.endpoint(name), bind=True, queue_length=100_000)
-        self._socket["events"] = me.socket(zmq.XPUB, settings.endpoint("events"), bind=True)
+            self._socket[name] = me.socket(zmq.ROUTER, settings.endpoint(name), bind=True, bounds=BOUNDS[name])
+        self._socket["events"] = me.socket(zmq.XPUB, settings.endpoint("events"), bind=True, bounds=BOUNDS["events"])
         self._events: list[heard.Event] = []
         self._perform = {kind: partial(perform, self) for kind, perform in _PERFORM.items()}
 
@@ -101,12 +112,14 @@ class Router:
         waiting = [n for n, socket in self._socket.items() if readable is None or socket in readable]
         if "halt" in waiting:
             self._read("halt", began)
-            if self._events:
-                self._settle(began)
+        if (folded := self._fold.due(began)) is not None:
+            self._events.append(_halt_called("", folded, began))
+        if self._events:
+            self._settle(began)
         reports_heard = True
         for name in waiting:
             if name == "events":
-                self._count_listeners(began)
+                self._hear_subscriptions(began)
             elif name != "halt":
                 all_read = self._read(name, began)
                 reports_heard &= all_read or name != "subsystems"
@@ -140,28 +153,18 @@ class Router:
         """An event that comes from nobody's socket: start-up."""
         self._events.append(event)
 
-    def _count_listeners(self, now: float) -> None:
-        """XPUB tells the first subscription to a topic and the end of the last; ours all subscribe to everything."""
-        before = self._listeners
-        for frame in inbox(self._socket["events"]):
-            self._listeners += 1 if frame[0][:1] == b"\x01" else -1
-        if bool(before) is not bool(self._listeners):
-            self._events.append(heard.ListenersChanged(at_s=now, listening=self._listeners > 0))
-
     def _read(self, name: str, now: float) -> bool:
         """What lies on one socket, as far as there is room in this turn. False: there may be more."""
         read, take = _DOORS[name]
         most = EVENTS_PER_TURN.get(name, MESSAGES_PER_TURN)
-        messages = 0
+        messages, began = 0, self._clock()
         for peer, *parts in inbox(self._socket[name], MESSAGES_PER_TURN):
             messages += 1
             try:
-                message = read(parts)
+                take(self, peer, read(parts), now)
             except WireError as error:
                 self._drop(name, peer, error)
-                continue
-            take(self, peer, message, now)
-            if len(self._events) >= most:
+            if len(self._events) >= most or self._clock() - began > READ_S:
                 return False
         return messages < MESSAGES_PER_TURN
 
@@ -169,26 +172,50 @@ class Router:
         self.dropped[name] += 1
         if self.dropped[name] <= 20 or self.dropped[name] % 1000 == 0:
             self.me.log.warning("dropped a message on %s from %r: %s", name, peer[:40], error)
-        if name == "front":
+        if name in ("front", "halt"):
             refusal = Refusal(reason=RefusalReason.SENTENCE, message=f"no message of this protocol: {error}")
             send(self._socket[name], m.Declined(request="", refusal=refusal), peer)
+
+    def _hear_subscriptions(self, now: float) -> None:
+        """One frame each: 1 or 0, and the beginning of what is wanted. Anything else is somebody's noise."""
+        before = bool(self._topics)
+        for frame, *_ in inbox(self._socket["events"], MESSAGES_PER_TURN):
+            wanted, topic = frame[:1], frame[1:]
+            if wanted not in (b"\0", b"\1") or not wire.PROTOCOL.startswith(topic):
+                self.dropped["events"] += 1
+            elif wanted == b"\1":
+                self._topics.add(topic)
+            else:
+                self._topics.discard(topic)
+        self._tell_listeners(before, now)
+
+    def _tell_listeners(self, before: bool, now: float) -> None:
+        if before is not bool(self._topics):
+            self._events.append(heard.ListenersChanged(at_s=now, listening=bool(self._topics)))
 
     # --- bytes into events ----------------------------------------------------------------------------
 
     def _from_halt(self, peer: bytes, order: m.HaltOrder, now: float) -> None:
-        self._halt_callers.setdefault(order.halt, set()).add(peer)
-        if len(self._halt_callers) > HALTS_KEPT:
-            self._halt_callers.popitem(last=False)
-        self._events.append(
-            heard.HaltCalled(
-                at_s=now, client=_name(peer), halt=order.halt, scope=order.scope, called_at_s=order.called_at_s
-            )
-        )
+        order = as_a_callers(order)
+        if self._fold.too_often(peer, now):
+            self._fold.add(order)
+            self.dropped["halts_folded"] += 1
+            return
+        self._halts_of.setdefault(peer, deque(maxlen=HALTS_OF_CALLER)).append(order.halt)
+        self._halts_of.move_to_end(peer)
+        if len(self._halts_of) > CALLERS_KEPT:
+            self._halts_of.popitem(last=False)
+        self._events.append(_halt_called(_name(peer), order, now))
 
     def _from_subsystem(self, peer: bytes, message: Any, now: float) -> None:
         name = _name(peer)
-        self._subsystem_heard_s[name] = now
+        if isinstance(message, m.SubsystemHello) or name in self.state.subsystems:
+            self._subsystem_heard_s[name] = now
         match message:
+            case m.SubsystemHello(name=other) | m.HaltStarted(subsystem=other) | m.HaltAtRest(subsystem=other) if (
+                other != name
+            ):
+                raise WireError(f"{name!r:.80} speaks for {other!r:.80}")
             case m.EndReport():
                 self._events.append(heard.PrimitiveEnded(at_s=now, subsystem=name, report=message))
             case m.Started():
@@ -207,13 +234,9 @@ class Router:
                     )
                 )
             case m.HaltOrder():
-                self._events.append(
-                    heard.HaltCalled(
-                        at_s=now, client=name, halt=message.halt, scope=message.scope, called_at_s=message.called_at_s
-                    )
-                )
+                self._events.append(_halt_called(name, message, now))
             case m.SubsystemHello():
-                self.me.log.info("%s is here, pid %d, %s", name, message.pid, ", ".join(message.performers))
+                self.me.log.info("%.80r is here, pid %d, %.200s", name, message.pid, message.performers)
                 self._events.append(
                     heard.SubsystemConnected(
                         at_s=now,
@@ -228,14 +251,21 @@ class Router:
                 known = self.state.subsystems.get(name)
                 if known is None or known.link is not Link.CONNECTED:
                     send(self._socket["subsystems"], m.ReportAck(primitive=""), peer)
+            case m.Dropped():
+                self._count_dropped(message, ("estop", "bench"))
             case m.ProgressReport():
                 pass  # for the telemetry's listeners; the Decision Unit lives on events alone
 
     def _from_supervisor(self, peer: bytes, message: Any, now: float) -> None:
+        if isinstance(message, m.Dropped) and peer == b"world":
+            self._count_dropped(message, ("world",))
+            return
+        if peer != b"supervisor" or isinstance(message, m.Dropped):
+            raise WireError("somebody who is not the supervisor")
         self._supervisor = True
         match message:
             case m.ProcessExited():
-                self.me.log.warning("%s (pid %d) ended with status %d", message.name, message.pid, message.status)
+                self.me.log.warning("%.80r (pid %d) ended with status %d", message.name, message.pid, message.status)
                 worker = self.roster.workers.get(message.name)
                 if worker is not None and worker.pid == message.pid:
                     self._lose(message.name, self.roster.gone(message.name), f"exit status {message.status}", now)
@@ -244,7 +274,10 @@ class Router:
                     why = f"its process ended with status {message.status}"
                     self._events.append(heard.SubsystemGone(at_s=now, subsystem=message.name, why=why))
             case m.ProcessTable():
-                self.processes = message.processes
+                self.processes = [dict(row) for row in message.processes]
+
+    def _count_dropped(self, message: m.Dropped, sockets: Collection[str]) -> None:
+        self.told_dropped.update((name, n) for name, n in message.counts.items() if name in sockets)
 
     def _from_worker(self, peer: bytes, message: Any, now: float) -> None:
         name = _name(peer)
@@ -252,13 +285,18 @@ class Router:
             case m.ResultBatch():
                 known = self.roster.heard(name, now)
                 for result in message.results:
-                    self.roster.answered(name, result.id, result.attempt, getattr(result, "took_s", 0.0), now)
-                    self._events.append(_result(name, result, now))
+                    # What was not given to this worker, or not any more, is nobody's answer.
+                    if self.roster.answered(name, result.id, result.attempt, getattr(result, "took_s", 0.0), now):
+                        self._events.append(_result(name, result, now))
+                    else:
+                        self.dropped["results"] += 1
                 if not known:
                     send(self._socket["workers"], m.JobBatch(jobs=[]), peer)
             case m.Heartbeat():
                 if not self.roster.heard(name, now):
                     send(self._socket["workers"], m.JobBatch(jobs=[]), peer)  # who are you? say hello
+            case m.WorkerHello(name=other) if other != name:
+                raise WireError(f"{name!r:.80} says it is {other!r:.80}")
             case m.WorkerHello():
                 lost = self.roster.hello(name, message.node, message.kind, message.pid, now)
                 self._lose(name, lost, "its process was replaced", now)
@@ -273,6 +311,8 @@ class Router:
             )
 
     def _from_client(self, peer: bytes, message: Any, now: float) -> None:
+        if isinstance(message, _QUESTIONS) and self._asks_too_much(peer, message, now):
+            return
         match message:
             case m.CommandText():
                 if message.halt_if_lost:
@@ -282,7 +322,7 @@ class Router:
                         at_s=now,
                         client=_name(peer),
                         request=message.request,
-                        text=message.text,
+                        text=message.text[:MAX_TEXT],
                         source=message.source,
                         progress=message.progress,
                         halt_if_lost=message.halt_if_lost,
@@ -303,6 +343,18 @@ class Router:
             case m.Shutdown():
                 self.me.log.info("told to shut the cluster down")
                 send(self._socket["supervisor"], m.Shutdown(request=message.request), b"supervisor")
+
+    def _asks_too_much(self, peer: bytes, message: Any, now: float) -> bool:
+        if self._second.due(now):
+            self._asked.clear()
+        self._asked[peer] += LOAD_QUESTIONS if isinstance(message, m.ProgramText) else 1
+        if self._asked[peer] <= QUESTIONS_PER_S:
+            return False
+        self.dropped["questions"] += 1
+        words = f"a client may ask {QUESTIONS_PER_S} times a second; a program counts as {LOAD_QUESTIONS}"
+        refusal = Refusal(reason=RefusalReason.OVERLOAD, message=words, clears="ask again a second later")
+        self._answer(peer, m.Declined(request=message.request, refusal=refusal))
+        return True
 
     def _answer(self, peer: bytes, message: m.BrokerToClient) -> None:
         send(self._socket["front"], message, peer)
@@ -336,6 +388,8 @@ class Router:
     # --- what only the clock tells --------------------------------------------------------------------
 
     def _look_after(self, now: float) -> None:
+        if self.guard is not None and (stage := self.guard.alarm(now)):
+            self._open_anew(stage, now)
         self.journal.tidy()
         if self._snapshots.due(now) and self.journal.events_since_snapshot >= WORTH_A_SNAPSHOT:
             self.journal.snapshot(self.state)
@@ -371,11 +425,29 @@ class Router:
         for name in [name for name, heard_s in self._watched_s.items() if now - heard_s > CLIENT_SILENCE_S]:
             del self._watched_s[name]
             self._events.append(heard.ClientGone(at_s=now, client=name))
+        for name in self._subsystem_heard_s.keys() - self.state.subsystems.keys():
+            del self._subsystem_heard_s[name]
         for name, subsystem in self.state.subsystems.items():
             silent_s = now - self._subsystem_heard_s.get(name, self.began_s)
             if subsystem.link is not Link.LOST and silent_s > SUBSYSTEM_SILENCE_S:
                 why = f"silent for {silent_s:.1f} s"
                 self._events.append(heard.SubsystemGone(at_s=now, subsystem=name, why=why))
+
+    def _open_anew(self, stage: int, now: float) -> None:
+        """Somebody has filled our memory. Whoever belongs here comes back, and says again what was not answered."""
+        assert self.guard is not None
+        doors = ("front", "halt") if stage == 1 else ("events", "supervisor", "workers", "subsystems")
+        self.me.log.warning("more than %.0f MB: opening %s anew", self.guard.limit_mb, ", ".join(doors))
+        for name in doors:
+            self._socket[name] = self.me.open_anew(self._socket[name], self.settings.endpoint(name), BOUNDS[name])
+        if "events" in doors:
+            before = bool(self._topics)
+            self._topics.clear()
+            self._tell_listeners(before, now)
+        if "workers" in doors:  # jobs may have been on their way
+            for worker in list(self.roster.workers):
+                lost = [Lost(job, in_hand=False) for job, _ in self.roster.gone(worker)]
+                self._lose(worker, lost, "its connection was cut", now)
 
     # --- effects into bytes ---------------------------------------------------------------------------
 
@@ -392,15 +464,16 @@ class Router:
                 )
                 for job in jobs
             ]
-            if not send(self._socket["workers"], m.JobBatch(jobs=batch), worker.encode()):
+            if not send(self._socket["workers"], m.JobBatch(jobs=batch), _peer(worker)):
                 self._lose(worker, self.roster.gone(worker), "its connection is gone", now)
 
     def _dispatch(self, effect: do.DispatchJob) -> None:
-        self.roster.submit(effect, self._clock())
+        command = self.state.commands.get(effect.job.partition("/")[0])
+        self.roster.submit(effect, self._clock(), command.client if command else "")
 
     def _cancel(self, effect: do.CancelJob) -> None:
         if worker := self.roster.cancel(effect.job):
-            send(self._socket["workers"], m.Drop(jobs=[effect.job]), worker.encode())
+            send(self._socket["workers"], m.Drop(jobs=[effect.job]), _peer(worker))
 
     def _send_primitive(self, effect: do.SendPrimitive) -> None:
         message = {
@@ -409,14 +482,14 @@ class Router:
             "issued_at_s": effect.issued_at_s,
             "pid": effect.pid,
         }
-        send(self._socket["subsystems"], message, effect.subsystem.encode())
+        send(self._socket["subsystems"], message, _peer(effect.subsystem))
 
     def _send_halt(self, effect: do.SendHalt) -> None:
         order = m.HaltOrder(halt=effect.halt, scope=effect.scope, called_at_s=effect.called_at_s)
-        send(self._socket["subsystems"], order, effect.subsystem.encode())
+        send(self._socket["subsystems"], order, _peer(effect.subsystem))
 
     def _acknowledge(self, effect: do.AcknowledgeReport) -> None:
-        send(self._socket["subsystems"], m.ReportAck(primitive=effect.primitive), effect.subsystem.encode())
+        send(self._socket["subsystems"], m.ReportAck(primitive=effect.primitive), _peer(effect.subsystem))
 
     def _start_timer(self, effect: do.StartTimer) -> None:
         self.timers.start(effect.timer, effect.at_s)
@@ -430,13 +503,13 @@ class Router:
     def _publish(self, effect: do.PublishNote) -> None:
         if effect.client:
             send(self._socket["front"], effect.note, _peer(effect.client))
-        if self._listeners:
+        if self._topics:
             send(self._socket["events"], effect.note)
 
     def _report_end(self, effect: do.ReportEnd) -> None:
         encoded = self.state.ended.get(effect.ended.command, effect.ended)  # once is enough
         send(self._socket["front"], encoded, _peer(effect.client))
-        if self._listeners:
+        if self._topics:
             send(self._socket["events"], encoded)
 
     def _decline_halt(self, effect: do.DeclineHalt) -> None:
@@ -444,8 +517,13 @@ class Router:
         send(self._socket["halt"], m.Declined(request=effect.halt, refusal=refusal), _peer(effect.client))
 
     def _tell_halt_callers(self, message: m.HaltStarted | m.HaltAtRest) -> None:
-        for peer in self._halt_callers.get(message.halt, ()):
-            send(self._socket["halt"], message, peer)
+        for peer, called in self._halts_of.items():
+            if message.halt in called:
+                send(self._socket["halt"], message, peer)
+
+
+def _halt_called(client: str, order: m.HaltOrder, now: float) -> heard.HaltCalled:
+    return heard.HaltCalled(at_s=now, client=client, halt=order.halt, scope=order.scope, called_at_s=order.called_at_s)
 
 
 def _result(node: str, result: m.JobResult, now: float) -> heard.Event:
@@ -474,6 +552,7 @@ def _peer(name: str) -> bytes:
     return name.encode("latin-1")
 
 
+_QUESTIONS = (m.StatusQuery, m.TraceQuery, m.ProgramText)
 #: socket -> how its messages are read, and who takes them
 _DOORS: dict[str, tuple[Callable[[Any], Any], Callable[[Router, bytes, Any, float], None]]] = {
     "halt": (wire.reader(m.ToHalt), Router._from_halt),

@@ -167,6 +167,7 @@ class Trial(msgspec.Struct, frozen=True):
 
 class State(msgspec.Struct, kw_only=True):
     commands: dict[str, Command] = {}  # live ones, by id, in order of acceptance
+    live: dict[str, int] = {}  # client -> how many of them are its own
     accepted: int = 0
     seq: int = 0  # of the event stream
     requests: dict[str, str] = {}  # "client request" -> command, live or recently ended

@@ -12,11 +12,13 @@ if TYPE_CHECKING:
     from broker.router import Router
 
 COMMANDS_SHOWN = 200
+TEXT_SHOWN = 200  # characters of a sentence
 
 
 def status(router: Router) -> dict[str, Any]:
     now, state, roster = time.monotonic(), router.state, router.roster
     resources = state.resources
+    dropped = {**router.dropped, **router.told_dropped}
     names = [*dict.fromkeys([*resources.holders, *resources.lines, *resources.quarantine])]
     executing = [c for c in state.commands.values() if c.phase in (Phase.EXECUTING, Phase.HALTING)]
     return {
@@ -53,7 +55,7 @@ def status(router: Router) -> dict[str, Any]:
         "commands": [
             {
                 "command": c.id,
-                "text": c.text,
+                "text": c.text[:TEXT_SHOWN],
                 "phase": c.phase.value,
                 "step": c.step_words,
                 "resources": sorted(name for name, alone in resources.held.get(c.id, {}).items() if alone),
@@ -74,7 +76,7 @@ def status(router: Router) -> dict[str, Any]:
             for name, s in state.subsystems.items()
         ],
         "halts": {"called": state.counts.get("halts", 0)},
-        "counters": {**state.counts, **{f"dropped_{name}": n for name, n in router.dropped.items()}},
+        "counters": {**state.counts, **{f"dropped_{name}": n for name, n in dropped.items()}},
         "decision_ms": _spread_ms(router.turn_times_s),
         "programs": dict(state.programs),
     }

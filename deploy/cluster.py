@@ -18,7 +18,7 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -197,7 +197,7 @@ class _Report:
         self.cluster = cluster
         self._started_at = time.time()
 
-    def save(self, table: list[dict[str, Any]]) -> None:
+    def save(self, table: Sequence[Mapping[str, object]]) -> None:
         document = {
             "pid": os.getpid(),
             "cluster": self.cluster,

@@ -8,7 +8,7 @@ not know: it is given a list of `Spec`s, and a function that makes the spec of a
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from rtc.messages import (
     BrokerToSupervisor,
     KillProcess,
     ProcessExited,
+    ProcessRow,
     ProcessTable,
     RetireWorker,
     Shutdown,
@@ -56,7 +57,7 @@ class Supervisor:
         pid: int,
         new_worker: Callable[[int], Spec],
         say: Callable[[str], None] = lambda line: None,
-        save: Callable[[list[dict[str, Any]]], None] = lambda table: None,
+        save: Callable[[Sequence[Mapping[str, object]]], None] = lambda table: None,
         policy: Policy = DEFAULT,
     ) -> None:
         self._me = me
@@ -278,7 +279,7 @@ class Supervisor:
         if self._up:
             self._tell_table()
 
-    def table(self) -> list[dict[str, Any]]:
+    def table(self) -> list[ProcessRow]:
         return [
             {
                 "name": child.spec.name,

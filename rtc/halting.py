@@ -11,6 +11,7 @@ import math
 import threading
 import time
 import uuid
+from collections import Counter
 from collections.abc import Collection
 
 import msgspec
@@ -25,9 +26,57 @@ from rtc.wire import frames, reader
 CONNECT_S = 0.5  # longest wait for a first connection
 UNNAMED_S = 0.1  # a subsystem that has nothing in scope is at rest; for so long the broker may know no such name
 RETRY_S = 0.02  # how often the order is offered to a door that was closed
+PER_S = 200  # calls of one caller in a second that are each answered
+FOLD_S = 0.1
+OWN_NAMES = ("C-", "stop-", "orphan-", "rejoin-", "declined-")  # of halts that the broker orders
 DOORS = ("halt", "estop")  # who is told: broker, MCM
 
 _read = reader(m.FromHalt)
+
+
+def as_a_callers(order: m.HaltOrder) -> m.HaltOrder:
+    """A halt as it came from outside. The names that the broker gives to halts of its own are not for others: used by
+    somebody else, they would confirm rest of what has not been stopped. Such a halt is obeyed under another name.
+    And a time that is none is as good as none told."""
+    if order.halt.startswith(OWN_NAMES):
+        order = msgspec.structs.replace(order, halt=f"H-{order.halt}")
+    if not 0.0 <= order.called_at_s < math.inf:
+        order = msgspec.structs.replace(order, called_at_s=0.0)
+    return order
+
+
+class Fold:
+    """Keeps those who call halts without end from keeping everybody busy. Pure; the time is an argument.
+
+    Who calls more than PER_S times in a second is obeyed where it costs nothing; beyond that, all such calls of a tenth
+    of a second become one halt: of their scope, or of ALL when they differ.
+    """
+
+    def __init__(self) -> None:
+        self._calls: Counter[bytes] = Counter()  # by caller, in this second
+        self._second = self._tenth = 0.0  # when they end
+        self._folded: m.HaltOrder | None = None
+
+    def too_often(self, caller: bytes, now_s: float) -> bool:
+        if now_s >= self._second:
+            self._second = now_s + 1.0
+            self._calls.clear()
+        self._calls[caller] += 1
+        return self._calls[caller] > PER_S
+
+    def add(self, order: m.HaltOrder) -> m.HaltOrder:
+        """What has become of this one and those before it."""
+        before = self._folded
+        same = before is None or before.scope == order.scope
+        self._folded = order if same else msgspec.structs.replace(order, scope="ALL")
+        return self._folded
+
+    def due(self, now_s: float) -> m.HaltOrder | None:
+        if self._folded is None or now_s < self._tenth:
+            return None
+        self._tenth = now_s + FOLD_S
+        order, self._folded = self._folded, None
+        return order
 
 
 class SubsystemHalt(msgspec.Struct, kw_only=True):

@@ -13,7 +13,7 @@ the hand, in tool axes at the tcp. Names are upper case.
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
 import msgspec
 
@@ -27,48 +27,59 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag
     collector need not look at them."""
 
 
+# What others choose and we keep has a length; longer ones are no message.
+PROGRAM_BYTES = 128 << 10  # of a program file; the longest of ours has 7 kB
+Name = Annotated[str, msgspec.Meta(max_length=200)]  # characters
+
+
 # --- 1. client -> broker (front door) -----------------------------------------------------------------
 
 
 class CommandText(Message, frozen=True, kw_only=True):
     """A sentence. The same (client, request) sent twice is one command: a client may repeat it after a reconnect."""
 
-    request: str  # chosen by the client, unique for it
+    request: Name  # chosen by the client, unique for it
     text: str
     source: Literal["operator", "aip"] = "operator"  # told apart in records only (R133)
     progress: bool = True  # send ProgressNotes too, not only the end
+<<<<<<< HEAD
     halt_if_lost: bool = False  # halt this command when the client goes away: it says Heartbeat every second
     sent_at_s: float = 0.0  # a sentence sent before a HALT ALL does not start after it; 0 = not told
+=======
+    halt_if_lost: bool = False  # halt this command when the client goes away
+    # A sentence sent before a HALT ALL does not start after it; 0 = not told.
+    sent_at_s: Annotated[float, msgspec.Meta(ge=0)] = 0.0
+>>>>>>> 56acb7a (x)
 
 
 class StatusQuery(Message, frozen=True, kw_only=True):
-    request: str
+    request: Name
 
 
 class TraceQuery(Message, frozen=True, kw_only=True):
-    request: str
-    command: str  # C-n
+    request: Name
+    command: Name  # C-n
 
 
 class ProgramText(Message, frozen=True, kw_only=True):
     """LOAD: put this program document in place of, or into, the one of a kind of worker."""
 
-    request: str
+    request: Name
     kind: WorkerKind
-    name: str  # of the file, for messages
-    body: bytes  # YAML
+    name: Name  # of the file, for messages
+    body: Annotated[bytes, msgspec.Meta(max_length=PROGRAM_BYTES)]  # YAML
 
 
 class ClientHello(Message, frozen=True, kw_only=True):
     """First word of a client; its `client` name survives reconnects. Answered with Welcome."""
 
-    client: str
+    client: Name
 
 
 class Shutdown(Message, frozen=True, kw_only=True):
     """Ask the cluster to end itself in order (from `rtc down`, or to a worker that retires)."""
 
-    request: str = ""
+    request: Name = ""
 
 
 # --- broker -> client ---------------------------------------------------------------------------------
@@ -208,8 +219,8 @@ class ProgramBody(Message, frozen=True, kw_only=True):
 class WorkerHello(Message, frozen=True, kw_only=True):
     """A worker is ready. `node` is its address in the cube, `name` "binder@2"."""
 
-    name: str
-    node: int
+    name: Name
+    node: Annotated[int, msgspec.Meta(ge=0, lt=1 << 16)]
     kind: WorkerKind
     pid: int
 
@@ -217,8 +228,8 @@ class WorkerHello(Message, frozen=True, kw_only=True):
 class Heartbeat(Message, frozen=True, kw_only=True):
     """Alive, and this is the job in hand, if any. From a worker, a subsystem, or a client that is watched."""
 
-    name: str
-    job: str = ""
+    name: Name
+    job: Name = ""
 
 
 class JobDone(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="done", gc=False):
@@ -248,9 +259,16 @@ class JobCrashed(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, 
 JobResult = JobDone | JobRefused | JobCrashed
 
 
+class Dropped(Message, frozen=True, kw_only=True):
+    """How many messages could not be read, by socket, since the process began: for `rtc status`. Told now and then by
+    the processes that have sockets of their own (MCM, world database)."""
+
+    counts: Annotated[dict[Name, int], msgspec.Meta(max_length=10)]
+
+
 class ResultBatch(Message, frozen=True, kw_only=True):
     name: str  # of the worker
-    results: list[JobResult]
+    results: Annotated[list[JobResult], msgspec.Meta(max_length=1000)]
 
 
 class ProgramWanted(Message, frozen=True, kw_only=True):
@@ -440,10 +458,10 @@ class Assessment(Message, frozen=True, kw_only=True):
 class SubsystemHello(Message, frozen=True, kw_only=True):
     """A subsystem is there. `outstanding` are the primitives it executes or has an unacknowledged report of."""
 
-    name: str  # MCM
+    name: Name  # MCM
     pid: int
-    performers: list[str]  # LEFT-ARM, RIGHT-ARM
-    outstanding: list[str] = []
+    performers: Annotated[list[Name], msgspec.Meta(max_length=10_000)]  # LEFT-ARM, RIGHT-ARM
+    outstanding: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []
     at_rest: bool = True
 
 
@@ -462,8 +480,8 @@ class HaltOrder(Message, frozen=True, kw_only=True):
     From a subsystem to the broker: a halt that was called past the broker. Nothing in its scope begins until the
     broker has answered with the same order; it is said again with every hello until then."""
 
-    halt: str
-    scope: str = "ALL"
+    halt: Name
+    scope: Name = "ALL"
     called_at_s: float = 0.0  # when the operator called
 
 
@@ -491,8 +509,8 @@ class ProgressReport(Message, frozen=True, kw_only=True):
 class EndReport(Message, frozen=True, kw_only=True):
     """The one end report of a primitive: what, where, why (R65). Repeated until it is acknowledged."""
 
-    primitive: str
-    performer: str
+    primitive: Name
+    performer: Name
     reason: StopReason
     at_s: float
     duration_s: float  # in the time of the simulation
@@ -546,8 +564,8 @@ class Fact(msgspec.Struct, frozen=True, kw_only=True):
 class ReadView(Message, frozen=True, kw_only=True):
     """One grouped read (R147): all facts, or those of some keys or locations; only what is newer than `since`."""
 
-    request: str
-    keys: list[str] | None = None
+    request: Name
+    keys: Annotated[list[Name], msgspec.Meta(max_length=10_000)] | None = None
     since: int = 0
 
 
@@ -560,7 +578,7 @@ class View(Message, frozen=True, kw_only=True):
 class Commit(Message, frozen=True, kw_only=True):
     """Write, once per job: the same job again gets the same answer and changes nothing."""
 
-    request: str
+    request: Name
     lease: Lease
     changes: list[WorldChange]
     source: str
@@ -573,9 +591,9 @@ class Committed(Message, frozen=True, kw_only=True):
 
 
 class WorldHistory(Message, frozen=True, kw_only=True):
-    request: str
-    key: str
-    limit: int = 100
+    request: Name
+    key: Name
+    limit: int = 100  # at most 1000 are told
 
 
 class WorldRefused(Message, frozen=True, kw_only=True):
@@ -593,16 +611,27 @@ class SupervisorHello(Message, frozen=True, kw_only=True):
 class ProcessExited(Message, frozen=True, kw_only=True):
     """A process of the cluster has ended; the supervisor saw it first."""
 
-    name: str  # "binder@2", "MCM", "world"
+    name: Name  # "binder@2", "MCM", "world"
     pid: int
     status: int  # as from waitpid: negative = signal
     restarting: bool
 
 
+class ProcessRow(TypedDict):
+    """A process as the supervisor sees it; a plain map, because `rtc status` shows it as it is."""
+
+    name: Name
+    pid: int
+    state: Name
+    since_s: float  # CLOCK_MONOTONIC
+    restarts: NotRequired[int]
+    node: NotRequired[int | None]  # a worker's address
+
+
 class ProcessTable(Message, frozen=True, kw_only=True):
     """What runs: for `rtc status`."""
 
-    processes: list[dict[str, Any]]  # name, pid, state, restarts, since_s
+    processes: Annotated[list[ProcessRow], msgspec.Meta(max_length=10_000)]
 
 
 class KillProcess(Message, frozen=True, kw_only=True):
@@ -646,7 +675,7 @@ class Telemetry(Message, frozen=True, kw_only=True):
 
 
 class SimTruth(Message, frozen=True, kw_only=True):
-    request: str
+    request: Name
 
 
 class SimTruthReply(Message, frozen=True, kw_only=True):
@@ -663,8 +692,8 @@ class SimTruthReply(Message, frozen=True, kw_only=True):
 class SimDisplace(Message, frozen=True, kw_only=True):
     """Move an object, with the seat it sits in, without telling the RTC: a belief error."""
 
-    request: str
-    object: str
+    request: Name
+    object: Name
     offset: list[float]  # x y z roll pitch yaw: m, rad; world axes about the object's origin
 
 
@@ -680,14 +709,14 @@ BrokerToClient = Welcome | Accepted | Declined | ProgressNote | CommandEnded | S
 WorkerToBroker = WorkerHello | Heartbeat | ResultBatch | ProgramWanted
 BrokerToWorker = JobBatch | Drop | ProgramBody | Shutdown
 SubsystemToBroker = (
-    SubsystemHello | Heartbeat | Started | ProgressReport | EndReport | HaltStarted | HaltAtRest | HaltOrder
+    SubsystemHello | Heartbeat | Started | ProgressReport | EndReport | HaltStarted | HaltAtRest | HaltOrder | Dropped
 )
 BrokerToSubsystem = Execute | HaltOrder | ReportAck
 ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined
 ToWorld = ReadView | Commit | WorldHistory
 FromWorld = View | Committed | WorldRefused
-SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable
+SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Dropped  # the last one from the world database
 BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | Shutdown
 ToSim = SimTruth | SimDisplace
 FromSim = SimTruthReply | SimDone

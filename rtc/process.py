@@ -36,6 +36,7 @@ from typing import Any
 import zmq
 
 from rtc import wire
+from rtc.settings import Bounds
 
 READY, ALIVE = b"ready", b"alive"
 BEAT_S = 1.0
@@ -44,6 +45,7 @@ LINGER_MS = 200  # how long the last words of a process may take to leave it
 RECONNECT_MS, RECONNECT_MAX_MS = 10, 100  # a restarted peer is found again within this
 # As plain numbers, and frame by frame: pyzmq's own multipart calls cost several times as much as what they do.
 AT_ONCE, MORE = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE)
+OPEN_LIMIT_S = 0.2
 PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
 _libc = ctypes.CDLL(None)  # opened here: between fork and exec as little as can be is done
 
@@ -74,17 +76,36 @@ class Process:
         bind: bool = False,
         identity: str = "",
         queue_length: int = QUEUE_LENGTH,
+        bounds: Bounds | None = None,
         poll: bool = True,
     ) -> zmq.Socket[bytes]:
-        """A bounded socket on `endpoint`, watched by `wait` unless `poll` is False.
+        """A bounded socket on `endpoint`, watched by `wait` unless `poll` is False. `bounds`: for one that is bound.
 
         A ROUTER hands an identity over to its newest bearer, so that a restarted process is heard at once.
         Raises `zmq.ZMQError` when the endpoint cannot be bound.
         """
-        made = open_socket(self.context, kind, endpoint, bind=bind, identity=identity, queue_length=queue_length)
+        made = open_socket(
+            self.context, kind, endpoint, bind=bind, identity=identity, queue_length=queue_length, bounds=bounds
+        )
         if poll:
             self.poller.register(made, zmq.POLLIN)
         return made
+
+    def open_anew(self, old: zmq.Socket[bytes], endpoint: str, bounds: Bounds | None = None) -> zmq.Socket[bytes]:
+        """Another bound socket of the same kind in place of `old`, with nothing in it; peers come back by themselves.
+
+        Raises `zmq.ZMQError` when the endpoint cannot be bound again within `OPEN_LIMIT_S`.
+        """
+        kind = int(old.getsockopt(zmq.TYPE))
+        self.poller.unregister(old)
+        old.unbind(endpoint)
+        limit_s = now_s() + OPEN_LIMIT_S
+        # The old listener removes its file when it closes, in a thread of its own; it must not be the new one's.
+        while (path := Path(endpoint.removeprefix("ipc://"))).exists() and now_s() < limit_s:
+            time.sleep(0.0002)
+        old.close(linger=0)
+        path.unlink(missing_ok=True)
+        return self.socket(kind, endpoint, bind=True, bounds=bounds)
 
     def wait(self, timeout_s: float | None = None) -> list[Any]:
         """The sockets with something to read, in the order of their making; none: the time is up, a signal came, or
@@ -172,13 +193,15 @@ def open_socket(
     bind: bool = False,
     identity: str = "",
     queue_length: int = QUEUE_LENGTH,
+    bounds: Bounds | None = None,
 ) -> zmq.Socket[bytes]:
     """A socket with our limits set: length of its queues, size of a frame, time to linger, pace of reconnecting."""
     made: zmq.Socket[bytes] = context.socket(kind)
-    made.setsockopt(zmq.SNDHWM, queue_length)
-    made.setsockopt(zmq.RCVHWM, queue_length)
+    bounds = bounds or Bounds(wire.MAX_BYTES, queue_length, queue_length)
+    made.setsockopt(zmq.MAXMSGSIZE, bounds.frame)
+    made.setsockopt(zmq.RCVHWM, bounds.unread)
+    made.setsockopt(zmq.SNDHWM, bounds.unsent)
     made.setsockopt(zmq.LINGER, LINGER_MS)
-    made.setsockopt(zmq.MAXMSGSIZE, wire.MAX_BYTES)
     made.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
     made.setsockopt(zmq.RECONNECT_IVL_MAX, RECONNECT_MAX_MS)
     if kind == zmq.ROUTER:

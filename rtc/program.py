@@ -41,6 +41,9 @@ IDENTITY: dict[str, tuple[str, ...]] = {
 #: the field that shows that a document is one item of a section
 ITEMS: dict[str, str] = {"script": "scripts", "skill": "pieces"}
 
+MAX_DEPTH = 30  # of maps and lists in each other; ours have 7
+MAX_NODES = 50_000  # values in a document, each alias counted as what it stands for
+
 P = TypeVar("P", bound=Program)
 
 
@@ -77,12 +80,39 @@ def decode(program: bytes, schema: type[P]) -> P:
 
 def _read(text: bytes, source: str) -> dict[str, Any]:
     try:
-        document = msgspec.json.decode(text) if text.startswith(b"{") else yaml.load(text, yaml.CSafeLoader)
+        document = msgspec.json.decode(text) if text.startswith(b"{") else _yaml(text, source)
     except (yaml.YAMLError, msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise ProgramError(f"{source}: {error}") from error
     if not isinstance(document, dict) or not all(isinstance(key, str) for key in document):
         raise ProgramError(f"{source}: $: a program document is a map of sections, not {type(document).__name__}")
     return document
+
+
+def _yaml(text: bytes, source: str) -> Any:
+    """The document. Its events are looked at first: a nest that is too deep would overflow the C stack of the loader,
+    and a few aliases of aliases can stand for gigabytes. Raises ProgramError, yaml.YAMLError."""
+    sizes: dict[str, int] = {}  # anchor -> nodes it stands for
+    open_nodes = [("", 0)]  # anchor, nodes so far
+    for event in yaml.parse(text, yaml.CSafeLoader):
+        anchor, nodes = "", 1
+        if isinstance(event, yaml.CollectionStartEvent):
+            open_nodes.append((event.anchor or "", 0))
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, nodes = open_nodes.pop()
+            sizes[anchor] = nodes
+        elif isinstance(event, yaml.ScalarEvent):
+            sizes[event.anchor or ""] = 1
+        elif isinstance(event, yaml.AliasEvent):
+            if event.anchor not in sizes:
+                raise ProgramError(f"{source}: nothing is called {event.anchor}, or not yet")
+            nodes = sizes[event.anchor]
+        outer, before = open_nodes[-1]
+        open_nodes[-1] = (outer, before + nodes)
+        if len(open_nodes) > MAX_DEPTH or before + nodes > MAX_NODES:
+            what = f"nested deeper than {MAX_DEPTH}" if len(open_nodes) > MAX_DEPTH else f"more than {MAX_NODES} values"
+            line = event.start_mark.line + 1 if event.start_mark else 1
+            raise ProgramError(f"{source}: line {line}: {what}")
+    return yaml.load(text, yaml.CSafeLoader)
 
 
 def _put(whole: dict[str, Any], document: dict[str, Any], source: str) -> None:
@@ -96,8 +126,8 @@ def _put(whole: dict[str, Any], document: dict[str, Any], source: str) -> None:
     for section, content in document.items():
         if section in IDENTITY:
             whole[section] = _replaced(whole.get(section, []), content, section, source)
-        elif isinstance(content, dict):
-            whole[section] = {**whole.get(section, {}), **content}
+        elif isinstance(content, dict) and isinstance(whole.get(section), dict):
+            whole[section] = {**whole[section], **content}
         else:
             whole[section] = content
 
@@ -105,6 +135,10 @@ def _put(whole: dict[str, Any], document: dict[str, Any], source: str) -> None:
 def _replaced(items: list[Any], news: Any, section: str, source: str) -> list[Any]:
     if not isinstance(news, list) or not all(isinstance(item, dict) for item in news):
         raise ProgramError(f"{source}: $.{section}: must be a list of maps")
+    for n, item in enumerate(news):
+        for field in IDENTITY[section]:
+            if isinstance(item.get(field), list | dict | set):
+                raise ProgramError(f"{source}: $.{section}[{n}].{field}: must be a name")
 
     def identity(item: dict[str, Any]) -> tuple[Any, ...]:
         return tuple(item.get(field) or "" for field in IDENTITY[section])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
@@ -60,6 +61,30 @@ ENDPOINTS: dict[str, str] = {
     "estop": "estop.sock",  # MCM ROUTER: halts and nothing else
     "telemetry": "telemetry.sock",  # MCM PUB
     "bench": "bench.sock",  # MCM ROUTER: truth and belief errors, simulators only
+}
+
+
+class Bounds(NamedTuple):
+    """What one peer of a socket may make its owner keep. Whoever has this much unread has to wait; an answer that finds
+    so many unsent before it is dropped, for who does not read cannot be helped; a larger frame cuts its sender off."""
+
+    frame: int  # bytes
+    unread: int  # messages from this peer
+    unsent: int  # messages to it
+
+
+KIB = 1 << 10
+BOUNDS: dict[str, Bounds] = {
+    "front": Bounds(256 * KIB, 256, 10_000),  # the largest is a program file; a client is told much in one turn
+    "halt": Bounds(4 * KIB, 256, 1_000),
+    "workers": Bounds(8 << 20, 1_000, 1_000),  # products may have megabytes; a worker holds 128 jobs at most
+    "subsystems": Bounds(256 * KIB, 1_000, 10_000),
+    "supervisor": Bounds(256 * KIB, 1_000, 1_000),
+    "events": Bounds(1 * KIB, 100, 10_000),  # what comes in are subscriptions
+    "world": Bounds(256 * KIB, 256, 256),  # whoever asks waits for the answer
+    "estop": Bounds(4 * KIB, 256, 1_000),
+    "telemetry": Bounds(1 * KIB, 100, 100),
+    "bench": Bounds(4 * KIB, 64, 64),
 }
 
 

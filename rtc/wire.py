@@ -18,6 +18,7 @@ PROTOCOL = b"RTC1"
 MAX_BYTES = 8 << 20  # of one frame; ZeroMQ drops the peer that sends more
 
 _encoder = msgspec.msgpack.Encoder()
+_NO_MESSAGE = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, ValueError, OverflowError)
 
 
 def encode(value: Any) -> bytes:
@@ -49,7 +50,7 @@ def reader(union: Any) -> Callable[[Sequence[bytes]], Any]:
             raise WireError(f"expected protocol {PROTOCOL!r}, got {bytes(parts[0][:16])!r}")
         try:
             return decode(parts[1])
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, ValueError, OverflowError) as error:
+        except _NO_MESSAGE as error:
             raise WireError(str(error)) from None
 
     return read
@@ -62,7 +63,7 @@ def decoder(kind: Any) -> Callable[[bytes | msgspec.Raw], Any]:
     def read(data: bytes | msgspec.Raw) -> Any:
         try:
             return decode(data)
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        except _NO_MESSAGE as error:
             raise WireError(str(error)) from None
 
     return read

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import math
 import os
 import time
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from collections.abc import Callable
 from rtc import messages as m
 from rtc import process, template
 from rtc.cell import Cell
+from rtc.memory import Guard
 from rtc.settings import Settings
 from sim_mcm.arm import Simulation
 from sim_mcm.bullet_arm import BulletCell
@@ -29,6 +29,7 @@ from sim_mcm.subsystem import BROKER, Said, Subsystem
 NAME = "MCM"
 HEARTBEAT_S = 0.25
 TELEMETRY_S = 0.02
+FARTHEST = 10.0  # m or rad, of a belief error; physics has no answer to 1e300 m
 NICENESS = -5  # before the workers, if the system gives leave
 
 SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": BulletCell, "kinematic": KinematicCell}
@@ -38,7 +39,8 @@ class Station:
     """The loop round a simulation: sockets, subsystem, clock."""
 
     def __init__(self, me: process.Process, settings: Settings, simulation: Simulation) -> None:
-        self._me = me
+        self._me, self._settings = me, settings
+        self._guard = Guard()
         self._simulation = simulation
         self._memory = Memory(settings.path, settings.run)
         if (before := self._memory.last()) is not None:
@@ -87,6 +89,11 @@ class Station:
             doors.say(self._subsystem.hello())
         if self._heartbeat.due(now_s):
             doors.say([(BROKER, m.Heartbeat(name=NAME))])
+            if doors.dropped:
+                doors.say([(BROKER, m.Dropped(counts=dict(doors.dropped)))])
+            if self._guard.alarm(now_s):
+                self._me.log.warning("more than %.0f MB: opening estop and bench anew", self._guard.limit_mb)
+                doors.open_anew(self._settings)
         if self._telemetry.due(now_s):
             doors.publish(self._look(now_s))
             self._memory.keep(self._simulation.state())
@@ -118,8 +125,9 @@ class Station:
 
     def _answer(self, question: m.SimTruth | m.SimDisplace) -> m.SimTruthReply | m.SimDone:
         if isinstance(question, m.SimDisplace):
-            if len(question.offset) != 6 or not all(map(math.isfinite, question.offset)):
-                return m.SimDone(request=question.request, error="offset: six finite numbers are needed")
+            if len(question.offset) != 6 or not all(abs(part) <= FARTHEST for part in question.offset):
+                words = f"offset: six numbers are needed, none beyond {FARTHEST:g} m or rad"
+                return m.SimDone(request=question.request, error=words)
             return m.SimDone(
                 request=question.request, error=self._simulation.displace(question.object, question.offset)
             )

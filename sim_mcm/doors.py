@@ -10,20 +10,25 @@ What cannot be read is counted, logged now and then, and dropped: it never stops
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import zmq
 
 from rtc import messages as m
+from rtc.halting import as_a_callers
 from rtc.outcomes import Refusal, RefusalReason, WireError
 from rtc.process import Every, Process, inbox, send
-from rtc.settings import Settings
+from rtc.settings import BOUNDS, Settings
 from rtc.wire import reader
 from sim_mcm.subsystem import BROKER, Said
 
-PER_TICK = 20  # messages taken from one socket in one tick, so that no sender can stretch it
-HALTS_PER_TICK = 100
+# Messages taken from one socket in one tick, so that no sender can stretch it. Callers take turns at a socket, so that
+# one who calls without end delays another by one message.
+PER_TICK = 20
+HALTS_PER_TICK = 10
+QUESTIONS_PER_TICK = 1
 LOG_EVERY_S = 1.0
 NONE: frozenset[Any] = frozenset()
 
@@ -34,10 +39,10 @@ _read_bench = reader(m.ToSim)
 
 class Doors:
     def __init__(self, me: Process, settings: Settings, name: str) -> None:
-        self._log = me.log
-        self._estop = me.socket(zmq.ROUTER, settings.endpoint("estop"), bind=True)
-        self._bench = me.socket(zmq.ROUTER, settings.endpoint("bench"), bind=True)
-        self._telemetry = me.socket(zmq.PUB, settings.endpoint("telemetry"), bind=True)
+        self._me, self._log = me, me.log
+        self._estop = me.socket(zmq.ROUTER, settings.endpoint("estop"), bind=True, bounds=BOUNDS["estop"])
+        self._bench = me.socket(zmq.ROUTER, settings.endpoint("bench"), bind=True, bounds=BOUNDS["bench"])
+        self._telemetry = me.socket(zmq.PUB, settings.endpoint("telemetry"), bind=True, bounds=BOUNDS["telemetry"])
         self._broker = me.socket(zmq.DEALER, settings.endpoint("subsystems"), identity=name)
         events = zmq.Event.HANDSHAKE_SUCCEEDED | zmq.Event.DISCONNECTED
         self._monitor = self._broker.get_monitor_socket(events)
@@ -46,10 +51,19 @@ class Doors:
             self._poller.register(socket, zmq.POLLIN)
         self._ready: set[Any] | frozenset[Any] = NONE
         self.connected = True  # until the monitor says otherwise: what is said first waits for the broker
-        self.malformed = 0
+        self.dropped: Counter[str] = Counter()  # messages that could not be read, by socket
         self._log_due = Every(LOG_EVERY_S)
 
     # --- in --------------------------------------------------------------------------------------------
+
+    def open_anew(self, settings: Settings) -> None:
+        """Somebody has filled our memory: the doors that others come to, with nothing in them."""
+        for name in ("estop", "bench"):
+            old = getattr(self, f"_{name}")
+            self._poller.unregister(old)
+            made = self._me.open_anew(old, settings.endpoint(name), BOUNDS[name])
+            self._poller.register(made, zmq.POLLIN)
+            setattr(self, f"_{name}", made)
 
     def look(self) -> None:
         """See where something lies; once, at the start of a tick."""
@@ -63,7 +77,7 @@ class Doors:
         for caller, parts in _from_router(self._estop, HALTS_PER_TICK):
             order = self._understand(_read_halt, parts, "estop", now_s)
             if order is not None:
-                yield caller, order
+                yield caller, as_a_callers(order)
             else:
                 words = "the estop socket takes a HaltOrder and nothing else"
                 refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words)
@@ -82,7 +96,7 @@ class Doors:
         """What the test bench asks."""
         if self._bench not in self._ready:
             return
-        for caller, parts in _from_router(self._bench, PER_TICK):
+        for caller, parts in _from_router(self._bench, QUESTIONS_PER_TICK):
             question = self._understand(_read_bench, parts, "bench", now_s)
             if question is not None:
                 yield caller, question
@@ -120,9 +134,9 @@ class Doors:
         try:
             return read(parts)
         except WireError as error:
-            self.malformed += 1
+            self.dropped[where] += 1
             if self._log_due.due(now_s):
-                self._log.warning("%s: dropped a message (%d so far): %s", where, self.malformed, error)
+                self._log.warning("%s: dropped a message (%d so far): %s", where, self.dropped[where], error)
             return None
 
 

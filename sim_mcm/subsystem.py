@@ -18,14 +18,21 @@ from collections.abc import Mapping
 import msgspec
 
 from rtc import messages as m
+from rtc.halting import Fold
 from rtc.outcomes import Refusal, RefusalReason, StopReason
 from sim_mcm.arm import Arm
-from sim_mcm.executor import Executor
+from sim_mcm.executor import Executor, State
 from sim_mcm.reports import not_begun
 
 BROKER = b""  # no caller at the estop socket has this identity
 REPEAT_S = 0.5  # an end report is said again until it is acknowledged
 REMEMBERED = 2_000  # ended primitives, and halts
+# Halts that wait for rest: of one caller at the estop socket, and of the broker, who has many. Each costs time in every
+# tick, and answers. One more is obeyed like any other, and declined in words.
+OPEN_HALTS = 8
+OPEN_HALTS_OF_BROKER = 64
+DOORS_OF_A_HALT = 16  # callers that are answered
+SHADOWS = 64  # scopes; with more of them, nothing at all begins until the broker has answered
 REST_LIMIT_S = 2.0  # after a halt: no rest by then is told as such
 
 COMMAND = re.compile(r"C-\d+", re.ASCII)
@@ -54,6 +61,7 @@ class Subsystem:
         self._ended: OrderedDict[str, m.EndReport] = OrderedDict()  # all, for repeated orders
         self._halts: OrderedDict[str, Halt] = OrderedDict()
         self._open_halts: list[Halt] = []
+        self._fold = Fold()
         self._shadows: dict[str, m.HaltOrder] = {}  # scope -> halt that the broker has not shown to know of
 
     # --- what is asked of it ---------------------------------------------------------------------------
@@ -109,6 +117,8 @@ class Subsystem:
                     said.append((BROKER, message))
         if self._open_halts:
             said += self._follow_halts(now_s)
+        if (folded := self._fold.due(now_s)) is not None:
+            said.append((BROKER, folded))
         if self._kept:
             said += self._say_again(now_s)
         return said
@@ -117,8 +127,8 @@ class Subsystem:
 
     def _execute(self, order: m.Execute, now_s: float) -> Said:
         primitive = order.primitive
-        if order.pid not in (0, self.pid):  # meant for the process before us; who sent it has our hello to read
-            return []
+        if order.pid not in (0, self.pid):  # meant for the process before us, or for somebody who took our name
+            return self.hello()
         if (ended := self._ended.get(primitive.id)) is not None:
             return [(BROKER, ended)]
         executor = self.executors.get(primitive.performer)
@@ -177,17 +187,27 @@ class Subsystem:
         said: Said = []
         if door == BROKER:  # what comes on this socket from here on, the broker has sent knowing of the halt
             self._shadows = {scope: seen for scope, seen in self._shadows.items() if seen.halt != order.halt}
-        elif halt is None:
-            self._shadows[order.scope] = order
-            said.append((BROKER, order))
-        if halt is not None:
-            if door not in halt.doors:
-                halt.doors.append(door)
-            return [(door, message) for message in (halt.started, halt.ended) if message is not None]
         reached = [e for e in self.executors.values() if _in_scope(order.scope, e.name, e.primitive_id)]
+        if door != BROKER and halt is None:
+            if self._fold.too_often(door, now_s):
+                folded = self._fold.add(order)
+                self._shadows = {"ALL": folded} if folded.scope == "ALL" else {**self._shadows, folded.scope: folded}
+                for executor in reached:
+                    executor.halt()
+                return [(door, _too_many(order, "you call too often"))]
+            self._shadow(order)
+            said.append((BROKER, order))
+        # Said again by the broker, it is obeyed again: somebody may have used its name up before.
+        if halt is not None and not (door == BROKER and any(e.state is State.EXECUTING for e in reached)):
+            if door not in halt.doors and len(halt.doors) < DOORS_OF_A_HALT:
+                halt.doors.append(door)
+            return [*said, *((door, message) for message in (halt.started, halt.ended) if message is not None)]
         halt = Halt(order, now_s, [e.name for e in reached], [e.name for e in reached if e.moving], [door])
         for executor in reached:
             executor.halt()
+        open_halts = sum(other.doors[0] == door for other in self._open_halts)
+        if open_halts >= (OPEN_HALTS_OF_BROKER if door == BROKER else OPEN_HALTS):
+            return said if door == BROKER else [*said, (door, _too_many(order, "earlier ones still wait for rest"))]
         self._halts[order.halt] = halt
         if len(self._halts) > REMEMBERED:
             self._halts.popitem(last=False)
@@ -198,9 +218,17 @@ class Subsystem:
         """Whether a scope is one of ours, or a command, of which only the broker knows whether it is there."""
         return scope == "ALL" or scope in self.executors or COMMAND.fullmatch(scope) is not None
 
+    def _shadow(self, order: m.HaltOrder) -> None:
+        """Until the broker has answered with this halt, nothing in its scope begins."""
+        if len(self._shadows) >= SHADOWS:
+            self._shadows = {"ALL": order}
+        else:
+            self._shadows[order.scope] = order
+
     def _follow_halts(self, now_s: float) -> Said:
         """Called in the tick whose command brakes, and every tick until rest."""
         said: Said = []
+        resting = {name for name, executor in self.executors.items() if _rests(executor)}
         for halt in list(self._open_halts):
             if halt.started is None:
                 halt.started = m.HaltStarted(
@@ -211,7 +239,7 @@ class Subsystem:
                     moving=halt.moving,
                 )
                 said += [(door, halt.started) for door in halt.doors]
-            at_rest = all(_rests(self.executors[name]) for name in halt.performers)
+            at_rest = resting.issuperset(halt.performers)
             if at_rest or now_s - halt.received_at_s > REST_LIMIT_S:
                 halt.ended = m.HaltAtRest(
                     halt=halt.order.halt,
@@ -229,6 +257,11 @@ def _rests(executor: Executor) -> bool:
     """It stands still and has said how its primitive ended: whoever hears of rest has heard the report before, and
     can give it something new at once."""
     return executor.at_rest and executor.primitive is None
+
+
+def _too_many(order: m.HaltOrder, why: str) -> m.Declined:
+    message = f"obeyed; but rest is not told: {why}"
+    return m.Declined(request=order.halt, refusal=Refusal(reason=RefusalReason.OVERLOAD, message=message))
 
 
 def _in_scope(scope: str, performer: str, primitive: str) -> bool:

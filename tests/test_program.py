@@ -207,3 +207,30 @@ def test_other_sums_of_poses_mean_nothing(text):
 
     with pytest.raises(expressions.ExpressionError):
         expressions.evaluate(text, given)
+
+
+LAUGHS = "a0: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}, *a{n - 1}]\n" for n in range(1, 40))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[" * 100_000, "nested deeper"),  # would overflow the C stack of the YAML loader
+        ("- " * 60_000, "nested deeper"),
+        (LAUGHS, "more than"),  # stands for 3^40 values
+        ("values: &a {x: *a}", "nothing is called a"),
+        ('{"a":' * 50_000, "recursion"),
+        ("scripts: [{script: [1]}]", "$.scripts[0].script"),
+        ("scripts: 3", "$.scripts"),
+        ("", "a program document is a map"),
+    ],
+)
+def test_a_file_that_means_harm_is_told_so(text, said):
+    with pytest.raises(ProgramError, match=re.escape(said)):
+        program.merge(WorkerKind.ELABORATOR, program.default("elaborator"), "bad.yaml", text.encode())
+
+
+def test_an_alias_may_be_used():
+    text = b"values: {a: &a 1.0, b: *a}"
+    body = program.merge(WorkerKind.BINDER, program.default("binder"), "good.yaml", text)
+    assert decode(body, BinderProgram).values["b"] == 1.0

@@ -7,16 +7,18 @@ is the process that the next one is forked from.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import zmq
 
 from rtc import process, template, wire
-from rtc.messages import ToWorld
+from rtc.memory import Guard
+from rtc.messages import Dropped, ToWorld
 from rtc.outcomes import WireError
-from rtc.process import Process, inbox, now_s, send
-from rtc.settings import Settings
+from rtc.process import Every, Process, inbox, now_s, send
+from rtc.settings import BOUNDS, Settings
 from rtc.world import lease
 from rtc.world.model import initial_facts
 from rtc.world.server import Packer, Server
@@ -24,6 +26,7 @@ from rtc.world.store import Store
 
 FILE = "world.db"
 PER_TURN = 256  # requests in one turn of the loop, and so in one transaction
+TELL_S = 0.5  # how often the broker hears of messages that could not be read
 
 
 def main() -> None:
@@ -45,11 +48,12 @@ def live(run_dir: Path) -> None:
         store = Store(run_dir / FILE)
         if store.version == 0:
             _begin(store, settings)
-        socket = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True)
+        socket = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True, bounds=BOUNDS["world"])
+        broker = me.socket(zmq.DEALER, settings.endpoint("supervisor"), identity="world", poll=False)
         server = Server(store, (run_dir / lease.KEY_FILE).read_bytes())
         process.freeze_heap()
         me.ready()
-        serve(me, socket, server)
+        serve(me, socket, server, lambda dropped: send(broker, Dropped(counts={"world": dropped})), Guard())
         store.close()
 
 
@@ -60,13 +64,25 @@ def _begin(store: Store, settings: Settings) -> None:
     store.save()
 
 
-def serve(me: Process, socket: zmq.Socket[bytes], server: Server) -> None:
-    """Answer until told to stop. A turn's commits are on disk, in one transaction, before any of its answers go."""
+def serve(
+    me: Process,
+    socket: zmq.Socket[bytes],
+    server: Server,
+    tell_dropped: Callable[[int], object] = lambda _: None,
+    guard: Guard | None = None,
+) -> None:
+    """Answer until told to stop. A turn's commits are on disk, in one transaction, before any of its answers go.
+    `tell_dropped` hears now and then how many messages could not be read, if any."""
     read = wire.reader(ToWorld)
     packer = Packer()
-    dropped = 0
+    dropped, due = 0, Every(TELL_S)
     while not me.stopping:
-        me.wait()
+        me.wait(TELL_S)
+        if dropped and due.due(now_s()):
+            tell_dropped(dropped)
+        if guard is not None and guard.alarm(now_s()):
+            me.log.warning("more than %.0f MB: opening the door anew", guard.limit_mb)
+            socket = me.open_anew(socket, socket.getsockopt_string(zmq.LAST_ENDPOINT), BOUNDS["world"])
         answers: list[tuple[bytes, Any]] = []
         for who, *parts in inbox(socket, PER_TURN):
             try:

@@ -8,6 +8,7 @@ the database that keeps the facts nor who may write them.
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -119,12 +120,12 @@ def _finite(value: Any) -> bool:
 
 def _numbers(value: Any) -> str:
     whole = isinstance(value, list | tuple) and len(value) > 0 and all(_finite(n) for n in value)
-    return "" if whole else f"must be a list of finite numbers, not {value!r:.80}"
+    return "" if whole else f"must be a list of finite numbers, not {_shown(value)}"
 
 
 def _pose(value: Any) -> str:
     if _numbers(value) or len(value) != 7:
-        return f"must be a pose of 7 finite numbers [x y z qx qy qz qw], not {value!r:.80}"
+        return f"must be a pose of 7 finite numbers [x y z qx qy qz qw], not {_shown(value)}"
     length = math.hypot(*value[3:])
     return "" if abs(length - 1.0) <= UNIT_TOLERANCE else f"must have a unit quaternion, its length is {length:.6g}"
 
@@ -134,11 +135,11 @@ def _pose_or_none(value: Any) -> str:
 
 
 def _length(value: Any) -> str:
-    return "" if _finite(value) and value >= 0 else f"must be a finite number, not negative, not {value!r:.80}"
+    return "" if _finite(value) and value >= 0 else f"must be a finite number, not negative, not {_shown(value)}"
 
 
 def _text(value: Any) -> str:
-    return "" if isinstance(value, str) and len(value) <= 200 else f"must be a name or empty, not {value!r:.80}"
+    return "" if isinstance(value, str) and len(value) <= 200 else f"must be a name or empty, not {_shown(value)}"
 
 
 def _plain(value: Any, depth: int = 0) -> str:
@@ -148,7 +149,12 @@ def _plain(value: Any, depth: int = 0) -> str:
     if isinstance(value, list | tuple | dict) and depth < MAX_DEPTH:
         parts = value.values() if isinstance(value, dict) else value
         return next((wrong for part in parts if (wrong := _plain(part, depth + 1))), "")
-    return f"must be plain text, finite numbers, or lists of them, not {value!r:.80}"
+    return f"must be plain text, finite numbers, or lists of them, not {_shown(value)}"
+
+
+def _shown(value: Any) -> str:
+    """The beginning of a value that may be deep or long."""
+    return reprlib.repr(value)[:80]
 
 
 ATTRIBUTES: dict[str, Callable[[Any], str]] = {

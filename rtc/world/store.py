@@ -27,6 +27,7 @@ CREATE TABLE IF NOT EXISTS history (key TEXT, value TEXT, validity TEXT, version
 CREATE TABLE IF NOT EXISTS commits (job TEXT PRIMARY KEY, version INTEGER) WITHOUT ROWID;
 """
 ROW = "(key, value, validity, version, source, at_s) VALUES (?, ?, ?, ?, ?, ?)"
+HISTORY_MAX = 1000  # facts in one answer
 COLUMNS = "key, value, validity, version, source, at_s"
 
 
@@ -68,9 +69,10 @@ class Store:
             self._db.execute("COMMIT")
 
     def history(self, key: str, limit: int) -> list[Fact]:
-        """What was believed under this key, newest first."""
+        """What was believed under this key, newest first; at most HISTORY_MAX facts."""
         rows = self._db.execute(
-            f"SELECT {COLUMNS} FROM history WHERE key = ? ORDER BY version DESC LIMIT ?", (key, max(0, limit))
+            f"SELECT {COLUMNS} FROM history WHERE key = ? ORDER BY version DESC LIMIT ?",
+            (key, min(max(0, limit), HISTORY_MAX)),
         )
         return [_fact(row) for row in rows]
 

@@ -142,3 +142,29 @@ def test_nobody_of_that_name():
     assert not r.heard("ghost", 0.0)
     r.answered("ghost", "C-1/1", 1, 0.1, 0.1)
     assert r.workers == {}
+
+
+def test_clients_take_turns():
+    """One with thousands of commands keeps another's waiting for one job."""
+    r = roster()
+    for n in range(100):
+        r.submit(job(n), 0.0, "many")
+    for n in (200, 201):
+        r.submit(job(n), 1.0, "few")
+    r.hello("a", 0, BINDER, 1, 2.0)
+    order = []
+    while given := given_out(r, 2.0):
+        order += given["a"]
+        r.answered("a", order[-1], 1, 0.1, 2.0)
+    assert order[:5] == ["C-0/1", "C-200/1", "C-1/1", "C-201/1", "C-2/1"]
+    assert len(order) == len(set(order)) == 102
+
+
+def test_an_answer_that_was_not_given_is_told_apart():
+    r = roster("a", "b")
+    r.submit(job(1), 0.0)
+    assert given_out(r) == {"a": ["C-1/1"]}
+    assert not r.answered("b", "C-1/1", 1, 0.1, 0.0)
+    assert not r.answered("a", "C-1/1", 2, 0.1, 0.0)
+    assert not r.answered("c", "C-1/1", 1, 0.1, 0.0)
+    assert r.answered("a", "C-1/1", 1, 0.1, 0.0)

@@ -7,9 +7,10 @@ import pytest
 
 from rtc import messages as m
 from rtc import primitive as p
+from rtc.halting import PER_S
 from rtc.outcomes import StopReason
 from sim_mcm.kinematic_arm import KinematicCell
-from sim_mcm.subsystem import BROKER, REPEAT_S, REST_LIMIT_S
+from sim_mcm.subsystem import BROKER, OPEN_HALTS, REPEAT_S, REST_LIMIT_S, SHADOWS
 
 ARM, OTHER, CALLER, ANOTHER = "RIGHT-ARM", "LEFT-ARM", b"x.estop", b"y.estop"
 
@@ -242,7 +243,8 @@ def test_rest_is_confirmed_after_the_end_has_been_reported(bench, swing) -> None
 
 
 def test_a_primitive_meant_for_the_process_before_is_passed_over(bench, swing) -> None:
-    assert bench.hear(m.Execute(primitive=swing(), pid=bench.subsystem.pid + 1)) == []
+    said = bench.hear(m.Execute(primitive=swing(), pid=bench.subsystem.pid + 1))
+    assert [type(message) for _, message in said] == [m.SubsystemHello]  # whoever sent it does not know us
     assert bench.subsystem.idle
     assert kinds(bench.hear(m.Execute(primitive=swing(), pid=bench.subsystem.pid)), m.Started)
 
@@ -251,3 +253,59 @@ def test_a_halt_of_one_command_leaves_another_commands_orders_alone(bench, swing
     bench.hear(m.HaltOrder(halt="H-1", scope="C-7"), CALLER)
     other = m.Execute(primitive=swing("C-8.1"), issued_at_s=bench.now_s - 0.001)
     assert kinds(bench.hear(other), m.Started)
+
+
+# --- callers who mean harm -----------------------------------------------------------------------------------
+
+
+def test_a_name_used_up_beforehand_does_not_keep_the_brokers_halt_from_stopping(bench, swing) -> None:
+    """Given somebody at the estop socket who said the name of a halt before there was anything to halt."""
+    order = m.HaltOrder(halt="stop-C-7", scope="C-7")
+    bench.subsystem.hear(order, CALLER, bench.now_s)
+    bench.hear(order)
+    bench.hear(m.Execute(primitive=swing()))
+    bench.tick(100)
+    bench.hear(order)
+    (report,) = kinds(bench.tick(600), m.EndReport)[:1]
+    assert report.reason is StopReason.HALT
+
+
+def test_a_caller_with_many_open_halts_is_obeyed_and_told_so(bench, swing) -> None:
+    bench.hear(m.Execute(primitive=swing()))
+    bench.tick(100)
+    said = [bench.subsystem.hear(m.HaltOrder(halt=f"H-{n}"), CALLER, bench.now_s) for n in range(OPEN_HALTS + 3)]
+    declined = [messages for messages in said if kinds(messages, m.Declined)]
+    assert len(declined) == 3
+    assert all(kinds(messages, m.HaltOrder) for messages in declined)  # the broker hears of each
+    ended = [message for door, message in bench.tick(600) if isinstance(message, m.HaltAtRest) and door == CALLER]
+    assert len(ended) == OPEN_HALTS
+
+
+def test_scopes_beyond_number_become_all(bench, swing) -> None:
+    """Until the broker has answered nothing begins; afterwards everything does, and nothing was kept for ever."""
+    last = [m.HaltOrder(halt=f"H-{n}", scope=f"C-{n}") for n in range(SHADOWS + 5)]
+    for n, order in enumerate(last):
+        bench.subsystem.hear(order, b"%d" % n, bench.now_s)
+    (report,) = kinds(bench.hear(m.Execute(primitive=swing("C-9999.1"))), m.EndReport)
+    assert report.reason is StopReason.HALT
+    for order in last:
+        bench.hear(order)
+    bench.hear(m.Execute(primitive=swing("C-9998.1")))
+    assert kinds(bench.tick(1100), m.EndReport)[-1].reason is StopReason.GOAL
+    assert kinds(bench.subsystem.hello(), m.HaltOrder) == []
+
+
+def test_a_stream_of_halts_stops_at_once_and_reaches_the_broker_as_one(bench, swing) -> None:
+    for n in range(PER_S):
+        bench.subsystem.hear(m.HaltOrder(halt=f"H-{n}", scope="C-1"), CALLER, bench.now_s)
+    bench.hear(m.HaltOrder(halt=f"H-{PER_S - 1}", scope="C-1"))
+    bench.hear(m.Execute(primitive=swing()))
+    bench.tick(50)
+    for n in range(20):
+        said = bench.subsystem.hear(m.HaltOrder(halt=f"H-x{n}"), CALLER, bench.now_s)
+        assert [(door, type(message)) for door, message in said] == [(CALLER, m.Declined)]
+    heard = bench.tick(600)
+    assert kinds(heard, m.EndReport)[0].reason is StopReason.HALT
+    assert [order.halt for order in kinds(heard, m.HaltOrder)] == ["H-x19"]
+    bench.hear(m.HaltOrder(halt="H-x19"))
+    assert kinds(bench.subsystem.hello(), m.HaltOrder) == []

@@ -78,3 +78,16 @@ def test_a_packed_view_is_the_same_on_the_wire_before_and_after_a_change(server)
         assert wire.encode(packer.pack(view)) == wire.encode(packer.pack(view)) == wire.encode(view)
         answer = server.answer(commit(job, {"A.seat": job}), 0.0)
         assert packer.pack(answer) is answer
+
+
+@pytest.mark.parametrize("limit", [-(1 << 63), -1, 0, (1 << 63) - 1, (1 << 64) - 1])
+def test_a_history_of_any_length_is_answered(server, limit):
+    assert len(server.answer(WorldHistory(request="q", key="A.seat", limit=limit), 0.0).facts) == int(limit > 0)
+
+
+def test_a_value_too_deep_to_be_shown_is_refused(server):
+    deep = 0
+    for _ in range(5000):
+        deep = [deep]
+    answer = server.answer(commit("j", {"A.note": deep}), 0.0)
+    assert answer.refusal.reason == RefusalReason.NOT_ALLOWED

@@ -1,0 +1,61 @@
+"""Too much, and things said by those who have no business to: what the Decision Unit takes, and from whom."""
+
+from __future__ import annotations
+
+import pytest
+
+from broker import decision_unit
+from broker.decision_unit import MAX_SUBSYSTEMS
+from broker.events import HaltConfirmed, PrimitiveEnded, SubsystemConnected, SubsystemGone
+from broker.invariants import violations
+from rtc.messages import Declined, Phase
+from tests.broker.stories import Story, report
+
+
+@pytest.fixture
+def story(monkeypatch: pytest.MonkeyPatch) -> Story:
+    monkeypatch.setattr(decision_unit, "LIVE_PER_CLIENT", 3)
+    return Story()
+
+
+def test_one_client_has_so_many_live_and_another_is_taken(story: Story) -> None:
+    for n in range(3):
+        story.says("X", request=str(n))
+    assert story.says("X", request="3") == ["tell ann Declined"]
+    declined = story.log[-1].message
+    assert isinstance(declined, Declined)
+    assert "3 of one client" in declined.refusal.message
+    assert "tell bob Accepted C-4" in story.says("X", client="bob", request="3")
+    story.declines("C-1")
+    assert "tell ann Accepted C-5" in story.says("X", request="4")
+    assert not violations(story.state)
+
+
+def test_a_halt_is_obeyed_also_from_one_who_has_too_many_live(story: Story) -> None:
+    for n in range(3):
+        story.says("X", request=str(n))
+    said = story.says("HALT ALL", request="halt")
+    assert "halt ALL to MCM" in said
+    assert [line for line in said if line.startswith("end")] == ["end C-1 halted", "end C-2 halted", "end C-3 halted"]
+    assert "tell ann Declined" in said
+
+
+def test_a_report_counts_only_from_the_subsystem_that_executes(story: Story) -> None:
+    command = story.executing()
+    primitive = story.state.commands[command].primitive
+    story.hear(SubsystemConnected, subsystem="EVIL", pid=6, performers=["RIGHT-ARM"])
+    story.hear(PrimitiveEnded, subsystem="EVIL", report=report(primitive))
+    assert story.phase(command) == Phase.EXECUTING
+    story.halts()
+    story.hear(HaltConfirmed, subsystem="EVIL", halt=f"stop-{command}", at_rest=True, performers=["RIGHT-ARM"])
+    assert story.phase(command) == Phase.HALTING
+    assert not violations(story.state)
+
+
+def test_subsystems_that_come_and_go_do_not_pile_up(story: Story) -> None:
+    for n in range(3 * MAX_SUBSYSTEMS):
+        story.hear(SubsystemConnected, subsystem=f"S{n}", pid=n, performers=[f"P{n}"])
+        if n % 2:
+            story.hear(SubsystemGone, subsystem=f"S{n}", why="silent")
+    assert len(story.state.subsystems) == MAX_SUBSYSTEMS
+    assert "MCM" in story.state.subsystems

@@ -1,0 +1,256 @@
+"""The broker's shell towards those who mean harm, on sockets that are lists: nothing said at a door ends it, everything
+kept has a bound, and nobody can speak for another."""
+
+from __future__ import annotations
+
+import itertools
+import random
+import sqlite3
+from collections import deque
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import zmq
+from hypothesis import HealthCheck, given
+from hypothesis import settings as tries
+from hypothesis import strategies as st
+
+from benchmarks import hostile
+from broker import journal as journals
+from broker.events import ProgramInstalled
+from broker.invariants import violations
+from broker.journal import Journal
+from broker.program_store import ProgramStore
+from broker.router import CALLERS_KEPT, HALTS_OF_CALLER, QUESTIONS_PER_S, Router
+from broker.state import State
+from rtc import messages as m
+from rtc import program, wire
+from rtc.halting import PER_S
+from rtc.settings import Settings
+
+DOORS = ("front", "halt", "workers", "subsystems", "supervisor", "events")
+SETTINGS = Settings(run_dir="/nowhere")
+SILENT = SimpleNamespace(info=lambda *_: None, warning=lambda *_: None)
+
+
+class Frame:
+    def __init__(self, data: bytes, more: bool) -> None:
+        self.bytes, self.more = data, more
+
+
+class Socket:
+    """A ROUTER of which one sees what lies there and what was sent."""
+
+    def __init__(self) -> None:
+        self.inbox: deque[Frame] = deque()
+        self.sent: list[list[bytes]] = []
+        self._parts: list[bytes] = []
+
+    def put(self, parts: list[bytes]) -> None:
+        self.inbox.extend(Frame(part, n + 1 < len(parts)) for n, part in enumerate(parts))
+
+    def recv(self, flags: int = 0, copy: bool = True) -> Frame:
+        if not self.inbox:
+            raise zmq.Again
+        return self.inbox.popleft()
+
+    def send(self, part: bytes, flags: int = 0) -> None:
+        self._parts.append(part)
+        if not flags & zmq.SNDMORE:
+            self.sent.append(self._parts)
+            self._parts = []
+
+    def send_multipart(self, parts: list[bytes], flags: int = 0) -> None:
+        self.sent.append(parts)
+
+
+class Bench:
+    def __init__(self) -> None:
+        self.now = 100.0
+        self.sockets: dict[str, Socket] = {}
+        db = sqlite3.connect(":memory:", isolation_level=None)
+        db.executescript(journals.SCHEMA)
+        journal = Journal(db)
+        journal.snapshot(State())
+        me = SimpleNamespace(socket=self._socket, log=SILENT, stopping=False)
+        store = ProgramStore(journal)
+        self.router = Router(me, SETTINGS, journal, State(), store, b"k" * 32, lambda: self.now)  # type: ignore[arg-type]
+        for kind in m.WorkerKind:
+            digest = store.keep(program.default(kind))
+            self.router.hear(ProgramInstalled(at_s=self.now, kind=kind, digest=digest))
+        self.turn()
+
+    def _socket(self, _: int, endpoint: str, **__: Any) -> Socket:
+        made = self.sockets[Path(endpoint).stem] = Socket()
+        return made
+
+    def turn(self, times: int = 1) -> None:
+        for _ in range(times):
+            self.now += 0.001
+            self.router.turn(None)
+
+    def say(self, door: str, peer: bytes, *messages: Any) -> list[Any]:
+        """What comes back to this peer, when all has been heard."""
+        socket = self.sockets[door]
+        for message in messages:
+            socket.put([peer, *wire.frames(message)])
+        socket.sent.clear()
+        while socket.inbox:
+            self.turn()
+        self.turn()
+        return [wire.reader(ANSWERS[door])(parts[1:]) for parts in socket.sent if parts[0] == peer]
+
+    @property
+    def state(self) -> State:
+        return self.router.state
+
+
+ANSWERS: dict[str, Any] = {
+    "front": m.BrokerToClient, "halt": m.FromHalt, "workers": m.BrokerToWorker, "subsystems": m.BrokerToSubsystem,
+    "supervisor": m.BrokerToSupervisor,
+}  # fmt: skip
+MCM = m.SubsystemHello(name="MCM", pid=1, performers=["RIGHT-ARM", "LEFT-ARM"])
+PARSER = m.WorkerHello(name="parser@0", node=0, kind=m.WorkerKind.PARSER, pid=7)
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+@pytest.fixture
+def working(bench: Bench) -> Bench:
+    """With a subsystem, a parser, and a sentence that the parser has."""
+    bench.say("subsystems", b"MCM", MCM)
+    bench.say("workers", b"parser@0", PARSER)
+    bench.say("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
+    assert list(bench.router.roster.workers["parser@0"].held) == ["C-1/1"]
+    return bench
+
+
+@given(seed=st.integers(0, 1 << 32))
+@tries(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_nothing_that_is_said_at_any_door_breaks_it(seed: int) -> None:
+    bench, rng = Bench(), random.Random(seed)
+    bench.say("subsystems", b"MCM", MCM)
+    bench.say("workers", b"parser@0", PARSER)
+    peers = [*hostile.IDENTITIES, *itertools.chain(*hostile.IMPOSTORS.values())]
+    sources = {door: hostile.bad_messages(door, rng) for door in DOORS}
+    for _ in range(150):
+        door = rng.choice(DOORS)
+        parts = next(sources[door])
+        bench.sockets[door].put(parts if door == "events" else [rng.choice(peers), *parts])
+        if rng.random() < 0.3:
+            bench.turn()
+            bench.now += rng.choice((0.0, 0.1, 5.0))
+    bench.turn(100)
+    assert not violations(bench.state)
+    snapshot = wire.encode(bench.state)
+    assert wire.encode(wire.decoder(State)(snapshot)) == snapshot
+
+
+def test_what_cannot_be_read_is_counted_by_door(bench: Bench) -> None:
+    for door in ("front", "halt", "workers", "subsystems", "supervisor"):
+        bench.sockets[door].put([b"x", b"RTC0", b""])
+    bench.turn()
+    bench.say("supervisor", b"world", m.Dropped(counts={"world": 7, "front": 9}))
+    counters = bench.say("front", b"ann", m.StatusQuery(request="1"))[0].status["counters"]
+    dropped = {name: n for name, n in counters.items() if name.startswith("dropped_")}
+    assert dropped == {
+        **{f"dropped_{door}": 1 for door in ("front", "halt", "workers", "subsystems", "supervisor")},
+        "dropped_world": 7,
+    }
+
+
+def test_an_answer_counts_only_from_whom_the_job_was_given_to(working: Bench) -> None:
+    forged = m.JobRefused(id="C-1/1", attempt=1, refusal=m.Refusal(reason="sentence", message="forged"))
+    working.say("workers", b"parser@9", m.ResultBatch(name="parser@0", results=[forged]))
+    assert working.state.commands["C-1"].phase is m.Phase.PARSING
+    working.say("workers", b"parser@0", m.ResultBatch(name="parser@0", results=[forged]))
+    assert "C-1" not in working.state.commands
+
+
+@pytest.mark.parametrize(
+    ("door", "message"),
+    [
+        ("workers", PARSER),
+        ("subsystems", MCM),
+        ("subsystems", m.HaltAtRest(halt="H-1", subsystem="MCM", at_s=1.0, at_rest=True, performers=["LEFT-ARM"])),
+        ("supervisor", m.ProcessExited(name="parser@0", pid=7, status=-9, restarting=False)),
+        ("supervisor", m.ProcessTable(processes=[])),
+        ("supervisor", m.Dropped(counts={"world": 1})),
+    ],
+)
+def test_nobody_speaks_for_another(working: Bench, door: str, message: Any) -> None:
+    before = wire.encode(working.state)
+    working.say(door, b"somebody", message)
+    assert working.router.dropped[door] == 1
+    assert wire.encode(working.state) == before
+    assert list(working.router.roster.workers) == ["parser@0"]
+
+
+def test_a_table_that_is_none_is_dropped(bench: Bench) -> None:
+    good = {"name": "a", "pid": 2, "state": "ready", "since_s": 1.0}
+    for rows in ([{}], [{**good, "name": 1}], [{**good, "since_s": ""}]):
+        bench.say("supervisor", b"supervisor", {"type": "ProcessTable", "processes": rows})
+    assert bench.router.dropped["supervisor"] == 3
+    bench.now += 1.0
+    bench.turn()
+
+
+def test_noise_at_the_event_stream_does_not_cut_listeners_off(bench: Bench) -> None:
+    events = bench.sockets["events"]
+    for frame in (b"\1", b"junk", b"", b"\0other", b"\0other", b"\xff"):
+        events.put([frame])
+    bench.turn()
+    bench.say("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
+    assert events.sent
+    events.put([b"\0"])
+    bench.turn()
+    events.sent.clear()
+    bench.say("front", b"ann", m.CommandText(request="2", text="STOW LEFT-ARM"))
+    assert not events.sent
+
+
+def test_one_client_asks_so_often_and_another_is_served(bench: Bench) -> None:
+    said = bench.say("front", b"x", *(m.StatusQuery(request=str(n)) for n in range(QUESTIONS_PER_S + 5)))
+    assert [type(answer) for answer in said] == [m.StatusReply] * QUESTIONS_PER_S + [m.Declined] * 5
+    assert "times a second" in said[-1].refusal.message
+    assert type(bench.say("front", b"ann", m.StatusQuery(request="1"))[0]) is m.StatusReply
+    bench.now += 1.0
+    assert type(bench.say("front", b"x", m.StatusQuery(request="later"))[0]) is m.StatusReply
+
+
+def test_who_calls_halts_without_end_is_obeyed_and_folded(working: Bench) -> None:
+    """Given a stream of halts of one caller, when another calls one, it is answered, and the last of the stream too
+    has stopped what it meant."""
+    calls = [m.HaltOrder(halt=f"H-{n}", scope=("LEFT-ARM", "RIGHT-ARM")[n % 2]) for n in range(PER_S + 50)]
+    working.say("halt", b"x", *calls)
+    working.now += 0.2
+    working.turn()
+    passed_on = [wire.reader(m.BrokerToSubsystem)(parts[1:]) for parts in working.sockets["subsystems"].sent]
+    assert working.router.dropped["halts_folded"] == 50
+    assert len(passed_on) == PER_S + 1  # those beyond number together
+    assert (passed_on[-1].halt, passed_on[-1].scope) == (calls[-1].halt, "ALL")  # of two scopes
+    assert len(working.router._halts_of[b"x"]) == HALTS_OF_CALLER
+
+    working.say("halt", b"ann", m.HaltOrder(halt="H-ann", scope="LEFT-ARM"))
+    rest = m.HaltAtRest(halt="H-ann", subsystem="MCM", at_s=1.0, at_rest=True, performers=["LEFT-ARM"])
+    working.say("subsystems", b"MCM", rest)
+    assert working.sockets["halt"].sent[-1] == [b"ann", *wire.frames(rest)]
+
+
+def test_callers_are_forgotten_some_time(bench: Bench) -> None:
+    for n in range(CALLERS_KEPT + 50):
+        bench.sockets["halt"].put([b"c%d" % n, *wire.frames(m.HaltOrder(halt=f"H-{n}"))])
+    bench.turn(100)
+    assert len(bench.router._halts_of) == CALLERS_KEPT
+
+
+def test_the_names_of_the_brokers_own_halts_are_not_for_others(working: Bench) -> None:
+    """Or somebody could have the rest of C-1 confirmed by a halt of something else."""
+    working.say("halt", b"x", m.HaltOrder(halt="stop-C-1", scope="RIGHT-ARM", called_at_s=float("nan")))
+    order = wire.reader(m.BrokerToSubsystem)(working.sockets["subsystems"].sent[-1][1:])
+    assert (order.halt, order.scope, order.called_at_s) == ("H-stop-C-1", "RIGHT-ARM", 0.0)

@@ -1,0 +1,120 @@
+"""A real cluster, and somebody at its sockets who means harm: nobody dies, nobody grows, everybody else is served.
+
+`python -m benchmarks.fuzz` does the same for longer, and says how long the others wait.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zmq
+
+from benchmarks.fuzz import Others, attacked
+from benchmarks.hostile import DOORS, IMPOSTORS, Attacker, heavy_messages, stream_garbage
+from rtc import messages as m
+from rtc import wire
+from rtc.client import Client
+from rtc.demos.own_cluster import own_cluster
+from rtc.outcomes import OutcomeKind
+from rtc.settings import Settings
+
+pytestmark = pytest.mark.slow
+
+SEED = 7
+MESSAGES = 1500  # at each door
+GROWTH_MB = 150.0
+COUNTED = [name for name in DOORS if name not in ("telemetry", "events")]  # of those two nobody reads a word
+LIMIT_S = 20.0
+
+
+@pytest.fixture(scope="module")
+def run_dir() -> Iterator[Path]:
+    with own_cluster(mcm="kinematic", speed="max") as run_dir:
+        yield run_dir
+
+
+@pytest.fixture
+def others(run_dir: Path) -> Iterator[Others]:
+    others = Others(run_dir)
+    yield others
+    others.close()
+
+
+@pytest.fixture
+def context() -> Iterator[zmq.Context[Any]]:
+    context: zmq.Context[Any] = zmq.Context()
+    yield context
+    context.destroy(linger=0)
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_bad_input_at_a_door_hurts_nobody(run_dir: Path, others: Others, context: zmq.Context[Any], door: str) -> None:
+    settings, rng = Settings.load(run_dir), random.Random(SEED)
+    before, pids, memory_mb = dropped(others.rtc, door), others.pids(), others.memory_mb()
+    attacker = Attacker(context, settings, door, rng)
+    for _ in range(10):
+        attacker.say(MESSAGES // 10)
+        stream_garbage(settings, door, rng)
+    attacker.say(3, heavy_messages(rng))
+    attacker.close()
+    attacker = Attacker(context, settings, door, rng)
+    attacker.say(50)
+
+    noticed = others.notice(0.5)
+
+    assert not noticed.wrong
+    assert not [name for name, pid in others.pids().items() if pids.get(name, pid) != pid]
+    assert all(others.memory_mb()[name] - memory_mb[name] < GROWTH_MB for name in memory_mb)
+    if door in COUNTED:
+        wait_for(lambda: dropped(others.rtc, door) > before)
+    attacker.close()
+
+
+@pytest.mark.parametrize("attack", ["sentences", "nonsense", "questions", "reads", "halts", "estops", "large"])
+def test_a_flood_from_one_leaves_the_others_served(run_dir: Path, others: Others, attack: str) -> None:
+    with attacked(run_dir, attack, SEED):
+        noticed = others.notice(2.0)
+
+    assert not noticed.wrong
+    assert not noticed.died
+    assert noticed.growth_mb < GROWTH_MB
+    assert len(noticed.commands_s) >= 3
+    assert len(noticed.halts_s) == len(noticed.broker_halts_s) == len(noticed.commands_s)
+
+
+@pytest.mark.parametrize(
+    ("door", "name"), [(door, name) for door in ("workers", "supervisor") for name in IMPOSTORS[door]]
+)
+def test_after_an_impostor_has_gone_all_is_well(
+    run_dir: Path, context: zmq.Context[Any], door: str, name: bytes
+) -> None:
+    """Given somebody who takes the name of one of ours, and its place (here only the directory's owner can), when he
+    goes, then the one whose name it is comes back."""
+    hello: dict[str, Any] = {
+        "workers": m.WorkerHello(name=name.decode(), node=0, kind=m.WorkerKind.PARSER, pid=1),
+        "subsystems": m.SubsystemHello(name=name.decode(), pid=1, performers=["LEFT-ARM"]),
+        "supervisor": m.ProcessTable(processes=[]),
+    }
+    impostor = context.socket(zmq.DEALER)
+    impostor.setsockopt(zmq.IDENTITY, name)
+    impostor.connect(Settings.load(run_dir).endpoint(door))
+    impostor.send_multipart(wire.frames(hello[door]))
+    impostor.poll(200)
+    impostor.close(linger=0)
+
+    with Client(run_dir) as rtc:
+        assert rtc.halt().confirmed
+        wait_for(lambda: rtc.run("STOW LEFT-ARM", timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED)
+
+
+def dropped(rtc: Client, door: str) -> int:
+    return int(rtc.status()["counters"].get(f"dropped_{door}", 0))
+
+
+def wait_for(condition: Any, tries: int = 200) -> None:
+    """`condition` asks the cluster, which takes its time each time."""
+    assert any(condition() for _ in range(tries))
