@@ -42,14 +42,9 @@ class CommandText(Message, frozen=True, kw_only=True):
     text: str
     source: Literal["operator", "aip"] = "operator"  # told apart in records only (R133)
     progress: bool = True  # send ProgressNotes too, not only the end
-<<<<<<< HEAD
     halt_if_lost: bool = False  # halt this command when the client goes away: it says Heartbeat every second
-    sent_at_s: float = 0.0  # a sentence sent before a HALT ALL does not start after it; 0 = not told
-=======
-    halt_if_lost: bool = False  # halt this command when the client goes away
     # A sentence sent before a HALT ALL does not start after it; 0 = not told.
     sent_at_s: Annotated[float, msgspec.Meta(ge=0)] = 0.0
->>>>>>> 56acb7a (x)
 
 
 class StatusQuery(Message, frozen=True, kw_only=True):
