@@ -10,7 +10,7 @@ from benchmarks.load.client import LoadClient
 from benchmarks.load.cluster import cluster
 from benchmarks.load.trivial import sentence
 from benchmarks.peers import chain, raw_pyzmq
-from benchmarks.soak import run
+from benchmarks.soak import median_mb, run
 from benchmarks.throughput import Found, Run
 from broker.journal import Journal
 from rtc.client import Client
@@ -45,6 +45,11 @@ def test_a_peer_does_the_same_chain():
 
     raw_pyzmq.measure(chain.SIZES, start)
     assert meters[0].rate > 0
+
+
+def test_memory_is_the_median_of_a_tenth_of_the_commands():
+    samples = [(0, 40.0, 0.0), (50, 50.0, 0.0), (120, 60.0, 0.0), (150, 90.0, 0.0), (180, 61.0, 0.0), (950, 62.0, 0.0)]
+    assert [median_mb(samples, tenth, 1000) for tenth in (0, 1, 9)] == [45.0, 61.0, 62.0]
 
 
 def test_a_peer_that_is_not_there_says_so():
