@@ -76,15 +76,15 @@ class Bounds(NamedTuple):
 KIB = 1 << 10
 BOUNDS: dict[str, Bounds] = {
     "front": Bounds(256 * KIB, 256, 10_000),  # the largest is a program file; a client is told much in one turn
-    "halt": Bounds(4 * KIB, 256, 1_000),
+    "halt": Bounds(64 * KIB, 256, 1_000),
     "workers": Bounds(8 << 20, 1_000, 1_000),  # products may have megabytes; a worker holds 128 jobs at most
     "subsystems": Bounds(256 * KIB, 1_000, 10_000),
     "supervisor": Bounds(256 * KIB, 1_000, 1_000),
     "events": Bounds(1 * KIB, 100, 10_000),  # what comes in are subscriptions
     "world": Bounds(256 * KIB, 256, 256),  # whoever asks waits for the answer
-    "estop": Bounds(4 * KIB, 256, 1_000),
+    "estop": Bounds(64 * KIB, 256, 1_000),
     "telemetry": Bounds(1 * KIB, 100, 100),
-    "bench": Bounds(4 * KIB, 64, 64),
+    "bench": Bounds(64 * KIB, 64, 64),
 }
 
 

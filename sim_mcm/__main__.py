@@ -126,7 +126,7 @@ class Station:
     def _answer(self, question: m.SimTruth | m.SimDisplace) -> m.SimTruthReply | m.SimDone:
         if isinstance(question, m.SimDisplace):
             if len(question.offset) != 6 or not all(abs(part) <= FARTHEST for part in question.offset):
-                words = f"offset: six numbers are needed, none beyond {FARTHEST:g} m or rad"
+                words = f"offset: six finite numbers are needed, none beyond {FARTHEST:g} m or rad"
                 return m.SimDone(request=question.request, error=words)
             return m.SimDone(
                 request=question.request, error=self._simulation.displace(question.object, question.offset)
