@@ -72,6 +72,7 @@ class Supervisor:
         self._table = Every(TABLE_S)
         self._begun_s = now_s()
         self._up = False  # every process has been ready once
+        self._changes = False  # of the process table, not told yet
 
     # --- the three phases ------------------------------------------------------------------------------
 
@@ -91,14 +92,16 @@ class Supervisor:
                 raise ClusterError("told to stop before the cluster was ready")
             self._turn(end_s - now_s())
             self._start_waiting()
-        self._up = True
-        self._changed()
+            self._tell_changes()
+        self._up = self._changes = True
+        self._tell_changes()
 
     def run(self) -> None:
         """Watch, restart, obey the broker; until told to stop."""
         while not self._me.stopping:
             self._turn(self._patience_s())
             self._start_waiting()
+            self._tell_changes()
             self._kill_impatiently()
             if self._table.due(now_s()):
                 self._tell_table()
@@ -144,7 +147,7 @@ class Supervisor:
         for child in self._children.values():
             if child.waits and now_s() >= child.start_at_s and self._may_start(child):
                 self._spawn(child)
-                self._changed()
+                self._changes = True
 
     def _may_start(self, child: Child) -> bool:
         if child.spec.later:  # one after the other, so that they take one core at most from those at work
@@ -218,10 +221,9 @@ class Supervisor:
             took_s = now_s() - (self._begun_s if not self._up else child.since_s)
             child.become(State.READY)
             self._say(f"{child.spec.name:<14} ready  {took_s:5.2f} s  pid {child.pid}")
-            self._changed()
+            self._changes = True
             if child.spec.name == "broker" and self._up:
                 self._tell(SupervisorHello(pid=self._pid))
-                self._tell_table()
 
     def _exited(self, child: Child) -> None:
         """Tell the broker first: until it knows, the process's work waits."""
@@ -236,7 +238,7 @@ class Supervisor:
             if self._up:  # a worker that has retired
                 del self._children[name]
                 self._say(f"{name} has retired")
-                self._changed()
+                self._changes = True
             return
         child.deaths.append(Death(now_s(), was_ready=state == State.READY, lived_s=lived_s))
         delay = delay_s(self._policy, [*child.deaths]) if self._up else None
@@ -254,7 +256,7 @@ class Supervisor:
             child.restarts += 1
             child.start_at_s = now_s() + delay
             self._say(f"{what}; restarting" + (f" in {delay:g} s" if delay else ""))
-        self._changed()
+        self._changes = True
 
     def _forget(self, fd: int) -> None:
         if self._by_fd.pop(fd, None):
@@ -274,10 +276,13 @@ class Supervisor:
     def _tell_table(self) -> None:
         self._tell(ProcessTable(processes=self.table()))
 
-    def _changed(self) -> None:
-        self._save(self.table())
-        if self._up:
-            self._tell_table()
+    def _tell_changes(self) -> None:
+        """After what is urgent: writing takes longer than starting what has died."""
+        if self._changes:
+            self._changes = False
+            self._save(self.table())
+            if self._up:
+                self._tell_table()
 
     def table(self) -> list[ProcessRow]:
         return [
@@ -323,7 +328,7 @@ class Supervisor:
             self._end(child, END_LIMIT_S)
         else:
             del self._children[child.spec.name]
-        self._changed()
+        self._changes = True
 
 
 def _not_ready(waiting: Sequence[Child], limit_s: float) -> ClusterError:

@@ -42,7 +42,7 @@ READY, ALIVE = b"ready", b"alive"
 BEAT_S = 1.0
 QUEUE_LENGTH = 10_000  # messages per peer that ZeroMQ holds before it drops (ROUTER, PUB) or says no (DEALER)
 LINGER_MS = 200  # how long the last words of a process may take to leave it
-RECONNECT_MS, RECONNECT_MAX_MS = 10, 100  # a restarted peer is found again within this
+RECONNECT_MS, RECONNECT_MAX_MS = 10, 30  # a restarted peer is found again within this
 # As plain numbers, and frame by frame: pyzmq's own multipart calls cost several times as much as what they do.
 AT_ONCE, MORE = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE)
 OPEN_LIMIT_S = 0.2
