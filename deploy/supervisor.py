@@ -36,6 +36,7 @@ START_LIMIT_S = 30.0  # until every process is ready
 END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL
 TABLE_S = 1.0
 TEMPLATE_PATIENCE_S = 10.0
+STOOD_STILL_S = 3.0  # this process itself, or the machine, if it has not looked after the others for so long
 SILENCE_S = 4.0  # one that should have said every second that it is alive: it hangs
 STOPPED_S = 2.0  # seen stopped by a signal for so long
 FORK_AGAIN_S = 0.05  # after which a killed template is known to be dead
@@ -72,6 +73,7 @@ class Supervisor:
         self._table = Every(TABLE_S)
         self._begun_s = now_s()
         self._up = False  # every process has been ready once
+        self._looked_s = 0.0  # whether anybody hangs
         self._changes = False  # of the process table, not told yet
 
     # --- the three phases ------------------------------------------------------------------------------
@@ -103,10 +105,14 @@ class Supervisor:
             self._start_waiting()
             self._tell_changes()
             self._kill_impatiently()
-            if self._table.due(now_s()):
+            if self._table.due(now := now_s()):
+                stood_still = now - self._looked_s > STOOD_STILL_S  # then nobody else is to blame for silence
+                self._looked_s = now
                 self._tell_table()
                 for child in self._children.values():
                     limit_log(child.log)
+                    if stood_still:
+                        child.heard_s = now
                     self._kill_if_hung(child)
 
     def stop(self, limit_s: float = END_LIMIT_S) -> None:
