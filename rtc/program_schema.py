@@ -105,6 +105,7 @@ class ScriptFile(Part, frozen=True, kw_only=True):
     case: Case
     uses: list[str] = []  # fields of the command it understands; any other that is set is refused, not ignored
     needs: list[str] = []  # registered conditions of the world: hand_empty, object_held ...
+    despite_grasp: bool = False  # it may move although nobody is sure how what the hand holds is held (R151)
     resources: list[str] = msgspec.field(default_factory=lambda: ["active_arm"])
     writes: list[str] = msgspec.field(default_factory=lambda: ["active_arm"])
     plan: list[PlanLine] = []

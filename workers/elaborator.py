@@ -250,6 +250,7 @@ def _script(
     problem = sentence.misplaced(at.parsed, script.script, script.uses)
     for need in script.needs:
         problem = problem or _lacking(need, at)
+    problem = problem or _unsure_grasp(script, at)
     if problem is not None:
         return problem
     planned = plan(script, at)
@@ -454,6 +455,15 @@ def _lacking(need: str, at: Situation) -> Refusal | None:
         return None
     clears = at.say(at.program.needs.get(lack.row or need, "")).replace("{held}", lack.held)
     return Refusal(reason=RefusalReason.STATE, message=lack.message, clears=clears)
+
+
+def _unsure_grasp(script: ScriptFile, at: Situation) -> Refusal | None:
+    """What the hand holds goes where it goes: no motion is planned round it while it is in doubt how it is held (R151).
+    Fingers may press or open, and a script that says so may move: to back off from what was touched, to let go."""
+    held = at.belief.holding(at.arm.name)
+    if not held or script.despite_grasp or not any(step.to for step in script.steps):
+        return None
+    return at.belief.distrusted(f"{held}.grasp", at.program.clears)
 
 
 def verbs(program: ElaboratorProgram) -> Iterator[str]:

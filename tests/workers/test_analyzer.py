@@ -190,8 +190,9 @@ def test_after_a_halt_while_carrying_the_next_command_works_at_once(bench):
     bench.world = bench.world.overlay(made.changes)
 
     assert bench.world.get("MACS-NEW.frame").validity is Validity.SUSPECT  # O6
-    assert bench.do("MOVE RIGHT-ARM TO BAY-2-FRONT").succeeded
+    assert bench.do("RETRACT RIGHT-ARM BY 2 CM").succeeded
     assert bench.world.get("MACS-NEW.frame").validity is Validity.SUSPECT  # moving it proves nothing
+    assert bench.elaborate("MOVE RIGHT-ARM TO BAY-2-FRONT").reason is RefusalReason.SUSPECT
     assert bench.elaborate("PLACE MACS-NEW ON RACK-1").reason is RefusalReason.SUSPECT
     assert bench.do("RELEASE MACS-NEW").succeeded
     assert bench.do("STOW RIGHT-ARM").succeeded
@@ -224,6 +225,10 @@ def test_fingers_halted_while_they_press_do_hold(bench):
 
     assert change(made, "RIGHT-ARM.holding").value == "MACS-NEW"
     assert change(made, "MACS-NEW.grasp").validity is Validity.SUSPECT
+
+    bench.world = bench.world.overlay(made.changes)
+    refusal = bench.elaborate("LIFT MACS-NEW BY 5 CM")
+    assert (refusal.reason, refusal.clears) == (RefusalReason.SUSPECT, "VERIFY MACS-NEW AT RIGHT-ARM")
 
 
 def test_a_lost_object_is_held_no_more(bench):

@@ -242,6 +242,48 @@ def test_a_suspect_frame_is_not_planned_upon(bench):
     assert "SET MACS-NEW FRAME 80 -80 60 CM" in refusal.clears
 
 
+IN_DOUBT = [
+    ("LIFT MACS-NEW BY 5 CM", True),
+    ("PLACE MACS-NEW ON RACK-1", True),
+    ("MOVE RIGHT-ARM TO BAY-2-FRONT", True),
+    ("MOVE RIGHT-ARM BY 5 CM ALONG UP", True),
+    ("STOW RIGHT-ARM", True),
+    ("INSERT MACS-NEW INTO RACK-1", True),  # whoever wrote its script
+    ("RETRACT RIGHT-ARM BY 1 CM", False),
+    ("RELEASE MACS-NEW", False),
+    ("VERIFY MACS-NEW AT RIGHT-ARM", False),
+    ("CLOSE RIGHT-END-EFF", False),
+    ("HOLD RIGHT-ARM FOR 1 SEC", False),
+    ("STOW LEFT-ARM", False),
+]
+
+
+@pytest.mark.parametrize(("sentence", "refused"), IN_DOUBT)
+def test_nothing_is_carried_while_it_is_in_doubt_how_it_is_held(bench, sentence, refused):
+    """R151: what was halted or failed in the hand is felt again first; whoever backs off or lets go may do so."""
+    bench.load(
+        "elaborator",
+        "script: my-insert\ncase: 3\nuses: [object, target]\nneeds: [object_held]\n"
+        "steps: [{do: move, to: HERE, stop: move_held, space: move_task, label: in, args: {by_m: 0.01}}]\n"
+        "decision_tree: [{verb: INSERT, script: my-insert}]\n"
+        "command_object_table: [{verb: INSERT, kind: module, values: {}}]",
+    )
+    assert bench.do("GRASP MACS-NEW HANDLE-A").succeeded
+    assert bench.do("LIFT MACS-NEW BY 5 CM").succeeded
+    bench.told("MACS-NEW.grasp", bench.world.value("MACS-NEW.grasp"), Validity.SUSPECT)
+
+    made = bench.elaborate(sentence)
+
+    if not refused:
+        assert isinstance(made, Script), made
+        return
+    assert made.reason is RefusalReason.SUSPECT
+    assert made.message.startswith("the grasp of MACS-NEW is suspect since ")
+    assert made.clears == "VERIFY MACS-NEW AT RIGHT-ARM"
+    assert bench.do("VERIFY MACS-NEW AT RIGHT-ARM").succeeded
+    assert isinstance(bench.elaborate(sentence), Script)
+
+
 @pytest.mark.parametrize("sentence", ["MOVE RIGHT-ARM TO BAY-2-FRONT", "STOW RIGHT-ARM"])
 def test_an_arm_moves_from_where_it_was_last_reported(bench, sentence):
     bench.told("RIGHT-ARM.joints", bench.world.value("RIGHT-ARM.joints"), Validity.SUSPECT)
