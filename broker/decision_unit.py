@@ -34,7 +34,7 @@ from broker.events import (
     SubsystemGone,
     TimerFired,
 )
-from broker.state import NIL, Command, Ending, Link, PendingJob, State, Subsystem, Trial
+from broker.state import NIL, Command, Ending, Link, PendingJob, State, Subsystem, Trial, request_key
 from broker.transitions import TABLE, Stimulus
 from broker.turn import Turn
 from rtc.language.fastpath import halt_scope
@@ -117,11 +117,11 @@ def stimulate(turn: Turn, command: Command, stimulus: Stimulus, payload: Any = N
 
 def on_command(turn: Turn, event: CommandReceived) -> None:
     state = turn.state
-    key = f"{event.client} {event.request}"
+    key = request_key(event.client, event.request)
     if known := state.requests.get(key):
         turn.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=known)))
         if known in state.ended:
-            turn.effects.append(TellClient(client=event.client, message=state.ended[known]))  # type: ignore[arg-type]
+            turn.effects.append(TellClient(client=event.client, message=state.ended[known].told))
         return
     live = state.live.get(event.client, 0)
     if live >= LIVE_PER_CLIENT or len(state.commands) >= MAX_COMMANDS:

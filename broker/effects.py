@@ -60,7 +60,7 @@ class StopTimer(Effect, frozen=True, kw_only=True, gc=False):
 
 class TellClient(Effect, frozen=True, kw_only=True, gc=False):
     client: str
-    message: BrokerToClient
+    message: BrokerToClient | msgspec.Raw  # or one that is encoded already
 
 
 class PublishNote(Effect, frozen=True, kw_only=True, gc=False):

@@ -12,7 +12,7 @@ from typing import Any
 
 from broker.effects import AcknowledgeReport, CancelJob, ReportEnd, SendHalt
 from broker.resources import Quarantine
-from broker.state import NIL, Command, Ending
+from broker.state import NIL, Command, Ending, Result, request_key
 from broker.transitions import Stimulus
 from broker.turn import Turn
 from rtc import wire
@@ -94,14 +94,12 @@ def _in_doubt(command: Command, kind: OutcomeKind) -> bool:
 def _remember(turn: Turn, command: Command, ended: CommandEnded) -> None:
     """Keep the result for a client that comes back for it; forget the oldest."""
     state = turn.state
-    state.ended[command.id] = wire.raw(ended)
-    state.successes[command.id] = ended.outcome.kind is OutcomeKind.SUCCEEDED
+    succeeded = ended.outcome.kind is OutcomeKind.SUCCEEDED
+    state.ended[command.id] = Result(wire.raw(ended), succeeded, request_key(command.client, command.request))
     if len(state.ended) < ENDED_KEPT + FORGOTTEN_AT_ONCE:
         return
     for oldest in list(islice(state.ended, FORGOTTEN_AT_ONCE)):
-        del state.ended[oldest]
-        del state.successes[oldest]
-    state.requests = {r: c for r, c in state.requests.items() if c in state.commands or c in state.ended}
+        del state.requests[state.ended.pop(oldest).request]
 
 
 # --- refused -----------------------------------------------------------------------------------------

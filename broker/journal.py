@@ -21,7 +21,7 @@ from rtc import wire
 from rtc.messages import CommandRecord
 
 STORIES_KEPT = 20_000
-STORIES_AT_ONCE = 16
+STORIES_AT_ONCE = 64
 FORGOTTEN_AT_ONCE = 400  # turns: forgetting all of a snapshot at once would hold up what comes meanwhile
 CHECKPOINT_PAGES = 128  # of the WAL, brought home little by little for the same reason
 SCHEMA = """

@@ -145,7 +145,7 @@ def _subsystem_of(turn: Turn, performer: str) -> str:
 
 def no_target(turn: Turn, scope: str, asker: str = "") -> Refusal:
     """Why nothing is in scope; `asker` is the command that wanted it and is no answer itself."""
-    if scope in turn.state.successes:
+    if scope in turn.state.ended:
         return Refusal(reason=RefusalReason.STATE, message=f"{scope} has ended already")
     live = [command for command in turn.state.commands if command != asker]
     known = [*(p for s in turn.state.subsystems.values() for p in s.performers), *live]
@@ -160,7 +160,7 @@ def _wait_for_another(turn: Turn, command: Command, head: ParsedHead) -> bool:
     state = turn.state
     target = state.commands.get(other)
     if target is None or target is command:
-        done = state.successes.get(other)
+        done = state.ended[other].succeeded if other in state.ended else None
         if head.after and done:
             return False
         message = (

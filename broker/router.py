@@ -507,7 +507,8 @@ class Router:
             send(self._socket["events"], effect.note)
 
     def _report_end(self, effect: do.ReportEnd) -> None:
-        encoded = self.state.ended.get(effect.ended.command, effect.ended)  # once is enough
+        kept = self.state.ended.get(effect.ended.command)
+        encoded = kept.told if kept else effect.ended  # once is enough
         send(self._socket["front"], encoded, _peer(effect.client))
         if self._topics:
             send(self._socket["events"], encoded)

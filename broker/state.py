@@ -165,14 +165,25 @@ class Trial(msgspec.Struct, frozen=True):
     old: str
 
 
+class Result(msgspec.Struct, frozen=True, gc=False):
+    """What is kept of a command that has ended."""
+
+    told: msgspec.Raw  # CommandEnded, for a client that asks again
+    succeeded: bool  # for AFTER
+    request: str  # its key in `requests`
+
+
+def request_key(client: str, request: str) -> str:
+    return f"{client} {request}"
+
+
 class State(msgspec.Struct, kw_only=True):
     commands: dict[str, Command] = {}  # live ones, by id, in order of acceptance
     live: dict[str, int] = {}  # client -> how many of them are its own
     accepted: int = 0
     seq: int = 0  # of the event stream
-    requests: dict[str, str] = {}  # "client request" -> command, live or recently ended
-    ended: dict[str, msgspec.Raw] = {}  # recently ended: command -> CommandEnded, for clients that ask again
-    successes: dict[str, bool] = {}  # recently ended: command -> did it succeed (for AFTER)
+    requests: dict[str, str] = {}  # `request_key` -> command, live or recently ended
+    ended: dict[str, Result] = {}  # recently ended, by command
     resources: Resources = msgspec.field(default_factory=Resources)
     awaiting: dict[str, list[str]] = {}  # command -> those that start after its end
     joining: dict[str, list[str]] = {}  # command -> those that start when it begins to move

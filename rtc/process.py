@@ -29,7 +29,7 @@ import stat
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,7 @@ RECONNECT_MS, RECONNECT_MAX_MS = 10, 30  # a restarted peer is found again withi
 AT_ONCE, MORE = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE)
 OPEN_LIMIT_S = 0.2
 PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
+Secure = Callable[[zmq.Socket[Any]], None] | None  # what is done to a socket before it binds or connects
 _libc = ctypes.CDLL(None)  # opened here: between fork and exec as little as can be is done
 
 
@@ -78,14 +79,23 @@ class Process:
         queue_length: int = QUEUE_LENGTH,
         bounds: Bounds | None = None,
         poll: bool = True,
+        secure: Secure = None,
     ) -> zmq.Socket[bytes]:
         """A bounded socket on `endpoint`, watched by `wait` unless `poll` is False. `bounds`: for one that is bound.
 
-        A ROUTER hands an identity over to its newest bearer, so that a restarted process is heard at once.
+        A ROUTER hands an identity over to its newest bearer, so that a restarted process is heard at once. `secure`
+        sees the socket before it binds or connects.
         Raises `zmq.ZMQError` when the endpoint cannot be bound.
         """
         made = open_socket(
-            self.context, kind, endpoint, bind=bind, identity=identity, queue_length=queue_length, bounds=bounds
+            self.context,
+            kind,
+            endpoint,
+            bind=bind,
+            identity=identity,
+            queue_length=queue_length,
+            bounds=bounds,
+            secure=secure,
         )
         if poll:
             self.poller.register(made, zmq.POLLIN)
@@ -194,6 +204,7 @@ def open_socket(
     identity: str = "",
     queue_length: int = QUEUE_LENGTH,
     bounds: Bounds | None = None,
+    secure: Secure = None,
 ) -> zmq.Socket[bytes]:
     """A socket with our limits set: length of its queues, size of a frame, time to linger, pace of reconnecting."""
     made: zmq.Socket[bytes] = context.socket(kind)
@@ -208,6 +219,8 @@ def open_socket(
         made.setsockopt(zmq.ROUTER_HANDOVER, 1)
     if identity:
         made.setsockopt(zmq.IDENTITY, identity.encode())
+    if secure is not None:
+        secure(made)
     if bind:
         made.bind(endpoint)
     else:
@@ -217,11 +230,11 @@ def open_socket(
 
 def send(socket: zmq.Socket[bytes], message: Any, to: bytes | None = None) -> bool:
     """Put a message on its way (to one peer of a ROUTER), never wait. False: no room in the queue, or no such peer."""
-    *heads, last = wire.frames(message) if to is None else (to, *wire.frames(message))
     try:
-        for part in heads:
-            socket.send(part, MORE)
-        socket.send(last, AT_ONCE)
+        if to is not None:
+            socket.send(to, MORE)
+        socket.send(wire.PROTOCOL, MORE)
+        socket.send(wire.encode(message), AT_ONCE)
     except zmq.ZMQError as error:
         if error.errno in (zmq.EAGAIN, zmq.EHOSTUNREACH):
             return False

@@ -723,7 +723,7 @@ def _essence(model: Model) -> list[Any]:
     return [
         [_of_command(model, command) for command in du.commands.values()],
         du.resources,
-        [du.awaiting, du.joining, du.successes],
+        [du.awaiting, du.joining, {c: r.succeeded for c, r in du.ended.items()}],
         [(s.pid, s.link, s.came_at_rest) for s in du.subsystems.values()],
         [du.programs, list(du.trials), sorted(du.halts)],
         [model.handed_in, sorted(model.timers), model.stopped, model.estopped],
