@@ -328,7 +328,7 @@ def bound(turn: Turn, command: Command, product: msgspec.Raw) -> None:
         return
     subsystem = turn.state.subsystems.get(result.subsystem)
     if subsystem is None or subsystem.link is Link.LOST:
-        lost = f"{result.subsystem} is not connected"
+        lost = f"{result.subsystem} is not connected; nothing moved for this step: give it again when it is back"
         end(turn, command, OutcomeKind.LOST_SUBSYSTEM, message=lost, stop=StopReason.SUBSYSTEM_LOST)
         return
     primitive = read_primitive(result.primitive)

@@ -148,6 +148,19 @@ def test_what_a_killed_mcm_was_doing_is_lost_and_the_arm_stays_where_it_was(
     assert begun(run_dir, command) == 1
 
 
+def test_what_was_queued_when_the_mcm_died_is_planned_from_where_the_arm_really_stands(
+    rtc: Client, chaos: Chaos, run_dir: Path
+) -> None:
+    moving = submit_and_move(rtc, AWAY)
+    queued = [rtc.submit(text) for text in (f"MOVE {ARM} BY 1 CM ALONG UP", STOW, AWAY)]
+    strike = chaos.strike("mcm")
+    assert rtc.wait(moving, LIMIT_S).outcome.kind is OutcomeKind.LOST_SUBSYSTEM
+    outcomes = [rtc.wait(command, LIMIT_S).outcome for command in queued]
+    assert [outcome.kind for outcome in outcomes] == [OutcomeKind.SUCCEEDED] * 3, outcomes
+    assert outcomes[0].steps_done == 2  # it looked first where the arm stands
+    back(chaos, strike)
+
+
 TIED = """
 import sys
 from rtc.client import Client
