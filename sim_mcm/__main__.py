@@ -8,7 +8,6 @@ Every tick: halts first, then the broker, then one servo tick, then the world's 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 import time
 from collections.abc import Callable
@@ -30,7 +29,7 @@ NAME = "MCM"
 HEARTBEAT_S = 0.25
 TELEMETRY_S = 0.02
 FARTHEST = 10.0  # m or rad, of a belief error; physics has no answer to 1e300 m
-NICENESS = -5  # before the workers, if the system gives leave
+RANK, NICENESS = 2, -5  # before the broker and the workers, if the system gives leave
 
 SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": BulletCell, "kinematic": KinematicCell}
 
@@ -145,14 +144,10 @@ class Station:
 
 
 def _come_first(settings: Settings) -> str:
-    """Be served before the workers, as far as the system gives leave: a servo's tick is short and cannot wait.
-
-    Not so when running faster than real time, where a tick may follow a tick and nobody else would get the core.
-    """
+    """A servo's tick is short and cannot wait. Not so when running faster than real time, where a tick may follow a
+    tick and nobody else would get the core."""
     if 0.0 < settings.speed <= 1.0:
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
-            return "real-time, round robin"
+        return process.come_first(RANK, NICENESS)
     return f"niceness {NICENESS}" if process.nice(NICENESS) else "no leave for a better priority"
 
 

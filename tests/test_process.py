@@ -135,3 +135,28 @@ def test_nice_never_raises(monkeypatch):
 
     monkeypatch.setattr(os, "nice", refuse)
     assert process.nice(-5) is False
+
+
+def test_who_may_not_come_first_goes_on_all_the_same(monkeypatch):
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    monkeypatch.setattr(os, "nice", lambda by: by)
+    assert process.come_first(1, -5) == "niceness -5"
+    monkeypatch.setattr(os, "nice", refuse)
+    assert process.come_first(1, -5) == "no leave for a better priority"
+
+
+def test_a_child_of_one_that_comes_first_does_not():
+    code = textwrap.dedent("""
+        import os
+        from rtc.process import come_first
+        words = come_first(1, -5)
+        child = os.fork()
+        if not child:
+            os._exit(os.sched_getscheduler(0) != os.SCHED_OTHER)
+        print(words, os.waitpid(child, 0)[1])
+    """)
+    words = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30).stdout
+    assert words.endswith(" 0\n"), words
