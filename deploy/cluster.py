@@ -31,10 +31,10 @@ from deploy.supervisor import END_LIMIT_S, Supervisor
 from rtc import process, template
 from rtc.outcomes import ClusterError, NoCluster, RtcError
 from rtc.settings import ENDPOINTS, Settings, prepare_run_dir
+from rtc.silence import LOCK
 from rtc.world import lease
 
 REPORT = "supervisor.json"
-LOCK = "supervisor.lock"
 LOGS = "logs"
 TEMPLATE = "template"  # of workers; NAME-template of the process NAME
 TWIN = "twin-template"  # making a template of workers takes seconds, so each of two is forked from the other
@@ -59,6 +59,7 @@ def specs(settings: Settings) -> list[Spec]:
         *_with_template("broker", "broker", settings),
         *_with_template("world", "rtc.world", settings),
         *_with_template("MCM", "sim_mcm", settings),
+        *([_spec("gate", "broker.gate", settings, beats=True)] if settings.listen else []),
         *(worker(settings, address) for address in _first_workers(settings)),
     ]
 

@@ -34,6 +34,7 @@ from rtc.halting import HaltLine, HaltResult
 from rtc.lifeline import Lifeline
 from rtc.outcomes import NoCluster, Outcome, OutcomeKind, Refusal, RefusalReason, RequestDeclined, TimedOut, WireError
 from rtc.settings import ENDPOINTS, Settings, default_run_dir
+from rtc.silence import Silence, Tell
 from rtc.wire import MAX_BYTES, frames, reader
 from rtc.world.client import WorldClient
 
@@ -60,6 +61,8 @@ class Client:
     `run_dir` is the cluster's run directory; None = where `rtc up` puts it. Raises NoCluster, within a second, when
     nothing answers there. `need_broker=False` connects although the broker is away: halt, truth and telemetry work.
     `halt_if_lost`: what it has under way is halted when this process dies or stands still for some seconds.
+    `on_silence` is told in words when the broker has not answered for some seconds, and when it does again; every wait
+    outlasts a broker that is restarted, and raises NoCluster when the whole cluster is gone.
     """
 
     def __init__(
@@ -70,6 +73,7 @@ class Client:
         source: Source = "operator",
         need_broker: bool = True,
         halt_if_lost: bool = False,
+        on_silence: Tell | None = None,
     ) -> None:
         self.run_dir = Path(run_dir) if run_dir is not None else default_run_dir()
         self.settings = _settings_of(self.run_dir)
@@ -88,6 +92,7 @@ class Client:
         self._halt_line = HaltLine(self._context, self.settings, self.name)
         self._front = FrontDoor(self._context, self.settings.endpoint("front"), self.name)
         self._lifeline = Lifeline(self._context, self.settings.endpoint("front"), self.name) if halt_if_lost else None
+        self._silence = Silence(self.run_dir, on_silence)
         self._world: WorldClient | None = None
         if need_broker:
             try:
@@ -285,6 +290,7 @@ class Client:
                 raise TimedOut(f"{otherwise} (waited {timeout_s:.1f} s)")
             if (message := self._front.hear(left_s)) is not None:
                 self._take(message)
+            self._silence.judge(self._front.unanswered)
 
     def _take(self, message: m.BrokerToClient) -> None:
         match message:

@@ -32,6 +32,7 @@ class FrontDoor:
         self.name = name
         self.welcome: m.Welcome | None = None
         self.bad_messages = 0
+        self.unanswered = 0  # how often we have said all that is open again, and heard nothing since
         self._open: dict[str, m.ClientToBroker] = {}  # request -> message, until its last answer
         self._heard_at_s = time.monotonic()
         self._socket = context.socket(zmq.DEALER)
@@ -82,8 +83,10 @@ class FrontDoor:
         if self._socket not in ready:
             if self._open and time.monotonic() - self._heard_at_s > SILENCE_S:
                 self._repeat()
+                self.unanswered += 1
             return None
         self._heard_at_s = time.monotonic()
+        self.unanswered = 0
         try:
             message: m.BrokerToClient = _read(self._socket.recv_multipart())
         except WireError:

@@ -1,0 +1,57 @@
+"""What a silent broker means: a restarted one is waited for; when all is gone with its supervisor, nobody is.
+
+Knows the cluster's run directory, and who holds the supervisor's lock in it; no sockets, no messages.
+"""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Callable
+from pathlib import Path
+
+from rtc.outcomes import NoCluster
+
+LOCK = "supervisor.lock"  # held as long as the supervisor lives; the kernel lets go of it however it dies
+TOLD_AFTER = 2  # questions without an answer, two seconds each
+
+Tell = Callable[[str], None]
+
+
+def supervised(run_dir: Path) -> bool:
+    """False when no supervisor lives here, so that nothing of its cluster does, and nothing will come back."""
+    try:
+        with open(run_dir / LOCK) as lock:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # let go of when the file is closed
+            return False
+    except BlockingIOError:
+        return True
+    except FileNotFoundError:
+        return run_dir.exists()  # it was started by hand, without a supervisor
+
+
+class Silence:
+    """Of one broker. `tell` hears in words when it begins and ends; `run_dir` None: there is none to look into."""
+
+    def __init__(self, run_dir: Path | None, tell: Tell | None) -> None:
+        self._run_dir = run_dir
+        self._tell = tell
+        self._told = False
+
+    def judge(self, unanswered: int) -> None:
+        """`unanswered`: how often we have asked in vain. Raises NoCluster when nobody is left who could answer."""
+        if unanswered and self._run_dir is not None and not supervised(self._run_dir):
+            raise NoCluster(
+                f"the cluster in {self._run_dir} is gone: its supervisor has ended, and everything with it; "
+                "what had not ended never will. Start a new one with: rtc up -d"
+            )
+        if unanswered >= TOLD_AFTER and not self._told:
+            self._say(
+                "the broker does not answer; waiting for it to come back (what moves goes on; Ctrl-C to stop waiting)"
+            )
+        elif not unanswered and self._told:
+            self._say("the broker answers again")
+        self._told = unanswered >= TOLD_AFTER or (self._told and unanswered > 0)
+
+    def _say(self, words: str) -> None:
+        if self._tell is not None:
+            self._tell(words)

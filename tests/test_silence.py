@@ -1,0 +1,75 @@
+"""A broker that is restarted is waited for, in words; a cluster that is gone with its supervisor ends the wait."""
+
+from __future__ import annotations
+
+import fcntl
+import threading
+from pathlib import Path
+
+import pytest
+
+from rtc import front_door
+from rtc.client import Client
+from rtc.outcomes import NoCluster, OutcomeKind
+from rtc.settings import Settings
+from rtc.silence import LOCK, Silence, supervised
+from tests.test_client import SmallBroker, accepting, obliging
+
+
+@pytest.fixture
+def run_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(front_door, "SILENCE_S", 0.05)  # of a client that asks more often
+    Settings(run_dir=str(tmp_path)).save()
+    return tmp_path
+
+
+def test_silence_and_its_end_are_told_once(tmp_path: Path) -> None:
+    told: list[str] = []
+    silence = Silence(None, told.append)
+
+    for unanswered in (0, 1, 2, 3, 1, 2, 0, 0, 1, 0):
+        silence.judge(unanswered)
+
+    assert [words.split(";")[0] for words in told] == ["the broker does not answer", "the broker answers again"]
+
+
+def test_a_supervisor_is_known_by_its_lock(tmp_path: Path) -> None:
+    assert supervised(tmp_path)  # nobody can tell
+    with open(tmp_path / LOCK, "a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        assert supervised(tmp_path)
+    assert not supervised(tmp_path)
+    assert not supervised(tmp_path / "nowhere")
+
+
+def test_a_broker_that_is_restarted_is_waited_for(run_dir: Path) -> None:
+    first = SmallBroker(run_dir, accepting)
+    again: list[SmallBroker] = []
+    silent = threading.Event()
+
+    def told(words: str) -> None:
+        if not silent.is_set():
+            silent.set()
+            again.append(SmallBroker(run_dir, obliging))
+
+    with open(run_dir / LOCK, "a") as lock, Client(run_dir, on_silence=told) as rtc:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        command = rtc.submit("STOW LEFT-ARM 7")
+        first.stop()
+        ended = rtc.wait(command, 10)
+
+    assert silent.is_set()
+    assert ended.outcome.kind is OutcomeKind.SUCCEEDED
+    again[0].stop()
+
+
+def test_a_cluster_that_is_gone_is_not_waited_for(run_dir: Path) -> None:
+    broker = SmallBroker(run_dir, accepting)
+
+    with open(run_dir / LOCK, "a") as lock, Client(run_dir) as rtc:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        command = rtc.submit("STOW LEFT-ARM 7")
+        broker.stop()
+        lock.close()  # as the kernel does it when the supervisor dies
+        with pytest.raises(NoCluster, match="its supervisor has ended"):
+            rtc.wait(command, 10)
