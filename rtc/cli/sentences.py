@@ -20,7 +20,6 @@ from rtc.cli.output import (
     LEFT_RUNNING,
     AsJson,
     RunDir,
-    With,
     console,
     emit_json,
     errors,
@@ -51,7 +50,6 @@ def do(
     source: Annotated[str, typer.Option("--as", help="operator, or aip (told apart in records).")] = "operator",
     json: AsJson = False,
     run_dir: RunDir = None,
-    key: With = None,
 ) -> None:
     """Submit sentences, show their progress and one result for each.
 
