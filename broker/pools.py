@@ -38,9 +38,16 @@ class Pools:
                 if self._too_few(kind, there, waiting_s, now):
                     self._asked[kind] = now, there
                     yield SpawnWorker(kind=kind)
-            elif len(workers) > self._least and (idle := _idle(workers, now)) is not None:
+            elif (idle := self._surplus(workers, processes, now)) is not None:
                 idle.retiring = True
                 yield RetireWorker(name=idle.name)
+
+    def _surplus(self, workers: Sequence[Worker], processes: Processes, now: float) -> Worker | None:
+        """One of the supervisor's own that may retire. Who has come from another machine may leave at any time, so it
+        does not count, and is not ours to end."""
+        names = {row["name"] for row in processes}
+        own = [worker for worker in workers if worker.name in names]
+        return _idle(own, now) if len(own) > self._least else None
 
     def _too_few(self, kind: WorkerKind, there: int, waiting_s: float, now: float) -> bool:
         asked_s, before = self._asked.get(kind, (-COMING_S, 0))

@@ -49,6 +49,11 @@ CLIENT_SILENCE_S = 5.0  # of one that is watched
 STOOD_STILL_S = 1.0  # between two turns of ours: we were stopped, or the machine was
 SNAPSHOT_EVENTS = 30_000  # decided again in well under a second by a restarted broker
 SNAPSHOT_S, WORTH_A_SNAPSHOT = 10.0, 2_000  # and this many events after so long, for a restart in a moment
+#: who says at the supervisor's door how many messages it has dropped -> which counts are its own
+TELL_DROPPED: dict[bytes, tuple[str, ...]] = {
+    b"world": ("world",),
+    b"gate": ("gate_strangers", "gate_unreadable", "gate_refused", "gate_nameless", "gate_unsent"),
+}
 CALLERS_KEPT = 200  # who are told what becomes of their halts: of the last HALTS_OF_CALLER of each
 HALTS_OF_CALLER = 8
 
@@ -257,8 +262,8 @@ class Router:
                 pass  # for the telemetry's listeners; the Decision Unit lives on events alone
 
     def _from_supervisor(self, peer: bytes, message: Any, now: float) -> None:
-        if isinstance(message, m.Dropped) and peer == b"world":
-            self._count_dropped(message, ("world",))
+        if isinstance(message, m.Dropped) and peer in TELL_DROPPED:
+            self._count_dropped(message, TELL_DROPPED[peer])
             return
         if peer != b"supervisor" or isinstance(message, m.Dropped):
             raise WireError("somebody who is not the supervisor")

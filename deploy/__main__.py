@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from deploy import cluster
+from rtc.keys import check_address
 from rtc.outcomes import NoCluster, RtcError
 from rtc.settings import Settings, default_run_dir
 
@@ -37,6 +38,7 @@ def _up(given: argparse.Namespace, run_dir: Path) -> int:
         mcm=given.mcm,
         speed=given.speed,
         seed=given.seed,
+        listen=check_address(given.listen) if given.listen else "",
     )
     if given.detach:
         cluster.up_detached(settings, say)
@@ -70,6 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     up.add_argument("--mcm", default="bullet", choices=("bullet", "kinematic"))
     up.add_argument("--speed", type=_speed, default=1.0, help="simulated seconds per second, or max")
     up.add_argument("--seed", type=int, default=0)
+    up.add_argument("--listen", default="", help="tcp://HOST:PORT, where known keys are let in from other machines")
     up.add_argument("-d", "--detach", action="store_true", help="return once it is ready")
     down = what.add_parser("down", help="stop it in order")
     for command in (up, down):

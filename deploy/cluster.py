@@ -59,6 +59,7 @@ def specs(settings: Settings) -> list[Spec]:
         *_with_template("broker", "broker", settings),
         *_with_template("world", "rtc.world", settings),
         *_with_template("MCM", "sim_mcm", settings),
+        *([_spec("gate", "broker.gate", settings, beats=True)] if settings.listen else []),
         *(worker(settings, address) for address in _first_workers(settings)),
     ]
 

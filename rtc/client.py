@@ -31,8 +31,19 @@ import zmq
 from rtc import messages as m
 from rtc.front_door import LAST_WORDS_MS, FrontDoor
 from rtc.halting import HaltLine, HaltResult
+from rtc.keys import Doors, KeyFile
 from rtc.lifeline import Lifeline
-from rtc.outcomes import NoCluster, Outcome, OutcomeKind, Refusal, RefusalReason, RequestDeclined, TimedOut, WireError
+from rtc.outcomes import (
+    KeyTrouble,
+    NoCluster,
+    Outcome,
+    OutcomeKind,
+    Refusal,
+    RefusalReason,
+    RequestDeclined,
+    TimedOut,
+    WireError,
+)
 from rtc.settings import ENDPOINTS, Settings, default_run_dir
 from rtc.silence import Silence, Tell
 from rtc.wire import MAX_BYTES, frames, reader
@@ -61,6 +72,8 @@ class Client:
     `run_dir` is the cluster's run directory; None = where `rtc up` puts it. Raises NoCluster, within a second, when
     nothing answers there. `need_broker=False` connects although the broker is away: halt, truth and telemetry work.
     `halt_if_lost`: what it has under way is halted when this process dies or stands still for some seconds.
+    `key`: a key file, in place of `run_dir`, for a cluster on another machine (docs/security.md). To connect may then
+    take some seconds, and what the key's role may not do is declined. Raises KeyTrouble when the file is no good.
     `on_silence` is told in words when the broker has not answered for some seconds, and when it does again; every wait
     outlasts a broker that is restarted, and raises NoCluster when the whole cluster is gone.
     """
@@ -73,10 +86,12 @@ class Client:
         source: Source = "operator",
         need_broker: bool = True,
         halt_if_lost: bool = False,
+        key: str | Path | None = None,
         on_silence: Tell | None = None,
     ) -> None:
         self.run_dir = Path(run_dir) if run_dir is not None else default_run_dir()
-        self.settings = _settings_of(self.run_dir)
+        self._doors: Doors = _settings_of(self.run_dir) if key is None else KeyFile.load(key)
+        self._doors.endpoint("front")  # raises for a key that is no client's
         self.source: Source = source
         self.name = name or f"client-{os.getpid()}-{uuid.uuid4().hex[:8]}"
         self._ask_number = itertools.count(1)
@@ -89,10 +104,10 @@ class Client:
         self._queries: set[str] = set()  # requests that are questions, not sentences
         self._answers: dict[str, m.BrokerToClient] = {}  # request -> answer to a query
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._halt_line = HaltLine(self._context, self.settings, self.name)
-        self._front = FrontDoor(self._context, self.settings.endpoint("front"), self.name)
-        self._lifeline = Lifeline(self._context, self.settings.endpoint("front"), self.name) if halt_if_lost else None
-        self._silence = Silence(self.run_dir, on_silence)
+        self._halt_line = HaltLine(self._context, self._doors, self.name)
+        self._front = FrontDoor(self._context, self._doors, self.name)
+        self._lifeline = Lifeline(self._context, self._doors, self.name) if halt_if_lost else None
+        self._silence = Silence(self.run_dir if key is None else None, on_silence)
         self._world: WorldClient | None = None
         if need_broker:
             try:
@@ -117,6 +132,18 @@ class Client:
         self._halt_line.close()
         self._front.close()
         self._context.destroy(linger=LAST_WORDS_MS)  # also what `events` and `telemetry` left open
+
+    @property
+    def where(self) -> str:
+        """The cluster, for people: its run directory, or the address of its gate."""
+        return self._doors.address if isinstance(self._doors, KeyFile) else str(self.run_dir)
+
+    @property
+    def settings(self) -> Settings:
+        """Of a cluster on this machine. Raises KeyTrouble for one that is reached by a key."""
+        if not isinstance(self._doors, Settings):
+            raise KeyTrouble("how a cluster on another machine is made up is not told over tcp")
+        return self._doors
 
     # --- sentences ------------------------------------------------------------------------------------
 
@@ -237,7 +264,8 @@ class Client:
     def world(self) -> WorldClient:
         """The world database, to be read."""
         if self._world is None:
-            self._world = WorldClient(self.settings.endpoint("world"), self._context)
+            secure = self._doors.secure if self._doors.far else None
+            self._world = WorldClient(self._doors.endpoint("world"), self._context, secure=secure)
         return self._world
 
     # --- simulators only ------------------------------------------------------------------------------
@@ -346,7 +374,7 @@ class Client:
         read = reader(m.FromSim)
         with self._context.socket(zmq.DEALER) as bench:
             bench.setsockopt(zmq.LINGER, 0)
-            bench.connect(self.settings.endpoint("bench"))
+            bench.connect(self._doors.endpoint("bench"))
             bench.send_multipart(frames(message))
             if not bench.poll(int(ANSWER_S * 1000)):
                 raise TimedOut(f"the simulator did not answer within {ANSWER_S:.0f} s")
@@ -358,7 +386,8 @@ class Client:
         socket = self._context.socket(zmq.SUB)
         socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
         socket.subscribe(b"")
-        socket.connect(self.settings.endpoint(endpoint))
+        self._doors.secure(socket)
+        socket.connect(self._doors.endpoint(endpoint))
         return _each(socket, read, silence_s)
 
 

@@ -1,5 +1,7 @@
 """A client's end of the front door: a DEALER that says hello, repeats what was not answered, survives a lost broker.
 
+Over tcp the hello names us to the gate, so it comes first on every new line and after a long silence.
+
 It knows requests and their answers, not what they mean. Rule 1: a request is forgotten only when its last answer has
 been heard (for a sentence that is the `CommandEnded`), so that everything open can be said again to a new broker.
 Rule 2: repeating is harmless, because the broker knows a request by (client, request).
@@ -14,13 +16,18 @@ import time
 import zmq
 
 from rtc import messages as m
+from rtc.keys import Doors
 from rtc.outcomes import NoCluster, WireError
 from rtc.wire import MAX_BYTES, frames, reader
 
-HELLO_S = 0.8  # longest wait for the first Welcome
+HELLO_S, FAR_HELLO_S = 0.8, 4.0  # longest wait for the first Welcome, here and over tcp
+FAR_IDLE_S = 60.0  # a gate forgets who has said nothing for long: then we say hello again
 LAST_WORDS_MS = 200  # how long a sentence may take to leave us when we close
 SILENCE_S = 2.0  # nothing heard for so long: say what is open again
 LAST_ANSWERS = (m.Declined, m.CommandEnded, m.StatusReply, m.TraceReply, m.ProgramLoaded)
+
+FAILED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+WATCHED = zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED | FAILED
 
 _read = reader(m.BrokerToClient)
 
@@ -28,33 +35,40 @@ _read = reader(m.BrokerToClient)
 class FrontDoor:
     """Not thread-safe: one thread sends and hears."""
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], address: str, name: str) -> None:
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], doors: Doors, name: str) -> None:
         self.name = name
+        self._address, self._far = doors.endpoint("front"), doors.far
+        self._connected = self._unknown = False  # over tcp: somebody listens there; it said that it does not know us
+        self._said_at_s = 0.0
         self.welcome: m.Welcome | None = None
         self.bad_messages = 0
         self.unanswered = 0  # how often we have said all that is open again, and heard nothing since
         self._open: dict[str, m.ClientToBroker] = {}  # request -> message, until its last answer
         self._heard_at_s = time.monotonic()
         self._socket = context.socket(zmq.DEALER)
-        self._socket.setsockopt(zmq.IDENTITY, name.encode())
+        if not self._far:
+            self._socket.setsockopt(zmq.IDENTITY, name.encode())
+        doors.secure(self._socket)
         self._socket.setsockopt(zmq.LINGER, LAST_WORDS_MS)  # a broker that is gone for good holds nobody up
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
         self._socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
         self._socket.setsockopt(zmq.SNDHWM, 10_000)
         self._socket.setsockopt(zmq.RCVHWM, 100_000)
-        self._monitor = self._socket.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED)
+        self._monitor = self._socket.get_monitor_socket(WATCHED)
         self._poller = zmq.Poller()
         self._poller.register(self._socket, zmq.POLLIN)
         self._poller.register(self._monitor, zmq.POLLIN)
         self._handshakes = 0
-        self._socket.connect(address)
-        self._say(m.ClientHello(client=name))
+        self._socket.connect(self._address)
+        self._say_hello()
 
     def knock(self, run_dir: str) -> m.Welcome:
-        """Wait for the Welcome. Raises NoCluster when nobody opens within `HELLO_S`."""
-        limit_s = time.monotonic() + HELLO_S
+        """Wait for the Welcome. Raises NoCluster when nobody opens in time."""
+        limit_s = time.monotonic() + (FAR_HELLO_S if self._far else HELLO_S)
         while self.welcome is None:
             left_s = limit_s - time.monotonic()
+            if self._unknown or (self._far and left_s <= 0):
+                raise NoCluster(self._why_far())
             if left_s <= 0:
                 raise NoCluster(
                     f"no broker answers in {run_dir}; look at `rtc status`, or start a cluster with: rtc up -d"
@@ -64,6 +78,8 @@ class FrontDoor:
 
     def ask(self, request: str, message: m.ClientToBroker) -> None:
         """Send a request and keep it open until its last answer."""
+        if self._far and time.monotonic() - self._said_at_s > FAR_IDLE_S:
+            self._say_hello()
         self._open[request] = message
         self._say(message)
 
@@ -104,17 +120,37 @@ class FrontDoor:
         self._socket.close()
 
     def _say(self, message: m.ClientToBroker) -> None:
+        self._said_at_s = time.monotonic()
         self._socket.send_multipart(frames(message))
+
+    def _say_hello(self) -> None:
+        self._say(m.ClientHello(client=self.name, at_s=time.monotonic()))
+
+    def _why_far(self) -> str:
+        """What is wrong when a cluster over tcp gives no answer, as far as it can be seen from here."""
+        if self._unknown:
+            return f"the cluster at {self._address} does not know this key (any more?); there: rtc keys list"
+        if self._handshakes:
+            return f"the gate at {self._address} answers, but not its broker; there: rtc status"
+        if self._connected:
+            return (
+                f"what listens at {self._address} is not the cluster of this key file, or has a new key of its own; "
+                "make a new key file there: rtc keys new"
+            )
+        return f"no answer from {self._address}: is the cluster up, with --listen, and is this the right address?"
 
     def _watch_connection(self) -> None:
         event, _ = struct.unpack("=HI", self._monitor.recv_multipart()[0])
+        self._connected |= event == zmq.EVENT_CONNECTED
+        self._unknown |= event == zmq.EVENT_HANDSHAKE_FAILED_AUTH
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+            self._unknown = False
             self._handshakes += 1
             if self._handshakes > 1:  # a new broker, or the old one again: it may have lost what was under way
                 self._repeat()
 
     def _repeat(self) -> None:
         self._heard_at_s = time.monotonic()
-        self._say(m.ClientHello(client=self.name))
+        self._say_hello()
         for message in self._open.values():
             self._say(message)

@@ -2,7 +2,8 @@
 
 It shares nothing with the front door: own sockets, own thread lock, connected in advance, so that a halt never waits
 behind anything else and works when the broker is dead, stopped or busy. Latency is measured by two clocks that are
-one: CLOCK_MONOTONIC when the operator called, and when the first joint began to decelerate.
+one: CLOCK_MONOTONIC when the operator called, and when the first joint began to decelerate. Two machines have two
+clocks: over tcp it is measured here, until the news of it has come, so it holds the way there and back.
 """
 
 from __future__ import annotations
@@ -18,13 +19,16 @@ import msgspec
 import zmq
 
 from rtc import messages as m
+from rtc.keys import Doors
 from rtc.language.fastpath import EVERYTHING, halt_scope
 from rtc.outcomes import ClusterError, WireError
-from rtc.settings import Settings
 from rtc.wire import frames, reader
 
-CONNECT_S = 0.5  # longest wait for a first connection
-UNNAMED_S = 0.1  # a subsystem that has nothing in scope is at rest; for so long the broker may know no such name
+CONNECT_S, FAR_CONNECT_S = 0.5, 3.0  # longest wait for a first connection, here and over tcp
+UNNAMED_S, FAR_UNNAMED_S = (
+    0.1,
+    0.5,
+)  # a subsystem that has nothing in scope is at rest; for so long the broker may know no such name
 RETRY_S = 0.02  # how often the order is offered to a door that was closed
 PER_S = 200  # calls of one caller in a second that are each answered
 FOLD_S = 0.1
@@ -110,17 +114,21 @@ class HaltResult(msgspec.Struct, kw_only=True):
 class HaltLine:
     """Thread-safe: `halt` may be called from any thread, one call after the other."""
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], settings: Settings, name: str) -> None:
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], doors: Doors, name: str) -> None:
+        self._far = doors.far
+        self._connect_s, self._unnamed_s = (FAR_CONNECT_S, FAR_UNNAMED_S) if self._far else (CONNECT_S, UNNAMED_S)
         self._lock = threading.Lock()
         self._poller = zmq.Poller()
         self._doors: dict[str, zmq.Socket[bytes]] = {}
         for door in DOORS:
             socket = context.socket(zmq.DEALER)
-            socket.setsockopt(zmq.IDENTITY, f"{name}.{door}".encode())
+            if not self._far:
+                socket.setsockopt(zmq.IDENTITY, f"{name}.{door}".encode())
+            doors.secure(socket)
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.IMMEDIATE, 1)  # never kept for later: a stale halt would stop what comes after it
             socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
-            socket.connect(settings.endpoint(door))
+            socket.connect(doors.endpoint(door))
             self._doors[door] = socket
             self._poller.register(socket, zmq.POLLIN)
 
@@ -132,15 +140,16 @@ class HaltLine:
             order = m.HaltOrder(halt=f"H-{uuid.uuid4().hex[:12]}", scope=scope, called_at_s=called_at_s)
             told = self._tell(order, self._doors)
             if not told:
-                told = self._tell_whoever_comes(order, called_at_s + CONNECT_S)
+                told = self._tell_whoever_comes(order, called_at_s + self._connect_s)
             if not told:
-                raise ClusterError("halt not sent: neither the broker nor the MCM answers; use the emergency stop")
+                who = "the cluster's gate does not let us in" if self._far else "neither the broker nor the MCM answers"
+                raise ClusterError(f"halt not sent: {who}; use the emergency stop")
             return self._await_rest(order, told, called_at_s + timeout_s)
 
-    def ready(self, timeout_s: float = CONNECT_S) -> bool:
+    def ready(self, timeout_s: float | None = None) -> bool:
         """True when both doors are connected. Benchmarks ask, so that the first figure is like the others."""
         with self._lock:
-            limit_s = time.monotonic() + timeout_s
+            limit_s = time.monotonic() + (self._connect_s if timeout_s is None else timeout_s)
             return all(socket.poll(_ms(limit_s - time.monotonic()), zmq.POLLOUT) for socket in self._doors.values())
 
     def close(self) -> None:
@@ -174,7 +183,7 @@ class HaltLine:
             if _at_rest(subsystems.values()) and "halt" in told:
                 if order.scope == EVERYTHING or _reached(subsystems.values()):
                     break
-                limit_s = min(limit_s, order.called_at_s + UNNAMED_S)
+                limit_s = min(limit_s, order.called_at_s + self._unnamed_s)
             untold = {name: socket for name, socket in self._doors.items() if name not in told}
             ready = self._poller.poll(_ms(min(left_s, RETRY_S) if untold else left_s))
             told += self._tell(order, untold)
@@ -197,12 +206,16 @@ class HaltLine:
         said = subsystems.setdefault(answer.subsystem, SubsystemHalt(name=answer.subsystem))
         if isinstance(answer, m.HaltStarted):
             if said.latency_s is None:
-                said.latency_s = answer.decelerating_at_s - order.called_at_s
+                said.latency_s = self._at(answer.decelerating_at_s) - order.called_at_s
                 said.moving = answer.moving
         else:
             said.at_rest, said.performers = answer.at_rest, answer.performers
-            said.rest_s = answer.at_s - order.called_at_s
+            said.rest_s = self._at(answer.at_s) - order.called_at_s
         return ""
+
+    def _at(self, time_there_s: float) -> float:
+        """When it was, by our clock; at the latest, if theirs is another."""
+        return time.monotonic() if self._far else time_there_s
 
 
 def _ms(seconds: float) -> int:

@@ -10,14 +10,15 @@ import threading
 import zmq
 
 from rtc import messages as m
+from rtc.keys import Doors
 from rtc.wire import frames
 
 BEAT_S = 1.0  # the broker gives a client up after five of these
 
 
 class Lifeline:
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], address: str, client: str) -> None:
-        self._context, self._address, self._client = context, address, client
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], doors: Doors, client: str) -> None:
+        self._context, self._doors, self._client = context, doors, client
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="lifeline", daemon=True)
         self._thread.start()
@@ -31,7 +32,8 @@ class Lifeline:
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.IMMEDIATE, 1)  # never kept for later: life is now
             socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
-            socket.connect(self._address)
+            self._doors.secure(socket)
+            socket.connect(self._doors.endpoint("front"))
             while not self._over.wait(BEAT_S):
                 if socket.poll(0, zmq.POLLOUT):
                     socket.send_multipart(frames(m.Heartbeat(name=self._client)))

@@ -69,6 +69,7 @@ class ClientHello(Message, frozen=True, kw_only=True):
     """First word of a client; its `client` name survives reconnects. Answered with Welcome."""
 
     client: Name
+    at_s: float = 0.0  # the client's clock, so that a gate may tell what its times mean here; 0 = not told
 
 
 class Shutdown(Message, frozen=True, kw_only=True):
@@ -711,7 +712,7 @@ ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined
 ToWorld = ReadView | Commit | WorldHistory
 FromWorld = View | Committed | WorldRefused
-SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Dropped  # the last one from the world database
+SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Dropped  # Dropped: from others
 BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | Shutdown
 ToSim = SimTruth | SimDisplace
 FromSim = SimTruthReply | SimDone

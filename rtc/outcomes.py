@@ -12,6 +12,7 @@ Three kinds of failing are never mixed:
     │   ├── NoCluster      nothing answers in that run directory
     │   └── TimedOut       no answer, or no outcome, in time
     ├── RequestDeclined    the cluster did not take a request; carries the refusal
+    ├── KeyTrouble         a key file or an address for tcp is no good
     ├── ProgramError       a program, script or cell file does not check
     └── SubsystemError     a simulator or device did not do what it must
 """
@@ -49,6 +50,10 @@ class RequestDeclined(RtcError):
     def __init__(self, refusal: Refusal) -> None:
         super().__init__(refusal.message)
         self.refusal = refusal
+
+
+class KeyTrouble(RtcError):
+    """A key, its file or an address for tcp is no good; the text says what to do."""
 
 
 class ProgramError(RtcError):

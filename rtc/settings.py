@@ -25,6 +25,9 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     mcm: str = "bullet"  # or "kinematic"
     speed: float = 1.0  # simulated seconds per second; 0 = as fast as possible
     seed: int = 0
+    listen: str = ""  # tcp://HOST:PORT, where the gate is for other machines; empty = there is none
+
+    far = False  # its processes are on this machine, and its clock is ours
 
     @property
     def path(self) -> Path:
@@ -39,6 +42,9 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
         """The ZeroMQ address of one of the cluster's sockets; see ENDPOINTS."""
         assert name in ENDPOINTS, name
         return f"ipc://{self.path / ENDPOINTS[name]}"
+
+    def secure(self, socket: object) -> None:
+        """Nothing to do: the directory is its owner's alone."""
 
     def save(self) -> None:
         (self.path / "settings.json").write_bytes(msgspec.json.format(msgspec.json.encode(self)))

@@ -1,5 +1,6 @@
 """One worker process: `python -m workers --run-dir D --kind binder --node 2`; or, with --template, the process that
-others are forked from, each by an order: {"kind", "node"}.
+others are forked from, each by an order: {"kind", "node"}; or, for a cluster on another machine, with a worker's key:
+`python -m workers --kind binder --node 18 --with w.key`.
 
 Only the module of its own kind is imported, before `ready` is said: a parser never pays for robot models.
 """
@@ -17,7 +18,9 @@ import zmq
 
 from rtc import process, template
 from rtc.cell import Cell
+from rtc.keys import Doors, KeyFile
 from rtc.messages import WorkerHello, WorkerKind
+from rtc.outcomes import KeyTrouble
 from rtc.settings import Settings
 from rtc.world.client import WorldClient
 from workers import imports
@@ -29,17 +32,21 @@ NICENESS = 5  # the broker and the MCM come first
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m workers", description="One worker of a cluster.")
-    parser.add_argument("--run-dir", required=True, type=Path)
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--run-dir", type=Path)
+    where.add_argument("--with", dest="key", type=Path, metavar="FILE", help="a worker's key, for a cluster far away")
     parser.add_argument("--template", action="store_true", help="be the one that workers are forked from")
     parser.add_argument("--kind", type=WorkerKind, choices=list(WorkerKind), metavar="KIND")
     parser.add_argument("--node", type=int, help="address in the cube")
     given = parser.parse_args()
-    if given.template:
+    if given.template and given.run_dir:
         serve(given.run_dir)
     elif given.kind is None or given.node is None:
         parser.error("a worker needs --kind and --node")
+    elif given.key:
+        join(given.key, given.kind, given.node)
     else:
-        work(given.run_dir, given.kind, given.node, Warm())
+        work(Settings.load(given.run_dir), given.kind, given.node, Warm())
 
 
 class Order(msgspec.Struct, frozen=True):
@@ -55,23 +62,36 @@ def serve(run_dir: Path) -> None:
 
     def be(order: bytes) -> None:
         wanted = read(order)
-        work(run_dir, wanted.kind, wanted.node, prepared)
+        work(Settings.load(run_dir), wanted.kind, wanted.node, prepared)
 
     template.serve(be)
 
 
-def work(run_dir: Path, kind: WorkerKind, node: int, warm: Warm) -> None:
-    """Be one worker until told to end. `warm` is what has been made for it already."""
+def join(key: Path, kind: WorkerKind, node: int) -> None:
+    """Be a worker of a cluster on another machine. Ends with a sentence when that does not want it."""
+    try:
+        if not work(KeyFile.load(key), kind, node, Warm()):
+            raise SystemExit(
+                f"the cluster does not want {kind}@{node}: its own machine, or another key, has this node; "
+                "its log says more (logs/gate.log)"
+            )
+    except KeyTrouble as error:
+        raise SystemExit(str(error)) from None
+
+
+def work(doors: Doors, kind: WorkerKind, node: int, warm: Warm) -> bool:
+    """Be one worker until told to end; False when the cluster told us and not a signal. `warm` is what has been made
+    for it already."""
     name = f"{kind}@{node}"
     process.show_name(name)
-    with process.start(name, run_dir) as me:
+    with process.start(name, ".") as me:
         process.nice(NICENESS)
         function: Any = imports.load(kind)
         if function.NEEDS_CELL:
             imports.load("cell_model")
-        settings = Settings.load(run_dir)
-        socket = me.socket(zmq.DEALER, settings.endpoint("workers"), identity=name)
-        world = WorldClient(settings.endpoint("world"), me.context)
+        identity, secure = ("", doors.secure) if doors.far else (name, None)  # over tcp the hello names us
+        socket = me.socket(zmq.DEALER, doors.endpoint("workers"), identity=identity, secure=secure)
+        world = WorldClient(doors.endpoint("world"), me.context, secure=secure)
         hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid())
         shell = Shell(me, hello, function, socket, world, _models_of, warm.programs.get(kind, {}), warm.cells)
         process.freeze_heap()
@@ -79,6 +99,7 @@ def work(run_dir: Path, kind: WorkerKind, node: int, warm: Warm) -> None:
         me.ready()
         shell.run()
         world.close()
+        return me.stopping
 
 
 def _models_of(cell: Cell) -> Any:

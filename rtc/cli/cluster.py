@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from rtc.cli.output import AsJson, RunDir, console, emit_json, said, seconds, table, trouble
+from rtc.cli.output import AsJson, RunDir, With, console, emit_json, said, seconds, table, trouble
 from rtc.client import Client
 from rtc.settings import default_run_dir
 
@@ -24,19 +24,24 @@ def up(
     most: Annotated[int, typer.Option(min=1, max=64, help="Workers of each kind while jobs wait.")] = 4,
     mcm: Annotated[str, typer.Option(help="bullet (physics) or kinematic (exact, no physics).")] = "bullet",
     speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = "1",
+    listen: Annotated[
+        str, typer.Option(help="tcp://HOST:PORT: let in who has a key (rtc keys) from other machines.")
+    ] = "",
     run_dir: RunDir = None,
     detach: Annotated[bool, typer.Option("-d", "--detach", help="Return once it is ready.")] = False,
 ) -> None:
     """Start a cluster; without -d it stays in the foreground until Ctrl-C.
 
     Example:  rtc up -d --mcm kinematic --speed max
+    Example:  rtc up -d --listen tcp://192.168.1.5:5555
     """
     if mcm not in ("bullet", "kinematic"):
         raise trouble(f"--mcm is bullet or kinematic, not {mcm}", 2)
     _check_speed(speed)
     arguments = ["up", "--cell", cell, "--dim", str(dim), "--most", str(most), "--mcm", mcm, "--speed", speed]
     at_least = [] if least is None else ["--least", str(least)]
-    _deploy([*arguments, *at_least, *(["-d"] if detach else [])], run_dir)
+    far = ["--listen", listen] if listen else []
+    _deploy([*arguments, *at_least, *far, *(["-d"] if detach else [])], run_dir)
 
 
 def down(run_dir: RunDir = None) -> None:
@@ -47,12 +52,12 @@ def down(run_dir: RunDir = None) -> None:
     _deploy(["down"], run_dir)
 
 
-def status(run_dir: RunDir = None, json: AsJson = False) -> None:
+def status(run_dir: RunDir = None, key: With = None, json: AsJson = False) -> None:
     """What runs: processes and their cube addresses, queues, resources and owners, commands, counters.
 
     Example:  rtc status --json
     """
-    with Client(run_dir) as rtc:
+    with Client(run_dir, key=key) as rtc:
         said = rtc.status()
     if json:
         emit_json(said)

@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from rtc.cli.output import AsJson, RunDir, console, emit_json
+from rtc.cli.output import AsJson, RunDir, With, console, emit_json
 from rtc.client import Client
 from rtc.halting import HaltResult
 
@@ -20,15 +20,17 @@ def halt(
     timeout: Annotated[float, typer.Option(min=0.01, help="Seconds to wait for rest.")] = 2.0,
     json: AsJson = False,
     run_dir: RunDir = None,
+    key: With = None,
 ) -> None:
     """Stop motion now, past every queue; works with a dead broker too. Exit status 0 only when rest is confirmed.
 
-    The latency it prints is from this order to the first decelerating tick of a joint.
+    The latency it prints is from this order to the first decelerating tick of a joint (with a cluster on another
+    machine: until the news of that was here).
 
     Example:  rtc halt
     Example:  rtc halt RIGHT-ARM
     """
-    with Client(run_dir, need_broker=False) as rtc:
+    with Client(run_dir, need_broker=False, key=key) as rtc:
         result = rtc.halt(scope, timeout_s=timeout)
     if json:
         emit_json(result)

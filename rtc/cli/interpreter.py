@@ -33,14 +33,14 @@ HELP = """Type a sentence (rtc dictionary lists the verbs), end it with & to sen
 HALT and STOP go past everything. Ctrl-C while a command runs asks; twice halts. Tab completes."""
 
 
-def interpret(run_dir: Path | None) -> None:
+def interpret(run_dir: Path | None, key: Path | None = None) -> None:
     """Read and obey lines until the operator leaves. Raises NoCluster."""
-    with Client(run_dir, on_silence=say_silence) as rtc:
-        history = FileHistory(str(Path(rtc.run_dir) / "history"))
+    with Client(run_dir, on_silence=say_silence, key=key) as rtc:
+        history = FileHistory(str(key.with_suffix(".history") if key else Path(rtc.run_dir) / "history"))
         session: PromptSession[str] = PromptSession(
             history=history, completer=Sentences(_names(rtc)), auto_suggest=AutoSuggestFromHistory()
         )
-        console.print(f"cluster in {rtc.run_dir}; :help for help, Ctrl-D leaves")
+        console.print(f"cluster in {rtc.where}; :help for help, Ctrl-D leaves")
         while (line := _read(session)) is not None:
             if line:
                 _obey(rtc, line)

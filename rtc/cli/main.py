@@ -30,6 +30,7 @@ COMMANDS = {
     "dictionary": "language",
     "grammar": "language",
     "shell": "shell",
+    "keys": "keys",
     "chaos": "chaos",
     "demo": "demo",
 }

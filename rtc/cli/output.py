@@ -47,6 +47,7 @@ console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isat
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 RunDir = Annotated[Path | None, typer.Option("--run-dir", help="The cluster's run directory.", show_default="yours")]
+With = Annotated[Path | None, typer.Option("--with", help="A key file, for a cluster on another machine.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")]
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
+from rtc.cli.output import AsJson, RunDir, With, console, emit_json, table, trouble
 from rtc.client import Client
 from rtc.messages import WorkerKind
 from rtc.outcomes import ProgramError
@@ -24,6 +24,7 @@ def load(
     kind: Annotated[str, typer.Argument(help=f"A kind of worker: {KINDS}.")],
     json: AsJson = False,
     run_dir: RunDir = None,
+    key: With = None,
 ) -> None:
     """Change a program while the cluster runs; motions are not touched, and a program that fails is rolled back.
 
@@ -35,7 +36,7 @@ def load(
         raise trouble(f"{kind} is no kind of worker; one of {KINDS} is", 2)
     if not file.is_file():
         raise trouble(f"there is no file {file}", 2)
-    with Client(run_dir) as rtc:
+    with Client(run_dir, key=key) as rtc:
         loaded = rtc.load(kind, file)
     if json:
         emit_json({"kind": loaded.kind.value, "digest": loaded.digest, "file": file.name})

@@ -20,6 +20,7 @@ from rtc.cli.output import (
     LEFT_RUNNING,
     AsJson,
     RunDir,
+    With,
     console,
     emit_json,
     errors,
@@ -50,6 +51,7 @@ def do(
     source: Annotated[str, typer.Option("--as", help="operator, or aip (told apart in records).")] = "operator",
     json: AsJson = False,
     run_dir: RunDir = None,
+    key: With = None,
 ) -> None:
     """Submit sentences, show their progress and one result for each.
 
@@ -66,7 +68,7 @@ def do(
         raise trouble(f"--as is operator or aip, not {source}", 2)
     halts = [halt_scope(text) for text in texts]
     need_broker = not all(halts)
-    with Client(run_dir, source=_source(source), need_broker=need_broker, on_silence=say_silence) as rtc:
+    with Client(run_dir, source=_source(source), need_broker=need_broker, on_silence=say_silence, key=key) as rtc:
         if no_wait:
             code, results = _hand_in(rtc, texts)
         else:

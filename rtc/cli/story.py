@@ -10,7 +10,7 @@ import typer
 from rich.text import Text
 
 from rtc import messages as m
-from rtc.cli.output import COLOUR, AsJson, RunDir, console, emit_json, refusal_lines, said, seconds
+from rtc.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, refusal_lines, said, seconds
 from rtc.client import Client
 from rtc.outcomes import OutcomeKind
 
@@ -19,12 +19,12 @@ DID = {"parser": "parsed", "elaborator": "planned", "binder": "bound", "analyzer
 Command = Annotated[str, typer.Argument(help="Number of a command, live or ended: C-7.")]
 
 
-def trace(command: Command, json: AsJson = False, run_dir: RunDir = None) -> None:
+def trace(command: Command, json: AsJson = False, run_dir: RunDir = None, key: With = None) -> None:
     """Every phase of a command: when, who did it (and where in the cube), how long it took, what came of it.
 
     Example:  rtc trace C-7
     """
-    with Client(run_dir) as rtc:
+    with Client(run_dir, key=key) as rtc:
         record = rtc.trace(command)
     if json:
         emit_json(as_json(record))
@@ -56,12 +56,12 @@ def trace_line(note: m.ProgressNote, accepted_at_s: float) -> str:
     return line + (f"{note.phase.value:<11}  {note.note}" if note.note else note.phase.value)
 
 
-def why(command: Command, json: AsJson = False, run_dir: RunDir = None) -> None:
+def why(command: Command, json: AsJson = False, run_dir: RunDir = None, key: With = None) -> None:
     """The chain of causes: sentence -> script line -> primitive -> report -> decision, and what would clear it.
 
     Example:  rtc why C-7
     """
-    with Client(run_dir) as rtc:
+    with Client(run_dir, key=key) as rtc:
         record = rtc.trace(command)
     if json:
         emit_json({"command": record.command, "chain": chain(record), "outcome": as_json(record)["outcome"]})

@@ -10,7 +10,7 @@ import msgspec
 import typer
 from rich.text import Text
 
-from rtc.cli.output import AsJson, RunDir, console, emit_json, seconds, table, trouble
+from rtc.cli.output import AsJson, RunDir, With, console, emit_json, seconds, table, trouble
 from rtc.client import Client
 from rtc.messages import Fact, Validity
 from rtc.world.client import WorldClient
@@ -28,23 +28,23 @@ app = typer.Typer(
 
 
 @app.command("list")
-def list_facts(json: AsJson = False, run_dir: RunDir = None) -> None:
+def list_facts(json: AsJson = False, run_dir: RunDir = None, key_file: With = None) -> None:
     """All facts.
 
     Example:  rtc world list
     """
-    with Client(run_dir, need_broker=False) as rtc:
+    with Client(run_dir, need_broker=False, key=key_file) as rtc:
         view = rtc.world.view()
     _show(view.facts, json, view.version)
 
 
 @app.command()
-def get(key: Key, json: AsJson = False, run_dir: RunDir = None) -> None:
+def get(key: Key, json: AsJson = False, run_dir: RunDir = None, key_file: With = None) -> None:
     """One fact, or all of a location. Exit status 2 when there is none.
 
     Example:  rtc world get MACS-NEW.frame
     """
-    with Client(run_dir, need_broker=False) as rtc:
+    with Client(run_dir, need_broker=False, key=key_file) as rtc:
         view = rtc.world.view(keys=[spelt(key)])
         if not view.facts:
             raise _unknown(key, rtc.world)
@@ -56,12 +56,13 @@ def watch(
     key: Annotated[str, typer.Argument(help="A fact or a location; without it, everything.")] = "",
     every: Annotated[float, typer.Option(min=0.02, help="Seconds between two looks.")] = 0.2,
     run_dir: RunDir = None,
+    key_file: With = None,
 ) -> None:
     """Print facts as they change, until Ctrl-C.
 
     Example:  rtc world watch RIGHT-ARM
     """
-    with Client(run_dir, need_broker=False) as rtc:
+    with Client(run_dir, need_broker=False, key=key_file) as rtc:
         keys = [spelt(key)] if key else None
         seen = rtc.world.view(keys=keys)
         if key and not seen.facts:
@@ -83,12 +84,13 @@ def history(
     limit: Annotated[int, typer.Option(min=1, help="At most so many, the newest first.")] = 20,
     json: AsJson = False,
     run_dir: RunDir = None,
+    key_file: With = None,
 ) -> None:
     """What was believed under a key, newest first, and who said so.
 
     Example:  rtc world history MACS-NEW.frame
     """
-    with Client(run_dir, need_broker=False) as rtc:
+    with Client(run_dir, need_broker=False, key=key_file) as rtc:
         facts = rtc.world.history(spelt(key), limit)
         if not facts:
             raise _unknown(key, rtc.world)
@@ -101,12 +103,13 @@ def at(
     key: Annotated[str, typer.Argument(help="A fact or a location; without it, everything.")] = "",
     json: AsJson = False,
     run_dir: RunDir = None,
+    key_file: With = None,
 ) -> None:
     """What was believed at an earlier version of the world.
 
     Example:  rtc world at 42 MACS-NEW
     """
-    with Client(run_dir, need_broker=False) as rtc:
+    with Client(run_dir, need_broker=False, key=key_file) as rtc:
         now = rtc.world.view(keys=[spelt(key)] if key else None)
         if key and not now.facts:
             raise _unknown(key, rtc.world)

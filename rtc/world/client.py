@@ -35,9 +35,16 @@ _read = wire.reader(FromWorld)
 class WorldClient:
     """One asker; one thread. `endpoint` is the cluster's "world"."""
 
-    def __init__(self, endpoint: str, context: zmq.Context[Any] | None = None, limit_s: float = LIMIT_S) -> None:
+    def __init__(
+        self,
+        endpoint: str,
+        context: zmq.Context[Any] | None = None,
+        limit_s: float = LIMIT_S,
+        secure: process.Secure = None,
+    ) -> None:
         self._context = context or zmq.Context.instance()
-        self._socket = process.open_socket(self._context, zmq.DEALER, endpoint, identity=f"w{os.urandom(8).hex()}")
+        name = "" if secure else f"w{os.urandom(8).hex()}"  # over tcp the gate names us
+        self._socket = process.open_socket(self._context, zmq.DEALER, endpoint, identity=name, secure=secure)
         self._numbers = itertools.count(1)
         self._limit_s = limit_s
 

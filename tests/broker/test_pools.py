@@ -29,6 +29,7 @@ class Cluster:
         self.processes = []
         for address in binders:
             self.hello(address, 0.0)
+            self.processes.append(row(f"binder@{address}", "ready"))
 
     def hello(self, address, now):
         self.roster.hello(f"binder@{address}", address, BINDER, 1, now)
@@ -110,3 +111,9 @@ def test_nobody_retires_while_jobs_wait_or_who_is_at_work():
 def test_with_a_least_of_none_the_last_retires_too():
     it = Cluster(2, least=0)
     assert it.look(IDLE_S + 1) == [RetireWorker(name="binder@2")]
+
+
+def test_who_has_come_from_another_machine_is_neither_retired_nor_counted():
+    it = Cluster(2, least=1)
+    it.hello(18, 0.0)
+    assert it.look(IDLE_S + 1) == []

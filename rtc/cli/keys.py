@@ -1,0 +1,100 @@
+"""rtc keys: who may come in from another machine, and as what. Used where the cluster is; needs no running cluster."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.text import Text
+
+from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
+from rtc.keys import KeyRing, is_everywhere
+from rtc.roles import Role
+from rtc.settings import Settings, default_run_dir, prepare_run_dir
+
+ROLES = ", ".join(Role)
+
+app = typer.Typer(
+    help="Keys for other machines: make, list, revoke. See docs/security.md.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="Of the key: whose it is.")],
+    role: Annotated[str, typer.Option(help=f"One of: {ROLES}.")],
+    out: Annotated[Path | None, typer.Option(help="The file to write.", show_default="NAME.key")] = None,
+    at: Annotated[
+        str, typer.Option("--at", help="tcp://HOST:PORT as the other machine sees it.", show_default="as in rtc up")
+    ] = "",
+    run_dir: RunDir = None,
+    json: AsJson = False,
+) -> None:
+    """Make a key: one file for the other machine, with all it needs. Hand it over as you would a password.
+
+    Known at once, also to a cluster that runs.
+
+    Example:  rtc keys new alice --role operator
+    Example:  rtc keys new w1 --role worker --at tcp://lab:5555
+    """
+    if role not in list(Role):
+        raise trouble(f"{role} is no role; one of {ROLES} is", 2)
+    where = prepare_run_dir(run_dir or default_run_dir())
+    file = out or Path(f"{name}.key")
+    key = KeyRing(where).new(name, Role(role), at or _address(where), file)
+    if json:
+        emit_json({"name": key.name, "role": key.role, "address": key.address, "file": str(file)})
+        return
+    console.print(Text(f"{file} lets its holder into {key.address} as {key.role}; nobody else may read it"))
+    use = f"rtc status --with {file}"
+    if key.role is Role.WORKER:
+        use = f"python -m workers --kind binder --node 18 --with {file}"
+    if key.role is not Role.SUBSYSTEM:
+        console.print(Text(f"there: {use}", style="dim"))
+
+
+@app.command("list")
+def list_keys(run_dir: RunDir = None, json: AsJson = False) -> None:
+    """All keys that are known.
+
+    Example:  rtc keys list
+    """
+    known = KeyRing(run_dir or default_run_dir()).known()
+    if json:
+        emit_json({"keys": [msgspec.to_builtins(key) for key in known]})
+        return
+    if not known:
+        console.print("no key is known: nobody comes in from another machine")
+        return
+    out = table("name", "role", "made", "public half")
+    for key in known:
+        out.add_row(key.name, key.role, time.strftime("%Y-%m-%d %H:%M", time.localtime(key.made_at)), Text(key.public))
+    console.print(out)
+
+
+@app.command()
+def revoke(name: Annotated[str, typer.Argument(help="Of the key.")], run_dir: RunDir = None) -> None:
+    """Forget a key. Who uses it is cut off within a second; what was begun with it goes on (halt it, if it must not).
+
+    Example:  rtc keys revoke alice
+    """
+    key = KeyRing(run_dir or default_run_dir()).revoke(name)
+    console.print(Text(f"{key.name} ({key.role}) is not known any more"))
+
+
+def _address(run_dir: Path) -> str:
+    """Of the cluster that is or was there."""
+    try:
+        listen = Settings.load(run_dir).listen
+    except FileNotFoundError:
+        listen = ""
+    if not listen:
+        raise trouble("where will the cluster listen? Say --at tcp://HOST:PORT, or first: rtc up --listen …", 2)
+    if is_everywhere(listen):
+        raise trouble(f"the cluster listens everywhere ({listen}); by which name do others reach it? Say --at", 2)
+    return listen
