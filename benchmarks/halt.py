@@ -32,7 +32,9 @@ from rtc.demos.own_cluster import own_cluster
 SEED = 20
 PLACES = ("BAY-2-FRONT", "CLEAR-POINT-1")
 MOVING_RAD_S = 0.05  # a joint faster than this moves
+MOTION_S = 20.0  # longest wait until a motion is seen
 LATER_S = 0.15  # the halt comes at a random moment within this after the start
+LOOK_S = 0.02  # between two looks at what a worker has in its hands
 BUSY_S = 10.0  # longest wait until a stopped worker has been given a job
 
 Holds = Callable[[], bool]  # whether the condition is there
@@ -85,10 +87,17 @@ class Bench:
         return [result.latency_s] if result.moving and held else []
 
     def _wait_for_motion(self, samples: Iterator[m.Telemetry], command: str) -> bool:
+        """False: it has come to its goal, which was near, without being seen in motion (or nothing came of it)."""
+        limit_s = time.monotonic() + MOTION_S
+        begun = False
         for sample in samples:
             arm = sample.arms["RIGHT-ARM"]
-            if arm.primitive.startswith(f"{command}.") and max(map(abs, arm.velocities)) > MOVING_RAD_S:
+            executing = arm.primitive.startswith(f"{command}.")
+            if executing and max(map(abs, arm.velocities)) > MOVING_RAD_S:
                 return True
+            if begun > executing or time.monotonic() > limit_s:
+                break
+            begun = executing
         return False
 
 
@@ -126,6 +135,7 @@ def hung_worker(rtc: Client) -> Iterator[Holds]:
         command = rtc.submit("STOW LEFT-ARM")
         limit_s = time.monotonic() + BUSY_S
         while not _busy_with(rtc, name).startswith(f"{command}/"):
+            time.sleep(LOOK_S)
             if time.monotonic() > limit_s:
                 raise SystemExit(f"{name} was given no job of {command} within {BUSY_S:.0f} s")
         yield is_stopped

@@ -2,7 +2,8 @@
 
 The process is the real one, with a broker made of one socket. Late: a tick that begins more than a period (1 ms) after
 it was due, at `--speed 1`, while as many processes as there are cores burn all they can get at the workers' niceness.
-Real-time factor: simulated seconds per second at `--speed max`, both arms moving; and while one of them grips.
+Real-time factor: simulated seconds per second at `--speed max`, both arms moving; and while one of them grips. The
+limit of both is what the physics library's step alone would allow, in the same run.
 
     python -m benchmarks.mcm [--seconds 20] [--mcm bullet|kinematic]
 """
@@ -30,11 +31,14 @@ from rtc.outcomes import StopReason
 from rtc.robot.kinematics import ArmModel
 from rtc.settings import Settings, prepare_run_dir
 from rtc.wire import frames, reader
+from sim_mcm.bullet_arm import BulletCell
+from sim_mcm.bullet_world import STEP_S
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
 WORKERS_NICENESS = 5
 LIMIT_S = 300.0
 SWING_RAD, SWING_S = 0.4, 4.0  # of the first joint, there or back
+STEPS = 100  # of bare physics between two looks at the clock
 HANDLE, MODULE = "HANDLE-A", "MACS-NEW"
 
 _hear = reader(m.SubsystemToBroker)
@@ -171,6 +175,17 @@ def free_factor(mcm: str, cell: Cell, seconds: float) -> float:
     return max(report.duration_s for report in reports) / took_s
 
 
+def bare_factor(cell: Cell, seconds: float) -> float:
+    """The same of the physics step alone: no sensor read, no torque, no judgement, nobody who moves."""
+    world = BulletCell(cell).world
+    steps, began_s = 0, time.perf_counter()
+    while (took_s := time.perf_counter() - began_s) < seconds:
+        for _ in range(STEPS):
+            world.step()
+        steps += STEPS
+    return steps * STEP_S / took_s
+
+
 def gripping_factor(mcm: str, cell: Cell, seconds: float) -> float:
     """The same while the right hand holds a module in the air and carries it to and fro, and the left arm rests."""
     arm = ARMS[0]
@@ -236,6 +251,9 @@ def main() -> None:
     measured("late ticks, machine idle", f"{idle:.3f} % of {ticks}")
     late, ticks = late_percent(given.mcm, cell, given.seconds, busy=True)
     measured("late ticks, all cores busy", f"{late:.3f} % of {ticks}")
+    bare = bare_factor(cell, given.seconds / 4) if given.mcm == "bullet" else None
+    if bare is not None:
+        measured("real-time factor, the physics step alone", f"{bare:.1f}")
     free = free_factor(given.mcm, cell, given.seconds)
     measured("real-time factor, both arms moving", f"{free:.1f}")
     gripping = gripping_factor(given.mcm, cell, given.seconds)
@@ -247,6 +265,7 @@ def main() -> None:
             "late_ticks_idle_percent": idle,
             "real_time_factor": free,
             "real_time_factor_gripping": gripping,
+            "real_time_factor_bare": bare,
         },
         rows,
     )

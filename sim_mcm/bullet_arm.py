@@ -190,7 +190,7 @@ class BulletCell:
     def step(self) -> None:
         for arm in self.arms.values():
             arm.drive()
-        pybullet.stepSimulation(physicsClientId=self.world.client)
+        self.world.step()
         self._detents.step()
 
     def truth(self) -> dict[str, dict[str, list[float]]]:

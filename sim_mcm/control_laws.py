@@ -58,7 +58,7 @@ class ComputedTorque:
     def torque(self, wanted: Motion, q: list[float], v: list[float]) -> list[float]:
         stiffness, damping = self._stiffness, self._damping
         a = [aw + stiffness * (qw - qn) + damping * (vw - vn) for qw, vw, aw, qn, vn in zip(*wanted, q, v, strict=True)]
-        torque: list[float] = pin.rnea(self._model, self._data, np.array(q), np.array(v), np.array(a)).tolist()
+        torque: list[float] = pin.rnea(self._model, self._data, *np.array((q, v, a))).tolist()
         return torque
 
 

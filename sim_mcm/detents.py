@@ -7,6 +7,8 @@ contact friction alone.
 
 from __future__ import annotations
 
+import math
+
 import pybullet
 
 from rtc import geometry
@@ -22,7 +24,7 @@ EVERY = 10  # steps between two looks
 class Detents:
     def __init__(self, world: World) -> None:
         self._world = world
-        self._caught: dict[str, tuple[int, geometry.Array]] = {}  # object -> constraint, where it was caught
+        self._caught: dict[str, tuple[int, list[float]]] = {}  # object -> constraint, point where it was caught
         self._seats = [seat for seat in world.cell.seats if seat.detent_n > 0]
         self._steps = 0
         self.look()
@@ -36,18 +38,20 @@ class Detents:
     def look(self) -> None:
         """Let go of what has been pulled away, take hold of what has come to rest."""
         for name, (_, at) in list(self._caught.items()):
-            if geometry.distance(self._world.pose(name), at) > BREAKS_M:
+            if math.dist(self._world.position(name), at) > BREAKS_M:
                 self.let_go(name)
+        for name in sorted(self._world.free - self._caught.keys()):
+            if max(map(abs, self._world.velocity(name)[:3])) < REST_M_S:
+                self._catch_in_seat(name)
+
+    def _catch_in_seat(self, name: str) -> None:
+        """Take hold of it if it is where a seat wants it."""
+        pose = self._world.pose(name)
         for seat in self._seats:
             place = geometry.compose(self._world.seats[seat.name].home, seat.module_frame.pose)
-            for name in self._world.free - self._caught.keys():
-                pose = self._world.pose(name)
-                if (
-                    geometry.distance(pose, place) < CATCHES_M
-                    and geometry.angle(pose, place) < CATCHES_RAD
-                    and max(map(abs, self._world.velocity(name)[:3])) < REST_M_S
-                ):
-                    self._catch(name, pose, seat.detent_n)
+            if geometry.distance(pose, place) < CATCHES_M and geometry.angle(pose, place) < CATCHES_RAD:
+                self._catch(name, pose, seat.detent_n)
+                return
 
     def let_go(self, name: str) -> None:
         if name in self._caught:
@@ -75,4 +79,4 @@ class Detents:
             physicsClientId=self._world.client,
         )
         pybullet.changeConstraint(constraint, maxForce=force_n, physicsClientId=self._world.client)
-        self._caught[name] = (constraint, pose)
+        self._caught[name] = (constraint, pose[:3].tolist())
