@@ -43,7 +43,7 @@ def live(run_dir: Path) -> None:
         first = State(patience=1.0 / settings.speed if 0 < settings.speed < 1 else 1.0)
         journal = Journal.open(run_dir / "journal.db", settings.run, first)
         state, ended = replay(journal)
-        store = ProgramStore(journal)
+        store = ProgramStore(journal, state.programs)
         router = Router(me, settings, journal, state, store, (run_dir / KEY_FILE).read_bytes())
         router.guard = Guard()
         now = time.monotonic()

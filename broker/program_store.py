@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from broker.journal import Journal
 from rtc.digest import digest
-from rtc.messages import ProgramText
+from rtc.messages import ProgramText, WorkerKind
 from rtc.outcomes import ProgramError, Refusal, RefusalReason
 
 
 class ProgramStore:
-    def __init__(self, journal: Journal) -> None:
+    """`in_use`: kind -> digest, as the Decision Unit has it."""
+
+    def __init__(self, journal: Journal, in_use: Mapping[str, str] | None = None) -> None:
         self._journal = journal
+        self._in_use = {} if in_use is None else in_use  # it may be filled later
         self._bodies = journal.programs()
 
     def keep(self, body: bytes) -> str:
@@ -29,6 +34,7 @@ class ProgramStore:
         from rtc import program  # brings lark, yaml and numpy; a restart, which should be quick, does without
 
         try:
-            return self.keep(program.merge(text.kind, self._bodies[current], text.name, text.body))
+            others = {kind: self._bodies[self._in_use[kind]] for kind in WorkerKind if kind in self._in_use}
+            return self.keep(program.merge(text.kind, self._bodies[current], text.name, text.body, others))
         except ProgramError as error:
             return Refusal(reason=RefusalReason.PROGRAM, message=str(error), where=text.name)

@@ -9,7 +9,7 @@ that equal programs have equal digests. Every complaint is a ProgramError that n
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,10 +17,12 @@ from typing import Any, TypeVar
 import msgspec
 import yaml
 
-from rtc import expressions
+from rtc import expressions, registered
 from rtc.language.grammar import Grammar
 from rtc.messages import Limits, WorkerKind
 from rtc.outcomes import ProgramError, StopReason
+from rtc.program_fit import Problems, misfits
+from rtc.program_place import line_of, path_of
 from rtc.program_schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, Program, ScriptFile, ScriptStep
 
 PROGRAMS = Path(__file__).parent / "programs"
@@ -60,14 +62,26 @@ def default(kind: WorkerKind | str) -> bytes:
     return _canonical(kind, document, str(folder.relative_to(PROGRAMS.parent)))
 
 
-def merge(kind: WorkerKind | str, program: bytes, name: str, text: bytes) -> bytes:
-    """The program with the document `text` (of the file `name`) put into it, in place of items of the same identity."""
+def merge(
+    kind: WorkerKind | str, program: bytes, name: str, text: bytes, others: Mapping[WorkerKind, bytes] | None = None
+) -> bytes:
+    """The program with the document `text` (of the file `name`) put into it, in place of items of the same identity.
+    `others`: the programs it will work with; with them it is also seen whether they fit. Complaints tell the line."""
     kind = WorkerKind(kind)
     if kind is WorkerKind.PARSER:
         return _grammar(text, name)
-    document = _read(program, f"the {kind} program in use")
-    _put(document, _read(text, name), name)
-    return _canonical(kind, document, name)
+    document, news = _read(program, f"the {kind} program in use"), _read(text, name)
+    _put(document, news, name)
+    try:
+        merged = _canonical(kind, document, name)
+        _fits({**(others or {}), kind: merged}, kind, document, name)
+    except ProgramError as error:
+        path = _in_file(path_of(str(error)), document, news)
+        if not path or text.startswith(b"{"):
+            raise
+        complaint = str(error).removeprefix(f"{name}: ")
+        raise ProgramError(f"{name}, line {line_of(text, path)}: {complaint}") from error
+    return merged
 
 
 def decode(program: bytes, schema: type[P]) -> P:
@@ -159,6 +173,19 @@ def _grammar(text: bytes, source: str) -> bytes:
     return text
 
 
+def _in_file(path: list[str | int], whole: dict[str, Any], news: dict[str, Any]) -> list[str | int]:
+    """A place in the whole program as one in the file that was put into it; empty when it is not from there."""
+    section, *rest = path or [""]
+    if section not in IDENTITY or not rest:
+        return path if section in news else []
+    item = whole[section][rest[0]]
+    single = next((field for field, of in ITEMS.items() if of == section and isinstance(news.get(field), str)), "")
+    if single:
+        return rest[1:] if item.get(single) == news[single] else []
+    mine = news.get(section, [])
+    return next(([section, n, *rest[1:]] for n, one in enumerate(mine) if one is item), [])
+
+
 # --- checking what types alone cannot see ----------------------------------------------------------------
 
 
@@ -181,7 +208,17 @@ def _owner(document: dict[str, Any], place: str) -> str:
     return f" (in {item.get('script') or item.get('skill') or 'a nameless one'})" if isinstance(item, dict) else ""
 
 
-Problems = Iterator[tuple[str, str]]
+def _fits(programs: Mapping[WorkerKind, bytes], kind: WorkerKind, document: dict[str, Any], source: str) -> None:
+    """Raises ProgramError unless those of the three that are there fit together."""
+    if not programs.keys() >= SCHEMAS.keys():
+        return
+    elaborator = msgspec.json.decode(programs[WorkerKind.ELABORATOR], type=ElaboratorProgram)
+    binder = msgspec.json.decode(programs[WorkerKind.BINDER], type=BinderProgram)
+    analyzer = msgspec.json.decode(programs[WorkerKind.ANALYZER], type=AnalyzerProgram)
+    for place, problem in misfits(elaborator, binder, analyzer):
+        if kind is WorkerKind.ELABORATOR:
+            raise ProgramError(f"{source}: $.{place}: {problem}{_owner(document, place)}")
+        raise ProgramError(f"{source}: with it the elaborator's program does not work any more: {place}: {problem}")
 
 
 def _elaborator_problems(program: ElaboratorProgram) -> Problems:
@@ -196,6 +233,10 @@ def _elaborator_problems(program: ElaboratorProgram) -> Problems:
         for unit, limit in units.items():
             if limit and limit not in Limits.__struct_fields__:
                 yield f"constraints.{slot}.{unit}", f"no limit {limit}; there are {', '.join(Limits.__struct_fields__)}"
+    pieces = {piece.skill for piece in program.pieces}
+    for attribute, skill in program.senses.items():
+        yield from _known("piece", skill, pieces, f"senses.{attribute}")
+    yield from _figure_problems(program)
     for n, script in enumerate(program.scripts):
         yield from _script_problems(script, f"scripts[{n}]")
     for n, piece in enumerate(program.pieces):
@@ -203,9 +244,37 @@ def _elaborator_problems(program: ElaboratorProgram) -> Problems:
             yield from _step_problems(step, f"pieces[{n}].steps[{m}]", entries=0, bindings=None)
 
 
+def _figure_problems(program: ElaboratorProgram) -> Problems:
+    """Names in sums that nothing gives a value: neither the cell, nor any row of the table, nor any sentence."""
+    known = {*registered.FIGURES, *(name for row in program.command_object_table for name in row.values)}
+    sums: dict[str, str | float] = {}
+    for n, script in enumerate(program.scripts):
+        sums |= {f"scripts[{n}].plan[{m}].by": line.by for m, line in enumerate(script.plan)}
+    steps = {f"scripts[{n}]": script.steps for n, script in enumerate(program.scripts)}
+    steps |= {f"pieces[{n}]": piece.steps for n, piece in enumerate(program.pieces)}
+    for item, lines in steps.items():
+        for n, step in enumerate(lines):
+            sums |= {f"{item}.steps[{n}].args.{name}": value for name, value in step.args.items()}
+    for place, expression in sums.items():
+        for name in sorted(_names(expression)):
+            yield from _known("figure", name, known, place)
+
+
+def _names(expression: str | float) -> set[str]:
+    try:
+        return set(expressions.names(expression))
+    except expressions.ExpressionError:
+        return set()  # told where it is
+
+
 def _script_problems(script: ScriptFile, place: str) -> Problems:
+    for n, need in enumerate(script.needs):
+        yield from _known("condition of the world", need, registered.NEEDS, f"{place}.needs[{n}]")
     planned: set[str] = set()
     for n, line in enumerate(script.plan):
+        yield from _known("starting point", line.at, [*registered.STARTS, *sorted(planned)], f"{place}.plan[{n}].at")
+        if line.along:
+            yield from _known("axis", line.along, registered.PLAN_AXES, f"{place}.plan[{n}].along")
         yield from _expression(line.by, f"{place}.plan[{n}].by")
         if line.near and line.near not in planned:
             yield f"{place}.plan[{n}].near", f"no earlier line {line.near}"
@@ -226,6 +295,15 @@ def _step_problems(step: ScriptStep, place: str, entries: int, bindings: set[str
         yield f"{place}.trim", f"[index, count] = [{index}, {count}] leaves the trimming stack of {entries} entries"
     if bindings is not None and step.to and step.to != "HERE" and step.to not in bindings:
         yield f"{place}.to", f"nothing binds {step.to}; there are {', '.join(sorted(bindings))}"
+    yield from _known("performer", step.who, registered.PERFORMERS, f"{place}.who")
+    if step.space or step.to:
+        yield from _known("space", step.space or "(none)", registered.SPACES, f"{place}.space")
+    for name, source in step.keep.items():
+        yield from _known("measured value", source, registered.KEPT, f"{place}.keep.{name}")
+    if effect := step.words.get("effect"):
+        yield from _known("effect", effect, registered.EFFECTS, f"{place}.words.effect")
+    if "{" not in (axis := step.words.get("axis", "X")):
+        yield from _known("axis", axis, registered.AXES, f"{place}.words.axis")
     for name, expression in step.args.items():
         yield from _expression(expression, f"{place}.args.{name}")
     if step.value:
@@ -240,6 +318,7 @@ def _binder_problems(program: BinderProgram) -> Problems:
     for name, row in program.stop_classes.items():
         yield from _values(row.values, f"stop_classes.{name}.values")
         for n, stop in enumerate(row.stops):
+            yield from _known("predicate", stop.when, registered.PREDICATES, f"stop_classes.{name}.stops[{n}].when")
             yield from _expression(stop.limit, f"stop_classes.{name}.stops[{n}].limit")
         whens = {stop.when for stop in row.stops}
         for wanted in ("goal-reached", "time-above"):
@@ -248,7 +327,12 @@ def _binder_problems(program: BinderProgram) -> Problems:
     for op, name in program.hand.items():
         if name not in program.stop_classes:
             yield f"hand.{op}", f"no stop class {name}"
+    for do, action in program.actions.items():
+        yield from _known("action", action, registered.ACTIONS, f"actions.{do}")
+    for name, procedure in program.procedures.items():
+        yield from _known("procedure", procedure, registered.PROCEDURES, f"procedures.{name}")
     for n, stop in enumerate(program.holding):
+        yield from _known("predicate", stop.when, registered.PREDICATES, f"holding[{n}].when")
         yield from _expression(stop.limit, f"holding[{n}].limit")
 
 
@@ -260,6 +344,11 @@ def _analyzer_problems(program: AnalyzerProgram) -> Problems:
         for reason, name in cells.items():
             if name not in program.classes:
                 yield f"outcomes.{row}.{reason}", f"no class {name}; there are {', '.join(sorted(program.classes))}"
+
+
+def _known(what: str, name: str, known: Collection[str], place: str) -> Problems:
+    if name not in known:
+        yield place, registered.unknown(what, name, known)
 
 
 def _values(values: dict[str, str | float], place: str) -> Problems:

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from rtc.outcomes import ProgramError, StopReason
 from rtc.program import decode
+from rtc.program_fit import misfits, row_of
 from rtc.program_schema import (
     AnalyzerProgram,
     BinderProgram,
@@ -27,22 +28,6 @@ class Outcome(NamedTuple):
     response: str  # continue | trim 2 (grasp), restart_script | fail: what it is told as
 
 
-class Named(Protocol):
-    """A step of a script file or of a script."""
-
-    @property
-    def do(self) -> str: ...
-    @property
-    def op(self) -> str: ...
-    @property
-    def stop(self) -> str: ...
-
-
-def row_of(step: Named) -> str:
-    """The row of the analyzer's table that a step is judged by: its stop class, or what it does."""
-    return step.stop or "-".join(filter(None, (step.do, step.op)))
-
-
 def outcomes(elaborator_program: bytes, binder_program: bytes, analyzer_program: bytes, script: str) -> list[Outcome]:
     """One row for each (step, stop reason) of a script, by its name or its verb, and of its trims. Raises ProgramError:
     no such script, or a cell is empty."""
@@ -54,13 +39,9 @@ def outcomes(elaborator_program: bytes, binder_program: bytes, analyzer_program:
     found = next((s for name in names for s in elaborator.scripts if s.script == name), None)
     if found is None:
         raise ProgramError(f"no script {script}; there are {', '.join(s.script for s in elaborator.scripts)}")
+    for place, problem in misfits(elaborator, binder, analyzer):
+        raise ProgramError(f"the programs do not fit: {place}: {problem}")
     return list(_rows(found, elaborator, binder, analyzer))
-
-
-def check(elaborator_program: bytes, binder_program: bytes, analyzer_program: bytes) -> None:
-    """Raises ProgramError unless the three programs fit: every step of every script has a response to every reason."""
-    for script in decode(elaborator_program, ElaboratorProgram).scripts:
-        outcomes(elaborator_program, binder_program, analyzer_program, script.script)
 
 
 def _rows(
@@ -84,21 +65,11 @@ def _label(step: ScriptStep) -> str:
 def _step(
     told: str, step: ScriptStep, trims: list[TrimEntry], binder: BinderProgram, analyzer: AnalyzerProgram
 ) -> Iterator[Outcome]:
-    if step.do not in binder.actions:
-        raise ProgramError(f"step {told}: the binder has no action for {step.do}")
-    if step.stop and step.stop not in binder.stop_classes:
-        raise ProgramError(f"step {told}: the binder has no stop class {step.stop}")
-    if step.op and step.op not in binder.hand:
-        raise ProgramError(f"step {told}: the binder's hand does not {step.op}")
-    if step.do == "proc" and step.name not in binder.procedures:
-        raise ProgramError(f"step {told}: the binder has no procedure {step.name}")
     if binder.actions[step.do] in binder.computes or binder.procedures.get(step.name) in binder.computes:
         yield Outcome(told, StopReason.GOAL, "continue: nothing moves")
         return
     row = row_of(step)
-    cells = analyzer.outcomes.get(row)
-    if cells is None:
-        raise ProgramError(f"step {told}: the analyzer has no row {row}")
+    cells = analyzer.outcomes[row]
     for reason in StopReason:
         yield Outcome(told, reason, _response(step, reason, trims, cells, analyzer))
 

@@ -11,7 +11,7 @@ from rtc.digest import digest
 from rtc.messages import WorkerKind
 from rtc.outcomes import ProgramError, StopReason
 from rtc.program import decode
-from rtc.program_outcomes import check, outcomes
+from rtc.program_outcomes import outcomes
 from rtc.program_schema import AnalyzerProgram, BinderProgram, ElaboratorProgram
 
 KINDS = [kind.value for kind in WorkerKind]
@@ -139,13 +139,78 @@ def test_an_unknown_script_is_told():
         outcomes(*defaults(), "waltz")
 
 
-def test_programs_that_do_not_fit_each_other_are_found():
-    text = b"script: s\ncase: 1\nsteps: [{do: move, to: HERE, stop: move_fast, space: move_task, label: x}]"
-    elaborator = program.merge("elaborator", program.default("elaborator"), "t.yaml", text)
+OTHERS = {kind: program.default(kind) for kind in ("elaborator", "binder", "analyzer")}
+SCRIPT = """# a skill of my own
+script: s
+case: 1
+{more}
+steps:
+  - {{do: hold, stop: hold, label: stay, args: {{duration_s: 1}}}}
+  - {step}
+"""
+GOOD = "{do: move, to: HERE, stop: move_free, space: move_task, label: x}"
 
-    check(*defaults())
-    with pytest.raises(ProgramError, match="no stop class move_fast"):
-        check(elaborator, *defaults()[1:])
+
+@pytest.mark.parametrize(
+    ("step", "more", "said"),
+    [
+        (
+            GOOD.replace("move_free", "move_fast"),
+            "",
+            r"line 7: .*steps\[1\].stop: no stop class move_fast; .*move_free",
+        ),
+        (GOOD.replace("move_task", "move_moon"), "", r"line 7: .*no space move_moon; there are move_joint, move_task"),
+        (
+            GOOD.replace("do: move", "do: jump"),
+            "",
+            r"line 7: .*no action of the binder jump; there are grip, hold, .*move",
+        ),
+        (GOOD.replace(", stop: move_free", ""), "", r"line 7: .*no stop class \(none\)"),
+        ("{do: grip, op: twist, label: x}", "", r"line 7: .*no motion of the hand twist; there are close, open"),
+        ("{do: proc, name: dance, label: x}", "", r"line 7: .*no procedure dance; there are grasp_init, grasp_plan"),
+        (
+            "{do: grip, op: open, label: x, words: {effect: gone}}",
+            "",
+            r"line 7: .*no effect gone; .*let_go",
+        ),
+        ("{do: grip, op: open, label: x, keep: {W: report.weight}}", "", r"line 7: .*no measured value report.weight"),
+        ("{do: grip, op: open, label: x, args: {width_m: amout_m}}", "", r"line 7: .*no figure amout_m; .*amount_m"),
+        (GOOD.replace("label", "words: {axis: SIDEWAYS}, label"), "", r"line 7: .*no axis SIDEWAYS; there are BACK"),
+        (GOOD, "needs: [hand_clean]", r"line 4: .*no condition of the world hand_clean; there are hand_empty"),
+        (GOOD, "plan: [{name: A, at: moon}]", r"line 4: .*no starting point moon; there are destination"),
+        (GOOD, "plan: [{name: A, at: seat, along: SIDEWAYS}]", r"line 4: .*no axis SIDEWAYS; .*WAY-OUT"),
+    ],
+)
+def test_a_script_that_asks_for_what_is_not_there_is_not_loaded(step, more, said):
+    """The words that are known are told, and the line of the file."""
+    text = SCRIPT.format(step=step, more=more).encode()
+
+    with pytest.raises(ProgramError, match=rf"^s\.yaml, {said}"):
+        program.merge("elaborator", program.default("elaborator"), "s.yaml", text, OTHERS)
+
+
+def test_the_line_is_that_of_the_file_whatever_it_brings():
+    text = b"decision_tree:\n- {verb: STOW, script: stow}\n- verb: LIFT\n  script: nix\n"
+
+    with pytest.raises(ProgramError, match=r"^t\.yaml, line 4: \$\.decision_tree\[\d+\]\.script: no script nix"):
+        program.merge("elaborator", program.default("elaborator"), "t.yaml", text, OTHERS)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            b"stop_classes:\n  mine:\n    stops: [{reason: goal, when: wished}]",
+            "line 3: .*no predicate wished; there",
+        ),
+        (b"actions: {move: teleport}", "line 1: .*no action teleport; there are assign, hand"),
+        (b"procedures: {grasp_init: pray}", "line 1: .*no procedure pray; there are lay_down_plan, open_hand"),
+        (b"actions: {grip: motion}", "with it the elaborator's program does not work any more: .*no stop class"),
+    ],
+)
+def test_so_with_the_binder(text, said):
+    with pytest.raises(ProgramError, match=said):
+        program.merge("binder", program.default("binder"), "b.yaml", text, OTHERS)
 
 
 def test_every_figure_is_si():

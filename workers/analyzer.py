@@ -13,7 +13,7 @@ from rtc import geometry
 from rtc.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity, WorldChange
 from rtc.outcomes import ProgramError, Refusal, RefusalReason, StopReason
 from rtc.program import decode
-from rtc.program_outcomes import row_of
+from rtc.program_fit import row_of
 from rtc.program_schema import AnalyzerProgram, OutcomeClass
 from rtc.world.model import World
 from workers import facts

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from rtc import expressions, geometry
 from rtc.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext
-from rtc.outcomes import ProgramError, Refusal, RefusalReason, StopReason
+from rtc.outcomes import Refusal, RefusalReason, StopReason
 from rtc.primitive import (
     ControlLaw,
     HandMotion,
@@ -64,16 +64,7 @@ class Bind:
 
 def compile(program: bytes) -> BinderProgram:
     """The program, checked. Raises ProgramError."""
-    document = decode(program, BinderProgram)
-    stopping.check(document)
-    for do, action in document.actions.items():
-        if action not in ACTIONS:
-            raise ProgramError(f"$.actions.{do}: nothing is registered as {action}; there are {', '.join(ACTIONS)}")
-    for name, procedure in document.procedures.items():
-        if procedure not in PROCEDURES:
-            known = ", ".join(PROCEDURES)
-            raise ProgramError(f"$.procedures.{name}: nothing is registered as {procedure}; there are {known}")
-    return document
+    return decode(program, BinderProgram)
 
 
 def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, data: BinderInput) -> BoundStep | Refusal:

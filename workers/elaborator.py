@@ -17,7 +17,7 @@ from rtc import cell as cells
 from rtc import expressions, geometry
 from rtc.language.record import ParsedCommand
 from rtc.messages import ElaboratorInput, Limits, Script, ScriptContext, Step, Trim
-from rtc.outcomes import ProgramError, Refusal, RefusalReason
+from rtc.outcomes import Refusal, RefusalReason
 from rtc.program import decode
 from rtc.program_schema import Branch, Check, ElaboratorProgram, Piece, ScriptFile, ScriptStep
 from rtc.world.model import World
@@ -55,14 +55,6 @@ class Candidate:
 def compile(program: bytes) -> Compiled:
     """The program, checked. Raises ProgramError."""
     document = decode(program, ElaboratorProgram)
-    for n, script in enumerate(document.scripts):
-        for need in script.needs:
-            if need not in NEEDS:
-                raise ProgramError(f"$.scripts[{n}].needs: nothing checks {need}; there are {', '.join(NEEDS)}")
-    known = {piece.skill for piece in document.pieces}
-    for attribute, piece in document.senses.items():
-        if piece not in known:
-            raise ProgramError(f"$.senses.{attribute}: there is no piece {piece}; there are {', '.join(sorted(known))}")
     return Compiled(document, {s.script: s for s in document.scripts}, {p.skill: p for p in document.pieces})
 
 

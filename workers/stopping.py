@@ -12,7 +12,6 @@ import msgspec
 
 from rtc import expressions
 from rtc.messages import BinderInput
-from rtc.outcomes import ProgramError
 from rtc.primitive import (
     BodyTouch,
     ForceAbove,
@@ -45,14 +44,6 @@ MAKERS: dict[str, Callable[[float, Vector | None], Predicate]] = {
 TIGHTENED = {"speed_m_s": "speed_m_s", "force_n": "force_n", "torque_nm": "torque_nm"}
 
 Values = dict[str, float]
-
-
-def check(program: BinderProgram) -> None:
-    """Raises ProgramError for a row of F that names no predicate."""
-    rows = [(name, row) for name, stop_class in program.stop_classes.items() for row in stop_class.stops]
-    for name, row in [*rows, *(("holding", row) for row in program.holding)]:
-        if row.when not in MAKERS:
-            raise ProgramError(f"$.stop_classes.{name}: no predicate {row.when}; there are {', '.join(MAKERS)}")
 
 
 def figures(program: BinderProgram, stop_class: StopClass, belief: Belief, data: BinderInput) -> Values:

@@ -1,0 +1,55 @@
+"""Whether the three programs fit together: what a script's step asks of the binder and the analyzer must be there.
+
+Works on typed documents; complaints name a place in the elaborator's program. Pure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+
+from rtc.program_schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, ScriptStep
+from rtc.registered import unknown
+
+Problems = Iterator[tuple[str, str]]  # place, what is wrong there
+
+
+class Named(Protocol):
+    """A step of a script file or of a script."""
+
+    @property
+    def do(self) -> str: ...
+    @property
+    def op(self) -> str: ...
+    @property
+    def stop(self) -> str: ...
+
+
+def row_of(step: Named) -> str:
+    """The row of the analyzer's table that a step is judged by: its stop class, or what it does."""
+    return step.stop or "-".join(filter(None, (step.do, step.op)))
+
+
+def misfits(elaborator: ElaboratorProgram, binder: BinderProgram, analyzer: AnalyzerProgram) -> Problems:
+    """Every step of every script and piece that the binder could not bind, or the analyzer not judge."""
+    steps = {f"scripts[{n}]": script.steps for n, script in enumerate(elaborator.scripts)}
+    steps |= {f"pieces[{n}]": piece.steps for n, piece in enumerate(elaborator.pieces)}
+    for item, lines in steps.items():
+        for n, step in enumerate(lines):
+            yield from _step(step, f"{item}.steps[{n}]", binder, analyzer)
+
+
+def _step(step: ScriptStep, place: str, binder: BinderProgram, analyzer: AnalyzerProgram) -> Problems:
+    if step.do not in binder.actions:
+        yield f"{place}.do", unknown("action of the binder", step.do, binder.actions)
+        return
+    algorithm = binder.actions[step.do]
+    if (step.stop or algorithm in ("motion", "still")) and step.stop not in binder.stop_classes:
+        yield f"{place}.stop", unknown("stop class", step.stop or "(none)", binder.stop_classes)
+    if (step.op or algorithm == "hand") and step.op not in binder.hand:
+        yield f"{place}.op", unknown("motion of the hand", step.op or "(none)", binder.hand)
+    if algorithm == "procedure" and step.name not in binder.procedures:
+        yield f"{place}.name", unknown("procedure", step.name or "(none)", binder.procedures)
+    computes = {algorithm, binder.procedures.get(step.name, "")} & {*binder.computes}
+    if not computes and row_of(step) not in analyzer.outcomes:
+        yield place, unknown("row of the analyzer's outcomes", row_of(step), analyzer.outcomes)

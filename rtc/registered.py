@@ -1,0 +1,51 @@
+"""The names that programs may use for code: what the workers have registered under each, so that a program which asks
+for anything else is refused when it is loaded, not when somebody needs it.
+
+The code itself is in `workers`; a test holds every registry against its row here. Pure data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rtc.cell import Numbers
+
+#: elaborator: what a script may need of the world
+NEEDS = ("hand_empty", "object_free", "object_held", "seat_free")
+#: elaborator: where a plan may start
+STARTS = ("grasp_point", "destination", "stow", "seat")
+#: directions; WAY-OUT is that of the target seat, for plans alone
+AXES = ("TOOL-X", "TOOL-Y", "TOOL-Z", "X", "Y", "Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK")
+PLAN_AXES = (*AXES, "WAY-OUT")
+#: the fourth column of a script
+SPACES = ("move_joint", "move_task")
+#: elaborator: figures that are no row of the command-object table: the cell's, the hand's, and what a sentence says
+FIGURES = (
+    *Numbers.__struct_fields__,
+    *("opening_m", "hand_width_m", "grasp_width_m", "mass_kg", "duration_s"),
+    *(f"{said}_{unit}" for said in ("amount", "by") for unit in ("m", "rad", "turns", "s", "n")),
+)
+#: who performs steps
+PERFORMERS = ("active_arm",)
+#: binder: how a step becomes a primitive
+ACTIONS = ("motion", "hand", "still", "assign", "told", "procedure")
+PROCEDURES = ("open_hand", "lay_down_plan")
+#: binder: the conditions of F
+PREDICATES = (
+    "goal-reached",
+    "time-above",
+    "force-above",
+    "torque-above",
+    "joint-margin-below",
+    "body-touch",
+    "grip-force-below",
+    "hand-width-below",
+)
+#: analyzer: what success has changed, and what of a report may be kept
+EFFECTS = ("taken", "let_go", "still_held", "verified")
+KEPT = ("report.trip_pose", "report.pose", "report.hand_width")
+
+
+def unknown(what: str, name: str, known: Iterable[str]) -> str:
+    """No such name, and which there are."""
+    return f"no {what} {name}; there are {', '.join(sorted(known))}"

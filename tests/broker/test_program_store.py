@@ -1,0 +1,33 @@
+"""LOAD: what does not check, or does not fit the programs it would work with, is never in use."""
+
+from __future__ import annotations
+
+import pytest
+
+from broker.journal import Journal
+from broker.program_store import ProgramStore
+from broker.state import State
+from rtc import program
+from rtc.messages import ProgramText, WorkerKind
+from rtc.outcomes import Refusal
+
+STEP = "{do: move, to: HERE, stop: STOP, space: move_task, label: x}"
+
+
+@pytest.mark.parametrize(("stop", "fits"), [("move_free", True), ("move_fast", False)])
+def test_a_script_must_fit_the_binder_in_use(tmp_path, stop, fits):
+    in_use: dict[str, str] = {}
+    store = ProgramStore(Journal.open(tmp_path / "journal.db", "run", State()), in_use)
+    in_use |= {kind: store.keep(program.default(kind)) for kind in WorkerKind}
+    body = f"script: mine\ncase: 1\nsteps:\n- {STEP.replace('STOP', stop)}".encode()
+    text = ProgramText(request="r", kind=WorkerKind.ELABORATOR, name="mine.yaml", body=body)
+
+    loaded = store.load(in_use["elaborator"], text)
+
+    if fits:
+        assert isinstance(loaded, str), loaded
+        assert b"mine" in (store.body(loaded) or b"")
+    else:
+        assert isinstance(loaded, Refusal)
+        assert "mine.yaml, line 4: " in loaded.message
+        assert "no stop class move_fast; there are" in loaded.message
