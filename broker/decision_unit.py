@@ -251,7 +251,10 @@ def _roll_back(turn: Turn, command: Command, job: PendingJob, why: str) -> bool:
     job.program = trial.old
     job.attempt += 1
     turn.count("programs_rolled_back")
-    turn.note(command, f"the new {job.kind.value} program {trial.new} failed ({why}); back to {trial.old}")
+    last_words = (why.strip().splitlines() or ["it ended without a word"])[-1]
+    told = f"the new {job.kind.value} program {trial.new} failed its first job ({last_words}); back to {trial.old}"
+    state.rolled_back[job.kind] = f"{told}. The job was of {command.id}"
+    turn.note(command, told)
     turn.dispatch(job)
     return True
 
@@ -261,6 +264,7 @@ def on_program(turn: Turn, event: ProgramInstalled) -> None:
     programs = turn.state.programs
     if event.kind and kind in programs and programs[kind] != event.digest:
         turn.state.trials[kind] = Trial(new=event.digest, old=programs[kind])
+    turn.state.rolled_back.pop(kind, None)
     programs[kind] = event.digest
 
 

@@ -190,6 +190,7 @@ class State(msgspec.Struct, kw_only=True):
     subsystems: dict[str, Subsystem] = {}
     programs: dict[str, str] = {}  # kind (or "cell") -> digest
     trials: dict[str, Trial] = {}
+    rolled_back: dict[str, str] = {}  # kind -> why its newest program was taken back, until the next one is loaded
     halted_at_s: dict[str, float] = {}  # scope of a halt -> when: what was sent before it does not start
     halts: dict[str, float] = {}  # halt id -> when, the last few: a halt told twice is one
     listened: bool = False  # somebody hears the event stream

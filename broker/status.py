@@ -79,6 +79,7 @@ def status(router: Router) -> dict[str, Any]:
         "counters": {**state.counts, **{f"dropped_{name}": n for name, n in dropped.items()}},
         "decision_ms": _spread_ms(router.turn_times_s),
         "programs": dict(state.programs),
+        "rolled_back": dict(state.rolled_back),
     }
 
 

@@ -69,6 +69,8 @@ def show_status(said: dict[str, Any]) -> None:
     """Print the layout that docs/protocol.md describes; what is absent is left out."""
     up_s, where = said.get("uptime_s", 0.0), said.get("run_dir", "?")
     console.print(Text(f"cluster {said.get('cluster', '?')} in {where}, up {seconds(up_s)}", style="bold"))
+    for why in said.get("rolled_back", {}).values():
+        console.print(Text("program taken back: ", style="bold red") + Text(why))
     _workers_and_processes(said)
     _commands(said.get("commands", []))
     _resources(said.get("resources", []))
