@@ -1,0 +1,158 @@
+"""What the four workers are really asked: their jobs, collected while sentences are carried out in memory.
+
+The functions are the workers' own, the reports those of the MCM's executor over exact arms. A story is seeded: where
+the modules truly are, how far hands are moved. Trims are not followed: what does not go on as planned ends its
+sentence.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from rtc import program
+from rtc.cell import Cell
+from rtc.messages import (
+    AnalyzerInput,
+    Assessment,
+    BinderInput,
+    BoundStep,
+    ElaboratorInput,
+    EndReport,
+    ParserInput,
+    Script,
+    WorkerKind,
+    WorldChange,
+)
+from rtc.primitive import Primitive
+from rtc.world.model import World, initial_facts
+from sim_mcm.arm import TICK_S
+from sim_mcm.executor import Executor
+from sim_mcm.kinematic_arm import KinematicCell
+from workers import analyzer, binder, elaborator, parser
+from workers.cell_model import CellModel
+
+FUNCTIONS: dict[WorkerKind, Any] = {
+    WorkerKind.PARSER: parser,
+    WorkerKind.ELABORATOR: elaborator,
+    WorkerKind.BINDER: binder,
+    WorkerKind.ANALYZER: analyzer,
+}
+OFF_M = 0.002  # modules are this far from where they are believed, at most, along each axis
+LATER_M, LATER_RAD = 0.10, 0.8  # the same of what has moved between two looks at the world
+
+
+class Job(NamedTuple):
+    kind: WorkerKind
+    world: World
+    data: Any
+
+
+class Workers:
+    """The four functions with their own programs compiled, in one cell."""
+
+    def __init__(self, cell: Cell) -> None:
+        self.model = CellModel(cell)
+        self._compiled = {kind: f.compile(program.default(kind)) for kind, f in FUNCTIONS.items()}
+
+    def do(self, job: Job) -> Any:
+        """Product or Refusal."""
+        return FUNCTIONS[job.kind].run(self._compiled[job.kind], self.model, job.world, job.data)
+
+
+class Story:
+    """Sentences carried out one after the other; `jobs` are what was asked, as it was asked."""
+
+    def __init__(self, workers: Workers, rng: random.Random) -> None:
+        self._workers, self._rng = workers, rng
+        self._cell = workers.model.cell
+        self._sim = KinematicCell(self._cell)
+        self._executors = {name: Executor(arm) for name, arm in self._sim.arms.items()}
+        self._commands = 0
+        self.world = World().overlay(initial_facts(self._cell))
+        self.jobs: list[Job] = []
+        for thing in self._cell.objects:
+            if not thing.fixed:
+                self._sim.displace(thing.name, [*(rng.uniform(-OFF_M, OFF_M) for _ in range(3)), 0.0, 0.0, 0.0])
+
+    def say(self, sentence: str) -> bool:
+        """Whether it was done as planned."""
+        self._commands += 1
+        command = f"C-{self._commands}"
+        parsed = self._ask(WorkerKind.PARSER, ParserInput(text=sentence))
+        script = self._ask(WorkerKind.ELABORATOR, ElaboratorInput(command=command, parsed=parsed))
+        if not isinstance(script, Script):
+            return False
+        bindings = dict(script.bindings)
+        for n, step in enumerate(script.steps, 1):
+            data = BinderInput(primitive_id=f"{command}.{n}", context=script.context, step=step, bindings=bindings)
+            bound = self._ask(WorkerKind.BINDER, data)
+            if not isinstance(bound, BoundStep):
+                return False
+            bindings = bindings | bound.bindings
+            if bound.primitive is None:
+                continue
+            assert bound.evaluation is not None
+            report = self._perform(bound.primitive, bound.limit_s)
+            judged = self._ask(WorkerKind.ANALYZER, AnalyzerInput(evaluation=bound.evaluation, report=report))
+            if not isinstance(judged, Assessment) or judged.verdict != "continue":
+                return False
+            self.world = self.world.overlay(judged.changes, source=data.primitive_id)
+            bindings = bindings | judged.keep
+        return True
+
+    def _ask(self, kind: WorkerKind, data: Any) -> Any:
+        self.jobs.append(Job(kind, self.world, data))
+        return self._workers.do(self.jobs[-1])
+
+    def _perform(self, primitive: Primitive, limit_s: float) -> EndReport:
+        said: list[Any] = list(self._executors[primitive.performer].accept(primitive, 0.0))
+        for tick in range(round(limit_s / TICK_S)):
+            for message in said:
+                if isinstance(message, EndReport):
+                    return message
+            self._sim.step()
+            said = [message for executor in self._executors.values() for message in executor.tick(tick * TICK_S)]
+        raise AssertionError(f"no end of {primitive.id} within {limit_s} s")
+
+
+def changed(job: Job, cell: Cell, rng: random.Random) -> Job:
+    """The same to be bound after arms and modules have come to stand elsewhere than when it was planned."""
+    arm = job.data.context.arm
+    changes = []
+    for other in cell.arms:
+        if other.name != arm:
+            joints = [q + rng.uniform(-LATER_RAD, LATER_RAD) for q in job.world.facts[f"{other.name}.joints"].value]
+            changes.append(WorldChange(key=f"{other.name}.joints", value=joints))
+    for thing in cell.objects:
+        if not thing.fixed and not job.world.facts[f"{thing.name}.held_by"].value:
+            x, y, z, *attitude = job.world.facts[f"{thing.name}.frame"].value
+            moved = [n + rng.uniform(-LATER_M, LATER_M) for n in (x, y, z)]
+            changes.append(WorldChange(key=f"{thing.name}.frame", value=[*moved, *attitude]))
+    return job._replace(world=job.world.overlay(changes))
+
+
+def sentences(rng: random.Random) -> Iterator[str]:
+    """A morning's work of two arms: every verb that has a script, free motion, guarded motion, a module in the hand."""
+    yield "MOVE LEFT-ARM TO BAY-2-FRONT"
+    yield "MOVE RIGHT-ARM TO CLEAR-POINT-1"
+    yield f"MOVE RIGHT-ARM BY {rng.uniform(2.0, 10.0):.1f} CM ALONG TOOL-Z MAINTAIN SPEED 10 CM/S"
+    yield f"RETRACT RIGHT-ARM BY {rng.uniform(2.0, 10.0):.1f} CM"
+    yield "STOW LEFT-ARM"
+    yield "MOVE RIGHT-ARM TO RACK-1-FRONT"
+    yield "APPROACH MACS-NEW WITH RIGHT-ARM"
+    yield "GRASP MACS-NEW WITH RIGHT-ARM"
+    yield f"LIFT MACS-NEW BY {rng.uniform(15.0, 25.0):.1f} CM WITH RIGHT-ARM"
+    yield f"MOVE RIGHT-ARM BY {rng.uniform(2.0, 10.0):.1f} CM ALONG UP"
+    yield f"RETRACT RIGHT-ARM BY {rng.uniform(2.0, 10.0):.1f} CM"
+    yield "MOVE RIGHT-ARM TO CLEAR-POINT-1"
+    yield "PLACE MACS-NEW ON RACK-1 WITH RIGHT-ARM"
+    yield "GRASP MACS-NEW WITH RIGHT-ARM"
+    yield "RELEASE MACS-NEW"
+    yield f"OPEN RIGHT-END-EFF BY {rng.uniform(3.0, 7.0):.1f} CM"
+    yield "CLOSE RIGHT-END-EFF MAINTAIN GRIP-FORCE 25 N"
+    yield "HOLD RIGHT-ARM FOR 1 SEC"
+    yield "MOVE RIGHT-ARM TO BAY-2-FRONT"
+    yield "STOW RIGHT-ARM"
+    yield "MOVE LEFT-ARM TO RACK-1-FRONT"  # which it cannot reach

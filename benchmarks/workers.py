@@ -1,0 +1,137 @@
+"""How long do the four workers take for one job each: a sentence, a script, a step, a report?
+
+    python -m benchmarks.workers [--stories 6] [--passes 3]
+
+The functions are the workers' own, with the cell swapout and its default programs, warm, in one process, without
+sockets. The jobs are real: they are collected while stories (`benchmarks.load.stories`) are carried out on exact arms,
+and each step is bound once more after arms and modules have come to stand elsewhere. A motion is bound: that is IK, a
+way that is free of collisions, and its timing. Refusals are told apart. Each pass asks all jobs in another order.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import time
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from importlib import resources
+
+from benchmarks.load.stories import FUNCTIONS, Job, Story, Workers, changed, sentences
+from benchmarks.report import finish, percentile, question, spread
+from rtc import process, program
+from rtc.cell import Cell
+from rtc.messages import BoundStep, ParserInput, WorkerKind
+from rtc.outcomes import Refusal
+from rtc.primitive import JointTrajectory
+from rtc.world.model import World
+from workers.cell_model import CellModel
+
+SEED = 20
+SAMPLES = [
+    line.split(": ", 1)[1] for line in resources.files("rtc.language").joinpath("samples.txt").read_text().splitlines()
+]
+UNIT = {"parse": (1e6, "us"), "elaborate": (1e6, "us"), "bind": (1e3, "ms"), "analyze": (1e6, "us")}
+VERBS = {
+    WorkerKind.PARSER: "parse",
+    WorkerKind.ELABORATOR: "elaborate",
+    WorkerKind.BINDER: "bind",
+    WorkerKind.ANALYZER: "analyze",
+}
+
+
+def main() -> None:
+    words = argparse.ArgumentParser(prog="python -m benchmarks.workers", description=__doc__)
+    words.add_argument("--stories", type=int, default=6, help="a story is some 35 steps, and half a minute of work")
+    words.add_argument("--passes", type=int, default=3, help="over all jobs")
+    given = words.parse_args()
+    question("workers", "How long do the four workers take for one job each?", seed=SEED)
+    cell, rng = Cell.load("swapout"), random.Random(SEED)
+    cold = dict(_cold(cell))
+    workers = Workers(cell)
+    jobs = [Job(WorkerKind.PARSER, World(), ParserInput(text=text)) for text in SAMPLES]
+    for n in range(given.stories):
+        jobs += _told(workers, rng)
+        print(f"  story {n + 1} of {given.stories}: {len(jobs)} jobs", flush=True)
+    jobs += [changed(job, cell, rng) for job in jobs if job.kind is WorkerKind.BINDER]
+    times_s = _timed(workers, jobs, given.passes, rng)
+    bound = times_s["bind any motion"] = [t for label in times_s if label.startswith("bind a ") for t in times_s[label]]
+    rows = [(label, _row(label, times_s[label])) for label in sorted(times_s, key=_place)]
+    rows += [(f"cold: {what}", f"{1e3 * took_s:.0f} ms") for what, took_s in cold.items()]
+    finish(
+        "workers",
+        {
+            "parse_p50_us": 1e6 * percentile(times_s["parse"], 50),
+            "elaborate_p50_us": 1e6 * percentile(times_s["elaborate"], 50),
+            "bind_p50_ms": 1e3 * percentile(bound, 50),
+            "bind_p99_ms": 1e3 * percentile(bound, 99),
+            "analyze_p50_us": 1e6 * percentile(times_s["analyze"], 50),
+            "cold_start_ms": 1e3 * sum(cold.values()),
+        },
+        rows,
+    )
+
+
+def _cold(cell: Cell) -> Iterator[tuple[str, float]]:
+    """What a worker makes before its first job, once (s); libraries are imported."""
+    for kind, function in FUNCTIONS.items():
+        body = program.default(kind)
+        began_s = time.perf_counter()
+        function.compile(body)
+        yield f"compile the {kind.value}'s program", time.perf_counter() - began_s
+    began_s = time.perf_counter()
+    model = CellModel(cell)
+    assert model.arms
+    yield "arms of the cell", time.perf_counter() - began_s
+    began_s = time.perf_counter()
+    assert model.collision
+    yield "bodies of the cell", time.perf_counter() - began_s
+
+
+def _told(workers: Workers, rng: random.Random) -> list[Job]:
+    """The jobs of one story. Its sentences are left out: those that are parsed here are the samples."""
+    story = Story(workers, rng)
+    for sentence in sentences(rng):
+        story.say(sentence)
+    return [job for job in story.jobs if job.kind is not WorkerKind.PARSER]
+
+
+def _timed(workers: Workers, jobs: list[Job], passes: int, rng: random.Random) -> dict[str, list[float]]:
+    """Seconds by kind of job; the first pass warms up."""
+    times_s: dict[str, list[float]] = defaultdict(list)
+    process.freeze_heap()  # as the workers do
+    for n in range(1 + passes):
+        for job in rng.sample(jobs, len(jobs)):
+            began_s = time.perf_counter()
+            product = workers.do(job)
+            took_s = time.perf_counter() - began_s
+            if n > 0:
+                times_s[_label(job, product)].append(took_s)
+        print(f"  pass {n} of {passes}: {len(jobs)} jobs{'' if n else ', not counted'}", flush=True)
+    return times_s
+
+
+def _label(job: Job, product: object) -> str:
+    verb = VERBS[job.kind]
+    if isinstance(product, Refusal):
+        return f"{verb}, refused"
+    if not isinstance(product, BoundStep):
+        return verb
+    trajectory = product.primitive.trajectory if product.primitive else None
+    if not isinstance(trajectory, JointTrajectory):
+        return f"{verb} what moves no arm"
+    assert product.evaluation is not None
+    kind = "a line of the hand" if trajectory.space == "task" else "a joint motion"
+    return f"{verb} {kind}, {'laden' if product.evaluation.held else 'empty hand'}"
+
+
+def _row(label: str, times_s: Iterable[float]) -> str:
+    return spread(list(times_s), *UNIT[label.split()[0].rstrip(",")])
+
+
+def _place(label: str) -> tuple[int, str]:
+    return list(UNIT).index(label.split()[0].rstrip(",")), label
+
+
+if __name__ == "__main__":
+    main()
