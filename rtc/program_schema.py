@@ -136,6 +136,7 @@ class ElaboratorProgram(Part, frozen=True, kw_only=True):
     pieces: list[Piece] = []
     constraints: dict[str, dict[str, str]] = {}  # MAINTAIN slot -> unit ("": said without a value, "name") -> limit
     not_yet: dict[str, str] = {}  # field of the command -> why it is refused
+    instead: dict[str, str] = {}  # verb without a script -> what does the same, or nearly, today
     needs: dict[str, str] = {}  # registered condition of the world -> what would bring it about
     told: dict[str, Tellable] = {}  # attribute of a thing -> how it is told
     not_told: dict[str, str] = {}  # attribute that is found out, not told -> what finds it out

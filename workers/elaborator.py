@@ -356,13 +356,14 @@ def _trims(compiled: Compiled, script: ScriptFile, at: Situation) -> tuple[list[
 
 
 def _no_script(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal:
-    verbs = sorted({branch.verb for branch in program.decision_tree if branch.enabled})
+    scripted = sorted(verbs(program))
+    instead = program.instead.get(parsed.verb, "")
     return Refusal(
         reason=RefusalReason.NO_SCRIPT,
-        message=f"there is no script for {parsed.verb} yet; there are scripts for {', '.join(verbs)}",
+        message=f"there is no script for {parsed.verb} yet",
         where=parsed.verb,
-        expected=verbs,
-        clears=f"a script for {parsed.verb} (docs/scripts.md), or do it with {', '.join(verbs)}",
+        expected=scripted,
+        clears=(f"{instead}; or " if instead else "") + f"load a script for {parsed.verb} (docs/scripts.md)",
     )
 
 

@@ -5,6 +5,7 @@ Plain functions; the app registers them. They print, and decide nothing.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Annotated
 
 import msgspec
@@ -15,9 +16,13 @@ from rtc.language.caret import show
 from rtc.language.parse import default_grammar
 from rtc.language.parse import parse as parse_sentence
 from rtc.language.record import ParsedCommand
+from rtc.messages import WorkerKind
 from rtc.outcomes import Refusal
+from rtc.program import decode, default
+from rtc.program_schema import ElaboratorProgram
 
 REFUSED = 2  # exit status
+CONTROLS = {"HALT", "PAUSE", "RESUME", "ABORT"}  # done by the broker itself, without a script
 
 
 def parse(
@@ -46,17 +51,34 @@ def dictionary(
 ) -> None:
     """Print the dictionary entry of a verb in the paper's Figure 2 notation, or the list of verbs.
 
+    A verb marked (no script yet) is understood and refused until a script for it is loaded (docs/scripts.md).
+
     Example: rtc dictionary GRASP
     """
     if verb is None:
         for word in entries.verbs():
-            typer.echo(f"{word:<10} {entries.meanings().words[word]}")
+            mark = "  (no script yet)" if _unscripted(word) else ""
+            typer.echo(f"{word:<10} {entries.meanings().words[word]}{mark}")
         return
     result = entries.entry(verb)
     if isinstance(result, Refusal):
         typer.echo(show(verb, result), err=True)
         raise typer.Exit(REFUSED)
     typer.echo(result, nl=False)
+    verb = verb.upper()
+    if _unscripted(verb):
+        instead = _elaborator().instead.get(verb, "")
+        typer.echo(f"\n{verb} has no script yet" + (f"; instead: {instead}" if instead else ""), err=True)
+
+
+def _unscripted(verb: str) -> bool:
+    """Nothing does it yet, by the programs as they come."""
+    return verb not in CONTROLS and all(row.verb != verb or not row.enabled for row in _elaborator().decision_tree)
+
+
+@lru_cache(maxsize=1)
+def _elaborator() -> ElaboratorProgram:
+    return decode(default(WorkerKind.ELABORATOR), ElaboratorProgram)
 
 
 def grammar(

@@ -77,6 +77,14 @@ def test_dictionary_lists_the_verbs() -> None:
     assert [line.split()[0] for line in out.splitlines()] == dictionary.verbs()
 
 
+def test_dictionary_marks_what_nothing_does_yet() -> None:
+    lines = {line.split()[0]: line for line in run("dictionary")[1].splitlines()}
+    unscripted = {verb for verb, line in lines.items() if line.endswith("(no script yet)")}
+    assert {"INSERT", "SHOW", "LOAD", "TURN"} <= unscripted
+    assert not unscripted & {"GRASP", "SET", "HALT", "PAUSE"}
+    assert run("dictionary", "INSERT")[2] == "\nINSERT has no script yet; instead: PLACE the module ON the seat\n"
+
+
 def test_dictionary_of_an_unknown_verb() -> None:
     status, out, err = run("dictionary", "GRAPS")
     assert (status, out) == (2, "")
