@@ -175,7 +175,8 @@ def on_halt(turn: Turn, event: HaltCalled) -> None:
             del halts[next(iter(halts))]
         turn.count("halts")
         known = journey.halt(turn, event.halt, event.scope, event.called_at_s)
-        if not known and not told_by_subsystem:
+        # Of a command that has ended nothing moves, as the subsystems confirm: that is no halt of nobody knows what.
+        if not known and not told_by_subsystem and not journey.has_ended(turn, event.scope):
             message = journey.no_target(turn, event.scope).message
             turn.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
     if told_by_subsystem and not any(type(e) is SendHalt and e.halt == event.halt for e in turn.effects):

@@ -87,7 +87,10 @@ def control(turn: Turn, command: Command, head: ParsedHead) -> None:
 def halt_by_command(turn: Turn, command: Command, scope: str) -> None:
     """A halt that came as a sentence. It ends when rest is confirmed, and not by its own halt."""
     if scope != "ALL" and not in_scope(turn, scope) and not _subsystem_of(turn, scope):
-        refuse(turn, command, no_target(turn, scope, command.id))
+        if has_ended(turn, scope):
+            end(turn, command, OutcomeKind.SUCCEEDED, message=f"{scope} has ended already: nothing of it moves")
+        else:
+            refuse(turn, command, no_target(turn, scope, command.id))
         return
     target = turn.state.commands.get(scope)
     if target is not None and not target.subsystem:
@@ -143,9 +146,16 @@ def _subsystem_of(turn: Turn, performer: str) -> str:
     return next((n for n, s in turn.state.subsystems.items() if performer in s.performers), "")
 
 
+def has_ended(turn: Turn, scope: str) -> bool:
+    """It is the number of a command that was accepted and is not live, however long ago."""
+    number = scope.removeprefix("C-")
+    named = scope not in turn.state.commands and scope == f"C-{number}" and number.isascii() and number.isdigit()
+    return named and 0 < int(number[:18]) <= turn.state.accepted
+
+
 def no_target(turn: Turn, scope: str, asker: str = "") -> Refusal:
     """Why nothing is in scope; `asker` is the command that wanted it and is no answer itself."""
-    if scope in turn.state.ended:
+    if has_ended(turn, scope):
         return Refusal(reason=RefusalReason.STATE, message=f"{scope} has ended already")
     live = [command for command in turn.state.commands if command != asker]
     known = [*(p for s in turn.state.subsystems.values() for p in s.performers), *live]

@@ -107,6 +107,11 @@ class HaltResult(msgspec.Struct, kw_only=True):
     declined: bool = False  # nothing is called so: nobody was asked to stop
 
     @property
+    def reached(self) -> bool:
+        """Somebody was in its scope, in motion or not."""
+        return _reached(self.subsystems)
+
+    @property
     def moving(self) -> list[str]:
         return sorted({name for sub in self.subsystems for name in sub.moving})
 

@@ -46,7 +46,9 @@ def print_halt(result: HaltResult, out: Console = console) -> None:
     elif result.latency_s is None:
         line.append(f"REST NOT CONFIRMED: {result.message}", style="bold white on red")
     else:
-        what = f"{', '.join(result.moving)} decelerating" if result.moving else "nothing was moving; it was heard"
+        nothing = f"nothing of {result.scope} moves: it has ended, or not begun"
+        still = "nothing was moving" if result.reached else nothing
+        what = f"{', '.join(result.moving)} decelerating" if result.moving else f"{still}; it was heard"
         line.append(f"{what} after {result.latency_s * 1e3:.2f} ms; ")
         rest = max((sub.rest_s for sub in result.subsystems if sub.rest_s is not None), default=None)
         if result.confirmed and rest is not None:

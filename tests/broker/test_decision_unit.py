@@ -381,6 +381,15 @@ def test_halt_of_one_arm_leaves_the_other():
     assert s.phase("C-1") == "executing"
 
 
+def test_halt_of_an_ended_command_is_no_mistake():
+    s = Story()
+    s.says("X")
+    s.declines("C-1")
+    assert s.halts("C-1") == []  # the MCM confirms that nothing of it moves
+    assert s.halts("C-2", "h2") == ["decline halt h2"]
+    assert s.says("HALT C-1")[-1] == "end C-2 succeeded"
+
+
 def test_halt_of_nothing_known_is_declined():
     assert Story().halts("C-9") == ["decline halt h1"]
 
