@@ -262,6 +262,7 @@ def _roll_back(turn: Turn, command: Command, job: PendingJob, why: str) -> bool:
 
 def on_program(turn: Turn, event: ProgramInstalled) -> None:
     kind = event.kind or "cell"
+    turn.state.began_at_s = turn.state.began_at_s or event.at_s  # it begins with its programs
     programs = turn.state.programs
     if event.kind and kind in programs and programs[kind] != event.digest:
         turn.state.trials[kind] = Trial(new=event.digest, old=programs[kind])

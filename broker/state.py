@@ -181,6 +181,7 @@ class State(msgspec.Struct, kw_only=True):
     commands: dict[str, Command] = {}  # live ones, by id, in order of acceptance
     live: dict[str, int] = {}  # client -> how many of them are its own
     accepted: int = 0
+    began_at_s: float = 0.0  # the cluster, not this broker
     seq: int = 0  # of the event stream
     requests: dict[str, str] = {}  # `request_key` -> command, live or recently ended
     ended: dict[str, Result] = {}  # recently ended, by command

@@ -25,7 +25,8 @@ def status(router: Router) -> dict[str, Any]:
         "cluster": router.settings.run,
         "run_dir": router.settings.run_dir,
         "version": PROTOCOL.decode(),
-        "uptime_s": now - router.began_s,
+        "uptime_s": now - (state.began_at_s or router.began_s),
+        "broker_uptime_s": now - router.began_s,
         "seq": state.seq,
         "processes": router.processes,
         "workers": [

@@ -14,6 +14,8 @@ from rtc.cli.output import AsJson, RunDir, With, console, emit_json, said, secon
 from rtc.client import Client
 from rtc.settings import default_run_dir
 
+SAME_AGE_S = 1.0  # a broker that is younger than its cluster by more has been restarted
+
 
 def up(
     cell: Annotated[str, typer.Option(help="Name of a cell that comes with rtc, or a cell file.")] = "swapout",
@@ -68,7 +70,9 @@ def status(run_dir: RunDir = None, key: With = None, json: AsJson = False) -> No
 def show_status(said: dict[str, Any]) -> None:
     """Print the layout that docs/protocol.md describes; what is absent is left out."""
     up_s, where = said.get("uptime_s", 0.0), said.get("run_dir", "?")
-    console.print(Text(f"cluster {said.get('cluster', '?')} in {where}, up {seconds(up_s)}", style="bold"))
+    broker_s = said.get("broker_uptime_s", up_s)
+    since = f" (its broker {seconds(broker_s)}, after a restart)" if up_s - broker_s > SAME_AGE_S else ""
+    console.print(Text(f"cluster {said.get('cluster', '?')} in {where}, up {seconds(up_s)}{since}", style="bold"))
     for why in said.get("rolled_back", {}).values():
         console.print(Text("program taken back: ", style="bold red") + Text(why))
     _workers_and_processes(said)
