@@ -78,10 +78,43 @@ def control(turn: Turn, command: Command, head: ParsedHead) -> None:
         refuse(turn, command, no_target(turn, scope, command.id))
         return
     stimulus = CONTROLS[head.verb]
+    words = f"{head.verb} told to {', '.join(targets) or 'nobody'}"
+    if answer := PAUSE_ANSWERS.get(stimulus):
+        told = {name: answer(turn.state.commands[name]) for name in targets}
+        targets = [name for name, (will, _) in told.items() if will]
+        words = "; ".join(f"{name} {what}" for name, (_, what) in told.items()) or words
+        if told and not targets:
+            clears = f"HALT {scope} stops now, and ends it" if stimulus is Stimulus.PAUSE else ""
+            refuse(turn, command, Refusal(reason=RefusalReason.STATE, message=words, clears=clears))
+            return
     ending = Ending(kind=OutcomeKind.ABORTED, message=f"aborted by {command.id}")
     for target in targets:
         turn.follow(target, stimulus, ending if stimulus is Stimulus.STOP else None)
-    end(turn, command, OutcomeKind.SUCCEEDED, message=f"{head.verb} told to {', '.join(targets) or 'nobody'}")
+    end(turn, command, OutcomeKind.SUCCEEDED, message=words)
+
+
+Answer = tuple[bool, str]  # will it do so? and what becomes of it, in words
+
+
+def _will_pause(command: Command) -> Answer:
+    """The safe point to pause at is between two steps (R101): after the last there is none."""
+    if command.phase is Phase.PAUSED:
+        return False, "is paused already"
+    if command.phase in (Phase.HALTING, Phase.CLOSING):
+        return False, "is ending"
+    if command.step is None:
+        return True, "pauses before its first step"
+    if command.stack:
+        return True, f"pauses after step {command.step_words}"
+    return False, f"is in its last step ({command.step_words}) and ends with it"
+
+
+def _will_resume(command: Command) -> Answer:
+    going = command.phase is not Phase.PAUSED and not command.pause_wanted
+    return (False, "was not paused") if going else (True, "goes on")
+
+
+PAUSE_ANSWERS = {Stimulus.PAUSE: _will_pause, Stimulus.RESUME: _will_resume}
 
 
 def halt_by_command(turn: Turn, command: Command, scope: str) -> None:

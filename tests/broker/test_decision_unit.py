@@ -457,6 +457,34 @@ def test_pause_takes_effect_between_two_steps_and_resume_goes_on():
     ]
 
 
+@pytest.mark.parametrize(
+    ("verb", "before", "said"),
+    [
+        ("PAUSE", [], "C-1 pauses after step 1 of 2: step 1"),
+        ("PAUSE", ["PAUSE"], "C-1 pauses after step 1 of 2: step 1"),
+        ("RESUME", [], "C-1 was not paused"),
+        ("RESUME", ["PAUSE"], "C-1 goes on"),
+    ],
+)
+def test_who_pauses_or_resumes_is_told_what_will_happen(verb, before, said):
+    s = Story()
+    s.executing(script(steps=2))
+    for word in [*before, verb]:
+        command = s.parsed(kind="control", verb=word, object="C-1")
+    outcome = s.outcome(command)
+    assert outcome.message == said
+    assert outcome.kind is (OutcomeKind.REFUSED if "not" in said else OutcomeKind.SUCCEEDED)
+
+
+def test_a_command_in_its_last_step_cannot_be_paused_and_that_is_said():
+    s = Story()
+    s.executing(script(steps=1))
+    outcome = s.outcome(s.parsed(kind="control", verb="PAUSE", object="C-1"))
+    assert outcome.refusal is not None
+    assert outcome.message == "C-1 is in its last step (1 of 1: step 1) and ends with it"
+    assert outcome.refusal.clears == "HALT C-1 stops now, and ends it"
+
+
 def test_a_paused_command_can_be_halted():
     s = Story()
     s.executing(script(steps=2))
