@@ -65,6 +65,7 @@ class ArmModel:
         self._data = model.createData()
         self._tcp = model.getFrameId(tcp_link)
         self._base = pin.SE3(geometry.to_matrix(self.base_pose))
+        self._turn = np.kron(np.eye(2), self._base.rotation)  # of both halves of a Jacobian into world axes
         self.limits = JointLimits(
             lower=model.lowerPositionLimit.copy(),
             upper=model.upperPositionLimit.copy(),
@@ -112,15 +113,15 @@ class ArmModel:
         """6 x n: tcp velocity [linear m/s, angular rad/s] in world axes per joint velocity (rad/s)."""
         q = np.asarray(joints, dtype=float)
         local = pin.computeFrameJacobian(self.model, self._data, q, self._tcp, pin.LOCAL_WORLD_ALIGNED)
-        turn = self._base.rotation
-        return np.vstack((turn @ local[:3], turn @ local[3:]))
+        turned: Array = self._turn @ local
+        return turned
 
     def sigma_min(self, joints: Floats) -> float:
         """Least singular value of the Jacobian: 0 in a singularity. Metres and radians are mixed, so compare only."""
         return float(np.linalg.svd(self.jacobian(joints), compute_uv=False)[-1])
 
     def limit_margin(self, joints: Floats) -> float:
-        """Distance (rad) of the joint nearest to one of its limits; negative beyond it."""
+        """Distance (rad) of the joint nearest to one of its limits, of one posture or many; negative beyond it."""
         q = np.asarray(joints, dtype=float)
         return float(min((q - self.limits.lower).min(), (self.limits.upper - q).min()))
 

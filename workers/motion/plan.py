@@ -100,8 +100,9 @@ def fault(at: Setting, way: Path) -> Refusal | None:
     hit = at.world.check_path(at.arm.name, configurations, at.joints, at.scene)
     free = configurations if hit is None else configurations[: hit.index]
     margin = at.way_margin_rad - 1e-9
+    within = len(free) == 0 or at.arm.limit_margin(free) >= margin  # asked of all at once: they nearly always are
     for n, joints in enumerate(free):
-        problem = at.arm.why_not_within(joints, margin) or at.rules.broken_by(at.arm, joints)
+        problem = (None if within else at.arm.why_not_within(joints, margin)) or at.rules.broken_by(at.arm, joints)
         if problem is not None:
             return _at(problem, float(s[n]) / way.length)
     return None if hit is None else _at(hit.collision.refusal(), float(s[hit.index]) / way.length)

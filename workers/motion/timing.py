@@ -26,6 +26,7 @@ KNOT_S = 0.03  # quintic Hermite between knots this far apart is off by some mic
 KNOT_M = 0.0075  # at an even pace knots need be no closer than this along the way: slow motions get few
 RAMP_S = 0.1  # from no acceleration to the full one
 CURVE_RAMP_S = 0.5  # of a curve: at each end knots are close together for this long
+GRID = 61  # points of a curve between which its pace is found
 SAMPLES = 33  # of the path, where limits are looked at
 
 
@@ -105,21 +106,21 @@ def _time_curve(arm: ArmModel, path: Path, pace: Pace) -> Timed:
     levers = np.max([np.linalg.norm(arm.jacobian(row)[:3], axis=0) for row in q[::4]], axis=0)
     acceleration = np.minimum(acceleration, pace.acceleration_m_s2 / np.maximum(levers, 0.05))
     rate = np.maximum(_tcp_rate(arm, q, slope), 1e-6)
-
-    def speed_limits(at: float) -> Array:
-        """[joints][least, most]: the joints' own, and what keeps the tcp below its speed (2 % for the samples)."""
-        tcp = np.abs(path.curve(at, 1)) * 0.98 * pace.speed_m_s / np.interp(at, s, rate) + 1e-6  # type: ignore[misc]
-        most = np.minimum(velocity, tcp)
-        return np.stack((-most, most), axis=1)
+    grid = np.linspace(0.0, path.length, GRID)
+    # Joints keep to their own speed, and to what keeps the tcp below its speed (2 % for the samples).
+    tcp = np.abs(path.curve(grid, 1)) * 0.98 * pace.speed_m_s / np.interp(grid, s, rate)[:, None] + 1e-6
+    most = np.minimum(velocity, tcp)
+    speed_limits = np.stack((-most, most), axis=2)  # [grid][joints][least, most]
 
     constraints = [
-        toppra.constraint.JointVelocityConstraintVarying(speed_limits),
+        # It asks at the points of the grid only.
+        toppra.constraint.JointVelocityConstraintVarying(lambda at: speed_limits[np.searchsorted(grid, at)]),
         toppra.constraint.JointAccelerationConstraint(
             np.stack((-acceleration, acceleration), axis=1),
             discretization_scheme=toppra.constraint.DiscretizationType.Interpolation,
         ),
     ]
-    solver = toppra.algorithm.TOPPRA(constraints, path.curve, gridpoints=np.linspace(0, path.length, 61))
+    solver = toppra.algorithm.TOPPRA(constraints, path.curve, gridpoints=grid)
     curve = solver.compute_trajectory(0.0, 0.0)
     assert curve is not None, "from rest to rest within limits there is always a way: slowly"
     time_s = _knot_times(curve.duration, CURVE_RAMP_S, pace.speed_m_s)
