@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import resource
+import time
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -47,7 +48,8 @@ IDLE_S = 600.0  # who has said nothing for so long is forgotten; it says hello a
 HALT_AGAIN_S, HALT_KEPT_S = 0.02, 1.0  # a halt whose door is shut is offered again for so long: a broker restarts
 HALTS_KEPT = 1_000  # whose answers are delivered
 COMMANDS_KEPT = 10_000  # of one planner, that it may control
-LOOK_S, TELL_S, TIDY_S = 0.2, 0.5, 1.0  # at the keys; what was counted, to the broker; after silent peers
+LOOK_S, LOOKS = 0.2, 10  # at the keys; and so often between, when somebody comes who is not known
+TELL_S, TIDY_S, PROBE_S = 0.5, 1.0, 0.2  # what was counted, to the broker; who is silent; whether workers are there
 OWN_SUBSYSTEM = "MCM"
 
 
@@ -86,7 +88,8 @@ class Gate:
         self._commands: dict[str, OrderedDict[str, None]] = {}  # public key of a planner -> its own C-n
         self.counts: Counter[str] = Counter()
         self._told: dict[str, int] = {}
-        self._look, self._tell, self._tidy = Every(LOOK_S), Every(TELL_S), Every(TIDY_S)
+        self._look, self._looks_left = Every(LOOK_S), LOOKS
+        self._tell, self._tidy, self._probe = Every(TELL_S), Every(TIDY_S), Every(PROBE_S)
         self._broker = me.socket(zmq.DEALER, settings.endpoint("supervisor"), identity="gate", poll=False)
         self._zap = me.socket(zmq.REP, "inproc://zeromq.zap.01", bind=True)
         self._outside: dict[str, zmq.Socket[bytes]] = {}
@@ -133,7 +136,7 @@ class Gate:
                 except ClusterError:  # the port is let go of by a thread of its own
                     if now_s() > end_s:
                         raise
-                    zmq.Poller().poll(1)
+                    time.sleep(0.0005)
 
     # --- the loop -------------------------------------------------------------------------------------
 
@@ -147,7 +150,7 @@ class Gate:
 
     def turn(self) -> None:
         """Halts first, then who wants to come in, then the rest."""
-        readable = self.me.wait(HALT_AGAIN_S if self._waiting else min(LOOK_S, TELL_S))
+        readable = self.me.wait(HALT_AGAIN_S if self._waiting else min(LOOK_S, PROBE_S))
         now = now_s()
         ready = set(readable)
         for door in HALTS:
@@ -171,10 +174,15 @@ class Gate:
 
     def _look_after(self, now: float) -> None:
         if self._look.due(now):
+            self._looks_left = LOOKS
             self._look_at_keys()
         if self._tell.due(now) and self.counts != self._told:
             self._told = dict(self.counts)
             send(self._broker, m.Dropped(counts={f"gate_{what}": n for what, n in self.counts.items()}))
+        if self._probe.due(now):
+            for link in [link for link in self._links.values() if link.door == "workers"]:
+                if not self._send_out("workers", link.session, NO_NEWS):
+                    self._lose(link)
         if self._tidy.due(now):
             for link in [link for link in self._links.values() if now - link.heard_s > IDLE_S]:
                 self._forget(link)
@@ -184,7 +192,7 @@ class Gate:
         known = {key.public: key for key in self._ring.known()}
         if known == self._known:
             return
-        gone = self._known.keys() - {public for public, key in known.items() if self._known.get(public) == key}
+        gone = {public: key for public, key in self._known.items() if known.get(public) != key}
         self._known = known
         for link in [link for link in self._links.values() if link.key.public in gone]:
             self._forget(link)
@@ -194,8 +202,12 @@ class Gate:
         for public in gone:
             self._commands.pop(public, None)
         if gone:
-            self.me.log.info("%d keys revoked: cutting all connections", len(gone))
-            self._open_anew(TCP_DOORS)
+            # One connection cannot be cut alone. Where halts come in nobody is cut off for another's sake: what comes
+            # with a revoked key is refused there all the same, as each message is looked at.
+            doors = [d for d in TCP_DOORS if d not in HALTS and any(admits(d, key.role) for key in gone.values())]
+            names = ", ".join(key.name for key in gone.values())
+            self.me.log.info("not known any more: %s; connections are made anew at %s", names, ", ".join(doors))
+            self._open_anew(doors)
 
     # --- who comes in ---------------------------------------------------------------------------------
 
@@ -205,11 +217,18 @@ class Gate:
             version, number, door, where, _, mechanism, *credentials = parts
             public = z85.encode(credentials[0]).decode() if mechanism == b"CURVE" and credentials else ""
             key = self._known.get(public)
+            if key is None and self._looks_left > 0:  # it may have been made a moment ago; a refusal is final
+                self._looks_left -= 1
+                self._look_at_keys()
+                key = self._known.get(public)
             name, text = door.decode(), b"no key that is known here"
             if key is not None and admits(name, key.role):
-                self.me.log.info("%s (%s) comes from %.60s to %s", key.name, key.role, where.decode("latin-1"), name)
                 if name in HALTS:
                     self._halt_line(name, key)
+                else:
+                    self.me.log.info(
+                        "%s (%s) comes from %.60r to %s", key.name, key.role, where.decode("latin-1"), name
+                    )
                 answer = [b"200", b"", public.encode(), b""]
             else:
                 self._count("strangers", f"{key.name if key else 'a stranger'} from {where!r:.60} at {name}")
@@ -263,7 +282,10 @@ class Gate:
     def _link(self, door: str, key: KnownKey, session: bytes, message: Any) -> Link | None:
         """The peer's way in; made when it says hello, or, where nobody has a name, when it speaks first."""
         link = self._links.get((door, session))
-        if link is not None and link.key.public == key.public and not isinstance(message, HELLOS):
+        if link is not None and link.key.public != key.public:  # somebody else, who has chosen the same identity
+            self._forget(link)
+            link = None
+        if link is not None and not isinstance(message, HELLOS):
             return link
         if door not in NAMED:
             return self._connect(door, "", key, session)
@@ -327,15 +349,15 @@ class Gate:
             self._named[door, name] = link
         return link
 
-    def _forget(self, link: Link) -> None:
+    def _forget(self, link: Link, linger_ms: int = 0) -> None:
         if self._links.pop((link.door, link.session), None) is not None:
             self._named.pop((link.door, link.name), None)
             del self._by_socket[link.socket]
-            self._shut(link.socket)
+            self._shut(link.socket, linger_ms)
 
-    def _shut(self, socket: zmq.Socket[bytes]) -> None:
+    def _shut(self, socket: zmq.Socket[bytes], linger_ms: int = 0) -> None:
         self.me.poller.unregister(socket)
-        socket.close(linger=0)
+        socket.close(linger=linger_ms)
 
     def _no_sentence(self, key: KnownKey, message: m.CommandText) -> Refusal | None:
         """Why a planner may not say this. It is read by the language as it comes with the project: what cannot be read
@@ -404,8 +426,15 @@ class Gate:
             if link.key.role is Role.PLANNER and link.door == "front":
                 self._remember_commands(link.key, parts)
             if not self._send_out(link.door, link.session, parts):
-                self._forget(link)
+                self._lose(link)
                 return
+
+    def _lose(self, link: Link) -> None:
+        """Nobody is at the other end. A worker's jobs need not wait until somebody misses them."""
+        if link.door == "workers":
+            self.me.log.info("%s is gone", link.name)
+            _push(link.socket, wire.frames(m.WorkerGone(name=link.name)))
+        self._forget(link, linger_ms=process.LINGER_MS)
 
     def _remember_commands(self, key: KnownKey, parts: Sequence[bytes]) -> None:
         with contextlib.suppress(WireError):
@@ -516,6 +545,7 @@ def _a(role: Role) -> str:
     return f"an {role}" if role[0] in "aeiou" else f"a {role}"
 
 
+NO_NEWS = wire.frames(m.Drop(jobs=[]))  # harmless; whoever is gone cannot be told it
 HELLOS = (m.ClientHello, m.WorkerHello, m.SubsystemHello)
 READ_ACCEPTED = wire.reader(m.BrokerToClient)
 READ_HALT_ANSWER = wire.reader(m.FromHalt)
@@ -540,7 +570,7 @@ def live(run_dir: Path) -> None:
     """Be the gate until told to end."""
     process.show_name("gate")
     with process.start("gate", run_dir) as me:
-        process.nice(-5)
+        process.nice(-5)  # no real time: what strangers send shall not take the processor from arms and broker
         _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # strangers' connections shall not use them up
         default_grammar()  # made now: later it would hold up a halt

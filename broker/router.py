@@ -305,6 +305,10 @@ class Router:
             case m.WorkerHello():
                 lost = self.roster.hello(name, message.node, message.kind, message.pid, now)
                 self._lose(name, lost, "its process was replaced", now)
+            case m.WorkerGone(name=other) if other != name:
+                raise WireError(f"{name!r:.80} says that {other!r:.80} is gone")
+            case m.WorkerGone():
+                self._lose(name, self.roster.gone(name), "its connection was lost", now)
             case m.ProgramWanted():
                 body = self.store.body(message.digest)
                 send(self._socket["workers"], m.ProgramBody(digest=message.digest, body=body), peer)

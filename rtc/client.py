@@ -319,6 +319,8 @@ class Client:
             if (message := self._front.hear(left_s)) is not None:
                 self._take(message)
             self._silence.judge(self._front.unanswered)
+            if shut_out := self._front.shut_out:
+                raise NoCluster(shut_out)
 
     def _take(self, message: m.BrokerToClient) -> None:
         match message:

@@ -114,6 +114,11 @@ class FrontDoor:
             self._open.pop(message.request, None)
         return message
 
+    @property
+    def shut_out(self) -> str:
+        """Over tcp, when the cluster has said that it does not know our key: that, in words."""
+        return self._why_far() if self._unknown else ""
+
     def close(self) -> None:
         self._socket.disable_monitor()
         self._monitor.close(linger=0)

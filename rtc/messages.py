@@ -267,6 +267,12 @@ class ResultBatch(Message, frozen=True, kw_only=True):
     results: Annotated[list[JobResult], msgspec.Meta(max_length=1000)]
 
 
+class WorkerGone(Message, frozen=True, kw_only=True):
+    """Said for a worker on another machine, in its place, by the gate: its connection is lost."""
+
+    name: Name
+
+
 class ProgramWanted(Message, frozen=True, kw_only=True):
     digest: str
 
@@ -702,7 +708,7 @@ class SimDone(Message, frozen=True, kw_only=True):
 
 ClientToBroker = ClientHello | CommandText | StatusQuery | TraceQuery | ProgramText | Shutdown | Heartbeat
 BrokerToClient = Welcome | Accepted | Declined | ProgressNote | CommandEnded | StatusReply | TraceReply | ProgramLoaded
-WorkerToBroker = WorkerHello | Heartbeat | ResultBatch | ProgramWanted
+WorkerToBroker = WorkerHello | Heartbeat | ResultBatch | ProgramWanted | WorkerGone
 BrokerToWorker = JobBatch | Drop | ProgramBody | Shutdown
 SubsystemToBroker = (
     SubsystemHello | Heartbeat | Started | ProgressReport | EndReport | HaltStarted | HaltAtRest | HaltOrder | Dropped

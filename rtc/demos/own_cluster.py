@@ -18,7 +18,9 @@ DOWN_S = 20.0
 
 
 @contextmanager
-def own_cluster(*, cell: str = "swapout", mcm: str = "bullet", speed: str = "1", dim: int = 2) -> Iterator[Path]:
+def own_cluster(
+    *, cell: str = "swapout", mcm: str = "bullet", speed: str = "1", dim: int = 2, listen: str = ""
+) -> Iterator[Path]:
     """The run directory of a new cluster. Raises ClusterError, with its last words, when it does not come up.
 
     SIGTERM to this process ends the cluster too.
@@ -26,7 +28,8 @@ def own_cluster(*, cell: str = "swapout", mcm: str = "bullet", speed: str = "1",
     run_dir = Path(tempfile.mkdtemp(prefix="rtc-"))
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        _deploy("up", run_dir, READY_S, "-d", "--cell", cell, "--mcm", mcm, "--speed", speed, "--dim", str(dim))
+        options = ["--cell", cell, "--mcm", mcm, "--speed", speed, "--dim", str(dim), "--listen", listen]
+        _deploy("up", run_dir, READY_S, "-d", *options)
         yield run_dir
     finally:
         signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,378 @@
+"""A real cluster reached over tcp: every role does what it may and nothing else, strangers get nothing, nobody is hurt.
+
+Exact arms in real time, so that a halt has something to stop. `pytest -m slow`; half a minute in all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import socket as sockets
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+import zmq
+
+from benchmarks.fuzz import Others
+from rtc import messages as m
+from rtc import wire
+from rtc.chaos import processes
+from rtc.client import Client
+from rtc.demos.own_cluster import own_cluster
+from rtc.keys import KeyFile, KeyRing, door_address
+from rtc.outcomes import ClusterError, NoCluster, OutcomeKind, RefusalReason, RequestDeclined
+from rtc.roles import TCP_DOORS, Role
+
+pytestmark = pytest.mark.slow
+
+LIMIT_S = 20.0
+SILENCE_MS = 300  # who has got nothing by then gets nothing
+SEED = 3
+PAUSE = threading.Event()
+STOW = "STOW RIGHT-ARM"
+AWAY = "MOVE RIGHT-ARM TO JOINTS -40 110 -160 0 50 0 DEG JOINT-MOTION"
+FRONT_WORDS = (m.ClientHello(client="x"), m.CommandText(request="r", text=STOW), m.StatusQuery(request="s"))
+
+
+@pytest.fixture(scope="module")
+def run_dir() -> Iterator[Path]:
+    with own_cluster(mcm="kinematic", listen=f"tcp://127.0.0.1:{free_ports()}") as path:
+        yield path
+
+
+def free_ports() -> int:
+    """The first of as many free ports in a row as there are doors."""
+    for first in range(20_000 + os.getpid() % 5_000, 40_000, len(TCP_DOORS)):
+        with contextlib.ExitStack() as held, contextlib.suppress(OSError):
+            for door in range(len(TCP_DOORS)):
+                held.enter_context(sockets.socket()).bind(("127.0.0.1", first + door))
+            return first
+    raise AssertionError("no free ports")
+
+
+@pytest.fixture
+def new_key(run_dir: Path, tmp_path: Path) -> Iterator[Callable[[str], Path]]:
+    """Makes a key of a role; all are revoked at the end."""
+    ring, made = KeyRing(run_dir), []
+    address = address_of(run_dir)
+
+    def new(role: str, name: str = "") -> Path:
+        made.append(name or f"{role}-{len(made)}")
+        path = tmp_path / f"{made[-1]}.key"
+        ring.new(made[-1], Role(role), address, path)
+        return path
+
+    yield new
+    for known in ring.known():
+        ring.revoke(known.name)
+
+
+def address_of(run_dir: Path) -> str:
+    with Client(run_dir) as rtc:
+        return rtc.settings.listen
+
+
+@pytest.fixture
+def context() -> Iterator[zmq.Context[Any]]:
+    context: zmq.Context[Any] = zmq.Context()
+    yield context
+    context.destroy(linger=0)
+
+
+def refusal_of(rtc: Client, text: str) -> RefusalReason:
+    refusal = rtc.run(text, timeout_s=LIMIT_S).outcome.refusal
+    assert refusal is not None
+    return refusal.reason
+
+
+def moving(rtc: Client) -> None:
+    """Wait until an arm moves."""
+    for sample in rtc.telemetry(silence_s=LIMIT_S):
+        if max(max(map(abs, arm.velocities)) for arm in sample.arms.values()) > 0.05:
+            return
+    raise AssertionError("no telemetry")
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    end = os.times().elapsed + LIMIT_S
+    while not condition():
+        assert os.times().elapsed < end
+        PAUSE.wait(0.05)  # a client may not ask without end
+
+
+# --- roles ---------------------------------------------------------------------------------------------
+
+
+def test_an_operator_does_over_tcp_what_can_be_done_here(new_key: Callable[[str], Path], run_dir: Path) -> None:
+    with Client(key=new_key("operator")) as rtc:
+        notes: list[m.ProgressNote] = []
+        ended = rtc.run(STOW, on_progress=notes.append, timeout_s=LIMIT_S)
+
+        assert ended.outcome.kind is OutcomeKind.SUCCEEDED
+        assert notes
+        assert rtc.trace(ended.command).text == STOW
+        assert "gate" in {row["name"] for row in rtc.status()["processes"]}
+        assert rtc.world.view(keys=["RIGHT-ARM"]).facts
+        with pytest.raises(RequestDeclined) as declined:  # it is read, and does not check: so it was let through
+            rtc.load("binder", Path(__file__))
+        assert declined.value.refusal.reason is not RefusalReason.NOT_ALLOWED
+
+
+def test_an_observer_sees_all_and_commands_nothing(new_key: Callable[[str], Path], run_dir: Path) -> None:
+    with Client(run_dir) as here, Client(key=new_key("observer")) as rtc:
+        assert here.run(STOW, timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
+        events = rtc.events(silence_s=LIMIT_S)
+        heard: list[Any] = []
+        listening = threading.Thread(target=lambda: heard.append(next(events)))
+        listening.start()
+        while listening.is_alive():  # its subscription has to arrive first
+            here.run(STOW, timeout_s=LIMIT_S)
+        events.close()  # type: ignore[attr-defined]
+
+        assert isinstance(heard[0], m.ProgressNote | m.CommandEnded)
+        assert next(rtc.telemetry(silence_s=LIMIT_S)).arms
+        assert rtc.world.view(keys=["RIGHT-ARM"]).facts
+        assert refusal_of(rtc, STOW) is RefusalReason.NOT_ALLOWED
+        halted = rtc.halt()
+        assert not halted.confirmed
+        assert "observer" in halted.message
+        with pytest.raises(RequestDeclined, match="not allowed"):
+            rtc.load("binder", Path(__file__))
+        assert here.status()["halts"]["called"] == 0 or here.status()["commands_live"] == 0
+
+
+def test_a_planner_controls_its_own_commands_only(new_key: Callable[[str], Path], run_dir: Path) -> None:
+    with Client(run_dir) as here, Client(key=new_key("planner")) as rtc:
+        theirs, own = here.submit("HOLD LEFT-ARM"), rtc.submit("HOLD RIGHT-ARM")
+
+        assert refusal_of(rtc, f"ABORT {theirs}") is RefusalReason.NOT_ALLOWED
+        assert refusal_of(rtc, "RESUME ALL") is RefusalReason.NOT_ALLOWED
+        assert rtc.run(f"ABORT {own}", timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
+        assert rtc.wait(own, LIMIT_S).outcome.kind is OutcomeKind.ABORTED
+        assert here.trace(own).source == "aip"
+        assert rtc.halt(theirs, timeout_s=LIMIT_S).confirmed
+        assert here.wait(theirs, LIMIT_S).outcome.kind is OutcomeKind.HALTED
+
+
+def test_a_halt_over_tcp_stops_a_moving_arm(new_key: Callable[[str], Path], run_dir: Path) -> None:
+    with Client(run_dir) as here, Client(key=new_key("operator")) as rtc:
+        assert here.run(STOW, timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
+        command = rtc.submit(AWAY)
+        moving(here)
+
+        halted = rtc.halt(timeout_s=LIMIT_S)
+
+        assert (halted.confirmed, halted.moving, halted.told) == (True, ["RIGHT-ARM"], ["estop", "halt"])
+        assert rtc.wait(command, LIMIT_S).outcome.kind is OutcomeKind.HALTED
+
+
+def test_a_worker_key_serves_and_does_nothing_else(new_key: Callable[[str], Path], run_dir: Path) -> None:
+    """The binder from elsewhere gets jobs, and what it binds is done."""
+    key = new_key("worker")
+    with pytest.raises(Exception, match="role worker"):
+        Client(key=key)
+    with Client(run_dir) as here, worker(key, 18):
+        wait_for(lambda: "binder@18" in {row["name"] for row in here.status()["workers"]})
+        nodes: set[str] = set()
+        while "binder@18" not in nodes:
+            ended = here.run(STOW, timeout_s=LIMIT_S)
+            assert ended.outcome.kind is OutcomeKind.SUCCEEDED
+            both = here.run_many([STOW, "STOW LEFT-ARM"], timeout_s=LIMIT_S)
+            assert {one.outcome.kind for one in both} == {OutcomeKind.SUCCEEDED}
+            nodes |= {note.node for one in (ended, *both) for note in here.trace(one.command).notes}
+
+
+def test_a_killed_worker_from_elsewhere_is_missed_at_once(new_key: Callable[[str], Path], run_dir: Path) -> None:
+    with Client(run_dir) as here:
+        with worker(new_key("worker"), 18) as process:
+            wait_for(lambda: "binder@18" in {row["name"] for row in here.status()["workers"]})
+            process.send_signal(signal.SIGKILL)
+        wait_for(lambda: "binder@18" not in {row["name"] for row in here.status()["workers"]})
+
+
+def test_a_worker_gets_no_node_that_is_taken(new_key: Callable[[str], Path]) -> None:
+    with worker(new_key("worker"), 2) as process:
+        assert process.wait(LIMIT_S) == 1
+        assert b"does not want binder@2" in process.stderr.read()
+
+
+@contextlib.contextmanager
+def worker(key: Path, node: int) -> Iterator[Any]:
+    command = [sys.executable, "-P", "-m", "workers", "--kind", "binder", "--node", str(node), "--with", str(key)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        assert process.stderr is not None
+        process.stderr.close()
+
+
+def test_a_subsystem_comes_under_the_name_of_its_key_alone(
+    new_key: Callable[..., Path], run_dir: Path, context: zmq.Context[Any]
+) -> None:
+    door = Door(context, KeyFile.load(new_key("subsystem", "TOOLS")), "subsystems")
+    with Client(run_dir) as here:
+        door.say(m.SubsystemHello(name="MCM", pid=1, performers=["LEFT-ARM"]))
+        door.say(m.SubsystemHello(name="OTHER", pid=1, performers=[]))
+        door.say(m.SubsystemHello(name="TOOLS", pid=1, performers=["TOOL-1"]))
+        wait_for(lambda: "TOOLS" in {row["name"] for row in here.status()["subsystems"]})
+
+        names = {row["name"]: row["performers"] for row in here.status()["subsystems"]}
+        assert "OTHER" not in names
+        assert len(names["MCM"]) == 2
+        assert here.run("STOW LEFT-ARM", timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
+
+
+# --- strangers -----------------------------------------------------------------------------------------
+
+
+class Door:
+    """A bare peer at one door: with a key, with a key that nobody knows, or in plain tcp."""
+
+    def __init__(self, context: zmq.Context[Any], key: KeyFile, door: str, *, plain: bool = False) -> None:
+        self._socket = context.socket(zmq.SUB if door in ("events", "telemetry") else zmq.DEALER)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        if door in ("events", "telemetry"):
+            self._socket.subscribe(b"")
+        if not plain:
+            key.secure(self._socket)
+        self._socket.connect(door_address(key.address, door))
+
+    def say(self, message: Any) -> None:
+        self._socket.send_multipart(wire.frames(message))
+
+    def hear(self, limit_ms: int = SILENCE_MS) -> list[bytes] | None:
+        return self._socket.recv_multipart() if self._socket.poll(limit_ms) else None
+
+
+@pytest.mark.parametrize("plain", [True, False], ids=["without any key", "with a key that nobody knows"])
+def test_a_stranger_gets_nothing_at_any_door(
+    run_dir: Path, context: zmq.Context[Any], tmp_path: Path, plain: bool
+) -> None:
+    ring = KeyRing(tmp_path)  # of another cluster
+    stranger = ring.new("eve", Role.OPERATOR, address_of(run_dir), tmp_path / "eve.key")
+    stranger = KeyFile(**{**as_dict(stranger), "cluster": KeyRing(run_dir).cluster().public})
+    doors = {door: Door(context, stranger, door, plain=plain) for door in TCP_DOORS}
+    for name in ("front", "halt", "estop"):
+        for message in (*FRONT_WORDS, m.HaltOrder(halt="H-eve")):
+            doors[name].say(message)
+
+    with Client(run_dir) as here:
+        before = here.status()
+        answers = {name: door.hear() for name, door in doors.items()}
+        after = here.status()
+
+    assert answers == dict.fromkeys(TCP_DOORS)
+    assert (after["commands_accepted"], after["halts"]) == (before["commands_accepted"], before["halts"])
+
+
+def as_dict(key: KeyFile) -> dict[str, Any]:
+    return {field: getattr(key, field) for field in key.__struct_fields__}
+
+
+def test_an_unknown_key_is_told_what_to_do(run_dir: Path, tmp_path: Path) -> None:
+    path = tmp_path / "eve.key"
+    known = KeyRing(run_dir).new("eve", Role.OPERATOR, address_of(run_dir), path)
+    KeyRing(run_dir).revoke("eve")
+    with pytest.raises(NoCluster, match="does not know this key"):
+        Client(key=path)
+    with Client(key=path, need_broker=False) as rtc, pytest.raises(ClusterError, match="halt not sent"):
+        rtc.halt()
+
+    other = KeyRing(tmp_path).new("eve", Role.OPERATOR, known.address, tmp_path / "wrong.key")
+    assert other.cluster != known.cluster
+    with pytest.raises(NoCluster, match="not the cluster of this key file"):
+        Client(key=tmp_path / "wrong.key")
+    other = KeyRing(tmp_path).new("bob", Role.OPERATOR, f"tcp://127.0.0.1:{free_ports()}", tmp_path / "nobody.key")
+    with pytest.raises(NoCluster, match="no answer from"):
+        Client(key=tmp_path / "nobody.key")
+
+
+def test_a_revoked_key_is_cut_off_in_the_middle_of_its_work(new_key: Callable[[str], Path], run_dir: Path) -> None:
+    with Client(run_dir) as here, Client(key=new_key("observer")) as other:
+        with Client(key=new_key("operator")) as rtc:
+            command = rtc.submit("HOLD LEFT-ARM")
+            samples = rtc.telemetry(silence_s=1.0)
+            next(samples)
+            KeyRing(run_dir).revoke("operator-1")
+            with pytest.raises(NoCluster, match="does not know this key"):
+                rtc.wait(command, LIMIT_S)
+            assert len(list(samples)) < 10_000  # it ends
+            halts = here.status()["halts"]["called"]
+            with contextlib.suppress(ClusterError):
+                assert not rtc.halt(timeout_s=0.5).confirmed
+            assert here.status()["halts"]["called"] == halts
+        assert here.trace(command).phase is m.Phase.EXECUTING  # what it began is whoever's to halt
+        assert here.halt(timeout_s=LIMIT_S).confirmed
+        assert other.status()["commands_live"] == 0  # the others are there again
+
+
+# --- harm ----------------------------------------------------------------------------------------------
+
+
+def test_random_bytes_at_every_port_hurt_nobody(run_dir: Path, new_key: Callable[[str], Path]) -> None:
+    rng, before = random.Random(SEED), pids(run_dir)
+    address = address_of(run_dir)
+    with Client(key=new_key("operator")) as rtc:
+        for _ in range(5):
+            for door in TCP_DOORS:
+                stream_garbage(door_address(address, door), rng)
+            assert rtc.halt(timeout_s=LIMIT_S).confirmed
+
+    assert pids(run_dir) == before
+
+
+def stream_garbage(address: str, rng: random.Random) -> None:
+    """Bytes of somebody who speaks no ZeroMQ, or stops in the middle of it, or says it has another mechanism."""
+    host, port = urlsplit(address).hostname, urlsplit(address).port
+    for mechanism in (b"CURVE", b"NULL", b"PLAIN", b""):
+        greeting = b"\xff" + bytes(8) + b"\x7f\x03\x00" + mechanism.ljust(20, b"\0") + bytes(32)
+        hello = b"\x04\xc8\x05HELLO\x01\x00" + rng.randbytes(192)
+        endless = b"\x02" + (1 << 62).to_bytes(8, "big")
+        for said in (rng.randbytes(500), greeting[:20], greeting + rng.randbytes(300), greeting + hello + endless):
+            with contextlib.suppress(OSError), sockets.create_connection((host, port), timeout=1.0) as line:
+                line.sendall(said)
+
+
+@pytest.mark.parametrize("door", ["front", "halt", "estop", "world", "workers", "subsystems"])
+def test_nonsense_from_one_who_has_a_key_hurts_nobody(
+    run_dir: Path, new_key: Callable[[str], Path], context: zmq.Context[Any], door: str
+) -> None:
+    role = {"workers": "worker", "subsystems": "subsystem"}.get(door, "operator")
+    before, others = pids(run_dir), Others(run_dir)
+    rng = random.Random(SEED)
+    peer = Door(context, KeyFile.load(new_key(role)), door)
+    for _ in range(300):
+        peer._socket.send_multipart([rng.randbytes(rng.choice((0, 4, 300))) for _ in range(rng.choice((1, 2, 5)))])
+        peer._socket.send_multipart([wire.PROTOCOL, rng.randbytes(30)])
+    peer.say(m.TraceQuery(request="r", command="C-1"))
+    wait_for(lambda: int(others.rtc.status()["counters"].get("dropped_gate_unreadable", 0)) >= 600)
+
+    noticed = others.notice(0.3)
+    others.close()
+    assert not noticed.wrong
+    assert pids(run_dir) == before
+
+
+def pids(run_dir: Path) -> dict[str, int]:
+    """Of all but those who come and go by themselves."""
+    return {name: row.pid for name, row in processes(run_dir).items() if "template" not in name and "@" not in name}
+
+
+def test_a_killed_gate_is_back_and_what_was_open_is_answered(new_key: Callable[[str], Path], run_dir: Path) -> None:
+    with Client(run_dir) as here, Client(key=new_key("operator")) as rtc:
+        command = rtc.submit("HOLD LEFT-ARM")
+        os.kill(pids(run_dir)["gate"], signal.SIGKILL)
+        assert here.halt(command, timeout_s=LIMIT_S).confirmed
+        assert rtc.wait(command, LIMIT_S).outcome.kind is OutcomeKind.HALTED
+        assert rtc.halt(timeout_s=LIMIT_S).confirmed

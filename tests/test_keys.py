@@ -1,0 +1,129 @@
+"""Keys on disk: made once, for their owner alone, found, revoked; and what a wrong file is told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from rtc.keys import KeyFile, KeyRing, check_address, door_address, is_everywhere
+from rtc.outcomes import KeyTrouble
+from rtc.roles import TCP_DOORS, Role
+
+AT = "tcp://lab:5555"
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> KeyRing:
+    return KeyRing(tmp_path / "run")
+
+
+def test_a_new_key_is_known_by_its_public_half_and_whole_in_one_file(ring: KeyRing, tmp_path: Path) -> None:
+    made = ring.new("alice", Role.OPERATOR, AT, tmp_path / "alice.key")
+
+    assert KeyFile.load(tmp_path / "alice.key") == made
+    assert [(known.name, known.role, known.public) for known in ring.known()] == [("alice", Role.OPERATOR, made.public)]
+    assert made.cluster == ring.cluster().public
+    kept = "".join(path.read_text() for path in ring.path.iterdir())
+    assert made.secret not in kept
+
+
+def test_all_files_are_their_owners_alone(ring: KeyRing, tmp_path: Path) -> None:
+    ring.new("alice", Role.OPERATOR, AT, tmp_path / "alice.key")
+
+    files = [tmp_path / "alice.key", *ring.path.iterdir()]
+    assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
+    assert ring.path.stat().st_mode & 0o777 == 0o700
+
+
+def test_the_cluster_keeps_its_own_key(ring: KeyRing) -> None:
+    assert ring.cluster() == KeyRing(ring.path.parent).cluster()
+
+
+def test_a_revoked_key_is_not_known_and_its_name_is_free(ring: KeyRing, tmp_path: Path) -> None:
+    first = ring.new("alice", Role.OPERATOR, AT, tmp_path / "1.key")
+    ring.revoke("alice")
+    assert ring.known() == []
+    second = ring.new("alice", Role.OBSERVER, AT, tmp_path / "2.key")
+
+    assert [known.public for known in ring.known()] == [second.public] != [first.public]
+
+
+def test_nothing_that_is_there_is_written_over(ring: KeyRing, tmp_path: Path) -> None:
+    ring.new("alice", Role.OPERATOR, AT, tmp_path / "alice.key")
+    before = (tmp_path / "alice.key").read_bytes()
+
+    with pytest.raises(KeyTrouble, match="rtc keys revoke alice"):
+        ring.new("alice", Role.OBSERVER, AT, tmp_path / "other.key")
+    with pytest.raises(KeyTrouble, match="--out"):
+        ring.new("bob", Role.OBSERVER, AT, tmp_path / "alice.key")
+    assert (tmp_path / "alice.key").read_bytes() == before
+    assert [known.name for known in ring.known()] == ["alice"]
+    assert not (tmp_path / "other.key").exists()
+
+
+@pytest.mark.parametrize("name", ["", "../x", "a/b", "a b", ".x", "é", "x" * 33, "a\n"])
+def test_a_name_that_could_be_mistaken_is_none(ring: KeyRing, tmp_path: Path, name: str) -> None:
+    with pytest.raises(KeyTrouble, match="no name for a key"):
+        ring.new(name, Role.OBSERVER, AT, tmp_path / "x.key")
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        *("", "lab:5555", "tcp://lab", "tcp://:5555", "tcp://lab:0", "tcp://lab:x", "tcp://lab:99999"),
+        *("tcp://lab:65530", "tcp://lab:5555/x", "ipc:///tmp/x", "tcp://a@lab:5555"),
+    ],
+)
+def test_what_is_no_address_is_told_with_one_that_is(address: str) -> None:
+    with pytest.raises(KeyTrouble, match=r"tcp://|no room"):
+        check_address(address)
+
+
+def test_each_door_has_its_port() -> None:
+    ports = [door_address("tcp://[::1]:5555", door).rpartition(":")[2] for door in TCP_DOORS]
+    assert ports == [str(5555 + n) for n in range(len(TCP_DOORS))]
+    assert door_address("tcp://*:5555", "front") == "tcp://*:5555"
+
+
+@pytest.mark.parametrize("address", ["tcp://*:1", "tcp://0.0.0.0:1", "tcp://[::]:1"])
+def test_everywhere_is_no_address_for_others(address: str) -> None:
+    assert is_everywhere(address)
+
+
+def test_a_key_has_no_way_where_its_role_has_no_business(ring: KeyRing, tmp_path: Path) -> None:
+    key = ring.new("w1", Role.WORKER, AT, tmp_path / "w1.key")
+    assert key.endpoint("workers").startswith("tcp://lab:")
+    for door in ("front", "halt", "bench", "supervisor"):
+        with pytest.raises(KeyTrouble, match="role worker"):
+            key.endpoint(door)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"secret": "x" * 40}, {"public": "short"}, {"cluster": "é"}, {"role": "king"}, {"address": "lab"}, {"name": None}],
+)
+def test_a_damaged_file_is_told_apart(ring: KeyRing, tmp_path: Path, change: dict[str, object]) -> None:
+    path = tmp_path / "alice.key"
+    ring.new("alice", Role.OPERATOR, AT, path)
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(KeyTrouble):
+        KeyFile.load(path)
+
+
+@pytest.mark.parametrize("body", [b"", b"\xff\xfe", b"[]", b"{}", b"x" * 10_000])
+def test_what_is_no_key_file_is_told_so(tmp_path: Path, body: bytes) -> None:
+    path = tmp_path / "x.key"
+    path.write_bytes(body)
+    with pytest.raises(KeyTrouble, match="no key file"):
+        KeyFile.load(path)
+    with pytest.raises(KeyTrouble, match="there is no key file"):
+        KeyFile.load(tmp_path)
+
+
+def test_a_spoiled_file_in_the_ring_lets_nobody_in(ring: KeyRing, tmp_path: Path) -> None:
+    ring.new("alice", Role.OPERATOR, AT, tmp_path / "alice.key")
+    (ring.path / "bob.known").write_bytes((ring.path / "alice.known").read_bytes())  # a name that is not its own
+    (ring.path / "eve.known").write_bytes(b"nonsense")
+    assert [known.name for known in ring.known()] == ["alice"]

@@ -1,0 +1,90 @@
+"""The table of roles: what it lets through, and that it names every door and every message with care."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import pytest
+
+from rtc import messages as m
+from rtc.language.parse import default_grammar, parse
+from rtc.language.record import ParsedCommand
+from rtc.roles import MAY, Role, admits, may_say, no_sentence_for_a_planner
+
+HALT = m.HaltOrder(halt="H-1")
+SENTENCE = m.CommandText(request="r", text="STOW LEFT-ARM")
+LOAD = m.ProgramText(request="r", kind=m.WorkerKind.PARSER, name="x", body=b"")
+STATUS = m.StatusQuery(request="r")
+COMMIT = m.Commit(request="r", lease=m.Lease(job="j", locations=[], signature=b""), changes=[], source="s")
+
+
+@pytest.mark.parametrize(
+    ("door", "message", "roles"),
+    [
+        ("front", STATUS, {Role.OBSERVER, Role.PLANNER, Role.OPERATOR}),
+        ("front", SENTENCE, {Role.PLANNER, Role.OPERATOR}),
+        ("front", LOAD, {Role.OPERATOR}),
+        ("front", m.Shutdown(), {Role.OPERATOR}),
+        ("halt", HALT, {Role.PLANNER, Role.OPERATOR}),
+        ("estop", HALT, {Role.PLANNER, Role.OPERATOR}),
+        ("world", m.ReadView(request="r"), {Role.OBSERVER, Role.PLANNER, Role.OPERATOR, Role.WORKER}),
+        ("world", COMMIT, {Role.WORKER}),
+        ("workers", m.Heartbeat(name="binder@18"), {Role.WORKER}),
+        ("subsystems", m.Heartbeat(name="MCM2"), {Role.SUBSYSTEM}),
+    ],
+)
+def test_who_may_say_what(door: str, message: object, roles: set[Role]) -> None:
+    assert {role for role in Role if may_say(door, role, message)} == roles
+
+
+def test_whoever_may_say_something_is_let_in_and_nobody_else() -> None:
+    for door, row in MAY.items():
+        assert {role for role in Role if admits(door, role)} == set(row)
+
+
+def test_there_is_no_way_to_the_supervisor_and_the_simulator_and_none_by_a_wrong_door() -> None:
+    assert not {"supervisor", "bench"} & MAY.keys()
+    assert not may_say("supervisor", Role.OPERATOR, m.Shutdown())
+    assert not may_say("workers", Role.WORKER, SENTENCE)
+
+
+def test_whoever_can_move_an_arm_can_stop_it() -> None:
+    for role in Role:
+        if may_say("front", role, SENTENCE):
+            assert may_say("halt", role, HALT)
+            assert may_say("estop", role, HALT)
+
+
+@pytest.mark.parametrize(
+    ("door", "union"),
+    [
+        ("front", m.ClientToBroker),
+        ("world", m.ToWorld),
+        ("workers", m.WorkerToBroker),
+        ("subsystems", m.SubsystemToBroker),
+    ],
+)
+def test_the_table_allows_only_what_the_door_inside_can_read(door: str, union: object) -> None:
+    for kinds in MAY[door].values():
+        assert set(kinds) <= set(get_args(union))
+
+
+@pytest.mark.parametrize(
+    ("sentence", "allowed"),
+    [
+        ("STOW LEFT-ARM", True),
+        ("SHOW MACS-OLD", True),
+        ("HALT ALL", True),
+        ("HALT C-99", True),
+        ("RESUME C-1", True),
+        ("RESUME C-2", False),
+        ("ABORT C-2", False),
+        ("PAUSE", False),
+        ("RESUME LEFT-ARM", False),
+        ("LOAD X INTO ELABORATOR", False),
+    ],
+)
+def test_a_planner_controls_its_own_commands_and_halts_all(sentence: str, allowed: bool) -> None:
+    parsed = parse(default_grammar(), sentence)
+    assert isinstance(parsed, ParsedCommand)
+    assert (no_sentence_for_a_planner(parsed, lambda command: command == "C-1") == "") is allowed
