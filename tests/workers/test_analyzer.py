@@ -231,6 +231,19 @@ def test_fingers_halted_while_they_press_do_hold(bench):
     assert (refusal.reason, refusal.clears) == (RefusalReason.SUSPECT, "VERIFY MACS-NEW AT RIGHT-ARM")
 
 
+def test_a_lift_that_closes_on_nothing_finds_out(bench):
+    assert bench.do(GRASP).succeeded
+    bench.subsystem.closes = [0.001]  # it was taken away meanwhile
+
+    run = bench.do("LIFT MACS-NEW BY 5 CM")
+
+    assert run.labels == ["hold MACS-NEW tight"]
+    assert run.reasons == ["no_contact"]
+    assert run.assessments[-1].message.endswith("closed to 1.0 mm: MACS-NEW is not between the fingers")
+    assert bench.world.value("RIGHT-ARM.holding") == ""
+    assert bench.world.get("MACS-NEW.frame").validity is Validity.SUSPECT
+
+
 def test_a_lost_object_is_held_no_more(bench):
     bench.do(GRASP)
     bound, report = bound_and_done(bench, "LIFT MACS-NEW BY 15 CM", 1)
