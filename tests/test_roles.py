@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import get_args
 
 import pytest
@@ -88,3 +89,19 @@ def test_a_planner_controls_its_own_commands_and_halts_all(sentence: str, allowe
     parsed = parse(default_grammar(), sentence)
     assert isinstance(parsed, ParsedCommand)
     assert (no_sentence_for_a_planner(parsed, lambda command: command == "C-1") == "") is allowed
+
+
+def test_the_page_on_security_shows_this_table() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "security.md").read_text()
+
+    def cell(door: str, role: Role) -> str:
+        kinds = MAY[door].get(role)
+        if kinds is None:
+            return ""
+        if door in ("events", "telemetry"):
+            return "hears"
+        return ", ".join(f"`{kind.__name__}`" for kind in kinds) or "is told no"
+
+    for n, door in enumerate(MAY):
+        row = f"| +{n} | {door} | " + " | ".join(cell(door, role) for role in Role) + " |"
+        assert row in page
