@@ -54,7 +54,8 @@ def parsed(turn: Turn, command: Command, product: msgspec.Raw) -> None:
     command.head = head = read_parsed(product)
     if head.test:  # first: the test of a HALT halts nothing
         message = "hypothesis tests (TEST ...) are not in this release"
-        refuse(turn, command, Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears="leave out TEST"))
+        clears = "rtc parse tells how it is understood; without TEST it moves"
+        refuse(turn, command, Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears=clears))
     elif head.kind == "control":
         control(turn, command, head)
     elif not _wait_for_another(turn, command, head):
