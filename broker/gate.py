@@ -40,7 +40,7 @@ from rtc.settings import BOUNDS, Settings
 PUBLISHED = ("events", "telemetry")
 HALTS = ("halt", "estop")
 NAMED = ("front", "workers", "subsystems")  # doors where the first word is a hello that names the peer
-PER_TURN = 100  # messages of one door, so that the next halt is soon seen
+PER_TURN = 16  # messages of one door, and of one peer's answers, so that the next halt is soon seen
 HANDSHAKES_PER_TURN = 10
 PEERS_OF_KEY = 32  # at one door; the one that has been silent longest gives way
 UNSENT = 1_000  # messages of one peer that wait for the cluster
@@ -113,9 +113,10 @@ class Gate:
         try:
             self._outside[door] = self.me.socket(kind, address, bind=True, bounds=BOUNDS[door], secure=secure)
         except zmq.ZMQError as error:
+            why = zmq.strerror(error.errno or 0)
             raise ClusterError(
-                f"cannot listen at {address} (for {door}): {error.strerror}; --listen wants an address of this "
-                f"machine, with {len(TCP_DOORS)} free ports from the one that is named"
+                f"cannot listen at {address} (for {door}): {why}; --listen wants an address of this machine, "
+                f"with {len(TCP_DOORS)} free ports from the one that is named"
             ) from None
         if door in PUBLISHED:
             self._inside[door] = self.me.socket(zmq.XSUB, self.settings.endpoint(door))

@@ -20,7 +20,7 @@ from rtc.keys import Doors
 from rtc.outcomes import NoCluster, WireError
 from rtc.wire import MAX_BYTES, frames, reader
 
-HELLO_S, FAR_HELLO_S = 0.8, 4.0  # longest wait for the first Welcome, here and over tcp
+HELLO_S, FAR_HELLO_S = 0.8, 3.0  # longest wait for the first Welcome, here and over tcp
 FAR_IDLE_S = 60.0  # a gate forgets who has said nothing for long: then we say hello again
 LAST_WORDS_MS = 200  # how long a sentence may take to leave us when we close
 SILENCE_S = 2.0  # nothing heard for so long: say what is open again

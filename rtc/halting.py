@@ -147,7 +147,11 @@ class HaltLine:
             if not told:
                 told = self._tell_whoever_comes(order, called_at_s + self._connect_s)
             if not told:
-                who = "the cluster's gate does not let us in" if self._far else "neither the broker nor the MCM answers"
+                who = (
+                    "the cluster's gate does not answer, or does not know our key"
+                    if self._far
+                    else "neither the broker nor the MCM answers"
+                )
                 raise ClusterError(f"halt not sent: {who}; use the emergency stop")
             return self._await_rest(order, told, called_at_s + timeout_s)
 

@@ -27,8 +27,10 @@ DIRECTORY = "keys"
 CLUSTER, KNOWN = "cluster.secret", ".known"
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}", re.ASCII)
 BYTES = 4096  # of a key file; ours have some hundred
-# ZeroMQ's own sign of life, so that a line that is cut without a word is noticed; and the patience for a handshake.
-HEARTBEAT_MS, SILENCE_MS, HANDSHAKE_MS = 2_000, 6_000, 5_000
+HANDSHAKE_MS = 5_000  # patience for one
+# So that a line that is cut without a word is noticed: by the kernel, because libzmq 4.3.5 aborts the process when its
+# own heartbeat is due on a line that has failed while its reader was behind (zeromq/libzmq issue 4364).
+KEEPALIVE_IDLE_S, KEEPALIVE_EVERY_S, KEEPALIVES, UNHEARD_MS = 2, 1, 4, 6_000
 
 Document = TypeVar("Document")
 
@@ -197,8 +199,11 @@ def secure_server(socket: zmq.Socket[Any], pair: Pair, door: str, address: str) 
 
 
 def watch_line(socket: zmq.Socket[Any]) -> None:
-    socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
-    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, SILENCE_MS)
+    socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, KEEPALIVE_IDLE_S)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, KEEPALIVE_EVERY_S)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, KEEPALIVES)
+    socket.setsockopt(zmq.TCP_MAXRT, UNHEARD_MS)
     socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
 
 

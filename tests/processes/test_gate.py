@@ -314,7 +314,7 @@ def test_a_revoked_key_is_cut_off_in_the_middle_of_its_work(new_key: Callable[[s
             assert here.status()["halts"]["called"] == halts
         assert here.trace(command).phase is m.Phase.EXECUTING  # what it began is whoever's to halt
         assert here.halt(timeout_s=LIMIT_S).confirmed
-        assert other.status()["commands_live"] == 0  # the others are there again
+        wait_for(lambda: other.status()["commands_live"] == 0)  # the others are there again
 
 
 # --- harm ----------------------------------------------------------------------------------------------
