@@ -90,7 +90,7 @@ def _told(story: Story, rtc: Client, pictures: Pictures) -> None:
     story.chapter(f"{MOVE}, and a halt in the middle of it")
     _check_halt(story, rtc)
 
-    story.chapter("After a halt what was carried is not trusted; the hand feels whether it still holds it, then goes on")
+    story.chapter("After a halt what was carried is not trusted: feel whether it is still in the hand, then go on")
     if not _all(story, rtc, [VERIFY]) or not _all(story, rtc, [MOVE]):
         return
 
