@@ -16,14 +16,17 @@ import platform
 import subprocess
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 RESULTS = Path(__file__).parent / "results"
+_before: dict[str, Any] = {}  # what the machine was doing when the question was asked
 
 
 def question(name: str, text: str, *, seed: int | None = None) -> None:
     """Say what is asked, of which machine, with which seed."""
+    _before.update(load=list(os.getloadavg()), processor_s=_processor_s())
     print(f"{name}: {text}")
     print(f"machine: {machine()['cpu']}, {machine()['cores']} cores, Python {platform.python_version()}", end="")
     print(f"; seed {seed}" if seed is not None else "", flush=True)
@@ -46,20 +49,18 @@ def spread(samples: Sequence[float], scale: float = 1.0, unit: str = "s") -> str
 def machine() -> dict[str, Any]:
     """What the figures depend on."""
     cpu = platform.processor() or platform.machine()
-    try:
+    with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):
                 cpu = line.partition(":")[2].strip()
                 break
-        load: list[float] = list(os.getloadavg())
-    except OSError:
-        load = []
     return {
         "cpu": cpu,
         "cores": len(os.sched_getaffinity(0)),
         "system": platform.platform(),
         "python": platform.python_version(),
-        "load_before": load,
+        "load_before": _before.get("load", []),
+        "stolen_percent": _stolen_percent(),
         "commit": _commit(),
         "at": time.strftime("%Y-%m-%d %H:%M:%S"),
     }
@@ -72,6 +73,7 @@ def finish(name: str, metrics: dict[str, float | None], rows: Iterable[tuple[str
     print()
     for label, value in shown:
         print(f"  {label:<{width}}  {value}")
+    print(f"  {'(stolen by the host)':<{width}}  {_stolen_percent():g} % of the processor time")
     print()
     RESULTS.mkdir(exist_ok=True)
     document = {"benchmark": name, "metrics": metrics, "rows": dict(shown), "machine": machine()}
@@ -81,6 +83,20 @@ def finish(name: str, metrics: dict[str, float | None], rows: Iterable[tuple[str
 
 def _figure(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
+
+
+def _processor_s() -> tuple[float, float]:
+    """(processor time that a virtual machine's host has kept from us, all processor time) since it began."""
+    times = [int(word) for word in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
+    return float(times[7]), float(sum(times))
+
+
+def _stolen_percent() -> float:
+    """Of all processor time since the question: what a host gives to others shows in everybody's worst figures."""
+    if "processor_s" not in _before:
+        return 0.0
+    (stolen, total), (stolen_then, total_then) = _processor_s(), _before["processor_s"]
+    return round(100.0 * (stolen - stolen_then) / max(1.0, total - total_then), 2)
 
 
 def _commit() -> str:
