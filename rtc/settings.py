@@ -111,8 +111,11 @@ def prepare_run_dir(run_dir: Path) -> Path:
             f"run directory too long for sockets: {run_dir} makes paths of {longest} bytes, "
             f"{SUN_PATH_LIMIT} is the limit; choose a shorter --run-dir"
         )
-    run_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if run_dir.stat().st_uid != os.getuid():
-        raise ClusterError(f"run directory {run_dir} belongs to another user; choose another --run-dir")
-    run_dir.chmod(0o700)
+    try:
+        run_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if run_dir.stat().st_uid != os.getuid():
+            raise ClusterError(f"run directory {run_dir} belongs to another user; choose another --run-dir")
+        run_dir.chmod(0o700)
+    except OSError as error:
+        raise ClusterError(f"{run_dir} cannot be a run directory: {error.strerror}; choose another --run-dir") from None
     return run_dir

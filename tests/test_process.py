@@ -14,7 +14,9 @@ import zmq
 
 from rtc import process, wire
 from rtc.messages import Heartbeat
+from rtc.outcomes import ClusterError
 from rtc.process import Every, Process, inbox, send
+from rtc.settings import prepare_run_dir
 
 
 @pytest.fixture
@@ -160,3 +162,9 @@ def test_a_child_of_one_that_comes_first_does_not():
     """)
     words = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30).stdout
     assert words.endswith(" 0\n"), words
+
+
+def test_a_run_directory_that_cannot_be_is_told_in_a_sentence(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(ClusterError, match="choose another"):
+        prepare_run_dir(tmp_path / "file")

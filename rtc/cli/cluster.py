@@ -89,7 +89,10 @@ def show_status(said: dict[str, Any]) -> None:
 
 def _workers_and_processes(said: dict[str, Any]) -> None:
     workers = {worker["name"]: worker for worker in said.get("workers", [])}
-    rows = said.get("processes") or list(workers.values())
+    rows = said.get("processes") or []
+    here = {row["name"] for row in rows}
+    elsewhere = {"state": "ready, elsewhere"} if here else {}  # our supervisor knows only its own
+    rows = [*rows, *({**worker, **elsewhere} for name, worker in workers.items() if name not in here)]
     if not rows:
         return
     bits = max((int(w["node"]).bit_length() for w in workers.values()), default=2) or 1

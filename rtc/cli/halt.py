@@ -13,6 +13,7 @@ from rtc.client import Client
 from rtc.halting import HaltResult
 
 NOT_CONFIRMED = 3
+LATE_S = 0.2  # who hears of it so late may be the successor of one that was hung, and know of no motion
 
 
 def halt(
@@ -47,7 +48,8 @@ def print_halt(result: HaltResult, out: Console = console) -> None:
         line.append(f"REST NOT CONFIRMED: {result.message}", style="bold white on red")
     else:
         nothing = f"nothing of {result.scope} moves: it has ended, or not begun"
-        still = "nothing was moving" if result.reached else nothing
+        late = "nothing moves; whether something did when it was called is not known"
+        still = nothing if not result.reached else late if result.latency_s > LATE_S else "nothing was moving"
         what = f"{', '.join(result.moving)} decelerating" if result.moving else f"{still}; it was heard"
         line.append(f"{what} after {result.latency_s * 1e3:.2f} ms; ")
         rest = max((sub.rest_s for sub in result.subsystems if sub.rest_s is not None), default=None)

@@ -80,21 +80,22 @@ def watch(
 
 @app.command()
 def history(
-    key: Annotated[str, typer.Argument(help="One fact: MACS-NEW.frame")],
+    key: Annotated[str, typer.Argument(help="A fact (MACS-NEW.frame), or a location: all its facts.")],
     limit: Annotated[int, typer.Option(min=1, help="At most so many, the newest first.")] = 20,
     json: AsJson = False,
     run_dir: RunDir = None,
     key_file: With = None,
 ) -> None:
-    """What was believed under a key, newest first, and who said so.
+    """What was believed, newest first, and who said so.
 
     Example:  rtc world history MACS-NEW.frame
     """
     with Client(run_dir, need_broker=False, key=key_file) as rtc:
-        facts = rtc.world.history(spelt(key), limit)
-        if not facts:
+        known = rtc.world.view(keys=[spelt(key)]).facts
+        if not known:
             raise _unknown(key, rtc.world)
-    _show(facts, json, None, by_key=False)
+        facts = [old for fact in known for old in rtc.world.history(fact.key, limit)]
+    _show(sorted(facts, key=lambda fact: -fact.version)[:limit], json, None, by_key=False)
 
 
 @app.command()

@@ -130,3 +130,16 @@ def test_the_command_finds_a_changed_story(path, capsys):
 
 def dump(story):
     return {name: getattr(story, name) for name in story.__struct_fields__}
+
+
+def test_the_command_says_so_when_there_is_nothing_to_decide_again_or_no_journal(path, tmp_path, capsys):
+    s = Journalled(Journal.open(path, "run", State()))
+    s.analyzing()
+    s.answers("C-1", go_on())
+    s.journal.snapshot(s.state)
+    assert replay.main([str(path)]) == 0
+    assert "nothing to decide again" in capsys.readouterr().out
+    other = tmp_path / "notes.txt"
+    other.write_text("no journal at all, but long enough to be looked at as one" * 20)
+    assert replay.main([str(other)]) == 2
+    assert "is no journal" in capsys.readouterr().out

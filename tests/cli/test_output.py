@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from rtc.cli.cluster import show_status
 from rtc.cli.output import EXIT, exit_code, refusal_lines, said, seconds
 from rtc.language.parse import default_grammar, parse
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason
@@ -65,3 +66,13 @@ def test_a_sentence_is_repeated_in_one_short_line_that_does_nothing_to_the_scree
 )
 def test_durations_are_readable(value: float, text: str) -> None:
     assert seconds(value) == text
+
+
+def test_a_worker_of_another_machine_is_among_the_processes(capsys) -> None:
+    mine = {"name": "binder@2", "node": 2, "pid": 7, "state": "ready", "restarts": 0}
+    workers = [{"name": name, "node": node, "done": 3} for name, node in (("binder@2", 2), ("binder@18", 18))]
+    show_status({"processes": [mine], "workers": workers})
+    printed = capsys.readouterr().out
+    assert "binder@18" in printed
+    assert "ready, elsewhere" in printed
+    assert printed.count("binder@2 ") == 1
