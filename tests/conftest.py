@@ -1,4 +1,4 @@
-"""The default cell, read once."""
+"""The default cell and its two arms, read once."""
 
 from __future__ import annotations
 
