@@ -70,10 +70,9 @@ def readable(grammar: Grammar, allowed: Collection[str]) -> list[str]:
 
 
 def nearest(grammar: Grammar, written: str, allowed: Collection[str]) -> list[str]:
-    """Reserved words (and synonyms) like the one written: of those that may stand here, or else of all."""
+    """Reserved words (and synonyms) like the one written, of those that may stand here."""
     spellings = grammar.vocabulary.reserved
-    here = [spelling for spelling, (terminal, _) in spellings.items() if terminal in allowed]
-    return nearest_words(written, here) or ([] if written in spellings else nearest_words(written, spellings))
+    return nearest_words(written, [spelling for spelling, (terminal, _) in spellings.items() if terminal in allowed])
 
 
 def _unit_fault(stop: Stop) -> Refusal | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
@@ -65,6 +66,7 @@ class Vocabulary:
     def words(self, text: str) -> Iterator[Word]:
         """The words from left to right. Raises `Wrong` at the first character that begins none."""
         reserved = self.reserved
+        plain = text.isascii()
         opening = True  # no word yet but TEST: here a lone STOP means HALT
         for match in self.scanner.finditer(text):
             kind = match.lastgroup
@@ -72,6 +74,8 @@ class Vocabulary:
                 continue
             start, end = match.span(kind)
             value = match[kind]
+            if not plain and text[end : end + 1] > "\x7f":  # glued to it: STÖW is not the word ST and then something
+                raise _malformed(text, end)
             if kind == "NAME":
                 value = value.upper().replace("_", "-")
                 kind, value = reserved.get(value, ("NAME", value))
@@ -148,8 +152,14 @@ def _malformed(text: str, column: int) -> Wrong:
         )
     if text[column] == '"':
         return Wrong(column, "The quotation that begins here does not end.", ['a closing "'])
+    meant = " Did you mean -?" if _like_a_dash(text[column]) else ""
     return Wrong(
         column,
-        f"The character {quoted(text[column])} can not stand here.",
+        f"The character {quoted(text[column])} can not stand here.{meant}",
         ["words of letters, digits and '-'"],
     )
+
+
+def _like_a_dash(character: str) -> bool:
+    """A dash or minus as web pages and word processors print one."""
+    return unicodedata.category(character) == "Pd" or character == "\N{MINUS SIGN}"

@@ -41,6 +41,11 @@ WRONG = [
     ("¦SPEED 10 CM/S", VERBS, [], "SPEED is no verb"),
     ("¦10 CM", VERBS, [], "10 CM is no verb"),
     ("¦UNGRAPS MACS-OLD", VERBS, ["UNGRASP"], "UNGRAPS is no verb"),
+    ("¦FOO BAR", VERBS, [], "FOO is no verb"),  # FOR is near, and can not begin a sentence
+    # letters and dashes of other alphabets
+    ("ST¦ÖW LEFT-ARM", WORDS, [], "The character Ö can not stand here."),
+    ("STOW LEFT¦\u2013ARM", WORDS, [], "The character \u2013 can not stand here. Did you mean -?"),
+    ("STOW LEFT¦\u2212ARM", WORDS, [], "Did you mean -?"),
     # it ends too early
     ("GRASP¦", ["a name", "LEFT-END-EFF", "RIGHT-END-EFF"], [], "after GRASP"),
     ("GRASP¦  . -- what?", ["a name", "LEFT-END-EFF", "RIGHT-END-EFF"], [], "after GRASP"),
