@@ -30,7 +30,9 @@ def chaos(
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
-    """Kill processes of the running cluster at random, tell which and when each was back. Commands should not notice.
+    """Kill processes of the running cluster at random, tell which and when each was back.
+
+    Commands should not notice, but for those that the MCM was moving when it is killed: they end LOST SUBSYSTEM.
 
     Exit status 0 when every one came back.
 
