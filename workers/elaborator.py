@@ -363,7 +363,8 @@ def _no_script(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal:
         message=f"there is no script for {parsed.verb} yet",
         where=parsed.verb,
         expected=scripted,
-        clears=(f"{instead}; or " if instead else "") + f"load a script for {parsed.verb} (docs/scripts.md)",
+        clears=(f"{instead}; or " if instead else "")
+        + f"load a script for {parsed.verb}: rtc load FILE INTO elaborator (docs/scripts.md)",
     )
 
 

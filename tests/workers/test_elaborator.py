@@ -230,8 +230,10 @@ def test_a_verb_without_a_script_is_told_what_to_do_instead(bench):
     insert, turn = refusal_of(bench, "INSERT MACS-NEW INTO BAY-2"), refusal_of(bench, "TURN CRANK-1 BY 90 DEG")
 
     assert (insert.reason, insert.message) == (RefusalReason.NO_SCRIPT, "there is no script for INSERT yet")
-    assert insert.clears == "PLACE the module ON the seat; or load a script for INSERT (docs/scripts.md)"
-    assert turn.clears == "load a script for TURN (docs/scripts.md)"
+    assert insert.clears == (
+        "PLACE the module ON the seat; or load a script for INSERT: rtc load FILE INTO elaborator (docs/scripts.md)"
+    )
+    assert turn.clears == "load a script for TURN: rtc load FILE INTO elaborator (docs/scripts.md)"
 
 
 def test_a_sentence_that_no_script_of_its_verb_is_for_hears_what_they_are_for(bench):
