@@ -46,6 +46,10 @@ ITEMS: dict[str, str] = {"script": "scripts", "skill": "pieces"}
 MAX_DEPTH = 30  # of maps and lists in each other; ours have 7
 MAX_NODES = 50_000  # values in a document, each alias counted as what it stands for
 
+_EXPECTED = "a program document is a map of sections, such as " + "; ".join(
+    f"for the {kind.value} {', '.join(sorted(schema.__struct_fields__)[:3])}" for kind, schema in SCHEMAS.items()
+)
+
 P = TypeVar("P", bound=Program)
 
 
@@ -71,6 +75,7 @@ def merge(
     if kind is WorkerKind.PARSER:
         return _grammar(text, name)
     document, news = _read(program, f"the {kind} program in use"), _read(text, name)
+    _of_this_kind(kind, news, name, text)
     _put(document, news, name)
     try:
         merged = _canonical(kind, document, name)
@@ -95,11 +100,32 @@ def decode(program: bytes, schema: type[P]) -> P:
 def _read(text: bytes, source: str) -> dict[str, Any]:
     try:
         document = msgspec.json.decode(text) if text.startswith(b"{") else _yaml(text, source)
+    except yaml.MarkedYAMLError as error:
+        at = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise ProgramError(f"{source}{at}: {error.problem or error.context}") from error
     except (yaml.YAMLError, msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise ProgramError(f"{source}: {error}") from error
+    if document is None:
+        raise ProgramError(f"{source}: the file is empty; {_EXPECTED}")
     if not isinstance(document, dict) or not all(isinstance(key, str) for key in document):
         raise ProgramError(f"{source}: $: a program document is a map of sections, not {type(document).__name__}")
     return document
+
+
+def _of_this_kind(kind: WorkerKind, news: dict[str, Any], name: str, text: bytes) -> None:
+    """Raises ProgramError when a file has what no program of this kind has: a script for the binders, say."""
+    sections = [field.name for field in msgspec.structs.fields(SCHEMAS[kind])]
+    item = next((field for field in ITEMS if isinstance(news.get(field), str)), "")
+    wrong = item if item and ITEMS[item] not in sections else ""
+    if not item:
+        wrong = next((section for section in news if section not in sections), "")
+    if not wrong:
+        return
+    known = ", ".join(sorted(sections))
+    line = "" if text.startswith(b"{") else f", line {line_of(text, [wrong])}"
+    owner = next((k.value for k, s in SCHEMAS.items() if ITEMS.get(wrong, wrong) in s.__struct_fields__), "")
+    goes = f"; a {wrong} goes INTO {owner}; a {kind.value} program has {known}" if owner else f"; it has {known}"
+    raise ProgramError(f"{name}{line}: a {kind.value} program has no section {ITEMS.get(wrong, wrong)}{goes}")
 
 
 def _yaml(text: bytes, source: str) -> Any:

@@ -75,7 +75,7 @@ def test_a_value_of_the_binder_is_changed_alone():
         ("decision_tree: [{verb: V, script: stow, when: [{of: 'a**2', at_least: 1}]}]", r"when\[0\]\.of"),
         ("constraints: {SPEED: {m/s: velocity}}", r"\$\.constraints\.SPEED\.m/s: no limit velocity"),
         ("- 1", r"\$: a program document is a map"),
-        ("a: [", r"t\.yaml: "),
+        ("a: [", r"t\.yaml, line 2: "),
         ("scrpts: []", r"scrpts"),
         ("scripts: {a: 1}", r"\$\.scripts: must be a list"),
     ],
@@ -299,3 +299,20 @@ def test_an_alias_may_be_used():
     text = b"values: {a: &a 1.0, b: *a}"
     body = program.merge(WorkerKind.BINDER, program.default("binder"), "good.yaml", text)
     assert decode(body, BinderProgram).values["b"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "complaint"),
+    [
+        ("binder", b"# mine\nscript: my-lift\n", "line 2: .*script goes INTO elaborator; a binder .* has .*stop_"),
+        ("binder", b"\nactoins: {}\n", "mine.yaml, line 2: .*no section actoins; it has actions, clears"),
+        ("analyzer", b"", "mine.yaml: the file is empty; .*classes"),
+        ("elaborator", b"scripts:\n  - [\n", "mine.yaml, line 3: "),
+    ],
+)  # fmt: skip
+def test_a_file_of_the_wrong_shape_is_told_what_is_expected(kind, text, complaint):
+    with pytest.raises(ProgramError, match=complaint) as caught:
+        program.merge(kind, program.default(kind), "mine.yaml", text)
+
+    assert "byte string" not in str(caught.value)
+    assert "NoneType" not in str(caught.value)
