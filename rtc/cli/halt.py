@@ -59,4 +59,4 @@ def print_halt(result: HaltResult, out: Console = console) -> None:
             line.append(f"REST NOT CONFIRMED: {result.message}", style="bold white on red")
     out.print(line)
     if "halt" not in result.told:
-        out.print(Text("the broker could not be told: what waits there may start when it comes back"))
+        out.print(Text("the broker could not be told; the MCM tells it, and begins nothing more until it knows"))
