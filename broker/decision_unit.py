@@ -51,6 +51,7 @@ ACTIONS: dict[str, Callable[[Turn, Command, Any], None]] = {
     name: getattr(module, name)
     for name, module in (
         ("parsed", journey),
+        ("take_up", journey),
         ("released", journey),
         ("granted", journey),
         ("elaborated", journey),
@@ -110,6 +111,8 @@ def stimulate(turn: Turn, command: Command, stimulus: Stimulus, payload: Any = N
     ACTIONS[action](turn, command, payload)
     if command.phase not in following:
         raise InvalidTransition(command, before, stimulus)
+    if before is Phase.PARSING and command.phase is not Phase.PARSING:
+        turn.read(command)
 
 
 # --- clients -----------------------------------------------------------------------------------------
@@ -149,6 +152,7 @@ def on_command(turn: Turn, event: CommandReceived) -> None:
         message = "sent before HALT ALL, so it does not start after it"
         ending.end(turn, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)
     else:
+        state.unread.setdefault(command.client, {})[command.id] = False
         turn.give_out(command, WorkerKind.PARSER, {"text": command.text})
         turn.enter(command, Phase.PARSING)
 

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable
 
 from broker.effects import CancelJob, DispatchJob, Effect, PublishNote, ReportEnd, SendPrimitive, StartTimer
+from broker.resources import number
 from broker.state import NIL, State
 from rtc.messages import Phase, WorkerKind
 
@@ -30,6 +31,9 @@ def _resources(state: State) -> Iterable[str]:
     for command in [*r.held, *r.waiting]:
         if command not in state.commands:
             yield f"{command} has ended and still claims"
+    for name, line in r.lines.items():
+        if list(line) != sorted(line, key=number):
+            yield f"{line} wait for {name}, not in order"
     for command in r.waiting:
         if command in r.held:
             yield f"{command} waits while holding"
@@ -51,9 +55,22 @@ def _commands(state: State) -> Iterable[str]:
     """A command that is waited for by nothing would never end."""
     if state.live != Counter(command.client for command in state.commands.values()):
         yield f"{state.live} is not how many commands each client has live"
+    unread = {command for line in state.unread.values() for command in line}
+    if unread != {command.id for command in state.commands.values() if command.phase is Phase.PARSING}:
+        yield f"{unread} are not those being parsed"
+    for client, line in state.unread.items():
+        if list(line) != sorted(line, key=number) or not line or next(iter(line.values())):
+            yield f"{line} of {client} is not in order, or its first is not taken up"
     joined = {c for waiting in [*state.awaiting.values(), *state.joining.values()] for c in waiting}
     for command in state.commands.values():
-        by_job = command.phase in (Phase.PARSING, Phase.ELABORATING, Phase.BINDING, Phase.ANALYZING, Phase.CLOSING)
+        turn_comes = state.unread.get(command.client, {}).get(command.id, False)
+        by_job = not turn_comes and command.phase in (
+            Phase.PARSING,
+            Phase.ELABORATING,
+            Phase.BINDING,
+            Phase.ANALYZING,
+            Phase.CLOSING,
+        )
         if by_job != (command.job is not None):
             yield f"{command.id} is {command.phase.value} and {'has no' if by_job else 'has a'} job"
         if command.phase is Phase.HELD and command.id not in state.resources.waiting and command.id not in joined:

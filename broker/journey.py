@@ -58,7 +58,17 @@ def parsed(turn: Turn, command: Command, product: msgspec.Raw) -> None:
         refuse(turn, command, Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears=clears))
     elif head.kind == "control":
         control(turn, command, head)
-    elif not _wait_for_another(turn, command, head):
+    elif turn.is_next(command):
+        take_up(turn, command)
+    else:
+        turn.state.unread[command.client][command.id] = True
+
+
+def take_up(turn: Turn, command: Command, _: Any = None) -> None:
+    """What one client gives is taken up in the order given, however long each takes to parse: of two commands for the
+    same arm the first stands first in line."""
+    assert command.head is not None
+    if not _wait_for_another(turn, command, command.head):
         plan(turn, command)
 
 

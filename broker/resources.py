@@ -1,8 +1,9 @@
 """Who holds what, and who is next (R46, R110, A27-A29). Pure; knows names of commands and resources, no more.
 
 A claim is all or nothing: a command holds every name it claims, or stands in line and holds none. So no
-command ever waits while holding, and there can be no deadlock. The line is fair: a claim is granted only when
-nobody before it in line wants any of the same names, so nobody starves.
+command ever waits while holding, and there can be no deadlock. The line is fair: who was given first stands first,
+also when it comes back to the line because it needs more than it had, and a claim is granted only when nobody before
+it in line wants any of the same names, so nobody starves.
 
 Two modes: exclusive (non-sharable resources, locations that will be written) and shared (locations a plan
 relies on). A name may also be in quarantine: its holder has ended, but nobody has confirmed rest.
@@ -16,6 +17,11 @@ from typing import NamedTuple
 import msgspec
 
 Claim = dict[str, bool]  # name -> exclusive?
+
+
+def number(command: str) -> int:
+    """17 of "C-17": commands are numbered in order of acceptance."""
+    return int(command.rpartition("-")[2])
 
 
 class Blocked(NamedTuple):
@@ -36,13 +42,13 @@ class Resources(msgspec.Struct, kw_only=True):
     held: dict[str, Claim] = {}  # command -> what it holds
     waiting: dict[str, Claim] = {}  # command -> what it waits for
     holders: dict[str, Claim] = {}  # name -> {command: exclusive?}
-    lines: dict[str, Claim] = {}  # name -> {command: exclusive?}, in order of arrival
+    lines: dict[str, Claim] = {}  # name -> {command: exclusive?}, in order of their numbers
     quarantine: dict[str, Quarantine] = {}  # name -> why it is closed
 
     def blocker(self, command: str, claim: Claim) -> Blocked | None:
         """The first thing in the way of a claim: held by another, or wanted by one earlier in line.
         What the command holds already is not in its way, or two that extend their claims would send each other back
-        to the end of the line for ever."""
+        to the line for ever."""
         mine = self.held.get(command, {})
         for name, exclusive in claim.items():
             if name in mine and (mine[name] or not exclusive):
@@ -53,7 +59,7 @@ class Resources(msgspec.Struct, kw_only=True):
                 if holder != command and (exclusive or theirs):
                     return Blocked(name, holder)
             for earlier, theirs in self.lines.get(name, {}).items():
-                if earlier == command:
+                if number(earlier) >= number(command):
                     break
                 if exclusive or theirs:
                     return Blocked(name, earlier)
@@ -74,11 +80,15 @@ class Resources(msgspec.Struct, kw_only=True):
         return self._grantable(freed)
 
     def wait(self, command: str, claim: Claim) -> list[str]:
-        """Let go of everything and stand at the end of the line. Returns who can be granted now."""
+        """Let go of everything and stand in line. Returns who can be granted now."""
         freed = self._let_go(command) + self._leave_line(command)
         self.waiting[command] = claim
         for name, exclusive in claim.items():
-            self.lines.setdefault(name, {})[command] = exclusive
+            line = self.lines.setdefault(name, {})
+            behind = line and number(next(reversed(line))) < number(command)
+            line[command] = exclusive
+            if not behind:
+                self.lines[name] = dict(sorted(line.items(), key=lambda waiting: number(waiting[0])))
         return self._grantable(freed)
 
     def release(

@@ -180,6 +180,7 @@ def request_key(client: str, request: str) -> str:
 class State(msgspec.Struct, kw_only=True):
     commands: dict[str, Command] = {}  # live ones, by id, in order of acceptance
     live: dict[str, int] = {}  # client -> how many of them are its own
+    unread: dict[str, dict[str, bool]] = {}  # client -> its commands not yet taken up, in order: parsed meanwhile?
     accepted: int = 0
     began_at_s: float = 0.0  # the cluster, not this broker
     seq: int = 0  # of the event stream

@@ -17,7 +17,7 @@ class Stimulus(StrEnum):
     REFUSAL = "refusal"  # the job's worker refused
     LOSS = "loss"  # the job's worker died, hung or raised
     GRANT = "grant"  # all resources in its claim can be had
-    RELEASE = "release"  # the command it was to come after has ended
+    RELEASE = "release"  # the command it was to come after has ended; those given before it are read
     REPORT = "report"  # the end report of its primitive
     STOP = "stop"  # HALT or ABORT reaches it
     PAUSE = "pause"
@@ -33,7 +33,8 @@ PLAN = "ELABORATING HELD ENDED"
 
 _ROWS: dict[Phase, dict[Stimulus, str]] = {
     P.PARSING: {
-        S.PRODUCT: f"parsed -> {PLAN} HALTING",
+        S.PRODUCT: f"parsed -> PARSING {PLAN} HALTING",
+        S.RELEASE: f"take_up -> {PLAN}",
         S.REFUSAL: "refused -> ENDED",
         S.LOSS: "again -> PARSING ENDED",
         S.STOP: "stop -> ENDED",
@@ -159,7 +160,8 @@ it is counted and changes nothing.
 | stimulus | meaning |
 |---|---|
 | product, refusal, loss | the answer to the command's one pending job: done, refused, or its worker is gone |
-| grant | all it claims can be had; release: the command it was to come after has ended, or begun |
+| grant | all it claims can be had |
+| release | the command it was to come after has ended, or begun; in *parsing*: what its client gave before is read |
 | report | the end report of its primitive; rest: a subsystem confirms rest for its halt |
 | stop | HALT or ABORT reaches it; pause and resume take effect between two steps |
 | overdue | its timer: no end report, no rest, or no last analysis within the limit |

@@ -34,6 +34,20 @@ class Turn(msgspec.Struct, gc=False):
         """Stimulate another command, after this action is done."""
         self.followups.append((command, stimulus, payload))
 
+    def is_next(self, command: Command) -> bool:
+        """Whether all that its client gave before it has been read."""
+        return next(iter(self.state.unread[command.client])) == command.id
+
+    def read(self, command: Command) -> None:
+        """It is parsed and taken up, or has ended before that: the next of its client that is parsed is taken up."""
+        line = self.state.unread[command.client]
+        was_next = self.is_next(command)
+        del line[command.id]
+        if not line:
+            del self.state.unread[command.client]
+        elif was_next and line[following := next(iter(line))]:
+            self.follow(following, Stimulus.RELEASE)
+
     def grant(self, commands: list[str]) -> None:
         for command in commands:
             self.followups.append((command, Stimulus.GRANT, None))

@@ -130,6 +130,86 @@ def test_the_test_of_a_control_stops_nothing(verb):
     assert s.phase("C-1") == "executing"
 
 
+# --- in the order given ------------------------------------------------------------------------------
+
+
+def test_what_one_client_gives_is_taken_up_in_the_order_given():
+    s = Story()
+    s.says("FIRST")
+    s.says("SECOND")
+    assert s.answers("C-2", record()) == []  # the parser was quicker with it
+    assert s.phase("C-2") == "parsing"
+    assert s.answers("C-1", record()) == ["job C-1/2 elaborator #1", "note C-1 elaborating", "note C-2 held"]
+    assert s.state.unread == {}
+
+
+def test_the_commands_of_others_do_not_wait():
+    s = Story()
+    s.says("FIRST")
+    s.says("SECOND", client="bob")
+    assert s.answers("C-2", record()) == ["job C-2/2 elaborator #1", "note C-2 elaborating"]
+
+
+@pytest.mark.parametrize("end", [Story.declines, lambda s, command: s.halts(command)], ids=["refused", "halted"])
+def test_a_sentence_that_ends_unread_lets_the_next_one_go(end):
+    s = Story()
+    s.says("FIRST")
+    s.says("SECOND")
+    s.answers("C-2", record())
+    assert end(s, "C-1")[-2:] == ["job C-2/2 elaborator #1", "note C-2 elaborating"]
+
+
+def test_who_waits_behind_one_that_ends_still_waits_for_the_one_before_that():
+    s = Story()
+    for text in ("FIRST", "SECOND", "THIRD"):
+        s.says(text)
+    s.answers("C-3", record(hand="LEFT-ARM"))
+    assert s.declines("C-2") == ["note C-2 ended", "end C-2 refused"]
+    assert s.answers("C-1", record())[2:] == ["job C-3/2 elaborator #1", "note C-3 elaborating"]
+
+
+def test_what_is_parsed_and_waits_for_its_turn_can_be_paused_and_halted():
+    s = Story()
+    s.says("FIRST")
+    s.says("SECOND")
+    s.answers("C-2", record())
+    s.parsed(kind="control", verb="PAUSE", object="C-2")
+    assert s.state.commands["C-2"].pause_wanted
+    assert s.halts("C-2")[-2:] == ["note C-2 ended", "end C-2 halted"]
+    assert s.answers("C-1", record()) == ["job C-1/2 elaborator #1", "note C-1 elaborating"]
+
+
+def test_the_order_given_outlives_the_broker():
+    s = Story()
+    s.says("FIRST")
+    s.says("SECOND")
+    s.answers("C-2", record())
+    s.state = wire.decoder(State)(wire.encode(s.state))
+    assert s.hear(BrokerRestarted) == ["job C-1/1 parser #2"]
+    assert s.answers("C-1", record())[-1] == "note C-2 held"
+
+
+def test_control_does_not_wait_for_its_turn():
+    s = Story()
+    s.says("FIRST")
+    s.parsed(kind="control", verb="ABORT", object="C-1")
+    assert s.outcome("C-1").kind is OutcomeKind.ABORTED
+    assert s.outcome("C-2").kind is OutcomeKind.SUCCEEDED
+    assert s.state.unread == {}
+
+
+def test_a_command_that_needs_more_than_it_names_is_not_overtaken():
+    s = Story()
+    s.executing(script(resources=("LEFT-ARM",)), hand="LEFT-ARM")
+    s.parsed()
+    s.parsed()
+    assert s.phase("C-3") == "held"
+    assert s.answers("C-2", script(resources=("RIGHT-ARM", "LEFT-ARM"))) == ["note C-2 held"]
+    s.reports("C-1")
+    assert s.answers("C-1", go_on())[-2:] == ["job C-2/3 elaborator #1", "note C-2 elaborating"]
+    assert s.phase("C-3") == "held"
+
+
 # --- lost workers, late and double answers -----------------------------------------------------------
 
 
@@ -679,7 +759,7 @@ def test_a_new_program_whose_first_job_is_done_stays():
 
 def test_a_restarted_broker_gives_out_what_was_given_out():
     s = Story()
-    s.says("X")
+    s.says("X", client="bob")
     s.executing(hand="LEFT-ARM")
     s.state = wire.decoder(State)(wire.encode(s.state))  # as through a snapshot
     assert s.hear(BrokerRestarted) == ["job C-1/1 parser #2", "timer C-2"]

@@ -16,11 +16,12 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from broker import decision_unit, ending, journey
 from broker.events import HaltCalled, JobLost, SubsystemConnected
 from broker.resources import Resources
+from broker.turn import Turn
 from tests.simulation.explore import explore, tell
 from tests.simulation.scenarios import SCENARIOS
 from tests.simulation.surroundings import Scenario
 
-SAME_ARM = next(s for s in SCENARIOS if s.name == "same arm")
+SAME_ARM, ONE_CLIENT = (next(s for s in SCENARIOS if s.name == name) for name in ("same arm", "same arm, one client"))
 
 
 def faults(scenario: Scenario, n: int) -> Scenario:
@@ -56,6 +57,12 @@ def test_a_resource_given_twice_is_found(monkeypatch):
     monkeypatch.setattr(Resources, "blocker", lambda self, command, claim: None)
     found = explore(faults(SAME_ARM, 0))
     assert "and one of them alone" in found.violation
+
+
+def test_a_sentence_taken_up_before_one_given_earlier_is_found(monkeypatch):
+    monkeypatch.setattr(Turn, "is_next", lambda self, command: True)
+    found = explore(faults(ONE_CLIENT, 0))
+    assert "C-1, which was given before it" in found.violation
 
 
 def test_a_command_that_nothing_can_end_is_found(monkeypatch):

@@ -49,6 +49,23 @@ def test_who_leaves_the_line_opens_it():
     assert r.release("C-2") == ["C-3"]
 
 
+def test_who_comes_back_to_the_line_stands_before_those_given_later():
+    r = Resources()
+    r.take("C-1", OTHER)
+    r.take("C-2", ARM)
+    r.wait("C-10", ARM)
+    assert r.take("C-2", {**ARM, **OTHER}) == Blocked("OTHER", "C-1")
+    assert r.wait("C-2", {**ARM, **OTHER}) == []  # it let go of the arm, and C-10 does not overtake it
+    assert r.release("C-1") == ["C-2"]
+
+
+def test_those_given_later_are_not_in_the_way_of_a_claim_that_grows():
+    r = Resources()
+    r.take("C-1", ARM)
+    r.wait("C-2", {**ARM, **OTHER})
+    assert r.take("C-1", {**ARM, **OTHER}) == []
+
+
 def test_a_claim_may_grow_past_the_line_for_what_is_held_already():
     r = Resources()
     r.take("C-1", ARM)

@@ -14,6 +14,8 @@ def _control(verb: str) -> Sentence:
 
 SCENARIOS = (
     Scenario(name="same arm", sentences=(ONE, ONE)),
+    Scenario(name="same arm, one client", sentences=(ONE, ONE), one_client=True),
+    Scenario(name="three of one client", sentences=(ONE, Sentence(arms=BOTH), ONE), one_client=True),
     Scenario(name="same arm, a trim", sentences=(Sentence(trims=1), ONE)),
     Scenario(name="different arms", sentences=(ONE, Sentence(arms=LEFT))),
     Scenario(name="both arms, then one", sentences=(Sentence(arms=BOTH, steps=2), Sentence(arms=LEFT, empty_steps=1))),

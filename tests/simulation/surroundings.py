@@ -30,7 +30,7 @@ from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 from tests.broker.stories import bound, give_up, go_on, mend, record, report, script, trim
 
 ARMS = ("LEFT-ARM", "RIGHT-ARM")
-CLIENT = "ann"
+CLIENTS = ("ann", "bob", "eve")
 
 Move = tuple[Any, ...]  # its name, then what it is about
 
@@ -59,6 +59,7 @@ class Sentence(msgspec.Struct, frozen=True, kw_only=True):
 class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     sentences: tuple[Sentence, ...]
+    one_client: bool = False  # gives them all, so they go in order; otherwise each is another's
     halts: tuple[str, ...] = ("ALL",)  # scopes that may be called, each once
     faults: int = 2  # of all kinds together
     caps: dict[str, int] = {}  # of one kind, where not 1
@@ -296,8 +297,21 @@ def _hand_in(model: Model, scenario: Scenario, n: int) -> heard.Event:
     model.handed_in = n + 1
     sentence = scenario.sentences[n]
     return heard.CommandReceived(
-        at_s=model.now, client=CLIENT, request=f"r{n}", text=sentence.text, halt_if_lost=sentence.halt_if_lost
+        at_s=model.now,
+        client=_client(scenario, n),
+        request=f"r{n}",
+        text=sentence.text,
+        halt_if_lost=sentence.halt_if_lost,
     )
+
+
+def _client(scenario: Scenario, n: int) -> str:
+    return CLIENTS[0 if scenario.one_client else n]
+
+
+def _client_gone(model: Model, scenario: Scenario) -> heard.Event:
+    tied = next(n for n, sentence in enumerate(scenario.sentences) if sentence.halt_if_lost)
+    return heard.ClientGone(at_s=model.now, client=_client(scenario, tied))
 
 
 def _work(model: Model, scenario: Scenario, command: str, product: str) -> heard.Event:
@@ -346,7 +360,7 @@ def _about_job(
 
 def _call(model: Model, scenario: Scenario, scope: str) -> heard.Event:
     _called(model, scope).at_broker = True
-    return heard.HaltCalled(at_s=model.now, client=CLIENT, halt=f"h-{scope}", scope=scope)
+    return heard.HaltCalled(at_s=model.now, client=CLIENTS[0], halt=f"h-{scope}", scope=scope)
 
 
 def _called(model: Model, scope: str) -> Halt:
@@ -389,7 +403,7 @@ def _install(model: Model, scenario: Scenario) -> heard.Event:
 
 def _resume(model: Model, scenario: Scenario, command: str) -> heard.Event:
     """The operator gives up on a paused command: it need not go on, only end."""
-    return heard.HaltCalled(at_s=model.now, client=CLIENT, halt=f"end-{command}", scope=command)
+    return heard.HaltCalled(at_s=model.now, client=CLIENTS[0], halt=f"end-{command}", scope=command)
 
 
 NO = Refusal(reason=RefusalReason.INFEASIBLE, message="no")
@@ -405,7 +419,7 @@ EVENTS: dict[str, Callable[..., heard.Event]] = {
     "exit told": _gone("exit -9"),
     "timer": _ring,
     "halt": _call,
-    "client gone": lambda model, scenario: heard.ClientGone(at_s=model.now, client=CLIENT),
+    "client gone": _client_gone,
     "program installed": _install,
     "resume": _resume,
 }
@@ -458,8 +472,23 @@ def _untrue(model: Model, effect: do.Effect) -> Iterator[str]:
                 yield f"a job for {command}, which was halted"
         case do.SendPrimitive() if effect.id.partition(".")[0] in model.stopped:
             yield f"primitive {effect.id} for a command that was halted"
+        case do.SendPrimitive():
+            yield from _overtaken(model, effect)
         case do.ReportEnd():
             yield from _untrue_end(model, effect.ended)
+
+
+def _overtaken(model: Model, effect: do.SendPrimitive) -> Iterator[str]:
+    """What one client gave is begun in the order given, as far as the sentences name the same arm."""
+    du, command = model.du, model.du.commands[effect.id.partition(".")[0]]
+    performer = msgspec.msgpack.decode(effect.primitive)["performer"]
+    for earlier in du.commands.values():  # in order of acceptance
+        if earlier is command:
+            return
+        unread = earlier.id in du.unread.get(earlier.client, ())
+        named = earlier.head is not None and earlier.head.hand == performer and earlier.id in du.resources.waiting
+        if earlier.client == command.client and (unread or named):
+            yield f"primitive {effect.id} before {earlier.id}, which was given before it"
 
 
 def _untrue_end(model: Model, ended: CommandEnded) -> Iterator[str]:
@@ -514,10 +543,11 @@ def late(model: Model) -> Iterator[heard.Event]:
     for primitive, reason in model.mcm.ended.items():
         if primitive not in model.mcm.kept:
             yield heard.PrimitiveEnded(at_s=now, subsystem="MCM", report=report(primitive, reason))
-    for n in range(model.handed_in):
-        yield heard.CommandReceived(at_s=now, client=CLIENT, request=f"r{n}", text="X")
+    for key in model.du.requests:
+        client, _, request = key.partition(" ")
+        yield heard.CommandReceived(at_s=now, client=client, request=request, text="X")
     for halt in model.du.halts:
-        yield heard.HaltCalled(at_s=now, client=CLIENT, halt=halt, scope="ALL")
+        yield heard.HaltCalled(at_s=now, client=CLIENTS[0], halt=halt, scope="ALL")
 
 
 # --- the subsystem -----------------------------------------------------------------------------------
