@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 from broker.journal import Journal
 from rtc.digest import digest
 from rtc.messages import ProgramText, WorkerKind
 from rtc.outcomes import ProgramError, Refusal, RefusalReason
+
+
+class Loaded(NamedTuple):
+    digest: str  # of the whole program
+    changes: list[str]  # in words
 
 
 class ProgramStore:
@@ -29,12 +35,13 @@ class ProgramStore:
     def body(self, digest: str) -> bytes | None:
         return self._bodies.get(digest)
 
-    def load(self, current: str, text: ProgramText) -> str | Refusal:
-        """Put a file into the program of a kind (LOAD). Returns the new digest, or why it does not check."""
+    def load(self, current: str, text: ProgramText) -> Loaded | Refusal:
+        """Put a file into the program of a kind (LOAD); or why it does not check."""
         from rtc import program  # brings lark, yaml and numpy; a restart, which should be quick, does without
 
         try:
             others = {kind: self._bodies[self._in_use[kind]] for kind in WorkerKind if kind in self._in_use}
-            return self.keep(program.merge(text.kind, self._bodies[current], text.name, text.body, others))
+            merged = program.merge(text.kind, self._bodies[current], text.name, text.body, others)
+            return Loaded(self.keep(merged), program.changes(text.kind, self._bodies[current], merged))
         except ProgramError as error:
             return Refusal(reason=RefusalReason.PROGRAM, message=str(error), where=text.name)

@@ -388,11 +388,11 @@ class Router:
         return m.Declined(request=query.request, refusal=Refusal(reason=RefusalReason.NAME, message=message))
 
     def _load(self, text: m.ProgramText, now: float) -> m.ProgramLoaded | m.Declined:
-        result = self.store.load(self.state.programs.get(text.kind, ""), text)
-        if isinstance(result, Refusal):
-            return m.Declined(request=text.request, refusal=result)
-        self._events.append(heard.ProgramInstalled(at_s=now, kind=text.kind, digest=result))
-        return m.ProgramLoaded(request=text.request, kind=text.kind, digest=result)
+        loaded = self.store.load(self.state.programs.get(text.kind, ""), text)
+        if isinstance(loaded, Refusal):
+            return m.Declined(request=text.request, refusal=loaded)
+        self._events.append(heard.ProgramInstalled(at_s=now, kind=text.kind, digest=loaded.digest))
+        return m.ProgramLoaded(request=text.request, kind=text.kind, digest=loaded.digest, changes=loaded.changes)
 
     # --- what only the clock tells --------------------------------------------------------------------
 

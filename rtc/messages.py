@@ -163,7 +163,8 @@ class TraceReply(Message, frozen=True, kw_only=True):
 class ProgramLoaded(Message, frozen=True, kw_only=True):
     request: str
     kind: WorkerKind
-    digest: str
+    digest: str  # of the whole program
+    changes: list[str] = []  # in words, one item of the program each; none: it was so before
 
 
 # --- 2. broker <-> workers ----------------------------------------------------------------------------

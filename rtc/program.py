@@ -89,6 +89,36 @@ def merge(
     return merged
 
 
+def changes(kind: WorkerKind | str, before: bytes, after: bytes) -> list[str]:
+    """What `merge` has changed, one line an item: "scripts: grasp-gentle is new". Of a script that no row of the
+    decision tree chooses it tells that too: it checks, and would never be used."""
+    if WorkerKind(kind) is WorkerKind.PARSER:
+        return [] if before == after else ["the grammar is another"]
+    old, new = _items(_read(before, "the program in use")), _items(_read(after, "the new program"))
+    told = [f"{name} is {'changed' if name in old else 'new'}" for name, item in new.items() if old.get(name) != item]
+    chosen = {row["script"] for name, row in new.items() if name.startswith("decision_tree:")}
+    for name, item in new.items():
+        if name.startswith("scripts:") and item["script"] not in chosen and old.get(name) != item:
+            row = f"decision_tree: [{{verb: VERB, script: {item['script']}}}]"
+            told.append(f"no verb chooses {item['script']}; put into the file: {row}")
+    return told
+
+
+def _items(document: dict[str, Any]) -> dict[str, Any]:
+    """All that can be changed alone, by its name: "scripts: lift", "stop_classes: move_free"."""
+    items: dict[str, Any] = {}
+    for section, content in document.items():
+        if section in IDENTITY:
+            found = {" ".join(filter(None, identity)): x for identity, x in _by_identity(content, section).items()}
+        elif isinstance(content, dict):
+            found = content
+        else:
+            items[section] = content
+            continue
+        items |= {f"{section}: {name}": item for name, item in found.items()}
+    return items
+
+
 def decode(program: bytes, schema: type[P]) -> P:
     """The typed document of a canonical program, checked. Costs some ms; whoever uses it often keeps it by digest."""
     return _checked(_read(program, "the program"), schema, "the program")
@@ -180,11 +210,11 @@ def _replaced(items: list[Any], news: Any, section: str, source: str) -> list[An
             if isinstance(item.get(field), list | dict | set):
                 raise ProgramError(f"{source}: $.{section}[{n}].{field}: must be a name")
 
-    def identity(item: dict[str, Any]) -> tuple[Any, ...]:
-        return tuple(item.get(field) or "" for field in IDENTITY[section])
+    return list((_by_identity(items, section) | _by_identity(news, section)).values())
 
-    merged = {identity(item): item for item in items}
-    return list((merged | {identity(item): item for item in news}).values())
+
+def _by_identity(items: list[dict[str, Any]], section: str) -> dict[tuple[str, ...], dict[str, Any]]:
+    return {tuple(str(item.get(field) or "") for field in IDENTITY[section]): item for item in items}
 
 
 def _canonical(kind: WorkerKind, document: dict[str, Any], source: str) -> bytes:

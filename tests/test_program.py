@@ -46,6 +46,36 @@ def test_a_script_takes_the_place_of_one_of_its_name():
     assert next(s for s in merged.scripts if s.script == "stow").steps[0].label == "stay"
 
 
+STAY = "case: 1\nuses: [hand]\nsteps: [{do: hold, stop: hold, label: stay, args: {duration_s: 1}}]"
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "told"),
+    [
+        ("elaborator", f"script: stow\n{STAY}", ["scripts: stow is changed"]),
+        (
+            "elaborator",
+            f"script: mine\n{STAY}\ndecision_tree: [{{verb: STOW, script: mine}}]",
+            ["decision_tree: STOW mine is new", "scripts: mine is new"],
+        ),
+        (
+            "elaborator",
+            f"script: mine\n{STAY}",
+            [
+                "scripts: mine is new",
+                "no verb chooses mine; put into the file: decision_tree: [{verb: VERB, script: mine}]",
+            ],
+        ),
+        ("binder", "values: {torque_nm: 3.0}", ["values: torque_nm is changed"]),
+        ("binder", "values: {}", []),
+    ],
+)
+def test_what_a_file_changes_is_told_item_by_item(kind, text, told):
+    before = program.default(kind)
+
+    assert program.changes(kind, before, program.merge(kind, before, "x.yaml", text.encode())) == told
+
+
 def test_a_value_of_the_binder_is_changed_alone():
     before = decode(program.default("binder"), BinderProgram)
 

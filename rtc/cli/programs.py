@@ -39,9 +39,12 @@ def load(
     with Client(run_dir, key=key) as rtc:
         loaded = rtc.load(kind, file)
     if json:
-        emit_json({"kind": loaded.kind.value, "digest": loaded.digest, "file": file.name})
-    else:
-        console.print(Text(f"{file.name} is in the {loaded.kind.value}s' program, which is now {loaded.digest}"))
+        told = {"kind": loaded.kind.value, "digest": loaded.digest, "file": file.name, "changes": loaded.changes}
+        emit_json(told)
+        return
+    console.print(Text(f"{file.name} is in the {loaded.kind.value}s' program, which is now {loaded.digest}"))
+    for change in loaded.changes or ["nothing has changed: all of it was there"]:
+        console.print(Text(f"  {change}"))
 
 
 def outcomes(

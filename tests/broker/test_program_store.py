@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from broker.journal import Journal
-from broker.program_store import ProgramStore
+from broker.program_store import Loaded, ProgramStore
 from broker.state import State
 from rtc import program
 from rtc.messages import ProgramText, WorkerKind
@@ -25,8 +25,9 @@ def test_a_script_must_fit_the_binder_in_use(tmp_path, stop, fits):
     loaded = store.load(in_use["elaborator"], text)
 
     if fits:
-        assert isinstance(loaded, str), loaded
-        assert b"mine" in (store.body(loaded) or b"")
+        assert isinstance(loaded, Loaded), loaded
+        assert b"mine" in (store.body(loaded.digest) or b"")
+        assert loaded.changes[0] == "scripts: mine is new"
     else:
         assert isinstance(loaded, Refusal)
         assert "mine.yaml, line 4: " in loaded.message
