@@ -50,6 +50,7 @@ from rtc.wire import MAX_BYTES, frames, reader
 from rtc.world.client import WorldClient
 
 ANSWER_S = 5.0  # longest wait for an answer that needs no motion
+ASK_AGAIN_S = 0.2  # after the broker has said that we ask too much
 WINDOW = 512  # sentences under way at once in `run_many`
 KEPT = 10_000  # outcomes nobody has asked for yet
 NO_TEXT = re.compile("[\ud800-\udfff]")  # what Python makes of bytes that are no text; UTF-8 cannot carry it
@@ -361,15 +362,27 @@ class Client:
         return self._ended.pop(request)
 
     def _query(self, message: Any, answer: type[Answer]) -> Answer:
-        request = message.request
+        """Ask, and ask again for a while when we have asked more than the broker answers a client in a second."""
+        request, limit_s = message.request, time.monotonic() + ANSWER_S
         self._queries.add(request)
-        self._front.ask(request, message)
         try:
-            self._until(lambda: request in self._answers, ANSWER_S, "the broker did not answer")
+            while True:
+                self._front.ask(request, message)
+                self._until(lambda: request in self._answers, ANSWER_S, "the broker did not answer")
+                found = self._answers.pop(request)
+                overload = isinstance(found, m.Declined) and found.refusal.reason is RefusalReason.OVERLOAD
+                if not overload or time.monotonic() > limit_s:
+                    return _expect(found, answer)
+                self._hear_for(ASK_AGAIN_S)
         finally:
             self._queries.discard(request)
             self._front.forget(request)
-        return _expect(self._answers.pop(request), answer)
+
+    def _hear_for(self, seconds: float) -> None:
+        end_s = time.monotonic() + seconds
+        while (left_s := end_s - time.monotonic()) > 0:
+            if (message := self._front.hear(left_s)) is not None:
+                self._take(message)
 
     def _bench(self, message: m.ToSim, answer: type[Answer]) -> Answer:
         """Ask the simulator. A socket for one question: tests and demos ask seldom."""

@@ -223,6 +223,22 @@ def test_a_declined_sentence_is_an_exception_of_submit_and_a_refusal_of_run(run_
     broker.stop()
 
 
+def test_a_question_too_many_is_asked_again(run_dir: Path) -> None:
+    def busy(message: m.ClientToBroker) -> list[object]:
+        asked = sum(isinstance(heard, m.StatusQuery) for heard in broker.heard)
+        if isinstance(message, m.StatusQuery) and asked < 3:
+            refusal = Refusal(reason=RefusalReason.OVERLOAD, message="a client may ask 100 times a second")
+            return [m.Declined(request=message.request, refusal=refusal)]
+        return obliging(message)
+
+    broker = SmallBroker(run_dir, busy)
+    try:
+        with Client(run_dir) as rtc:
+            assert rtc.status() == {"cluster": "test"}
+    finally:
+        broker.stop()
+
+
 def test_a_command_that_does_not_end_in_time_is_told_and_goes_on(run_dir: Path) -> None:
     broker = SmallBroker(run_dir, accepting)
     with Client(run_dir) as rtc:
