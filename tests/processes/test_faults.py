@@ -163,6 +163,20 @@ def test_what_was_queued_when_the_mcm_died_is_planned_from_where_the_arm_really_
     back(chaos, strike)
 
 
+def test_what_is_given_at_once_is_begun_in_the_order_given_while_workers_die(
+    rtc: Client, chaos: Chaos, run_dir: Path
+) -> None:
+    commands = []
+    for n in range(12):
+        commands.append(rtc.submit(f"HOLD {ARM} FOR 0.1 SEC"))
+        if n % 4 == 0:
+            chaos.strike("worker")
+    assert {rtc.wait(command, LIMIT_S).outcome.kind for command in commands} == {OutcomeKind.SUCCEEDED}
+    begun_at_s = [note.at_s for command in commands for note in rtc.trace(command).notes if note.note == "started"]
+    assert len(begun_at_s) == len(commands)
+    assert begun_at_s == sorted(begun_at_s)
+
+
 TIED = """
 import sys
 from rtc.client import Client
