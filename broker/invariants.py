@@ -12,6 +12,7 @@ from broker.state import NIL, State
 from rtc.messages import Phase, WorkerKind
 
 MOVING = (Phase.EXECUTING, Phase.HALTING)
+BY_JOB = (Phase.PARSING, Phase.ELABORATING, Phase.BINDING, Phase.ANALYZING, Phase.CLOSING)  # a worker is at it
 
 
 def violations(state: State) -> list[str]:
@@ -60,17 +61,11 @@ def _commands(state: State) -> Iterable[str]:
         yield f"{unread} are not those being parsed"
     for client, line in state.unread.items():
         if list(line) != sorted(line, key=number) or not line or next(iter(line.values())):
-            yield f"{line} of {client} is not in order, or its first is not taken up"
+            yield f"{line} of {client} is empty, not in order, or its first is not taken up"
     joined = {c for waiting in [*state.awaiting.values(), *state.joining.values()] for c in waiting}
     for command in state.commands.values():
-        turn_comes = state.unread.get(command.client, {}).get(command.id, False)
-        by_job = not turn_comes and command.phase in (
-            Phase.PARSING,
-            Phase.ELABORATING,
-            Phase.BINDING,
-            Phase.ANALYZING,
-            Phase.CLOSING,
-        )
+        waits_its_turn = state.unread.get(command.client, {}).get(command.id, False)
+        by_job = command.phase in BY_JOB and not waits_its_turn
         if by_job != (command.job is not None):
             yield f"{command.id} is {command.phase.value} and {'has no' if by_job else 'has a'} job"
         if command.phase is Phase.HELD and command.id not in state.resources.waiting and command.id not in joined:

@@ -109,7 +109,8 @@ def _items(document: dict[str, Any]) -> dict[str, Any]:
     items: dict[str, Any] = {}
     for section, content in document.items():
         if section in IDENTITY:
-            found = {" ".join(filter(None, identity)): x for identity, x in _by_identity(content, section).items()}
+            named = _by_identity(content, section)
+            found = {" ".join(part or "any" for part in identity): item for identity, item in named.items()}
         elif isinstance(content, dict):
             found = content
         else:

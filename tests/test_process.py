@@ -111,14 +111,14 @@ def test_a_signal_ends_the_loop_in_order(tmp_path, number):
 @pytest.mark.slow
 def test_a_child_dies_with_its_parent(tmp_path):
     parent_code = textwrap.dedent("""
-        import os, subprocess, sys, time
+        import os, signal, subprocess, sys
         from rtc.process import die_with_parent
         me = os.getpid()
-        child = subprocess.Popen([sys.executable, "-c", "import time; print('up', flush=True); time.sleep(600)"],
+        child = subprocess.Popen([sys.executable, "-c", "import signal; print('up', flush=True); signal.pause()"],
                                  stdout=subprocess.PIPE, preexec_fn=lambda: die_with_parent(me))
         child.stdout.readline()
         print(child.pid, flush=True)
-        time.sleep(600)
+        signal.pause()
     """)
     parent = subprocess.Popen([sys.executable, "-c", parent_code], stdout=subprocess.PIPE, text=True)
     pid = int(parent.stdout.readline())

@@ -66,6 +66,11 @@ STAY = "case: 1\nuses: [hand]\nsteps: [{do: hold, stop: hold, label: stay, args:
                 "no verb chooses mine; put into the file: decision_tree: [{verb: VERB, script: mine}]",
             ],
         ),
+        (
+            "elaborator",
+            "command_object_table: [{verb: GRASP, name: HANDLE-Z, values: {approach_m: 0.2}}]",
+            ["command_object_table: GRASP any HANDLE-Z is new"],
+        ),
         ("binder", "values: {torque_nm: 3.0}", ["values: torque_nm is changed"]),
         ("binder", "values: {}", []),
     ],
