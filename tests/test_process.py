@@ -104,7 +104,8 @@ def test_a_signal_ends_the_loop_in_order(tmp_path, number):
     assert child.stdout.readline() == "ready\n"
     child.send_signal(number)
     out, log = child.communicate(timeout=10)
-    assert (child.returncode, out) == (0, "")
+    assert child.returncode == 0
+    assert set(out.split()) <= {"alive"}  # whether the loop turned before the signal came is chance
     assert "ended in order" in log
 
 
