@@ -2,7 +2,8 @@
 
 A kind whose jobs wait gets one worker more, again and again, up to a most; a worker that has had nothing to do for long
 retires, down to a least. A kind that nobody is left of gets one as soon as a job waits for it. Who starts and ends
-processes is the supervisor; while one that was asked for has not come, no other of that kind is asked for.
+processes is the supervisor; while one is on its way, or was asked for and is not seen, no other of that kind is asked
+for: when nothing but time is short (all were killed, the machine is slow), more of them would only come later.
 """
 
 from __future__ import annotations
@@ -34,9 +35,8 @@ class Pools:
             workers = [w for w in roster.workers.values() if w.kind is kind and not w.retiring]
             waiting_s = roster.waiting_s(kind, now)
             if waiting_s is not None:
-                there = len(workers) + _coming(kind, workers, processes)
-                if self._too_few(kind, there, waiting_s, now):
-                    self._asked[kind] = now, there
+                if not _coming(kind, workers, processes) and self._too_few(kind, len(workers), waiting_s, now):
+                    self._asked[kind] = now, len(workers)
                     yield SpawnWorker(kind=kind)
             elif (idle := self._surplus(workers, processes, now)) is not None:
                 idle.retiring = True
@@ -51,15 +51,15 @@ class Pools:
 
     def _too_few(self, kind: WorkerKind, there: int, waiting_s: float, now: float) -> bool:
         asked_s, before = self._asked.get(kind, (-COMING_S, 0))
-        still_coming = now - asked_s < COMING_S and there <= before
-        return there < self._most and not still_coming and (there == 0 or waiting_s > WAIT_S)
+        unseen = now - asked_s < COMING_S and there <= before
+        return there < self._most and not unseen and (there == 0 or waiting_s > WAIT_S)
 
 
-def _coming(kind: WorkerKind, workers: Sequence[Worker], processes: Processes) -> int:
-    """Processes of this kind that are on their way, and have not said hello."""
+def _coming(kind: WorkerKind, workers: Sequence[Worker], processes: Processes) -> bool:
+    """Is a process of this kind on its way, and has not said hello?"""
     known = {worker.name for worker in workers}
     rows = (row for row in processes if row["name"].startswith(f"{kind.value}@") and row["name"] not in known)
-    return sum(row["state"] in COMING for row in rows)
+    return any(row["state"] in COMING for row in rows)
 
 
 def _idle(workers: Sequence[Worker], now: float) -> Worker | None:

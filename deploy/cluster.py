@@ -55,6 +55,7 @@ def specs(settings: Settings) -> list[Spec]:
             template=TEMPLATE,
             order=template.TWIN,
             later=True,
+            awaits_template=True,
         ),
         *_with_template("broker", "broker", settings),
         *_with_template("world", "rtc.world", settings),

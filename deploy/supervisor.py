@@ -35,7 +35,6 @@ from rtc.process import Every, Process, adopt_orphans, inbox, now_s, send
 START_LIMIT_S = 30.0  # until every process is ready
 END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL
 TABLE_S = 1.0
-TEMPLATE_PATIENCE_S = 10.0
 STOOD_STILL_S = 3.0  # this process itself, or the machine, if it has not looked after the others for so long
 SILENCE_S = 4.0  # one that should have said every second that it is alive: it hangs
 STOPPED_S = 2.0  # seen stopped by a signal for so long
@@ -158,18 +157,20 @@ class Supervisor:
     def _may_start(self, child: Child) -> bool:
         if child.spec.later:  # one after the other, so that they take one core at most from those at work
             others = (c for c in self._children.values() if c.spec.later and c is not child)
-            return self._up and not any(c.state == State.STARTING for c in others)
+            if not self._up or any(c.state == State.STARTING for c in others):
+                return False
         return not self._awaits_template(child)
 
     def _awaits_template(self, child: Child) -> bool:
-        """One that starts by itself takes as long as a template that starts, and takes the processor from it. So it
-        waits, unless the template cannot be had, or takes suspiciously long."""
+        """One that starts by itself takes as long as a template that starts, and takes the processor from it: many at
+        once on a slow machine are never ready. So it waits, unless the template cannot be had (one that hangs is
+        killed as not ready, and then has a delay)."""
         template = self._children.get(child.spec.template)
-        if template is None or not child.spec.awaits_template:
-            return False
-        if template.state in (State.READY, State.LOOPING, State.FAILED):
-            return False
-        return not self._up or now_s() - template.since_s < TEMPLATE_PATIENCE_S
+        return (
+            template is not None
+            and child.spec.awaits_template
+            and template.state not in (State.READY, State.LOOPING, State.FAILED)
+        )
 
     def _kill_impatiently(self) -> None:
         for child in self._children.values():

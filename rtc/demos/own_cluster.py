@@ -46,7 +46,7 @@ def _deploy(what: str, run_dir: Path, limit_s: float, *options: str) -> None:
     except subprocess.TimeoutExpired:
         raise ClusterError(f"the cluster did not answer `{what}` within {limit_s:.0f} s") from None
     if done.returncode != 0:
-        raise ClusterError(f"cluster {what} failed: {(done.stderr or done.stdout).strip()[-2000:]}")
+        raise ClusterError(f"cluster {what} failed: {(done.stdout + done.stderr).strip()[-2000:]}")
 
 
 def _interrupt(*_: object) -> None:

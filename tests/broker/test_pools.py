@@ -57,6 +57,7 @@ def test_one_that_is_coming_back_is_waited_for(state):
     it.processes = [row("binder@2", state), row("parser@0", "ready")]
     it.submit(1, 1.0)
     assert it.look(1.0) == []
+    assert it.look(20.0) == []  # another would take the processor from it
 
 
 @pytest.mark.parametrize("state", ["failed", "crash loop"])
@@ -73,11 +74,12 @@ def test_a_pool_grows_one_by_one_while_jobs_wait_up_to_the_most():
     assert it.look(1.0 + WAIT_S / 2) == []  # it may be only a moment
     assert it.look(1.01 + WAIT_S) == [SpawnWorker(kind=BINDER)]
     it.processes = [row("binder@6", "starting")]
-    assert it.look(1.1 + WAIT_S) == [SpawnWorker(kind=BINDER)]  # that one is on its way: another
-    it.processes = [row("binder@6", "ready"), row("binder@10", "starting")]
+    assert it.look(1.1 + WAIT_S) == []  # that one is on its way
+    it.processes = [row("binder@6", "ready")]
     it.hello(6, 1.5)
-    assert it.look(9.0) == []
-    it.hello(10, 9.5)
+    assert it.look(1.5) == [SpawnWorker(kind=BINDER)]
+    it.processes = [row("binder@6", "ready"), row("binder@10", "ready")]
+    it.hello(10, 1.6)
     assert it.look(99.0) == []
 
 
