@@ -32,7 +32,7 @@ from rtc.messages import (
 from rtc.outcomes import ClusterError, WireError
 from rtc.process import Every, Process, adopt_orphans, inbox, now_s, send
 
-START_LIMIT_S = 30.0  # until every process is ready
+START_LIMIT_S = 60.0  # until every process is ready: some seconds, but who knows how busy the machine is
 END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL
 TABLE_S = 1.0
 STOOD_STILL_S = 3.0  # this process itself, or the machine, if it has not looked after the others for so long

@@ -17,7 +17,7 @@ import zmq
 
 pytestmark = pytest.mark.slow
 
-LIMIT_MS = 20_000
+LIMIT_MS = 60_000
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from rtc.outcomes import ClusterError
 
-READY_S = 60.0  # a cold start on a slow machine
+READY_S = 90.0  # a cold start on a slow machine
 DOWN_S = 20.0
 
 

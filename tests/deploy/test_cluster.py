@@ -17,7 +17,7 @@ from rtc.outcomes import ClusterError, NoCluster
 
 pytestmark = pytest.mark.slow
 
-LIMIT_S = 60.0
+LIMIT_S = 90.0
 WORKERS = ["parser@0", "elaborator@1", "binder@2", "analyzer@3"]
 TEMPLATES = ["template", "twin-template", "broker-template", "world-template", "MCM-template"]
 NAMES = [*TEMPLATES, "broker", "world", "MCM", *WORKERS]

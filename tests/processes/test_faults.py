@@ -24,7 +24,7 @@ from rtc.outcomes import OutcomeKind
 
 pytestmark = pytest.mark.slow
 
-LIMIT_S = 30.0
+LIMIT_S = 60.0
 ARM = "RIGHT-ARM"
 AWAY = "MOVE RIGHT-ARM TO JOINTS -40 110 -160 0 50 0 DEG JOINT-MOTION"
 STOW = "STOW RIGHT-ARM"

@@ -28,7 +28,7 @@ SEED = 7
 MESSAGES = 1500  # at each door
 GROWTH_MB = 150.0
 COUNTED = [name for name in DOORS if name not in ("telemetry", "events")]  # of those two nobody reads a word
-LIMIT_S = 20.0
+LIMIT_S = 60.0
 
 
 @pytest.fixture(scope="module")
