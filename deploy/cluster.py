@@ -30,8 +30,7 @@ from deploy.child import Spec
 from deploy.supervisor import END_LIMIT_S, Supervisor
 from rtc import process, template
 from rtc.outcomes import ClusterError, NoCluster, RtcError
-from rtc.settings import ENDPOINTS, Settings, prepare_run_dir
-from rtc.silence import LOCK
+from rtc.settings import ENDPOINTS, LOCK, Settings, prepare_run_dir
 from rtc.world import lease
 
 REPORT = "supervisor.json"

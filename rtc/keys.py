@@ -22,8 +22,8 @@ import zmq
 
 from rtc.outcomes import ClusterError, KeyTrouble
 from rtc.roles import MAY, TCP_DOORS, Role
+from rtc.settings import KEYS
 
-DIRECTORY = "keys"
 CLUSTER, KNOWN = "cluster.secret", ".known"
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}", re.ASCII)
 BYTES = 4096  # of a key file; ours have some hundred
@@ -106,7 +106,7 @@ class KeyRing:
     """The keys of one cluster, on its own machine. Raises KeyTrouble."""
 
     def __init__(self, run_dir: str | Path) -> None:
-        self.path = Path(run_dir) / DIRECTORY
+        self.path = Path(run_dir) / KEYS
 
     def cluster(self) -> Pair:
         """The cluster's own pair, made when it is asked for first."""

@@ -55,6 +55,9 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
         return msgspec.json.decode((Path(run_dir) / "settings.json").read_bytes(), type=Settings)
 
 
+# In the run directory:
+LOCK = "supervisor.lock"  # held as long as the supervisor lives; the kernel lets go of it however it dies
+KEYS = "keys"  # a directory: who may come from elsewhere
 # socket -> file in the run directory, who binds it, and its kind
 ENDPOINTS: dict[str, str] = {
     "front": "front.sock",  # broker ROUTER: clients
@@ -94,6 +97,12 @@ BOUNDS: dict[str, Bounds] = {
 }
 
 
+def _not_of_a_cluster(run_dir: Path) -> list[str]:
+    """What lies in a directory that no cluster has run in; keys may be made before the first one runs."""
+    names = sorted(path.name for path in run_dir.iterdir())
+    return [] if LOCK in names else [name for name in names if name != KEYS]
+
+
 def default_run_dir() -> Path:
     """RTC_RUN_DIR, or a directory of this user alone."""
     if given := os.environ.get("RTC_RUN_DIR"):
@@ -103,7 +112,8 @@ def default_run_dir() -> Path:
 
 
 def prepare_run_dir(run_dir: Path) -> Path:
-    """Make the directory, for its owner alone (0700). Raises ClusterError when sockets in it would not work."""
+    """Make the directory, for its owner alone (0700). Raises ClusterError when sockets in it would not work, or when it
+    holds what is not a cluster's: a cluster clears away what the one before it has left."""
     run_dir = run_dir.absolute()
     longest = max(len(str(run_dir / file).encode()) for file in ENDPOINTS.values())
     if longest > SUN_PATH_LIMIT:
@@ -115,6 +125,11 @@ def prepare_run_dir(run_dir: Path) -> Path:
         run_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
         if run_dir.stat().st_uid != os.getuid():
             raise ClusterError(f"run directory {run_dir} belongs to another user; choose another --run-dir")
+        if others := _not_of_a_cluster(run_dir):
+            raise ClusterError(
+                f"{run_dir} is no run directory: it holds {', '.join(others[:3])}{' and more' if others[3:] else ''}; "
+                "choose a --run-dir that is new or empty"
+            )
         run_dir.chmod(0o700)
     except OSError as error:
         raise ClusterError(f"{run_dir} cannot be a run directory: {error.strerror}; choose another --run-dir") from None

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rtc.outcomes import NoCluster
+from rtc.settings import LOCK
 
-LOCK = "supervisor.lock"  # held as long as the supervisor lives; the kernel lets go of it however it dies
 TOLD_AFTER = 2  # questions without an answer, two seconds each
 
 Tell = Callable[[str], None]

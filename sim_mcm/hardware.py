@@ -26,11 +26,13 @@ class Memory:
         self._encode = msgspec.msgpack.Encoder().encode
 
     def last(self) -> CellState | None:
-        """What the process before us left; None when there was none in this run."""
-        length = int.from_bytes(os.pread(self._fd, 4, 0), "little")
-        if length == 0:
+        """What the process before us left; None when there was none in this run, or what lies there is something else."""
+        kept = os.pread(self._fd, os.fstat(self._fd).st_size, 0)
+        length = int.from_bytes(kept[:4], "little")
+        try:
+            run, state = msgspec.msgpack.decode(kept[4 : 4 + length], type=tuple[str, CellState])
+        except msgspec.DecodeError:  # ours is always whole: it is of another version, or of nobody we know
             return None
-        run, state = msgspec.msgpack.decode(os.pread(self._fd, length, 4), type=tuple[str, CellState])
         return state if run == self._run else None
 
     def keep(self, state: CellState) -> None:

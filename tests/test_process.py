@@ -13,9 +13,11 @@ import pytest
 import zmq
 
 from rtc import process, wire
+from rtc.keys import KeyRing
 from rtc.messages import Heartbeat
 from rtc.outcomes import ClusterError
 from rtc.process import Every, Process, inbox, send
+from rtc.roles import Role
 from rtc.settings import prepare_run_dir
 
 
@@ -169,3 +171,20 @@ def test_a_run_directory_that_cannot_be_is_told_in_a_sentence(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(ClusterError, match="choose another"):
         prepare_run_dir(tmp_path / "file")
+
+
+def test_a_directory_with_other_things_in_it_does_not_become_a_run_directory(tmp_path):
+    """A cluster clears away what lies in its directory: that must be another cluster's."""
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "thesis.db").write_text("mine")
+    with pytest.raises(ClusterError, match=r"holds logs, thesis\.db; choose a --run-dir that is new or empty"):
+        prepare_run_dir(tmp_path)
+    (tmp_path / "supervisor.lock").touch()  # a cluster was here
+    assert prepare_run_dir(tmp_path) == tmp_path
+
+
+def test_keys_may_be_made_in_a_run_directory_before_its_first_cluster(tmp_path):
+    for _ in range(2):
+        KeyRing(prepare_run_dir(tmp_path)).new("alice", Role.OPERATOR, "tcp://h:1", tmp_path.parent / "alice.key")
+        (tmp_path.parent / "alice.key").unlink()
+        KeyRing(tmp_path).revoke("alice")

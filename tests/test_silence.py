@@ -12,7 +12,8 @@ from rtc import front_door
 from rtc.client import Client
 from rtc.outcomes import NoCluster, OutcomeKind
 from rtc.settings import Settings
-from rtc.silence import LOCK, Silence, supervised
+from rtc.settings import LOCK
+from rtc.silence import Silence, supervised
 from tests.test_client import SmallBroker, accepting, obliging
 
 

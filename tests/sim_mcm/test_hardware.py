@@ -8,7 +8,7 @@ from rtc import geometry
 from rtc import primitive as p
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.bullet_arm import BulletCell
-from sim_mcm.hardware import Memory
+from sim_mcm.hardware import FILE, Memory
 from sim_mcm.kinematic_arm import KinematicCell
 
 ARM, MODULE = "RIGHT-ARM", "MACS-NEW"
@@ -69,3 +69,9 @@ def test_a_shorter_state_after_a_longer_one_is_whole(cell, memory):
     state.poses = {}
     memory("run 1").keep(state)
     assert memory("run 1").last() == state
+
+
+@pytest.mark.parametrize("left", [b"", b"mine", b"\x02\0\0\0\x92\xa1", b"\x04\0\0\0\x92\xa1a\xc0"])
+def test_what_is_no_state_of_ours_is_nothing(memory, tmp_path, left):
+    (tmp_path / FILE).write_bytes(left)
+    assert memory("a").last() is None
