@@ -11,8 +11,7 @@ import pytest
 from rtc import front_door
 from rtc.client import Client
 from rtc.outcomes import NoCluster, OutcomeKind
-from rtc.settings import Settings
-from rtc.settings import LOCK
+from rtc.settings import LOCK, Settings
 from rtc.silence import Silence, supervised
 from tests.test_client import SmallBroker, accepting, obliging
 
