@@ -26,7 +26,7 @@ class Memory:
         self._encode = msgspec.msgpack.Encoder().encode
 
     def last(self) -> CellState | None:
-        """What the process before us left; None when there was none in this run, or what lies there is no such state."""
+        """What the process before us left; None when there was none in this run, or what lies there is no state."""
         kept = os.pread(self._fd, os.fstat(self._fd).st_size, 0)
         length = int.from_bytes(kept[:4], "little")
         try:
