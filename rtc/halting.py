@@ -1,7 +1,8 @@
 """The halt line: the same order to the broker's halt socket and to the MCM's estop socket, at once.
 
 It shares nothing with the front door: own sockets, own thread lock, connected in advance, so that a halt never waits
-behind anything else and works when the broker is dead, stopped or busy. Latency is measured by two clocks that are
+behind anything else and works when the broker is dead, stopped or busy. (Only whether there ever was a command of which
+nothing moves is asked there, afterwards.) Latency is measured by two clocks that are
 one: CLOCK_MONOTONIC when the operator called, and when the first joint began to decelerate. Two machines have two
 clocks: over tcp it is measured here, until the news of it has come, so it holds the way there and back.
 """
@@ -9,6 +10,7 @@ clocks: over tcp it is measured here, until the news of it has come, so it holds
 from __future__ import annotations
 
 import math
+import re
 import threading
 import time
 import uuid
@@ -19,9 +21,10 @@ import msgspec
 import zmq
 
 from rtc import messages as m
+from rtc.front_door import FrontDoor
 from rtc.keys import Doors
 from rtc.language.fastpath import EVERYTHING, halt_scope
-from rtc.outcomes import ClusterError, WireError
+from rtc.outcomes import ClusterError, RefusalReason, WireError
 from rtc.wire import frames, reader
 
 CONNECT_S, FAR_CONNECT_S = 0.5, 3.0  # longest wait for a first connection, here and over tcp
@@ -29,11 +32,14 @@ UNNAMED_S, FAR_UNNAMED_S = (
     0.1,
     0.5,
 )  # a subsystem that has nothing in scope is at rest; for so long the broker may know no such name
+ASK_S, FAR_ASK_S = 1.0, 3.0  # for the broker to say whether there is such a command
+LONGEST_S = 3600.0  # that anybody waits for rest, whatever number was given
 RETRY_S = 0.02  # how often the order is offered to a door that was closed
 PER_S = 200  # calls of one caller in a second that are each answered
 FOLD_S = 0.1
 OWN_NAMES = ("C-", "stop-", "orphan-", "rejoin-", "declined-")  # of halts that the broker orders
 DOORS = ("halt", "estop")  # who is told: broker, MCM
+COMMAND = re.compile(r"C-\d+", re.ASCII)  # a scope that means something to the broker alone
 
 _read = reader(m.FromHalt)
 
@@ -120,6 +126,7 @@ class HaltLine:
     """Thread-safe: `halt` may be called from any thread, one call after the other."""
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], doors: Doors, name: str) -> None:
+        self._context, self._all_doors, self._name = context, doors, name
         self._far = doors.far
         self._connect_s, self._unnamed_s = (FAR_CONNECT_S, FAR_UNNAMED_S) if self._far else (CONNECT_S, UNNAMED_S)
         self._lock = threading.Lock()
@@ -138,7 +145,9 @@ class HaltLine:
             self._poller.register(socket, zmq.POLLIN)
 
     def halt(self, scope: str = "ALL", timeout_s: float = 2.0) -> HaltResult:
-        """Send the order, wait for rest. Raises ClusterError when neither the broker nor the MCM could be told."""
+        """Send the order, wait for rest (LONGEST_S at most: no number holds a halt up, nor breaks it). Raises
+        ClusterError when neither the broker nor the MCM could be told."""
+        timeout_s = min(LONGEST_S, timeout_s)  # in this order nan is the longest too
         with self._lock:
             called_at_s = time.monotonic()
             scope = halt_scope(f"HALT {scope}") or scope.upper()
@@ -190,7 +199,7 @@ class HaltLine:
         declined = ""
         while (left_s := limit_s - time.monotonic()) > 0:
             if _at_rest(subsystems.values()) and "halt" in told:
-                if order.scope == EVERYTHING or _reached(subsystems.values()):
+                if order.scope == EVERYTHING or COMMAND.fullmatch(order.scope) or _reached(subsystems.values()):
                     break
                 limit_s = min(limit_s, order.called_at_s + self._unnamed_s)
             untold = {name: socket for name, socket in self._doors.items() if name not in told}
@@ -200,7 +209,35 @@ class HaltLine:
                 declined = self._hear(socket, order, subsystems) or declined
             if declined and not _reached(subsystems.values()) and len(told) == len(DOORS):
                 break
-        return _result(order, told, list(subsystems.values()), declined)
+        doubt = ""
+        if COMMAND.fullmatch(order.scope) and not declined and not _reached(subsystems.values()):
+            declined, doubt = self._ask_for(order.scope, "halt" in told)
+        return _result(order, told, list(subsystems.values()), declined, doubt)
+
+    def _ask_for(self, command: str, broker_was_told: bool) -> tuple[str, str]:
+        """Whether there ever was a command of which nothing moves: (the broker's no, why nobody knows), both empty
+        when there was. A number that was mistyped must not pass for a halt."""
+        answer = self._trace(command) if broker_was_told else None
+        if isinstance(answer, m.TraceReply):
+            return "", ""
+        if isinstance(answer, m.Declined) and answer.refusal.reason is RefusalReason.NAME:
+            return answer.refusal.message, ""
+        return "", f"whether there is a {command} only the broker knows, and it does not answer"
+
+    def _trace(self, command: str) -> m.BrokerToClient | None:
+        """A door of our own for one question: nobody may be kept waiting, and `halt` is called from any thread."""
+        query = m.TraceQuery(request=f"{self._name}.asks", command=command)
+        limit_s = time.monotonic() + (FAR_ASK_S if self._far else ASK_S)
+        front = FrontDoor(self._context, self._all_doors, query.request)
+        try:
+            front.ask(query.request, query)
+            while (left_s := limit_s - time.monotonic()) > 0:
+                answer = front.hear(left_s)
+                if isinstance(answer, m.TraceReply | m.Declined):
+                    return answer
+            return None
+        finally:
+            front.close()
 
     def _hear(self, socket: zmq.Socket[bytes], order: m.HaltOrder, subsystems: dict[str, SubsystemHalt]) -> str:
         """Take in one answer; the words of a refusal, if it was one."""
@@ -228,7 +265,7 @@ class HaltLine:
 
 
 def _ms(seconds: float) -> int:
-    return max(0, math.ceil(seconds * 1000))
+    return math.ceil(1000 * max(0.0, min(LONGEST_S, seconds)))
 
 
 def _at_rest(subsystems: Collection[SubsystemHalt]) -> bool:
@@ -239,15 +276,19 @@ def _reached(subsystems: Collection[SubsystemHalt]) -> bool:
     return any(sub.moving or sub.performers for sub in subsystems)
 
 
-def _result(order: m.HaltOrder, told: list[str], subsystems: list[SubsystemHalt], declined: str) -> HaltResult:
+def _result(
+    order: m.HaltOrder, told: list[str], subsystems: list[SubsystemHalt], declined: str, doubt: str
+) -> HaltResult:
     latencies = [sub.latency_s for sub in subsystems if sub.latency_s is not None]
     nothing = bool(declined) and not _reached(subsystems)  # at rest is then not what was meant
-    confirmed = _at_rest(subsystems) and not nothing
+    confirmed = _at_rest(subsystems) and not nothing and not doubt
     message = ""
     if not confirmed:
         silent = [sub.name for sub in subsystems if not sub.at_rest]
-        message = declined or (
-            f"{', '.join(silent)} has not come to rest in time" if silent else "no subsystem answered in time"
+        message = (
+            declined
+            or (doubt if _at_rest(subsystems) else "")
+            or (f"{', '.join(silent)} has not come to rest in time" if silent else "no subsystem answered in time")
         )
     return HaltResult(
         halt=order.halt,

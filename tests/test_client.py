@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 import zmq
 
+from rtc import halting
 from rtc import messages as m
 from rtc.client import Client
 from rtc.outcomes import NoCluster, Outcome, OutcomeKind, Refusal, RefusalReason, RequestDeclined, TimedOut
@@ -20,6 +22,7 @@ Answer = Callable[[m.ClientToBroker], list[object]]
 read_client = reader(m.ClientToBroker)
 read_halt = reader(m.ToHalt)
 NOBODY = ("C-99", "RIGHT-AMR")  # names of nothing
+ENDED = "C-5"  # of which nothing moves; the broker has nothing to decline
 
 
 class SmallBroker(threading.Thread):
@@ -64,8 +67,10 @@ class SmallBroker(threading.Thread):
             socket.close(linger=100)
 
     def _obey(self, order: m.HaltOrder, door: str) -> list[object]:
+        rest = m.HaltAtRest(halt=order.halt, subsystem="MCM", at_s=0.0, at_rest=True, performers=[])
+        if order.scope == ENDED:
+            return [rest] if door == "estop" else []
         if order.scope in NOBODY:  # the MCM cannot know; the broker does
-            rest = m.HaltAtRest(halt=order.halt, subsystem="MCM", at_s=0.0, at_rest=True, performers=[])
             refusal = Refusal(reason=RefusalReason.NAME, message=f"nothing live is called {order.scope}")
             return [rest if door == "estop" else m.Declined(request=order.halt, refusal=refusal)]
         started = m.HaltStarted(
@@ -303,7 +308,45 @@ def test_a_halt_of_nothing_is_not_confirmed_although_nothing_of_it_moves(
         for _ in range(20):  # whichever answer comes first
             result = rtc.halt(scope)
             assert (result.confirmed, result.declined) == (False, True)
-            assert result.message == f"nothing live is called {scope}"
+            assert scope in result.message
+
+
+def test_a_halt_of_a_command_that_has_ended_is_confirmed(run_dir: Path) -> None:
+    record = m.CommandRecord(
+        command=ENDED, text="", source="operator", request="r", accepted_at_s=0.0, phase=m.Phase.ENDED, notes=[]
+    )
+    broker = SmallBroker(
+        run_dir,
+        lambda said: [m.TraceReply(request=said.request, record=record)] if isinstance(said, m.TraceQuery) else [],
+    )
+    with Client(run_dir, need_broker=False) as rtc:
+        result = rtc.halt(ENDED)
+    assert (result.confirmed, result.reached, result.declined) == (True, False, False)
+    broker.stop()
+
+
+def test_of_a_command_that_nobody_knows_nothing_is_confirmed(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Given a broker that takes the halt and says no word."""
+    monkeypatch.setattr(halting, "ASK_S", 0.1)
+    broker = SmallBroker(run_dir, lambda _: [])
+    with Client(run_dir, need_broker=False) as rtc:
+        result = rtc.halt(ENDED)
+    assert (result.confirmed, result.declined) == (False, False)
+    assert "only the broker knows" in result.message
+    broker.stop()
+
+
+@pytest.mark.parametrize("timeout_s", [math.inf, math.nan, 1e300, -math.inf, -1.0, 0.0])
+def test_no_number_of_seconds_keeps_a_halt_from_being_sent(
+    broker: SmallBroker, run_dir: Path, timeout_s: float
+) -> None:
+    with Client(run_dir) as rtc:
+        assert rtc.halt_ready()
+        result = rtc.halt("RIGHT-ARM", timeout_s)
+        assert rtc.halt().confirmed  # the next one is taken after it
+    assert result.told == ["estop", "halt"]
+    assert result.confirmed == (not timeout_s <= 0)
+    assert {order.scope for _, order in broker.halted} == {"RIGHT-ARM", "ALL"}
 
 
 @pytest.mark.parametrize(
