@@ -152,7 +152,7 @@ class Belief:
             openings[arm] = opening_m
         ignore: list[tuple[str, str]] = []
         carried = self.holding(arm)
-        close = [name for name in dict.fromkeys((touching, carried, *near)) if name]
+        close = [name for name in dict.fromkeys((touching, *near)) if name]
         if touching:
             ignore += [(f"{arm} {link}", touching) for link in self.cell.arm(arm).gripper.finger_links]
         if seated and carried:
@@ -163,7 +163,7 @@ class Belief:
             openings_m=openings,
             ignore=ignore,
             clearance_m=limits.clearance_m or 0.0,
-            near=[*close, *(seat for seat in map(self.seat, close) if seat)],
+            near=[*close, *(seat for seat in map(self.seat, filter(None, (*close, carried))) if seat)],
             keep_out=limits.keep_out,
             moving=arm,
         )

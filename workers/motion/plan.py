@@ -8,7 +8,7 @@ the order of `_modified`; the first that passes is taken, and `notes` tell the s
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import msgspec
 import numpy as np
@@ -23,6 +23,10 @@ from workers.motion.constraints import FREE, Rules
 from workers.motion.path import Path
 from workers.motion.timing import FREE_PACE, Pace, Timed, time_path
 
+# What a way of our own choice keeps from all that it need not go near: a way that only just does not touch is none,
+# since the hand follows within tenths of a millimetre, and what it holds is where it is believed within a few.
+CLEARANCE_M = 0.005
+NEAR_AT_MOST = 12  # bodies that either end of a way may be nearer to than that
 RAISE_M = (0.15, 0.30)  # how far the hand is raised
 BACK_M = (0.10, 0.20)  # how far it is drawn back along its own axis
 
@@ -67,21 +71,47 @@ def plan_task_motion(at: Setting, goal_pose: Floats) -> Motion | Refusal:
 
 
 def plan_joint_motion(at: Setting, goal: Floats) -> Motion | Refusal:
-    """To the joint values `goal`, the way being free."""
-    problem = at.arm.why_not_within(goal, at.margin_rad) or free_posture(at)(np.asarray(goal, dtype=float))
+    """To the joint values `goal`, the way being free: with `CLEARANCE_M` to spare if there is such a way."""
+    goal = np.asarray(goal, dtype=float)
+    problem = at.arm.why_not_within(goal, at.margin_rad) or free_posture(at)(goal)
     if problem is not None:
         return problem
+    roomy = replace(at, scene=_with_room(at, goal))
+    found = _generate_and_test(roomy, goal)
+    if isinstance(found, Refusal) and roomy.scene is not at.scene:
+        found = _generate_and_test(at, goal)
+    return found
+
+
+def _generate_and_test(at: Setting, goal: Array) -> Motion | Refusal:
     direct = paths.joint_line(at.start, goal)
     first = fault(at, direct)
     if first is None:
         return _motion(at, direct, ["generated a line in joint space; tested: free"])
     notes = [f"generated a line in joint space; tested: {first.message}"]
-    for words, candidate in _modified(at, np.asarray(goal, dtype=float)):
+    for words, candidate in _modified(at, goal):
         problem = fault(at, candidate)
         notes.append(f"modified: {words}; tested: {problem.message if problem else 'free'}")
         if problem is None:
             return _motion(at, candidate, notes)
     return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(notes))})
+
+
+def _with_room(at: Setting, goal: Array) -> Scene:
+    """The scene with `CLEARANCE_M` to all but what either end of the way is nearer to. As it is, when the task says
+    itself how much is to be kept."""
+    if at.scene.clearance_m > 0.0:
+        return at.scene
+    ours = {at.arm.name, *(name for name, held in at.scene.held.items() if held.arm == at.arm.name)}
+    near = list(at.scene.near)
+    scene = replace(at.scene, clearance_m=CLEARANCE_M, near=near)
+    for end in (at.start, goal):
+        while hit := at.world.check({**at.joints, at.arm.name: end}, scene):
+            if len(near) >= len(list(at.scene.near)) + NEAR_AT_MOST:
+                return at.scene
+            near.append(hit.body_a if hit.body_b.split()[0] in ours else hit.body_b)
+            scene = replace(scene, near=list(near))
+    return scene
 
 
 def free_posture(at: Setting) -> Callable[[Array], Refusal | None]:
