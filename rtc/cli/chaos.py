@@ -11,7 +11,7 @@ import typer
 from rich.text import Text
 
 from rtc.chaos import VICTIMS, Chaos, Strike
-from rtc.cli.output import AsJson, RunDir, console, emit_json, seconds, table, trouble
+from rtc.cli.output import AsJson, RunDir, console, emit_json, exits_with, seconds, table, trouble
 from rtc.settings import default_run_dir
 
 BACK_LIMIT_S = 30.0  # for the last one struck to come back
@@ -44,15 +44,16 @@ def chaos(
     maker = Chaos(run_dir or default_run_dir(), random.Random(seed), stop)
     begun_s = time.monotonic()
     word = "stopped" if stop else "killed"
-    console.print(f"{word} {kill} every {seconds(every_s)} for {seconds(for_s)}, seed {seed}; Ctrl-C ends it")
-    try:
-        _run(maker, kill, word, begun_s, every_s, for_s)
-    except KeyboardInterrupt:
-        console.print("no more; waiting for those that are away")
-    _await(maker, begun_s)
-    _summary(maker)
-    if json:
-        emit_json({"seed": seed, "strikes": maker.strikes, "missing": [strike.name for strike in maker.missing]})
+    with exits_with(1):
+        console.print(f"{word} {kill} every {seconds(every_s)} for {seconds(for_s)}, seed {seed}; Ctrl-C ends it")
+        try:
+            _run(maker, kill, word, begun_s, every_s, for_s)
+        except KeyboardInterrupt:
+            console.print("no more; waiting for those that are away")
+        _await(maker, begun_s)
+        _summary(maker)
+        if json:
+            emit_json({"seed": seed, "strikes": maker.strikes, "missing": [strike.name for strike in maker.missing]})
     if maker.missing:
         raise typer.Exit(1)
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from rtc.cli.output import console, trouble
+from rtc.cli.output import console, exits_with, trouble
 
 DEMOS = ["grasp", "faults"]  # modules of rtc.demos, each with `tell(console, speed, out) -> passed`
 
@@ -26,5 +26,7 @@ def demo(
     """
     if name not in DEMOS:
         raise trouble(f"there is no demo {name}; there are: {', '.join(DEMOS)}", 2)
-    if not import_module(f"rtc.demos.{name}").tell(console, speed, out):
+    with exits_with(1):
+        passed = import_module(f"rtc.demos.{name}").tell(console, speed, out)
+    if not passed:
         raise typer.Exit(1)

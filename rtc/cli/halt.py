@@ -8,7 +8,8 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from rtc.cli.output import AsJson, RunDir, With, console, emit_json
+from rtc.cli.outlet import Unheard
+from rtc.cli.output import AsJson, RunDir, With, console, emit_json, errors, exits_with
 from rtc.client import Client
 from rtc.halting import HaltResult
 
@@ -33,14 +34,24 @@ def halt(
     """
     with Client(run_dir, need_broker=False, key=key) as rtc:
         result = rtc.halt(scope, timeout_s=timeout)
+    code = 0 if result.confirmed else NOT_CONFIRMED
     if json:
-        emit_json(result)
+        with exits_with(code):
+            emit_json(result)
     else:
         print_halt(result)
-    raise typer.Exit(0 if result.confirmed else NOT_CONFIRMED)
+    raise typer.Exit(code)
 
 
 def print_halt(result: HaltResult, out: Console = console) -> None:
+    """What became of a halt must be heard: if not there, on stderr."""
+    try:
+        _print(result, out)
+    except Unheard:
+        _print(result, errors)
+
+
+def _print(result: HaltResult, out: Console) -> None:
     line = Text(f"HALT {result.scope}: ", style="bold")
     if result.declined:
         line.append(f"NOTHING HALTED: {result.message}", style="bold white on red")

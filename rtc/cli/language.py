@@ -5,6 +5,7 @@ Plain functions; the app registers them. They print, and decide nothing.
 
 from __future__ import annotations
 
+import sys
 from functools import lru_cache
 from typing import Annotated
 
@@ -37,11 +38,11 @@ def parse(
     """
     result = parse_sentence(default_grammar(), sentence)
     if json:
-        typer.echo(msgspec.json.encode(result).decode())
+        print(msgspec.json.encode(result).decode())
     elif isinstance(result, ParsedCommand):
-        typer.echo(understood(result))
+        print(understood(result))
     else:
-        typer.echo(show(sentence, result), err=True)
+        print(show(sentence, result), file=sys.stderr)
     if isinstance(result, Refusal):
         raise typer.Exit(REFUSED)
 
@@ -58,17 +59,17 @@ def dictionary(
     if verb is None:
         for word in entries.verbs():
             mark = "  (no script yet)" if _unscripted(word) else ""
-            typer.echo(f"{word:<10} {entries.meanings().words[word]}{mark}")
+            print(f"{word:<10} {entries.meanings().words[word]}{mark}")
         return
     result = entries.entry(verb)
     if isinstance(result, Refusal):
-        typer.echo(show(verb, result), err=True)
+        print(show(verb, result), file=sys.stderr)
         raise typer.Exit(REFUSED)
-    typer.echo(result, nl=False)
+    print(result, end="")
     verb = verb.upper()
     if _unscripted(verb):
         instead = _elaborator().instead.get(verb, "")
-        typer.echo(f"\n{verb} has no script yet" + (f"; instead: {instead}" if instead else ""), err=True)
+        print(f"\n{verb} has no script yet" + (f"; instead: {instead}" if instead else ""), file=sys.stderr)
 
 
 def _unscripted(verb: str) -> bool:
@@ -89,13 +90,13 @@ def grammar(
     Example: rtc grammar --stats
     """
     if not stats:
-        typer.echo(entries.bnf(), nl=False)
+        print(entries.bnf(), end="")
         return
     for name, productions in entries.clauses().items():
-        typer.echo(f"{name:<20} {len(productions):>2}  {entries.meanings().clauses[name]}")
-    typer.echo()
+        print(f"{name:<20} {len(productions):>2}  {entries.meanings().clauses[name]}")
+    print()
     for what, count in entries.stats().items():
-        typer.echo(f"{what.replace('_', ' '):<15} {count:>4}")
+        print(f"{what.replace('_', ' '):<15} {count:>4}")
 
 
 def understood(record: ParsedCommand) -> str:

@@ -11,7 +11,8 @@ from typing import Any
 
 import typer
 
-from rtc.cli.output import LEFT_RUNNING, NO_CLUSTER, trouble
+from rtc.cli.outlet import Unheard, attach
+from rtc.cli.output import LEFT_RUNNING, NO_CLUSTER, errors, trouble
 from rtc.outcomes import NoCluster, RequestDeclined, RtcError
 
 #: command -> module of this package that has a function (or, for a group, an app) for it; in the order of the help
@@ -61,6 +62,20 @@ def build(names: list[str]) -> typer.Typer:
 
 def main() -> None:
     """Entry point. Exit status: see `rtc do -h`; 4 = no cluster."""
+    attach()
+    try:
+        try:
+            _call()
+        finally:
+            sys.stdout.flush()  # not when Python ends, where nobody could be told
+    except Unheard as unheard:  # of a command that only prints; others say what becomes of their work
+        if unheard.reader_gone:  # `rtc trace C-7 | head`
+            sys.exit(0)
+        errors.print(f"rtc: {unheard}")
+        sys.exit(1)
+
+
+def _call() -> None:
     called = sys.argv[1] if len(sys.argv) > 1 else ""
     try:
         build([called] if called in COMMANDS else list(COMMANDS))()
@@ -73,9 +88,6 @@ def main() -> None:
         sys.exit(trouble(str(error), 1).exit_code)
     except UnicodeEncodeError as error:  # bytes that are no text, where a sentence would be refused at its place
         sys.exit(trouble(f"this is no text: {error.object!a}", 2).exit_code)
-    except BrokenPipeError:  # `rtc trace C-7 | head`
-        sys.stderr.close()
-        sys.exit(0)
     except KeyboardInterrupt:
         sys.exit(LEFT_RUNNING)
 

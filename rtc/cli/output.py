@@ -6,7 +6,8 @@ Knows outcomes and refusals, no sockets. Text that came from outside is never re
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from rtc.cli.outlet import Unheard
 from rtc.language.caret import CUT, show
 from rtc.language.refuse import visible
 from rtc.outcomes import OutcomeKind, Refusal
@@ -43,7 +45,8 @@ COLOUR = {
 
 MOST_SAID = 200  # characters of a sentence that are repeated
 PIPED_WIDTH = 160  # columns of a table that no terminal bounds
-console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else PIPED_WIDTH)
+_on_terminal = sys.stdout is not None and sys.stdout.isatty()
+console = Console(highlight=False, soft_wrap=True, width=None if _on_terminal else PIPED_WIDTH)
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 
 RunDir = Annotated[Path | None, typer.Option("--run-dir", help="The cluster's run directory.", show_default="yours")]
@@ -67,8 +70,19 @@ def trouble(message: str, code: int = 1) -> typer.Exit:
     """Say an expected trouble in a sentence (and as JSON when that was asked for); raise what this returns."""
     errors.print(Text("rtc: ", style="bold red") + Text(message))
     if "--json" in sys.argv:
-        emit_json({"error": message, "exit": code})
+        with suppress(Unheard):  # it has been said
+            emit_json({"error": message, "exit": code})
     return typer.Exit(code)
+
+
+@contextmanager
+def exits_with(code: int) -> Iterator[None]:
+    """When nobody hears what is printed inside, that is said on stderr, and the exit status is this one."""
+    try:
+        yield
+    except Unheard as unheard:
+        errors.print(f"rtc: {unheard}")
+        raise typer.Exit(code) from None
 
 
 def refusal_lines(refusal: Refusal, text: str = "") -> list[str]:

@@ -37,6 +37,7 @@ class Board:
     def __init__(self, texts: list[str], *, quiet: bool = False, out: Console = console) -> None:
         self._rows = [Row(text) for text in texts]
         self._row_of: dict[str, Row] = {}
+        self.kinds: list[OutcomeKind] = []  # of those that have ended, told or not
         self.quiet = quiet
         self._out = out
         self._live: Live | None = None
@@ -86,6 +87,7 @@ class Board:
         """Print the result line for good; it stays when the board goes."""
         row = self._rows[n]
         row.phase = "ended"
+        self.kinds.append(ended.outcome.kind)
         self._row_of.pop(ended.command, None)
         if self._live:
             self._live.refresh()  # without the row, before the result is printed above the board

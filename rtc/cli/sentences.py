@@ -16,6 +16,7 @@ from rich.text import Text
 
 from rtc import messages as m
 from rtc.cli.halt import print_halt
+from rtc.cli.outlet import Unheard
 from rtc.cli.output import (
     LEFT_RUNNING,
     AsJson,
@@ -25,6 +26,7 @@ from rtc.cli.output import (
     emit_json,
     errors,
     exit_code,
+    exits_with,
     refusal_lines,
     said,
     trouble,
@@ -74,7 +76,8 @@ def do(
         else:
             code, results = _see_through(rtc, texts, parallel and not any(halts), keep_going, json)
     if json:
-        emit_json({"results": results, "exit": code})
+        with exits_with(code):
+            emit_json({"results": results, "exit": code})
     raise typer.Exit(code)
 
 
@@ -84,8 +87,9 @@ def _see_through(
     """Run them all; the exit code and a result for each."""
     kinds: list[OutcomeKind] = []
     results: list[dict[str, Any]] = []
+    board = Board(texts, quiet=json)
     try:
-        with Board(texts, quiet=json) as board, asked_on_interrupt(rtc, board):
+        with board, asked_on_interrupt(rtc, board):
             if parallel:
                 ended = rtc.run_many(
                     texts,
@@ -105,6 +109,8 @@ def _see_through(
     except LeftRunning:
         console.print("left running; `rtc status` shows them, `rtc halt` stops them")
         return LEFT_RUNNING, results
+    except Unheard as unheard:
+        return gone_unheard(unheard, board, len(texts)), results
     for text in texts[len(results) :]:
         results.append({"text": text, "kind": "not_sent"})
         if not json:
@@ -112,6 +118,20 @@ def _see_through(
                 Text("NOT SENT", style="bold") + Text(f"  {said(text)}  ") + Text("(use -k to go on)", style="dim")
             )
     return exit_code(kinds), results
+
+
+def gone_unheard(unheard: Unheard, board: Board, sentences: int) -> int:
+    """Nobody hears how it goes on: say what goes on without us. The exit status."""
+    running, others = board.running, sentences - len(board.running) - len(board.kinds)
+    parts = [str(unheard)]
+    if running:
+        parts.append(f"left running: {', '.join(running)}; rtc halt {running[0] if len(running) == 1 else ''}".rstrip())
+    if others:
+        parts.append(f"not heard of, or not sent: {others} more; rtc status")
+    errors.print(Text(f"rtc: {'; '.join(parts)}"))
+    if running:
+        return LEFT_RUNNING
+    return exit_code(board.kinds) or int(others > 0)
 
 
 def _one(rtc: Client, board: Board, n: int, text: str) -> tuple[OutcomeKind, dict[str, Any]]:
@@ -132,6 +152,7 @@ def _one(rtc: Client, board: Board, n: int, text: str) -> tuple[OutcomeKind, dic
 def _hand_in(rtc: Client, texts: list[str]) -> tuple[int, list[dict[str, Any]]]:
     """Submit without waiting for outcomes."""
     results: list[dict[str, Any]] = []
+    out = console
     for text in texts:
         if scope := halt_scope(text):
             halted: HaltResult = rtc.halt(scope)
@@ -145,7 +166,12 @@ def _hand_in(rtc: Client, texts: list[str]) -> tuple[int, list[dict[str, Any]]]:
                 errors.print(Text(line))
             results.append({"text": text, "kind": "refused", "refusal": msgspec.to_builtins(declined.refusal)})
             return 2, results
-        console.print(Text(f"{command} accepted  {said(text)}"))
+        accepted = Text(f"{command} accepted  {said(text)}")
+        try:
+            out.print(accepted)
+        except Unheard:
+            out = errors  # the number must not be lost
+            out.print(accepted)
         results.append({"text": text, "kind": "accepted", "command": command})
     return 0, results
 

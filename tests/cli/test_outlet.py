@@ -1,0 +1,120 @@
+"""Stdout that is full, closed, or read by nobody any more: told of once, in a sentence, with the right exit status."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+
+import pytest
+
+from rtc import messages as m
+from rtc.cli import sentences
+from rtc.cli.halt import print_halt
+from rtc.cli.outlet import Outlet, Unheard
+from rtc.cli.progress import Board
+from rtc.cli.sentences import gone_unheard
+from rtc.halting import HaltResult
+from rtc.outcomes import Outcome, OutcomeKind
+
+
+def to_nobody() -> io.TextIOWrapper:
+    """A pipe whose reader has gone."""
+    read, write = os.pipe()
+    os.close(read)
+    return os.fdopen(write, "w")
+
+
+def to_a_full_disk() -> io.TextIOWrapper:
+    return os.fdopen(os.open("/dev/full", os.O_WRONLY), "w")
+
+
+def test_what_is_heard_is_written() -> None:
+    heard = io.StringIO()
+    outlet = Outlet(heard)
+    outlet.write("C-7 SUCCEEDED\n")
+    outlet.flush()
+    assert heard.getvalue() == "C-7 SUCCEEDED\n"
+
+
+@pytest.mark.parametrize(
+    ("stream", "gone", "words"),
+    [
+        (to_nobody, True, "nobody reads on"),
+        (to_a_full_disk, False, "cannot print: No space left on device"),
+        (lambda: None, False, "cannot print: stdout is closed"),
+    ],
+)
+def test_a_loss_is_told_once_and_the_rest_is_dropped(stream, gone: bool, words: str) -> None:
+    outlet = Outlet(stream())
+    with pytest.raises(Unheard, match=words) as unheard:
+        print("one", file=outlet, flush=True)
+    assert unheard.value.reader_gone == gone
+
+    outlet.write("two\n")
+    outlet.flush()
+    outlet.close()  # nothing is left in a buffer that could fail when Python ends
+
+
+def test_of_a_stream_that_need_not_be_there_nobody_is_told() -> None:
+    outlet = Outlet(to_a_full_disk(), needed=False)
+    outlet.write("one\n")
+    outlet.flush()
+
+
+def ended(command: str) -> m.CommandEnded:
+    outcome = Outcome(kind=OutcomeKind.FAILED)
+    return m.CommandEnded(seq=1, at_s=0, command=command, request="r", text="", outcome=outcome, took_s=1.0)
+
+
+def test_whose_reader_has_gone_is_told_what_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
+    board = Board(["STOW LEFT-ARM", "STOW RIGHT-ARM"], quiet=True)
+    board.accepted(0, "C-7")
+    assert gone_unheard(Unheard(BrokenPipeError()), board, 1) == sentences.LEFT_RUNNING
+    assert "left running: C-7; rtc halt C-7\n" in capsys.readouterr().err
+
+    board.ended(0, ended("C-7"))
+    assert gone_unheard(Unheard(BrokenPipeError()), board, 1) == 1  # it failed
+    assert "left running" not in capsys.readouterr().err
+    gone_unheard(Unheard(BrokenPipeError()), board, 2)
+    assert "not sent: 1 more" in capsys.readouterr().err
+
+
+def test_a_halt_is_told_on_stderr_when_stdout_is_lost(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = HaltResult(
+        halt="H-1",
+        scope="ALL",
+        latency_s=None,
+        confirmed=False,
+        told=["halt"],
+        subsystems=[],
+        message="nobody answered",
+    )
+    monkeypatch.setattr(sys, "stdout", Outlet(None))
+    print_halt(result)
+    assert "nobody answered" in capsys.readouterr().err
+
+
+def rtc(words: str) -> subprocess.CompletedProcess[str]:
+    line = f'"$0" -P -m rtc.cli.main {words}'
+    return subprocess.run(["bash", "-c", line, sys.executable], capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        ("grammar | head -1 >/dev/null; exit ${PIPESTATUS[0]}", 0, ""),
+        ("dictionary >/dev/full", 1, "rtc: cannot print: No space left on device\n"),
+        ("dictionary >&-", 1, "rtc: cannot print: stdout is closed\n"),
+        ("-h >/dev/full", 1, "rtc: cannot print: No space left on device\n"),
+        ("status --json --run-dir /nowhere >/dev/full", 4, "rtc: no cluster in /nowhere; start one with: rtc up -d\n"),
+        ("dictionary >/dev/null 2>&- <&-", 0, ""),
+    ],
+)
+def test_a_lost_stdout_is_a_sentence_and_a_status(words: str, status: int, said: str) -> None:
+    done = rtc(words)
+    assert (done.returncode, done.stderr) == (status, said)
