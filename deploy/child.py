@@ -12,6 +12,7 @@ import signal
 import socket
 import subprocess
 from collections import deque
+from collections.abc import Container
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -52,19 +53,34 @@ class State(StrEnum):
 
 
 class Line:
-    """The supervisor's end of a line to a template: one order, one answer."""
+    """The supervisor's end of a line to a template: one order, one answer, one word to begin."""
 
     def __init__(self) -> None:
         self._ours, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)  # whole messages
         self._ours.settimeout(FORK_LIMIT_S)
 
-    def fork(self, order: bytes, output: int, log: int, *stdin: int) -> int:
-        """The pid of a new process, a child of ours. Raises OSError when the template does not answer."""
-        socket.send_fds(self._ours, [order], [output, log, *stdin])
-        answer = self._ours.recv(32)
-        if not answer:
-            raise ConnectionError("the template is gone")
-        return int(answer)
+    def fork(self, order: bytes, *fds: int) -> tuple[int, int]:
+        """(pid, pidfd) of a new process, a child of ours; `fds` are its stdout, stderr and stdin, if it has one.
+
+        It becomes nothing before our word comes through a pipe of its own. Does the answer come too late, or are we
+        dead, then it finds that pipe's end there and ends: nobody would watch it. Raises OSError when there is no
+        answer in time, and from then on."""
+        begin, word = os.pipe()
+        try:
+            socket.send_fds(self._ours, [order], [begin, *fds])
+            answer = self._ours.recv(32)
+            if not answer:
+                raise ConnectionError("the template is gone")
+            pid = int(answer)
+            pidfd = os.pidfd_open(pid)
+            os.write(word, b"!")
+            return pid, pidfd
+        except OSError:
+            self.close()  # an answer that comes now must not be taken for that to the next order
+            raise
+        finally:
+            os.close(begin)
+            os.close(word)
 
     def close(self) -> None:
         self._ours.close()
@@ -109,11 +125,14 @@ class Child:
             with open(self.log, "ab") as log:
                 if template is None:
                     self._popen = self._run(output, log.fileno(), *stdin)
-                    self.pid = self._popen.pid
+                    self.pid, self.exited_fd = self._popen.pid, os.pidfd_open(self._popen.pid)
                 else:
-                    self.pid = template.fork(self.spec.order, output, log.fileno(), *stdin)
-            self.exited_fd = os.pidfd_open(self.pid)
+                    self.pid, self.exited_fd = template.fork(self.spec.order, output, log.fileno(), *stdin)
         except OSError:
+            if self._popen is not None:  # unwatched it must not live
+                self._popen.kill()
+                self._popen.wait()
+                self._popen = None
             os.close(self.output_fd)
             if self.line:
                 self.line.close()
@@ -193,6 +212,13 @@ class Child:
                 return "\n".join(log.read().decode(errors="replace").splitlines()[-lines:])
         except OSError:
             return ""
+
+
+def reap_strangers(known: Container[int]) -> None:
+    """Wait for what was forked away and has ended before it was anything: it is ours by adoption alone."""
+    with contextlib.suppress(ChildProcessError):
+        while (dead := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) and dead.si_pid not in known:
+            os.waitpid(dead.si_pid, 0)
 
 
 NICENESS = os.getpriority(os.PRIO_PROCESS, 0)  # as we were started, before the supervisor took a better one

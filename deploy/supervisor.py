@@ -15,7 +15,7 @@ from typing import Any
 import zmq
 
 from deploy import hypercube
-from deploy.child import Child, Spec, State, in_words, limit_log
+from deploy.child import Child, Spec, State, in_words, limit_log, reap_strangers
 from deploy.restarts import DEFAULT, Death, Policy, delay_s
 from rtc import wire
 from rtc.messages import (
@@ -108,6 +108,7 @@ class Supervisor:
                 stood_still = now - self._looked_s > STOOD_STILL_S  # then nobody else is to blame for silence
                 self._looked_s = now
                 self._tell_table()
+                reap_strangers([child.pid for child in self._children.values()])
                 for child in self._children.values():
                     limit_log(child.log)
                     if stood_still:

@@ -5,26 +5,27 @@ process is back at once, a cluster of many workers starts as quickly as one of f
 A template holds no socket of the cluster, no thread and no state: losing it costs nothing but time (the supervisor then
 starts processes by themselves). This file does not know what it forks.
 
-Orders come on stdin, a Unix socket of whole messages: bytes for `be`, with the file descriptors of the new process's
-stdout and stderr (and stdin, if it is to have one); the answer is its pid. The process becomes a child of whoever
-started the template, who must be a subreaper: it is forked twice, and the one between ends at once. The order TWIN
-makes another template: two that are forked from each other need never be made anew.
+Orders come on stdin, a Unix socket of whole messages: bytes for `be`, with the file descriptors of a pipe and of the
+new process's stdout and stderr (and stdin, if it is to have one); the answer is its pid. The process becomes a child of
+whoever started the template, who must be a subreaper: it is forked twice, and the one between ends at once. Then it
+waits for one byte in the pipe: whoever ordered it knows it now, and watches it. When the pipe ends without, because the
+answer came too late or he is dead, it ends too. The order TWIN makes another template: two that are forked from each
+other need never be made anew.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
 import sys
-import time
 import traceback
 from collections.abc import Callable
 from typing import NoReturn
 
 from rtc import process
 
-ADOPTION_LIMIT_S = 5.0
 TWIN = b"twin"
 
 Be = Callable[[bytes], None]
@@ -37,7 +38,7 @@ def serve(be: Be) -> None:
     supervisor = os.getppid()
     orders = socket.socket(fileno=os.dup(0))
     while True:
-        order, fds, _, _ = socket.recv_fds(orders, 4096, 3)
+        order, fds, _, _ = socket.recv_fds(orders, 4096, 4)
         if not order:
             return
         pid = _fork_away(lambda: _become(order, fds, orders, supervisor, be))  # noqa: B023
@@ -70,13 +71,16 @@ def _become(order: bytes, fds: list[int], orders: socket.socket, supervisor: int
     status = 1
     try:
         orders.close()
+        begin, output, log, *more = fds
+        if not os.read(begin, 1):
+            os._exit(1)
+        process.die_with_parent(supervisor)  # ours by now: it has had the answer that was given after the adoption
         os.setsid()
-        stdin = fds[2] if len(fds) > 2 else os.open(os.devnull, os.O_RDONLY)
-        for mine, standard in ((stdin, 0), (fds[0], 1), (fds[1], 2)):
+        stdin = more[0] if more else os.open(os.devnull, os.O_RDONLY)
+        for mine, standard in ((stdin, 0), (output, 1), (log, 2)):
             os.dup2(mine, standard)
             os.close(mine)
-        _await_adoption(supervisor)
-        process.die_with_parent(supervisor)
+        os.close(begin)
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)
         if order == TWIN:
@@ -87,15 +91,7 @@ def _become(order: bytes, fds: list[int], orders: socket.socket, supervisor: int
     except BaseException:
         traceback.print_exc()
     finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
+        with contextlib.suppress(OSError):  # a full disk
+            sys.stdout.flush()
+            sys.stderr.flush()
         os._exit(status)  # not the template's clean-up
-
-
-def _await_adoption(supervisor: int) -> None:
-    """The one between us and the template ends within a millisecond; then we are the supervisor's."""
-    end = time.monotonic() + ADOPTION_LIMIT_S
-    while os.getppid() != supervisor:
-        if time.monotonic() > end:
-            raise OSError(f"not adopted by the supervisor (pid {supervisor})")
-        time.sleep(0.0002)

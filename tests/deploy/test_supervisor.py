@@ -27,7 +27,7 @@ from rtc.messages import (
     WorkerKind,
 )
 from rtc.outcomes import ClusterError
-from rtc.process import Process, send
+from rtc.process import Process, now_s, send
 from rtc.template import TWIN
 
 pytestmark = pytest.mark.slow
@@ -91,7 +91,9 @@ class Cluster:
 
     def hear_table(self, wanted):
         """The next process table for which `wanted` is true, by name."""
+        end_s = now_s() + 30
         while True:
+            assert now_s() < end_s, self.lines
             table = {row["name"]: row for row in self.hear(ProcessTable).processes}
             if wanted(table):
                 return table
@@ -316,6 +318,30 @@ def test_a_template_that_does_not_answer_is_replaced_and_then_forks_the_worker(c
     back = it.hear_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 1)
     assert back["template"]["restarts"] == 1
     assert b"rtc.template" in command_line(back["binder@2"]["pid"])
+
+
+def test_what_was_forked_too_late_never_begins_and_leaves_no_zombie(cluster, tmp_path, monkeypatch):
+    """The supervisor has given up on it, so nobody would watch it: two brokers would be at one journal."""
+    monkeypatch.setattr("deploy.child.FORK_LIMIT_S", 0.2)
+    monkeypatch.setattr("deploy.supervisor.TABLE_S", 0.05)
+    late = Spec("template", (sys.executable, "-c", LATE + TEMPLATE), is_template=True, later=True)
+    it = cluster(forked("broker@0", awaits_template=False), late).go()
+    os.kill(it.hear_table(lambda t: t["template"]["state"] == "ready")["broker@0"]["pid"], signal.SIGKILL)
+    it.hear_table(lambda t: t["template"]["restarts"] == 1 and t["broker@0"]["state"] == "ready")
+    stray = int((tmp_path / "template.log").read_text().split()[1])
+    it.hear_table(lambda t: not alive(stray))
+    assert (tmp_path / "broker@0.log").read_text().count("broker@0 of") == 0
+
+
+LATE = """
+import signal, sys
+from rtc import template
+fork = template._fork_away
+def fork_and_never_say_so(child):
+    print("forked", fork(child), file=sys.stderr, flush=True)
+    signal.pause()
+template._fork_away = fork_and_never_say_so
+"""
 
 
 def test_without_a_template_workers_start_by_themselves(cluster):
