@@ -3,23 +3,32 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 
 from deploy import cluster
 from rtc.keys import check_address
-from rtc.outcomes import NoCluster, RtcError
+from rtc.outcomes import ClusterError, NoCluster, ProgramError, RtcError
 from rtc.settings import Settings, default_run_dir
 
+CELL = "swapout"  # where nothing else is said
 MOST_WORKERS = 64  # of a kind; a desk has fewer cores
+WRONG = 2  # exit status for an option that cannot be, as argparse has it
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """0 = ready and, later, ended in order; 1 = it did not come up."""
+    """0 = ready and, later, ended in order; 1 = it did not come up; 2 = it was not tried, for an option is wrong."""
     given = _parser().parse_args(arguments)
     run_dir: Path = (given.run_dir or default_run_dir()).absolute()
+    if given.what == "up":
+        try:
+            settings = settings_of(given, run_dir)
+        except RtcError as error:
+            print(error, file=sys.stderr)
+            return WRONG
     try:
-        return _down(run_dir) if given.what == "down" else _up(given, run_dir)
+        return _down(run_dir) if given.what == "down" else _up(settings, given.detach)
     except RtcError as error:
         print(error, file=sys.stderr)
         return 1
@@ -27,11 +36,13 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
 
 
-def _up(given: argparse.Namespace, run_dir: Path) -> int:
-    cell = str(Path(given.cell).absolute()) if Path(given.cell).suffix in (".yaml", ".yml") else given.cell
-    settings = Settings(
+def settings_of(given: argparse.Namespace, run_dir: Path) -> Settings:
+    """The options, checked. Raises RtcError: an option is wrong."""
+    if given.least is not None and given.least > given.most:
+        raise ClusterError(f"--least {given.least} is more than --most {given.most}: say --most {given.least} or more")
+    return Settings(
         run_dir=str(run_dir),
-        cell=cell,
+        cell=_cell(given.cell),
         dim=given.dim,
         least_workers=given.least,
         most_workers=given.most,
@@ -40,7 +51,24 @@ def _up(given: argparse.Namespace, run_dir: Path) -> int:
         seed=given.seed,
         listen=check_address(given.listen) if given.listen else "",
     )
-    if given.detach:
+
+
+def _cell(text: str) -> str:
+    """A cell's name or its file. Raises ProgramError when it is none."""
+    if text == CELL:
+        return text  # to look into it takes numpy, and nothing should stand between `up` and the start of the processes
+    path = Path(text)
+    is_yaml = path.suffix in (".yaml", ".yml")
+    if path.is_file() and not is_yaml:
+        raise ProgramError(f"{text} is no cell: a cell is a .yaml file, a directory with a cell.yaml in it, or a name")
+    from rtc.cell import Cell
+
+    Cell.load(text)
+    return str(path.absolute()) if is_yaml else text
+
+
+def _up(settings: Settings, detach: bool) -> int:
+    if detach:
         cluster.up_detached(settings, say)
     else:
         cluster.up(settings, say)
@@ -65,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m deploy", description="Start and stop a cluster.")
     what = parser.add_subparsers(dest="what", required=True)
     up = what.add_parser("up", help="start a cluster and stay with it until Ctrl-C")
-    up.add_argument("--cell", default="swapout", help="name of a cell, or a cell file")
+    up.add_argument("--cell", default=CELL, help="name of a cell, or a cell file")
     up.add_argument("--dim", type=int, default=2, choices=range(2, 9), help="of the cube: 2^dim workers")
     up.add_argument("--least", type=_count, default=None, help="workers of each kind; else as many as the cube has")
     up.add_argument("--most", type=_count, default=4, help="workers of each kind, while jobs wait")
@@ -91,7 +119,7 @@ def _speed(text: str) -> float:
     if text == "max":
         return 0.0
     speed = float(text)
-    if speed < 0:
+    if not 0 <= speed < math.inf:
         raise ValueError
     return speed
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import re
 import time
@@ -101,6 +102,6 @@ def _summary(maker: Chaos) -> None:
 
 def _duration_s(text: str, option: str) -> float:
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(ms|s|m|)", text.strip())
-    if found is None or float(found[1]) <= 0:
+    if found is None or not 0 < float(found[1]) < math.inf:
         raise trouble(f"{option} is a duration such as 2s, 500ms or 5m; not {text}", 2)
     return float(found[1]) * UNITS[found[2]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from pathlib import Path
@@ -39,7 +40,7 @@ def up(
     """
     if mcm not in ("bullet", "kinematic"):
         raise trouble(f"--mcm is bullet or kinematic, not {mcm}", 2)
-    _check_speed(speed)
+    check_speed(speed)
     arguments = ["up", "--cell", cell, "--dim", str(dim), "--most", str(most), "--mcm", mcm, "--speed", speed]
     at_least = [] if least is None else ["--least", str(least)]
     far = ["--listen", listen] if listen else []
@@ -156,9 +157,10 @@ def _plain(value: Any) -> str:
     return str(value)
 
 
-def _check_speed(speed: str) -> None:
+def check_speed(speed: str) -> None:
+    """Raises typer.Exit, with the reason said, for what is no speed of simulated time."""
     try:
-        good = speed == "max" or float(speed) > 0
+        good = speed == "max" or 0 < float(speed) < math.inf
     except ValueError:
         good = False
     if not good:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from rtc.cli.cluster import check_speed
 from rtc.cli.output import console, exits_with, trouble
 
 DEMOS = ["grasp", "faults"]  # modules of rtc.demos, each with `tell(console, speed, out) -> passed`
@@ -26,6 +27,7 @@ def demo(
     """
     if name not in DEMOS:
         raise trouble(f"there is no demo {name}; there are: {', '.join(DEMOS)}", 2)
+    check_speed(speed)
     with exits_with(1):
         passed = import_module(f"rtc.demos.{name}").tell(console, speed, out)
     if not passed:

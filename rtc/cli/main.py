@@ -13,7 +13,7 @@ import typer
 
 from rtc.cli.outlet import Unheard, attach
 from rtc.cli.output import LEFT_RUNNING, NO_CLUSTER, errors, trouble
-from rtc.outcomes import NoCluster, RequestDeclined, RtcError
+from rtc.outcomes import KeyTrouble, NoCluster, RequestDeclined, RtcError
 
 #: command -> module of this package that has a function (or, for a group, an app) for it; in the order of the help
 COMMANDS = {
@@ -84,6 +84,8 @@ def _call() -> None:
     except RequestDeclined as error:
         clears = f" ({error.refusal.clears})" if error.refusal.clears else ""
         sys.exit(trouble(str(error) + clears, 2).exit_code)
+    except KeyTrouble as error:
+        sys.exit(trouble(str(error), 2).exit_code)
     except RtcError as error:
         sys.exit(trouble(str(error), 1).exit_code)
     except UnicodeEncodeError as error:  # bytes that are no text, where a sentence would be refused at its place

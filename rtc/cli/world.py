@@ -54,7 +54,7 @@ def get(key: Key, json: AsJson = False, run_dir: RunDir = None, key_file: With =
 @app.command()
 def watch(
     key: Annotated[str, typer.Argument(help="A fact or a location; without it, everything.")] = "",
-    every: Annotated[float, typer.Option(min=0.02, help="Seconds between two looks.")] = 0.2,
+    every: Annotated[float, typer.Option(min=0.02, max=3600, help="Seconds between two looks.")] = 0.2,
     run_dir: RunDir = None,
     key_file: With = None,
 ) -> None:
@@ -81,7 +81,7 @@ def watch(
 @app.command()
 def history(
     key: Annotated[str, typer.Argument(help="A fact (MACS-NEW.frame), or a location: all its facts.")],
-    limit: Annotated[int, typer.Option(min=1, help="At most so many, the newest first.")] = 20,
+    limit: Annotated[int, typer.Option(min=1, max=HISTORY, help="At most so many, the newest first.")] = 20,
     json: AsJson = False,
     run_dir: RunDir = None,
     key_file: With = None,

@@ -142,7 +142,7 @@ def test_two_clusters_are_independent(run_dir, tmp_path):
 
 def test_a_bad_cell_is_told_in_the_first_line_that_matters(run_dir):
     failed = up(run_dir, "--cell", "moon-base")
-    assert failed.returncode == 1
+    assert failed.returncode == 2
     assert "no cell moon-base" in failed.stdout + failed.stderr
     assert not (run_dir / "supervisor.json").exists()
 
