@@ -16,6 +16,7 @@ from collections.abc import Container
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import BinaryIO
 
 from deploy.restarts import Death
 from rtc.process import ALIVE, READY, die_with_parent, now_s
@@ -97,6 +98,7 @@ class Child:
         self.heard_s = 0.0  # when it said something last
         self.stopped_since_s = 0.0  # by a signal; 0 = it is not
         self.restarts = 0
+        self.was_ready = False  # in any of its lives
         self.deaths: deque[Death] = deque(maxlen=REMEMBERED_DEATHS)
         self.start_at_s = 0.0  # while WAITING or LOOPING: when to start it
         self.kill_at_s = 0.0  # while ENDING: when patience ends
@@ -122,7 +124,7 @@ class Child:
         self.line = Line() if self.spec.is_template else None
         stdin = (self.line.theirs.fileno(),) if self.line else ()
         try:
-            with open(self.log, "ab") as log:
+            with open_log(self.log) as log:
                 if template is None:
                     self._popen = self._run(output, log.fileno(), *stdin)
                     self.pid, self.exited_fd = self._popen.pid, os.pidfd_open(self._popen.pid)
@@ -164,7 +166,7 @@ class Child:
         *lines, self._line = (self._line + said).split(b"\n")
         other = [line for line in lines if line.strip() not in (READY, ALIVE)]
         if other:
-            with open(self.log, "ab") as log:
+            with contextlib.suppress(OSError), open_log(self.log) as log:
                 log.write(b"\n".join([*other, b""]))
         return READY in lines
 
@@ -236,10 +238,19 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THRE
 
 def limit_log(log: Path) -> None:
     """Put a log that has grown too long aside. Its writer has it open for appending and goes on at the beginning."""
-    with contextlib.suppress(FileNotFoundError):
+    with contextlib.suppress(OSError):
         if log.stat().st_size > LOG_LIMIT:
-            shutil.copyfile(log, log.with_suffix(".log.1"))
+            with contextlib.suppress(OSError):  # on a full disk a part of it is lost: it must not grow for ever
+                shutil.copyfile(log, log.with_suffix(".log.1"))
             os.truncate(log, 0)
+
+
+def open_log(log: Path) -> BinaryIO:
+    """A log, for appending. On a full disk there may be no room for a new one: then what is said there is lost."""
+    try:
+        return open(log, "ab")
+    except OSError:
+        return open(os.devnull, "ab")
 
 
 def in_words(status: int) -> str:

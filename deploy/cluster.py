@@ -185,8 +185,9 @@ def _be_detached(settings: Settings, say: Callable[[str], None], output: int) ->
     except BaseException:
         traceback.print_exc()
     finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
+        with contextlib.suppress(OSError):  # a full disk
+            sys.stdout.flush()
+            sys.stderr.flush()
         os._exit(status)
 
 

@@ -7,6 +7,7 @@ not know: it is given a list of `Spec`s, and a function that makes the spec of a
 
 from __future__ import annotations
 
+import contextlib
 import signal
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -63,7 +64,7 @@ class Supervisor:
         self._me = me
         self._logs = logs
         self._pid = pid
-        self._new_worker, self._say, self._save = new_worker, say, save
+        self._new_worker, self._tell_people, self._save = new_worker, say, save
         self._policy = policy
         self._children = {spec.name: Child(spec, logs / f"{spec.name}.log") for spec in specs}
         self._by_fd: dict[int, Child] = {}
@@ -74,6 +75,7 @@ class Supervisor:
         self._up = False  # every process has been ready once
         self._looked_s = 0.0  # whether anybody hangs
         self._changes = False  # of the process table, not told yet
+        self._unsaved = False  # the table: there was no room for it
 
     # --- the three phases ------------------------------------------------------------------------------
 
@@ -108,6 +110,8 @@ class Supervisor:
                 stood_still = now - self._looked_s > STOOD_STILL_S  # then nobody else is to blame for silence
                 self._looked_s = now
                 self._tell_table()
+                if self._unsaved:
+                    self._save_table()
                 reap_strangers([child.pid for child in self._children.values()])
                 for child in self._children.values():
                     limit_log(child.log)
@@ -125,7 +129,7 @@ class Supervisor:
             self._kill_impatiently()
             left_s = max(0.0, min((c.kill_at_s for c in running if c.pid), default=0.0) - now_s())
             self._turn(left_s or 0.1)
-        self._save(self.table())
+        self._save_table()
 
     # --- one turn of the loop --------------------------------------------------------------------------
 
@@ -219,7 +223,8 @@ class Supervisor:
             raise ClusterError(f"{name} cannot be started: {error}") from error
         else:
             child.deaths.append(Death(now_s(), was_ready=False))
-            self._mourn(child, f"{name} cannot be started: {error}", delay_s(self._policy, [*child.deaths]))
+            delay = delay_s(self._policy, [*child.deaths], child.was_ready)
+            self._mourn(child, f"{name} cannot be started: {error}", delay)
 
     def _heard(self, child: Child) -> None:
         said = child.heard_ready()
@@ -228,6 +233,7 @@ class Supervisor:
         if said and child.state == State.STARTING:
             took_s = now_s() - (self._begun_s if not self._up else child.since_s)
             child.become(State.READY)
+            child.was_ready = True
             self._say(f"{child.spec.name:<14} ready  {took_s:5.2f} s  pid {child.pid}")
             self._changes = True
             if child.spec.name == "broker" and self._up:
@@ -249,7 +255,7 @@ class Supervisor:
                 self._changes = True
             return
         child.deaths.append(Death(now_s(), was_ready=state == State.READY, lived_s=lived_s))
-        delay = delay_s(self._policy, [*child.deaths]) if self._up else None
+        delay = delay_s(self._policy, [*child.deaths], child.was_ready) if self._up else None
         self._tell(ProcessExited(name=name, pid=pid, status=status, restarting=delay is not None))
         if not self._up:
             raise ClusterError(f"{name} {in_words(status)} before the cluster was ready.\n{_log_of(child)}")
@@ -288,9 +294,24 @@ class Supervisor:
         """After what is urgent: writing takes longer than starting what has died."""
         if self._changes:
             self._changes = False
-            self._save(self.table())
+            self._save_table()
             if self._up:
                 self._tell_table()
+
+    def _save_table(self) -> None:
+        """For people. Nobody dies of a full disk here: once there is room again, it is saved again."""
+        try:
+            self._save(self.table())
+        except OSError as error:
+            if not self._unsaved:
+                self._say(f"the process table cannot be saved until there is room again: {error}")
+            self._unsaved = True
+        else:
+            self._unsaved = False
+
+    def _say(self, line: str) -> None:
+        with contextlib.suppress(OSError):  # a full disk, or nobody there any more
+            self._tell_people(line)
 
     def table(self) -> list[ProcessRow]:
         return [

@@ -38,8 +38,10 @@ def worked(*times):
         (unready(100, 101, 102, 103), None),  # it cannot start
         (unready(1, 2, 50, 100), None),  # however slowly
         (unready(100, 101, 102) + short(103) + unready(104), 0.3),  # it can
+        (worked(90) + unready(*range(100, 200)), 0.3),  # it could, before the disk was full
         (worked(100) + unready(101), 0.1),
     ],
 )
 def test_when_to_start_again(deaths, delay):
-    assert delay_s(POLICY, deaths) == (None if delay is None else pytest.approx(delay))
+    was_ready = any(death.was_ready for death in deaths)
+    assert delay_s(POLICY, deaths, was_ready) == (None if delay is None else pytest.approx(delay))

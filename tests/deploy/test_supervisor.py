@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -11,6 +12,7 @@ from dataclasses import replace
 import pytest
 import zmq
 
+from deploy import child
 from deploy.child import Spec
 from deploy.restarts import DEFAULT, Policy
 from deploy.supervisor import Supervisor
@@ -401,9 +403,50 @@ def test_what_cannot_be_run_later_is_given_up_and_the_rest_goes_on(cluster):
     assert "given up after 2 deaths" in it.lines[-1]
 
 
-def test_a_long_log_is_put_aside(tmp_path, monkeypatch):
-    from deploy import child
+def test_a_full_disk_costs_words_but_no_process(cluster, tmp_path, monkeypatch):
+    monkeypatch.setattr("deploy.supervisor.TABLE_S", 0.05)
+    full = OSError(errno.ENOSPC, "No space left on device")
+    it = cluster(spec("binder@2", GOOD, 2), template(later=True)).go()
+    table = it.hear_table(lambda t: t["template"]["state"] == "ready")
+    told = []
 
+    def no_room(what):
+        told.append(what)
+        raise full
+
+    it.supervisor._save = it.supervisor._tell_people = no_room
+    (tmp_path / "binder@2.log").unlink()
+    (tmp_path / "binder@2.log").symlink_to("/dev/full")
+    os.kill(table["binder@2"]["pid"], signal.SIGKILL)
+    table = it.hear_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 1)
+    for _ in range(3):
+        it.hear_table(lambda t: True)
+    assert len([line for line in told if "No space left" in line]) == 1
+    it.supervisor._save = it.saved.append  # there is room again
+    it.hear_table(lambda t: it.saved[-1] == list(t.values()))
+    assert it.saved[-1] == list(table.values())
+
+
+def test_words_that_find_no_room_are_lost(tmp_path, monkeypatch):
+    (tmp_path / "MCM.log").symlink_to("/dev/full")
+    it = child.Child(spec("MCM", CHATTY), tmp_path / "MCM.log")
+    it.start()
+    assert zmq.select([it.output_fd], [], [], 10)[0]
+    assert it.heard_ready()
+    it.signal(signal.SIGKILL)
+    assert it.reap() == -signal.SIGKILL
+    assert child.open_log(tmp_path / "no such folder" / "new@6.log").name == os.devnull
+
+
+def test_a_long_log_on_a_full_disk_is_cut(tmp_path, monkeypatch):
+    monkeypatch.setattr(child, "LOG_LIMIT", 100)
+    (tmp_path / "MCM.log").write_text("x" * 101)
+    (tmp_path / "MCM.log.1").symlink_to("/dev/full")
+    child.limit_log(tmp_path / "MCM.log")
+    assert (tmp_path / "MCM.log").read_text() == ""
+
+
+def test_a_long_log_is_put_aside(tmp_path, monkeypatch):
     monkeypatch.setattr(child, "LOG_LIMIT", 100)
     log = tmp_path / "MCM.log"
     log.write_text("x" * 101)
