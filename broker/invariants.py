@@ -33,8 +33,12 @@ def _resources(state: State) -> Iterable[str]:
         if command not in state.commands:
             yield f"{command} has ended and still claims"
     for name, line in r.lines.items():
-        if list(line) != sorted(line, key=number):
+        if line != sorted(line, key=number):
             yield f"{line} wait for {name}, not in order"
+        if [command for command in line if r.waiting[command][name]] != r.alone.get(name, []):
+            yield f"{r.alone.get(name)} want {name} alone, which is not so"
+    if not r.alone.keys() <= r.lines.keys():
+        yield f"somebody wants one of {[*r.alone]} alone and is not in its line"
     for command in r.waiting:
         if command in r.held:
             yield f"{command} waits while holding"

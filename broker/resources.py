@@ -7,10 +7,14 @@ it in line wants any of the same names, so nobody starves.
 
 Two modes: exclusive (non-sharable resources, locations that will be written) and shared (locations a plan
 relies on). A name may also be in quarantine: its holder has ended, but nobody has confirmed rest.
+
+Thousands may stand in one line. So what is in the way of one is seen without looking at all before it: of a line only
+its first matters, and the first in it who wants the name alone.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left, insort
 from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
@@ -38,11 +42,20 @@ class Quarantine(NamedTuple):
     primitive: str
 
 
+class Gone(NamedTuple):
+    """A claim on a name that is no more; `place` in line is a command's number, 0 of one that was held."""
+
+    name: str
+    exclusive: bool
+    place: int = 0
+
+
 class Resources(msgspec.Struct, kw_only=True):
     held: dict[str, Claim] = {}  # command -> what it holds
     waiting: dict[str, Claim] = {}  # command -> what it waits for
-    holders: dict[str, Claim] = {}  # name -> {command: exclusive?}
-    lines: dict[str, Claim] = {}  # name -> {command: exclusive?}, in order of their numbers
+    holders: dict[str, Claim] = {}  # name -> {command: exclusive?}: many that share, or one alone
+    lines: dict[str, list[str]] = {}  # name -> the commands that wait for it, in order of their numbers
+    alone: dict[str, list[str]] = {}  # of each line: those who want the name exclusively
     quarantine: dict[str, Quarantine] = {}  # name -> why it is closed
 
     def blocker(self, command: str, claim: Claim) -> Blocked | None:
@@ -55,14 +68,13 @@ class Resources(msgspec.Struct, kw_only=True):
                 continue
             if name in self.quarantine:
                 return Blocked(name, f"{self.quarantine[name].subsystem}, which has not confirmed rest")
-            for holder, theirs in self.holders.get(name, {}).items():
-                if holder != command and (exclusive or theirs):
-                    return Blocked(name, holder)
-            for earlier, theirs in self.lines.get(name, {}).items():
-                if number(earlier) >= number(command):
-                    break
-                if exclusive or theirs:
-                    return Blocked(name, earlier)
+            holders = self.holders.get(name, {})
+            holder = next((other for other in holders if other != command), None)
+            if holder is not None and (exclusive or holders[holder]):
+                return Blocked(name, holder)
+            line = (self.lines if exclusive else self.alone).get(name)
+            if line and number(line[0]) < number(command):
+                return Blocked(name, line[0])
         return None
 
     def take(self, command: str, claim: Claim) -> Blocked | list[str]:
@@ -73,33 +85,31 @@ class Resources(msgspec.Struct, kw_only=True):
         blocked = self.blocker(command, claim)
         if blocked is not None:
             return blocked
-        freed = [name for name in self._let_go(command) if not claim.get(name)] + self._leave_line(command)
+        gone = [*(gone for gone in self._let_go(command) if not claim.get(gone.name)), *self._leave_line(command)]
         self.held[command] = claim
         for name, exclusive in claim.items():
             self.holders.setdefault(name, {})[command] = exclusive
-        return self._grantable(freed)
+        return self._grantable(gone)
 
     def wait(self, command: str, claim: Claim) -> list[str]:
         """Let go of everything and stand in line. Returns who can be granted now."""
-        freed = self._let_go(command) + self._leave_line(command)
+        gone = self._let_go(command) + self._leave_line(command)
         self.waiting[command] = claim
         for name, exclusive in claim.items():
-            line = self.lines.setdefault(name, {})
-            behind = line and number(next(reversed(line))) < number(command)
-            line[command] = exclusive
-            if not behind:
-                self.lines[name] = dict(sorted(line.items(), key=lambda waiting: number(waiting[0])))
-        return self._grantable(freed)
+            insort(self.lines.setdefault(name, []), command, key=number)
+            if exclusive:
+                insort(self.alone.setdefault(name, []), command, key=number)
+        return self._grantable(gone)
 
     def release(
         self, command: str, in_doubt: Quarantine | None = None, names: frozenset[str] = frozenset()
     ) -> list[str]:
         """The command is over; returns who can be granted now, in order. When it is `in_doubt` whether its primitive
         has come to rest, those of `names` that it held stay closed until that is confirmed."""
-        freed = self._let_go(command) + self._leave_line(command)
+        let_go = self._let_go(command)
         if in_doubt:
-            self.quarantine.update((name, in_doubt) for name in freed if name in names)
-        return self._grantable(freed)
+            self.quarantine.update((gone.name, in_doubt) for gone in let_go if gone.name in names)
+        return self._grantable(let_go + self._leave_line(command))
 
     def confirm_rest(self, subsystem: str, names: Collection[str] | None = None, moved: str = "") -> list[str]:
         """Open what waited for this subsystem: all, or only these names and what was closed for the sake of `moved`, a
@@ -112,33 +122,46 @@ class Resources(msgspec.Struct, kw_only=True):
         ]
         for name in freed:
             del self.quarantine[name]
-        return self._grantable(freed)
+        return self._grantable(Gone(name, exclusive=True) for name in freed)
 
-    def _grantable(self, freed: Iterable[str]) -> list[str]:
-        """The first in each line that has moved (and those who share with the first), if nothing else blocks them.
+    def _grantable(self, gone: Iterable[Gone]) -> list[str]:
+        """Of those for whom one of these was in the way, whoever has nothing else in the way.
         Each must still be granted by `take`, which may refuse the second of two that want the same."""
         found: dict[str, None] = {}
-        for name in freed:
-            for command, exclusive in self.lines.get(name, {}).items():
-                if command not in found and self.blocker(command, self.waiting[command]) is None:
-                    found[command] = None
-                if exclusive:
-                    break
+        for command in (command for claim in gone for command in self._behind(claim)):
+            wanted = self.waiting[command]
+            if command not in found and self._is_first(command, wanted) and self.blocker(command, wanted) is None:
+                found[command] = None
         return list(found)
 
-    def _let_go(self, command: str) -> list[str]:
-        return self._forget(self.held, self.holders, command)
+    def _is_first(self, command: str, claim: Claim) -> bool:
+        """In line for all that it wants alone. The cheap question comes first: thousands may share a name."""
+        return all(self.lines[name][0] == command for name, exclusive in claim.items() if exclusive)
 
-    def _leave_line(self, command: str) -> list[str]:
-        return self._forget(self.waiting, self.lines, command)
+    def _behind(self, gone: Gone) -> list[str]:
+        """Those in line for whom a claim that is gone may have been all that was in the way. One that shared was in the
+        way of an exclusive one that is first, at most; an exclusive one of those behind it, to the next like it."""
+        line = self.lines.get(gone.name, [])
+        if not gone.exclusive:
+            return line[:1]
+        alone = self.alone.get(gone.name)
+        end = bisect_left(line, number(alone[0]), key=number) + 1 if alone else len(line)
+        return line[bisect_left(line, gone.place, key=number) : end]
 
-    @staticmethod
-    def _forget(claims: dict[str, Claim], index: dict[str, Claim], command: str) -> list[str]:
-        if command not in claims:
-            return []
-        names = list(claims.pop(command))
-        for name in names:
-            del index[name][command]
-            if not index[name]:
-                del index[name]
-        return names
+    def _let_go(self, command: str) -> list[Gone]:
+        claim = self.held.pop(command, {})
+        for name in claim:
+            del self.holders[name][command]
+            if not self.holders[name]:
+                del self.holders[name]
+        return [Gone(name, exclusive) for name, exclusive in claim.items()]
+
+    def _leave_line(self, command: str) -> list[Gone]:
+        claim, place = self.waiting.pop(command, {}), number(command)
+        for name, exclusive in claim.items():
+            for lines in (self.lines, self.alone) if exclusive else (self.lines,):
+                line = lines[name]
+                del line[bisect_left(line, place, key=number)]
+                if not line:
+                    del lines[name]
+        return [Gone(name, exclusive, place) for name, exclusive in claim.items()]

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+from typing import Any
+
 import pytest
 
 from broker import decision_unit
@@ -9,7 +13,7 @@ from broker.decision_unit import MAX_SUBSYSTEMS
 from broker.events import HaltConfirmed, PrimitiveEnded, SubsystemConnected, SubsystemGone
 from broker.invariants import violations
 from rtc.messages import Declined, Phase
-from tests.broker.stories import Story, report
+from tests.broker.stories import Story, bound, go_on, record, report, script
 
 
 @pytest.fixture
@@ -59,3 +63,65 @@ def test_subsystems_that_come_and_go_do_not_pile_up(story: Story) -> None:
             story.hear(SubsystemGone, subsystem=f"S{n}", why="silent")
     assert len(story.state.subsystems) == MAX_SUBSYSTEMS
     assert "MCM" in story.state.subsystems
+
+
+# --- thousands live at once: what one event costs, in calls, which no busy machine changes ----------------------------
+
+
+def calls(act: Callable[[], Any]) -> int:
+    made = [0]
+
+    def count(_: Any, event: str, __: Any) -> None:
+        made[0] += event in ("call", "c_call")
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        act()
+    finally:
+        sys.setprofile(before)
+    return made[0]
+
+
+def crowd(n: int, **head: Any) -> Story:
+    """C-1 executes; n more want the same arm and the same object."""
+    story = Story()
+    for k in range(1, n + 2):
+        story.says("X", client=f"c{k % 8}", progress=False)
+        story.answers(f"C-{k}", record(object="MODULE", **head))
+        if k == 1:
+            story.answers("C-1", script(writes=("RIGHT-ARM", "MODULE")))
+            story.answers("C-1", bound("C-1.1"))
+    return story
+
+
+def ended(story: Story) -> None:
+    story.reports("C-1")
+    story.answers("C-1", go_on())
+
+
+FEW, MANY = 250, 1000
+
+
+@pytest.mark.parametrize(
+    "act",
+    [ended, lambda s: s.halts("ALL"), lambda s: s.halts("RIGHT-ARM"), lambda s: s.says("HALT ALL")],
+    ids=["the end of one", "HALT ALL", "HALT of an arm", "HALT ALL, a sentence"],
+)
+def test_what_an_event_costs_grows_no_faster_than_the_crowd(act: Callable[[Story], Any]) -> None:
+    few, many = crowd(FEW), crowd(MANY)
+    assert calls(lambda: act(many)) < 1.3 * (MANY / FEW) * calls(lambda: act(few))
+
+
+def test_one_more_costs_the_same_however_many_there_are() -> None:
+    def one_more(story: Story) -> None:
+        story.says("X")
+        story.answers(f"C-{story.state.accepted}", record(object="MODULE"))
+
+    few, many = crowd(FEW), crowd(MANY)
+    assert calls(lambda: one_more(many)) < 1.3 * calls(lambda: one_more(few))
+
+
+def test_a_halt_in_a_line_of_thousands_costs_the_same_however_many_there_are() -> None:
+    few, many = crowd(FEW), crowd(MANY)
+    assert calls(lambda: many.halts("C-100")) < 1.3 * calls(lambda: few.halts("C-100"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from broker.resources import Blocked, Quarantine, Resources
+from broker.resources import Blocked, Claim, Quarantine, Resources, number
 
 ARM, OTHER, DB = {"ARM": True}, {"OTHER": True}, {"DB": False}
 
@@ -90,10 +90,38 @@ def test_quarantine_keeps_a_name_closed_until_rest_is_confirmed():
     assert r.confirm_rest("MCM") == ["C-3"]
 
 
+def test_who_leaves_the_middle_of_a_line_lets_those_behind_it_share():
+    r = Resources()
+    r.take("C-1", DB)
+    r.wait("C-2", {"DB": True})
+    r.wait("C-3", {**DB, **ARM})
+    r.wait("C-4", {"DB": True})
+    r.wait("C-5", DB)
+    assert r.release("C-2") == ["C-3"]
+    assert r.take("C-3", r.waiting["C-3"]) == []
+    assert r.release("C-4") == ["C-5"]
+
+
+def test_of_thousands_who_share_a_name_the_end_of_one_asks_once_who_is_next():
+    r = Resources()
+    r.take("C-1", {"OBJECT": True, "ARM": True})
+    for n in range(2, 2001):
+        r.wait(f"C-{n}", {"OBJECT": False, "ARM": True})
+    asked = []
+    first, Resources.blocker = Resources.blocker, lambda *asks: asked.append(asks[1]) or first(*asks)
+    try:
+        assert r.release("C-1") == ["C-2"]
+        assert r.release("C-2") == ["C-3"]  # one that never had its turn
+    finally:
+        Resources.blocker = first
+    assert set(asked) <= {"C-2", "C-3"}
+
+
 claims = st.dictionaries(st.sampled_from("ABCD"), st.booleans(), min_size=1)
+acts_of_many = st.tuples(st.integers(0, 7), claims, st.sampled_from(["claim", "claim", "end", "end in doubt", "rest"]))
 
 
-@given(st.lists(st.tuples(st.integers(0, 5), claims, st.booleans()), max_size=60))
+@given(st.lists(acts_of_many, max_size=60))
 def test_everybody_in_line_gets_their_turn_and_no_name_is_held_twice(acts):
     r = Resources()
 
@@ -104,9 +132,13 @@ def test_everybody_in_line_gets_their_turn_and_no_name_is_held_twice(acts):
                 if isinstance(result, list):
                     grant(result)
 
-    for n, claim, leave in acts:
+    for n, claim, act in acts:
         command = f"C-{n}"
-        if leave:
+        if act == "rest":
+            grant(r.confirm_rest("MCM", set(claim)))
+        elif act == "end in doubt":
+            grant(r.release(command, Quarantine("MCM", f"{command}.1"), frozenset(claim)))
+        elif act == "end":
             grant(r.release(command))
         elif command not in r.waiting:
             result = r.take(command, claim)
@@ -114,6 +146,22 @@ def test_everybody_in_line_gets_their_turn_and_no_name_is_held_twice(acts):
         for holders in r.holders.values():
             assert len(holders) == 1 or not any(holders.values())
         assert not set(r.held) & set(r.waiting)
+        for waiting, wanted in r.waiting.items():
+            assert in_the_way(r, waiting, wanted), f"{waiting} waits for nothing"
+            assert r.blocker(waiting, wanted) is not None
+    grant(r.confirm_rest("MCM"))
     while r.held or r.waiting:
         assert r.held, f"a deadlock: {r.waiting}"
         grant(r.release(next(iter(r.held))))
+    assert not r.lines
+    assert not r.alone
+
+
+def in_the_way(r: Resources, command: str, claim: Claim) -> list[str]:
+    """By looking at everybody: who holds or wants earlier what one of the two wants alone."""
+    found = [name for name in claim if name in r.quarantine]
+    for name, exclusive in claim.items():
+        for other, theirs in [*r.held.items(), *((w, c) for w, c in r.waiting.items() if number(w) < number(command))]:
+            if other != command and name in theirs and (exclusive or theirs[name]):
+                found.append(other)
+    return found
