@@ -96,6 +96,7 @@ class Child:
         self.state = State.WAITING
         self.since_s = now_s()
         self.heard_s = 0.0  # when it said something last
+        self.busy_s = 0.0  # when it was seen to use the processor last
         self.stopped_since_s = 0.0  # by a signal; 0 = it is not
         self.restarts = 0
         self.was_ready = False  # in any of its lives
@@ -108,6 +109,7 @@ class Child:
         self._popen: subprocess.Popen[bytes] | None = None  # None also when it was forked from a template
         self.output_over = False  # it has closed its stdout
         self._line = b""
+        self._worked = 0  # processor time used, as seen last
 
     @property
     def waits(self) -> bool:
@@ -178,14 +180,17 @@ class Child:
         self.output_over = not said
         return said
 
-    def stopped_s(self, now: float) -> float:
-        """For how long it has been seen stopped (SIGSTOP): whoever is stopped does nothing, whatever it is."""
+    def look(self, now: float) -> None:
+        """Whether it is stopped, and whether it has worked since the last look."""
         try:
-            stopped = Path(f"/proc/{self.pid}/stat").read_bytes().rpartition(b") ")[2].startswith(b"T")
+            fields = Path(f"/proc/{self.pid}/stat").read_bytes().rpartition(b") ")[2].split()
         except OSError:
-            stopped = False
-        self.stopped_since_s = (self.stopped_since_s or now) if stopped else 0.0
-        return now - self.stopped_since_s if stopped else 0.0
+            return
+        # A process that is stopped by a signal (SIGSTOP) does nothing, whatever it is.
+        self.stopped_since_s = (self.stopped_since_s or now) if fields[0] == b"T" else 0.0
+        worked = int(fields[11]) + int(fields[12])  # utime and stime, 10 ms each; proc(5)
+        if worked != self._worked:
+            self._worked, self.busy_s = worked, now
 
     def signal(self, number: signal.Signals) -> None:
         if self.exited_fd >= 0:

@@ -33,7 +33,9 @@ from rtc.messages import (
 from rtc.outcomes import ClusterError, WireError
 from rtc.process import Every, Process, adopt_orphans, inbox, now_s, send
 
-START_LIMIT_S = 60.0  # until every process is ready: some seconds, but who knows how busy the machine is
+START_LIMIT_S = 600.0  # until a process is ready: some seconds, but who knows how slow and busy the machine is
+IDLE_S = 20.0  # one that is not ready, and has not used the processor for so long, will never be
+TELL_WAITING_S = 10.0
 END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL
 TABLE_S = 1.0
 STOOD_STILL_S = 3.0  # this process itself, or the machine, if it has not looked after the others for so long
@@ -79,7 +81,7 @@ class Supervisor:
 
     # --- the three phases ------------------------------------------------------------------------------
 
-    def start(self, limit_s: float = START_LIMIT_S) -> None:
+    def start(self) -> None:
         """Start all at once and wait until each is ready. Raises ClusterError, with the log of the one that failed.
 
         No restarts in this phase: what does not start the first time will hardly start the second.
@@ -87,37 +89,20 @@ class Supervisor:
         self._tell(SupervisorHello(pid=self._pid))
         adopt_orphans()  # workers are forked away by their template
         self._start_waiting()
-        end_s = self._begun_s + limit_s
+        tell = Every(TELL_WAITING_S, now_s() + TELL_WAITING_S)
         while waiting := [c for c in self._children.values() if c.state != State.READY and not c.spec.later]:
-            if now_s() >= end_s:
-                raise _not_ready(waiting, limit_s)
             if self._me.stopping:
                 raise ClusterError("told to stop before the cluster was ready")
-            self._turn(end_s - now_s())
-            self._start_waiting()
-            self._tell_changes()
+            if tell.due(now_s()):
+                self._say(f"waiting for {', '.join(child.spec.name for child in waiting)}")
+            self._once()
         self._up = self._changes = True
         self._tell_changes()
 
     def run(self) -> None:
         """Watch, restart, obey the broker; until told to stop."""
         while not self._me.stopping:
-            self._turn(self._patience_s())
-            self._start_waiting()
-            self._tell_changes()
-            self._kill_impatiently()
-            if self._table.due(now := now_s()):
-                stood_still = now - self._looked_s > STOOD_STILL_S  # then nobody else is to blame for silence
-                self._looked_s = now
-                self._tell_table()
-                if self._unsaved:
-                    self._save_table()
-                reap_strangers([child.pid for child in self._children.values()])
-                for child in self._children.values():
-                    limit_log(child.log)
-                    if stood_still:
-                        child.heard_s = now
-                    self._kill_if_hung(child)
+            self._once()
 
     def stop(self, limit_s: float = END_LIMIT_S) -> None:
         """End all: SIGTERM, and SIGKILL for whoever has not ended within the limit."""
@@ -132,6 +117,14 @@ class Supervisor:
         self._save_table()
 
     # --- one turn of the loop --------------------------------------------------------------------------
+
+    def _once(self) -> None:
+        self._turn(self._patience_s())
+        self._start_waiting()
+        self._tell_changes()
+        self._kill_impatiently()
+        if self._table.due(now := now_s()):
+            self._look_after_all(now)
 
     def _turn(self, timeout_s: float) -> None:
         """Hear everything once. Nothing is started in here: a new process could get the file descriptors of one that
@@ -168,14 +161,14 @@ class Supervisor:
 
     def _awaits_template(self, child: Child) -> bool:
         """One that starts by itself takes as long as a template that starts, and takes the processor from it: many at
-        once on a slow machine are never ready. So it waits, unless the template cannot be had (one that hangs is
-        killed as not ready, and then has a delay)."""
+        once on a slow machine are never ready. So it waits; and when the template cannot be had, they start one after
+        the other."""
         template = self._children.get(child.spec.template)
-        return (
-            template is not None
-            and child.spec.awaits_template
-            and template.state not in (State.READY, State.LOOPING, State.FAILED)
-        )
+        if template is None or not child.spec.awaits_template or template.state == State.READY:
+            return False
+        if template.state not in (State.LOOPING, State.FAILED):
+            return True
+        return any(c.state == State.STARTING and c.spec.template == template.spec.name for c in self._children.values())
 
     def _kill_impatiently(self) -> None:
         for child in self._children.values():
@@ -183,19 +176,27 @@ class Supervisor:
                 child.signal(signal.SIGKILL)
                 child.kill_at_s = now_s() + 1.0
 
-    def _kill_if_hung(self, child: Child) -> None:
-        """Stopped by a signal, in a loop without end, or never ready. (A worker may be silent for the length of a job:
-        what is too long for one, the broker knows.)"""
-        now = now_s()
-        silent_s = now - max(child.heard_s, child.since_s)
-        if child.state == State.STARTING and silent_s > START_LIMIT_S:
-            why = f"not ready within {silent_s:.0f} s"
-        elif child.state == State.READY and (stopped_s := child.stopped_s(now)) >= STOPPED_S:
-            why = f"hung, stopped for {stopped_s:.1f} s"
-        elif child.state == State.READY and child.spec.beats and silent_s > SILENCE_S:
-            why = f"hung, silent for {silent_s:.1f} s"
-        else:
-            return
+    def _look_after_all(self, now: float) -> None:
+        """What is done once a second: the broker is told, hung processes are killed, and some tidying."""
+        if self._up:
+            self._tell_table()
+        stood_still = now - self._looked_s > STOOD_STILL_S  # then nobody else is to blame for silence
+        self._looked_s = now
+        if self._unsaved:
+            self._save_table()
+        reap_strangers([child.pid for child in self._children.values()])
+        for child in self._children.values():
+            limit_log(child.log)
+            if stood_still:
+                child.heard_s = now
+            if child.pid:
+                child.look(now)
+            if (self._up or child.state == State.STARTING) and (why := _hung(child, now)):
+                self._kill_hung(child, why)
+
+    def _kill_hung(self, child: Child, why: str) -> None:
+        if not self._up:
+            raise ClusterError(f"{child.spec.name} is {why}.\n{_log_of(child)}")
         self._say(f"{child.spec.name} (pid {child.pid}) is killed: {why}")
         child.signal(signal.SIGKILL)
 
@@ -360,9 +361,23 @@ class Supervisor:
         self._changes = True
 
 
-def _not_ready(waiting: Sequence[Child], limit_s: float) -> ClusterError:
-    names = ", ".join(child.spec.name for child in waiting)
-    return ClusterError(f"not ready within {limit_s:g} s: {names}.\n{_log_of(waiting[0])}")
+def _hung(child: Child, now: float) -> str:
+    """Why it must be killed, or nothing: never ready, stopped by a signal, or in a loop without end. (A worker may be
+    silent for the length of a job: what is too long for one, the broker knows.) However slow the machine, one that
+    works to get ready is left to it: killed, it would begin anew, and never come to an end."""
+    silent_s = now - max(child.heard_s, child.since_s)
+    idle_s = now - max(child.heard_s, child.since_s, child.busy_s)
+    if child.state == State.STARTING:
+        if silent_s > START_LIMIT_S:
+            return f"not ready within {silent_s:.0f} s"
+        return f"not ready, and hung: it has not used the processor for {idle_s:.1f} s" if idle_s > IDLE_S else ""
+    if child.state != State.READY:
+        return ""
+    if child.stopped_since_s and (stopped_s := now - child.stopped_since_s) >= STOPPED_S:
+        return f"hung, stopped for {stopped_s:.1f} s"
+    if child.spec.beats and silent_s > SILENCE_S:
+        return f"hung, silent for {silent_s:.1f} s"
+    return ""
 
 
 def _log_of(child: Child) -> str:

@@ -77,7 +77,7 @@ class Cluster:
     def go(self):
         # Children die with the thread that has forked them, so it is the one that also runs the supervisor.
         started = threading.Event()
-        self.thread = threading.Thread(target=lambda: (self.supervisor.start(10), started.set(), self._run()))
+        self.thread = threading.Thread(target=lambda: (self.supervisor.start(), started.set(), self._run()))
         self.thread.start()
         assert started.wait(10)
         return self
@@ -165,17 +165,65 @@ def test_a_process_in_a_crash_loop_is_held_back_told_as_such_and_goes_on_trying(
 def test_what_cannot_start_fails_the_whole_with_the_end_of_its_log(cluster):
     it = cluster(spec("world", GOOD), spec("MCM", BAD))
     with pytest.raises(ClusterError, match=r"(?s)MCM ended with status 1.*no such cell: moon base"):
-        it.supervisor.start(10)
+        it.supervisor.start()
     pids = [row["pid"] for row in it.supervisor.table() if row["pid"]]
     it.supervisor.stop()
     assert not any(alive(pid) for pid in pids)
 
 
-def test_who_never_gets_ready_is_named(cluster):
+def test_who_hangs_before_it_is_ready_is_named(cluster, quick):
     it = cluster(spec("world", GOOD), spec("MCM", MUTE))
-    with pytest.raises(ClusterError, match=r"not ready within 0\.5 s: .*MCM"):
-        it.supervisor.start(0.5)
+    with pytest.raises(ClusterError, match=r"MCM is not ready, and hung"):
+        it.supervisor.start()
     it.supervisor.stop()
+
+
+def test_the_cluster_waits_for_one_that_works_to_get_ready_and_says_so(cluster, quick):
+    it = cluster(spec("world", GOOD), spec("MCM", SLOW)).go()
+    assert "waiting for MCM" in it.lines
+    pid = it.hear_table(lambda t: True)["MCM"]["pid"]
+    os.kill(pid, signal.SIGKILL)
+    it.hear_table(lambda t: (t["MCM"]["state"], t["MCM"]["restarts"]) == ("ready", 1))
+    assert not any("is killed" in line for line in it.lines)
+
+
+def test_who_never_gets_ready_however_busy_is_killed(cluster, quick, monkeypatch):
+    monkeypatch.setattr("deploy.supervisor.START_LIMIT_S", 0.3)
+    it = cluster(spec("MCM", "while True: pass"))
+    with pytest.raises(ClusterError, match=r"MCM is not ready within "):
+        it.supervisor.start()
+    it.supervisor.stop()
+
+
+def test_while_a_template_hangs_no_two_workers_start_by_themselves_at_once(cluster, quick, tmp_path):
+    """Its second life hangs before it is ready: it is killed, and again has a delay."""
+    hangs = (sys.executable, "-c", ONCE.format(file=str(tmp_path / "once")) + TEMPLATE)
+    names = [f"binder@{address}" for address in (2, 6, 10)]
+    it = cluster(replace(template(), command=hangs), *map(forked, names)).go()
+    table = it.hear_table(lambda t: True)
+    for row in table.values():
+        os.kill(row["pid"], signal.SIGKILL)
+    it.hear_table(lambda t: all(t[name]["state"] == "ready" and t[name]["restarts"] == 1 for name in names))
+    assert any("template" in line and "hung" in line for line in it.lines)
+    starting = [sum(row["state"] == "starting" and "@" in row["name"] for row in table) for table in it.saved]
+    last = next(n for n, table in enumerate(it.saved) if any(row["restarts"] for row in table))
+    assert max(starting[last:]) == 1
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    for name, value in (("TABLE_S", 0.05), ("IDLE_S", 0.4), ("TELL_WAITING_S", 0.1)):
+        monkeypatch.setattr(f"deploy.supervisor.{name}", value)
+
+
+SLOW = "import time\nwhile time.process_time() < 0.6: pass\n" + GOOD
+ONCE = """
+import pathlib, signal
+try:
+    pathlib.Path({file!r}).touch(exist_ok=False)
+except FileExistsError:
+    signal.pause()
+"""
 
 
 def test_one_that_will_not_end_is_killed(cluster):
@@ -308,7 +356,7 @@ def test_workers_are_forked_from_the_template_and_are_the_supervisors_own_childr
 def test_a_bug_in_a_forked_worker_is_in_its_log_and_its_status(cluster, tmp_path):
     it = cluster(forked("analyzer@7"), template())
     with pytest.raises(ClusterError, match=r"(?s)analyzer@7 ended with status 1.*ZeroDivisionError: a bug"):
-        it.supervisor.start(10)
+        it.supervisor.start()
     it.supervisor.stop()
 
 
