@@ -5,8 +5,8 @@ One row per turn of the broker's loop holds that turn's events as one MessagePac
 system ends the run, whose journal nobody continues, so nothing waits for the disk. A snapshot of the whole state now
 and then lets the events before it go, so the journal stays bounded, and so does the time to replay it.
 
-The stories of ended commands are kept beside it, the newest `STORIES_KEPT` of them. They are written some at a time:
-until a snapshot takes the place of the events, whoever replays these is told the stories again.
+The stories of commands are kept beside it, of the `STORIES_KEPT` that ended last, however old they became. They are
+written some at a time: until a snapshot takes the place of the events, whoever replays these is told the stories again.
 """
 
 from __future__ import annotations
@@ -28,8 +28,12 @@ SCHEMA = """
 CREATE TABLE IF NOT EXISTS about (key TEXT PRIMARY KEY, value TEXT);
 CREATE TABLE IF NOT EXISTS turns (n INTEGER PRIMARY KEY, events BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS snapshot (one INTEGER PRIMARY KEY CHECK (one = 1), n INTEGER, state BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS stories (n INTEGER PRIMARY KEY, record BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS stories (ended INTEGER PRIMARY KEY, n INTEGER UNIQUE NOT NULL, record BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS programs (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
+"""
+# One that is told again keeps its place.
+KEEP_STORY = """
+INSERT INTO stories (n, record) VALUES (?, ?) ON CONFLICT (n) DO UPDATE SET record = excluded.record;
 """
 
 read_events = wire.decoder(list[AnyEvent])
@@ -58,7 +62,9 @@ class Journal:
         if before is None or before[0] != run:
             with journal.transaction():
                 for table in ("turns", "snapshot", "stories", "programs", "about"):
-                    db.execute(f"DELETE FROM {table}")
+                    db.execute(f"DROP TABLE {table}")  # another release's may look different
+                for statement in SCHEMA.split(";"):
+                    db.execute(statement)
                 db.execute("INSERT INTO about VALUES ('run', ?)", (run,))
             journal.snapshot(first)
         return journal
@@ -106,8 +112,9 @@ class Journal:
         if stories:
             rows = [(_number(story.command), wire.encode(story)) for story in stories.values()]
             with self.transaction():
-                self.db.executemany("INSERT OR REPLACE INTO stories VALUES (?, ?)", rows)
-                self.db.execute("DELETE FROM stories WHERE n <= ?", (rows[-1][0] - STORIES_KEPT,))
+                self.db.executemany(KEEP_STORY, rows)
+                newest = self.db.execute("SELECT max(ended) FROM stories").fetchone()[0]
+                self.db.execute("DELETE FROM stories WHERE ended <= ?", (newest - STORIES_KEPT,))
 
     def last_snapshot(self) -> tuple[int, State]:
         """(the number of the last turn in it, the state)."""

@@ -102,6 +102,37 @@ def test_no_more_stories_are_kept_than_the_newest(path, monkeypatch):
     assert [s.journal.story(f"C-{n}") is not None for n in range(1, 5)] == [False, False, True, True]
 
 
+def test_of_a_command_that_lived_long_the_story_is_kept_as_long_as_any_others(path, monkeypatch):
+    monkeypatch.setattr("broker.journal.STORIES_KEPT", 2)
+    s = Journalled(Journal.open(path, "run", State()))
+    s.executing(script(resources=("LEFT-ARM",)), hand="LEFT-ARM")
+    for n in range(2, 6):
+        s.analyzing()
+        s.answers(f"C-{n}", go_on())
+    s.journal.tidy()
+    s.reports("C-1")
+    s.answers("C-1", go_on())
+    s.journal.tidy()
+    s.journal.keep_stories([s.journal.story("C-5"), s.journal.story("C-1")])  # told again by a replay
+    assert [s.journal.story(f"C-{n}") is not None for n in range(1, 6)] == [True, False, False, False, True]
+    s.analyzing()
+    s.answers("C-6", go_on())
+    s.journal.tidy()
+    assert [s.journal.story(f"C-{n}") is not None for n in (1, 5, 6)] == [True, False, True]
+
+
+def test_what_another_run_left_may_look_different(path):
+    journal = Journal.open(path, "old run", State())
+    journal.db.execute("DROP TABLE stories")
+    journal.db.execute("CREATE TABLE stories (n INTEGER PRIMARY KEY, record BLOB NOT NULL)")
+    journal.close()
+    s = Journalled(Journal.open(path, "run", State()))
+    s.analyzing()
+    s.answers("C-1", go_on())
+    s.journal.tidy()
+    assert s.journal.story("C-1").outcome.kind == "succeeded"
+
+
 def test_programs_outlive_a_restart(path):
     journal = Journal.open(path, "run", State())
     journal.keep_program("d1", b"body")
