@@ -21,7 +21,7 @@ SLOW_S = 0.005  # jobs longer than this are given one at a time
 # An analyzer waits for the world, which may be away for half of that.
 DEADLINE_S = {WorkerKind.PARSER: 3.0, WorkerKind.ELABORATOR: 15.0, WorkerKind.BINDER: 15.0, WorkerKind.ANALYZER: 10.0}
 SILENCE_S = 3.0  # an idle worker says something every half second
-QUEUE_LIMIT_S = 60.0  # longest wait of a job for a worker of its kind
+QUEUE_LIMIT_S = 60.0  # longest wait of a job for a worker of its kind, while none of them answers anything
 
 
 Lane = OrderedDict[str, tuple[float, DispatchJob]]  # job -> since when it waits; the oldest first
@@ -109,6 +109,7 @@ class Roster:
     def __init__(self) -> None:
         self.workers: dict[str, Worker] = {}
         self.queues: dict[WorkerKind, Queue] = {kind: Queue() for kind in WorkerKind}
+        self.answered_at_s: dict[WorkerKind, float] = {}  # when one of a kind has last done a job
 
     # --- workers come and go --------------------------------------------------------------------------
 
@@ -136,7 +137,7 @@ class Roster:
         worker = self.workers.get(name)
         if worker is None:
             return False
-        worker.heard_at_s = worker.since_s = now
+        worker.heard_at_s = worker.since_s = self.answered_at_s[worker.kind] = now
         held = worker.held.get(job)
         if held is None or held.attempt != attempt:  # a late answer to an earlier attempt frees nothing
             return False
@@ -200,9 +201,12 @@ class Roster:
         return now - ready_since_s > DEADLINE_S[WorkerKind(kind)]
 
     def waited_too_long(self, now: float) -> list[DispatchJob]:
-        """Jobs taken out of a queue because no worker of their kind took them within the limit."""
+        """Jobs taken out of a queue because no worker of their kind took them within the limit, nor answered anything:
+        as long as the line moves, theirs is only a long one."""
         expired = []
-        for queue in self.queues.values():
+        for kind, queue in self.queues.items():
+            if now - self.answered_at_s.get(kind, -QUEUE_LIMIT_S) < QUEUE_LIMIT_S:
+                continue
             late = queue.waiting_since(now - QUEUE_LIMIT_S)
             for job in late:
                 queue.drop(job.job)

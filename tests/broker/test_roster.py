@@ -137,6 +137,39 @@ def test_a_job_nobody_takes_is_given_back_at_the_limit():
     assert [j.job for j in r.waited_too_long(QUEUE_LIMIT_S + 1)] == ["C-1/1"]
 
 
+def test_in_a_line_that_moves_nobody_waits_too_long():
+    r = roster("a", mean_s=0.4)
+    for n in range(300):
+        r.submit(job(n), 0.0)
+    now, refused = 0.0, []
+    while given := given_out(r, now):
+        now += 0.4
+        r.answered("a", given["a"][0], 1, 0.4, now)
+        refused += r.waited_too_long(now)
+    assert now > 1.5 * QUEUE_LIMIT_S
+    assert refused == []
+
+
+def test_a_line_that_moved_once_is_not_waited_in_for_ever():
+    r = roster("a")
+    r.submit(job(1), 0.0)
+    r.submit(job(2), 0.0)
+    given_out(r)
+    r.answered("a", "C-1/1", 1, 0.4, 30.0)
+    r.gone("a")
+    assert r.waited_too_long(QUEUE_LIMIT_S + 29.0) == []
+    assert [j.job for j in r.waited_too_long(QUEUE_LIMIT_S + 31.0)] == ["C-2/1"]
+
+
+def test_the_answers_of_one_kind_say_nothing_of_another():
+    r = roster("a")
+    r.submit(job(1, WorkerKind.PARSER), 0.0)
+    r.submit(job(2), 0.0)
+    given_out(r)
+    r.answered("a", "C-2/1", 1, 0.4, QUEUE_LIMIT_S)
+    assert [j.job for j in r.waited_too_long(QUEUE_LIMIT_S + 1)] == ["C-1/1"]
+
+
 def test_nobody_of_that_name():
     r = Roster()
     assert not r.heard("ghost", 0.0)
