@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from broker import ending, journey
+from broker import ending, journey, untold
 from broker.effects import AcknowledgeReport, DeclineHalt, Effect, SendHalt, TellClient
 from broker.events import (
     BrokerRestarted,
@@ -62,6 +62,9 @@ ACTIONS: dict[str, Callable[[Turn, Command, Any], None]] = {
         ("resume_now", journey),
         ("resume_paused", journey),
         ("refused", ending),
+        ("undone", ending),
+        ("analyze_later", ending),
+        ("analyze_again", ending),
         ("again", ending),
         ("stop", ending),
         ("stop_subsystem", ending),
@@ -73,6 +76,7 @@ ACTIONS: dict[str, Callable[[Turn, Command, Any], None]] = {
         ("lost_subsystem", ending),
         ("lost_while_halting", ending),
         ("closed", ending),
+        ("closed_untold", ending),
     )
 }
 assert {action for action, _ in TABLE.values()} == set(ACTIONS), "every action of the table is here, and no other"
@@ -210,7 +214,7 @@ def _pending(turn: Turn, job: str, attempt: int) -> tuple[Command, PendingJob] |
 
 
 def on_job_finished(turn: Turn, event: JobFinished) -> None:
-    if (found := _pending(turn, event.job, event.attempt)) is None:
+    if untold.heard(turn, event) or (found := _pending(turn, event.job, event.attempt)) is None:
         return
     command, job = found
     turn.node, turn.took_s = event.node, event.at_s - job.since_s
@@ -225,40 +229,50 @@ def on_job_finished(turn: Turn, event: JobFinished) -> None:
 
 
 def on_job_declined(turn: Turn, event: JobDeclined) -> None:
-    if (found := _pending(turn, event.job, event.attempt)) is None:
+    if untold.heard(turn, event) or (found := _pending(turn, event.job, event.attempt)) is None:
         return
     command, job = found
     turn.node, turn.took_s = event.node, event.at_s - job.since_s
-    if event.refusal.reason is RefusalReason.PROGRAM and _roll_back(turn, command, job, event.refusal.message):
+    if event.refusal.reason is RefusalReason.TIMEOUT:
+        stimulate(turn, command, Stimulus.AWAY, event.refusal)
+        return
+    if event.refusal.reason is RefusalReason.PROGRAM and _with_another_program(
+        turn, command, job, event.refusal.message
+    ):
         return
     command.job = None
     stimulate(turn, command, Stimulus.REFUSAL, event.refusal)
 
 
 def on_job_lost(turn: Turn, event: JobLost) -> None:
-    if (found := _pending(turn, event.job, event.attempt)) is None:
+    if untold.heard(turn, event) or (found := _pending(turn, event.job, event.attempt)) is None:
         return
     command, job = found
     turn.node, turn.took_s = event.node, event.at_s - job.since_s
-    if event.blamed and _roll_back(turn, command, job, event.evidence):
+    if event.blamed and _with_another_program(turn, command, job, event.evidence):
         return
     stimulate(turn, command, Stimulus.LOSS, event)
 
 
-def _roll_back(turn: Turn, command: Command, job: PendingJob, why: str) -> bool:
-    """The first job of a new program failed: back to the old one, and the job again."""
+def _with_another_program(turn: Turn, command: Command, job: PendingJob, why: str) -> bool:
+    """A job failed with a program. The first job of a new one: back to the old one. It is done again with the program
+    that is the current one now; False when that is the one it failed with."""
     state = turn.state
     trial = state.trials.get(job.kind)
-    if trial is None or trial.new != job.program:
-        return False
-    del state.trials[job.kind]
-    state.programs[job.kind] = trial.old
-    job.program = trial.old
-    job.attempt += 1
-    turn.count("programs_rolled_back")
     last_words = (why.strip().splitlines() or ["it ended without a word"])[-1]
-    told = f"the new {job.kind.value} program {trial.new} failed its first job ({last_words}); back to {trial.old}"
-    state.rolled_back[job.kind] = f"{told}. The job was of {command.id}"
+    if trial is not None and trial.new == job.program:
+        del state.trials[job.kind]
+        state.programs[job.kind] = trial.old
+        turn.count("programs_rolled_back")
+        told = f"the new {job.kind.value} program {trial.new} failed its first job ({last_words}); back to {trial.old}"
+        state.rolled_back[job.kind] = f"{told}. The job was of {command.id}"
+    else:
+        told = f"the {job.kind.value} program {job.program}, which is used no more, failed ({last_words}); job again"
+    current = state.programs.get(job.kind, job.program)
+    if current == job.program:
+        return False
+    job.program = current
+    job.attempt += 1
     turn.note(command, told)
     turn.dispatch(job)
     return True
@@ -387,6 +401,8 @@ def on_listeners(turn: Turn, event: ListenersChanged) -> None:
 
 
 def on_timer(turn: Turn, event: TimerFired) -> None:
+    if untold.rang(turn, event.timer):
+        return
     command = turn.state.commands.get(event.timer)
     if command is None or not 0 < command.due_s <= event.at_s:
         turn.count("stale")  # stopped or set anew in the turn in which it rang
@@ -402,10 +418,14 @@ def on_restart(turn: Turn, event: BrokerRestarted) -> None:
     for subsystem in turn.state.subsystems.values():
         if subsystem.link is Link.CONNECTED:
             subsystem.link = Link.AWAITED
+    for name in turn.state.untold:
+        untold.again(turn, name)
     for command in turn.state.commands.values():
         if command.job is not None:
             command.job.attempt += 1
             turn.dispatch(command.job)
+        if command.phase is Phase.ANALYZING:
+            command.due_s = 0.0  # it is being tried again
         if command.phase is Phase.EXECUTING:
             turn.start_timer(command, command.limit_s * turn.state.patience + journey.REPORT_MARGIN_S)
         elif command.phase in (Phase.HALTING, Phase.CLOSING):

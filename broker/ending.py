@@ -10,6 +10,7 @@ from __future__ import annotations
 from itertools import islice
 from typing import Any
 
+from broker import untold as left
 from broker.effects import AcknowledgeReport, CancelJob, ReportEnd, SendHalt
 from broker.resources import Quarantine
 from broker.state import NIL, Command, Ending, Result, request_key
@@ -22,9 +23,10 @@ from rtc.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason, StopReaso
 HALT_LIMIT_S = 2.0  # for a subsystem to confirm rest
 CLOSING_LIMIT_S = 10.0  # for the last analysis; then the command ends without it
 STOP = "stop-"  # with a command's number: the name of the halt that stops its primitive
-MAX_DEATHS = 3  # of workers with the same job in hand: it is poison
 ENDED_KEPT = 4096  # results kept, at least, for clients that ask again
 FORGOTTEN_AT_ONCE = 512  # of them: finding the oldest key of a dict takes the longer the more were deleted before it
+
+CLOSED = "what it touched stays closed until the world has been told"
 
 UNCONFIRMED = (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM)
 
@@ -37,8 +39,10 @@ def end(
     message: str = "",
     stop: StopReason | None = None,
     refusal: Refusal | None = None,
+    untold: bool = False,
 ) -> None:
-    """The only way to ENDED: free everything, tell everybody."""
+    """The only way to ENDED: free everything, tell everybody. `untold`: but for what its last analysis is to write,
+    which goes on without it."""
     state = turn.state
     outcome = Outcome(
         kind=kind,
@@ -49,6 +53,8 @@ def end(
         trims=command.trims_told,
         steps_done=command.steps_done,
     )
+    if untold:
+        left.keep(turn, command)
     command.job = None
     turn.enter(command, Phase.ENDED, f"{kind.value}{': ' + message if message else ''}")
     in_doubt = Quarantine(command.subsystem, command.primitive) if _in_doubt(command, kind) else None
@@ -113,6 +119,37 @@ def refused(turn: Turn, command: Command, refusal: Refusal) -> None:
     refuse(turn, command, refusal)
 
 
+# --- the world away ----------------------------------------------------------------------------------
+
+
+def undone(turn: Turn, command: Command, refusal: Refusal) -> None:
+    """What is asked for before a motion: nothing is tried then, or nothing more."""
+    if command.primitives:
+        end(turn, command, OutcomeKind.FAILED, message=refusal.message, refusal=refusal)
+    else:
+        refuse(turn, command, refusal)
+
+
+def analyze_later(turn: Turn, command: Command, refusal: Refusal) -> None:
+    """What has happened must be judged and told to the world; that it is away is no fault of the job."""
+    job = command.job
+    assert job is not None
+    job.attempt += 1  # what the one before may still say is stale
+    if turn.now - job.since_s <= left.LIMIT_S:
+        turn.count("analyses_again")
+        turn.start_timer(command, left.AGAIN_S)
+        turn.note(command, f"{refusal.message}; it is asked again")
+        return
+    message = f"what was done could not be judged within {left.LIMIT_S:.0f} s: {refusal.message}"
+    end(turn, command, OutcomeKind.FAILED, message=f"{message}; {CLOSED}", refusal=refusal, untold=True)
+    left.later(turn, command.id)
+
+
+def analyze_again(turn: Turn, command: Command, _: Any) -> None:
+    assert command.job is not None
+    turn.dispatch(command.job)
+
+
 # --- a worker lost -----------------------------------------------------------------------------------
 
 
@@ -122,7 +159,7 @@ def again(turn: Turn, command: Command, loss: Any) -> None:
     assert job is not None
     if loss.blamed:
         job.deaths.append(f"{loss.node}: {loss.evidence}")
-    if len(job.deaths) < MAX_DEATHS:
+    if len(job.deaths) < left.MAX_DEATHS:
         job.attempt += 1
         turn.count("jobs_again")
         turn.note(
@@ -267,6 +304,8 @@ def close(turn: Turn, command: Command, report: EndReport, note: str) -> None:
 def stop_after_analysis(turn: Turn, command: Command, ending: Ending) -> None:
     """The report is in the analyzer's hands: let the world have it, ignore the advice (R138)."""
     command.ending = ending
+    if command.due_s:  # the world was away, and it was to be tried again
+        analyze_again(turn, command, None)
     turn.start_timer(command, CLOSING_LIMIT_S)
     turn.enter(command, Phase.CLOSING, f"{ending.message}; the analysis is let finish, its advice ignored")
 
@@ -278,3 +317,18 @@ def closed(turn: Turn, command: Command, product: Any) -> None:
     cancel(turn, command)
     ending = command.ending
     end(turn, command, ending.kind, message=ending.message, stop=ending.stop, refusal=ending.refusal)
+
+
+def closed_untold(turn: Turn, command: Command, refusal: Refusal | None) -> None:
+    """The world is away (a refusal), or the answer takes too long (None): nobody has to wait for that, but what was
+    done is not forgotten."""
+    assert command.ending is not None
+    job = command.job
+    assert job is not None
+    turn.stop_timer(command)
+    ending = command.ending
+    message = f"{ending.message}; {CLOSED}"
+    end(turn, command, ending.kind, message=message, stop=ending.stop, refusal=ending.refusal, untold=True)
+    if refusal is not None:
+        job.attempt += 1
+        left.later(turn, command.id)

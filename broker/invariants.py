@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable
 
 from broker.effects import CancelJob, DispatchJob, Effect, PublishNote, ReportEnd, SendPrimitive, StartTimer
-from broker.resources import number
+from broker.resources import WORLD, number
 from broker.state import NIL, State
 from rtc.messages import Phase, WorkerKind
 
@@ -32,6 +32,12 @@ def _resources(state: State) -> Iterable[str]:
     for command in [*r.held, *r.waiting]:
         if command not in state.commands:
             yield f"{command} has ended and still claims"
+    for name, by in r.quarantine.items():
+        if by.subsystem == WORLD and by.primitive not in state.untold:
+            yield f"{name} is closed for {by.primitive}, of which nothing is left to tell"
+    for command, left in state.untold.items():
+        if command in state.commands or any(name not in r.quarantine or name in r.holders for name in left.names):
+            yield f"the world has not been told of {command}, and {left.names} are open"
     for name, line in r.lines.items():
         if line != sorted(line, key=number):
             yield f"{line} wait for {name}, not in order"

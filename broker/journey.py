@@ -12,7 +12,7 @@ import msgspec
 
 from broker.effects import AcknowledgeReport, SendHalt, SendPrimitive
 from broker.ending import HALT_LIMIT_S, close, end, refuse
-from broker.resources import Claim
+from broker.resources import Claim, number
 from broker.state import (
     NIL,
     NOMINAL,
@@ -56,9 +56,7 @@ def parsed(turn: Turn, command: Command, product: msgspec.Raw) -> None:
         message = "hypothesis tests (TEST ...) are not in this release"
         clears = "rtc parse tells how it is understood; without TEST it moves"
         refuse(turn, command, Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears=clears))
-    elif head.kind == "control":
-        control(turn, command, head)
-    elif turn.is_next(command):
+    elif turn.is_next(command) or (head.kind == "control" and not _means_those_before(head)):
         take_up(turn, command)
     else:
         turn.state.unread[command.client][command.id] = True
@@ -68,15 +66,27 @@ def take_up(turn: Turn, command: Command, _: Any = None) -> None:
     """What one client gives is taken up in the order given, however long each takes to parse: of two commands for the
     same arm the first stands first in line."""
     assert command.head is not None
-    if not _wait_for_another(turn, command, command.head):
+    if command.head.kind == "control":
+        control(turn, command, command.head)
+    elif not _wait_for_another(turn, command, command.head):
         plan(turn, command)
+
+
+def _scope(head: ParsedHead) -> str:
+    scope = head.object or head.hand or "ALL"
+    return "ALL" if scope == "BOTH-ARMS" else scope
+
+
+def _means_those_before(head: ParsedHead) -> bool:
+    """PAUSE, RESUME, ABORT of an arm: which of its client's commands use that arm shows when they are parsed. HALT
+    waits for nothing; ALL and a number say whom they mean."""
+    scope = _scope(head)
+    return head.verb != "HALT" and scope != "ALL" and not scope.startswith("C-")
 
 
 def control(turn: Turn, command: Command, head: ParsedHead) -> None:
     """PAUSE, RESUME, ABORT, HALT of a command, of whatever uses an arm, or of all."""
-    scope = head.object or head.hand or "ALL"
-    if scope == "BOTH-ARMS":
-        scope = "ALL"
+    scope = _scope(head)
     if head.verb == "HALT":
         halt_by_command(turn, command, scope)
         return
@@ -84,7 +94,7 @@ def control(turn: Turn, command: Command, head: ParsedHead) -> None:
         message = f"the grammar says that {head.verb!r:.80} controls commands, which it does not"
         refuse(turn, command, Refusal(reason=RefusalReason.PROGRAM, message=message))
         return
-    targets = [c.id for c in in_scope(turn, scope) if c.id != command.id]
+    targets = [c.id for c in in_scope(turn, scope) if c.id == scope or not _given_after(c, command)]
     if not targets and scope != "ALL":
         refuse(turn, command, no_target(turn, scope, command.id))
         return
@@ -102,6 +112,12 @@ def control(turn: Turn, command: Command, head: ParsedHead) -> None:
     for target in targets:
         turn.follow(target, stimulus, ending if stimulus is Stimulus.STOP else None)
     end(turn, command, OutcomeKind.SUCCEEDED, message=words)
+
+
+def _given_after(other: Command, command: Command) -> bool:
+    """What the same client said after a PAUSE is not meant by it, although it may have been parsed before. Nor is the
+    sentence itself."""
+    return other.client == command.client and number(other.id) >= number(command.id)
 
 
 Answer = tuple[bool, str]  # will it do so? and what becomes of it, in words

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import msgspec
 
 Claim = dict[str, bool]  # name -> exclusive?
+WORLD = "the world database"  # in the place of a subsystem
 
 
 def number(command: str) -> int:
@@ -36,10 +37,16 @@ class Blocked(NamedTuple):
 
 
 class Quarantine(NamedTuple):
-    """Who must confirm rest, and what it may still be executing."""
+    """Who must confirm rest, and what it may still be executing; or the world, and the command it must be told of."""
 
     subsystem: str
     primitive: str
+
+    @property
+    def in_words(self) -> str:
+        if self.subsystem == WORLD:
+            return f"{WORLD}, which has not been told yet what {self.primitive} has done"
+        return f"{self.subsystem}, which has not confirmed rest"
 
 
 class Gone(NamedTuple):
@@ -67,7 +74,7 @@ class Resources(msgspec.Struct, kw_only=True):
             if name in mine and (mine[name] or not exclusive):
                 continue
             if name in self.quarantine:
-                return Blocked(name, f"{self.quarantine[name].subsystem}, which has not confirmed rest")
+                return Blocked(name, self.quarantine[name].in_words)
             holders = self.holders.get(name, {})
             holder = next((other for other in holders if other != command), None)
             if holder is not None and (exclusive or holders[holder]):

@@ -96,6 +96,13 @@ class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     deaths: list[str] = []  # evidence of the workers it was in the hands of when they died
 
 
+class Untold(msgspec.Struct, frozen=True):
+    """The last analysis of a command that has ended, and what stays closed until the world has it."""
+
+    job: PendingJob
+    names: list[str]
+
+
 class Ending(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """How a command that cannot end at once (HALTING, CLOSING) will end."""
 
@@ -191,6 +198,7 @@ class State(msgspec.Struct, kw_only=True):
     joining: dict[str, list[str]] = {}  # command -> those that start when it begins to move
     subsystems: dict[str, Subsystem] = {}
     programs: dict[str, str] = {}  # kind (or "cell") -> digest
+    untold: dict[str, Untold] = {}  # command that has ended -> what the world has not been told of it
     trials: dict[str, Trial] = {}
     rolled_back: dict[str, str] = {}  # kind -> why its newest program was taken back, until the next one is loaded
     halted_at_s: dict[str, float] = {}  # scope of a halt -> when: what was sent before it does not start

@@ -15,6 +15,7 @@ from rtc.messages import Phase
 class Stimulus(StrEnum):
     PRODUCT = "product"  # the job's worker delivered
     REFUSAL = "refusal"  # the job's worker refused
+    AWAY = "away"  # the job could not be done: the world database, or every worker of the kind, is away
     LOSS = "loss"  # the job's worker died, hung or raised
     GRANT = "grant"  # all resources in its claim can be had
     RELEASE = "release"  # the command it was to come after has ended; those given before it are read
@@ -36,6 +37,7 @@ _ROWS: dict[Phase, dict[Stimulus, str]] = {
         S.PRODUCT: f"parsed -> PARSING {PLAN} HALTING",
         S.RELEASE: f"take_up -> {PLAN}",
         S.REFUSAL: "refused -> ENDED",
+        S.AWAY: "undone -> ENDED",
         S.LOSS: "again -> PARSING ENDED",
         S.STOP: "stop -> ENDED",
         S.PAUSE: "pause_later -> PARSING",
@@ -44,6 +46,7 @@ _ROWS: dict[Phase, dict[Stimulus, str]] = {
     P.ELABORATING: {
         S.PRODUCT: f"elaborated -> HELD {STEP}",
         S.REFUSAL: "refused -> ENDED",
+        S.AWAY: "undone -> ENDED",
         S.LOSS: "again -> ELABORATING ENDED",
         S.STOP: "stop -> ENDED",
         S.PAUSE: "pause_later -> ELABORATING",
@@ -59,6 +62,7 @@ _ROWS: dict[Phase, dict[Stimulus, str]] = {
     P.BINDING: {
         S.PRODUCT: f"bound -> EXECUTING ANALYZING CLOSING {STEP}",
         S.REFUSAL: "refused -> ENDED",
+        S.AWAY: "undone -> ENDED",
         S.LOSS: "again -> BINDING ENDED",
         S.STOP: "stop -> ENDED",
         S.PAUSE: "pause_later -> BINDING",
@@ -75,10 +79,12 @@ _ROWS: dict[Phase, dict[Stimulus, str]] = {
     P.ANALYZING: {
         S.PRODUCT: f"assessed -> {STEP}",
         S.REFUSAL: "refused -> ENDED",
+        S.AWAY: "analyze_later -> ANALYZING ENDED",
         S.LOSS: "again -> ANALYZING ENDED",
         S.STOP: "stop_after_analysis -> CLOSING",
         S.PAUSE: "pause_later -> ANALYZING",
         S.RESUME: "resume_now -> ANALYZING",
+        S.OVERDUE: "analyze_again -> ANALYZING",
     },
     P.PAUSED: {
         S.STOP: "stop -> ENDED",
@@ -93,8 +99,9 @@ _ROWS: dict[Phase, dict[Stimulus, str]] = {
     P.CLOSING: {
         S.PRODUCT: "closed -> ENDED",
         S.REFUSAL: "closed -> ENDED",
+        S.AWAY: "closed_untold -> ENDED",
         S.LOSS: "again -> CLOSING ENDED",
-        S.OVERDUE: "closed -> ENDED",
+        S.OVERDUE: "closed_untold -> ENDED",
     },
     P.ENDED: {},
 }
@@ -164,8 +171,14 @@ it is counted and changes nothing.
 | release | the command it was to come after has ended, or begun; in *parsing*: what its client gave before is read |
 | report | the end report of its primitive; rest: a subsystem confirms rest for its halt |
 | stop | HALT or ABORT reaches it; pause and resume take effect between two steps |
-| overdue | its timer: no end report, no rest, or no last analysis within the limit |
+| away | the job could not be done, and nobody is to blame: the world database, or every worker of the kind, is away |
+| overdue | its timer: no end report, no rest, or no last analysis within the limit; in *analyzing*: time to try again |
 | gone | the subsystem that executes for it is lost |
+
+What has happened is never kept from the world. An analysis that finds the world database away is done again after a
+second, for up to a minute; then the command ends *failed*. In *closing* the command ends as it was to end, after ten
+seconds at most. In both cases what it touched stays closed for all (`rtc status`: quarantine: the world database)
+until the world has been told after all (`broker/untold.py`).
 """
 
 

@@ -16,6 +16,7 @@ from broker.effects import (
     StartTimer,
     StopTimer,
 )
+from broker.resources import WORLD, Quarantine
 from broker.state import NOMINAL, NOTES_KEPT, Command, PendingJob, State, StepRef
 from broker.transitions import Stimulus
 from rtc import wire
@@ -63,7 +64,15 @@ class Turn(msgspec.Struct, gc=False):
                 live.at_rest |= (
                     performers is None or set(performers) >= set(live.performers) or moved in (live.id, live.primitive)
                 )
-        self.grant(self.state.resources.confirm_rest(subsystem, performers, moved))
+        opened = self.state.resources.confirm_rest(subsystem, performers, moved)
+        self.close_untold()
+        self.grant(opened)
+
+    def close_untold(self) -> None:
+        """What the world has not been told of is for nobody, at rest or not (`broker.untold`)."""
+        for command, left in self.state.untold.items():
+            for name in left.names:
+                self.state.resources.quarantine.setdefault(name, Quarantine(WORLD, command))
 
     def count(self, what: str) -> None:
         self.state.counts[what] = self.state.counts.get(what, 0) + 1

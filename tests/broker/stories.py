@@ -113,6 +113,19 @@ class Story:
             heard.JobLost, job=job.id, attempt=job.attempt, node="worker", evidence="exit -9", blamed=blamed
         )
 
+    def tells(self, command: str, how: str = "done") -> list[str]:
+        """The worker that has the last analysis of a command that has ended: it is "done", finds the world "away", or
+        it "dies"."""
+        job = self.state.untold[command].job
+        about = {"job": job.id, "attempt": job.attempt, "node": "worker"}
+        match how:
+            case "away":
+                refusal = Refusal(reason=RefusalReason.TIMEOUT, message="no")
+                return self.hear(heard.JobDeclined, refusal=refusal, **about)
+            case "dies":
+                return self.hear(heard.JobLost, evidence="exit -9", **about)
+        return self.hear(heard.JobFinished, product=wire.raw(go_on()), **about)
+
     def reports(self, command: str, reason: StopReason = StopReason.GOAL, primitive: str = "") -> list[str]:
         live = self.state.commands.get(command)
         return self.hear(heard.PrimitiveEnded, subsystem="MCM", report=report(primitive or live.primitive, reason))

@@ -17,6 +17,7 @@ from broker.events import (
     ProgramInstalled,
     TimerFired,
 )
+from broker.resources import WORLD
 from broker.state import State
 from broker.transitions import TABLE, Stimulus
 from broker.turn import Turn
@@ -196,6 +197,46 @@ def test_control_does_not_wait_for_its_turn():
     assert s.outcome("C-1").kind is OutcomeKind.ABORTED
     assert s.outcome("C-2").kind is OutcomeKind.SUCCEEDED
     assert s.state.unread == {}
+
+
+@pytest.mark.parametrize("verb", ["ABORT", "PAUSE"])
+def test_control_of_an_arm_reaches_what_its_client_said_before_and_not_what_it_said_after(verb):
+    s = Story()
+    s.says("MOVE RIGHT-ARM")
+    s.says(f"{verb} RIGHT-ARM")
+    s.says("MOVE RIGHT-ARM")
+    s.answers("C-3", record())
+    assert s.answers("C-2", record(kind="control", verb=verb, hand="RIGHT-ARM")) == []
+    s.answers("C-1", record())
+    assert s.outcome("C-2").message == ("ABORT told to C-1" if verb == "ABORT" else "C-1 pauses before its first step")
+    assert (s.phase("C-1"), s.phase("C-3")) == (("gone", "elaborating") if verb == "ABORT" else ("elaborating", "held"))
+    assert verb == "ABORT" or not s.state.commands["C-3"].pause_wanted
+
+
+@pytest.mark.parametrize("target", [{"object": "C-1"}, {"hand": "BOTH-ARMS"}, {}])
+def test_control_of_all_or_of_a_command_waits_for_no_parser(target):
+    s = Story()
+    s.executing()
+    s.says("A PARSER HANGS WITH THIS")
+    s.parsed(kind="control", verb="ABORT", **target)
+    assert s.phase("C-1") == "halting"
+    assert s.phase("C-2") == ("parsing" if "object" in target else "gone")
+
+
+def test_control_of_an_arm_does_not_wait_for_another_client():
+    s = Story()
+    s.executing()
+    s.says("A PARSER HANGS WITH THIS", client="bob")
+    s.parsed(kind="control", verb="ABORT", hand="RIGHT-ARM")
+    assert s.phase("C-1") == "halting"
+
+
+def test_halt_of_an_arm_waits_for_no_parser_whichever_way_it_came():
+    s = Story()
+    s.executing()
+    s.says("A PARSER HANGS WITH THIS")
+    s.parsed("STOP THE RIGHT ONE", kind="control", verb="HALT", hand="RIGHT-ARM")
+    assert s.phase("C-1") == "halting"
 
 
 def test_a_command_that_needs_more_than_it_names_is_not_overtaken():
@@ -686,12 +727,119 @@ def test_no_end_report_within_the_limit_stops_the_subsystem_and_fails():
     assert s.answers("C-1", go_on())[-1] == "end C-1 failed"
 
 
-def test_a_last_analysis_that_never_comes_does_not_keep_the_command():
+def test_a_last_analysis_that_never_comes_does_not_keep_the_command_but_what_it_touched():
     s = Story()
     s.executing()
     s.halts()
     s.reports("C-1", StopReason.HALT)
-    assert s.rings("C-1") == ["no timer C-1", "cancel C-1/4", "note C-1 ended", "end C-1 halted"]
+    assert s.rings("C-1") == ["no timer C-1", "note C-1 ended", "end C-1 halted"]
+    assert s.state.resources.quarantine == {"RIGHT-ARM": (WORLD, "C-1")}
+    s.parsed()
+    assert s.phase("C-2") == "held"
+    assert s.tells("C-1") == ["job C-2/2 elaborator #1", "note C-2 elaborating"]
+    assert (s.state.untold, s.state.resources.quarantine) == ({}, {})
+
+
+# --- the world away ----------------------------------------------------------------------------------
+
+
+def away(s, command="C-1"):
+    return s.declines(command, RefusalReason.TIMEOUT)
+
+
+@pytest.mark.parametrize("reach", ["says", "parsed", "elaborated"])
+def test_before_anything_has_moved_a_world_that_is_away_is_a_refusal(reach):
+    s = Story()
+    getattr(s, reach)(*["X"] if reach == "says" else [])
+    assert away(s) == ["note C-1 ended", "end C-1 refused"]
+    assert s.outcome("C-1").refusal.reason is RefusalReason.TIMEOUT
+
+
+def test_between_two_steps_it_is_a_failure():
+    s = Story()
+    s.analyzing(script(steps=2))
+    s.answers("C-1", go_on())
+    assert away(s) == ["note C-1 ended", "end C-1 failed"]
+    assert s.state.untold == {}  # the step before is written
+
+
+def test_an_analysis_that_the_world_did_not_hear_is_done_again_and_nobody_is_blamed():
+    s = Story()
+    s.analyzing(script(steps=2))
+    for attempt in range(1, 11):  # six seconds each
+        s.now += 5.0
+        assert away(s) == ["timer C-1", "note C-1 analyzing"]
+        assert s.answers("C-1", go_on(), attempt=attempt) == []  # late
+        assert s.rings("C-1") == [f"job C-1/4 analyzer #{attempt + 1} lease RIGHT-ARM"]
+    assert s.state.commands["C-1"].job.deaths == []
+    assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "job C-1/5 binder #1", "note C-1 binding"]
+
+
+def test_after_a_minute_the_command_fails_and_what_it_touched_is_closed_until_the_world_has_been_told():
+    s = Story()
+    s.analyzing(script(resources=("RIGHT-ARM", "MODULE")))
+    s.now += 61.0
+    assert away(s) == ["note C-1 ended", "end C-1 failed", "timer C-1/4"]
+    assert s.outcome("C-1").refusal.reason is RefusalReason.TIMEOUT
+    assert s.state.resources.quarantine == dict.fromkeys(("RIGHT-ARM", "MODULE"), (WORLD, "C-1"))
+    s.parsed()
+    assert s.state.commands["C-2"].notes[-1].note == (
+        "RIGHT-ARM is in use by the world database, which has not been told yet what C-1 has done"
+    )
+    s.halts("RIGHT-ARM")
+    s.rests("h1")  # that it is at rest is not what the world has to be told
+    assert set(s.state.resources.quarantine) == {"RIGHT-ARM", "MODULE"}
+    assert s.hear(TimerFired, timer="C-1/4") == ["job C-1/4 analyzer #3 lease RIGHT-ARM+MODULE"]
+    assert s.tells("C-1", "away") == ["timer C-1/4"]
+    assert s.hear(TimerFired, timer="C-1/4") == ["job C-1/4 analyzer #5 lease RIGHT-ARM+MODULE"]
+    s.state = wire.decoder(State)(wire.encode(s.state))
+    assert s.hear(BrokerRestarted) == ["job C-1/4 analyzer #6 lease RIGHT-ARM+MODULE"]
+    assert s.tells("C-1") == []
+    assert s.state.resources.quarantine == {}
+    assert s.parsed() == "C-3"
+    assert s.phase("C-3") == "elaborating"
+
+
+def test_a_command_stopped_while_it_waits_for_the_world_ends_soon_and_the_world_is_told_later():
+    s = Story()
+    s.analyzing()
+    away(s)
+    assert s.halts() == ["halt ALL to MCM", "job C-1/4 analyzer #2 lease RIGHT-ARM", "timer C-1", "note C-1 closing"]
+    assert away(s) == ["no timer C-1", "note C-1 ended", "end C-1 halted", "timer C-1/4"]
+    assert s.state.resources.quarantine == {"RIGHT-ARM": (WORLD, "C-1")}
+
+
+def test_an_arm_neither_at_rest_nor_told_of_is_closed_until_both_are():
+    s = Story()
+    s.executing()
+    s.mcm_gone()
+    away(s)
+    assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
+    s.mcm_hello(pid=2)
+    assert s.state.resources.quarantine == {"RIGHT-ARM": (WORLD, "C-1")}
+    s.hear(TimerFired, timer="C-1/4")
+    s.tells("C-1")
+    assert s.state.resources.quarantine == {}
+
+
+def test_an_analysis_left_that_kills_its_workers_is_given_up():
+    s = Story()
+    s.executing()
+    s.mcm_gone()
+    s.rings("C-1")
+    s.mcm_hello(pid=2)
+    for deaths in (1, 2):
+        assert s.tells("C-1", "dies") == [f"job C-1/4 analyzer #{deaths + 1} lease RIGHT-ARM"]
+    assert s.tells("C-1", "dies") == []
+    assert (s.state.untold, s.state.resources.quarantine) == ({}, {})
+
+
+def test_a_restarted_broker_asks_the_world_at_once():
+    s = Story()
+    s.analyzing()
+    away(s)
+    assert s.hear(BrokerRestarted) == ["job C-1/4 analyzer #3 lease RIGHT-ARM"]
+    assert s.rings("C-1") == []
 
 
 def test_a_report_told_twice_is_acknowledged_twice_and_heard_once():
@@ -742,6 +890,22 @@ def test_a_new_program_whose_first_job_fails_is_rolled_back():
     assert s.state.rolled_back == {"parser": f"{told}. The job was of C-1"}
     s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="newer")
     assert not s.state.rolled_back
+
+
+@pytest.mark.parametrize("fail", [Story.loses_worker, lambda s, c: s.declines(c, RefusalReason.PROGRAM)])
+def test_what_else_was_under_way_with_a_program_that_was_rolled_back_is_done_again_with_the_old_one(fail):
+    s = Story()
+    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")
+    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="new")
+    s.says("X")
+    s.says("Y")
+    fail(s, "C-1")
+    assert fail(s, "C-2") == ["note C-2 parsing", "job C-2/1 parser #2"]
+    assert s.state.commands["C-2"].job.program == "old"
+    assert s.state.commands["C-2"].job.deaths == []
+    assert "C-1" in s.state.rolled_back["parser"]  # it is told of the first
+    assert fail(s, "C-2")[0] == ("note C-2 parsing" if fail is Story.loses_worker else "note C-2 ended")
+    assert s.state.counts["programs_rolled_back"] == 1
 
 
 def test_a_new_program_whose_first_job_is_done_stays():

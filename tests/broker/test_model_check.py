@@ -13,7 +13,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from broker import decision_unit, ending, journey
+from broker import decision_unit, ending, journey, untold
 from broker.events import HaltCalled, JobLost, SubsystemConnected
 from broker.resources import Resources
 from broker.turn import Turn
@@ -91,3 +91,8 @@ def test_a_halt_called_past_the_broker_and_not_passed_on_is_found(monkeypatch):
         decision_unit.HEARD, HaltCalled, lambda turn, event: None if event.client == "MCM" else called(turn, event)
     )
     assert explore(faults(SAME_ARM, 1)).violation
+
+
+def test_an_arm_that_stays_closed_because_nobody_tells_the_world_is_found(monkeypatch):
+    monkeypatch.setattr(untold, "rang", lambda turn, timer: False)
+    assert "quarantine is not empty" in explore(faults(SAME_ARM, 1)).violation

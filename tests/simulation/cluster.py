@@ -200,6 +200,7 @@ class Cluster:
         self._db.executescript(SCHEMA)
         Journal(self._db).snapshot(State())
         self.world = Server(Store(":memory:"), KEY)
+        self.world_back_s = 0.0
         self.stories: dict[str, m.CommandRecord] = {}
         self.broker: Broker | None = None
         self._start_broker()
@@ -335,6 +336,11 @@ class Cluster:
 
     # --- what processes do here -----------------------------------------------------------------------
 
+    @property
+    def world_away_s(self) -> float:
+        """How long the world database will not answer."""
+        return self.world_back_s - self.clock.now_s
+
     def commit(self, lease: m.Lease, changes: list[m.WorldChange]) -> Refusal | None:
         """Of a worker, to the world database; now and then the first answer is lost, and it asks again."""
         request = m.Commit(request="1", lease=lease, changes=changes, source=lease.job)
@@ -425,11 +431,18 @@ class Cluster:
             written = [fact.value for fact in facts if fact.validity is m.Validity.VALID]
             if len(set(written)) != len(written):
                 self.wrong(f"a primitive is written twice: {written}")
+            moved = [p for p in self.ledger.begun if self._arm_of(p) == arm]
+            last = facts[-1] if facts else None
+            if moved and (last is None or (last.validity is m.Validity.VALID and last.value != moved[-1])):
+                self.wrong(f"{arm} did {moved[-1]} last, and the world trusts {last and last.value}")
             for record in self.stories.values():
                 if record.outcome and record.outcome.kind is OutcomeKind.SUCCEEDED:
                     mine = [p for p in self.ledger.of(record.command) if f" {arm.partition('-')[0]} " in record.text]
                     if [p for p in written if p in mine] != mine:
                         self.wrong(f"{record.command} did {mine}, written is {written}")
+
+    def _arm_of(self, primitive: str) -> str:
+        return f"{self.stories[primitive.partition('.')[0]].text.split()[1]}-ARM"
 
     def wrong(self, what: str) -> None:
         self.tell(f"!! {what}")
@@ -506,9 +519,16 @@ def _repeat(cluster: Cluster) -> None:
     client.repeat()
 
 
+def _stop_world(cluster: Cluster) -> None:
+    away_s = cluster.random.choice((0.2, 2.0, 6.0, 20.0, 80.0))
+    cluster.faults["world"] += 1
+    cluster.tell(f"the world database stands still for {away_s:g} s")
+    cluster.world_back_s = max(cluster.world_back_s, cluster.clock.now_s + away_s)
+
+
 FAULTS = (
     *(_kill_broker, _kill_broker, _stop_broker, _kill_worker, _kill_worker),
-    *(_hang_worker, _kill_mcm, _stop_mcm, _repeat),
+    *(_hang_worker, _kill_mcm, _stop_mcm, _repeat, _stop_world),
 )
 
 

@@ -14,6 +14,7 @@ from rtc import messages as m
 from rtc import wire
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.primitive import ControlLaw
+from rtc.world.client import LIMIT_S
 from sim_mcm.arm import HandCommand, Motion, Sample, Traits
 from sim_mcm.subsystem import BROKER, REPEAT_S, Subsystem
 from tests.simulation import skills
@@ -100,7 +101,14 @@ class Worker:
         except skills.Kill:
             self.cluster.kill(self, f"by {job.id}")
             return
-        if isinstance(product, m.Assessment) and job.lease is not None:
+        if isinstance(product, m.Assessment) and job.lease is not None and self.cluster.world_away_s > 0.0:
+            if took_s >= LIMIT_S:
+                product = Refusal(reason=RefusalReason.TIMEOUT, message="the world database did not answer")
+            else:
+                left_s = min(self.cluster.world_away_s, LIMIT_S - took_s) + 1e-6
+                self.cluster.clock.after(left_s, self._done, job, took_s + left_s)
+                return
+        elif isinstance(product, m.Assessment) and job.lease is not None:
             refusal = self.cluster.commit(job.lease, product.changes)
             if refusal is not None:
                 product = refusal

@@ -24,6 +24,7 @@ from broker import events as heard
 from broker.decision_unit import decide
 from broker.invariants import forbidden, violations
 from broker.state import NIL, Command, Link, State
+from broker.untold import LIMIT_S
 from rtc import wire
 from rtc.messages import BoundStep, CommandEnded, EndReport, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
@@ -129,7 +130,7 @@ def first(scenario: Scenario) -> Model:
 
 # --- what may happen ---------------------------------------------------------------------------------
 
-NEVER_EXHAUSTED = frozenset({"hand in", "work", "said", "goal", "rest", "born", "hello"})
+NEVER_EXHAUSTED = frozenset({"hand in", "work", "world told", "said", "goal", "rest", "born", "hello"})
 
 
 def moves(model: Model, scenario: Scenario) -> list[Move]:
@@ -149,8 +150,19 @@ def _moves(model: Model, scenario: Scenario) -> Iterator[Move]:
         if at_work(model, command):
             for product in products(command, scenario):
                 yield "work", command.id, product
-            for fault in ("refuse", "nonsense", "worker dies", "job lost in a queue"):
+            for fault in (
+                "refuse",
+                "nonsense",
+                "worker dies",
+                "job lost in a queue",
+                "world away",
+                "world away for long",
+            ):
                 yield fault, command.id
+    for command in untold_at_work(model):
+        yield "world told", command
+        for fault in ("told badly", "teller dies", "world still away"):
+            yield fault, command
     if mcm.said:
         yield ("said",)
     for arm, primitive in mcm.arms.items():
@@ -209,6 +221,8 @@ def _moves_of_broker(model: Model, scenario: Scenario) -> Iterator[Move]:
         if at_work(model, command):
             for product in products(command, scenario):
                 yield "work", command.id, product
+    for command in untold_at_work(model):
+        yield "world told", command
     if model.mcm.said:
         yield ("said",)
     for scope in scenario.halts:
@@ -221,6 +235,11 @@ def at_work(model: Model, command: Command) -> bool:
     """A worker has the very job the command waits for."""
     job = command.job
     return job is not None and model.given.get(job.id) == job.attempt
+
+
+def untold_at_work(model: Model) -> list[str]:
+    """Commands that have ended, of which a worker is telling the world."""
+    return [c for c, left in model.du.untold.items() if model.given.get(left.job.id) == left.job.attempt]
 
 
 def products(command: Command, scenario: Scenario) -> list[str]:
@@ -252,6 +271,8 @@ def fair(model: Model, scenario: Scenario) -> Move | None:
     for command in model.du.commands.values():
         if at_work(model, command):
             return "work", command.id, "go on"
+    for name in untold_at_work(model):
+        return "world told", name
     if mcm.kept:
         return "say again", next(iter(mcm.kept))
     if model.handed_in < len(scenario.sentences):
@@ -358,6 +379,22 @@ def _about_job(
     return event
 
 
+def _away_for_long(model: Model, scenario: Scenario, command: str) -> heard.Event:
+    model.now += LIMIT_S + 1.0
+    return _about_job(heard.JobDeclined, refusal=AWAY)(model, scenario, command)
+
+
+def _about_untold(
+    kind: type[heard.JobFinished | heard.JobDeclined | heard.JobLost], **fields: Any
+) -> Callable[[Model, Scenario, str], heard.Event]:
+    def event(model: Model, scenario: Scenario, command: str) -> heard.Event:
+        job = model.du.untold[command].job
+        del model.given[job.id]
+        return kind(at_s=model.now, job=job.id, attempt=job.attempt, node="w", **fields)
+
+    return event
+
+
 def _call(model: Model, scenario: Scenario, scope: str) -> heard.Event:
     _called(model, scope).at_broker = True
     return heard.HaltCalled(at_s=model.now, client=CLIENTS[0], halt=f"h-{scope}", scope=scope)
@@ -407,6 +444,7 @@ def _resume(model: Model, scenario: Scenario, command: str) -> heard.Event:
 
 
 NO = Refusal(reason=RefusalReason.INFEASIBLE, message="no")
+AWAY = Refusal(reason=RefusalReason.TIMEOUT, message="the world does not answer")
 EVENTS: dict[str, Callable[..., heard.Event]] = {
     "hand in": _hand_in,
     "work": _work,
@@ -414,6 +452,12 @@ EVENTS: dict[str, Callable[..., heard.Event]] = {
     "nonsense": _about_job(heard.JobFinished, product=wire.raw({"no": "product"})),
     "worker dies": _about_job(heard.JobLost, evidence="exit -9"),
     "job lost in a queue": _about_job(heard.JobLost, evidence="exit -9", blamed=False),
+    "world away": _about_job(heard.JobDeclined, refusal=AWAY),
+    "world away for long": _away_for_long,
+    "world told": _about_untold(heard.JobFinished, product=wire.raw(go_on())),
+    "told badly": _about_untold(heard.JobDeclined, refusal=NO),
+    "teller dies": _about_untold(heard.JobLost, evidence="exit -9"),
+    "world still away": _about_untold(heard.JobDeclined, refusal=AWAY),
     "said": _next_said,
     "mcm silent": _gone("silent"),
     "exit told": _gone("exit -9"),
@@ -531,6 +575,7 @@ def late(model: Model) -> Iterator[heard.Event]:
     and reports told twice, requests and halts repeated, a timer that was set anew."""
     now, body = model.now, wire.raw(go_on())
     old = [(f"{command}/1", 1) for command in model.outcomes]
+    old += [(left.job.id, left.job.attempt - 1) for left in model.du.untold.values()]
     for live in model.du.commands.values():
         old.append((f"{live.id}/{live.jobs if live.job is None else live.jobs - 1}", 1))
         if live.job is not None:
@@ -753,6 +798,8 @@ def _essence(model: Model) -> list[Any]:
     return [
         [_of_command(model, command) for command in du.commands.values()],
         du.resources,
+        [(c, len(left.job.deaths), left.job.id in model.timers) for c, left in du.untold.items()],
+        untold_at_work(model),
         [du.awaiting, du.joining, {c: r.succeeded for c, r in du.ended.items()}],
         [(s.pid, s.link, s.came_at_rest) for s in du.subsystems.values()],
         [du.programs, list(du.trials), sorted(du.halts)],
@@ -779,7 +826,8 @@ def _of_command(model: Model, c: Command) -> list[Any]:
     halted = [r for r, at_s in model.du.halted_at_s.items() if at_s > c.given_at_s]
     return [
         [c.id, c.phase, c.pause_wanted, c.ending, c.elaborations, c.at_rest, c.due_s > 0.0],
-        c.job and [c.job.kind, len(c.job.deaths), c.job.program, at_work(model, c)],
+        c.job
+        and [c.job.kind, len(c.job.deaths), c.job.program, at_work(model, c), model.now - c.job.since_s > LIMIT_S],
         [c.head is not None, c.script is not None, c.stack, c.step, c.trims_used, len(c.trims_told), c.steps_done],
         [bool(c.primitive), min(c.primitives, 2), c.primitive_body != NIL, c.performers],
         [c.primitives - begun, begun - model.goals.get(c.id, 0), c.primitive in model.begun],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 
-from broker import decision_unit, router
+from broker import decision_unit, ending, router
 from broker.events import BrokerRestarted
 from rtc import messages as m
 from rtc import wire
@@ -34,7 +34,7 @@ def test_clusters_lose_repeat_and_misreport_nothing():
         assert not result.problem, f"{result.problem}\n  python -m tests.simulation --seed {seed} --story"
         faults += result.faults
         outcomes += result.outcomes
-    assert min(faults[kind] for kind in ("broker", "worker", "MCM")) > SEEDS / 10  # things did go wrong,
+    assert min(faults[kind] for kind in ("broker", "worker", "MCM", "world")) > SEEDS / 10  # things did go wrong,
     assert outcomes["succeeded"] > SEEDS / 2  # and much went well all the same
     assert {"failed", "refused", "halted", "lost_subsystem"} <= set(outcomes)
 
@@ -122,3 +122,8 @@ def test_a_broker_that_does_not_listen_to_halts_of_its_mcm_is_found(monkeypatch)
 
     monkeypatch.setitem(router._DOORS, "subsystems", (read, deaf))
     assert first_problem().problem
+
+
+def test_a_broker_that_forgets_what_happened_while_the_world_was_away_is_found(monkeypatch):
+    monkeypatch.setitem(decision_unit.ACTIONS, "analyze_later", ending.refused)
+    assert "and the world trusts" in first_problem().problem
