@@ -46,7 +46,8 @@ def main() -> None:
     elif given.key:
         join(given.key, given.kind, given.node)
     else:
-        work(Settings.load(given.run_dir), given.kind, given.node, Warm())
+        settings = Settings.load(given.run_dir)
+        work(settings, given.kind, given.node, warm([given.kind], settings.cell))
 
 
 class Order(msgspec.Struct, frozen=True):
@@ -57,7 +58,7 @@ class Order(msgspec.Struct, frozen=True):
 def serve(run_dir: Path) -> None:
     """Be the template: make for all kinds what each needs, then fork as ordered."""
     process.log_to_stderr()
-    prepared = warm(run_dir)
+    prepared = warm(WorkerKind, Settings.load(run_dir).cell)
     read = msgspec.json.Decoder(Order).decode
 
     def be(order: bytes) -> None:
@@ -70,7 +71,7 @@ def serve(run_dir: Path) -> None:
 def join(key: Path, kind: WorkerKind, node: int) -> None:
     """Be a worker of a cluster on another machine. Ends with a sentence when that does not want it."""
     try:
-        if not work(KeyFile.load(key), kind, node, Warm()):
+        if not work(KeyFile.load(key), kind, node, warm([kind], cell=None)):
             raise SystemExit(
                 f"the cluster does not want {kind}@{node}: its own machine, or another key, has this node; "
                 "its log says more (logs/gate.log)"

@@ -1,4 +1,5 @@
-"""What a worker may have made before its first job: the programs and the cell that come with the project, by digest.
+"""What a worker has made before its first job, so that this is as quick as any: the programs and the cell that come
+with the project, by digest. On a slow machine the first job would else be too late, three times, and be poison.
 
 The broker names programs and cells by the digest of their bytes alone. So whatever is made here from the same bytes
 is the same thing, and whatever is not asked for does no harm: a changed program is fetched as ever.
@@ -7,9 +8,8 @@ is the same thing, and whatever is not asked for does no harm: a changed program
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from rtc import program
@@ -17,7 +17,6 @@ from rtc.cell import Cell
 from rtc.digest import digest
 from rtc.messages import WorkerKind
 from rtc.outcomes import ProgramError
-from rtc.settings import Settings
 from workers import imports
 
 
@@ -29,17 +28,21 @@ class Warm:
     cells: Mapping[str, Any] = field(default_factory=dict)
 
 
-def warm(run_dir: Path) -> Warm:
-    """All four kinds' own programs compiled, and the models of the cluster's cell. A program that does not check is
-    left to the broker, who tells what is wrong with it."""
+def warm(kinds: Iterable[WorkerKind], cell: str | None) -> Warm:
+    """These kinds' own programs compiled, and, for those that need it, the models of the cluster's `cell`, when it is
+    known. A program that does not check is left to the broker, who tells what is wrong with it."""
     programs: dict[WorkerKind, dict[str, Any]] = {}
-    for kind in WorkerKind:
+    cells: dict[str, Any] = {}
+    for kind in kinds:
+        function: Any = imports.load(kind)
         try:
             body = program.default(kind)
-            programs[kind] = {digest(body): imports.load(kind).compile(body)}
+            programs[kind] = {digest(body): function.compile(body)}
         except ProgramError as error:
-            logging.getLogger("template").warning("%s: %s", kind, error)
-    body = Cell.load(Settings.load(run_dir).cell).encode()
-    model = imports.load("cell_model").CellModel(Cell.from_bytes(body))
-    _ = model.arms, model.collision  # built when first asked for
-    return Warm(programs, {digest(body): model})
+            logging.getLogger("warm").warning("%s: %s", kind, error)
+        if function.NEEDS_CELL and cell is not None and not cells:
+            body = Cell.load(cell).encode()
+            model = imports.load("cell_model").CellModel(Cell.from_bytes(body))
+            _ = model.arms, model.collision  # built when first asked for
+            cells[digest(body)] = model
+    return Warm(programs, cells)

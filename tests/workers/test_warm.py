@@ -2,22 +2,72 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
+import pytest
+import zmq
+
 from broker.journal import Journal
 from broker.program_store import ProgramStore
 from broker.state import State
-from rtc import program
+from rtc import program, wire
 from rtc.cell import Cell
-from rtc.messages import WorkerKind
+from rtc.digest import digest
+from rtc.messages import (
+    Job,
+    JobBatch,
+    JobDone,
+    ParserInput,
+    ProgramWanted,
+    ResultBatch,
+    WorkerHello,
+    WorkerKind,
+    WorkerToBroker,
+)
+from rtc.process import Process, inbox, send
 from rtc.settings import Settings
 from workers.warm import warm
 
 
 def test_digests_are_the_brokers(tmp_path):
-    Settings(run_dir=str(tmp_path)).save()
-    made = warm(tmp_path)
+    made = warm(WorkerKind, "swapout")
     store = ProgramStore(Journal.open(tmp_path / "journal.db", "run", State()))
     for kind in WorkerKind:
         assert list(made.programs[kind]) == [store.keep(program.default(kind))]
     assert list(made.cells) == [store.keep(Cell.load("swapout").encode())]
     (model,) = made.cells.values()
     assert sorted(model.arms) == ["LEFT-ARM", "RIGHT-ARM"]
+
+
+def test_a_worker_makes_what_its_kind_needs_and_no_more():
+    parser, binder = warm([WorkerKind.PARSER], "swapout"), warm([WorkerKind.BINDER], "swapout")
+    assert (list(parser.programs), len(parser.cells)) == ([WorkerKind.PARSER], 0)
+    assert (list(binder.programs), len(binder.cells)) == ([WorkerKind.BINDER], 1)
+    assert len(warm([WorkerKind.BINDER], cell=None).cells) == 0  # far away: which cell it is the first job tells
+
+
+@pytest.mark.slow
+def test_the_first_job_of_a_worker_that_has_started_by_itself_waits_for_nothing(tmp_path):
+    Settings(run_dir=str(tmp_path)).save()
+    command = [sys.executable, "-m", "workers", "--run-dir", str(tmp_path), "--kind", "parser", "--node", "0"]
+    broker = Process("broker", tmp_path)
+    socket = broker.socket(zmq.ROUTER, f"ipc://{tmp_path}/workers.sock", bind=True)
+    job = Job(
+        id="C-1/1",
+        attempt=1,
+        program=digest(program.default(WorkerKind.PARSER)),
+        input=wire.raw(ParserInput(text="STOW LEFT-ARM")),
+    )
+    heard = []
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as worker:
+        while not heard or not isinstance(heard[-1], ResultBatch | ProgramWanted):
+            assert broker.wait(30), heard
+            for _, *parts in inbox(socket):
+                heard.append(wire.reader(WorkerToBroker)(parts))
+                if isinstance(heard[-1], WorkerHello):
+                    send(socket, JobBatch(jobs=[job]), to=b"parser@0")
+        worker.terminate()
+    broker.close()
+    assert isinstance(heard[-1], ResultBatch)
+    assert isinstance(heard[-1].results[0], JobDone)
