@@ -5,16 +5,25 @@ from __future__ import annotations
 import math
 import os
 import sys
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
+import msgspec
 import typer
 from rich.text import Text
 
-from rtc.cli.output import AsJson, RunDir, With, console, emit_json, said, seconds, table, trouble
+from rtc.chaos import REPORT
+from rtc.cli.output import NO_CLUSTER, AsJson, RunDir, With, console, emit_json, said, seconds, table, trouble
 from rtc.client import Client
+from rtc.outcomes import NoCluster, TimedOut
 from rtc.settings import default_run_dir
+from rtc.silence import supervised
 
+SILENT = (
+    "the broker does not answer; one that hangs or has died is replaced within seconds: ask again "
+    "(its log is logs/broker.log in the run directory; rtc halt works meanwhile)"
+)
 SAME_AGE_S = 1.0  # a broker that is younger than its cluster by more has been restarted
 
 
@@ -58,14 +67,36 @@ def down(run_dir: RunDir = None) -> None:
 def status(run_dir: RunDir = None, key: With = None, json: AsJson = False) -> None:
     """What runs: processes and their cube addresses, queues, resources and owners, commands, counters.
 
+    Exit status 4 when the broker does not answer; then it shows what the supervisor knows.
+
     Example:  rtc status --json
     """
-    with Client(run_dir, key=key) as rtc:
-        said = rtc.status()
+    try:
+        with Client(run_dir, key=key) as rtc:
+            said = rtc.status()
+    except (NoCluster, TimedOut):
+        if key or not (known := as_supervised(run_dir or default_run_dir())):
+            raise
+        if not json:
+            show_status(known)
+        raise trouble(SILENT, NO_CLUSTER, **known) from None
+    if not key and not said.get("processes"):  # a new broker has not heard of them yet
+        said |= {"processes": (as_supervised(run_dir or default_run_dir()) or {}).get("processes", [])}
     if json:
         emit_json(said)
     else:
         show_status(said)
+
+
+def as_supervised(run_dir: Path) -> dict[str, Any] | None:
+    """What the supervisor has written of the cluster, as `show_status` takes it; None when there is no supervisor."""
+    try:
+        report = msgspec.json.decode((run_dir / REPORT).read_bytes())
+        up_s = time.time() - report["started_at"]
+        known = {"cluster": report["cluster"], "uptime_s": up_s, "processes": report["processes"]}
+    except (OSError, KeyError, msgspec.DecodeError):
+        return None
+    return {"run_dir": str(run_dir), **known} if supervised(run_dir) else None
 
 
 def show_status(said: dict[str, Any]) -> None:
@@ -77,7 +108,8 @@ def show_status(said: dict[str, Any]) -> None:
     for why in said.get("rolled_back", {}).values():
         console.print(Text("program taken back: ", style="bold red") + Text(why))
     _workers_and_processes(said)
-    _commands(said.get("commands", []))
+    if "commands" in said:
+        _commands(said["commands"])
     _resources(said.get("resources", []))
     _subsystems(said.get("subsystems", []))
     for name in ("queues", "programs", "halts", "counters"):

@@ -26,10 +26,11 @@ from rtc.language.fastpath import halt_scope
 from rtc.language.parse import default_grammar
 from rtc.outcomes import NoCluster, RequestDeclined, RtcError
 
+LEAVE = (":quit", ":q", "quit", "exit")  # no verbs of the language
 HELP = """Type a sentence (rtc dictionary lists the verbs), end it with & to send it and go on typing. Or one of:
   :status            what runs           :trace C-7    every phase of a command
   :world [LOCATION]  what is believed    :why C-7      the chain of causes
-  :help              this                :quit         leave (Ctrl-D); commands go on
+  :help              this                :quit, exit   leave (Ctrl-D); commands go on
 HALT and STOP go past everything. Ctrl-C while a command runs asks; twice halts. Tab completes."""
 
 
@@ -41,11 +42,9 @@ def interpret(run_dir: Path | None, key: Path | None = None) -> None:
             history=history, completer=Sentences(_names(rtc)), auto_suggest=AutoSuggestFromHistory()
         )
         console.print(f"cluster in {rtc.where}; :help for help, Ctrl-D leaves")
-        while (line := _read(session)) is not None:
+        while (line := _read(session)) is not None and line.lower() not in LEAVE:
             if line:
                 _obey(rtc, line)
-                if line in (":quit", ":q"):
-                    return
 
 
 class Sentences(Completer):
@@ -57,7 +56,7 @@ class Sentences(Completer):
     def get_completions(self, document: Document, complete_event: CompleteEvent) -> Iterator[Completion]:
         text = document.text_before_cursor
         if text.startswith(":"):
-            words: Iterable[str] = (word for word in WORDS if word.startswith(text))
+            words: Iterable[str] = (word for word in (*WORDS, *LEAVE) if word.startswith(text))
             begun = len(text)
         else:
             words = complete(default_grammar(), text, self._names)
@@ -128,7 +127,7 @@ def _unknown(_: Client, __: list[str]) -> None:
 
 
 def _command(words: list[str]) -> str:
-    if len(words) != 1:
+    if len(words) != 1 or not story.NUMBER.fullmatch(words[0]):
         raise ValueError("name one command, such as C-7")
     return words[0]
 
@@ -147,6 +146,4 @@ WORDS: dict[str, Callable[[Client, list[str]], None]] = {
     ":why": _why,
     ":world": _world,
     ":help": _help,
-    ":quit": lambda rtc, words: None,
-    ":q": lambda rtc, words: None,
 }

@@ -66,12 +66,13 @@ def emit_json(value: Any) -> None:
     sys.stdout.flush()
 
 
-def trouble(message: str, code: int = 1) -> typer.Exit:
-    """Say an expected trouble in a sentence (and as JSON when that was asked for); raise what this returns."""
+def trouble(message: str, code: int = 1, **known: Any) -> typer.Exit:
+    """Say an expected trouble in a sentence (and as JSON when that was asked for, with what is `known` all the same);
+    raise what this returns."""
     errors.print(Text("rtc: ", style="bold red") + Text(message))
     if "--json" in sys.argv:
         with suppress(Unheard):  # it has been said
-            emit_json({"error": message, "exit": code})
+            emit_json({"error": message, "exit": code, **known})
     return typer.Exit(code)
 
 

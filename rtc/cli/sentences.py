@@ -75,10 +75,20 @@ def do(
             code, results = _hand_in(rtc, texts)
         else:
             code, results = _see_through(rtc, texts, parallel and not any(halts), keep_going, json)
+    if hint := quotes_forgotten(texts, results):
+        errors.print(Text(hint))
     if json:
         with exits_with(code):
             emit_json({"results": results, "exit": code})
     raise typer.Exit(code)
+
+
+def quotes_forgotten(texts: list[str], results: list[dict[str, Any]]) -> str:
+    """A hint, when single words were refused that may have been meant as one sentence; else empty."""
+    words = [text for text in texts if len(text.split()) == 1]
+    if len(words) < 2 or all(one["kind"] != "refused" or one["text"] not in words for one in results):
+        return ""
+    return f'each argument is a sentence; one of several words is said in quotes: rtc do "{said(" ".join(words))}"'
 
 
 def _see_through(

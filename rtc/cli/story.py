@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import groupby
 from typing import Annotated, Any
 
@@ -10,11 +11,13 @@ import typer
 from rich.text import Text
 
 from rtc import messages as m
-from rtc.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, refusal_lines, said, seconds
+from rtc.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, refusal_lines, said, seconds, trouble
 from rtc.client import Client
 from rtc.outcomes import OutcomeKind
 
 DID = {"parser": "parsed", "elaborator": "planned", "binder": "bound", "analyzer": "judged"}  # kind of worker -> verb
+
+NUMBER = re.compile(r"C-\d+", re.ASCII | re.IGNORECASE)
 
 Command = Annotated[str, typer.Argument(help="Number of a command, live or ended: C-7.")]
 
@@ -24,12 +27,20 @@ def trace(command: Command, json: AsJson = False, run_dir: RunDir = None, key: W
 
     Example:  rtc trace C-7
     """
+    name = number(command)
     with Client(run_dir, key=key) as rtc:
-        record = rtc.trace(command)
+        record = rtc.trace(name)
     if json:
         emit_json(as_json(record))
     else:
         print_trace(record)
+
+
+def number(command: str) -> str:
+    """The number of a command as it was typed. Raises typer.Exit, with the reason said, when it is none."""
+    if not NUMBER.fullmatch(command.strip()):
+        raise trouble(f"{said(command)!r} is no number of a command; such as C-7 is (rtc do tells it)", 2)
+    return command.strip()
 
 
 def print_trace(record: m.CommandRecord) -> None:
@@ -61,8 +72,9 @@ def why(command: Command, json: AsJson = False, run_dir: RunDir = None, key: Wit
 
     Example:  rtc why C-7
     """
+    name = number(command)
     with Client(run_dir, key=key) as rtc:
-        record = rtc.trace(command)
+        record = rtc.trace(name)
     if json:
         emit_json({"command": record.command, "chain": chain(record), "outcome": as_json(record)["outcome"]})
     else:

@@ -114,6 +114,8 @@ def at(
         now = rtc.world.view(keys=[spelt(key)] if key else None)
         if key and not now.facts:
             raise _unknown(key, rtc.world)
+        if version > now.version:
+            raise trouble(f"there is no version {version} of the world yet; the newest is {now.version}", 2)
         pasts = (rtc.world.history(fact.key, HISTORY) for fact in now.facts)
         then = [old for past in pasts for old in past[:] if old.version <= version]
     newest: dict[str, Fact] = {}

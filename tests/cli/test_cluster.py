@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -11,6 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from prompt_toolkit.application import create_app_session
+from prompt_toolkit.input import create_pipe_input
+from prompt_toolkit.output import DummyOutput
+
+from rtc.cli.interpreter import interpret
 
 pytestmark = pytest.mark.slow
 
@@ -147,6 +153,42 @@ def test_world_get_list_history_at(rtc: Run) -> None:
     assert history[0]["version"] == fact["version"]
     assert then[0]["value"] == fact["value"]
     assert "RIGHT-ARM.joints" in rtc("world", "list").stdout
+
+
+def test_a_version_of_the_world_that_is_still_to_come_is_2(rtc: Run) -> None:
+    newest = last_json(rtc("world", "list", "--json"))["version"]
+    done = rtc("world", "at", "99999999", "MACS-NEW")
+
+    assert done.returncode == 2
+    assert f"no version 99999999 of the world yet; the newest is {newest}" in done.stderr
+
+
+@pytest.mark.parametrize("word", ["exit", "QUIT", ":q"])
+def test_the_shell_is_left_by_the_words_people_try(
+    run_dir: Path, word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with create_pipe_input() as typed, create_app_session(input=typed, output=DummyOutput()):
+        typed.send_text(f"STOW LEFT-LEG\n{word}\nSTOW RIGHT-LEG\n")
+        interpret(run_dir)
+
+    printed = capsys.readouterr().out
+    assert "LEFT-LEG" in printed
+    assert "RIGHT-LEG" not in printed
+
+
+def test_a_status_that_the_broker_does_not_give_the_supervisor_gives(run_dir: Path, rtc: Run) -> None:
+    """A broker that stands still is found and replaced; whoever asks meanwhile is told one or the other."""
+    broker = next(row for row in last_json(rtc("status", "--json"))["processes"] if row["name"] == "broker")
+    os.kill(broker["pid"], signal.SIGSTOP)
+    new_pid = broker["pid"]
+    while new_pid == broker["pid"]:
+        done = rtc("status", "--json")
+        said = last_json(done)
+        assert done.returncode == (4 if "error" in said else 0)
+        assert "Traceback" not in done.stderr
+        rows = {row["name"]: row for row in said["processes"]}
+        assert "MCM" in rows  # although a new broker hears of it a little later
+        new_pid = rows.get("broker", broker)["pid"] or broker["pid"]
 
 
 def test_an_unknown_place_is_2_and_shows_the_known_ones(rtc: Run) -> None:

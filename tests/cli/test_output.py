@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
+import json
+import time
+from pathlib import Path
+
 import pytest
 
-from rtc.cli.cluster import show_status
+from rtc.cli.cluster import as_supervised, show_status
 from rtc.cli.output import EXIT, exit_code, refusal_lines, said, seconds
 from rtc.language.parse import default_grammar, parse
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason
@@ -76,3 +81,24 @@ def test_a_worker_of_another_machine_is_among_the_processes(capsys) -> None:
     assert "binder@18" in printed
     assert "ready, elsewhere" in printed
     assert printed.count("binder@2 ") == 1
+
+
+def test_without_a_broker_the_supervisors_report_is_what_is_known(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And of commands it knows nothing: that none is under way must not be said."""
+    assert as_supervised(tmp_path) is None
+    rows = [{"name": "broker", "pid": 7, "state": "starting", "restarts": 3, "since_s": 0.0, "node": None}]
+    report = {"pid": 1, "cluster": "abc", "started_at": time.time() - 5, "processes": rows}
+    (tmp_path / "supervisor.json").write_text(json.dumps(report))
+    with open(tmp_path / "supervisor.lock", "w") as lock:
+        assert as_supervised(tmp_path) is None  # it was killed: its report means nothing
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        known = as_supervised(tmp_path)
+    assert known is not None
+
+    show_status(known)
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"cluster abc in {tmp_path}, up 5.")
+    assert "starting" in printed
+    assert "command under way" not in printed

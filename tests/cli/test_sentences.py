@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from rtc.cli.sentences import _lines
+from rtc.cli.sentences import _lines, quotes_forgotten
 
 
 def test_labels_comments_and_blank_lines_are_left_out(tmp_path: Path) -> None:
@@ -23,3 +23,22 @@ def test_a_file_that_is_not_there_is_told_in_a_sentence(tmp_path: Path, capsys: 
 
     assert left.value.exit_code == 2
     assert "cannot read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("texts", "kinds", "hinted"),
+    [
+        (["STOW", "RIGHT-ARM"], ["refused", "not_sent"], True),
+        (["STOW", "RIGHT-ARM"], ["refused"], True),  # as with --no-wait
+        (["HALT", "RIGHT-ARM"], ["succeeded", "refused"], True),
+        (["STOW"], ["refused"], False),
+        (["STOW LEFT-LEG", "HALT"], ["refused", "not_sent"], False),
+        (["HALT", "HALT"], ["succeeded", "succeeded"], False),
+    ],
+)
+def test_single_words_that_are_refused_may_be_a_sentence_without_its_quotes(
+    texts: list[str], kinds: list[str], hinted: bool
+) -> None:
+    hint = quotes_forgotten(texts, [{"text": text, "kind": kind} for text, kind in zip(texts, kinds, strict=False)])
+
+    assert hint.endswith(f'rtc do "{" ".join(texts)}"') if hinted else hint == ""

@@ -1,13 +1,19 @@
-"""What a user gets wrong is said in one sentence, at once, with exit status 2."""
+"""What a user gets wrong is said in one sentence, at once, with exit status 2; what is broken, with what is known."""
 
 from __future__ import annotations
 
+import fcntl
+import json
+import shlex
 import sys
 from pathlib import Path
 
 import pytest
 
+from rtc import front_door
 from rtc.cli.main import main
+from rtc.settings import Settings
+from rtc.silence import LOCK
 
 
 @pytest.mark.parametrize(
@@ -20,16 +26,42 @@ from rtc.cli.main import main
         ("status --with DIR/nix", "there is no key file"),
         ("world watch --every inf", "less than or equal to"),
         ("world watch --every nan", "less than or equal to"),
+        ("trace ''", "'' is no number of a command"),
+        ("why 7", "'7' is no number of a command"),
         (f"chaos --for {'9' * 400}s", "--for is a duration"),
     ],
 )
 def test_a_wrong_word_is_2_in_a_sentence(
     words: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["rtc", *words.replace("DIR", str(tmp_path)).split()])
+    assert status_of(shlex.split(words.replace("DIR", str(tmp_path))), monkeypatch) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_status_that_no_broker_gives_the_supervisor_gives(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(front_door, "RESTART_S", 0.1, raising=False)
+    Settings(run_dir=str(tmp_path)).save()
+    rows = [{"name": "broker", "pid": 7, "state": "starting", "restarts": 3, "since_s": 0.0, "node": None}]
+    report = {"pid": 1, "cluster": "abc", "started_at": 0.0, "processes": rows}
+    (tmp_path / "supervisor.json").write_text(json.dumps(report))
+    with open(tmp_path / LOCK, "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        assert status_of(["status", "--json", "--run-dir", str(tmp_path)], monkeypatch) == 4
+        heard = capsys.readouterr()
+    known = json.loads(heard.out)
+
+    assert (known["cluster"], known["processes"]) == ("abc", rows)
+    assert "the broker does not answer" in known["error"]
+    assert "the broker does not answer" in " ".join(heard.err.split())
+
+
+def status_of(words: list[str], monkeypatch: pytest.MonkeyPatch) -> object:
+    """Of `rtc` with these words, in this process."""
+    monkeypatch.setattr(sys, "argv", ["rtc", *words])
     for name in ("stdin", "stdout", "stderr"):  # put back afterwards: `main` attaches its own
         monkeypatch.setattr(sys, name, getattr(sys, name))
     with pytest.raises(SystemExit) as left:
         main()
-    assert left.value.code == 2
-    assert said in " ".join(capsys.readouterr().err.split())
+    return left.value.code
