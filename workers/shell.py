@@ -195,7 +195,7 @@ class Shell:
             product = self._work(job, came_s)
         except Stopped:
             return
-        except ClusterError as error:
+        except ClusterError as error:  # the world is away: whether to ask again, the broker decides
             product = Refusal(reason=RefusalReason.TIMEOUT, message=str(error))
         except Exception:
             self._me.log.exception("job %s attempt %d crashed", job.id, job.attempt)
@@ -260,9 +260,11 @@ class Shell:
             self._me.wait(again.left_s(now_s()))
             self._listen()
         self._wanted = ""
-        body = self._came[0] if self._came else None
-        if body is None:
-            message = f"the broker has no program or cell {digest}, or did not send it within {PROGRAM_LIMIT_S:g} s"
+        if not self._came:
+            message = f"the broker did not send program or cell {digest} within {PROGRAM_LIMIT_S:g} s"
+            return Refusal(reason=RefusalReason.TIMEOUT, message=message, where=digest)
+        if (body := self._came[0]) is None:
+            message = f"the broker has no program or cell {digest}"
             return Refusal(reason=RefusalReason.PROGRAM, message=message, where=digest)
         return body
 

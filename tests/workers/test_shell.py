@@ -230,7 +230,7 @@ def test_a_program_that_never_comes_is_asked_for_again_and_then_refused(at, monk
     assert [at.broker.hear() for _ in range(2)] == [ProgramWanted(digest="p1")] * 2
     while isinstance(said := at.broker.hear(), ProgramWanted):
         pass
-    assert said.results[0].refusal.reason == RefusalReason.PROGRAM
+    assert said.results[0].refusal.reason == RefusalReason.TIMEOUT  # the program is not to blame
 
 
 def test_a_refusal_and_a_crash_are_results_and_the_worker_lives_on(at):
