@@ -247,7 +247,8 @@ class Gate:
                 message = READ[door](parts)
             except WireError as error:
                 self._count("unreadable", f"{key.name} at {door}: {error}")
-                self._refuse(door, session, None, f"no message of this protocol: {error}", RefusalReason.SENTENCE)
+                words = f"no message of this protocol: {error}"
+                self._refuse(door, session, None, words, RefusalReason.SENTENCE, wire.name_in(parts))
                 continue
             if not may_say(door, key.role, message):
                 self._count("refused", f"{key.name}: {type(message).__name__} at {door}")
@@ -471,11 +472,17 @@ class Gate:
         return True
 
     def _refuse(
-        self, door: str, session: bytes, message: Any, words: str, reason: RefusalReason = RefusalReason.NOT_ALLOWED
+        self,
+        door: str,
+        session: bytes,
+        message: Any,
+        words: str,
+        reason: RefusalReason = RefusalReason.NOT_ALLOWED,
+        request: str = "",
     ) -> None:
         """Tell it, where the protocol has a word for it."""
         refusal = Refusal(reason=reason, message=words)
-        request = getattr(message, "request", "") or getattr(message, "halt", "")
+        request = request or getattr(message, "request", "") or getattr(message, "halt", "")
         if door in ("front", *HALTS):
             self._send_out(door, session, wire.frames(m.Declined(request=request, refusal=refusal)))
         elif door == "world":

@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter, OrderedDict, deque
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from typing import Any
 
@@ -25,7 +25,7 @@ from broker.journal import Journal
 from broker.pools import Pools
 from broker.program_store import ProgramStore
 from broker.roster import Lost, Roster
-from broker.state import Link, State
+from broker.state import Link, State, request_key
 from broker.status import status
 from broker.timers import Timers
 from rtc import messages as m
@@ -168,18 +168,18 @@ class Router:
             try:
                 take(self, peer, read(parts), now)
             except WireError as error:
-                self._drop(name, peer, error)
+                self._drop(name, peer, parts, error)
             if len(self._events) >= most or self._clock() - began > READ_S:
                 return False
         return messages < MESSAGES_PER_TURN
 
-    def _drop(self, name: str, peer: bytes, error: WireError) -> None:
+    def _drop(self, name: str, peer: bytes, parts: Sequence[bytes], error: WireError) -> None:
         self.dropped[name] += 1
         if self.dropped[name] <= 20 or self.dropped[name] % 1000 == 0:
             self.me.log.warning("dropped a message on %s from %r: %s", name, peer[:40], error)
         if name in ("front", "halt"):
             refusal = Refusal(reason=RefusalReason.SENTENCE, message=f"no message of this protocol: {error}")
-            send(self._socket[name], m.Declined(request="", refusal=refusal), peer)
+            send(self._socket[name], m.Declined(request=wire.name_in(parts), refusal=refusal), peer)
 
     def _hear_subscriptions(self, now: float) -> None:
         """One frame each: 1 or 0, and the beginning of what is wanted. Anything else is somebody's noise."""
@@ -322,7 +322,15 @@ class Router:
     def _from_client(self, peer: bytes, message: Any, now: float) -> None:
         if isinstance(message, _QUESTIONS) and self._asks_too_much(peer, message, now):
             return
+        if isinstance(message, _MEANT_FOR_ONE) and message.cluster not in ("", self.settings.run):
+            self._decline_anothers(peer, message)
+            return
         match message:
+            case m.CommandText() if known := self._another_sentence(peer, message):
+                words = f"the request {message.request} was another sentence before, {known}; nothing is done"
+                clears = "give each sentence a request of its own"
+                refusal = Refusal(reason=RefusalReason.STATE, message=words, clears=clears)
+                self._answer(peer, m.Declined(request=message.request, refusal=refusal))
             case m.CommandText():
                 if message.halt_if_lost:
                     self._watched_s[_name(peer)] = now
@@ -342,7 +350,7 @@ class Router:
                 if name in self._watched_s:
                     self._watched_s[name] = now
             case m.ClientHello():
-                self._answer(peer, m.Welcome(cluster=self.settings.run, pid=os.getpid()))
+                self._welcome(peer)
             case m.StatusQuery():
                 self._answer(peer, m.StatusReply(request=message.request, status=status(self)))
             case m.TraceQuery():
@@ -364,6 +372,30 @@ class Router:
         refusal = Refusal(reason=RefusalReason.OVERLOAD, message=words, clears="ask again a second later")
         self._answer(peer, m.Declined(request=message.request, refusal=refusal))
         return True
+
+    def _another_sentence(self, peer: bytes, message: m.CommandText) -> str:
+        """The command that this request is already, if that has another text: a client that counts from one again has
+        no use for the answers of its former life."""
+        command = self.state.requests.get(request_key(_name(peer), message.request), "")
+        if (live := self.state.commands.get(command)) is not None:
+            text = live.text
+        elif (ended := self.state.ended.get(command)) is not None:
+            text = _read_ended(ended.told).text
+        else:
+            return ""
+        return command if text != message.text[:MAX_TEXT] else ""
+
+    def _welcome(self, peer: bytes) -> None:
+        self._answer(peer, m.Welcome(cluster=self.settings.run, pid=os.getpid()))
+
+    def _decline_anothers(self, peer: bytes, message: m.CommandText | m.ProgramText) -> None:
+        """What was said to a cluster that was here before us must not move anything now. First who we are, so that
+        whoever waits for that one's answers knows that none will come."""
+        self.dropped["for_another_cluster"] += 1
+        self._welcome(peer)
+        words = f"said to the cluster {message.cluster}, which is gone; this is {self.settings.run or 'another'}"
+        refusal = Refusal(reason=RefusalReason.STATE, message=words, clears="connect anew, and say it again if need be")
+        self._answer(peer, m.Declined(request=message.request, refusal=refusal))
 
     def _answer(self, peer: bytes, message: m.BrokerToClient) -> None:
         send(self._socket["front"], message, peer)
@@ -562,7 +594,9 @@ def _peer(name: str) -> bytes:
     return name.encode("latin-1")
 
 
+_read_ended = wire.decoder(m.CommandEnded)
 _QUESTIONS = (m.StatusQuery, m.TraceQuery, m.ProgramText)
+_MEANT_FOR_ONE = (m.CommandText, m.ProgramText)
 #: socket -> how its messages are read, and who takes them
 _DOORS: dict[str, tuple[Callable[[Any], Any], Callable[[Router, bytes, Any, float], None]]] = {
     "halt": (wire.reader(m.ToHalt), Router._from_halt),

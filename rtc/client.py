@@ -24,7 +24,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import zmq
 
@@ -32,6 +32,7 @@ from rtc import messages as m
 from rtc.front_door import LAST_WORDS_MS, FrontDoor
 from rtc.halting import HaltLine, HaltResult
 from rtc.keys import Doors, KeyFile
+from rtc.language.refuse import MAX_CHARACTERS
 from rtc.lifeline import Lifeline
 from rtc.outcomes import (
     KeyTrouble,
@@ -45,10 +46,11 @@ from rtc.outcomes import (
     WireError,
 )
 from rtc.settings import ENDPOINTS, Settings, default_run_dir
-from rtc.silence import Silence, Tell
+from rtc.silence import Silence, Tell, supervised
 from rtc.wire import MAX_BYTES, frames, reader
 from rtc.world.client import WorldClient
 
+NAME_BYTES = 128  # of a client's name: it becomes part of other names
 ANSWER_S = 5.0  # longest wait for an answer that needs no motion
 ASK_AGAIN_S = 0.2  # after the broker has said that we ask too much
 WINDOW = 512  # sentences under way at once in `run_many`
@@ -56,6 +58,7 @@ KEPT = 10_000  # outcomes nobody has asked for yet
 NO_TEXT = re.compile("[\ud800-\udfff]")  # what Python makes of bytes that are no text; UTF-8 cannot carry it
 
 Source = Literal["operator", "aip"]
+SOURCES = get_args(Source)
 OnAccept = Callable[[int, str], None]
 OnProgress = Callable[[m.ProgressNote], None]
 OnEnd = Callable[[int, m.CommandEnded], None]
@@ -71,12 +74,15 @@ class Client:
     """A connection to one cluster. Use it as a context manager, or call `close`.
 
     `run_dir` is the cluster's run directory; None = where `rtc up` puts it. Raises NoCluster, within a second, when
-    nothing answers there. `need_broker=False` connects although the broker is away: halt, truth and telemetry work.
+    nothing answers there; for a broker that is being restarted it waits some seconds. `need_broker=False` connects
+    although the broker is away: halt, truth and telemetry work. `name` may have 128 bytes. Raises ValueError for a
+    longer one, and for a source that is none.
     `halt_if_lost`: what it has under way is halted when this process dies or stands still for some seconds.
     `key`: a key file, in place of `run_dir`, for a cluster on another machine (docs/security.md). To connect may then
     take some seconds, and what the key's role may not do is declined. Raises KeyTrouble when the file is no good.
     `on_silence` is told in words when the broker has not answered for some seconds, and when it does again; every wait
-    outlasts a broker that is restarted, and raises NoCluster when the whole cluster is gone.
+    outlasts a broker that is restarted, and raises NoCluster when the whole cluster is gone; one that takes its place
+    hears nothing of what was said to it: make a new Client.
     """
 
     def __init__(
@@ -90,11 +96,16 @@ class Client:
         key: str | Path | None = None,
         on_silence: Tell | None = None,
     ) -> None:
+        if source not in SOURCES:
+            raise ValueError(f"no source {source!r}: sentences come from {' or '.join(SOURCES)}")
         self.run_dir = Path(run_dir) if run_dir is not None else default_run_dir()
         self._doors: Doors = _settings_of(self.run_dir) if key is None else KeyFile.load(key)
         self._doors.endpoint("front")  # raises for a key that is no client's
         self.source: Source = source
-        self.name = name or f"client-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+        self._life = uuid.uuid4().hex[:8]  # the cluster remembers requests; those of another of our name are not ours
+        self.name = name or f"client-{os.getpid()}-{self._life}"
+        if (length := len(self.name.encode())) > NAME_BYTES or self.name[0] == "\0":
+            raise ValueError(f"no name for a client: {length} bytes; it may have {NAME_BYTES}, and no zero in front")
         self._ask_number = itertools.count(1)
         self._command_of: dict[str, str] = {}  # request -> C-n
         self._request_of: dict[str, str] = {}  # C-n -> request
@@ -106,13 +117,15 @@ class Client:
         self._answers: dict[str, m.BrokerToClient] = {}  # request -> answer to a query
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._halt_line = HaltLine(self._context, self._doors, self.name)
-        self._front = FrontDoor(self._context, self._doors, self.name)
+        self._front = FrontDoor(
+            self._context, self._doors, self.name, self._doors.run if isinstance(self._doors, Settings) else ""
+        )
         self._lifeline = Lifeline(self._context, self._doors, self.name) if halt_if_lost else None
         self._silence = Silence(self.run_dir if key is None else None, on_silence)
         self._world: WorldClient | None = None
         if need_broker:
             try:
-                self._front.knock(str(self.run_dir))
+                self._front.knock(str(self.run_dir), self._restarting, self._silence.restarting)
             except NoCluster:
                 self.close()
                 raise
@@ -245,6 +258,9 @@ class Client:
     def load(self, kind: str, file: str | Path) -> m.ProgramLoaded:
         """Put a program file into the running cluster. Raises RequestDeclined when it does not check."""
         path = Path(file)
+        if (length := path.stat().st_size) > m.PROGRAM_BYTES:
+            words = f"{path.name} has {length:,} bytes; a program may have {m.PROGRAM_BYTES:,}"
+            raise RequestDeclined(Refusal(reason=RefusalReason.PROGRAM, message=words))
         message = m.ProgramText(
             request=self._next_request(), kind=m.WorkerKind(kind.lower()), name=path.name, body=path.read_bytes()
         )
@@ -285,7 +301,10 @@ class Client:
     # --- inside ---------------------------------------------------------------------------------------
 
     def _next_request(self) -> str:
-        return f"{self.name}/{next(self._ask_number)}"
+        return f"{self.name}/{self._life}-{next(self._ask_number)}"
+
+    def _restarting(self) -> bool:
+        return not self._doors.far and supervised(self.run_dir, by_hand=False)
 
     def _say(
         self,
@@ -301,7 +320,7 @@ class Client:
             self._accept_listeners[request] = on_accept
         sentence = m.CommandText(
             request=request,
-            text=as_text(text),
+            text=as_text(text)[: 2 * MAX_CHARACTERS],  # too long for the parser, which says so, and not for the door
             source=self.source,
             progress=on_progress is not None,
             halt_if_lost=self._lifeline is not None,
@@ -319,7 +338,7 @@ class Client:
                 raise TimedOut(f"{otherwise} (waited {timeout_s:.1f} s)")
             if (message := self._front.hear(left_s)) is not None:
                 self._take(message)
-            self._silence.judge(self._front.unanswered)
+            self._silence.judge(self._front.unanswered, self._front.replaced)
             if shut_out := self._front.shut_out:
                 raise NoCluster(shut_out)
 
@@ -426,7 +445,8 @@ def _settings_of(run_dir: Path) -> Settings:
         raise NoCluster(f"no cluster in {run_dir}; start one with: rtc up -d") from None
     except PermissionError:
         raise NoCluster(f"the cluster in {run_dir} belongs to another user; choose another --run-dir") from None
-    if not any(_listens(run_dir / ENDPOINTS[door]) for door in ("front", "estop")):
+    heard = any(_listens(run_dir / ENDPOINTS[door]) for door in ("front", "estop"))
+    if not heard and not supervised(run_dir, by_hand=False):
         raise NoCluster(f"the cluster in {run_dir} is not running any more; start one with: rtc up -d")
     return settings
 

@@ -4,7 +4,9 @@ Over tcp the hello names us to the gate, so it comes first on every new line and
 
 It knows requests and their answers, not what they mean. Rule 1: a request is forgotten only when its last answer has
 been heard (for a sentence that is the `CommandEnded`), so that everything open can be said again to a new broker.
-Rule 2: repeating is harmless, because the broker knows a request by (client, request).
+Rule 2: repeating is harmless, because the broker knows a request by (client, request). Rule 3: it is said again only
+to a broker of the same cluster, as its Welcome tells; and what acts bears the cluster's name, because ZeroMQ may hand
+over what was meant for one broker to the next. Rule 4: nothing waits for room to send.
 """
 
 from __future__ import annotations
@@ -12,19 +14,25 @@ from __future__ import annotations
 import math
 import struct
 import time
+from collections.abc import Callable
 
+import msgspec
 import zmq
 
 from rtc import messages as m
 from rtc.keys import Doors
-from rtc.outcomes import NoCluster, WireError
+from rtc.outcomes import NoCluster, Refusal, RefusalReason, RequestDeclined, WireError
+from rtc.settings import BOUNDS
 from rtc.wire import MAX_BYTES, frames, reader
 
 HELLO_S, FAR_HELLO_S = 0.8, 3.0  # longest wait for the first Welcome, here and over tcp
+RESTART_S = 10.0  # and for that of a broker whose supervisor lives: it is being restarted
+LOOK_S = 0.2  # whether the supervisor still lives
 FAR_IDLE_S = 60.0  # a gate forgets who has said nothing for long: then we say hello again
 LAST_WORDS_MS = 200  # how long a sentence may take to leave us when we close
-SILENCE_S = 2.0  # nothing heard for so long: say what is open again
+SILENCE_S = 2.0  # nothing heard for so long: ask whether anybody is there
 LAST_ANSWERS = (m.Declined, m.CommandEnded, m.StatusReply, m.TraceReply, m.ProgramLoaded)
+ACTS = (m.CommandText, m.ProgramText)  # never for another cluster than the one it was said to
 
 FAILED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 WATCHED = zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED | FAILED
@@ -33,17 +41,21 @@ _read = reader(m.BrokerToClient)
 
 
 class FrontDoor:
-    """Not thread-safe: one thread sends and hears."""
+    """Not thread-safe: one thread sends and hears. `cluster`: the run we mean; "" = the first that welcomes us."""
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], doors: Doors, name: str) -> None:
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], doors: Doors, name: str, cluster: str = "") -> None:
         self.name = name
         self._address, self._far = doors.endpoint("front"), doors.far
         self._connected = self._unknown = False  # over tcp: somebody listens there; it said that it does not know us
+        self._there = False  # the line is up
         self._said_at_s = 0.0
+        self._cluster = cluster
         self.welcome: m.Welcome | None = None
+        self.replaced = False  # another cluster is where ours was: it is never spoken to
         self.bad_messages = 0
-        self.unanswered = 0  # how often we have said all that is open again, and heard nothing since
+        self.unanswered = 0  # how often we have asked whether anybody is there, and heard nothing since
         self._open: dict[str, m.ClientToBroker] = {}  # request -> message, until its last answer
+        self._say_again = False  # all that is open, once we are welcome
         self._heard_at_s = time.monotonic()
         self._socket = context.socket(zmq.DEALER)
         if not self._far:
@@ -62,13 +74,20 @@ class FrontDoor:
         self._socket.connect(self._address)
         self._say_hello()
 
-    def knock(self, run_dir: str) -> m.Welcome:
-        """Wait for the Welcome. Raises NoCluster when nobody opens in time."""
-        limit_s = time.monotonic() + (FAR_HELLO_S if self._far else HELLO_S)
+    def knock(self, run_dir: str, comes_back: Callable[[], bool], tell: Callable[[], None]) -> m.Welcome:
+        """Wait for the Welcome; for longer, after `tell`, as long as the broker `comes_back`. Raises NoCluster when
+        nobody opens in time."""
+        began_s = time.monotonic()
+        limit_s = began_s + (FAR_HELLO_S if self._far else HELLO_S)
+        told = False
         while self.welcome is None:
             left_s = limit_s - time.monotonic()
             if self._unknown or (self._far and left_s <= 0):
                 raise NoCluster(self._why_far())
+            if left_s <= 0 and time.monotonic() - began_s < RESTART_S and comes_back():
+                if not told:
+                    tell()
+                told, left_s = True, LOOK_S
             if left_s <= 0:
                 raise NoCluster(
                     f"no broker answers in {run_dir}; look at `rtc status`, or start a cluster with: rtc up -d"
@@ -77,15 +96,15 @@ class FrontDoor:
         return self.welcome
 
     def ask(self, request: str, message: m.ClientToBroker) -> None:
-        """Send a request and keep it open until its last answer."""
+        """Send a request and keep it open until its last answer. Raises RequestDeclined for one that is too long."""
         if self._far and time.monotonic() - self._said_at_s > FAR_IDLE_S:
             self._say_hello()
+        parts = self._parts(message)
+        if isinstance(message, ACTS) and self.welcome is None and not self._cluster:
+            self._say_again = True  # not before we know whom we speak to
+        else:
+            self._send(parts)
         self._open[request] = message
-        self._say(message)
-
-    def tell(self, message: m.ClientToBroker) -> None:
-        """Send something that has no answer."""
-        self._say(message)
 
     def forget(self, request: str) -> None:
         """Nobody waits for this answer any more."""
@@ -93,13 +112,16 @@ class FrontDoor:
 
     def hear(self, timeout_s: float) -> m.BrokerToClient | None:
         """The next message, or None when there was none in time (or only news of the connection)."""
+        if self.replaced:
+            return None
         ready = dict(self._poller.poll(max(0, math.ceil(min(timeout_s, SILENCE_S) * 1000))))
         if self._monitor in ready:
             self._watch_connection()
         if self._socket not in ready:
             if self._open and time.monotonic() - self._heard_at_s > SILENCE_S:
-                self._repeat()
+                self._heard_at_s = time.monotonic()
                 self.unanswered += 1
+                self._ask_who_is_there()
             return None
         self._heard_at_s = time.monotonic()
         self.unanswered = 0
@@ -109,7 +131,7 @@ class FrontDoor:
             self.bad_messages += 1
             return None
         if isinstance(message, m.Welcome):
-            self.welcome = message
+            self._take_welcome(message)
         if isinstance(message, LAST_ANSWERS):
             self._open.pop(message.request, None)
         return message
@@ -124,12 +146,47 @@ class FrontDoor:
         self._monitor.close(linger=0)
         self._socket.close()
 
-    def _say(self, message: m.ClientToBroker) -> None:
+    def _parts(self, message: m.ClientToBroker) -> list[bytes]:
+        """As it travels. Raises RequestDeclined when no broker would take it."""
+        if isinstance(message, ACTS):
+            message = msgspec.structs.replace(message, cluster=self._cluster)
+        parts = frames(message)
+        if len(parts[-1]) > BOUNDS["front"].frame:  # whoever sends more is cut off, again and again
+            words = f"too long: {len(parts[-1]):,} bytes, a request may have {BOUNDS['front'].frame:,}"
+            raise RequestDeclined(Refusal(reason=RefusalReason.SENTENCE, message=words))
+        return parts
+
+    def _send(self, parts: list[bytes]) -> bool:
+        """False: no room, so it is said later."""
         self._said_at_s = time.monotonic()
-        self._socket.send_multipart(frames(message))
+        try:
+            self._socket.send_multipart(parts, zmq.NOBLOCK)
+        except zmq.Again:
+            self._say_again = True
+            return False
+        return True
 
     def _say_hello(self) -> None:
-        self._say(m.ClientHello(client=self.name, at_s=time.monotonic()))
+        self._send(frames(m.ClientHello(client=self.name, at_s=time.monotonic())))
+
+    def _ask_who_is_there(self) -> None:
+        """And say all that is open again, if it is our cluster's broker. A line that is down asks when it is up."""
+        self._say_again = True
+        if self._there:
+            self._say_hello()
+
+    def _take_welcome(self, welcome: m.Welcome) -> None:
+        another = self._cluster not in ("", welcome.cluster)
+        if another and (self.welcome is not None or self._open):  # or it was started while we came
+            self.replaced = True
+            self._open.clear()
+            return
+        self._cluster, self.welcome = welcome.cluster, welcome
+        if self._say_again:
+            self._say_again = False
+            for message in self._open.values():
+                if not self._send(self._parts(message)):
+                    break
 
     def _why_far(self) -> str:
         """What is wrong when a cluster over tcp gives no answer, as far as it can be seen from here."""
@@ -148,14 +205,10 @@ class FrontDoor:
         event, _ = struct.unpack("=HI", self._monitor.recv_multipart()[0])
         self._connected |= event == zmq.EVENT_CONNECTED
         self._unknown |= event == zmq.EVENT_HANDSHAKE_FAILED_AUTH
+        if event == zmq.EVENT_DISCONNECTED:
+            self._there = False
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
-            self._unknown = False
+            self._unknown, self._there = False, True
             self._handshakes += 1
             if self._handshakes > 1:  # a new broker, or the old one again: it may have lost what was under way
-                self._repeat()
-
-    def _repeat(self) -> None:
-        self._heard_at_s = time.monotonic()
-        self._say_hello()
-        for message in self._open.values():
-            self._say(message)
+                self._ask_who_is_there()

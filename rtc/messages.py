@@ -45,6 +45,7 @@ class CommandText(Message, frozen=True, kw_only=True):
     halt_if_lost: bool = False  # halt this command when the client goes away: it says Heartbeat every second
     # A sentence sent before a HALT ALL does not start after it; 0 = not told.
     sent_at_s: Annotated[float, msgspec.Meta(ge=0)] = 0.0
+    cluster: Name = ""  # the run it is meant for, as in Welcome: another one declines it; empty = whoever hears it
 
 
 class StatusQuery(Message, frozen=True, kw_only=True):
@@ -63,6 +64,7 @@ class ProgramText(Message, frozen=True, kw_only=True):
     kind: WorkerKind
     name: Name  # of the file, for messages
     body: Annotated[bytes, msgspec.Meta(max_length=PROGRAM_BYTES)]  # YAML
+    cluster: Name = ""  # as of a CommandText
 
 
 class ClientHello(Message, frozen=True, kw_only=True):

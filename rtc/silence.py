@@ -17,8 +17,9 @@ TOLD_AFTER = 2  # questions without an answer, two seconds each
 Tell = Callable[[str], None]
 
 
-def supervised(run_dir: Path) -> bool:
-    """False when no supervisor lives here, so that nothing of its cluster does, and nothing will come back."""
+def supervised(run_dir: Path, by_hand: bool = True) -> bool:
+    """False when no supervisor lives here, so that nothing of its cluster does, and nothing will come back. Where there
+    never was one the cluster was started `by_hand`."""
     try:
         with open(run_dir / LOCK) as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # let go of when the file is closed
@@ -26,7 +27,7 @@ def supervised(run_dir: Path) -> bool:
     except BlockingIOError:
         return True
     except FileNotFoundError:
-        return run_dir.exists()  # it was started by hand, without a supervisor
+        return by_hand and run_dir.exists()
 
 
 class Silence:
@@ -37,8 +38,15 @@ class Silence:
         self._tell = tell
         self._told = False
 
-    def judge(self, unanswered: int) -> None:
-        """`unanswered`: how often we have asked in vain. Raises NoCluster when nobody is left who could answer."""
+    def judge(self, unanswered: int, replaced: bool = False) -> None:
+        """`unanswered`: how often we have asked in vain; `replaced`: another cluster has answered.
+
+        Raises NoCluster when nobody is left who could."""
+        if replaced:
+            raise NoCluster(
+                f"the cluster {f'in {self._run_dir} ' if self._run_dir else ''}is gone, and another one is in its "
+                "place; what had not ended never will. Connect anew, and say it again if it is meant for this one"
+            )
         if unanswered and self._run_dir is not None and not supervised(self._run_dir):
             raise NoCluster(
                 f"the cluster in {self._run_dir} is gone: its supervisor has ended, and everything with it; "
@@ -51,6 +59,11 @@ class Silence:
         elif not unanswered and self._told:
             self._say("the broker answers again")
         self._told = unanswered >= TOLD_AFTER or (self._told and unanswered > 0)
+
+    def restarting(self) -> None:
+        """It was not there when we came."""
+        self._say("the broker does not answer yet; waiting for it, its supervisor is there")
+        self._told = True
 
     def _say(self, words: str) -> None:
         if self._tell is not None:

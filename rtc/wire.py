@@ -16,6 +16,7 @@ from rtc.outcomes import WireError
 
 PROTOCOL = b"RTC1"
 MAX_BYTES = 8 << 20  # of one frame; ZeroMQ drops the peer that sends more
+NAME_CHARACTERS = 1_000  # of a message that is none; what is kept has shorter ones
 
 _encoder = msgspec.msgpack.Encoder()
 _NO_MESSAGE = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, ValueError, OverflowError)
@@ -54,6 +55,25 @@ def reader(union: Any) -> Callable[[Sequence[bytes]], Any]:
             raise WireError(str(error)) from None
 
     return read
+
+
+class _Named(msgspec.Struct):
+    request: str = ""
+    halt: str = ""
+
+
+_read_name = msgspec.msgpack.Decoder(_Named).decode
+
+
+def name_in(parts: Sequence[bytes]) -> str:
+    """What its sender calls a message that is none of the protocol, so that he learns which it was; empty when it
+    cannot be seen, or is too long to be said again."""
+    try:
+        named = _read_name(parts[-1])
+    except (*_NO_MESSAGE, IndexError):
+        return ""
+    name = named.request or named.halt
+    return name if len(name) <= NAME_CHARACTERS else ""
 
 
 def decoder(kind: Any) -> Callable[[bytes | msgspec.Raw], Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import zmq
 
-from rtc import halting
+from rtc import front_door, halting
 from rtc import messages as m
 from rtc.client import Client
 from rtc.outcomes import NoCluster, Outcome, OutcomeKind, Refusal, RefusalReason, RequestDeclined, TimedOut
@@ -267,6 +267,93 @@ def test_a_lost_broker_hears_the_same_requests_again(run_dir: Path) -> None:
     assert {said.request for said in second.sentences()} == {first.sentences()[0].request}
     assert isinstance(second.heard[0], m.ClientHello)
     second.stop()
+
+
+def of_cluster(name: str, answer: Answer) -> Answer:
+    return lambda said: [m.Welcome(cluster=name, pid=1)] if isinstance(said, m.ClientHello) else answer(said)
+
+
+def test_another_cluster_in_its_place_hears_nothing_of_what_was_said_to_the_old_one(run_dir: Path) -> None:
+    """Given two sentences under way, when another cluster answers in the same directory, then they are gone for good,
+    and what is said afterwards is not for it either."""
+    first = SmallBroker(run_dir, of_cluster("old", accepting))
+    with Client(run_dir) as rtc:
+        commands = [rtc.submit("STOW LEFT-ARM 1"), rtc.submit("STOW RIGHT-ARM 2")]
+        first.stop()
+        second = SmallBroker(run_dir, of_cluster("new", lambda _: []))
+        for command in commands:
+            with pytest.raises(NoCluster, match="is gone, and another one is in its place"):
+                rtc.wait(command, timeout_s=5)
+        with pytest.raises(NoCluster, match="another one"):
+            rtc.run("STOW LEFT-ARM 3", timeout_s=5)
+    second.stop()
+
+    assert {said.cluster for said in first.sentences()} == {"old"}
+    assert not {"STOW LEFT-ARM 1", "STOW RIGHT-ARM 2"} & {said.text for said in second.sentences()}
+    assert all(said.cluster == "old" for said in second.sentences())  # so that it is declined
+
+
+def test_a_cluster_that_was_started_while_we_came_is_taken_as_it_is(run_dir: Path) -> None:
+    """Given the settings of a run that has ended."""
+    Settings(run_dir=str(run_dir), run="old").save()
+    broker = SmallBroker(run_dir, of_cluster("new", obliging))
+    with Client(run_dir) as rtc:
+        assert rtc.run("STOW LEFT-ARM 1", timeout_s=5).command == "C-1"
+    assert [said.cluster for said in broker.sentences()] == ["new"]
+    broker.stop()
+
+
+def test_a_sentence_waits_until_it_is_known_whom_it_is_for(run_dir: Path) -> None:
+    """Given a client that has not been welcomed yet, over tcp for example, then it is not sent to just anybody."""
+    broker = SmallBroker(run_dir, of_cluster("new", obliging))
+    with Client(run_dir, need_broker=False) as rtc:
+        assert rtc.run("STOW LEFT-ARM 1", timeout_s=5).command == "C-1"
+    assert [said.cluster for said in broker.sentences()] == ["new"]
+    broker.stop()
+
+
+def test_a_client_of_the_same_name_has_requests_of_its_own(broker: SmallBroker, run_dir: Path) -> None:
+    for _ in range(2):
+        with Client(run_dir, name="planner") as rtc:
+            rtc.run("STOW LEFT-ARM 1", timeout_s=5)
+    assert len({said.request for said in broker.sentences()}) == 2
+
+
+def test_a_wait_ends_in_time_although_the_broker_is_long_away(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Given more to be said again than a queue takes, had it been said again into it all the time."""
+    monkeypatch.setattr(front_door, "SILENCE_S", 0.01)
+    broker = SmallBroker(run_dir, accepting)
+    rtc = Client(run_dir)
+    first = rtc.submit("STOW LEFT-ARM 1")
+    broker.stop()
+    over = threading.Event()
+
+    def wait() -> None:
+        with pytest.raises(TimedOut):
+            rtc.wait(first, timeout_s=0.1)  # it learns that the broker is away
+        with pytest.raises(TimedOut):
+            rtc.run_many(["STOW LEFT-ARM"] * 500, parallel=True, timeout_s=1.0)
+        over.set()
+
+    threading.Thread(target=wait, daemon=True).start()
+    assert over.wait(20)
+    rtc.close()
+
+
+def test_what_no_broker_would_take_is_told_at_once(broker: SmallBroker, run_dir: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no source 'planner': sentences come from operator or aip"):
+        Client(run_dir, source="planner")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="199 bytes; it may have 128"):
+        Client(run_dir, name="x" * 199)
+    program = tmp_path / "long.yaml"
+    program.write_bytes(b"#" * 150_000)
+    with Client(run_dir) as rtc:
+        with pytest.raises(RequestDeclined, match="150,000 bytes; a program may have 131,072"):
+            rtc.load("elaborator", program)
+        with pytest.raises(RequestDeclined, match=r"300,\d+ bytes, a request may have 262,144"):
+            rtc.trace("C" * 300_000)
+        assert rtc.run("STOW 1 " * 50_000, timeout_s=5).outcome.kind is OutcomeKind.SUCCEEDED  # by this broker
+    assert [len(said.text) for said in broker.sentences()] == [4_000]  # the parser's business
 
 
 def test_a_client_closes_although_its_broker_is_gone_for_good(run_dir: Path) -> None:

@@ -63,6 +63,30 @@ def test_a_broker_that_is_restarted_is_waited_for(run_dir: Path) -> None:
     again[0].stop()
 
 
+def test_a_broker_that_is_being_restarted_is_waited_for_from_the_start(
+    run_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Given a supervisor and no broker, then the client comes to the one that is started meanwhile."""
+    monkeypatch.setattr(front_door, "HELLO_S", 0.05)
+    started: list[SmallBroker] = []
+
+    with open(run_dir / LOCK, "a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with Client(run_dir, on_silence=lambda _: started.append(SmallBroker(run_dir, obliging))) as rtc:
+            assert len(started) == 1
+            assert rtc.status() == {"cluster": "test"}
+    started[0].stop()
+
+
+def test_a_broker_is_not_waited_for_when_its_supervisor_dies(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(front_door, "HELLO_S", 0.05)
+
+    with open(run_dir / LOCK, "a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with pytest.raises(NoCluster, match="no broker answers"):
+            Client(run_dir, on_silence=lambda _: lock.close())
+
+
 def test_a_cluster_that_is_gone_is_not_waited_for(run_dir: Path) -> None:
     broker = SmallBroker(run_dir, accepting)
 

@@ -31,7 +31,7 @@ from rtc.halting import PER_S
 from rtc.settings import Settings
 
 DOORS = ("front", "halt", "workers", "subsystems", "supervisor", "events")
-SETTINGS = Settings(run_dir="/nowhere")
+SETTINGS = Settings(run_dir="/nowhere", run="this")
 SILENT = SimpleNamespace(info=lambda *_: None, warning=lambda *_: None)
 
 
@@ -162,6 +162,58 @@ def test_what_cannot_be_read_is_counted_by_door(bench: Bench) -> None:
         **{f"dropped_{door}": 1 for door in ("front", "halt", "workers", "subsystems", "supervisor")},
         "dropped_world": 7,
     }
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        m.CommandText(request="1", text="STOW LEFT-ARM", cluster="old"),
+        m.ProgramText(request="1", kind=m.WorkerKind.PARSER, name="p.yaml", body=b"", cluster="old"),
+    ],
+)
+def test_what_was_said_to_another_cluster_is_not_done(bench: Bench, message: Any) -> None:
+    """Given a line on which something lay for the cluster that was here before."""
+    programs = dict(bench.state.programs)
+    welcome, declined = bench.say("front", b"ann", message)
+    assert welcome.cluster == SETTINGS.run
+    assert (declined.request, declined.refusal.reason) == ("1", "state")
+    assert (bench.state.accepted, bench.state.programs) == (0, programs)
+    assert bench.say("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM", cluster=SETTINGS.run))
+    assert bench.state.accepted == 1
+
+
+@pytest.mark.parametrize("has_ended", [False, True])
+def test_a_known_request_with_another_text_is_declined(working: Bench, has_ended: bool) -> None:
+    """Given a client that counts from one again, then it is not told the outcome of its former life."""
+    if has_ended:
+        refused = m.JobRefused(id="C-1/1", attempt=1, refusal=m.Refusal(reason="sentence", message="no"))
+        working.say("workers", b"parser@0", m.ResultBatch(name="parser@0", results=[refused]))
+    assert ("C-1" in working.state.ended) is has_ended
+    (declined,) = working.say("front", b"ann", m.CommandText(request="1", text="STOW RIGHT-ARM"))
+    assert (type(declined), declined.request, working.state.accepted) == (m.Declined, "1", 1)
+    accepted, *_ = working.say("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
+    assert accepted == m.Accepted(request="1", command="C-1")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"source": "planner"}, {"text": 7}, {"request": "r" * 250}, {"sent_at_s": -1.0}, {"type": "CommandTexts"}],
+)
+def test_what_cannot_be_read_is_answered_by_its_name(bench: Bench, wrong: dict[str, Any]) -> None:
+    """Or whoever has sent it would wait without end."""
+    message = {"type": "CommandText", "request": "1", "text": "STOW LEFT-ARM", **wrong}
+    (declined,) = bench.say("front", b"ann", message)
+    assert (type(declined), declined.request) == (m.Declined, message["request"])
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"\xc1", wire.encode([1]), wire.encode({"request": 1}), wire.encode({"request": "r" * 9999})]
+)
+def test_what_has_no_name_is_answered_without(bench: Bench, data: bytes) -> None:
+    front = bench.sockets["front"]
+    front.put([b"ann", wire.PROTOCOL, data])
+    bench.turn()
+    assert wire.reader(m.BrokerToClient)(front.sent[-1][1:]).request == ""
 
 
 def test_an_answer_counts_only_from_whom_the_job_was_given_to(working: Bench) -> None:

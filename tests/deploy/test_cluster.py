@@ -13,6 +13,7 @@ import pytest
 import zmq
 
 from deploy import cluster
+from rtc.client import Client
 from rtc.outcomes import ClusterError, NoCluster
 
 pytestmark = pytest.mark.slow
@@ -171,3 +172,20 @@ def test_a_settings_file_of_old_does_not_matter(run_dir):
         cluster.down(run_dir)
     with cluster._lock(run_dir), pytest.raises(ClusterError, match="just starting or ending"), cluster._lock(run_dir):
         pass
+
+
+def test_a_new_cluster_in_the_directory_does_nothing_of_what_the_old_one_was_told(run_dir):
+    """Given a client that waits for one command and has said another to nobody, when another cluster comes up there."""
+    assert deploy("up", "-d", "--mcm", "kinematic", run_dir=run_dir).returncode == 0
+    with Client(run_dir) as rtc:
+        moving = rtc.submit("MOVE RIGHT-ARM TO RACK-1-FRONT MAINTAIN SPEED 5 CM/S")
+        assert deploy("down", run_dir=run_dir).returncode == 0
+        with pytest.raises(NoCluster, match="its supervisor has ended"):
+            rtc.submit("STOW LEFT-ARM")
+        assert deploy("up", "-d", "--mcm", "kinematic", run_dir=run_dir).returncode == 0
+        with pytest.raises(NoCluster, match="another one is in its place"):
+            rtc.wait(moving, LIMIT_S)
+
+    with Client(run_dir) as anew:
+        status = anew.status()
+        assert (status["commands_accepted"], status["commands"]) == (0, [])
