@@ -126,7 +126,7 @@ class HaltLine:
     """Thread-safe: `halt` may be called from any thread, one call after the other."""
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], doors: Doors, name: str) -> None:
-        self._context, self._all_doors, self._name = context, doors, name
+        self._context, self._all_doors = context, doors
         self._far = doors.far
         self._connect_s, self._unnamed_s = (FAR_CONNECT_S, FAR_UNNAMED_S) if self._far else (CONNECT_S, UNNAMED_S)
         self._lock = threading.Lock()
@@ -226,9 +226,10 @@ class HaltLine:
 
     def _trace(self, command: str) -> m.BrokerToClient | None:
         """A door of our own for one question: nobody may be kept waiting, and `halt` is called from any thread."""
-        query = m.TraceQuery(request=f"{self._name}.asks", command=command)
+        name = f"asks-{uuid.uuid4().hex[:12]}"  # the one before may not have been forgotten yet
+        query = m.TraceQuery(request=name, command=command)
         limit_s = time.monotonic() + (FAR_ASK_S if self._far else ASK_S)
-        front = FrontDoor(self._context, self._all_doors, query.request)
+        front = FrontDoor(self._context, self._all_doors, name)
         try:
             front.ask(query.request, query)
             while (left_s := limit_s - time.monotonic()) > 0:
