@@ -59,7 +59,8 @@ def do(
 
     One after the other, ending at the first that does not succeed (-k goes on); with --parallel all at once: the
     cluster finds out itself what may move at the same time. Exit status: 0 all succeeded, 1 a failure, 2 a refusal,
-    3 halted, 4 no cluster. Ctrl-C asks: leave them running, or halt.
+    3 halted, 4 no cluster, 130 left running. Ctrl-C asks: leave them running, or halt. When nobody reads on (`| head`),
+    or stdout is full, they are left running, and their numbers are said on stderr.
 
     Example:  rtc do "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A" "LIFT MACS-NEW BY 5 CM"
     """
