@@ -58,11 +58,12 @@ def end(
     command.job = None
     turn.enter(command, Phase.ENDED, f"{kind.value}{': ' + message if message else ''}")
     in_doubt = Quarantine(command.subsystem, command.primitive) if _in_doubt(command, kind) else None
-    turn.grant(state.resources.release(command.id, in_doubt, frozenset(command.performers)))
+    granted = state.resources.release(command.id, in_doubt, frozenset(command.performers))
     for waiting in state.awaiting.pop(command.id, ()):
         turn.follow(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
     for waiting in state.joining.pop(command.id, ()):
         turn.follow(waiting, Stimulus.RELEASE, False)
+    turn.grant(granted)  # last: what came AFTER it stands before those given later
     turn.count(kind.value)
     state.seq += 1
     ended = CommandEnded(
@@ -228,23 +229,28 @@ def rested(turn: Turn, command: Command, report: EndReport) -> None:
 
 
 def rest_confirmed(turn: Turn, command: Command, at_rest: bool) -> None:
-    """Of a HALT sentence, or of the halt that stops this command's primitive. An end report comes before rest is
-    confirmed: if there was none, the subsystem never had the primitive."""
+    """Of a HALT sentence, which ends when all that were told have confirmed; or of the halt that stops this command's
+    primitive. An end report comes before rest is confirmed: if there was none, the subsystem never had the primitive.
+    """
     assert command.ending is not None
     if command.primitive:
         if at_rest:
             command.at_rest = True
             close(turn, command, nobody_reports(turn, command, StopReason.HALT), "at rest: it had not begun")
         return
-    turn.stop_timer(command)
-    if at_rest:
+    if turn.node not in command.unconfirmed:
+        return  # told twice, or it was not asked
+    command.unconfirmed.remove(turn.node)
+    if not at_rest:
+        turn.stop_timer(command)
+        end(turn, command, OutcomeKind.HALT_NOT_CONFIRMED, message=f"{turn.node} is not at rest")
+    elif not command.unconfirmed:
+        turn.stop_timer(command)
         end(turn, command, command.ending.kind, message=command.ending.message)
-    else:
-        end(turn, command, OutcomeKind.HALT_NOT_CONFIRMED, message="the subsystem is not at rest")
 
 
 def unconfirmed(turn: Turn, command: Command, _: Any) -> None:
-    who = command.subsystem or "any subsystem"
+    who = command.subsystem or ", ".join(command.unconfirmed) or "any subsystem"
     message = f"halted, but rest was not confirmed by {who} within {HALT_LIMIT_S:.0f} s"
     end(turn, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
 

@@ -6,6 +6,7 @@ outcomes; they know no skill, no geometry, and no socket.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import msgspec
@@ -146,7 +147,7 @@ PAUSE_ANSWERS = {Stimulus.PAUSE: _will_pause, Stimulus.RESUME: _will_resume}
 
 def halt_by_command(turn: Turn, command: Command, scope: str) -> None:
     """A halt that came as a sentence. It ends when rest is confirmed, and not by its own halt."""
-    if scope != "ALL" and not in_scope(turn, scope) and not _subsystem_of(turn, scope):
+    if scope != "ALL" and not _subsystem_of(turn, scope) and not in_scope(turn, scope):
         if has_ended(turn, scope):
             end(turn, command, OutcomeKind.SUCCEEDED, message=f"{scope} has ended already: nothing of it moves")
         else:
@@ -161,6 +162,7 @@ def halt_by_command(turn: Turn, command: Command, scope: str) -> None:
     turn.enter(command, Phase.HALTING, f"halt {scope}")
     turn.start_timer(command, HALT_LIMIT_S * turn.state.patience)
     halt(turn, command.id, scope, turn.now, spare=command.id)
+    command.unconfirmed = [e.subsystem for e in turn.effects if type(e) is SendHalt and e.halt == command.id]
 
 
 def halt(turn: Turn, halt_id: str, scope: str, called_at_s: float, spare: str = "") -> bool:
@@ -194,12 +196,13 @@ def in_scope(turn: Turn, scope: str) -> list[Command]:
         return list(state.commands.values())
     if scope in state.commands:
         return [state.commands[scope]]
-    held, waiting = state.resources.held, state.resources.waiting
-    return [
-        c
-        for c in state.commands.values()
-        if scope in held.get(c.id, ()) or scope in waiting.get(c.id, ()) or (c.head and scope in _named(turn, c.head))
-    ]
+    claim = {*state.resources.holders.get(scope, ()), *state.resources.lines.get(scope, ())}
+    hands = {scope, "BOTH-ARMS"} if _subsystem_of(turn, scope) else {scope} - {"BOTH-ARMS"}
+    return [c for c in state.commands.values() if c.id in claim or (c.head and _names(c.head, scope, hands))]
+
+
+def _names(head: ParsedHead, scope: str, hands: set[str]) -> bool:
+    return head.kind == "task" and (head.object == scope or head.hand in hands or head.to_hand in hands)
 
 
 def _subsystem_of(turn: Turn, performer: str) -> str:
@@ -258,11 +261,11 @@ def _wait_for_another(turn: Turn, command: Command, head: ParsedHead) -> bool:
     return True
 
 
-def _waits_for(turn: Turn, command: Command | None) -> list[str]:
+def _waits_for(turn: Turn, command: Command | None) -> Collection[str]:
     """The chain of commands that this one waits for by AFTER or TOGETHER-WITH, itself first."""
-    chain: list[str] = []
+    chain: dict[str, None] = {}
     while command is not None and command.id not in chain:
-        chain.append(command.id)
+        chain[command.id] = None
         other = command.head and (command.head.after or command.head.together_with)
         command = turn.state.commands.get(other) if other else None
     return chain

@@ -149,6 +149,7 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     at_rest: bool = True  # nothing moves for it: never did, or a report or a halt has told so
     pause_wanted: bool = False  # takes effect between two steps
     ending: Ending | None = None
+    unconfirmed: list[str] = []  # of a HALT sentence: subsystems that were told and have not confirmed rest
     notes: list[ProgressNote] = []
 
 

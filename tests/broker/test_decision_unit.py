@@ -15,6 +15,7 @@ from broker.events import (
     HaltConfirmed,
     ListenersChanged,
     ProgramInstalled,
+    SubsystemConnected,
     TimerFired,
 )
 from broker.resources import WORLD
@@ -546,6 +547,38 @@ def test_halt_typed_and_not_confirmed():
     assert s.rests("C-1", at_rest=False)[-1] == "end C-1 halt_not_confirmed"
 
 
+def test_halt_typed_ends_when_all_that_were_told_have_confirmed():
+    s = Story()
+    s.hear(SubsystemConnected, subsystem="CAM", pid=2, performers=["CAMERA"])
+    s.executing()
+    s.says("HALT ALL")
+    cam = {"subsystem": "CAM", "halt": "C-2", "at_rest": True}
+    assert s.hear(HaltConfirmed, **cam) == []  # C-1 still moves
+    assert s.hear(HaltConfirmed, **cam) == []
+    assert (s.phase("C-1"), s.phase("C-2")) == ("halting", "halting")
+    assert s.rests("C-2")[-1] == "end C-2 succeeded"
+
+
+def test_halt_typed_names_who_has_not_confirmed():
+    s = Story()
+    s.hear(SubsystemConnected, subsystem="CAM", pid=2, performers=["CAMERA"])
+    s.says("HALT ALL")
+    s.hear(HaltConfirmed, subsystem="CAM", halt="C-1", at_rest=True)
+    assert s.rings("C-1")[-1] == "end C-1 halt_not_confirmed"
+    assert "rest was not confirmed by MCM" in s.outcome("C-1").message
+
+
+def test_halt_of_an_arm_stops_what_names_it_alone_or_with_the_other_and_nothing_else():
+    s = Story()
+    s.elaborated()
+    s.parsed(hand="LEFT-ARM", after="C-1")
+    s.parsed(hand="BOTH-ARMS")
+    s.parsed(hand="RIGHT-ARM", to_hand="LEFT-ARM")
+    s.parsed(hand="RIGHT-ARM")
+    s.halts("LEFT-ARM")
+    assert list(s.state.commands) == ["C-1", "C-5"]
+
+
 # --- abort, pause, resume ----------------------------------------------------------------------------
 
 
@@ -630,6 +663,15 @@ def test_after_waits_for_success():
     s.says("STOW AFTER C-1")
     assert s.answers("C-2", record(after="C-1")) == ["note C-2 held"]
     assert "job C-2/2 elaborator #1" in s.answers("C-1", go_on())
+
+
+def test_what_came_after_keeps_its_place_before_those_given_later():
+    s = Story()
+    s.analyzing()
+    s.parsed(after="C-1")
+    s.parsed()
+    s.answers("C-1", go_on())
+    assert (s.phase("C-2"), s.phase("C-3")) == ("elaborating", "held")
 
 
 def test_after_a_failure_is_refused():

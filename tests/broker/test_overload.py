@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import timeit
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +13,9 @@ from broker import decision_unit
 from broker.decision_unit import MAX_SUBSYSTEMS
 from broker.events import HaltConfirmed, PrimitiveEnded, SubsystemConnected, SubsystemGone
 from broker.invariants import violations
+from broker.journey import _waits_for
+from broker.state import ParsedHead
+from broker.turn import Turn
 from rtc.messages import Declined, Phase
 from tests.broker.stories import Story, bound, go_on, record, report, script
 
@@ -125,3 +129,18 @@ def test_one_more_costs_the_same_however_many_there_are() -> None:
 def test_a_halt_in_a_line_of_thousands_costs_the_same_however_many_there_are() -> None:
     few, many = crowd(FEW), crowd(MANY)
     assert calls(lambda: many.halts("C-100")) < 1.3 * calls(lambda: few.halts("C-100"))
+
+
+def test_a_chain_of_afters_is_followed_in_a_time_as_long_as_the_chain() -> None:
+    """Measured as a ratio: that a list is looked through is no call."""
+
+    def seconds(n: int) -> float:
+        story = Story()
+        for k in range(1, n + 1):
+            story.says("X", client=f"c{k % 8}", progress=False)
+            story.state.commands[f"C-{k}"].head = ParsedHead(kind="task", verb="X", after=f"C-{k - 1}")
+        newest = story.state.commands[f"C-{n}"]
+        assert len(_waits_for(Turn(story.state, 0.0), newest)) == n
+        return min(timeit.repeat(lambda: _waits_for(Turn(story.state, 0.0), newest), number=1, repeat=5))
+
+    assert seconds(4000) < 24 * seconds(500)  # eight times as long; squared it would be 64
