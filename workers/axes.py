@@ -24,6 +24,12 @@ AXES: dict[str, tuple[str, tuple[float, float, float]]] = {
 }
 
 
+def name_of(direction: Floats) -> str:
+    """The word for a direction in world axes: UP, BACK, ...; of the six, the one it is nearest to."""
+    words = ("UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK")
+    return max(words, key=lambda word: sum(a * b for a, b in zip(AXES[word][1], direction, strict=True)))
+
+
 def shifted(pose: Floats, axis: str, by_m: float) -> Array:
     """`pose` (world) moved along an axis of the table. KeyError for another name."""
     owner, vector = AXES[axis]

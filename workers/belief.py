@@ -21,6 +21,7 @@ from rtc.outcomes import Refusal, RefusalReason
 from rtc.primitive import Load
 from rtc.robot.collision import Held, Scene
 from rtc.world.model import World
+from workers import axes
 from workers.cell_model import CellModel
 from workers.motion.constraints import Rules
 from workers.motion.plan import Setting
@@ -62,6 +63,14 @@ class Belief:
 
     def seat(self, thing: str) -> str:
         return self.world.value(f"{thing}.seat") or ""
+
+    def way_out(self, thing: str) -> str:
+        """The word for the direction in which a thing leaves the seat it is in; UP when it is in none."""
+        seat = self.seat(thing)
+        if not seat:
+            return "UP"
+        spec = self.cell.seat(seat)
+        return axes.name_of(geometry.rotate(spec.frame.pose, spec.way_out).tolist())
 
     def frame(self, thing: str) -> Array:
         """Where an object is believed to be, trusted or not; before anything was told, where the cell has it."""

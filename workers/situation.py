@@ -44,6 +44,7 @@ class Situation:
             "target": self.target.name if self.target else "",
             "axis": (self.parsed.place.along if self.parsed.place else None) or "TOOL-Z",
             "destination": destination_in_words(self.parsed),
+            "out": self.belief.way_out(self.thing.name) if self.thing else "",
         }
 
     def say(self, words: str) -> str:
