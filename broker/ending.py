@@ -141,8 +141,9 @@ def analyze_later(turn: Turn, command: Command, refusal: Refusal) -> None:
         turn.start_timer(command, left.AGAIN_S)
         turn.note(command, f"{refusal.message}; it is asked again")
         return
-    message = f"what was done could not be judged within {left.LIMIT_S:.0f} s: {refusal.message}"
-    end(turn, command, OutcomeKind.FAILED, message=f"{message}; {CLOSED}", refusal=refusal, untold=True)
+    message = f"what was done could not be judged within {left.LIMIT_S:.0f} s: {refusal.message}; {CLOSED}"
+    refusal = Refusal(reason=refusal.reason, message=message, clears="wait until the world database is back")
+    end(turn, command, OutcomeKind.FAILED, message=message, refusal=refusal, untold=True)
     left.later(turn, command.id)
 
 

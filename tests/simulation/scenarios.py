@@ -8,8 +8,8 @@ LEFT, RIGHT, BOTH = ("LEFT-ARM",), ("RIGHT-ARM",), ("LEFT-ARM", "RIGHT-ARM")
 ONE = Sentence()
 
 
-def _control(verb: str) -> Sentence:
-    return Sentence(parsed=(("kind", "control"), ("verb", verb), ("hand", None), ("object", "C-1")))
+def _control(verb: str, object: str | None = "C-1", hand: str | None = None) -> Sentence:
+    return Sentence(parsed=(("kind", "control"), ("verb", verb), ("hand", hand), ("object", object)))
 
 
 SCENARIOS = (
@@ -26,6 +26,7 @@ SCENARIOS = (
     Scenario(name="HALT as a sentence", sentences=(ONE, Sentence(text="HALT"))),
     Scenario(name="HALT C-1 as a sentence", sentences=(ONE, Sentence(text="HALT C-1"))),
     Scenario(name="abort", sentences=(ONE, _control("ABORT"))),
+    Scenario(name="abort of an arm", sentences=(ONE, _control("ABORT", None, "RIGHT-ARM"), ONE), one_client=True),
     Scenario(name="pause, resume", sentences=(Sentence(steps=2), _control("PAUSE"), _control("RESUME"))),
     Scenario(name="client goes away", sentences=(ONE, Sentence(arms=LEFT, halt_if_lost=True))),
     Scenario(name="halt of an arm, of a command", sentences=(ONE, Sentence(arms=LEFT)), halts=("RIGHT-ARM", "C-2")),
