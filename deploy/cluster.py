@@ -104,13 +104,16 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
     settings = msgspec.structs.replace(settings, run=secrets.token_hex(4))
     run_dir = prepare_run_dir(settings.path)
     with _lock(run_dir):
-        _clean(run_dir)
-        settings.save()
-        _new_key(run_dir)
         logs = run_dir / LOGS
-        logs.mkdir(mode=0o700)
         report = _Report(run_dir, settings.run)
-        report.save([])
+        try:
+            _clean(run_dir)
+            settings.save()
+            _new_key(run_dir)
+            logs.mkdir(mode=0o700)
+            report.save([])
+        except OSError as error:  # a full disk, most often
+            raise ClusterError(f"no cluster can be started in {run_dir}: {error}") from error
         with process.start("supervisor", run_dir) as me:
             process.nice(NICENESS)
             supervisor = Supervisor(

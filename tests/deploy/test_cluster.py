@@ -148,6 +148,15 @@ def test_a_bad_cell_is_told_in_the_first_line_that_matters(run_dir):
     assert not (run_dir / "supervisor.json").exists()
 
 
+def test_a_directory_that_takes_no_files_is_told_in_one_line(run_dir):
+    (run_dir / "supervisor.lock").touch()  # it was a run directory before
+    (run_dir / "settings.json").symlink_to("/dev/full")
+    failed = up(run_dir)
+    assert failed.returncode == 1
+    assert "Traceback" not in failed.stdout + failed.stderr
+    assert f"no cluster can be started in {run_dir}: [Errno 28]" in failed.stdout + failed.stderr
+
+
 def test_a_foreground_cluster_ends_at_ctrl_c(run_dir):
     command = [sys.executable, "-m", "deploy", "up", "--mcm", "kinematic", "--run-dir", str(run_dir)]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
