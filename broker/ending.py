@@ -253,7 +253,11 @@ def rest_confirmed(turn: Turn, command: Command, at_rest: bool) -> None:
 def unconfirmed(turn: Turn, command: Command, _: Any) -> None:
     who = command.subsystem or ", ".join(command.unconfirmed) or "any subsystem"
     message = f"halted, but rest was not confirmed by {who} within {HALT_LIMIT_S:.0f} s"
-    end(turn, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
+    command.ending = Ending(kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
+    if command.primitive:
+        close(turn, command, nobody_reports(turn, command), message)
+    else:  # a HALT that came as a sentence: it touched nothing
+        end(turn, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
 
 
 # --- a subsystem lost --------------------------------------------------------------------------------

@@ -93,7 +93,7 @@ _ROWS: dict[Phase, dict[Stimulus, str]] = {
     P.HALTING: {
         S.REPORT: "rested -> CLOSING",
         S.REST: "rest_confirmed -> HALTING CLOSING ENDED",
-        S.OVERDUE: "unconfirmed -> ENDED",
+        S.OVERDUE: "unconfirmed -> CLOSING ENDED",
         S.GONE: "lost_while_halting -> CLOSING ENDED",
     },
     P.CLOSING: {

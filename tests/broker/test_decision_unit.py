@@ -466,7 +466,15 @@ def test_rest_that_nobody_confirms_is_told_apart_and_closes_the_arm():
     s = Story()
     s.executing()
     s.halts()
-    assert s.rings("C-1") == ["note C-1 ended", "end C-1 halt_not_confirmed"]
+    assert s.rings("C-1") == [
+        "no timer C-1",
+        "job C-1/4 analyzer #1 lease RIGHT-ARM",
+        "timer C-1",
+        "note C-1 closing",
+    ]
+    told = wire.decoder(AnalyzerInput)(s.state.commands["C-1"].job.input)
+    assert (told.report.joints, told.closing) == ([], True)  # where it is nobody knows, and the world is told so
+    assert s.answers("C-1", go_on()) == ["no timer C-1", "note C-1 ended", "end C-1 halt_not_confirmed"]
     assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
     s.parsed()
     assert s.phase("C-2") == "held"
@@ -1029,6 +1037,7 @@ def test_rest_of_one_arm_says_nothing_about_the_other():
     s.executing()
     s.halts("C-1")
     s.rings("C-1")
+    s.answers("C-1", go_on())
     s.hear(HaltConfirmed, subsystem="MCM", halt="h2", at_rest=True, performers=["LEFT-ARM"])
     assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
     s.hear(HaltConfirmed, subsystem="MCM", halt="h3", at_rest=True, performers=["RIGHT-ARM"])
@@ -1041,6 +1050,7 @@ def test_a_late_word_on_what_was_stopped_opens_its_arm(late):
     s.executing()
     s.halts()
     s.rings("C-1")
+    s.answers("C-1", go_on())
     s.reports("C-9", primitive="C-9.4")
     s.reports("C-1", primitive="C-1.0")  # of an earlier step, told twice
     assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
