@@ -283,7 +283,10 @@ def on_program(turn: Turn, event: ProgramInstalled) -> None:
     turn.state.began_at_s = turn.state.began_at_s or event.at_s  # it begins with its programs
     programs = turn.state.programs
     if event.kind and kind in programs and programs[kind] != event.digest:
-        turn.state.trials[kind] = Trial(new=event.digest, old=programs[kind])
+        untried = turn.state.trials.pop(kind, None)  # it is no program to go back to
+        old = untried.old if untried else programs[kind]
+        if event.digest != old:
+            turn.state.trials[kind] = Trial(new=event.digest, old=old)
     turn.state.rolled_back.pop(kind, None)
     programs[kind] = event.digest
 

@@ -959,6 +959,18 @@ def test_what_else_was_under_way_with_a_program_that_was_rolled_back_is_done_aga
     assert s.state.counts["programs_rolled_back"] == 1
 
 
+def test_back_from_a_new_program_is_to_one_that_has_done_a_job():
+    s = Story()
+    for digest in ("old", "new", "newer"):
+        s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
+    s.says("X")
+    s.loses_worker("C-1")
+    assert s.state.programs["parser"] == "old"
+    for digest in ("new", "old"):
+        s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
+    assert s.state.trials == {}
+
+
 def test_a_new_program_whose_first_job_is_done_stays():
     s = Story()
     s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")
