@@ -107,9 +107,10 @@ def test_without_a_broker_it_finishes_stops_on_halt_and_tells_all_to_the_next(mc
     broker.socket.close()  # in the middle of the motion
 
     halt_line = HaltLine(mcm.context, mcm.settings, "test")
-    result = halt_line.halt("C-99")  # of nothing: works when the broker is dead
+    result = halt_line.halt("LEFT-ARM")  # it rests, as the MCM knows: works when the broker is dead
     assert result.confirmed
     assert result.told == ["estop"]
+    assert not halt_line.halt("C-99").confirmed  # whether there is such a command only the broker knows
 
     broker = Broker(mcm.context, mcm.settings)
     hello = broker.hear(m.SubsystemHello, lambda hello: "C-1.1" in hello.outstanding)
