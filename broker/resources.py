@@ -164,7 +164,10 @@ class Resources(msgspec.Struct, kw_only=True):
         return [Gone(name, exclusive) for name, exclusive in claim.items()]
 
     def _leave_line(self, command: str) -> list[Gone]:
-        claim, place = self.waiting.pop(command, {}), number(command)
+        claim = self.waiting.pop(command, None)
+        if claim is None:  # most of the time
+            return []
+        place = number(command)
         for name, exclusive in claim.items():
             for lines in (self.lines, self.alone) if exclusive else (self.lines,):
                 line = lines[name]

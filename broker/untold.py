@@ -43,6 +43,8 @@ def again(turn: Turn, command: str) -> None:
 
 def heard(turn: Turn, event: JobFinished | JobDeclined | JobLost) -> bool:
     """An answer to such an analysis. False: it is none."""
+    if not turn.state.untold:  # most of the time
+        return False
     command = event.job.partition("/")[0]
     left = turn.state.untold.get(command)
     if left is None or (left.job.id, left.job.attempt) != (event.job, event.attempt):
