@@ -135,10 +135,13 @@ class Resources(msgspec.Struct, kw_only=True):
         """Of those for whom one of these was in the way, whoever has nothing else in the way.
         Each must still be granted by `take`, which may refuse the second of two that want the same."""
         found: dict[str, None] = {}
-        for command in (command for claim in gone for command in self._behind(claim)):
-            wanted = self.waiting[command]
-            if command not in found and self._is_first(command, wanted) and self.blocker(command, wanted) is None:
-                found[command] = None
+        for claim in gone:
+            if claim.name not in self.lines:  # most of the time
+                continue
+            for command in self._behind(claim):
+                wanted = self.waiting[command]
+                if command not in found and self._is_first(command, wanted) and self.blocker(command, wanted) is None:
+                    found[command] = None
         return list(found)
 
     def _is_first(self, command: str, claim: Claim) -> bool:
@@ -148,7 +151,7 @@ class Resources(msgspec.Struct, kw_only=True):
     def _behind(self, gone: Gone) -> list[str]:
         """Those in line for whom a claim that is gone may have been all that was in the way. One that shared was in the
         way of an exclusive one that is first, at most; an exclusive one of those behind it, to the next like it."""
-        line = self.lines.get(gone.name, [])
+        line = self.lines[gone.name]
         if not gone.exclusive:
             return line[:1]
         alone = self.alone.get(gone.name)
@@ -156,7 +159,9 @@ class Resources(msgspec.Struct, kw_only=True):
         return line[bisect_left(line, gone.place, key=number) : end]
 
     def _let_go(self, command: str) -> list[Gone]:
-        claim = self.held.pop(command, {})
+        claim = self.held.pop(command, None)
+        if not claim:
+            return []
         for name in claim:
             del self.holders[name][command]
             if not self.holders[name]:
