@@ -142,8 +142,10 @@ class Surroundings(Story):
                     self.answers(live.id, self.sensible(live))
                 elif live.phase in MOVING and live.primitive:
                     self.reports(live.id)
-                elif live.phase in MOVING:
+                elif live.phase in MOVING and (live.primitive or live.unconfirmed):
                     self.rests(live.id)
+                elif live.phase in MOVING:  # nobody was there to be told of its halt: nobody will confirm it
+                    self.rings(live.id)
                 elif live.phase.value == "paused":
                     self.halts(live.id, f"end-{live.id}")
             self.rests("all")
