@@ -4,6 +4,7 @@ that the next broker is forked from."""
 from __future__ import annotations
 
 import argparse
+import secrets
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -40,7 +41,8 @@ def live(run_dir: Path) -> None:
     settings = Settings.load(run_dir)
     with process.start("broker", run_dir) as me:
         priority = process.come_first(RANK, NICENESS)
-        first = State(patience=1.0 / settings.speed if 0 < settings.speed < 1 else 1.0)
+        patience = 1.0 / settings.speed if 0 < settings.speed < 1 else 1.0
+        first = State(patience=patience, life=secrets.token_hex(2))
         journal = Journal.open(run_dir / "journal.db", settings.run, first)
         state, ended = replay(journal)
         store = ProgramStore(journal, state.programs)

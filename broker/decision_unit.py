@@ -40,6 +40,7 @@ from broker.turn import Turn
 from rtc.language.fastpath import halt_scope
 from rtc.messages import Accepted, Declined, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
+from rtc.primitive_id import command_of
 
 MAX_COMMANDS = 10_000  # live at once; more are declined
 LIVE_PER_CLIENT = 2_000  # of one client, so that no one client can take the place of all others
@@ -295,7 +296,7 @@ def on_program(turn: Turn, event: ProgramInstalled) -> None:
 
 
 def on_started(turn: Turn, event: PrimitiveStarted) -> None:
-    command = turn.state.commands.get(event.primitive.partition(".")[0])
+    command = turn.state.commands.get(command_of(event.primitive))
     awaited = command is not None and (command.primitive, command.subsystem) == (event.primitive, event.subsystem)
     if awaited and command is not None and command.phase is Phase.EXECUTING:
         turn.node = event.subsystem
@@ -304,7 +305,7 @@ def on_started(turn: Turn, event: PrimitiveStarted) -> None:
 
 def on_ended(turn: Turn, event: PrimitiveEnded) -> None:
     report = event.report
-    command = turn.state.commands.get(report.primitive.partition(".")[0])
+    command = turn.state.commands.get(command_of(report.primitive))
     awaited = (
         command is not None
         and command.primitive == report.primitive
@@ -346,7 +347,7 @@ def on_subsystem(turn: Turn, event: SubsystemConnected) -> None:
         pid=event.pid, performers=event.performers, came_at_rest=event.at_rest
     )
     for primitive in event.outstanding:
-        command_id = primitive.partition(".")[0]
+        command_id = command_of(primitive)
         command = state.commands.get(command_id)
         # Of a command that lives, only what was given up may still be executed; the rest are unacknowledged reports.
         if command is None or (command.phase is Phase.CLOSING and not command.at_rest):

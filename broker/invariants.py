@@ -10,6 +10,7 @@ from broker.effects import CancelJob, DispatchJob, Effect, PublishNote, ReportEn
 from broker.resources import WORLD, number
 from broker.state import NIL, State
 from rtc.messages import Phase, WorkerKind
+from rtc.primitive_id import command_of
 
 MOVING = (Phase.EXECUTING, Phase.HALTING)
 BY_JOB = (Phase.PARSING, Phase.ELABORATING, Phase.BINDING, Phase.ANALYZING, Phase.CLOSING)  # a worker is at it
@@ -105,7 +106,7 @@ def forbidden(before: State, live_before: set[str], effects: list[Effect], *, ha
                 if halt_all and command in live_before and effect.kind is not WorkerKind.ANALYZER:
                     wrong.append(f"a job for {command} after HALT ALL")
             case SendPrimitive():
-                command = effect.id.partition(".")[0]
+                command = command_of(effect.id)
                 if command in ended or (halt_all and command in live_before):
                     wrong.append(f"a primitive for {command}, which was stopped")
             case StartTimer():

@@ -32,6 +32,7 @@ from broker.turn import Turn, step_body, step_in_words
 from rtc import wire
 from rtc.messages import EndReport, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
+from rtc.primitive_id import primitive_id
 
 MAX_TRIMS = 6  # of one command (A17)
 MAX_ELABORATIONS = 20  # a command whose needs change each time it gets them
@@ -377,7 +378,7 @@ def next_step(turn: Turn, command: Command) -> None:
         command.step = command.stack.pop()
         command.step_words = step_in_words(command, command.step)
         data = {
-            "primitive_id": f"{command.id}.{command.primitives + 1}",
+            "primitive_id": primitive_id(command.id, command.primitives + 1, turn.state.life),
             "context": command.script.context,
             "step": step_body(command, command.step),
             "bindings": command.bindings,

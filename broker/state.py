@@ -190,6 +190,7 @@ class State(msgspec.Struct, kw_only=True):
     live: dict[str, int] = {}  # client -> how many of them are its own
     unread: dict[str, dict[str, bool]] = {}  # client -> its commands not yet taken up, in order: parsed meanwhile?
     accepted: int = 0
+    life: str = ""  # of the journal: part of the names of primitives; see rtc.primitive_id
     began_at_s: float = 0.0  # the cluster, not this broker
     seq: int = 0  # of the event stream
     requests: dict[str, str] = {}  # `request_key` -> command, live or recently ended

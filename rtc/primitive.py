@@ -169,7 +169,7 @@ class Reporting(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="Primitive"):
     """T = (P, M, F, R) for one performer. Refuses to exist without a goal and a time limit in F (R82)."""
 
-    id: str  # unique; echoed by every report. "C-7.5": begins with its command's number
+    id: str  # unique; echoed by every report. "C-7.5@k7f2": see rtc.primitive_id
     performer: str  # which arm of the subsystem, e.g. RIGHT-ARM
     trajectory: Trajectory
     stop_functions: list[StopFunction]

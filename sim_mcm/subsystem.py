@@ -18,6 +18,7 @@ from collections.abc import Mapping
 import msgspec
 
 from rtc import messages as m
+from rtc import wire
 from rtc.halting import Fold
 from rtc.outcomes import Refusal, RefusalReason, StopReason
 from sim_mcm.arm import Arm
@@ -59,6 +60,7 @@ class Subsystem:
         self.executors = {arm: Executor(part) for arm, part in arms.items()}
         self._kept: dict[str, tuple[m.EndReport, float]] = {}  # not acknowledged; when to say it again
         self._ended: OrderedDict[str, m.EndReport] = OrderedDict()  # all, for repeated orders
+        self._asked: dict[str, int] = {}  # primitive -> hash of the whole primitive that bore this id
         self._halts: OrderedDict[str, Halt] = OrderedDict()
         self._open_halts: list[Halt] = []
         self._fold = Fold()
@@ -129,6 +131,10 @@ class Subsystem:
         primitive = order.primitive
         if order.pid not in (0, self.pid):  # meant for the process before us, or for somebody who took our name
             return self.hello()
+        whole = hash(wire.encode(primitive))
+        if self._asked.setdefault(primitive.id, whole) != whole:
+            why = f"{self.name} knows another primitive of the id {primitive.id}; not begun"
+            return [(BROKER, not_begun(primitive.id, primitive.performer, why, at_s=now_s))]
         if (ended := self._ended.get(primitive.id)) is not None:
             return [(BROKER, ended)]
         executor = self.executors.get(primitive.performer)
@@ -159,7 +165,8 @@ class Subsystem:
         self._kept[report.primitive] = (report, now_s + REPEAT_S)
         self._ended[report.primitive] = report
         if len(self._ended) > REMEMBERED:
-            self._ended.popitem(last=False)
+            oldest, _ = self._ended.popitem(last=False)
+            self._asked.pop(oldest, None)
         return [(BROKER, report)]
 
     def _say_again(self, now_s: float) -> Said:

@@ -24,6 +24,7 @@ from rtc.primitive import (
     Trajectory,
     Vector,
 )
+from rtc.primitive_id import command_of
 from rtc.program import decode
 from rtc.program_schema import BinderProgram, StopClass
 from rtc.world.model import World
@@ -163,7 +164,7 @@ def world_pose(at: Bind, binding: Binding, name: str) -> list[float] | Refusal:
         return binding.pose
     if binding.frame not in {thing.name for thing in at.belief.cell.objects}:
         return naming.unknown("object", binding.frame, [t.name for t in at.belief.cell.objects])
-    command = at.data.primitive_id.partition(".")[0]
+    command = command_of(at.data.primitive_id)
     distrusted = at.belief.distrusted(f"{binding.frame}.frame", at.program.clears, own=command)
     if distrusted is not None:
         return distrusted

@@ -62,7 +62,7 @@ def judge(errands: Sequence[Errand], events: Sequence[Event], run_dir: Path, str
     """`strikes`: who was killed when. A death of the MCM is the one that commands may end of."""
     verdict = Verdict()
     ended = {e.report.primitive: e.report for e in events if isinstance(e, PrimitiveEnded)}
-    begun = Counter(re.findall(r"begins (C-\d+\.\d+)", _mcm_log(run_dir)))
+    begun = Counter(re.findall(r"begins (C-\S+)", _mcm_log(run_dir)))
     verdict.repeated += [f"{primitive} was begun {n} times" for primitive, n in begun.items() if n > 1]
     taken = Counter(errand.command for errand in errands if errand.command)
     verdict.repeated += [f"{command} is the outcome of {n} sentences" for command, n in taken.items() if n > 1]
@@ -97,7 +97,7 @@ def judge(errands: Sequence[Errand], events: Sequence[Event], run_dir: Path, str
 
 def _number(primitive: str) -> int:
     """2 of C-7.2"""
-    return int(primitive.partition(".")[2])
+    return int(primitive.partition(".")[2].partition("@")[0])
 
 
 def _refused_for(errand: Errand, *reasons: RefusalReason) -> bool:

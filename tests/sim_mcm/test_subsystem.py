@@ -62,6 +62,15 @@ def test_the_same_primitive_is_never_executed_twice(bench, swing) -> None:
     assert bench.subsystem.idle
 
 
+@pytest.mark.parametrize("ticks", [500, 1100], ids=["while it is done", "when it is done"])
+def test_another_primitive_of_a_known_id_is_refused_and_not_answered_from_memory(bench, swing, ticks: int) -> None:
+    bench.hear(m.Execute(primitive=swing()))
+    bench.tick(ticks)
+    (answer,) = kinds(bench.hear(m.Execute(primitive=swing(duration_s=2.0))), m.EndReport)
+    assert answer.reason is StopReason.REFUSED
+    assert "another primitive of the id C-7.1" in answer.message
+
+
 def test_two_arms_work_at_the_same_time(bench, swing) -> None:
     bench.hear(m.Execute(primitive=swing("C-7.1", ARM)))
     bench.hear(m.Execute(primitive=swing("C-8.1", OTHER)))
