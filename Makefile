@@ -6,11 +6,14 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test fast check bench help clean
+.PHONY: demo setup test fast check bench help clean
 .DEFAULT_GOAL := help
 
 demo: $(VENV)/.ready ## set up, then show the main job: two arms grasp, lift, are halted, go on, put back
 	$(BIN)/rtc demo grasp
+
+setup: $(VENV)/.ready ## set up only: the Python environment, in .venv
+	@echo "set up; next: . $(BIN)/activate"
 
 test: $(VENV)/.ready ## set up, then run all tests
 	$(BIN)/python -m pytest

@@ -29,7 +29,7 @@ ONLY_IN = {
     "coal": ("rtc/robot/", "workers/motion/", "sim_mcm/"),
     "lark": ("rtc/language/",),
     "typer": ("rtc/cli/",),
-    "sqlite3": ("rtc/world/", "broker/"),
+    "sqlite3": ("rtc/world/", "rtc/past.py", "broker/"),
 }
 #: pure files and folders: no clock, no socket, no process, no chance
 PURE = (

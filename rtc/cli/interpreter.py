@@ -28,8 +28,8 @@ from rtc.outcomes import NoCluster, RequestDeclined, RtcError
 
 LEAVE = (":quit", ":q", "quit", "exit")  # no verbs of the language
 HELP = """Type a sentence (rtc dictionary lists the verbs), end it with & to send it and go on typing. Or one of:
-  :status            what runs           :trace C-7    every phase of a command
-  :world [LOCATION]  what is believed    :why C-7      the chain of causes
+  :status            what runs           :trace [C-7]  every phase of a command
+  :world [LOCATION]  what is believed    :why [C-7]    the chain of causes
   :help              this                :quit, exit   leave (Ctrl-D); commands go on
 HALT and STOP go past everything. Ctrl-C while a command runs asks; twice halts. Tab completes."""
 
@@ -106,11 +106,11 @@ def _status(rtc: Client, _: list[str]) -> None:
 
 
 def _trace(rtc: Client, words: list[str]) -> None:
-    story.print_trace(rtc.trace(_command(words)))
+    story.print_trace(rtc.trace(_command(rtc, words)))
 
 
 def _why(rtc: Client, words: list[str]) -> None:
-    story.print_why(rtc.trace(_command(words)))
+    story.print_why(rtc.trace(_command(rtc, words)))
 
 
 def _world(rtc: Client, words: list[str]) -> None:
@@ -126,10 +126,14 @@ def _unknown(_: Client, __: list[str]) -> None:
     console.print("no such word; :help lists them")
 
 
-def _command(words: list[str]) -> str:
-    if len(words) != 1 or not story.NUMBER.fullmatch(words[0]):
-        raise ValueError("name one command, such as C-7")
-    return words[0]
+def _command(rtc: Client, words: list[str]) -> str:
+    """The number that was typed; without one, of the last command."""
+    if len(words) > 1:
+        raise ValueError("name one command, such as C-7, or none: the last one")
+    name = story.number(words[0]) if words else story.last_number(rtc)
+    if not name:
+        raise ValueError("there is no command yet")
+    return name
 
 
 def _names(rtc: Client) -> list[str]:

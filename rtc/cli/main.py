@@ -5,9 +5,11 @@ A command's module is imported only when the command is called (or all are liste
 
 from __future__ import annotations
 
+import platform
 import sys
 from importlib import import_module
-from typing import Any
+from importlib.metadata import version
+from typing import Annotated, Any
 
 import typer
 
@@ -22,8 +24,10 @@ COMMANDS = {
     "status": "cluster",
     "do": "sentences",
     "halt": "halt",
+    "log": "log",
     "trace": "story",
     "why": "story",
+    "names": "names",
     "world": "world",
     "load": "programs",
     "outcomes": "programs",
@@ -45,12 +49,12 @@ def build(names: list[str]) -> typer.Typer:
         help="Run-time control of a telerobot: say what is to be done, see it done, stop it at any time.",
         epilog=EPILOG,
         no_args_is_help=True,
-        add_completion=False,
+        add_completion=True,
         pretty_exceptions_enable=False,
         rich_markup_mode="rich",
         context_settings={"help_option_names": ["-h", "--help"]},
     )
-    app.callback()(lambda: None)  # also with one command it is `rtc COMMAND`
+    app.callback()(_options)  # also with one command it is `rtc COMMAND`
     for name in names:
         module: Any = import_module(f"rtc.cli.{COMMANDS[name]}")
         if hasattr(module, "app"):
@@ -60,9 +64,29 @@ def build(names: list[str]) -> typer.Typer:
     return app
 
 
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"rtc {version('telerobot-rtc')} (Python {platform.python_version()})")
+        raise typer.Exit()
+
+
+def _options(
+    show_version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+def as_option(words: list[str]) -> list[str]:
+    """The words of the command line, with `help` and `help COMMAND` as the option they stand for."""
+    return [*words[1:2], "--help"] if words[:1] == ["help"] else words
+
+
 def main() -> None:
     """Entry point. Exit status: see `rtc do -h`; 4 = no cluster."""
     attach()
+    sys.argv[1:] = as_option(sys.argv[1:])
     try:
         try:
             _call()

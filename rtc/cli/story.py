@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from itertools import groupby
+from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
@@ -13,34 +14,89 @@ from rich.text import Text
 from rtc import messages as m
 from rtc.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, refusal_lines, said, seconds, trouble
 from rtc.client import Client
-from rtc.outcomes import OutcomeKind
+from rtc.outcomes import NoCluster, OutcomeKind
+from rtc.past import Past, runs
+from rtc.settings import default_run_dir
 
 DID = {"parser": "parsed", "elaborator": "planned", "binder": "bound", "analyzer": "judged"}  # kind of worker -> verb
 
-NUMBER = re.compile(r"C-\d+", re.ASCII | re.IGNORECASE)
+NUMBER = re.compile(r"(?:C-)?(\d{1,17})", re.ASCII | re.IGNORECASE)
 
-Command = Annotated[str, typer.Argument(help="Number of a command, live or ended: C-7.")]
+Command = Annotated[
+    str, typer.Argument(help="Number of a command, live or ended: C-7 or 7.", show_default="the last one")
+]
+Previous = Annotated[bool, typer.Option("--previous", help="Of the run before the one in the run directory.")]
 
 
-def trace(command: Command, json: AsJson = False, run_dir: RunDir = None, key: With = None) -> None:
+def trace(
+    command: Command = "", previous: Previous = False, json: AsJson = False, run_dir: RunDir = None, key: With = None
+) -> None:
     """Every phase of a command: when, who did it (and where in the cube), how long it took, what came of it.
+
+    Without a number: of the last command. After `rtc down` it reads the journal of the run that has ended.
 
     Example:  rtc trace C-7
     """
-    name = number(command)
-    with Client(run_dir, key=key) as rtc:
-        record = rtc.trace(name)
+    record, run = recall(command, previous, run_dir, key)
     if json:
-        emit_json(as_json(record))
+        emit_json({**as_json(record), **run_as_json(run)})
     else:
+        print_run(run)
         print_trace(record)
 
 
+def recall(command: str, previous: bool, run_dir: Path | None, key: Path | None) -> tuple[m.CommandRecord, Past | None]:
+    """The record of a command, and the run it belongs to if that has ended. `command` "" is the last one.
+
+    Raises NoCluster when there is neither a cluster nor a journal, typer.Exit with the reason printed when there is no
+    such command.
+    """
+    name = number(command) if command else ""
+    where = run_dir or default_run_dir()
+    if previous:
+        return _from_past(name, [past for past in runs(where) if past.journal.parent != where])
+    try:
+        with Client(run_dir, key=key) as rtc:
+            name = name or last_number(rtc)
+            if name:
+                return rtc.trace(name), None
+    except NoCluster:
+        if key or not (ended := list(runs(where))):
+            raise
+        return _from_past(name, ended[:1])
+    return _from_past("", [] if key else [past for past in runs(where) if past.journal.parent != where])
+
+
+def last_number(rtc: Client) -> str:
+    """The number of the newest command of a cluster; empty when it has none."""
+    accepted = rtc.status().get("commands_accepted", 0)
+    return f"C-{accepted}" if accepted else ""
+
+
+def _from_past(name: str, ended: list[Past]) -> tuple[m.CommandRecord, Past]:
+    for past in ended:
+        found = past.command(int(name.removeprefix("C-"))) if name else next(iter(past.last(1)), None)
+        if found is not None:
+            return found, past
+    if not ended:
+        raise trouble("there is no command yet; rtc log lists them, rtc do gives one", 2)
+    raise trouble(f"there is no command {name} in the run that ended; rtc log lists its commands", 2)
+
+
+def print_run(run: Past | None) -> None:
+    if run is not None:
+        console.print(Text(run.title, style="dim"))
+
+
+def run_as_json(run: Past | None) -> dict[str, Any]:
+    return {} if run is None else {"run_ended_at": run.ended_at}
+
+
 def number(command: str) -> str:
-    """The number of a command as it was typed. Raises typer.Exit, with the reason said, when it is none."""
-    if not NUMBER.fullmatch(command.strip()):
-        raise trouble(f"{said(command)!r} is no number of a command; such as C-7 is (rtc do tells it)", 2)
-    return command.strip()
+    """C-7 for C-7, c-7 or 7. Raises typer.Exit, with the reason printed, for anything else."""
+    if (found := NUMBER.fullmatch(command.strip())) is None:
+        raise trouble(f"{said(command)!r} is not the number of a command, such as C-7 or 7; rtc log lists them", 2)
+    return f"C-{int(found[1])}"
 
 
 def print_trace(record: m.CommandRecord) -> None:
@@ -67,17 +123,22 @@ def trace_line(note: m.ProgressNote, accepted_at_s: float) -> str:
     return line + (f"{note.phase.value:<11}  {note.note}" if note.note else note.phase.value)
 
 
-def why(command: Command, json: AsJson = False, run_dir: RunDir = None, key: With = None) -> None:
+def why(
+    command: Command = "", previous: Previous = False, json: AsJson = False, run_dir: RunDir = None, key: With = None
+) -> None:
     """The chain of causes: sentence -> script line -> primitive -> report -> decision, and what would clear it.
 
+    Without a number: of the last command. After `rtc down` it reads the journal of the run that has ended.
+
+    Example:  rtc why
     Example:  rtc why C-7
     """
-    name = number(command)
-    with Client(run_dir, key=key) as rtc:
-        record = rtc.trace(name)
+    record, run = recall(command, previous, run_dir, key)
     if json:
-        emit_json({"command": record.command, "chain": chain(record), "outcome": as_json(record)["outcome"]})
+        outcome = as_json(record)["outcome"]
+        emit_json({"command": record.command, "chain": chain(record), "outcome": outcome, **run_as_json(run)})
     else:
+        print_run(run)
         print_why(record)
 
 

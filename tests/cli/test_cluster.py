@@ -128,6 +128,16 @@ def test_trace_and_why_tell_the_story(rtc: Run) -> None:
     assert "decision: SUCCEEDED" in why.stdout
 
 
+def test_why_without_a_number_is_of_the_last_command_and_log_lists_it(rtc: Run) -> None:
+    number = last_json(rtc("do", "STOW RIGHT-ARM", "--json"))["results"][0]["command"]
+    log = last_json(rtc("log", "-n", "2", "--json"))["commands"]
+
+    assert last_json(rtc("why", "--json"))["command"] == number
+    assert last_json(rtc("trace", number.removeprefix("C-"), "--json"))["command"] == number
+    assert [log[-1][key] for key in ("command", "text", "outcome")] == [number, "STOW RIGHT-ARM", "succeeded"]
+    assert len(log) == 2
+
+
 def test_an_unknown_command_is_2_in_one_sentence(rtc: Run) -> None:
     done = rtc("trace", "C-9999")
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import fcntl
 import json
 import shlex
+import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
 from rtc import front_door
-from rtc.cli.main import main
+from rtc.cli.main import COMMANDS, main
 from rtc.settings import Settings
 from rtc.silence import LOCK
 
@@ -26,8 +28,9 @@ from rtc.silence import LOCK
         ("status --with DIR/nix", "there is no key file"),
         ("world watch --every inf", "less than or equal to"),
         ("world watch --every nan", "less than or equal to"),
-        ("trace ''", "'' is no number of a command"),
-        ("why 7", "'7' is no number of a command"),
+        ("trace x7", "'x7' is not the number of a command, such as C-7 or 7"),
+        ("why C-7x", "'C-7x' is not the number of a command"),
+        ("names plaices", "names has no kind plaices (did you mean places?); the kinds are: arms, "),
         (f"chaos --for {'9' * 400}s", "--for is a duration"),
     ],
 )
@@ -55,6 +58,42 @@ def test_a_status_that_no_broker_gives_the_supervisor_gives(
     assert (known["cluster"], known["processes"]) == ("abc", rows)
     assert "the broker does not answer" in known["error"]
     assert "the broker does not answer" in " ".join(heard.err.split())
+
+
+def test_version_and_help_as_people_try_them(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert status_of(["--version"], monkeypatch) == 0
+    assert capsys.readouterr().out.startswith(f"rtc {version('telerobot-rtc')} ")
+    shown = []
+    for words in (["--help"], ["help"], ["halt", "--help"], ["help", "halt"]):
+        assert status_of(words, monkeypatch) == 0
+        shown.append(capsys.readouterr().out)
+    assert shown[0] == shown[1]
+    assert "rest is confirmed" in shown[2]
+    assert shown[2] == shown[3]
+
+
+@pytest.mark.slow
+def test_bash_completes_commands_and_options() -> None:
+    script = """
+    eval "$(rtc --show-completion bash)"
+    COMP_WORDS=(rtc sta); COMP_CWORD=1; _rtc_completion rtc; echo "${COMPREPLY[@]}"
+    COMP_WORDS=(rtc log --prev); COMP_CWORD=2; _rtc_completion rtc; echo "${COMPREPLY[@]}"
+    """
+    path = f"{Path(sys.executable).parent}:/usr/bin:/bin"
+    done = subprocess.run(["bash", "-c", script], env={"PATH": path}, capture_output=True, text=True, timeout=60)
+    assert done.stdout.split() == ["status", "--previous"], done.stderr
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_each_command_has_an_example(
+    command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if command in ("world", "keys"):
+        pytest.skip("a group of commands")
+    assert status_of([command, "-h"], monkeypatch) == 0
+    assert f"rtc {command}" in capsys.readouterr().out.partition("Example")[2]
 
 
 def status_of(words: list[str], monkeypatch: pytest.MonkeyPatch) -> object:

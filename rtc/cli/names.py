@@ -1,0 +1,178 @@
+"""rtc names: every name that a sentence may use in a cell, by kind. Read from the cell; asks no cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import msgspec
+import typer
+from rich.text import Text
+
+from rtc.axis_names import AXES
+from rtc.cell import Cell
+from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
+from rtc.language.alike import nearest_words
+from rtc.settings import Settings, default_run_dir
+
+CELL = "swapout"  # of a cluster that is not told otherwise
+OTHER_WORDS = {"axis": "axes", "hand": "arms", "hands": "arms", "end-effector": "arms", "end-effectors": "arms"}
+
+
+class Named(NamedTuple):
+    """One name. `also`: other names for the same; `about`: what it is, for people (cm, deg)."""
+
+    name: str
+    about: str
+    also: tuple[str, ...] = ()
+
+
+def names(
+    kind: Annotated[str, typer.Argument(help="One kind only, such as places.", show_default="all")] = "",
+    cell: Annotated[
+        str, typer.Option(help="Name of a cell that comes with rtc, or a cell file.", show_default="the cluster's")
+    ] = "",
+    json: AsJson = False,
+    run_dir: RunDir = None,
+) -> None:
+    """The names a sentence may use: arms, objects, grasp points, seats, places, regions, attitudes, axes.
+
+    They are those of the running cluster's cell; without a cluster, of the cell `swapout`.
+
+    Example:  rtc names places
+    """
+    wanted = _kind(kind)
+    what = cell or _cell_of(run_dir or default_run_dir())
+    found = {name: rows(Cell.load(what)) for name, (rows, _) in KINDS.items() if wanted in ("", name)}
+    if json:
+        emit_json({"cell": what, "names": {kind: [row._asdict() for row in rows] for kind, rows in found.items()}})
+        return
+    console.print(Text(f"cell {what}"))
+    for name, rows in found.items():
+        console.print()
+        console.print(Text(name, style="bold") + Text(f"   such as: {KINDS[name][1]}", style="dim"))
+        out = table("", "", "")
+        out.show_header = False
+        for row in rows:
+            also = f"also {', '.join(row.also)}" if row.also else ""
+            out.add_row(Text("  " + row.name), Text(row.about), Text(also, style="dim"))
+        console.print(out if rows else Text("  there are none"))
+
+
+def _kind(word: str) -> str:
+    """A row of KINDS for what was typed: also in the singular, and with any case. Raises typer.Exit."""
+    kind = word.lower().replace("_", "-").replace(" ", "-")
+    kind = OTHER_WORDS.get(kind, kind)
+    match = next((name for name in KINDS if kind in (name, name.removesuffix("s"))), "")
+    if word and not match:
+        near = nearest_words(kind, KINDS)
+        hint = f" (did you mean {near[0]}?)" if near else ""
+        raise trouble(f"names has no kind {word}{hint}; the kinds are: {', '.join(KINDS)}", 2)
+    return match
+
+
+def _cell_of(run_dir: Path) -> str:
+    """The cell of the cluster that runs, or ran last, in this directory."""
+    try:
+        return Settings.load(run_dir).cell
+    except (OSError, msgspec.MsgspecError):
+        return CELL
+
+
+def _arms(cell: Cell) -> list[Named]:
+    found = [
+        Named(
+            arm.name,
+            f"{len(arm.joints)} joints, hand opens to {_cm(arm.gripper.max_opening_m)} cm",
+            (arm.end_effector,),
+        )
+        for arm in cell.arms
+    ]
+    known = {arm.name for arm in cell.arms}
+    both = (
+        [Named("BOTH-ARMS", "in HALT BOTH-ARMS only; a task is for one arm")]
+        if {"LEFT-ARM", "RIGHT-ARM"} <= known
+        else []
+    )
+    return found + (both if {"LEFT-ARM", "RIGHT-ARM"} <= known else [])
+
+
+def _objects(cell: Cell) -> list[Named]:
+    return [
+        Named(
+            thing.name,
+            f"{thing.kind}, " + ("fixed, cannot be grasped" if thing.fixed else f"{thing.mass_kg:g} kg")
+            + (f", begins in {thing.seat}" if thing.seat else ""),
+        )
+        for thing in cell.objects
+    ]  # fmt: skip
+
+
+def _grasp_points(cell: Cell) -> list[Named]:
+    return [
+        Named(point.name, f"of {thing.name}, {_cm(point.width_m)} cm wide")
+        for thing in cell.objects
+        for point in thing.grasp_points
+    ]
+
+
+def _seats(cell: Cell) -> list[Named]:
+    return [
+        Named(seat.name, f"{seat.kind}, a module in it is at {_xyz(cell.seated_pose(seat.name)[:3].tolist())}")
+        for seat in cell.seats
+    ]
+
+
+def _places(cell: Cell) -> list[Named]:
+    found = []
+    for place in cell.places:
+        at = [f"{arm} at {_xyz(frame.xyz)}" for arm, frame in place.poses.items()]
+        at += [f"{arm} by joints" for arm in place.joints_deg]
+        found.append(Named(place.name, "; ".join(at)))
+    return found
+
+
+def _regions(cell: Cell) -> list[Named]:
+    return [
+        Named(r.name, f"box of {' x '.join(_cm(n) for n in r.size_m)} cm about {_xyz(r.frame.xyz)}")
+        for r in cell.regions
+    ]
+
+
+def _attitudes(cell: Cell) -> list[Named]:
+    return [
+        Named(name, "roll pitch yaw {:g} {:g} {:g} deg".format(*frame.rpy_deg))
+        for name, frame in cell.attitudes.items()
+    ]
+
+
+def _axes(_: Cell) -> list[Named]:
+    same: dict[tuple[str, tuple[float, ...]], list[str]] = {}
+    for name, axis in AXES.items():
+        same.setdefault(axis, []).append(name)
+    return [
+        Named(first, f"{whose} axis {' '.join(f'{n:g}' for n in vector)}", tuple(others))
+        for (whose, vector), (first, *others) in same.items()
+    ]
+
+
+def _cm(metres: float) -> str:
+    return f"{round(100 * metres, 2) + 0.0:g}"
+
+
+def _xyz(point: tuple[float, ...] | list[float]) -> str:
+    return " ".join(map(_cm, point)) + " cm"
+
+
+#: kind -> how it is read from a cell, and a sentence that uses one
+KINDS: dict[str, tuple[Callable[[Cell], list[Named]], str]] = {
+    "arms": (_arms, "STOW RIGHT-ARM"),
+    "objects": (_objects, "GRASP RIGHT-END-EFF MACS-NEW"),
+    "grasp-points": (_grasp_points, "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"),
+    "seats": (_seats, "PLACE MACS-NEW ON RACK-1"),
+    "places": (_places, "MOVE RIGHT-ARM TO BAY-2-FRONT"),
+    "regions": (_regions, "STOW RIGHT-ARM MAINTAIN AVOID-TASK-REGION SOLAR-ARRAY"),
+    "attitudes": (_attitudes, "LIFT MACS-NEW MAINTAIN POSE-DURING-MOTION LEVEL"),
+    "axes": (_axes, "MOVE RIGHT-ARM BY 5 CM ALONG UP"),
+}

@@ -1,0 +1,32 @@
+"""Every name that is listed is one that a sentence may use, and none is left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rtc.cell import Cell
+from rtc.cli.names import KINDS, _cell_of
+from rtc.language.parse import default_grammar, parse
+from rtc.language.record import ParsedCommand
+from rtc.settings import Settings
+
+
+def test_all_names_of_the_cell_are_listed(cell: Cell) -> None:
+    rows = [row for read, _ in KINDS.values() for row in read(cell)]
+    listed = {name for row in rows for name in (row.name, *row.also)}
+
+    assert set(cell.names()) <= listed
+    assert {"HANDLE-A", "HANDLE-B", "LEVEL", "TOOL-Z", "UP"} <= listed
+
+
+def test_the_examples_are_sentences_with_a_name_of_their_kind(cell: Cell) -> None:
+    for kind, (read, sentence) in KINDS.items():
+        assert isinstance(parse(default_grammar(), sentence), ParsedCommand), sentence
+        listed = {name for row in read(cell) for name in (row.name, *row.also)}
+        assert listed & set(sentence.split()), kind
+
+
+def test_the_cell_is_that_of_the_cluster(tmp_path: Path) -> None:
+    assert _cell_of(tmp_path) == "swapout"
+    Settings(run_dir=str(tmp_path), cell="/somewhere/cell.yaml").save()
+    assert _cell_of(tmp_path) == "/somewhere/cell.yaml"
