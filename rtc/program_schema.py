@@ -105,7 +105,9 @@ class ScriptFile(Part, frozen=True, kw_only=True):
     case: Case
     uses: list[str] = []  # fields of the command it understands; any other that is set is refused, not ignored
     needs: list[str] = []  # registered conditions of the world: hand_empty, object_held ...
-    despite_grasp: bool = False  # it may move although nobody is sure how what the hand holds is held (R151)
+    despite_grasp: bool = (
+        False  # it backs off or lets go: what is in doubt (a grasp, a frame) does not forbid it (R151)
+    )
     resources: list[str] = msgspec.field(default_factory=lambda: ["active_arm"])
     writes: list[str] = msgspec.field(default_factory=lambda: ["active_arm"])
     plan: list[PlanLine] = []
@@ -165,6 +167,7 @@ class StopClass(Part, frozen=True, kw_only=True):
     about: str = ""
     control_law: str = "position"
     touches: bool = False  # a touch of the active object is its purpose: what it touched may have moved
+    away: bool = False  # from what was touched: a thing whose place is in doubt does not forbid it
     seated: bool = False  # what the hand holds may be in a seat, or come into one
     stops: list[StopRow]
     values: dict[str, Expression] = {}  # speed_m_s, force_n, contact_n ..., over the figures of the cell

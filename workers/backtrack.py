@@ -120,7 +120,7 @@ Solved = tuple[dict[str, list[float]], list[str]]
 
 
 def _search(script: ScriptFile, at: Situation, lines: dict[str, Start]) -> Solved | Refusal:
-    setting = _setting(at)
+    setting = _setting(script, at)
     ways = list(_ways(script, at, lines, setting))
     if not ways:
         return _unreachable(script, at, lines, setting)
@@ -148,13 +148,14 @@ def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, 
     yield from ((n, way, True) for n, way in head[1:])
 
 
-def _setting(at: Situation) -> Setting:
+def _setting(script: ScriptFile, at: Situation) -> Setting:
     holds = at.belief.holding(at.arm.name)
     scene = at.belief.scene(
         at.arm.name,
         at.limits,
         touching=at.thing.name if at.thing and not holds else "",
         seated=bool(holds),
+        away=script.despite_grasp,
         opening_m=None if holds else at.figures.get("pre_grasp_m"),
         near=[at.target.name] if at.target else [],
     )

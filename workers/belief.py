@@ -142,12 +142,13 @@ class Belief:
         *,
         touching: str = "",
         seated: bool = False,
+        away: bool = False,
         opening_m: float | None = None,
         near: Iterable[str] = (),
     ) -> Scene:
         """Everything as believed. `touching`: the object that this arm's fingers may touch; `seated`: what the hand
-        holds may be in, or come into, a seat; `opening_m`: of this arm's hand, if not as it is now; `near`: what it
-        need keep no clearance to."""
+        holds may be in, or come into, a seat; `away`: what is in doubt is no obstacle; `opening_m`: of this arm's hand,
+        if not as it is now; `near`: what it need keep no clearance to."""
         held: dict[str, Held] = {}
         poses: dict[str, Array] = {}
         for thing in self.cell.objects:
@@ -164,7 +165,9 @@ class Belief:
         close = [name for name in dict.fromkeys((touching, *near)) if name]
         if touching:
             ignore += [(f"{arm} {link}", touching) for link in self.cell.arm(arm).gripper.finger_links]
-        if seated and carried:
+        doubtful = [name for name in poses if away and not self.trusts(f"{name}.frame")]
+        ignore += [pair for name in doubtful for pair in ((arm, name), *([(carried, name)] if carried else []))]
+        if carried and (seated or (away and not self.trusts(f"{carried}.grasp"))):
             ignore += [(carried, seat.name) for seat in self.cell.seats]
         return Scene(
             poses=poses,

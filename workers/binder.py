@@ -105,6 +105,7 @@ def bind_motion(at: Bind) -> BoundStep | Refusal:
         context.limits,
         touching=context.object if stop_class.touches and held != context.object else "",
         seated=stop_class.seated,
+        away=stop_class.away,
         near=[name for name in (context.object, context.target) if name],
     )
     pace = Pace(values["speed_m_s"], values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])

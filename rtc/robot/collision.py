@@ -77,6 +77,8 @@ class PathCollision:
 
 
 AS_BUILT = Scene()
+LEAVING_STEPS = 10  # between two configurations, while something has not come apart yet
+DEEPER_M = 0.0002  # less is noise: of the measured joints, and of the depth of boxes in one another
 
 
 class CollisionWorld:
@@ -111,16 +113,30 @@ class CollisionWorld:
         others: Mapping[str, Floats],
         scene: Scene = AS_BUILT,
     ) -> PathCollision | None:
-        """The first of an arm's configurations that is not free; `others` are the joints of the arms that rest."""
+        """The first of an arm's configurations that is not free; `others` are the joints of the arms that rest.
+
+        Pairs that are too near at the start may leave: along the way their distance must not get less by more than
+        `DEEPER_M`. Once apart, they are checked like all others. A belief that is wrong by millimetres may therefore
+        begin a way inside something, and never lead one into it.
+        """
         if not len(configurations):
             return None
         self._set({**others, arm: configurations[0]}, scene)
         slots = self._bodies.arms[arm].joints
-        for index, configuration in enumerate(configurations):
-            self._q[slots] = configuration
-            hit = self._ask()
-            if hit is not None:
-                return PathCollision(index, hit)
+        leaving: dict[int, float] = {}  # pair -> the most distance so far
+        try:
+            for index, configuration in enumerate(configurations):
+                self._q[slots] = configuration
+                hit = self._ask()
+                if hit is not None and index == 0:
+                    leaving, hit = self._let_leave(), None
+                elif hit is None and leaving:
+                    hit = self._left(slots, configurations[index - 1], configuration, leaving)
+                if hit is not None:
+                    return PathCollision(index, hit)
+        finally:
+            for pair in leaving:
+                self._geometry_data.activateCollisionPair(pair)
         return None
 
     # --- inside ------------------------------------------------------------------------------------------
@@ -130,6 +146,41 @@ class CollisionWorld:
         if not pin.computeCollisions(model, self._data, self._manager, self._callback, self._q):
             return None
         return self._describe(self._callback.collisionPairIndex)
+
+    def _let_leave(self) -> dict[int, float]:
+        """The pairs that are too near where the arms are now, with their distances; not checked by `_ask` any more."""
+        data = self._geometry_data
+        pin.computeCollisions(self._bodies.model, self._data, self._bodies.geometry, data, self._q, False)
+        active = np.flatnonzero(self._active).tolist()
+        leaving = {n: self._describe(n).distance_m for n in active if data.collisionResults[n].isCollision()}
+        for pair in leaving:
+            data.deactivateCollisionPair(pair)
+        return leaving
+
+    def _left(self, slots: list[int], before: Floats, after: Floats, leaving: dict[int, float]) -> Collision | None:
+        """`_nearer_again` from one configuration to the next, in steps so small that no thin bar is passed through."""
+        way, together = np.asarray(after, dtype=float) - np.asarray(before, dtype=float), len(leaving)
+        for n in range(1, LEAVING_STEPS + 1):
+            self._q[slots] = before + n / LEAVING_STEPS * way
+            pin.updateGeometryPlacements(
+                self._bodies.model, self._data, self._bodies.geometry, self._geometry_data, self._q
+            )
+            hit = self._nearer_again(leaving)
+            if hit is not None:
+                return hit
+        return self._ask() if len(leaving) < together else None
+
+    def _nearer_again(self, leaving: dict[int, float]) -> Collision | None:
+        """The first of these pairs that is deeper than before; those that have come apart are checked again."""
+        for pair, most_m in list(leaving.items()):
+            found = self._describe(pair)
+            if found.distance_m < most_m - DEEPER_M:
+                return found
+            leaving[pair] = max(most_m, found.distance_m)
+            if found.distance_m > max(float(self._margin[pair]), 0.0) + DEEPER_M:
+                del leaving[pair]
+                self._geometry_data.activateCollisionPair(pair)
+        return None
 
     def _describe(self, pair: int) -> Collision:
         i, j = self._bodies.pairs[pair]

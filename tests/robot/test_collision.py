@@ -143,6 +143,47 @@ def test_a_path_tells_its_first_hit(world, right, home):
     assert world.check_path("RIGHT-ARM", configurations[:3], home) is None
 
 
+def across(right, home, *ys, x=HANDLE[0]):
+    """Joints of the right hand LEVEL beside HANDLE-A, at these distances along y."""
+    return [right.ik(level(x, HANDLE[1] + y, HANDLE[2]), home["RIGHT-ARM"])[0] for y in ys]
+
+
+def test_a_way_may_leave_what_it_touches_at_its_start(world, right, home):
+    """The finger's inside touches from 30 mm on: 5 mm deep at the start."""
+    assert world.check_path("RIGHT-ARM", across(right, home, 0.035, 0.033, 0.020, 0.0), home) is None
+    backwards = [across(right, home, 0.035, x=HANDLE[0] - back)[0] for back in (0.0, 0.02, 0.05, 0.10)]
+    assert world.check_path("RIGHT-ARM", backwards, home) is None  # as deep as before, until it is out
+
+
+def test_a_way_that_begins_inside_something_goes_no_deeper(world, right, home):
+    found = world.check_path("RIGHT-ARM", across(right, home, 0.035, 0.036, 0.040), home)
+    assert found.index == 1
+    assert names(found.collision) == {"RIGHT-ARM finger_b", "MACS-NEW handle-a"}
+
+
+@pytest.mark.parametrize("step", [0.020, 0.025, 0.030])
+def test_a_way_that_begins_inside_a_bar_does_not_come_out_on_the_other_side(world, right, home, step):
+    """Seen at its configurations alone the finger would be no deeper in the bar than before."""
+    found = world.check_path("RIGHT-ARM", across(right, home, 0.035, 0.035 + step), home)
+    assert found.index == 1
+
+
+def test_what_has_been_left_is_not_touched_again(world, right, home):
+    way = across(right, home, 0.035, 0.020, 0.032)
+    assert world.check_path("RIGHT-ARM", way, home).index == 2
+    assert world.check_path("RIGHT-ARM", across(right, home, 0.0, 0.032), home).index == 1  # nor by the next way
+
+
+def test_what_is_nearer_than_the_clearance_at_the_start_comes_no_nearer(world, right, home):
+    scene = Scene(clearance_m=0.05)
+    away = [across(right, home, 0.0, x=HANDLE[0] - back)[0] for back in (0.10, 0.15, 0.20)]
+    closer = [across(right, home, 0.0, x=HANDLE[0] - back)[0] for back in (0.06, 0.05)]
+    assert world.check_path("RIGHT-ARM", away, home, scene) is None
+    assert world.check({**home, "RIGHT-ARM": closer[0]}, scene) is not None
+    assert world.check_path("RIGHT-ARM", closer[::-1], home, scene) is None
+    assert world.check_path("RIGHT-ARM", closer, home, scene).index == 1
+
+
 def test_a_refusal_names_the_bodies_and_what_would_clear_it(world, right, home):
     x, _, z = HANDLE
     refusal = world.check(right_at(right, home, x + 0.04, -0.80, z)).refusal("at the goal")

@@ -105,11 +105,15 @@ def _with_room(at: Setting, goal: Array) -> Scene:
     ours = {at.arm.name, *(name for name, held in at.scene.held.items() if held.arm == at.arm.name)}
     near = list(at.scene.near)
     scene = replace(at.scene, clearance_m=CLEARANCE_M, near=near)
-    for end in (at.start, goal):
+    start = at.start
+    for end in (start, goal):
         while hit := at.world.check({**at.joints, at.arm.name: end}, scene):
+            name = hit.body_a if hit.body_b.split()[0] in ours else hit.body_b
+            if name in near and end is start:
+                break  # touched, not only near: how that is left is for `check_path`
             if len(near) >= len(list(at.scene.near)) + NEAR_AT_MOST:
                 return at.scene
-            near.append(hit.body_a if hit.body_b.split()[0] in ours else hit.body_b)
+            near.append(name)
             scene = replace(scene, near=list(near))
     return scene
 
