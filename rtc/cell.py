@@ -126,6 +126,18 @@ class Arm(Part, frozen=True, kw_only=True):
         return [math.radians(n) for n in self.acceleration_deg_s2]
 
 
+class KnownWithin(Part, frozen=True, kw_only=True):
+    """How far a thing may be from where this file has it: half-widths along and about each axis of its own frame."""
+
+    xyz_m: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
+    rpy_deg: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
+
+    @property
+    def spread(self) -> list[float]:
+        """[x y z roll pitch yaw], m and rad, as a fact states it."""
+        return [*self.xyz_m, *(math.radians(n) for n in self.rpy_deg)]
+
+
 class GraspPoint(Part, frozen=True, kw_only=True):
     """Where a hand takes hold: the pose of the tcp then, in the object's axes (tool z approaches, y closes)."""
 
@@ -144,6 +156,7 @@ class Seat(Part, frozen=True, kw_only=True):
     way_out: Vec3 = (-1.0, 0.0, 0.0)  # direction a module leaves by, seat's axes, unit length
     depth_m: NotNegative  # how far along it until the module is free
     detent_n: NotNegative = 0.0  # its catch holds a seated module with this force until it is pulled out
+    needs_within: KnownWithin | None = None  # how well a module's place in the hand must be known to be put in here
     shapes: list[AnyShape] = []
 
 
@@ -154,6 +167,7 @@ class Object(Part, frozen=True, kw_only=True):
     kind: str
     frame: Frame = Frame()
     seat: Name | None = None
+    known_within: KnownWithin | None = None  # None: it is where the file has it
     fixed: bool = False
     mass_kg: Positive = 1.0
     inertia_kg_m2: tuple[Positive, Positive, Positive] | None = None  # about the origin's axes; None: from shapes

@@ -435,6 +435,11 @@ class Validity(StrEnum):
     INVALID = "invalid"
 
 
+# How well a pose is known: the half-width of its error along and about each axis of the pose's own frame,
+# [x y z roll pitch yaw] (m, rad). The truth is believed to lie within these bounds.
+Spread = Annotated[list[float], msgspec.Meta(min_length=6, max_length=6)]
+
+
 class WorldChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One fact to be written. `key` is LOCATION.attribute, e.g. MACS-OLD.frame. Without a value only the
     validity changes."""
@@ -443,6 +448,7 @@ class WorldChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     value: Any = None
     validity: Validity = Validity.VALID
     keep_value: bool = False  # leave the value as it is, change the validity
+    spread: Spread | None = None  # as of the fact; with `keep_value`, None keeps what it was
 
 
 class Assessment(Message, frozen=True, kw_only=True):
@@ -557,13 +563,14 @@ class HaltAtRest(Message, frozen=True, kw_only=True):
 # --- 5. workers and others <-> world database ---------------------------------------------------------
 
 
-class Fact(msgspec.Struct, frozen=True, kw_only=True):
+class Fact(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     key: str  # LOCATION.attribute
     value: Any
     validity: Validity
     version: int  # of the world when it was written
     source: str  # who told: "cell", "C-7/12", ...
     at_s: float
+    spread: Spread | None = None  # of a pose; None = nobody has stated any
 
 
 class ReadView(Message, frozen=True, kw_only=True):

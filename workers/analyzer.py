@@ -16,7 +16,7 @@ from rtc.program import decode
 from rtc.program_fit import row_of
 from rtc.program_schema import AnalyzerProgram, OutcomeClass
 from rtc.world.model import World
-from workers import facts
+from workers import facts, known
 from workers.belief import TRUSTED, Belief
 from workers.cell_model import CellModel
 from workers.effects import EFFECTS, Changes, gone
@@ -30,10 +30,17 @@ SOURCES = {"report.trip_pose", "report.pose", "report.hand_width"}
 UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE_LIMIT: "N.m", StopReason.TIMEOUT: "s"}
 
 
+#: figures that its program must have
+VALUES = (
+    *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m", "told_m", "told_rad"),
+    *("creep_m_per_min", "creep_rad_per_min", "struck_n", "struck_m", "struck_rad"),
+)
+
+
 def compile(program: bytes) -> AnalyzerProgram:
     """The program, checked. Raises ProgramError."""
     document = decode(program, AnalyzerProgram)
-    for name in ("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m"):
+    for name in VALUES:
         if name not in document.values:
             raise ProgramError(f"$.values: no {name}")
     return document
@@ -105,7 +112,7 @@ def _success(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) -> A
         reason=data.report.reason,
         message=step.label,
         keep={name: _kept(source, data.report) for name, source in step.keep.items()},
-        changes=_last(changes),
+        changes=_stated(program, belief, data, _last(changes)),
     )
 
 
@@ -126,7 +133,7 @@ def _failure(
     changes += _half_done(program, belief, data)
     changes += _carried(program, belief, data, changes, suspect="held" in failure.suspect, drops=failure.drops)
     changes += _suspect(program, belief, data, failure)
-    changes = _last(changes)
+    changes = _stated(program, belief, data, _last(changes))
     todo = (failure.clears, *_cures(program, belief, changes), failure.again)
     trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
     return Assessment(
@@ -202,12 +209,28 @@ def _carried(
     moved = [WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity)]
     if drops or opened:
         return [*moved, *gone(arm, thing)]
-    if suspect:
-        moved.append(WorldChange(key=f"{thing}.grasp", keep_value=True, validity=Validity.SUSPECT))
+    moved.append(WorldChange(key=f"{thing}.grasp", keep_value=True, validity=validity))
     seat = belief.seat(thing)
     if seat and geometry.distance(frame, belief.cell.seated_pose(seat)) >= belief.cell.seat(seat).depth_m:
         moved.append(WorldChange(key=f"{thing}.seat", value=""))
     return moved
+
+
+def _stated(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput, changes: Changes) -> Changes:
+    """The changes, of what has been in the hand all the while with how well its place there is known by now."""
+    thing, report = data.evaluation.held, data.report
+    fact = belief.world.get(f"{thing}.grasp")
+    if fact is None or fact.value is None:
+        return changes
+    held_s = max(report.at_s - fact.at_s, report.duration_s)
+    spread = known.aged(belief.spread(fact.key), held_s, report.peak_force_n, program.values)
+    keys = {f"{thing}.frame", f"{thing}.grasp"}
+    return [
+        msgspec.structs.replace(change, spread=spread)
+        if change.key in keys and change.spread is None and (change.keep_value or change.value is not None)
+        else change
+        for change in changes
+    ]
 
 
 def _half_done(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) -> Changes:

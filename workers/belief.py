@@ -21,6 +21,7 @@ from rtc.outcomes import Refusal, RefusalReason
 from rtc.primitive import Load
 from rtc.robot.collision import Held, Scene
 from rtc.world.model import World
+from rtc.world.spread import EXACT, Spread
 from workers import axes
 from workers.cell_model import CellModel
 from workers.motion.constraints import Rules
@@ -76,6 +77,11 @@ class Belief:
         """Where an object is believed to be, trusted or not; before anything was told, where the cell has it."""
         frame = self.world.value(f"{thing}.frame")
         return self.cell.object_pose(thing) if frame is None else geometry.normalise(frame)
+
+    def spread(self, key: str) -> Spread:
+        """How well the pose of this fact is known; exactly, where nobody has stated otherwise."""
+        fact = self.world.get(key)
+        return EXACT if fact is None or fact.spread is None else fact.spread
 
     def grasp(self, thing: str) -> Array | None:
         """The held object's frame in tcp axes."""

@@ -9,14 +9,19 @@ from collections.abc import Callable
 
 from rtc import geometry
 from rtc.messages import AnalyzerInput, Validity, WorldChange
+from workers import known
 from workers.belief import Belief
 
 Changes = list[WorldChange]
 
+CLOSING = 1  # the axis of a grasp point along which fingers close
+CENTRED_M = 0.001  # how well that is known of what is between them
+
 
 def taken(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
     """The hand has the object between its fingers. Where it was believed to be is corrected by what the fingers have
-    measured: along the axis they close on, the grasp point is in the middle between them (R149)."""
+    measured: along the axis they close on, the grasp point is in the middle between them (R149). Of the other axes
+    no more is known than before."""
     context, report = data.evaluation.context, data.report
     thing, arm = context.object, context.arm
     point = belief.cell.object(thing).grasp_point(context.grasp_point).frame.pose
@@ -25,11 +30,13 @@ def taken(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
     offset[1] = 0.0
     grasp = geometry.compose(offset, geometry.inverse(point))
     frame = geometry.compose(report.tcp_pose, grasp)
+    before = belief.spread(f"{thing}.frame")
+    spread = known.felt(belief.frame(thing), frame, before, point, {CLOSING: CENTRED_M})
     return [
         WorldChange(key=f"{arm}.holding", value=thing, validity=validity),
         WorldChange(key=f"{thing}.held_by", value=arm, validity=validity),
-        WorldChange(key=f"{thing}.grasp", value=geometry.normalise(grasp).tolist(), validity=validity),
-        WorldChange(key=f"{thing}.frame", value=geometry.normalise(frame).tolist(), validity=validity),
+        WorldChange(key=f"{thing}.grasp", value=geometry.normalise(grasp).tolist(), validity=validity, spread=spread),
+        WorldChange(key=f"{thing}.frame", value=geometry.normalise(frame).tolist(), validity=validity, spread=spread),
     ]
 
 

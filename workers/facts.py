@@ -14,6 +14,7 @@ from rtc import geometry
 from rtc.messages import WorldChange
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.world.model import problem
+from rtc.world.spread import even
 from workers.belief import Belief
 
 Changes = list[WorldChange]
@@ -25,7 +26,7 @@ def believed(facts: Mapping[str, Any], belief: Belief, values: Values) -> Change
     changes: Changes = []
     for key, value in facts.items():
         thing, _, attribute = key.rpartition(".")
-        change = WorldChange(key=key, value=value)
+        change = WorldChange(key=key, value=value, spread=TOLD[attribute](values) if attribute in TOLD else None)
         wrong = problem(change) or PLAUSIBLE.get(attribute, _anything)(key, value, values)
         if wrong:
             return _refused(wrong, key, "say it again as it is, in the unit that is meant")
@@ -57,6 +58,12 @@ def _heavy(key: str, value: Any, values: Values) -> str:
 
 
 PLAUSIBLE: dict[str, Callable[[str, Any, Values], str]] = {"frame": _near, "mass": _heavy}
+
+
+# --- how well it is known ------------------------------------------------------------------------------------
+
+
+TOLD: dict[str, Callable[[Values], list[float]]] = {"frame": lambda values: even(values["told_m"], values["told_rad"])}
 
 
 # --- what follows --------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from rtc.cli.output import AsJson, RunDir, With, console, emit_json, seconds, ta
 from rtc.client import Client
 from rtc.messages import Fact, Validity
 from rtc.world.client import WorldClient
+from rtc.world.spread import in_words
 
 HISTORY = 1000  # facts of one key that `at` looks through
 COLOUR = {Validity.VALID: "green", Validity.SUSPECT: "bold yellow", Validity.INVALID: "red", Validity.CHANGING: "cyan"}
@@ -72,9 +73,7 @@ def watch(
             time.sleep(every)
             news = rtc.world.view(since=seen.version, keys=keys)
             for fact in sorted(news.facts, key=lambda fact: fact.version):
-                console.print(
-                    Text(f"{fact.version:>6}  {fact.key}  {shown(fact.value)}  {fact.validity}  {fact.source}")
-                )
+                console.print(Text(f"{fact.version:>6}  {fact.key}  {stated(fact)}  {fact.validity}  {fact.source}"))
             seen = news
 
 
@@ -140,6 +139,12 @@ def shown(value: Any) -> str:
     return "-" if value in (None, "") else str(value)
 
 
+def stated(fact: Fact) -> str:
+    """The value, and for a pose how well it is known."""
+    words = in_words(fact.spread)
+    return f"{shown(fact.value)} +- {words}" if words else shown(fact.value)
+
+
 def _show(facts: Iterable[Fact], json: bool, version: int | None, *, by_key: bool = True) -> None:
     facts = sorted(facts, key=lambda fact: fact.key) if by_key else list(facts)
     if json:
@@ -156,7 +161,7 @@ def print_facts(facts: Iterable[Fact]) -> None:
     for fact in facts:
         validity = Text(fact.validity.value, style=COLOUR.get(fact.validity, ""))
         age = seconds(max(0.0, now_s - fact.at_s))
-        out.add_row(fact.key, Text(shown(fact.value)), validity, str(fact.version), Text(fact.source), age)
+        out.add_row(fact.key, Text(stated(fact)), validity, str(fact.version), Text(fact.source), age)
     console.print(out)
 
 

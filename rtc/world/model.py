@@ -1,8 +1,8 @@
 """What is believed about the cell: facts with a value, a validity, a version and a source. Pure.
 
-A fact's key is LOCATION.attribute (MACS-OLD.frame). `World` is one consistent view of all facts; nothing changes one,
-a newer view or an overlay makes another. What a value may look like is the table `ATTRIBUTES`. This file knows neither
-the database that keeps the facts nor who may write them.
+A fact's key is LOCATION.attribute (MACS-OLD.frame). A fact that is a pose may state its spread (`rtc.world.spread`).
+`World` is one consistent view of all facts; nothing changes one, a newer view or an overlay makes another. What a value
+may look like is the table `ATTRIBUTES`. This file knows neither the database that keeps the facts nor who may write them.
 """
 
 from __future__ import annotations
@@ -55,8 +55,12 @@ class World:
 
 def changed(old: Fact | None, change: WorldChange, version: int, source: str, at_s: float) -> Fact:
     """The fact after the change. A change without a value keeps the old one."""
-    value = (None if old is None else old.value) if change.keep_value else change.value
-    return Fact(key=change.key, value=value, validity=change.validity, version=version, source=source, at_s=at_s)
+    value, spread = change.value, change.spread
+    if change.keep_value and old is not None:
+        value, spread = old.value, spread or old.spread
+    return Fact(
+        key=change.key, value=value, validity=change.validity, version=version, source=source, at_s=at_s, spread=spread
+    )
 
 
 def location(key: str) -> str:
@@ -89,7 +93,11 @@ def initial_facts(cell: Cell) -> list[WorldChange]:
         ]
     for thing in cell.objects:
         changes += [
-            WorldChange(key=f"{thing.name}.frame", value=cell.object_pose(thing.name).tolist()),
+            WorldChange(
+                key=f"{thing.name}.frame",
+                value=cell.object_pose(thing.name).tolist(),
+                spread=thing.known_within.spread if thing.known_within else None,
+            ),
             WorldChange(key=f"{thing.name}.seat", value=thing.seat or ""),
             WorldChange(key=f"{thing.name}.held_by", value=""),
             WorldChange(key=f"{thing.name}.grasp", value=None),
@@ -106,6 +114,8 @@ def problem(change: WorldChange) -> str:
     place, _, attribute = change.key.rpartition(".")
     if not place or not attribute or len(change.key) > 200:
         return f"{change.key!r} is no key: LOCATION.attribute is"
+    if change.spread is not None and not all(_finite(n) and n >= 0 for n in change.spread):
+        return f"the spread of {change.key} must be six finite numbers, none negative, not {_shown(change.spread)}"
     if change.keep_value:
         return ""
     if change.value is None and change.validity != Validity.VALID:

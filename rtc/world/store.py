@@ -1,6 +1,6 @@
 """The world on disk: what is believed, all that ever was, and which job wrote it. SQLite, in WAL mode.
 
-    facts    key, value, validity, version, source, at_s            what is believed now
+    facts    key, value, validity, version, source, at_s, spread    what is believed now
     history  the same, one row per key and version                  never changed, never deleted
     commits  job, version                                           so that no job writes twice
 
@@ -21,14 +21,15 @@ from rtc.world.model import changed
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS facts (key TEXT PRIMARY KEY, value TEXT, validity TEXT, version INTEGER,
-                                  source TEXT, at_s REAL);
+                                  source TEXT, at_s REAL, spread TEXT);
 CREATE TABLE IF NOT EXISTS history (key TEXT, value TEXT, validity TEXT, version INTEGER, source TEXT, at_s REAL,
-                                    PRIMARY KEY (key, version)) WITHOUT ROWID;
+                                    spread TEXT, PRIMARY KEY (key, version)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS commits (job TEXT PRIMARY KEY, version INTEGER) WITHOUT ROWID;
 """
-ROW = "(key, value, validity, version, source, at_s) VALUES (?, ?, ?, ?, ?, ?)"
+COLUMNS = "key, value, validity, version, source, at_s, spread"
+ROW = f"({COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?)"
 HISTORY_MAX = 1000  # facts in one answer
-COLUMNS = "key, value, validity, version, source, at_s"
+Row = tuple[str, str, str, int, str, float, str | None]
 
 
 class Store:
@@ -39,8 +40,15 @@ class Store:
         self._db.execute("PRAGMA journal_mode=WAL")
         self._db.execute("PRAGMA synchronous=NORMAL")  # a killed process loses nothing; only a lost power might
         self._db.executescript(SCHEMA)
+        for name in ("facts", "history"):
+            self._add_missing_column(name, "spread")
         self.facts: dict[str, Fact] = {row[0]: _fact(row) for row in self._db.execute(f"SELECT {COLUMNS} FROM facts")}
         (self.version,) = self._db.execute("SELECT coalesce(max(version), 0) FROM commits").fetchone()
+
+    def _add_missing_column(self, name: str, column: str) -> None:
+        """A run directory may hold a database that an earlier release began."""
+        if column not in {row[1] for row in self._db.execute(f"PRAGMA table_info({name})")}:
+            self._db.execute(f"ALTER TABLE {name} ADD COLUMN {column} TEXT")
 
     def committed(self, job: str) -> int | None:
         """The version this job has written; None if it has not."""
@@ -81,13 +89,14 @@ class Store:
         self._db.close()
 
 
-def _row(fact: Fact) -> tuple[str, str, str, int, str, float]:
+def _row(fact: Fact) -> Row:
     value = msgspec.json.encode(fact.value).decode()
-    return (fact.key, value, fact.validity.value, fact.version, fact.source, fact.at_s)
+    spread = None if fact.spread is None else msgspec.json.encode(fact.spread).decode()
+    return (fact.key, value, fact.validity.value, fact.version, fact.source, fact.at_s, spread)
 
 
-def _fact(row: tuple[str, str, str, int, str, float]) -> Fact:
-    key, value, validity, version, source, at_s = row
+def _fact(row: Row) -> Fact:
+    key, value, validity, version, source, at_s, spread = row
     return Fact(
         key=key,
         value=msgspec.json.decode(value),
@@ -95,4 +104,5 @@ def _fact(row: tuple[str, str, str, int, str, float]) -> Fact:
         version=version,
         source=source,
         at_s=at_s,
+        spread=None if spread is None else msgspec.json.decode(spread),
     )

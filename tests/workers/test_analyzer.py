@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from rtc import geometry
-from rtc.messages import Assessment, BoundStep, EndReport, Validity
+from rtc.messages import Assessment, BoundStep, EndReport, Validity, WorldChange
 from rtc.outcomes import RefusalReason, StopReason
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A GUARDED"
@@ -405,3 +405,34 @@ def test_an_empty_hand_that_moves_freely_puts_nothing_in_doubt(bench):
     made = judged(bench, bound, ended(report, StopReason.TIMEOUT))
 
     assert made.clears == "do it again, with more time if it needs more"
+
+
+# --- how well it is known ----------------------------------------------------------------------------------
+
+
+def test_a_grasp_knows_more_only_of_the_axis_it_felt(either):
+    """The fingers tell where the handle is between them; along the approach and along the handle nothing was felt."""
+    doubt = [0.02, 0.02, 0.02, 0.0, 0.0, 0.0]
+    either.world = either.world.overlay([WorldChange(key="MACS-NEW.frame", keep_value=True, spread=doubt)])
+
+    assert either.do(GRASP).succeeded
+
+    for key in ("MACS-NEW.frame", "MACS-NEW.grasp"):
+        assert either.world.get(key).spread == pytest.approx([0.02, 0.001, 0.02, 0, 0, 0], abs=1e-3)
+
+
+def test_what_is_held_is_known_less_with_every_step_and_stays_valid(bench):
+    assert bench.do(GRASP).succeeded
+    before = bench.world.get("MACS-NEW.grasp").spread
+
+    assert bench.do("LIFT MACS-NEW BY 15 CM").succeeded
+
+    fact = bench.world.get("MACS-NEW.grasp")
+    assert all(now > then for now, then in zip(fact.spread, before, strict=True))
+    assert fact.spread == bench.world.get("MACS-NEW.frame").spread
+    assert fact.validity is Validity.VALID
+
+
+def test_what_somebody_tells_is_known_as_well_as_somebody_sees(bench):
+    assert bench.do("SET MACS-NEW FRAME 80 -80 61 CM").succeeded
+    assert bench.world.get("MACS-NEW.frame").spread == pytest.approx([0.005] * 3 + [0.035] * 3)

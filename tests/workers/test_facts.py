@@ -10,7 +10,7 @@ from rtc.outcomes import Refusal, RefusalReason
 from workers.belief import Belief
 from workers.facts import believed, seat_at
 
-VALUES = {"reach_m": 5.0, "seated_m": 0.05}
+VALUES = {"reach_m": 5.0, "seated_m": 0.05, "told_m": 0.005, "told_rad": 0.035}
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 
 

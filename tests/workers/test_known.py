@@ -1,0 +1,69 @@
+"""Spreads of things that were felt, and that are held."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import numpy as np
+import pytest
+
+from rtc import geometry
+from rtc.world.spread import even
+from workers.known import aged, carried, felt
+
+VALUES = {
+    "creep_m_per_min": 0.0025,
+    "creep_rad_per_min": math.radians(1),
+    "struck_n": 25.0,
+    "struck_m": 0.01,
+    "struck_rad": 0.1,
+}
+HANDLE = geometry.from_rpy([-0.15, -0.085, 0.0], [0.0, math.pi / 2, 0.0])  # of the module's handle, in its axes
+
+
+def off_by(pose, error):
+    """The pose, moved and turned by an error in its own axes."""
+    return geometry.compose(pose, geometry.from_rpy(error[:3], error[3:]))
+
+
+def test_an_error_of_attitude_moves_what_is_far_from_the_origin():
+    found = carried([0.0, 0.0, 0.0, 0.0, 0.0, 0.1], (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+    assert found == pytest.approx([0.0, 0.1, 0.0, 0.0, 0.0, 0.1])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_is_carried_along_bounds_every_error_within_the_spread(seed):
+    rng = random.Random(seed)
+    spread = [rng.uniform(0, 0.03) for _ in range(3)] + [rng.uniform(0, 0.02) for _ in range(3)]
+    error = [rng.uniform(-n, n) for n in spread]
+    true = geometry.compose(off_by(geometry.IDENTITY, error), HANDLE)
+    off = geometry.relative(HANDLE, true)
+    found = [*off[:3], *geometry.to_rpy(off)]
+    slack = 0.001  # small angles
+    assert all(abs(e) <= bound + slack for e, bound in zip(found, carried(spread, HANDLE), strict=True))
+
+
+def test_a_measurement_of_one_axis_leaves_the_others_as_they_were():
+    before = [0.035, 0.035, 0.035, 0.0, 0.0, 0.0]
+    seen = geometry.from_rpy([0.0, 0.004, 0.0], [0.0, 0.0, 0.0])
+    assert felt(geometry.IDENTITY, seen, before, HANDLE, {1: 0.001}) == pytest.approx([0.035, 0.001, 0.035, 0, 0, 0])
+
+
+def test_what_the_closing_fingers_felt_is_blurred_by_an_attitude_nobody_measured():
+    """The fingers know the handle, not the module's origin, 15 cm behind it."""
+    before = [0.035, 0.035, 0.035, 0.0, 0.0, math.radians(5)]
+    found = felt(geometry.IDENTITY, geometry.IDENTITY, before, HANDLE, {1: 0.001})
+    assert found[1] == pytest.approx(0.001 + 0.15 * math.radians(5), abs=1e-4)
+    assert found[5] == pytest.approx(math.radians(5))
+
+
+def test_a_thing_that_was_moved_in_belief_along_an_axis_not_measured_is_known_less_there():
+    seen = geometry.from_rpy([0.01, 0.0, 0.0], [0.0, 0.0, 0.0])
+    assert felt(geometry.IDENTITY, seen, even(0.002, 0.0), HANDLE, {1: 0.001})[0] == pytest.approx(0.012, abs=1e-6)
+
+
+def test_what_is_held_creeps_and_what_is_struck_turns():
+    assert aged(even(0.001, 0.0), 60.0, 5.0, VALUES)[0] == pytest.approx(0.0035)
+    assert aged(even(0.001, 0.0), 0.0, 40.0, VALUES) == pytest.approx([0.011] * 3 + [0.1] * 3)
+    assert np.allclose(aged(even(0.001, 0.0), -5.0, 0.0, VALUES), even(0.001, 0.0))

@@ -1,0 +1,45 @@
+"""How well the place of a thing is known, and whether that is enough for what is to be done with it. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from rtc import geometry
+from rtc.geometry import Array, Floats
+from rtc.world.spread import Spread, even, narrowest, widened
+
+
+def carried(spread: Spread, offset: Floats) -> list[float]:
+    """The spread of a pose `offset` (in the axes of the first) that is rigidly joined to one of this spread."""
+    bounds = np.abs(_lever(offset)) @ np.asarray(spread, dtype=float)
+    return [float(n) for n in bounds]
+
+
+def _lever(offset: Floats) -> Array:
+    """The matrix (6 x 6) from a small error [d, r] of a pose to that of the pose `offset` from it, each in own axes."""
+    turn = geometry.to_matrix(offset)[:3, :3].T
+    x, y, z = list(offset)[:3]
+    arm = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # r x offset = arm @ r
+    return np.block([[turn, turn @ arm], [np.zeros((3, 3)), turn]])
+
+
+def felt(before: Floats, after: Floats, spread: Spread, at: Floats, measured: Mapping[int, float]) -> list[float]:
+    """The spread of a frame that a measurement has put from `before` to `after` (world). Felt was, with these
+    half-widths, along or about some axes (0 to 5: x y z roll pitch yaw) of the pose `at`, in the axes of the frame.
+    What was not measured is as before."""
+    moved = geometry.relative(before, after)
+    wider = widened(spread, [*(abs(n) for n in moved[:3].tolist()), *(abs(n) for n in geometry.to_rpy(moved).tolist())])
+    there = carried(wider, at)
+    for axis, half_width in measured.items():
+        there[axis] = half_width
+    return narrowest(carried(there, geometry.inverse(at)), wider)
+
+
+def aged(spread: Spread, seconds: float, peak_force_n: float, values: Mapping[str, float]) -> list[float]:
+    """The spread of what a hand has held for so long: it creeps in the grip, and what strikes it turns it."""
+    minutes = max(0.0, seconds) / 60.0
+    older = widened(spread, even(minutes * values["creep_m_per_min"], minutes * values["creep_rad_per_min"]))
+    struck = peak_force_n > values["struck_n"]
+    return widened(older, even(values["struck_m"], values["struck_rad"])) if struck else older
