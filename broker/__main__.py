@@ -15,11 +15,10 @@ from broker.program_store import ProgramStore
 from broker.replay import replay
 from broker.router import Router
 from broker.state import State
-from rtc import process, template
+from rtc import handed, process, template
 from rtc.memory import Guard
 from rtc.messages import WorkerKind
 from rtc.settings import Settings
-from rtc.world.lease import KEY_FILE
 
 RANK, NICENESS = 1, -5  # after the MCM, whose servo ticks every millisecond, and before everybody else
 
@@ -28,17 +27,19 @@ def main() -> None:
     arguments = argparse.ArgumentParser(prog="python -m broker", description=__doc__)
     arguments.add_argument("--run-dir", required=True, type=Path, help="of the cluster, as made by `rtc up`")
     arguments.add_argument("--template", action="store_true", help="be the one that a broker is forked from")
+    handed.add_option(arguments)
     given = arguments.parse_args()
     if given.template:
-        template.serve(lambda order: live(given.run_dir))
+        template.serve(lambda order: live(given.run_dir, given.handed))
     else:
-        live(given.run_dir)
+        live(given.run_dir, given.handed)
 
 
-def live(run_dir: Path) -> None:
-    """Be the broker until told to end."""
+def live(run_dir: Path, fd: int = -1) -> None:
+    """Be the broker until told to end. `fd`: what the supervisor hands over (rtc.handed)."""
     process.show_name("broker")
-    settings = Settings.load(run_dir)
+    given = handed.begin("broker", run_dir, fd)
+    settings = given.settings
     with process.start("broker", run_dir) as me:
         priority = process.come_first(RANK, NICENESS)
         patience = 1.0 / settings.speed if 0 < settings.speed < 1 else 1.0
@@ -46,7 +47,7 @@ def live(run_dir: Path) -> None:
         journal = Journal.open(run_dir / "journal.db", settings.run, first)
         state, ended = replay(journal)
         store = ProgramStore(journal, state.programs)
-        router = Router(me, settings, journal, state, store, (run_dir / KEY_FILE).read_bytes())
+        router = Router(me, settings, journal, state, store, given)
         router.guard = Guard()
         now = time.monotonic()
         restarted = bool(state.programs)

@@ -26,8 +26,8 @@ import msgspec
 import zmq
 from zmq.utils import z85
 
+from rtc import handed, process, wire
 from rtc import messages as m
-from rtc import process, wire
 from rtc.keys import KeyRing, KnownKey, door_address, secure_server
 from rtc.language.parse import default_grammar, parse
 from rtc.language.record import ParsedCommand
@@ -571,19 +571,22 @@ READ: dict[str, Callable[[Sequence[bytes]], Any]] = {
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m broker.gate", description="The gate of a cluster for tcp.")
     parser.add_argument("--run-dir", required=True, type=Path)
-    live(parser.parse_args().run_dir)
+    handed.add_option(parser)
+    given = parser.parse_args()
+    live(given.run_dir, given.handed)
 
 
-def live(run_dir: Path) -> None:
+def live(run_dir: Path, fd: int = -1) -> None:
     """Be the gate until told to end."""
     process.show_name("gate")
+    settings = handed.begin("gate", run_dir, fd).settings
     with process.start("gate", run_dir) as me:
         process.nice(-5)  # no real time: what strangers send shall not take the processor from arms and broker
         _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # strangers' connections shall not use them up
         default_grammar()  # made now: later it would hold up a halt
         try:
-            gate = Gate(me, Settings.load(run_dir), KeyRing(run_dir))
+            gate = Gate(me, settings, KeyRing(run_dir))
         except RtcError as error:
             raise SystemExit(str(error)) from None
         process.freeze_heap()

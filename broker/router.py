@@ -31,6 +31,7 @@ from broker.timers import Timers
 from rtc import messages as m
 from rtc import wire
 from rtc.halting import Fold, as_a_callers
+from rtc.handed import TOKEN_BEARERS, Handed
 from rtc.memory import Guard
 from rtc.outcomes import Refusal, RefusalReason, WireError
 from rtc.process import Every, Process, inbox, send
@@ -45,6 +46,7 @@ READ_S = 0.003  # and no longer than this: what is asked, long, or no message at
 QUESTIONS_PER_S = 100  # of one client: answers are long, and wait in our memory for who does not fetch them
 LOAD_QUESTIONS = 20  # a program that is loaded counts as so many
 SUBSYSTEM_SILENCE_S = 2.0
+SUBSYSTEM_DEAF_S = 5.0  # one that is lost for so long, and runs, is started anew
 CLIENT_SILENCE_S = 5.0  # of one that is watched
 STOOD_STILL_S = 1.0  # between two turns of ours: we were stopped, or the machine was
 SNAPSHOT_EVENTS = 30_000  # decided again in well under a second by a restarted broker
@@ -66,12 +68,13 @@ class Router:
         journal: Journal,
         state: State,
         store: ProgramStore,
-        lease_key: bytes,
+        given: Handed,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._clock = clock  # CLOCK_MONOTONIC, or that of a simulated cluster
         self.me, self.settings, self.journal, self.state = me, settings, journal, state
-        self.store, self.lease_key = store, lease_key
+        self.store, self.given, self.lease_key = store, given, given.lease_key
+        self._supervisor_peer = _peer(given.identity("supervisor"))
         self.roster = Roster()
         self._pools = Pools(settings.least, settings.most_workers)
         self.timers = Timers()
@@ -212,8 +215,25 @@ class Router:
             self._halts_of.popitem(last=False)
         self._events.append(_halt_called(_name(peer), order, now))
 
-    def _from_subsystem(self, peer: bytes, message: Any, now: float) -> None:
+    def _subsystem_name(self, peer: bytes, message: Any) -> str:
+        """The name of the subsystem behind a peer. Raises WireError for a stranger that uses the name of one of ours:
+        its identity lacks the token. It is refused in words when it introduces itself."""
         name = _name(peer)
+        bare = name.removesuffix(f"@{self.given.token}")
+        if bare not in TOKEN_BEARERS or name == self.given.identity(bare):
+            return bare
+        if isinstance(message, m.SubsystemHello):
+            ours = self.state.subsystems.get(bare)
+            words = f"this cluster has its own {bare}" + (f", pid {ours.pid}" if ours else "")
+            refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words, clears="use another name")
+            send(self._socket["subsystems"], m.Declined(request=bare, refusal=refusal), peer)
+        raise WireError(f"a stranger uses the name {bare}")
+
+    def _subsystem_peer(self, name: str) -> bytes:
+        return _peer(self.given.identity(name))
+
+    def _from_subsystem(self, peer: bytes, message: Any, now: float) -> None:
+        name = self._subsystem_name(peer, message)
         if isinstance(message, m.SubsystemHello) or name in self.state.subsystems:
             self._subsystem_heard_s[name] = now
         match message:
@@ -265,7 +285,7 @@ class Router:
         if isinstance(message, m.Dropped) and peer in TELL_DROPPED:
             self._count_dropped(message, TELL_DROPPED[peer])
             return
-        if peer != b"supervisor" or isinstance(message, m.Dropped):
+        if peer != self._supervisor_peer or isinstance(message, m.Dropped):
             raise WireError("somebody who is not the supervisor")
         self._supervisor = True
         match message:
@@ -359,7 +379,7 @@ class Router:
                 self._answer(peer, self._load(message, now))
             case m.Shutdown():
                 self.me.log.info("told to shut the cluster down")
-                send(self._socket["supervisor"], m.Shutdown(request=message.request), b"supervisor")
+                send(self._socket["supervisor"], m.Shutdown(request=message.request), self._supervisor_peer)
 
     def _asks_too_much(self, peer: bytes, message: Any, now: float) -> bool:
         if self._second.due(now):
@@ -439,7 +459,7 @@ class Router:
             send(
                 self._socket["supervisor"],
                 m.KillProcess(name=worker.name, pid=worker.pid, why=why),
-                b"supervisor",
+                self._supervisor_peer,
             )
             self._lose(worker.name, self.roster.gone(worker.name), why, now)
         for process in self.processes:
@@ -451,12 +471,12 @@ class Router:
                 send(
                     self._socket["supervisor"],
                     m.KillProcess(name=process["name"], pid=process["pid"], why=why),
-                    b"supervisor",
+                    self._supervisor_peer,
                 )
         if self._supervisor:
             for order in self._pools.look(self.roster, self.processes, now):
                 self.me.log.info("%s", order)
-                send(self._socket["supervisor"], order, b"supervisor")
+                send(self._socket["supervisor"], order, self._supervisor_peer)
         for job in self.roster.waited_too_long(now):
             message = f"no {job.kind.value} took the job within the limit; is one alive? see `rtc status`"
             refusal = Refusal(reason=RefusalReason.TIMEOUT, message=message)
@@ -473,6 +493,18 @@ class Router:
             if subsystem.link is not Link.LOST and silent_s > SUBSYSTEM_SILENCE_S:
                 why = f"silent for {silent_s:.1f} s"
                 self._events.append(heard.SubsystemGone(at_s=now, subsystem=name, why=why))
+            elif subsystem.link is Link.LOST and silent_s > SUBSYSTEM_DEAF_S:
+                self._replace_deaf(name, subsystem.pid, silent_s, now)
+
+    def _replace_deaf(self, name: str, pid: int, silent_s: float, now: float) -> None:
+        """A subsystem that is lost to us although its process lives: the supervisor starts it anew."""
+        for row in self.processes:
+            if row["name"] == name and row["pid"] == pid and row.get("state") == "ready":
+                self._subsystem_heard_s[name] = now  # ask once per period
+                why = f"lost to the broker for {silent_s:.1f} s, although it runs"
+                self.me.log.warning("%s (pid %d) %s", name, pid, why)
+                order = m.KillProcess(name=name, pid=pid, why=why)
+                send(self._socket["supervisor"], order, self._supervisor_peer)
 
     def _open_anew(self, stage: int, now: float) -> None:
         """Somebody has filled our memory. Whoever belongs here comes back, and says again what was not answered."""
@@ -523,14 +555,16 @@ class Router:
             "issued_at_s": effect.issued_at_s,
             "pid": effect.pid,
         }
-        send(self._socket["subsystems"], message, _peer(effect.subsystem))
+        send(self._socket["subsystems"], message, self._subsystem_peer(effect.subsystem))
 
     def _send_halt(self, effect: do.SendHalt) -> None:
         order = m.HaltOrder(halt=effect.halt, scope=effect.scope, called_at_s=effect.called_at_s)
-        send(self._socket["subsystems"], order, _peer(effect.subsystem))
+        send(self._socket["subsystems"], order, self._subsystem_peer(effect.subsystem))
 
     def _acknowledge(self, effect: do.AcknowledgeReport) -> None:
-        send(self._socket["subsystems"], m.ReportAck(primitive=effect.primitive), _peer(effect.subsystem))
+        send(
+            self._socket["subsystems"], m.ReportAck(primitive=effect.primitive), self._subsystem_peer(effect.subsystem)
+        )
 
     def _start_timer(self, effect: do.StartTimer) -> None:
         self.timers.start(effect.timer, effect.at_s)

@@ -39,6 +39,7 @@ class Spec:
     template: str = ""  # the process that this one can be forked from, and
     order: bytes = b""  # what that must be told
     awaits_template: bool = False  # it starts no quicker by itself than its template does
+    fds: tuple[int, ...] = ()  # files that it inherits
 
 
 class State(StrEnum):
@@ -158,6 +159,7 @@ class Child:
             stderr=log,
             start_new_session=True,  # Ctrl-C is for the supervisor, who ends the others in order
             preexec_fn=lambda: _begin(me),
+            pass_fds=self.spec.fds,
             env=os.environ | ONE_THREAD,
         )
 

@@ -19,6 +19,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -28,7 +29,7 @@ import zmq
 from deploy import hypercube
 from deploy.child import Spec
 from deploy.supervisor import END_LIMIT_S, Supervisor
-from rtc import process, template
+from rtc import handed, process, template
 from rtc.outcomes import ClusterError, NoCluster, RtcError
 from rtc.settings import ENDPOINTS, LOCK, Settings, prepare_run_dir
 from rtc.world import lease
@@ -41,9 +42,9 @@ PREVIOUS = "previous"
 NICENESS = -10  # of the supervisor: it does little, and until it has done it a dead process's work waits
 
 
-def specs(settings: Settings) -> list[Spec]:
-    """The processes of a cluster."""
-    return [
+def specs(settings: Settings, fd: int = -1) -> list[Spec]:
+    """The processes of a cluster. `fd`: what is handed to each (rtc.handed)."""
+    made = [
         _spec(TEMPLATE, "workers", settings, "--template", is_template=True, template=TWIN, order=template.TWIN),
         _spec(
             TWIN,
@@ -62,6 +63,12 @@ def specs(settings: Settings) -> list[Spec]:
         *([_spec("gate", "broker.gate", settings, beats=True)] if settings.listen else []),
         *(worker(settings, address) for address in _first_workers(settings)),
     ]
+    return [_hand(spec, fd) for spec in made]
+
+
+def _hand(spec: Spec, fd: int) -> Spec:
+    """It inherits this file."""
+    return spec if fd < 0 else replace(spec, command=(*spec.command, handed.OPTION, str(fd)), fds=(fd,))
 
 
 def _first_workers(settings: Settings) -> list[int]:
@@ -109,20 +116,23 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
         try:
             _clean(run_dir)
             settings.save()
-            _new_key(run_dir)
+            key = secrets.token_bytes(lease.KEY_BYTES)
+            write_key(run_dir, key)
             logs.mkdir(mode=0o700)
             report.save([])
         except OSError as error:  # a full disk, most often
             raise ClusterError(f"no cluster can be started in {run_dir}: {error}") from error
+        given = handed.Handed.make(settings, key, secrets.token_hex(8))
         with process.start("supervisor", run_dir) as me:
             process.nice(NICENESS)
             supervisor = Supervisor(
                 me,
-                specs(settings),
+                specs(settings, given.fd),
                 logs,
                 settings.endpoint("supervisor"),
                 pid=os.getpid(),
-                new_worker=lambda address: worker(settings, address),
+                new_worker=lambda address: _hand(worker(settings, address), given.fd),
+                identity=given.identity("supervisor"),
                 say=say,
                 save=report.save,
             )
@@ -312,9 +322,9 @@ def _remove_traces(run_dir: Path) -> None:
         (run_dir / file).unlink(missing_ok=True)
 
 
-def _new_key(run_dir: Path) -> None:
+def write_key(run_dir: Path, key: bytes) -> None:
     path = run_dir / lease.KEY_FILE
     path.unlink(missing_ok=True)
     fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with open(fd, "wb") as file:
-        file.write(secrets.token_bytes(lease.KEY_BYTES))
+        file.write(key)

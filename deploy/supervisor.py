@@ -62,6 +62,7 @@ class Supervisor:
         say: Callable[[str], None] = lambda line: None,
         save: Callable[[Sequence[Mapping[str, object]]], None] = lambda table: None,
         policy: Policy = DEFAULT,
+        identity: str = "supervisor",
     ) -> None:
         self._me = me
         self._logs = logs
@@ -70,7 +71,7 @@ class Supervisor:
         self._policy = policy
         self._children = {spec.name: Child(spec, logs / f"{spec.name}.log") for spec in specs}
         self._by_fd: dict[int, Child] = {}
-        self._broker = me.socket(zmq.DEALER, broker, identity="supervisor")
+        self._broker = me.socket(zmq.DEALER, broker, identity=identity)
         self._read = wire.reader(BrokerToSupervisor)
         self._table = Every(TABLE_S)
         self._begun_s = now_s()

@@ -723,7 +723,7 @@ BrokerToWorker = JobBatch | Drop | ProgramBody | Shutdown
 SubsystemToBroker = (
     SubsystemHello | Heartbeat | Started | ProgressReport | EndReport | HaltStarted | HaltAtRest | HaltOrder | Dropped
 )
-BrokerToSubsystem = Execute | HaltOrder | ReportAck
+BrokerToSubsystem = Execute | HaltOrder | ReportAck | Declined  # Declined: the name is another's
 ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined
 ToWorld = ReadView | Commit | WorldHistory

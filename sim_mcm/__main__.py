@@ -11,9 +11,10 @@ import argparse
 import os
 import time
 from collections.abc import Callable
+from pathlib import Path
 
+from rtc import handed, process, template
 from rtc import messages as m
-from rtc import process, template
 from rtc.cell import Cell
 from rtc.memory import Guard
 from rtc.settings import Settings
@@ -37,7 +38,8 @@ SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": BulletCell, "k
 class Station:
     """The loop round a simulation: sockets, subsystem, clock."""
 
-    def __init__(self, me: process.Process, settings: Settings, simulation: Simulation) -> None:
+    def __init__(self, me: process.Process, given: handed.Handed, simulation: Simulation) -> None:
+        settings = given.settings
         self._me, self._settings = me, settings
         self._guard = Guard()
         self._simulation = simulation
@@ -45,7 +47,7 @@ class Station:
         if (before := self._memory.last()) is not None:
             simulation.restore(before)
         self._subsystem = Subsystem(self._simulation.arms, NAME, os.getpid())
-        self._doors = Doors(me, settings, NAME)
+        self._doors = Doors(me, settings, given.identity(NAME))
         self._clock = Clock(settings.speed, process.now_s())
         self._heartbeat = process.Every(HEARTBEAT_S)
         self._telemetry = process.Every(TELEMETRY_S)
@@ -155,21 +157,24 @@ def main() -> None:
     arguments = argparse.ArgumentParser(prog="python -m sim_mcm", description=__doc__)
     arguments.add_argument("--run-dir", required=True, help="of the cluster, with its settings.json")
     arguments.add_argument("--template", action="store_true", help="be the one that an MCM is forked from")
+    handed.add_option(arguments)
     given = arguments.parse_args()
     if given.template:
-        settings = Settings.load(given.run_dir)
+        settings = handed.load(Path(given.run_dir), given.handed).settings
         simulation = SIMULATIONS[settings.mcm](Cell.load(settings.cell))
-        template.serve(lambda order: live(given.run_dir, simulation))
+        template.serve(lambda order: live(given.run_dir, given.handed, simulation))
     else:
-        live(given.run_dir)
+        live(given.run_dir, given.handed)
 
 
-def live(run_dir: str, simulation: Simulation | None = None) -> None:
-    """Be the MCM until told to end. `simulation`: one made already, in which nothing has happened."""
+def live(run_dir: str, fd: int = -1, simulation: Simulation | None = None) -> None:
+    """Be the MCM until told to end. `fd`: what the supervisor hands over (rtc.handed); `simulation`: one made already,
+    in which nothing has happened."""
     process.show_name(NAME)
-    settings = Settings.load(run_dir)
+    given = handed.begin(NAME, Path(run_dir), fd)
+    settings = given.settings
     with process.start(NAME, run_dir) as me:
-        station = Station(me, settings, simulation or SIMULATIONS[settings.mcm](Cell.load(settings.cell)))
+        station = Station(me, given, simulation or SIMULATIONS[settings.mcm](Cell.load(settings.cell)))
         me.log.info("scheduling: %s", _come_first(settings))
         station.run()
 

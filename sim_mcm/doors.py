@@ -89,7 +89,9 @@ class Doors:
             return
         for parts in inbox(self._broker, PER_TICK):
             order = self._understand(_read_broker, parts, "broker", now_s)
-            if order is not None:
+            if isinstance(order, m.Declined):
+                self._log.error("the broker does not take us: %s", order.refusal.message)
+            elif order is not None:
                 yield order
 
     def questions(self, now_s: float) -> Iterator[tuple[bytes, m.SimTruth | m.SimDisplace]]:

@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 import zmq
 
-from rtc import process, template
+from rtc import handed, process, template
 from rtc.cell import Cell
 from rtc.keys import Doors, KeyFile
 from rtc.messages import WorkerHello, WorkerKind
@@ -38,15 +38,16 @@ def main() -> None:
     parser.add_argument("--template", action="store_true", help="be the one that workers are forked from")
     parser.add_argument("--kind", type=WorkerKind, choices=list(WorkerKind), metavar="KIND")
     parser.add_argument("--node", type=int, help="address in the cube")
+    handed.add_option(parser)
     given = parser.parse_args()
     if given.template and given.run_dir:
-        serve(given.run_dir)
+        serve(handed.load(given.run_dir, given.handed).settings)
     elif given.kind is None or given.node is None:
         parser.error("a worker needs --kind and --node")
     elif given.key:
         join(given.key, given.kind, given.node)
     else:
-        settings = Settings.load(given.run_dir)
+        settings = handed.load(given.run_dir, given.handed).settings
         work(settings, given.kind, given.node, warm([given.kind], settings.cell))
 
 
@@ -55,15 +56,15 @@ class Order(msgspec.Struct, frozen=True):
     node: int
 
 
-def serve(run_dir: Path) -> None:
+def serve(settings: Settings) -> None:
     """Be the template: make for all kinds what each needs, then fork as ordered."""
     process.log_to_stderr()
-    prepared = warm(WorkerKind, Settings.load(run_dir).cell)
+    prepared = warm(WorkerKind, settings.cell)
     read = msgspec.json.Decoder(Order).decode
 
     def be(order: bytes) -> None:
         wanted = read(order)
-        work(Settings.load(run_dir), wanted.kind, wanted.node, prepared)
+        work(settings, wanted.kind, wanted.node, prepared)
 
     template.serve(be)
 

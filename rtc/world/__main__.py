@@ -13,13 +13,12 @@ from typing import Any
 
 import zmq
 
-from rtc import process, template, wire
+from rtc import handed, process, template, wire
 from rtc.memory import Guard
 from rtc.messages import Dropped, ToWorld
 from rtc.outcomes import WireError
 from rtc.process import Every, Process, inbox, now_s, send
 from rtc.settings import BOUNDS, Settings
-from rtc.world import lease
 from rtc.world.model import initial_facts
 from rtc.world.server import Packer, Server
 from rtc.world.store import Store
@@ -33,24 +32,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m rtc.world", description="The world database of one cluster.")
     parser.add_argument("--run-dir", required=True, type=Path)
     parser.add_argument("--template", action="store_true", help="be the one that a database is forked from")
+    handed.add_option(parser)
     given = parser.parse_args()
     if given.template:
-        template.serve(lambda order: live(given.run_dir))
+        template.serve(lambda order: live(given.run_dir, given.handed))
     else:
-        live(given.run_dir)
+        live(given.run_dir, given.handed)
 
 
-def live(run_dir: Path) -> None:
-    """Be the world database until told to end."""
+def live(run_dir: Path, fd: int = -1) -> None:
+    """Be the world database until told to end. `fd`: what the supervisor hands over (rtc.handed)."""
     process.show_name("world")
+    given = handed.begin("world", run_dir, fd)
+    settings = given.settings
     with process.start("world", run_dir) as me:
-        settings = Settings.load(run_dir)
         store = Store(run_dir / FILE)
         if store.version == 0:
             _begin(store, settings)
         socket = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True, bounds=BOUNDS["world"])
         broker = me.socket(zmq.DEALER, settings.endpoint("supervisor"), identity="world", poll=False)
-        server = Server(store, (run_dir / lease.KEY_FILE).read_bytes())
+        server = Server(store, given.lease_key)
         process.freeze_heap()
         me.ready()
         serve(me, socket, server, lambda dropped: send(broker, Dropped(counts={"world": dropped})), Guard())

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from benchmarks import hostile
 from broker import journal as journals
-from broker.events import ProgramInstalled
+from broker.events import HaltCalled, ProgramInstalled
 from broker.invariants import violations
 from broker.journal import Journal
 from broker.program_store import ProgramStore
@@ -28,6 +28,7 @@ from broker.state import State
 from rtc import messages as m
 from rtc import program, wire
 from rtc.halting import PER_S
+from rtc.handed import Handed
 from rtc.settings import Settings
 
 DOORS = ("front", "halt", "workers", "subsystems", "supervisor", "events")
@@ -67,7 +68,7 @@ class Socket:
 
 
 class Bench:
-    def __init__(self) -> None:
+    def __init__(self, given: Handed | None = None) -> None:
         self.now = 100.0
         self.sockets: dict[str, Socket] = {}
         db = sqlite3.connect(":memory:", isolation_level=None)
@@ -76,7 +77,9 @@ class Bench:
         journal.snapshot(State())
         me = SimpleNamespace(socket=self._socket, log=SILENT, stopping=False)
         store = ProgramStore(journal)
-        self.router = Router(me, SETTINGS, journal, State(), store, b"k" * 32, lambda: self.now)  # type: ignore[arg-type]
+        self.router = Router(
+            me, SETTINGS, journal, State(), store, given or Handed(SETTINGS, b"k" * 32), lambda: self.now
+        )  # type: ignore[arg-type]
         for kind in m.WorkerKind:
             digest = store.keep(program.default(kind))
             self.router.hear(ProgramInstalled(at_s=self.now, kind=kind, digest=digest))
@@ -306,3 +309,45 @@ def test_the_names_of_the_brokers_own_halts_are_not_for_others(working: Bench) -
     working.say("halt", b"x", m.HaltOrder(halt="stop-C-1", scope="RIGHT-ARM", called_at_s=float("nan")))
     order = wire.reader(m.BrokerToSubsystem)(working.sockets["subsystems"].sent[-1][1:])
     assert (order.halt, order.scope, order.called_at_s) == ("H-stop-C-1", "RIGHT-ARM", 0.0)
+
+
+# --- who is who ---------------------------------------------------------------------------------------
+
+TOKEN = "0123456789abcdef"
+OURS = f"MCM@{TOKEN}".encode()
+SUPERVISOR = f"supervisor@{TOKEN}".encode()
+HELLO = m.SubsystemHello(name="MCM", pid=7, performers=["LEFT-ARM"])
+
+
+@pytest.fixture
+def supervised() -> Bench:
+    bench = Bench(Handed(SETTINGS, b"k" * 32, TOKEN))
+    row = {"name": "MCM", "pid": 7, "state": "ready", "since_s": 0.0}
+    bench.say("supervisor", SUPERVISOR, {"type": "ProcessTable", "processes": [row]})
+    bench.say("subsystems", OURS, HELLO)
+    return bench
+
+
+def test_a_stranger_that_calls_itself_mcm_is_refused_in_words(supervised: Bench) -> None:
+    stranger = m.SubsystemHello(name="MCM", pid=8, performers=["LEFT-ARM"])
+    (refused,) = supervised.say("subsystems", b"MCM", stranger, m.Heartbeat(name="MCM"))
+    assert refused.refusal.message == "this cluster has its own MCM, pid 7"
+    assert supervised.state.subsystems["MCM"].pid == 7
+    supervised.router.hear(HaltCalled(at_s=supervised.now, client="x", halt="H", scope="ALL"))
+    assert [type(order) for order in supervised.say("subsystems", OURS, m.Heartbeat(name="MCM"))] == [m.HaltOrder]
+
+
+def test_a_stranger_that_calls_itself_supervisor_changes_nothing(supervised: Bench) -> None:
+    supervised.say("supervisor", b"supervisor", m.ProcessTable(processes=[]))
+    assert [row["name"] for row in supervised.router.processes] == ["MCM"]
+
+
+def test_a_subsystem_that_is_lost_although_it_runs_is_started_anew(supervised: Bench) -> None:
+    socket = supervised.sockets["supervisor"]
+    for _ in range(90):  # 9 s, in which it sends nothing
+        supervised.now += 0.099
+        supervised.turn()
+    asked = [wire.reader(m.BrokerToSupervisor)(parts[1:]) for parts in socket.sent if parts[0] == SUPERVISOR]
+    (kill,) = [order for order in asked if isinstance(order, m.KillProcess)]
+    assert (kill.name, kill.pid) == ("MCM", 7)
+    assert "lost to the broker" in kill.why

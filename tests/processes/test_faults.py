@@ -72,7 +72,7 @@ def submit_and_move(rtc: Client, text: str) -> str:
 
 def begun(run_dir: Path, command: str) -> int:
     """How often the MCM began the first primitive of this command, in all its lives."""
-    return len(re.findall(rf"begins {command}\.1$", (run_dir / "logs" / "MCM.log").read_text(), re.MULTILINE))
+    return len(re.findall(rf"begins {command}\.1(?:@\w+)?$", (run_dir / "logs" / "MCM.log").read_text(), re.MULTILINE))
 
 
 def test_the_job_of_a_killed_worker_is_done_by_another(rtc: Client, chaos: Chaos, run_dir: Path) -> None:

@@ -29,6 +29,7 @@ from broker.router import Router
 from broker.state import State
 from rtc import messages as m
 from rtc import wire
+from rtc.handed import Handed
 from rtc.language.fastpath import halt_scope
 from rtc.outcomes import OutcomeKind, Refusal, StopReason
 from rtc.settings import Settings
@@ -66,7 +67,7 @@ class Broker:
         state, _ = replay(journal)
         self.state = state
         me = SimpleNamespace(socket=self._socket, log=SILENT, stopping=False)
-        self.router = Router(me, SETTINGS, journal, state, ProgramStore(journal), KEY, cluster.clock)  # type: ignore[arg-type]
+        self.router = Router(me, SETTINGS, journal, state, ProgramStore(journal), Handed(SETTINGS, KEY), cluster.clock)  # type: ignore[arg-type]
         now_s = cluster.clock.now_s
         if state.programs:
             self.router.hear(BrokerRestarted(at_s=now_s))
