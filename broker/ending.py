@@ -28,6 +28,8 @@ FORGOTTEN_AT_ONCE = 512  # of them: finding the oldest key of a dict takes the l
 
 CLOSED = "what it touched stays closed until the world has been told"
 
+LOOKED_AT_FIRST = "say the sentence again once the subsystem is back: where the arm stands is looked at first"
+
 UNCONFIRMED = (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM)
 
 
@@ -265,7 +267,12 @@ def unconfirmed(turn: Turn, command: Command, _: Any) -> None:
 
 def lost_subsystem(turn: Turn, command: Command, why: str) -> None:
     message = f"{command.subsystem} was lost while executing: {why}"
-    command.ending = Ending(kind=OutcomeKind.LOST_SUBSYSTEM, message=message, stop=StopReason.SUBSYSTEM_LOST)
+    command.ending = Ending(
+        kind=OutcomeKind.LOST_SUBSYSTEM,
+        message=message,
+        stop=StopReason.SUBSYSTEM_LOST,
+        refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=LOOKED_AT_FIRST),
+    )
     command.at_rest = turn.state.subsystems[command.subsystem].came_at_rest
     close(turn, command, nobody_reports(turn, command), message)
 

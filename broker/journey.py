@@ -25,10 +25,9 @@ from broker.state import (
     ParsedHead,
     PrimitiveHead,
     ScriptHead,
-    StepHead,
 )
 from broker.transitions import Stimulus
-from broker.turn import Turn, step_body, step_in_words
+from broker.turn import Turn, read_step, step_body, step_in_words
 from rtc import wire
 from rtc.messages import EndReport, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
@@ -42,7 +41,6 @@ CONTROLS = {"PAUSE": Stimulus.PAUSE, "RESUME": Stimulus.RESUME, "ABORT": Stimulu
 
 read_parsed = wire.decoder(ParsedHead)
 read_script = wire.decoder(ScriptHead)
-read_step = wire.decoder(StepHead)
 read_bound = wire.decoder(BoundHead)
 read_primitive = wire.decoder(PrimitiveHead)
 read_assessment = wire.decoder(AssessmentHead)
@@ -101,7 +99,7 @@ def control(turn: Turn, command: Command, head: ParsedHead) -> None:
         refuse(turn, command, no_target(turn, scope, command.id))
         return
     stimulus = CONTROLS[head.verb]
-    words = f"{head.verb} told to {', '.join(targets) or 'nobody'}"
+    words = f"{head.verb} of {', '.join(targets)}" if targets else f"{head.verb} had nothing to act on"
     if answer := PAUSE_ANSWERS.get(stimulus):
         told = {name: answer(turn.state.commands[name]) for name in targets}
         targets = [name for name, (will, _) in told.items() if will]

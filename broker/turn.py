@@ -17,10 +17,12 @@ from broker.effects import (
     StopTimer,
 )
 from broker.resources import WORLD, Quarantine
-from broker.state import NOMINAL, NOTES_KEPT, Command, PendingJob, State, StepRef
+from broker.state import NOMINAL, NOTES_KEPT, Command, PendingJob, State, StepHead, StepRef
 from broker.transitions import Stimulus
 from rtc import wire
 from rtc.messages import Phase, ProgressNote, WorkerKind
+
+read_step = wire.decoder(StepHead)
 
 
 class Turn(msgspec.Struct, gc=False):
@@ -153,4 +155,4 @@ def step_in_words(command: Command, step: StepRef) -> str:
     if trim == NOMINAL:
         return f"{index + 1} of {len(command.labels)}: {command.labels[index]}"
     entry = next(t for t in command.script.trims if t.n == trim)
-    return f"trim {trim}, {index + 1} of {len(entry.steps)}: {entry.label}"
+    return f"trim {trim}, {index + 1} of {len(entry.steps)}: {read_step(entry.steps[index]).label}"

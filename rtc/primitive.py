@@ -179,9 +179,9 @@ class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, t
     def __post_init__(self) -> None:
         kinds = [type(stop.when) for stop in self.stop_functions]
         if TimeAbove not in kinds:
-            raise ValueError("F is not complete: no TimeAbove (R82)")
+            raise ValueError("F is not complete: no TimeAbove")
         if GoalReached not in kinds:
-            raise ValueError("F is not complete: no GoalReached (R82)")
+            raise ValueError("F is not complete: no GoalReached")
 
     def by_priority(self) -> list[StopFunction]:
         """F in the fixed order in which it is evaluated every tick; the first that is true wins (A21)."""

@@ -340,7 +340,7 @@ def _script_problems(script: ScriptFile, place: str) -> Problems:
         if entry.n != n + 1:
             yield f"{place}.trimming_stack[{n}].n", f"entries are numbered from 1 in order; this is number {n + 1}"
     if script.trimming_stack and script.case < 3:
-        yield f"{place}.trimming_stack", "actions (cases 1 and 2) cannot be trimmed (R78)"
+        yield f"{place}.trimming_stack", "actions (cases 1 and 2) cannot be trimmed"
     bindings = planned | {step.name for step in script.steps if step.do == "let"}
     for n, step in enumerate(script.steps):
         yield from _step_problems(step, f"{place}.steps[{n}]", len(script.trimming_stack), bindings)
@@ -380,7 +380,7 @@ def _binder_problems(program: BinderProgram) -> Problems:
         whens = {stop.when for stop in row.stops}
         for wanted in ("goal-reached", "time-above"):
             if wanted not in whens:
-                yield f"stop_classes.{name}.stops", f"F is not complete without {wanted} (R82)"
+                yield f"stop_classes.{name}.stops", f"F is not complete without {wanted}"
     for op, name in program.hand.items():
         if name not in program.stop_classes:
             yield f"hand.{op}", f"no stop class {name}"
@@ -397,7 +397,7 @@ def _analyzer_problems(program: AnalyzerProgram) -> Problems:
     for row, cells in program.outcomes.items():
         missing = [reason.value for reason in StopReason if reason not in cells]
         if missing:
-            yield f"outcomes.{row}", f"no cell for {', '.join(missing)} (R84)"
+            yield f"outcomes.{row}", f"no cell for {', '.join(missing)}"
         for reason, name in cells.items():
             if name not in program.classes:
                 yield f"outcomes.{row}.{reason}", f"no class {name}; there are {', '.join(sorted(program.classes))}"

@@ -131,12 +131,21 @@ class Tellable(Part, frozen=True, kw_only=True):
     example: str  # "71.5 12 28 CM"
 
 
+class ActsOn(Part, frozen=True, kw_only=True):
+    """The steps that a constraint acts on: all that is set must be so."""
+
+    do: str = ""
+    op: str = ""
+    about: str  # the same in words
+
+
 class ElaboratorProgram(Part, frozen=True, kw_only=True):
     decision_tree: list[Branch]
     command_object_table: list[TableRow]
     scripts: list[ScriptFile]
     pieces: list[Piece] = []
-    constraints: dict[str, dict[str, str]] = {}  # MAINTAIN slot -> unit ("": said without a value, "name") -> limit
+    constraints: dict[str, dict[str, str]] = {}  # MAINTAIN slot -> unit (or "name") -> limit
+    acts_on: dict[str, ActsOn] = {}  # MAINTAIN slot -> the steps it acts on; any step when it is not here
     not_yet: dict[str, str] = {}  # field of the command -> why it is refused
     instead: dict[str, str] = {}  # verb without a script -> what does the same, or nearly, today
     needs: dict[str, str] = {}  # registered condition of the world -> what would bring it about

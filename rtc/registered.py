@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from rtc.cell import Numbers
 
 #: elaborator: what a script may need of the world
-NEEDS = ("hand_empty", "object_free", "object_held", "seat_free")
+NEEDS = ("hand_empty", "object_free", "object_held", "seat_free", "width_known")
 #: elaborator: where a plan may start
 STARTS = ("grasp_point", "destination", "stow", "seat")
 #: directions; WAY-OUT is that of the target seat, for plans alone
@@ -23,7 +23,7 @@ SPACES = ("move_joint", "move_task")
 FIGURES = (
     *Numbers.__struct_fields__,
     *("opening_m", "hand_width_m", "grasp_width_m", "mass_kg", "duration_s"),
-    *(f"{said}_{unit}" for said in ("amount", "by") for unit in ("m", "rad", "turns", "s", "n")),
+    *(f"{said}_{unit}" for said in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),
 )
 #: who performs steps
 PERFORMERS = ("active_arm",)

@@ -45,12 +45,13 @@ class Silence:
         if replaced:
             raise NoCluster(
                 f"the cluster {f'in {self._run_dir} ' if self._run_dir else ''}is gone, and another one is in its "
-                "place; what had not ended never will. Connect anew, and say it again if it is meant for this one"
+                "place; commands that had not ended will not end. "
+                "Connect again, and give them again if they are meant for this cluster"
             )
         if unanswered and self._run_dir is not None and not supervised(self._run_dir):
             raise NoCluster(
                 f"the cluster in {self._run_dir} is gone: its supervisor has ended, and everything with it; "
-                "what had not ended never will. Start a new one with: rtc up -d"
+                "commands that had not ended will not end. Start a new cluster with: rtc up -d"
             )
         if unanswered >= TOLD_AFTER and not self._told:
             self._say(

@@ -122,7 +122,7 @@ class Belief:
         location, _, attribute = key.rpartition(".")
         return Refusal(
             reason=RefusalReason.SUSPECT,
-            message=f"the {attribute} of {location} is {fact.validity.value} since {fact.source}",
+            message=f"the {attribute} of {location} is {fact.validity.value} since {fact.source.partition('/')[0]}",
             where=key,
             clears=self.cure(key, clears),
             detail={"validity": fact.validity.value, "source": fact.source, "version": float(fact.version)},

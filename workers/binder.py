@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from rtc import expressions, geometry
+from rtc.language.units import in_words
 from rtc.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext
 from rtc.outcomes import Refusal, RefusalReason, StopReason
 from rtc.primitive import (
@@ -42,6 +43,7 @@ NEEDS_CELL = True
 
 SUBSYSTEM = "MCM"
 TELLER = "OPERATOR"  # whoever spoke the sentence: in a report it stands where otherwise the performer does
+LEAST_WIDTH_M = 1e-6  # by which an opening may be beyond the hand's own: rounding
 LEAST_STEP_M = 0.001  # of a line whose direction means something
 MOST_TURN_RAD = math.radians(5.0)  # of a line along which a direction in tool axes stays the same
 
@@ -206,14 +208,12 @@ def hand_motion(at: Bind, op: str) -> BoundStep | Refusal:
     gripper = belief.cell.arm(at.arm).gripper
     width_m = values.get("width_m", 0.0)
     grip_n = context.limits.grip_force_n or values.get("grip_n", values["hand_n"])
-    for name, value, most in (("opening", width_m, gripper.max_opening_m), ("grip force", grip_n, gripper.max_force_n)):
-        if value > most:
-            return Refusal(
-                reason=RefusalReason.INFEASIBLE,
-                message=f"{name} of {value:g} is asked of {belief.cell.arm(at.arm).end_effector}; {most:g} is its most",
-                clears=f"{most:g} or less",
-                detail={"cause": name, "value": value, "limit": most, "arm": at.arm},
-            )
+    for name, value, most, unit in (
+        ("opening", width_m, gripper.max_opening_m, "m"),
+        ("grip force", grip_n, gripper.max_force_n, "N"),
+    ):
+        if not -LEAST_WIDTH_M <= value <= most + LEAST_WIDTH_M:
+            return _beyond_the_hand(at, name, value, most, unit)
     way_m = abs(belief.hand_width(at.arm) - width_m)
     evaluation = EvaluationContext(
         context=context,
@@ -229,6 +229,17 @@ def hand_motion(at: Bind, op: str) -> BoundStep | Refusal:
     )
     motion = HandMotion(width_m=width_m, force_n=grip_n, speed_m_s=gripper.speed_m_s)
     return primitive(at, stop_class, values, motion, evaluation, None, "", moves=False)
+
+
+def _beyond_the_hand(at: Bind, name: str, value: float, most: float, unit: str) -> Refusal:
+    hand = at.belief.cell.arm(at.arm).end_effector
+    now = f"; it is open {in_words(at.belief.hand_width(at.arm), 'm')} now" if unit == "m" else ""
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"{name} of {hand}: {in_words(value, unit)} is asked for; it can have 0 to {in_words(most, unit)}{now}",
+        clears=f"{name} of 0 to {in_words(most, unit)}",
+        detail={"cause": name, f"value_{unit.lower()}": value, f"limit_{unit.lower()}": most, "arm": at.arm},
+    )
 
 
 # --- staying -----------------------------------------------------------------------------------------------

@@ -67,11 +67,11 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     if not branches:
         return _no_script(program, parsed)
     limits = sentence.limits(program, parsed, cell.cell)
-    problem = sentence.unsaid(program, parsed)
+    problem = sentence.unsaid(program, parsed) or sentence.report(parsed)
     if isinstance(limits, Refusal) or problem is not None:
         return problem or limits  # type: ignore[return-value]
     for reflex in parsed.reflexes:
-        problem = reflexes.unrealised(reflex)
+        problem = reflexes.unrealised(reflex, parsed.object is not None)
         if problem is not None:
             return problem
     if parsed.kind == "data":
@@ -97,7 +97,7 @@ def _situations(compiled: Compiled, parsed: ParsedCommand, limits: Limits, belie
     if parsed.object is not None:
         found = _part(cell.objects, parsed.object, "object")
         if isinstance(found, Refusal):
-            return found
+            return _or_a_hand(found, compiled, parsed, cell)
         thing = found
     target: cells.Seat | None = None
     if parsed.target is not None:
@@ -117,6 +117,16 @@ def _situations(compiled: Compiled, parsed: ParsedCommand, limits: Limits, belie
                 return figures
             situations.append(Situation(belief, program, parsed, limits, arm, thing, point, target, figures))
     return sorted(situations, key=_far)
+
+
+def _or_a_hand(unknown: Refusal, compiled: Compiled, parsed: ParsedCommand, cell: cells.Cell) -> Refusal:
+    """No such object; where the verb takes a hand without an object, an arm may have been meant."""
+    takers = [row for row in compiled.program.decision_tree if row.verb == parsed.verb]
+    hands = any(check.missing == "object" for row in takers for check in row.when)
+    if parsed.hand is not None or not hands:
+        return unknown
+    known = [*unknown.expected, *(name for arm in cell.arms for name in (arm.name, arm.end_effector))]
+    return naming.unknown("object or hand", parsed.object or "", known)
 
 
 def _far(at: Situation) -> float:
@@ -212,7 +222,7 @@ def _first_feasible(compiled: Compiled, candidates: list[Candidate]) -> Script |
         if first is None or _PRECEDENCE[made.reason] < _PRECEDENCE[first.reason]:
             first = made
     assert first is not None
-    if len(candidates) == 1 or _PRECEDENCE[first.reason] == 0:
+    if len(candidates) == 1 or _PRECEDENCE[first.reason] == 0 or first.reason is RefusalReason.NO_SCRIPT:
         return first
     others = "; ".join(notes[1:4]) if len(notes) > 1 else ""
     return msgspec.structs.replace(
@@ -240,6 +250,7 @@ def _script(
 ) -> Script | Refusal:
     at, script = candidate.at, compiled.scripts[candidate.branch.script]
     problem = sentence.misplaced(at.parsed, script.script, script.uses)
+    problem = problem or sentence.without_effect(at.program, at.parsed, script)
     for need in script.needs:
         problem = problem or _lacking(need, at)
     problem = problem or _unsure_grasp(script, at)
@@ -358,38 +369,40 @@ def _trims(compiled: Compiled, script: ScriptFile, at: Situation) -> tuple[list[
 def _no_script(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal:
     scripted = sorted(verbs(program))
     instead = program.instead.get(parsed.verb, "")
+    load = "" if "rtc load" in instead else f"load a script for {parsed.verb}: rtc load FILE INTO elaborator"
     return Refusal(
         reason=RefusalReason.NO_SCRIPT,
         message=f"there is no script for {parsed.verb} yet",
         where=parsed.verb,
         expected=scripted,
-        clears=(f"{instead}; or " if instead else "")
-        + f"load a script for {parsed.verb}: rtc load FILE INTO elaborator (docs/scripts.md)",
+        clears="; or ".join(filter(None, (instead, load))),
     )
 
 
 def _none_fits(parsed: ParsedCommand, branches: list[Branch]) -> Refusal:
-    scripts = ", ".join(dict.fromkeys(branch.script for branch in branches))
     return Refusal(
         reason=RefusalReason.NO_SCRIPT,
-        message=f"{parsed.verb} is done by {scripts}, and none of these is for what was said",
+        message=f"{parsed.verb} has no script for this form of the sentence",
         where=parsed.verb,
-        clears="; ".join(f"{branch.script} is for a sentence {_wants(branch)}" for branch in branches),
+        clears="; or ".join(dict.fromkeys(f"{parsed.verb} {_wants(branch)}" for branch in branches)),
     )
 
 
 def _wants(branch: Branch) -> str:
     """What a branch asks of the sentence, in words."""
-    said = [f"with {check.given}" for check in branch.when if check.given]
-    unsaid = [f"without {check.missing}" for check in branch.when if check.missing]
-    values = [f"whose {path} is {value}" for check in branch.when for path, value in check.equals.items()]
-    others = [f"whose {path} is not {value}" for check in branch.when for path, value in check.differs.items()]
-    return ", ".join([*said, *unsaid, *values, *others]) or f"whose {branch.verb} has the figures it needs"
+    words = sentence.in_words
+    said = [f"with {words(check.given)}" for check in branch.when if check.given]
+    unsaid = [f"without {words(check.missing)}" for check in branch.when if check.missing]
+    values = [f"with {words(path)} {value}" for check in branch.when for path, value in check.equals.items()]
+    others = [
+        f"with {words(path)} other than {value}" for check in branch.when for path, value in check.differs.items()
+    ]
+    return ", ".join([*said, *unsaid, *values, *others]) or "with an object whose figures fit"
 
 
 def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refusal:
-    if script.case < FIRST_SKILL:
-        message = f"AND TRY {name}: an action cannot be trimmed, only a skill (R78)"
+    if script.case < FIRST_SKILL and name.lower() in compiled.pieces:
+        message = f"AND TRY {name}: {script.script} is an action, and only skills are corrected on the way"
         return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where=name, clears="leave out AND TRY")
     return naming.unknown("piece of script to TRY", name, [piece.upper() for piece in compiled.pieces])
 
@@ -435,11 +448,17 @@ def _seat_free(at: Situation) -> Lack | None:
     return Lack(f"{at.target.name} holds {others[0]}", others[0]) if others else None
 
 
+def _width_known(at: Situation) -> Lack | None:
+    known = at.belief.trusts(f"{at.arm.name}.hand_width")
+    return None if known else Lack(f"it is not known how wide the hand of {at.arm.name} is open", at.arm.name)
+
+
 NEEDS: dict[str, Callable[[Situation], Lack | None]] = {
     "hand_empty": _hand_empty,
     "object_free": _object_free,
     "object_held": _object_held,
     "seat_free": _seat_free,
+    "width_known": _width_known,
 }
 
 

@@ -16,16 +16,9 @@ def nearest(name: str, known: Iterable[str], likeness: float = 0.5) -> list[str]
 
 
 def unknown(what: str, name: str, known: Iterable[str], where: str = "") -> Refusal:
-    """No such name: says which there are, and which are like it."""
+    """No such name. The names there are, and those like it, are in `expected` and `nearest`, once."""
     names = sorted(set(known))
     near = nearest(name, names)
-    hint = f"; nearest: {', '.join(near)}" if near else ""
-    there_are = f"there are {', '.join(names)}" if names else "there are none"
-    return Refusal(
-        reason=RefusalReason.NAME,
-        message=f"there is no {what} {name}{hint} ({there_are})",
-        where=where,
-        nearest=near,
-        expected=names,
-        clears=f"say one of {', '.join(near or names) or 'those that exist'}",
-    )
+    message = f"there is no {what} {name}" + ("" if names else "; there are none at all")
+    clears = f"did you mean {' or '.join(near)}?" if near else "use one of the names expected" if names else ""
+    return Refusal(reason=RefusalReason.NAME, message=message, where=where, nearest=near, expected=names, clears=clears)

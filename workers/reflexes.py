@@ -108,16 +108,19 @@ def reason_of(condition: Condition) -> StopReason | None:
     return None if row is None else row[0]
 
 
-def unrealised(reflex: ReflexItem) -> Refusal | None:
-    """Why this reflex cannot be kept; None when it can."""
+def unrealised(reflex: ReflexItem, about_object: bool) -> Refusal | None:
+    """Why this reflex cannot be kept; None when it can. `about_object`: the command names an object."""
     said = _words(reflex.condition)
     if _row(reflex.condition) is None:
         known = [*EVENTS, *(f"{measure} {bound}" for measure, bound in MEASURES)]
-        return _no(f"UNLESS {said}: nothing in the motion loop feels that; it feels {', '.join(known)}", known)
+        return _no(f"UNLESS {said}: nothing in the motion loop measures that", known)
     if reflex.action not in ACTIONS:
         word = reflex.action.upper().replace("_", "-")
         done = [action.upper().replace("_", "-") for action in ACTIONS]
-        return _no(f"THEN {word} is not done yet; {', '.join(done)} are", done)
+        return _no(f"THEN {word} is not done yet", done)
+    if reflex.condition.measure == "DISTANCE" and not about_object:
+        message = f"UNLESS {said} measures to the object of the command, and this command names none"
+        return _no(message, [], "leave it out, or use a verb that takes an object")
     along = reflex.condition.along
     if along is not None and along not in axes.AXES:
         return naming.unknown("axis", along, axes.AXES, where=f"UNLESS {said}")
@@ -154,7 +157,5 @@ def _words(condition: Condition) -> str:
     return " ".join(filter(None, (condition.measure, condition.along and f"ALONG {condition.along}", bound)))
 
 
-def _no(message: str, expected: list[str]) -> Refusal:
-    return Refusal(
-        reason=RefusalReason.NO_SCRIPT, message=message, where="UNLESS", expected=expected, clears="say it without that"
-    )
+def _no(message: str, expected: list[str], clears: str = "leave it out, or use one of those expected") -> Refusal:
+    return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where="UNLESS", expected=expected, clears=clears)

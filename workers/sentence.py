@@ -8,15 +8,36 @@ import msgspec
 
 from rtc.cell import Cell
 from rtc.language.record import ParsedCommand
+from rtc.language.units import KINDS, such_as
 from rtc.messages import Limits
 from rtc.outcomes import Refusal, RefusalReason
-from rtc.program_schema import ElaboratorProgram
+from rtc.program_schema import ActsOn, ElaboratorProgram, ScriptFile, ScriptStep
 from workers import naming
 
 #: fields of the record that no script has to know: what they mean is done by others, or checked here
 EVERYWHERE = frozenset({"kind", "verb", "test", "constraints", "guarded", "reflexes", "report", "after", "now"}) | {
     "together_with",
     "performer",
+}
+
+
+LEAST_REPORT_S = 0.1  # of REPORT EVERY, in the time of the arms
+#: field of the record -> how the sentence says it; a field that is not here is said by its own name
+_WORDS = {
+    "hand": "a hand",
+    "object": "an object",
+    "target": "a target (ON, INTO, TO, AT)",
+    "amount": "BY",
+    "to_value": "TO",
+    "duration_s": "FOR",
+    "grasp_point": "a grasp point",
+    "place": "a destination",
+    "place.by": "BY a distance",
+    "path": "STRAIGHT-LINE or JOINT-MOTION",
+    "performer": "VIA",
+    "through": "THROUGH",
+    "until": "UNTIL",
+    "to_hand": "a second hand",
 }
 
 
@@ -30,11 +51,16 @@ def field(parsed: ParsedCommand, path: str) -> Any:
     return None if value in ("", [], False) else value
 
 
+def in_words(path: str) -> str:
+    """A field of the record as the sentence says it: amount is BY."""
+    return _WORDS.get(path, path)
+
+
 def unsaid(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal | None:
     """Something this release does not do yet, if the sentence asks for it."""
     for name, why in program.not_yet.items():
         if field(parsed, name) is not None:
-            return _refused(why, name, "say it without that")
+            return _refused(why, name, f"leave out {in_words(name)}")
     return None
 
 
@@ -42,7 +68,10 @@ def misplaced(parsed: ParsedCommand, script: str, uses: list[str]) -> Refusal | 
     """A field that is set and that the script does not use."""
     for name in parsed.__struct_fields__:
         if name not in EVERYWHERE and name not in uses and field(parsed, name) is not None:
-            return _refused(f"{parsed.verb} by the script {script} does not use {name}", name, f"say it without {name}")
+            words = in_words(name)
+            message = f"{parsed.verb} does not take {words}: its script {script} has no use for it"
+            clears = f"leave out {words}; in a script of your own, put {name} into its `uses`"
+            return _refused(message, name, clears)
     return None
 
 
@@ -52,15 +81,12 @@ def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Lim
     for constraint in parsed.constraints:
         kept = program.constraints.get(constraint.slot)
         if kept is None:
-            known = sorted(program.constraints)
-            message = f"MAINTAIN {constraint.slot} is not kept yet; {', '.join(known)} are"
-            return _refused(message, constraint.slot, "say it without that constraint", known)
+            message = f"MAINTAIN {constraint.slot} is not kept yet"
+            clears = f"leave out {constraint.slot}; kept are {', '.join(sorted(program.constraints))}"
+            return _refused(message, constraint.slot, clears)
         unit = "name" if constraint.name else constraint.value.unit if constraint.value else ""
         if unit not in kept:
-            ways = ", ".join(_WAYS.get(way, f"a value in {way}") for way in kept)
-            said = _WAYS.get(unit, f"a value in {unit}")
-            message = f"MAINTAIN {constraint.slot} is kept with {ways}, not with {said}"
-            return _refused(message, constraint.slot, f"give {constraint.slot} {ways}")
+            return _needs(constraint.slot, kept, unit, cell)
         limit = kept[unit]
         if limit and constraint.value is not None:
             figures[limit] = constraint.value.value
@@ -72,11 +98,50 @@ def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Lim
     return msgspec.convert(figures, Limits)
 
 
-_WAYS = {"": "no value", "name": "a name"}
+def without_effect(program: ElaboratorProgram, parsed: ParsedCommand, script: ScriptFile) -> Refusal | None:
+    """A constraint that acts on no step of this script."""
+    for constraint in parsed.constraints:
+        wanted = program.acts_on.get(constraint.slot)
+        if wanted is None or any(_is(step, wanted) for step in script.steps):
+            continue
+        message = f"MAINTAIN {constraint.slot} is about {wanted.about}, of which {parsed.verb} has none"
+        return _refused(message, constraint.slot, f"leave out {constraint.slot}")
+    return None
+
+
+def _is(step: ScriptStep, wanted: ActsOn) -> bool:
+    return wanted.do in ("", step.do) and wanted.op in ("", step.op)
+
+
+def report(parsed: ParsedCommand) -> Refusal | None:
+    """Why what REPORT asks for cannot be reported; None when it can."""
+    every_s = parsed.report.every_s if parsed.report else None
+    if every_s is None or every_s >= LEAST_REPORT_S:
+        return None
+    message = f"REPORT EVERY {every_s:g} s is too often; {LEAST_REPORT_S:g} s is the shortest interval"
+    return _refused(message, "EVERY", f"REPORT EVERY {LEAST_REPORT_S:g} SEC, or rarer; `telemetry` has every sample")
+
+
+def _needs(slot: str, kept: dict[str, str], unit: str, cell: Cell) -> Refusal:
+    """A constraint that is given nothing, or something of another kind than is kept."""
+    ways = []
+    for way, limit in kept.items():
+        if way == "name":
+            what = "attitude" if limit == "attitude" else "region"
+            ways.append(f"the name of a{'n' * (what == 'attitude')} {what}: {', '.join(_known(limit, cell))}")
+        elif way in KINDS:
+            ways.append(such_as(way))
+    said = "" if not unit else f", not {KINDS[unit].word if unit in KINDS else f'a {unit}'}"
+    needed = " or ".join(ways)
+    return _refused(f"{slot} needs {needed}{said}", slot, f"give {slot} {needed}, or leave it out")
+
+
+def _known(limit: str, cell: Cell) -> list[str]:
+    return list(cell.attitudes) if limit == "attitude" else [region.name for region in cell.regions]
 
 
 def _name(limit: str, name: str, cell: Cell) -> Refusal | None:
-    known = list(cell.attitudes) if limit == "attitude" else [region.name for region in cell.regions]
+    known = _known(limit, cell)
     what = "attitude" if limit == "attitude" else "region"
     return None if name in known else naming.unknown(what, name, known)
 

@@ -13,6 +13,7 @@ import msgspec
 
 from rtc import cell as cells
 from rtc.language.record import ParsedCommand, Quantity
+from rtc.language.units import in_words
 from rtc.messages import Limits
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.program_schema import ElaboratorProgram, TableRow
@@ -45,6 +46,8 @@ class Situation:
             "axis": (self.parsed.place.along if self.parsed.place else None) or "TOOL-Z",
             "destination": destination_in_words(self.parsed),
             "out": self.belief.way_out(self.thing.name) if self.thing else "",
+            "amount": _amount_in_words(self.parsed),
+            "time": _time_in_words(self.parsed, self.figures),
         }
 
     def say(self, words: str) -> str:
@@ -60,6 +63,19 @@ class Situation:
             "active_object": self.thing.name if self.thing else "",
             "target": self.target.name if self.target else "",
         }
+
+
+def _amount_in_words(parsed: ParsedCommand) -> str:
+    said = parsed.amount or parsed.to_value
+    return in_words(said.value, said.unit) if said else ""
+
+
+def _time_in_words(parsed: ParsedCommand, figures: dict[str, float]) -> str:
+    """How long a command without an end of its own takes: for 30 s, or until it is halted, which has a limit too."""
+    if parsed.duration_s is not None:
+        return f"for {in_words(parsed.duration_s, 's')}"
+    limit_s = figures.get("duration_s")
+    return "until halted" + (f", {limit_s / 60:g} min at most" if limit_s else "")
 
 
 def destination_in_words(parsed: ParsedCommand) -> str:
@@ -87,7 +103,7 @@ def figures_of(
 ) -> dict[str, float] | Refusal:
     """Every figure in force, or the refusal that says which cell of the command-object table is missing."""
     figures: dict[str, float] = dict(msgspec.structs.asdict(belief.cell.numbers))
-    row = _table(program, parsed.verb, thing)
+    row = _table(program, parsed.verb, thing, belief)
     if isinstance(row, Refusal):
         return row
     figures |= row
@@ -99,6 +115,7 @@ def figures_of(
         figures["mass_kg"] = float(belief.world.value(f"{thing.name}.mass") or thing.mass_kg)
     figures |= _said("amount", parsed.amount)
     figures |= _said("by", parsed.place.by if parsed.place else None)
+    figures |= _said("to", parsed.to_value)
     if parsed.duration_s is not None:
         figures["duration_s"] = parsed.duration_s
     return figures
@@ -108,18 +125,33 @@ def _said(name: str, quantity: Quantity | None) -> dict[str, float]:
     return {} if quantity is None else {name + SUFFIX.get(quantity.unit, f"_{quantity.unit}"): quantity.value}
 
 
-def _table(program: ElaboratorProgram, verb: str, thing: cells.Object | None) -> dict[str, Any] | Refusal:
-    rows = [row for row in program.command_object_table if row.verb == verb and _is_about(row, thing)]
-    if not rows:
+def _not_for(program: ElaboratorProgram, verb: str, thing: cells.Object | None, belief: Belief) -> Refusal:
+    """The table has no row for this verb and thing. A verb without a row at all is a fault of the program."""
+    rows = [row for row in program.command_object_table if row.verb == verb]
+    fits = [one.name for one in belief.cell.objects if any(_is_about(row, one) for row in rows)]
+    if thing is None or not rows:
         what = f"{thing.name} ({thing.kind})" if thing else "no object"
-        known = sorted({row.kind or row.name for row in program.command_object_table if row.verb == verb} - {""})
         return Refusal(
             reason=RefusalReason.PROGRAM,
-            message=f"the command-object table has no cell for {verb} and {what}",
+            message=f"the command-object table has no row for {verb} and {what}",
             where="command_object_table",
-            expected=known,
-            clears=f"LOAD a row of command_object_table for verb {verb} and kind {thing.kind if thing else '(none)'}",
+            clears=f"load a row of command_object_table for verb {verb} (docs/scripts.md)",
         )
+    return Refusal(
+        reason=RefusalReason.NO_SCRIPT,
+        message=f"{verb} is not possible with {thing.name}: it is a {thing.kind}",
+        where=thing.name,
+        expected=fits,
+        clears=f"{verb} one of {', '.join(fits)}" if fits else f"load a row of command_object_table for {thing.kind}",
+    )
+
+
+def _table(
+    program: ElaboratorProgram, verb: str, thing: cells.Object | None, belief: Belief
+) -> dict[str, Any] | Refusal:
+    rows = [row for row in program.command_object_table if row.verb == verb and _is_about(row, thing)]
+    if not rows:
+        return _not_for(program, verb, thing, belief)
     rows.sort(key=lambda row: bool(row.name))  # what is known of one by its name goes before what is known of its kind
     return {name: value for row in rows for name, value in row.values.items()}
 

@@ -150,7 +150,7 @@ def sentences(rng: random.Random) -> Iterator[str]:
     yield "PLACE MACS-NEW ON RACK-1 WITH RIGHT-ARM"
     yield "GRASP MACS-NEW WITH RIGHT-ARM"
     yield "RELEASE MACS-NEW"
-    yield f"OPEN RIGHT-END-EFF BY {rng.uniform(3.0, 7.0):.1f} CM"
+    yield f"OPEN RIGHT-END-EFF TO {rng.uniform(3.0, 7.0):.1f} CM"
     yield "CLOSE RIGHT-END-EFF MAINTAIN GRIP-FORCE 25 N"
     yield "HOLD RIGHT-ARM FOR 1 SEC"
     yield "MOVE RIGHT-ARM TO BAY-2-FRONT"

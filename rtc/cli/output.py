@@ -20,6 +20,7 @@ from rich.text import Text
 from rtc.cli.outlet import Unheard
 from rtc.language.caret import CUT, show
 from rtc.language.refuse import visible
+from rtc.language.units import in_words
 from rtc.outcomes import OutcomeKind, Refusal
 
 NO_CLUSTER = 4
@@ -94,7 +95,7 @@ def refusal_lines(refusal: Refusal, text: str = "") -> list[str]:
     if refusal.owner:
         lines.append(f"owner: {refusal.owner}")
     if refusal.detail:
-        lines.append("figures: " + ", ".join(f"{key} {figure(value)}" for key, value in refusal.detail.items()))
+        lines.append("figures: " + ", ".join(with_unit(key, value) for key, value in refusal.detail.items()))
     if refusal.clears:
         lines.append(f"to clear it: {refusal.clears}")
     return lines
@@ -104,6 +105,19 @@ def said(text: str, most: int = MOST_SAID) -> str:
     """A sentence as it is repeated: one line that does nothing to the screen, and no longer than is read."""
     text = visible(text)
     return text if len(text) <= most else text[: most - len(CUT)] + CUT
+
+
+#: how the name of a figure ends -> its unit, in SI
+UNITS = {"_rad_s": "rad/s", "_m_s": "m/s", "_nm": "N.m", "_rad": "rad", "_m": "m", "_n": "N", "_s": "s"}
+
+
+def with_unit(key: str, value: float | str) -> str:
+    """A figure of a refusal as people read it: value_rad 0.5 is "value 28.6 deg"."""
+    ending = next((ending for ending in UNITS if key.endswith(ending)), "")
+    if not ending or isinstance(value, str):
+        return f"{key} {figure(value)}"
+    number, unit = in_words(value, UNITS[ending]).split(" ", 1)
+    return f"{key.removesuffix(ending)} {float(number):.4g} {unit}"
 
 
 def figure(value: float | str) -> str:

@@ -15,7 +15,7 @@ from rich.text import Text
 
 from rtc import messages as m
 from rtc.cli.output import COLOUR, console, refusal_lines, said, seconds, table
-from rtc.outcomes import OutcomeKind
+from rtc.outcomes import Outcome, OutcomeKind
 
 #: phases too short to be a line of their own (`rtc trace` has them); ENDED has its result line
 PASSING = {m.Phase.PARSING, m.Phase.ELABORATING, m.Phase.BINDING, m.Phase.ANALYZING, m.Phase.ENDED}
@@ -135,8 +135,12 @@ def explain(ended: m.CommandEnded, text: str) -> list[str]:
     elif outcome.message:
         lines.append(outcome.message)
     if outcome.trims:
-        lines.append("mended on the way by: " + ", ".join(outcome.trims))
+        lines.append(mended(outcome) + ", ".join(outcome.trims))
     return lines
+
+
+def mended(outcome: Outcome) -> str:
+    return "corrected on the way by: " if outcome.kind == OutcomeKind.SUCCEEDED else "tried on the way: "
 
 
 def _figures(ended: m.CommandEnded) -> str:

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from rtc import messages as m
 from rtc.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, refusal_lines, said, seconds, trouble
+from rtc.cli.progress import mended
 from rtc.client import Client
 from rtc.outcomes import NoCluster, OutcomeKind
 from rtc.past import Past, runs
@@ -225,7 +226,7 @@ def _print_decision(record: m.CommandRecord) -> None:
     line.append(f": {outcome.message}" if outcome.message else "")
     console.print(line)
     if outcome.trims:
-        console.print(Text("    mended on the way by: " + ", ".join(outcome.trims)))
+        console.print(Text("    " + mended(outcome) + ", ".join(outcome.trims)))
     if outcome.refusal is not None:
         for text in refusal_lines(outcome.refusal, record.text):
             if text != outcome.message:

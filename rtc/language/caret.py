@@ -11,6 +11,7 @@ from rtc.language.refuse import visible
 from rtc.outcomes import Refusal
 
 WIDTH = 100  # columns of the whole picture
+MOST_EXPECTED = 20  # shown in full although some of them are like the word that was written
 INDENT = "  "
 CUT = "..."
 
@@ -22,7 +23,10 @@ def show(sentence: str | bytes, refusal: Refusal) -> str:
         line, place = _window(_line(sentence), refusal.column)
         lines += [INDENT + line, INDENT + " " * place + "^"]
     lines.append(refusal.message)
-    for label, words in (("expected", refusal.expected), ("nearest", refusal.nearest)):
+    expected = refusal.expected
+    if refusal.nearest and len(expected) > MOST_EXPECTED:
+        expected = [f"{len(expected)} words; `rtc dictionary` lists the verbs"] if refusal.column is not None else []
+    for label, words in (("expected", expected), ("nearest", refusal.nearest)):
         if words:
             lines.append(_wrapped(f"{label}: ", words))
     return "\n".join(line.rstrip() for line in lines)

@@ -23,6 +23,8 @@ READABLE = {
     "NUMBER": "a number",
     "STRING": 'a text in quotes such as "bolt head is stripped"',
 }
+#: directions, for a hint alone: which there are is for the workers to say
+AXES = frozenset({"X", "Y", "Z", "TOOL-X", "TOOL-Y", "TOOL-Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK"})
 THE_END = "the end of the sentence"
 A_UNIT = "a unit such as CM"
 LOOK_BACK = 6  # how many words before the fault may be the misspelt one
@@ -89,7 +91,7 @@ def _unit_fault(stop: Stop) -> Refusal | None:
 
 def _no_unit(stop: Stop, word: Word) -> Refusal:
     near = nearest_words(word.value, UNITS)
-    return refusal(word.start_pos or 0, f"{stop.said(word)} is no unit.", [A_UNIT], near)
+    return refusal(word.start_pos or 0, f"{stop.said(word)} is not a unit.", [A_UNIT], near)
 
 
 def _misspelt_before(stop: Stop) -> Refusal | None:
@@ -120,6 +122,20 @@ def _fits(grammar: Grammar, words: Sequence[Word]) -> bool:
     return True
 
 
+def _meant(stop: Stop, word: Word) -> list[str]:
+    """Two words for one (RIGHT ARM), an axis without ALONG, or ABOUT for ALONG."""
+    spellings = stop.grammar.vocabulary.reserved
+    if stop.following is not None:
+        joined = f"{word.value}-{stop.following.value}"
+        if joined in spellings and spellings[joined][0] in stop.allowed:
+            return [joined]
+    if "ALONG" in stop.allowed and word.value == "ABOUT":
+        return ["ALONG"]
+    if "ALONG" in stop.allowed and word.value in AXES:
+        return [f"ALONG {word.value}"]
+    return []
+
+
 def _misplaced(stop: Stop) -> Refusal:
     word = stop.word
     near = []
@@ -131,11 +147,11 @@ def _misplaced(stop: Stop) -> Refusal:
         )
     else:
         said = stop.said(word)
-        near = nearest(stop.grammar, word.value, stop.allowed)
+        near = _meant(stop, word) or nearest(stop.grammar, word.value, stop.allowed)
         if stop.opening():
-            message = f"{said} is no verb of the language."
+            message = f"{said} is not a verb of the language."
         elif word.type in stop.grammar.reserved and "NAME" in stop.allowed:
-            message = f"{said} is a reserved word and can not be a name, after {stop.said(stop.before[-1])}."
+            message = f"{said} is a reserved word and cannot be a name, after {stop.said(stop.before[-1])}."
         else:
-            message = f"{said} can not stand here, after {stop.said(stop.before[-1])}."
+            message = f"{said} cannot stand here, after {stop.said(stop.before[-1])}."
     return refusal(word.start_pos or 0, message, readable(stop.grammar, stop.allowed), near)

@@ -51,7 +51,7 @@ def entry(verb: str) -> str | Refusal:
     if verb not in verbs():
         return Refusal(
             reason=RefusalReason.NAME,
-            message=f"{verb!r} is no verb of the language.",
+            message=f"{verb!r} is not a verb of the language.",
             expected=verbs(),
             nearest=nearest_words(verb, verbs()),
         )

@@ -181,9 +181,12 @@ def command(parts: Parts) -> Fields:
             fields.update(part)
         elif part.__class__ is str:
             fields["target" if "object" in fields else "object"] = part
-    if "amount" in fields:
-        takes = AMOUNTS.get(verb, ANYTHING) if "object" in fields else LENGTH  # a hand opens by a width
-        fields["amount"] = checked(fields["amount"], takes, f"{verb} BY")
+    for name, word in (("amount", "BY"), ("to_value", "TO")):
+        if name in fields:
+            takes = AMOUNTS.get(verb, ANYTHING) if "object" in fields else LENGTH  # a hand opens by a width
+            if name == "to_value":
+                takes = takes._replace(sense="any" if takes.sense == "any" else "not negative")
+            fields[name] = checked(fields[name], takes, f"{verb} {word}")
     return fields
 
 
@@ -263,6 +266,11 @@ def amount(parts: Parts) -> Fields:
     return {"amount": parts[-1]}
 
 
+def to_value(parts: Parts) -> Fields:
+    """Checked by the clause above, like `amount`."""
+    return {"to_value": parts[-1]}
+
+
 def duration(parts: Parts) -> Fields:
     return {"duration_s": checked(parts[1], TIME, "FOR").value}
 
@@ -270,7 +278,7 @@ def duration(parts: Parts) -> Fields:
 def handoff(parts: Parts) -> Fields:
     verb, name, _from, giver, _to, taker, *rest = parts
     if giver == taker:
-        raise Wrong(taker.column, f"A hand can not hand {name} to itself.", ["another hand"])
+        raise Wrong(taker.column, f"A hand cannot hand {name} to itself.", ["another hand"])
     return command([verb, name, giver, {"to_hand": taker["hand"]}, *rest])
 
 
@@ -459,7 +467,8 @@ def name(word: Token) -> str:
 _MEANINGS: tuple[Callable[[Parts], Any], ...] = (
     nil, same, no_items, items, merge, command, arm, with_hand, of_object, at_point, destination, neighborhood,
     grasp_point_place, relative_step, named_place, joint_place, position_place, straight_line, joint_motion, through,
-    amount, duration, handoff, verify, maintain, named_constraint, shared_constraint, measured_constraint, until,
+    amount, to_value, duration, handoff,
+    verify, maintain, named_constraint, shared_constraint, measured_constraint, until,
     guarded, unguarded, reflex_item, event, measured_condition, along, above, below, action, trim, performer,
     operator_agent, report, reported, reported_every, after, together_with, now, everything, set_value, name_datum,
     number_datum, cannot, task_sentence, control_sentence, data_sentence, operator_sentence, test_sentence,

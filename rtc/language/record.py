@@ -87,7 +87,8 @@ class ParsedCommand(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     place: Place | None = None  # MOVE ... TO / BY
     path: Literal["straight_line", "joint"] | None = None
     through: list[str] = []
-    amount: Quantity | None = None  # BY
+    amount: Quantity | None = None  # BY: how much more
+    to_value: Quantity | None = None  # TO: how much in all (OPEN RIGHT-ARM TO 2 CM)
     until: Condition | None = None
     duration_s: float | None = None  # FOR
     constraints: list[Constraint] = []  # sorted by slot, so that the order of words does not count

@@ -67,6 +67,23 @@ def to_si(number: float, unit: str) -> float:
     return number * times / over + 0.0
 
 
+#: SI unit -> the unit that people read, and how many of it an SI unit is
+_READ: dict[str, tuple[str, float]] = {
+    "m": ("mm", 1000.0),
+    "rad": ("deg", 180 / math.pi),
+    "m/s": ("cm/s", 100.0),
+    "rad/s": ("deg/s", 180 / math.pi),
+    "ratio": ("percent", 100.0),
+    "N.m": ("Nm", 1.0),
+}
+
+
+def in_words(value: float, si: str) -> str:
+    """A value in SI as people read it: 0.08 m is "80 mm"."""
+    unit, times = _READ.get(si, (si, 1.0))
+    return f"{round(value * times, 6):g} {unit}"
+
+
 def such_as(si: str) -> str:
     """`a length such as 10 CM`."""
     kind = KINDS[si]

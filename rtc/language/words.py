@@ -155,7 +155,7 @@ def _malformed(text: str, column: int) -> Wrong:
     meant = " Did you mean -?" if _like_a_dash(text[column]) else ""
     return Wrong(
         column,
-        f"The character {quoted(text[column])} can not stand here.{meant}",
+        f"The character {quoted(text[column])} cannot stand here.{meant}",
         ["words of letters, digits and '-'"],
     )
 

@@ -216,14 +216,16 @@ class ArmModel:
 
     def _limit_passed(self, joint: int, value: float, limit: float, margin: float) -> Refusal:
         side = "upper" if limit == self._upper[joint] else "lower"
-        less = f" less a margin of {math.degrees(margin):.1f} deg" if margin else ""
+        lowest, highest = (math.degrees(n) for n in (self._lower[joint] + margin, self._upper[joint] - margin))
+        kept = f", and {math.degrees(margin):.1f} deg before it are kept free" if margin else ""
         return Refusal(
             reason=RefusalReason.INFEASIBLE,
             message=(
                 f"{self.name} would have to turn {self.joints[joint]} to {math.degrees(value):.1f} deg; "
-                f"its {side} limit is {math.degrees(limit):.1f} deg{less}"
+                f"its {side} limit is {math.degrees(limit):.1f} deg{kept}"
             ),
-            clears="another attitude, arm or grasp point",
+            clears=f"{self.joints[joint]} between {lowest:.1f} and {highest:.1f} deg: "
+            "other joint values, or another attitude, arm or grasp point",
             detail={
                 "cause": "joint_limit",
                 "arm": self.name,

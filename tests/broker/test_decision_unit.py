@@ -209,7 +209,7 @@ def test_control_of_an_arm_reaches_what_its_client_said_before_and_not_what_it_s
     s.answers("C-3", record())
     assert s.answers("C-2", record(kind="control", verb=verb, hand="RIGHT-ARM")) == []
     s.answers("C-1", record())
-    assert s.outcome("C-2").message == ("ABORT told to C-1" if verb == "ABORT" else "C-1 pauses before its first step")
+    assert s.outcome("C-2").message == ("ABORT of C-1" if verb == "ABORT" else "C-1 pauses before its first step")
     assert (s.phase("C-1"), s.phase("C-3")) == (("gone", "elaborating") if verb == "ABORT" else ("elaborating", "held"))
     assert verb == "ABORT" or not s.state.commands["C-3"].pause_wanted
 

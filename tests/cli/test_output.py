@@ -56,7 +56,7 @@ def test_a_refusal_names_the_owner_and_what_would_clear_it() -> None:
     assert refusal_lines(refusal) == [
         "RIGHT-ARM is taken",
         "owner: C-3",
-        "figures: limit_rad 2.793",
+        "figures: limit 160 deg",
         "to clear it: wait for C-3",
     ]
 

@@ -60,7 +60,7 @@ def test_a_failure_says_the_step_the_reason_and_the_trims() -> None:
         "C-7 FAILED  GRASP X  (2.00 s)",
         "    in step 4 of 9: straddle, stopped by force_limit",
         "    a finger landed on the handle",
-        "    mended on the way by: look again",
+        "    tried on the way: look again",
     ]
 
 

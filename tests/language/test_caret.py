@@ -1,5 +1,7 @@
 """The picture of a refused sentence, whole."""
 
+import msgspec
+
 from rtc.language.caret import WIDTH, show
 from rtc.language.parse import default_grammar, parse
 from rtc.outcomes import Refusal, RefusalReason
@@ -13,11 +15,25 @@ def picture(sentence: str | bytes) -> str:
     return show(sentence, refusal)
 
 
+def test_a_long_list_is_left_out_when_something_is_like_the_word() -> None:
+    refusal = Refusal(
+        reason=RefusalReason.SENTENCE,
+        message="GRAPS is not a verb.",
+        column=0,
+        expected=[f"V{n}" for n in range(37)],
+        nearest=["GRASP"],
+    )
+
+    assert "V5" not in show("GRAPS X", refusal)
+    assert "nearest: GRASP" in show("GRAPS X", refusal)
+    assert "V5" in show("GRAPS X", msgspec.structs.replace(refusal, nearest=[]))
+
+
 def test_a_misspelt_word() -> None:
     assert picture("GRASP MACS-OLD HANDLE-A MANTAIN SPEED") == (
         "  GRASP MACS-OLD HANDLE-A MANTAIN SPEED\n"
         "                          ^\n"
-        "MANTAIN can not stand here, after HANDLE-A.\n"
+        "MANTAIN cannot stand here, after HANDLE-A.\n"
         "expected: AFTER, GUARDED, MAINTAIN, NOW, REPORT, TOGETHER-WITH, UNLESS, VIA, WITH,\n"
         "          the end of the sentence\n"
         "nearest: MAINTAIN"
@@ -57,7 +73,7 @@ def test_a_long_line_is_cut_on_both_sides_of_the_caret() -> None:
     assert line.startswith("  ...")
     assert line.endswith("...")
     assert line[caret.index("^") :].startswith("THRUOGH")
-    assert message == "THRUOGH can not stand here, after Q."
+    assert message == "THRUOGH cannot stand here, after Q."
 
 
 def test_a_sentence_that_is_too_long_is_shown_at_the_limit() -> None:

@@ -17,6 +17,7 @@ NUMBERS = ["a number", QUANTITY]
 END = "the end of the sentence"
 AFTER_TASK = ["AFTER", "NOW", "REPORT", "TOGETHER-WITH", "VIA", END]
 AFTER_OBJECT = ["AFTER", "GUARDED", "MAINTAIN", "NOW", "REPORT", "TOGETHER-WITH", "UNLESS", "VIA", "WITH", END]
+AFTER_STEP = [*sorted({"ALONG", "JOINT-MOTION", "STRAIGHT-LINE", "THROUGH", *AFTER_OBJECT} - {"WITH", END}), END]
 EVENTS = ["COLLISION", "CONTACT", "DISTANCE", "FORCE", "GRIP-FORCE", "JOINT-LIMIT", "NO-CONTACT", "OBJECT-LOST",
           "SLIP", "TIMEOUT", "TORQUE"]  # fmt: skip
 SLOTS = ["AVOID-NEIGHBORS", "AVOID-TASK-REGION", "FORCE-LIMIT", "GRIP-FORCE", "POSE-DURING-MOTION",
@@ -35,16 +36,20 @@ WRONG = [
     ("¦-- only a comment", VERBS, [], "no command"),
     ("TEST¦", VERBS, [], "no command"),
     # no verb
-    ("¦GRAPS MACS-OLD", VERBS, ["GRASP"], "GRAPS is no verb"),
-    ("¦unplug MACS-OLD", VERBS, [], "UNPLUG is no verb"),
-    ("TEST ¦EXTRAKT MACS-OLD FROM BAY-2", VERBS, ["EXTRACT"], "EXTRAKT is no verb"),
-    ("¦SPEED 10 CM/S", VERBS, [], "SPEED is no verb"),
-    ("¦10 CM", VERBS, [], "10 CM is no verb"),
-    ("¦UNGRAPS MACS-OLD", VERBS, ["UNGRASP"], "UNGRAPS is no verb"),
-    ("¦FOO BAR", VERBS, [], "FOO is no verb"),  # FOR is near, and can not begin a sentence
+    ("¦GRAPS MACS-OLD", VERBS, ["GRASP"], "GRAPS is not a verb"),
+    ("¦unplug MACS-OLD", VERBS, [], "UNPLUG is not a verb"),
+    ("TEST ¦EXTRAKT MACS-OLD FROM BAY-2", VERBS, ["EXTRACT"], "EXTRAKT is not a verb"),
+    ("¦SPEED 10 CM/S", VERBS, [], "SPEED is not a verb"),
+    ("¦10 CM", VERBS, [], "10 CM is not a verb"),
+    ("¦UNGRAPS MACS-OLD", VERBS, ["UNGRASP"], "UNGRAPS is not a verb"),
+    ("¦FOO BAR", VERBS, [], "FOO is not a verb"),  # FOR is near, and cannot begin a sentence
+    # two words for one; a direction without its ALONG
+    ("MOVE ¦RIGHT ARM TO RACK-1", HANDS, ["RIGHT-ARM"], "RIGHT cannot stand here"),
+    ("MOVE LEFT-ARM BY 5 CM ¦TOOL-Z", AFTER_STEP, ["ALONG TOOL-Z"], "TOOL-Z cannot stand here"),
+    ("MOVE LEFT-ARM BY 5 DEG ¦ABOUT Z", AFTER_STEP, ["ALONG"], "ABOUT cannot stand here"),
     # letters and dashes of other alphabets
-    ("ST¦ÖW LEFT-ARM", WORDS, [], "The character Ö can not stand here."),
-    ("STOW LEFT¦\u2013ARM", WORDS, [], "The character \u2013 can not stand here. Did you mean -?"),
+    ("ST¦ÖW LEFT-ARM", WORDS, [], "The character Ö cannot stand here."),
+    ("STOW LEFT¦\u2013ARM", WORDS, [], "The character \u2013 cannot stand here. Did you mean -?"),
     ("STOW LEFT¦\u2212ARM", WORDS, [], "Did you mean -?"),
     # it ends too early
     ("GRASP¦", ["a name", "LEFT-END-EFF", "RIGHT-END-EFF"], [], "after GRASP"),
@@ -61,15 +66,15 @@ WRONG = [
     ("SET MACS-NEW MASS¦", ["a name", QUANTITY, "a number"], [], "after MASS"),
     ("CANNOT¦", ['a text in quotes such as "bolt head is stripped"'], [], "after CANNOT"),
     # a word in the wrong place
-    ("MOVE ¦MACS-OLD TO BAY-2", HANDS, [], "MACS-OLD can not stand here, after MOVE"),
+    ("MOVE ¦MACS-OLD TO BAY-2", HANDS, [], "MACS-OLD cannot stand here, after MOVE"),
     ("GRASP ¦MOVE", ["a name", "LEFT-END-EFF", "RIGHT-END-EFF"], [], "MOVE is a reserved word"),
     ("LOCATE MACS-OLD VIA ¦SPEED", ["a name", "OPERATOR-INTERVENTION"], [], "SPEED is a reserved word"),
-    ("STOW ¦PARK", HANDS, [], "PARK can not stand here"),
-    ("HALT ALL ¦ALL", [END], [], "ALL can not stand here, after ALL"),
+    ("STOW ¦PARK", HANDS, [], "PARK cannot stand here"),
+    ("HALT ALL ¦ALL", [END], [], "ALL cannot stand here, after ALL"),
     ("DONE ¦DONE", [END], [], "after DONE"),
-    ("GRASP MACS-OLD WITH ¦RIHGT-ARM GUARDED", HANDS, ["RIGHT-ARM"], "RIHGT-ARM can not stand here"),
-    ("GRASP MACS-OLD HANDLE-A ¦MANTAIN SPEED", AFTER_OBJECT, ["MAINTAIN"], "MANTAIN can not stand here"),
-    ("STOW LEFT-ARM ¦AFTR C-3", [w for w in AFTER_OBJECT if w != "WITH"], ["AFTER"], "AFTR can not stand"),
+    ("GRASP MACS-OLD WITH ¦RIHGT-ARM GUARDED", HANDS, ["RIGHT-ARM"], "RIHGT-ARM cannot stand here"),
+    ("GRASP MACS-OLD HANDLE-A ¦MANTAIN SPEED", AFTER_OBJECT, ["MAINTAIN"], "MANTAIN cannot stand here"),
+    ("STOW LEFT-ARM ¦AFTR C-3", [w for w in AFTER_OBJECT if w != "WITH"], ["AFTER"], "AFTR cannot stand"),
     ("GRASP MACS-OLD NOW ¦REPORT POSE", [END], [], "after NOW"),
     ("GRASP MACS-OLD REPORT ¦SPEED", ["EVERY", "FORCES", "JOINTS", "POSE"], [], "after REPORT"),
     ("TRACK SATELLITE ¦MAINTAIN SPEED", ["AFTER", "FOR", *AFTER_TASK[1:]], [], "after SATELLITE"),
@@ -83,12 +88,12 @@ WRONG = [
     # numbers and units
     ("LIFT MACS-OLD BY ¦10", [QUANTITY], [], "10 has no unit"),
     ("LIFT MACS-OLD BY ¦10 WITH LEFT-ARM", [QUANTITY], [], "10 has no unit"),
-    ("LIFT MACS-OLD BY 10 ¦CMM", ["a unit such as CM"], ["CM", "MM"], "CMM is no unit"),
-    ("LIFT MACS-OLD BY 10 ¦furlongs", ["a unit such as CM"], [], "FURLONGS is no unit"),
+    ("LIFT MACS-OLD BY 10 ¦CMM", ["a unit such as CM"], ["CM", "MM"], "CMM is not a unit"),
+    ("LIFT MACS-OLD BY 10 ¦furlongs", ["a unit such as CM"], [], "FURLONGS is not a unit"),
     ("LIFT MACS-OLD BY ¦10cmm WITH LEFT-ARM", NUMBERS, ["CM", "MM"], "10cmm is neither a number"),
     ("LIFT MACS-OLD BY ¦1.2.3 CM", NUMBERS, [], "1.2.3 is neither a number"),
     ("GRASP ¦7UP", NUMBERS, [], "7UP is neither a number"),
-    ("MOVE LEFT-ARM TO JOINTS 1 2 ¦DEGG", ["a unit such as CM"], ["DEG"], "DEGG is no unit"),
+    ("MOVE LEFT-ARM TO JOINTS 1 2 ¦DEGG", ["a unit such as CM"], ["DEG"], "DEGG is not a unit"),
     ("MOVE LEFT-ARM TO JOINTS¦", ["a number", AN_ANGLE], [], "no numbers"),
     ("MOVE LEFT-ARM TO JOINTS 10 DEG 20 DEG ¦30 40", ["a quantity such as 30 DEG"], [], "30 has no unit"),
     ("MOVE LEFT-ARM TO JOINTS 1 2 ¦3 KG", [AN_ANGLE, A_LENGTH], [], "an angle or a length; 3 KG is a mass"),
@@ -123,15 +128,15 @@ WRONG = [
     ("GRASP X MAINTAIN SPEED 10 CM/S AND ¦SPEED 5 CM/S", ["each constraint once"], [], "SPEED is said twice"),
     ("GRASP X MAINTAIN SPEED, SHARED, ¦SHARED WRIST", ["each constraint once"], [], "SHARED is said twice"),
     ("OPEN RIGHT-END-EFF WITH ¦LEFT-ARM", ["RIGHT-ARM"], [], "RIGHT-ARM is named first, then LEFT-ARM"),
-    ("HANDOFF X FROM LEFT-ARM TO ¦LEFT-END-EFF", ["another hand"], [], "can not hand X to itself"),
+    ("HANDOFF X FROM LEFT-ARM TO ¦LEFT-END-EFF", ["another hand"], [], "cannot hand X to itself"),
     # characters
-    ("GRASP X¦; HALT", WORDS, [], "The character ; can not stand here"),
+    ("GRASP X¦; HALT", WORDS, [], "The character ; cannot stand here"),
     ("GRASP MACS¦-", WORDS, [], "The character - can"),
     ("GRASP A¦__B", WORDS, [], "The character _ can"),
     ("GRASP X¦. WITH LEFT-ARM", WORDS, [], "The character . can"),
     ("GRASP MÄCS-OLD".replace("Ä", "¦Ä"), WORDS, [], "The character Ä can"),
     ('CANNOT ¦"bolt head', ['a closing "'], [], "does not end"),
-    ('CANNOT "x" ¦"y"', [END], [], "can not stand here"),
+    ('CANNOT "x" ¦"y"', [END], [], "cannot stand here"),
     ("GRASP ¦\x07X", ["readable text"], [], "U+0007"),
     ("GRASP X ¦\x00", ["readable text"], [], "U+0000"),
     ("GRASP X -- \x1b[2J".replace("\x1b", "¦\x1b"), ["readable text"], [], "U+001B"),
@@ -180,12 +185,12 @@ def test_the_longest_sentence_is_still_one() -> None:
 
 
 def test_control_bytes_come_before_everything_else() -> None:
-    assert refused("GRAPS\x07").column == 5  # a text that can not be printed is not judged as a sentence
+    assert refused("GRAPS\x07").column == 5  # a text that cannot be printed is not judged as a sentence
 
 
 def test_messages_quote_only_the_beginning_of_long_words() -> None:
     refusal = refused("X" * 1500)
-    assert refusal.message == "X" * 37 + "... is no verb of the language."
+    assert refusal.message == "X" * 37 + "... is not a verb of the language."
 
 
 def test_columns_hold_in_upper_and_lower_case_and_behind_tabs() -> None:

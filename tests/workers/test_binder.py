@@ -167,7 +167,7 @@ def test_poses_that_lie_too_far_apart_have_no_middle(bench):
 
 
 def test_hands(bench):
-    _, opened = bound_to(bench, "OPEN RIGHT-END-EFF BY 5 CM", "open")
+    _, opened = bound_to(bench, "OPEN RIGHT-END-EFF TO 5 CM", "open")
     _, closed = bound_to(bench, "CLOSE RIGHT-END-EFF MAINTAIN GRIP-FORCE 25 N", "close")
 
     assert isinstance(opened.primitive.trajectory, HandMotion)
@@ -180,14 +180,46 @@ def test_a_grip_beyond_the_hands_force_is_refused(bench):
     refusal = refused(bench, "CLOSE RIGHT-END-EFF MAINTAIN GRIP-FORCE 80 N", "close")
 
     assert refusal.reason is RefusalReason.INFEASIBLE
-    assert refusal.detail["limit"] == 60
+    assert refusal.detail["limit_n"] == 60
+    assert refusal.message == "grip force of RIGHT-END-EFF: 80 N is asked for; it can have 0 to 60 N"
 
 
 def test_a_hand_is_not_opened_wider_than_it_goes(bench):
     refusal = refused(bench, "OPEN RIGHT-END-EFF BY 7 M", "open")
 
     assert refusal.reason is RefusalReason.INFEASIBLE
-    assert refusal.detail["limit"] == 0.08
+    assert refusal.detail["limit_m"] == 0.08
+    assert "it can have 0 to 80 mm" in refusal.message
+
+
+@pytest.mark.parametrize(
+    ("sentence", "width_m"),
+    [
+        ("OPEN RIGHT-ARM BY 2 CM", 0.05),
+        ("CLOSE RIGHT-ARM BY 2 CM", 0.01),
+        ("OPEN RIGHT-ARM TO 2 CM", 0.02),
+        ("CLOSE RIGHT-ARM TO 2 CM", 0.02),
+        ("OPEN RIGHT-ARM", 0.08),
+        ("CLOSE RIGHT-ARM", 0.0),
+    ],
+)
+def test_by_is_relative_to_the_present_width_and_to_is_the_width(bench, sentence, width_m):
+    bench.told("RIGHT-ARM.hand_width", 0.03)
+    script = bench.elaborate(sentence)
+
+    bound = bench.bind(script, script.steps[0])
+
+    assert bound.primitive.trajectory.width_m == pytest.approx(width_m)
+
+
+def test_closing_by_more_than_the_hand_is_open_is_refused(bench):
+    bench.told("RIGHT-ARM.hand_width", 0.03)
+    script = bench.elaborate("CLOSE RIGHT-ARM BY 5 CM")
+
+    refusal = bench.bind(script, script.steps[0])
+
+    assert isinstance(refusal, Refusal)
+    assert "it is open 30 mm now" in refusal.message
 
 
 def test_holding_has_an_end(bench):

@@ -137,7 +137,7 @@ def test_a_strategy_can_be_switched_off(bench):
         ("HOLD LEFT-ARM FOR 5 SEC", "hold", 1),
         ("RETRACT RIGHT-ARM BY 5 CM", "retract", 1),
         ("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM", "approach", 2),
-        ("OPEN RIGHT-END-EFF BY 5 CM", "open-hand", 1),
+        ("OPEN RIGHT-END-EFF BY 5 CM", "open-hand-by", 1),
         ("CLOSE LEFT-END-EFF", "close-hand", 1),
     ],
 )
@@ -230,16 +230,101 @@ def test_a_verb_without_a_script_is_told_what_to_do_instead(bench):
     insert, turn = refusal_of(bench, "INSERT MACS-NEW INTO BAY-2"), refusal_of(bench, "TURN CRANK-1 BY 90 DEG")
 
     assert (insert.reason, insert.message) == (RefusalReason.NO_SCRIPT, "there is no script for INSERT yet")
-    assert insert.clears == (
-        "PLACE the module ON the seat; or load a script for INSERT: rtc load FILE INTO elaborator (docs/scripts.md)"
-    )
-    assert turn.clears == "load a script for TURN: rtc load FILE INTO elaborator (docs/scripts.md)"
+    assert insert.clears == ("PLACE the module ON the seat; or load a script for INSERT: rtc load FILE INTO elaborator")
+    assert turn.clears == "load a script for TURN: rtc load FILE INTO elaborator"
 
 
 def test_a_sentence_that_no_script_of_its_verb_is_for_hears_what_they_are_for(bench):
     refusal = refusal_of(bench, "VERIFY MACS-NEW AT RACK-1")
 
-    assert refusal.clears == "verify-held is for a sentence with hand"
+    assert refusal.clears == "VERIFY with a hand"
+
+
+@pytest.mark.parametrize(
+    ("sentence", "message", "clears"),
+    [
+        (
+            "STOW LEFT-ARM MAINTAIN AVOID-NEIGHBORS",
+            "AVOID-NEIGHBORS needs a length such as 10 CM",
+            "give AVOID-NEIGHBORS",
+        ),
+        ("STOW LEFT-ARM MAINTAIN SPEED", "SPEED needs a speed such as 10 CM/S or a percentage", "leave it out"),
+        ("STOW LEFT-ARM MAINTAIN SPEED 5 DEG/S", "not a turning speed", "give SPEED"),
+        ("STOW LEFT-ARM MAINTAIN FORCE-LIMIT", "FORCE-LIMIT needs a force such as 20 N", "give FORCE-LIMIT"),
+        ("STOW LEFT-ARM MAINTAIN TORQUE-LIMIT", "TORQUE-LIMIT needs a torque", "give TORQUE-LIMIT"),
+        ("CLOSE LEFT-ARM MAINTAIN GRIP-FORCE", "GRIP-FORCE needs a force", "give GRIP-FORCE"),
+        (
+            "STOW LEFT-ARM MAINTAIN SAFE-WORK-RANGE",
+            "name of a region: BAY-2-RANGE, SOLAR-ARRAY",
+            "give SAFE-WORK-RANGE",
+        ),
+        ("STOW LEFT-ARM MAINTAIN POSE-DURING-MOTION", "name of an attitude: LEVEL", "give POSE-DURING-MOTION"),
+        ("STOW LEFT-ARM MAINTAIN GRIP-FORCE 20 N", "is about closing of the hand, of which STOW has none", "leave out"),
+        (
+            "HOLD LEFT-ARM MAINTAIN TORQUE-LIMIT 2 NM",
+            "is about motions of the arm, of which HOLD has none",
+            "leave out",
+        ),
+        (
+            "OPEN LEFT-ARM MAINTAIN SPEED 1 CM/S",
+            "is about motions of the arm, of which OPEN has none",
+            "leave out SPEED",
+        ),
+        (
+            "STOW LEFT-ARM UNLESS DISTANCE BELOW 2 CM THEN STOP",
+            "this command names none",
+            "a verb that takes an object",
+        ),
+        ("HOLD LEFT-ARM FOR 2 SEC REPORT EVERY 0.01 SEC", "0.1 s is the shortest interval", "REPORT EVERY 0.1 SEC"),
+    ],
+)
+def test_what_would_have_no_effect_is_refused_with_what_clears_it(bench, sentence, message, clears):
+    refusal = refusal_of(bench, sentence)
+
+    assert refusal.reason is RefusalReason.NO_SCRIPT
+    assert message in refusal.message
+    assert clears in refusal.clears
+
+
+def test_a_constraint_that_acts_on_one_step_is_kept(bench):
+    script = script_of(bench, "GRASP MACS-NEW MAINTAIN GRIP-FORCE 20 N AND SPEED 5 CM/S AND TORQUE-LIMIT 2 NM")
+
+    assert (script.context.limits.grip_force_n, script.context.limits.speed_m_s) == (20.0, 0.05)
+
+
+def test_a_width_that_is_not_known_is_not_built_upon(bench):
+    bench.told("RIGHT-ARM.hand_width", 0.03, Validity.SUSPECT)
+
+    refusal = refusal_of(bench, "OPEN RIGHT-ARM BY 2 CM")
+
+    assert refusal.message == "it is not known how wide the hand of RIGHT-ARM is open"
+    assert refusal.clears.startswith("OPEN RIGHT-ARM")
+    assert isinstance(bench.elaborate("OPEN RIGHT-ARM TO 2 CM"), Script)
+
+
+def test_a_field_that_a_script_does_not_use_is_named_as_the_sentence_says_it(bench):
+    bench.load("elaborator", "script: retract\ncase: 1\nuses: [hand]\nsteps: [{do: hold, stop: hold, label: x}]")
+
+    refusal = refusal_of(bench, "RETRACT RIGHT-ARM BY 2 CM")
+
+    assert refusal.message == "RETRACT does not take BY: its script retract has no use for it"
+    assert "put amount into its `uses`" in refusal.clears
+
+
+def test_a_hand_by_an_unknown_name_is_compared_with_hands_too(bench):
+    assert "RIGHT-END-EFF" in refusal_of(bench, "CLOSE RIGHT-HAND").nearest
+
+
+def test_the_names_there_are_stand_in_a_refusal_once(bench):
+    refusal = refusal_of(bench, "GRASP ROCKET")
+
+    assert "MACS-NEW" in refusal.expected
+    assert "MACS-NEW" not in refusal.message + refusal.clears
+
+
+def test_holding_without_an_end_says_so(bench):
+    assert script_of(bench, "HOLD LEFT-ARM").steps[0].label == "hold LEFT-ARM still until halted, 60 min at most"
+    assert script_of(bench, "HOLD LEFT-ARM FOR 2 SEC").steps[0].label == "hold LEFT-ARM still for 2 s"
 
 
 def test_a_suspect_frame_is_not_planned_upon(bench):
@@ -341,15 +426,23 @@ def test_what_is_out_of_reach_says_how_far(bench):
 def test_a_missing_cell_of_the_table_is_a_clear_refusal(bench):
     refusal = refusal_of(bench, "GRASP SATELLITE")
 
-    assert refusal.reason is RefusalReason.PROGRAM
-    assert "GRASP" in refusal.message
-    assert "structure" in refusal.message
+    assert refusal.reason is RefusalReason.NO_SCRIPT
+    assert refusal.message == "GRASP is not possible with SATELLITE: it is a structure"
+    assert refusal.clears == "GRASP one of MACS-NEW, MACS-OLD"
 
 
 def test_an_action_cannot_be_given_a_trim(bench):
     refusal = refusal_of(bench, "STOW RIGHT-ARM UNLESS FORCE EXCEEDS 9 N THEN STOP AND TRY REGRASP")
 
-    assert "R78" in refusal.message
+    assert "only skills" in refusal.message
+    assert "R78" not in refusal.message
+
+
+def test_a_piece_of_script_that_does_not_exist_is_an_unknown_name(bench):
+    refusal = refusal_of(bench, "STOW RIGHT-ARM UNLESS FORCE EXCEEDS 9 N THEN STOP AND TRY DANCE")
+
+    assert refusal.reason is RefusalReason.NAME
+    assert "REGRASP" in refusal.expected
 
 
 def test_a_reflex_may_name_a_piece_of_script_to_try(bench):
