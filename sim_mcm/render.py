@@ -1,72 +1,216 @@
 """`python -m sim_mcm.render --truth FILE.json --out scene.png`: a picture of the cell as the simulator saw it.
+With --serve: a picture for every `rtc.scene.Picture` that comes as a line of JSON on stdin.
 
 Drawn by a process of its own, because pybullet holds the interpreter while it draws, and a tick must not wait for that.
-It rebuilds the cell in a client without physics, puts everything where the truth (a `SimTruthReply` as JSON) says, and
-uses the software renderer: no display is needed.
+It rebuilds the cell in a client without physics, puts everything where the scene says, and uses the software renderer:
+no display is needed.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import struct
+import sys
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
+from rtc import geometry
 from rtc.cell import Cell
 from rtc.outcomes import RtcError
+from rtc.scene import VIEWS, Drawn, Panel, Picture, Scene
+from sim_mcm import picture as sheet
 from sim_mcm.bullet_world import World
 
 Image = NDArray[np.uint8]
+Array = NDArray[np.float64]
 
 SUPERSAMPLING = 2  # drawn twice as large and averaged: the renderer does not smooth edges
 FIELD_OF_VIEW_DEG = 37.0
-EYE = (-1.15, -2.35, 1.75)  # from behind the arms, to the right and above
-LOOK_AT = (0.40, -0.06, 0.58)
+NEAR_M, FAR_M = 0.1, 12.0
 LIGHT = (-1.2, -0.5, 1.1)  # direction towards it
 FLOOR_TILE_M, FLOOR_TILES = 0.4, 10
 FLOOR_COLOURS = ((0.86, 0.87, 0.89, 1.0), (0.80, 0.82, 0.85, 1.0))
 SKY = (232, 238, 246)
+PANEL = (760, 600)  # pixels, of two side by side
+ALONE = (960, 720)
+CLOSE_M = 1.0  # from the eye to the thing that a close view is of
+#: view -> direction from the middle of the cell to the eye, and how many times its radius away
+DIRECTIONS = {
+    "overview": ((-2.0, -0.95, 1.6), 2.6),  # from above and behind the arms, a little to the right
+    "behind": ((-2.6, 0.0, 0.9), 2.45),
+    "left": ((-0.3, 2.6, 0.7), 2.6),
+    "right": ((-0.3, -2.6, 0.7), 2.6),
+    "top": ((-0.02, 0.0, 1.0), 2.9),
+}
+assert set(DIRECTIONS) == set(VIEWS)
+CLOSE = (-1.0, -1.0, 0.75)  # direction of a close view
 
 
-class Truth(msgspec.Struct, frozen=True):
-    """What is drawn of a SimTruthReply; whatever is missing stays as the cell begins."""
+class Camera(NamedTuple):
+    """Column-major 4x4 matrices, as pybullet has them."""
 
-    poses: dict[str, list[float]] = {}
-    joints: dict[str, list[float]] = {}
-    fingers: dict[str, list[float]] = {}
+    view: Sequence[float]
+    lens: Sequence[float]
+
+    def pixel(self, point: geometry.Floats, size: tuple[int, int]) -> tuple[float, float]:
+        """Where a point (m, world frame) is in a picture of this size; far outside when it is behind the eye."""
+        view, lens = (np.array(matrix).reshape(4, 4).T for matrix in self)
+        x, y, _, w = (lens @ view @ np.array([*list(point)[:3], 1.0])).tolist()
+        return (-1e9, -1e9) if w <= 0 else (0.5 * (1 + x / w) * size[0], 0.5 * (1 - y / w) * size[1])
 
 
-def draw(cell: Cell, truth: Truth, width: int = 960, height: int = 720) -> Image:
-    """The picture, height x width x 3."""
-    world = World(cell, visual=True)
-    try:
-        _floor(world)
-        for name, pose in truth.poses.items():
-            if name in world.objects:
-                world.place(world.objects[name], pose)
+class Photograph(NamedTuple):
+    pixels: Image  # height x width x 3
+    bodies: NDArray[np.int64]  # pybullet's number of the body at each pixel; below 0: none
+
+
+class Studio:
+    """The cell in a client without physics, to be posed and photographed, again and again."""
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell = cell
+        self.world = World(cell, visual=True)
+        self.arms = {arm.name: self.world.load_arm(arm.name) for arm in cell.arms}
+        self.joints = {
+            name: {
+                pybullet.getJointInfo(body, joint, physicsClientId=self.world.client)[1].decode(): joint
+                for joint in range(pybullet.getNumJoints(body, physicsClientId=self.world.client))
+            }
+            for name, body in self.arms.items()
+        }
+        _floor(self.world)
+
+    def close(self) -> None:
+        self.world.close()
+
+    def pose(self, scene: Scene) -> None:
+        """Put everything where the scene has it, the rest where the cell begins."""
+        for name, body in self.world.objects.items():
+            self.world.place(body, scene.poses.get(name, self.cell.object_pose(name).tolist()))
+        for arm in self.cell.arms:
+            half = 0.5 * arm.gripper.max_opening_m
+            wanted = dict(zip(arm.joints, scene.joints.get(arm.name, arm.home_rad), strict=True))
+            wanted |= zip(arm.gripper.finger_joints, scene.fingers.get(arm.name, [half, half]), strict=True)
+            for title, joint in self.joints[arm.name].items():
+                if title in wanted:
+                    pybullet.resetJointState(
+                        self.arms[arm.name], joint, wanted[title], physicsClientId=self.world.client
+                    )
+
+    def camera(self, name: str, scene: Scene, aspect: float) -> Camera:
+        """One of VIEWS, or a close view of the arm's hand, object, seat or place of that name."""
+        middle, radius = self._extent()
+        direction, far = DIRECTIONS.get(name, (CLOSE, 0.0))
+        target = middle if name in DIRECTIONS else self._target(name, scene)
+        distance = far * radius if name in DIRECTIONS else CLOSE_M
+        eye = target + distance * np.array(direction) / math.hypot(*direction)
+        return Camera(
+            pybullet.computeViewMatrix(eye.tolist(), target.tolist(), [0, 0, 1]),
+            pybullet.computeProjectionMatrixFOV(FIELD_OF_VIEW_DEG, aspect, NEAR_M, FAR_M),
+        )
+
+    def _extent(self) -> tuple[Array, float]:
+        """The middle of what stands in the cell, and how far it reaches."""
+        points: list[tuple[float, ...]] = [arm.base.xyz for arm in self.cell.arms]
+        points += [tuple(seat.frame.xyz) for seat in self.cell.seats]
+        points += [frame.xyz for place in self.cell.places for frame in place.poses.values()]
+        points += [tuple(self.cell.object_pose(thing.name)[:3].tolist()) for thing in self.cell.objects]
+        low, high = np.min(points, axis=0), np.max(points, axis=0)
+        return 0.5 * (low + high), max(0.5, 0.5 * float(np.linalg.norm(high - low)))
+
+    def _target(self, name: str, scene: Scene) -> Array:
+        cell = self.cell
+        if name in scene.poses:
+            return np.array(scene.poses[name][:3])
         for arm in cell.arms:
-            _pose_arm(world, cell, arm.name, truth)
-        return _photograph(world, width, height)
+            if name in (arm.name, arm.end_effector):
+                return self.hand(arm.name)
+        found = [seat.frame.xyz for seat in cell.seats if seat.name == name]
+        found += [frame.xyz for place in cell.places if place.name == name for frame in place.poses.values()]
+        if not found:
+            raise RtcError(f"the camera can look from {', '.join(VIEWS)}, or at a thing of the cell; not at {name}")
+        return np.array(found[0])
+
+    def hand(self, arm: str) -> Array:
+        """Where the palm of an arm is now (m)."""
+        joint = self.joints[arm][self.cell.arm(arm).gripper.finger_joints[0]]
+        state = pybullet.getLinkState(
+            self.arms[arm], joint, computeForwardKinematics=1, physicsClientId=self.world.client
+        )
+        return np.array(state[0])
+
+    def photograph(self, camera: Camera, width: int, height: int, *, smooth: bool = True) -> Photograph:
+        times = SUPERSAMPLING if smooth else 1
+        wide, high = width * times, height * times
+        _, _, pixels, _, segments = pybullet.getCameraImage(
+            wide,
+            high,
+            viewMatrix=camera.view,
+            projectionMatrix=camera.lens,
+            lightDirection=LIGHT,
+            lightColor=[1.0, 0.98, 0.95],
+            lightDistance=6.0,
+            lightAmbientCoeff=0.62,
+            lightDiffuseCoeff=0.48,
+            lightSpecularCoeff=0.05,
+            shadow=1,
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=self.world.client,
+        )
+        image = np.asarray(pixels, dtype=np.uint8).reshape(high, wide, 4)[:, :, :3].copy()
+        bodies = np.asarray(segments, dtype=np.int64).reshape(high, wide)
+        image[bodies < 0] = SKY
+        blocks = image.reshape(height, times, width, times, 3)
+        averaged: Image = blocks.mean(axis=(1, 3)).astype(np.uint8)
+        return Photograph(averaged, bodies[::times, ::times])
+
+    def mask(self, photograph: Photograph, name: str) -> sheet.Mask:
+        """The pixels where an object is seen."""
+        seen: sheet.Mask = np.isin(photograph.bodies, [part for part, _ in self.world.objects[name].parts])
+        return seen
+
+
+def draw(cell: Cell, scene: Scene, width: int = 960, height: int = 720) -> Image:
+    """One scene without words, height x width x 3."""
+    studio = Studio(cell)
+    try:
+        studio.pose(scene)
+        return studio.photograph(studio.camera("overview", scene, width / height), width, height).pixels
     finally:
-        world.close()
+        studio.close()
 
 
-def _pose_arm(world: World, cell: Cell, name: str, truth: Truth) -> None:
-    spec = cell.arm(name)
-    body = world.load_arm(name)
-    half = 0.5 * spec.gripper.max_opening_m
-    wanted = dict(zip(spec.joints, truth.joints.get(name, spec.home_rad), strict=True))
-    wanted |= zip(spec.gripper.finger_joints, truth.fingers.get(name, [half, half]), strict=True)
-    for joint in range(pybullet.getNumJoints(body, physicsClientId=world.client)):
-        title = pybullet.getJointInfo(body, joint, physicsClientId=world.client)[1].decode()
-        if title in wanted:
-            pybullet.resetJointState(body, joint, wanted[title], physicsClientId=world.client)
+def compose(studio: Studio, wanted: Picture) -> sheet.Image.Image:
+    """The panels of a picture, all from the same place, with their words."""
+    size = ALONE if len(wanted.panels) == 1 else PANEL
+    camera, first = None, None
+    done = []
+    for panel in wanted.panels:
+        studio.pose(panel.scene)
+        camera = camera or studio.camera(wanted.camera, panel.scene, size[0] / size[1])
+        photograph = studio.photograph(camera, *size, smooth=wanted.smooth)
+        first = first or photograph
+        pixels = sheet.painted(photograph.pixels, [studio.mask(first, name) for name in panel.outlined])
+        labels = {name: (words, camera.pixel(at, size)) for name, words, at in _anchors(studio, panel)}
+        done.append((panel.title, sheet.labelled(pixels, labels, panel.doubtful)))
+    return sheet.composed(done, wanted.caption)
+
+
+def _anchors(studio: Studio, panel: Panel) -> list[tuple[str, str, Array]]:
+    """Name, words and the point (m) that each label of a panel is about."""
+    return [
+        (name, words, studio.hand(name) if name in studio.arms else np.array(panel.scene.poses[name][:3]))
+        for name, words in panel.labels.items()
+        if name in studio.arms or name in panel.scene.poses
+    ]
 
 
 def _floor(world: World) -> None:
@@ -87,30 +231,20 @@ def _floor(world: World) -> None:
             )
 
 
-def _photograph(world: World, width: int, height: int) -> Image:
-    wide, high = width * SUPERSAMPLING, height * SUPERSAMPLING
-    view = pybullet.computeViewMatrix(EYE, LOOK_AT, [0, 0, 1])
-    lens = pybullet.computeProjectionMatrixFOV(FIELD_OF_VIEW_DEG, wide / high, 0.3, 12.0)
-    _, _, pixels, _, segments = pybullet.getCameraImage(
-        wide,
-        high,
-        viewMatrix=view,
-        projectionMatrix=lens,
-        lightDirection=LIGHT,
-        lightColor=[1.0, 0.98, 0.95],
-        lightDistance=6.0,
-        lightAmbientCoeff=0.62,
-        lightDiffuseCoeff=0.48,
-        lightSpecularCoeff=0.05,
-        shadow=1,
-        renderer=pybullet.ER_TINY_RENDERER,
-        physicsClientId=world.client,
-    )
-    image = np.asarray(pixels, dtype=np.uint8).reshape(high, wide, 4)[:, :, :3].copy()
-    image[np.asarray(segments).reshape(high, wide) < 0] = SKY
-    blocks = image.reshape(height, SUPERSAMPLING, width, SUPERSAMPLING, 3)
-    smooth: Image = blocks.mean(axis=(1, 3)).astype(np.uint8)
-    return smooth
+def serve() -> None:
+    """A `Drawn` on stdout for every `Picture` on stdin, until stdin ends. The cell is built once."""
+    read = msgspec.json.Decoder(Picture)
+    studio, built = None, ""
+    for line in sys.stdin:
+        wanted = read.decode(line)
+        error = ""
+        try:
+            if studio is None or built != wanted.cell:
+                studio, built = Studio(Cell.load(wanted.cell)), wanted.cell
+            sheet.save(compose(studio, wanted), Path(wanted.out))
+        except (OSError, RtcError) as trouble:
+            error = str(trouble)
+        print(msgspec.json.encode(Drawn(out=wanted.out, error=error)).decode(), flush=True)
 
 
 def write_png(image: Image, file: Path) -> None:
@@ -136,13 +270,18 @@ def _size(text: str) -> tuple[int, int]:
 def main(arguments: Sequence[str] | None = None) -> None:
     words = argparse.ArgumentParser(prog="python -m sim_mcm.render", description=__doc__)
     words.add_argument("--truth", type=Path, help="SimTruthReply as JSON; without it the cell as it begins")
-    words.add_argument("--out", type=Path, required=True, help="the PNG to write")
+    words.add_argument("--out", type=Path, help="the PNG to write")
     words.add_argument("--cell", default="swapout", help="name or file of the cell")
     words.add_argument("--size", type=_size, default=(960, 720), help="WIDTHxHEIGHT")
+    words.add_argument("--serve", action="store_true", help="draw what is asked for on stdin")
     given = words.parse_args(arguments)
+    if given.serve:
+        return serve()
+    if given.out is None:
+        words.error("--out or --serve is needed")
     try:
-        truth = msgspec.json.decode(given.truth.read_bytes(), type=Truth) if given.truth else Truth()
-        write_png(draw(Cell.load(given.cell), truth, *given.size), given.out)
+        scene = msgspec.json.decode(given.truth.read_bytes(), type=Scene) if given.truth else Scene()
+        write_png(draw(Cell.load(given.cell), scene, *given.size), given.out)
     except (OSError, msgspec.MsgspecError, RtcError) as error:
         words.exit(1, f"{words.prog}: {error}\n")
 

@@ -25,6 +25,7 @@ ARROWS = {
 #: outside module -> the places that may import it
 ONLY_IN = {
     "pybullet": ("sim_mcm/",),
+    "PIL": ("sim_mcm/picture.py",),
     "pinocchio": ("rtc/robot/", "workers/motion/", "sim_mcm/"),
     "coal": ("rtc/robot/", "workers/motion/", "sim_mcm/"),
     "lark": ("rtc/language/",),

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import random
-import re
 import time
 from typing import Annotated
 
@@ -12,12 +10,11 @@ import typer
 from rich.text import Text
 
 from rtc.chaos import VICTIMS, Chaos, Strike
-from rtc.cli.output import AsJson, RunDir, console, emit_json, exits_with, seconds, table, trouble
+from rtc.cli.output import AsJson, RunDir, console, duration_s, emit_json, exits_with, seconds, table, trouble
 from rtc.settings import default_run_dir
 
 BACK_LIMIT_S = 30.0  # for the last one struck to come back
 LOOK_S = 0.01
-UNITS = {"ms": 1e-3, "s": 1.0, "m": 60.0, "": 1.0}
 
 
 def chaos(
@@ -41,7 +38,7 @@ def chaos(
     """
     if kill not in VICTIMS:
         raise trouble(f"--kill is one of {', '.join(VICTIMS)}; not {kill}", 2)
-    every_s, for_s = _duration_s(every, "--every"), _duration_s(for_, "--for")
+    every_s, for_s = duration_s(every, "--every"), duration_s(for_, "--for")
     maker = Chaos(run_dir or default_run_dir(), random.Random(seed), stop)
     begun_s = time.monotonic()
     word = "stopped" if stop else "killed"
@@ -98,10 +95,3 @@ def _summary(maker: Chaos) -> None:
     console.print(out)
     for strike in maker.missing:
         console.print(Text(f"{strike.name} did not come back within {BACK_LIMIT_S:g} s", style="bold red"))
-
-
-def _duration_s(text: str, option: str) -> float:
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(ms|s|m|)", text.strip())
-    if found is None or not 0 < float(found[1]) < math.inf:
-        raise trouble(f"{option} is a duration such as 2s, 500ms or 5m; not {text}", 2)
-    return float(found[1]) * UNITS[found[2]]

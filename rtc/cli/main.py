@@ -24,6 +24,7 @@ COMMANDS = {
     "status": "cluster",
     "do": "sentences",
     "halt": "halt",
+    "look": "look",
     "log": "log",
     "trace": "story",
     "why": "story",

@@ -5,6 +5,8 @@ Knows outcomes and refusals, no sockets. Text that came from outside is never re
 
 from __future__ import annotations
 
+import math
+import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -44,6 +46,7 @@ COLOUR = {
     OutcomeKind.LOST_SUBSYSTEM: "bold white on red",
 }
 
+UNITS = {"ms": 1e-3, "s": 1.0, "m": 60.0, "": 1.0}  # of a duration that is typed
 MOST_SAID = 200  # characters of a sentence that are repeated
 PIPED_WIDTH = 160  # columns of a table that no terminal bounds
 _on_terminal = sys.stdout is not None and sys.stdout.isatty()
@@ -129,6 +132,14 @@ def seconds(value: float) -> str:
     if value < 0.01:
         return f"{value * 1e3:.2f} ms"
     return f"{value * 1e3:.0f} ms" if value < 1 else f"{value:.2f} s"
+
+
+def duration_s(text: str, option: str) -> float:
+    """Seconds of 2s, 500ms or 5m. Raises typer.Exit, with the reason printed, for what is no duration."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(ms|s|m|)", text.strip())
+    if found is None or not 0 < float(found[1]) < math.inf:
+        raise trouble(f"{option} is a duration such as 2s, 500ms or 5m; not {text}", 2)
+    return float(found[1]) * UNITS[found[2]]
 
 
 def table(*columns: str, title: str = "") -> Table:

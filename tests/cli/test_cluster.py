@@ -17,6 +17,7 @@ from prompt_toolkit.input import create_pipe_input
 from prompt_toolkit.output import DummyOutput
 
 from rtc.cli.interpreter import interpret
+from rtc.client import Client
 
 pytestmark = pytest.mark.slow
 
@@ -163,6 +164,26 @@ def test_world_get_list_history_at(rtc: Run) -> None:
     assert history[0]["version"] == fact["version"]
     assert then[0]["value"] == fact["value"]
     assert "RIGHT-ARM.joints" in rtc("world", "list").stdout
+
+
+def test_look_draws_the_scene_and_tells_what_is_not_where_it_is_believed(
+    rtc: Run, run_dir: Path, tmp_path: Path
+) -> None:
+    with Client(run_dir, need_broker=False) as bench:
+        bench.displace("MACS-OLD", [0.03, 0.0, 0.0, 0.0, 0.0, 0.0])
+        try:
+            done = rtc("look", "-o", str(tmp_path / "a.png"), "--json")
+            watched = rtc("look", "-o", str(tmp_path / "b.png"), "--watch", "--every", "100ms", "--for", "1s")
+        finally:
+            bench.displace("MACS-OLD", [-0.03, 0.0, 0.0, 0.0, 0.0, 0.0])
+    module = next(row for row in last_json(done)["objects"] if row["name"] == "MACS-OLD")
+
+    assert module["off_m"] == pytest.approx(0.03)
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
+    assert all("MACS-OLD 30.0 mm off" in line for line in watched.stdout.splitlines())
+    assert len(watched.stdout.splitlines()) >= 1
+    assert rtc("look", "--camera", "nowhere").returncode == 2
 
 
 def test_a_version_of_the_world_that_is_still_to_come_is_2(rtc: Run) -> None:

@@ -86,12 +86,10 @@ def test_bash_completes_commands_and_options() -> None:
     assert done.stdout.split() == ["status", "--previous"], done.stderr
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name not in ("world", "keys")])  # these are groups
 def test_help_of_each_command_has_an_example(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if command in ("world", "keys"):
-        pytest.skip("a group of commands")
     assert status_of([command, "-h"], monkeypatch) == 0
     assert f"rtc {command}" in capsys.readouterr().out.partition("Example")[2]
 

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 from rtc import messages as m
+from rtc.drawing import Renderer
+from rtc.outcomes import RtcError
+from rtc.scene import VIEWS, Panel, Picture, Scene
 from sim_mcm import render
 
 
@@ -59,3 +62,35 @@ def test_a_bad_file_is_told_and_not_a_crash(tmp_path, capsys) -> None:
         render.main(["--truth", str(tmp_path / "truth.json"), "--out", str(tmp_path / "a.png")])
     assert ended.value.code == 1
     assert "truncated" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_picture_of_two_scenes_outlines_what_is_elsewhere(tmp_path, cell) -> None:
+    begun = {thing.name: cell.object_pose(thing.name).tolist() for thing in cell.objects}
+    moved = begun | {"MACS-OLD": [n + d for n, d in zip(begun["MACS-OLD"], (-0.05, 0, 0.02, 0, 0, 0, 0), strict=True)]}
+    panels = [
+        Panel(title="believed", scene=Scene(poses=begun), labels={"MACS-OLD": "MACS-OLD"}),
+        Panel(title="true", scene=Scene(poses=moved), labels={"RIGHT-ARM": "RIGHT-ARM"}, outlined=["MACS-OLD"]),
+    ]
+    studio = render.Studio(cell)
+    for camera in (*VIEWS, "RIGHT-END-EFF", "RACK-2", "MACS-OLD", "BAY-2-FRONT"):
+        wanted = Picture(out="", cell="swapout", panels=panels, camera=camera, caption=["words"], smooth=False)
+        made = np.asarray(render.compose(studio, wanted))
+        outlined = (made == render.sheet.OUTLINE).all(axis=2).sum(axis=0).nonzero()[0]
+        if camera in ("overview", "MACS-OLD"):
+            assert outlined.min() > made.shape[1] / 2, camera  # in the right panel alone
+    with pytest.raises(RtcError, match="not at NOWHERE"):
+        render.compose(studio, Picture(out="", cell="swapout", panels=panels, camera="NOWHERE"))
+    studio.close()
+
+
+@pytest.mark.slow
+def test_the_renderer_answers_each_request_and_ends_with_its_stdin(tmp_path) -> None:
+    with Renderer() as renderer:
+        renderer.draw(Picture(out=str(tmp_path / "a.png"), cell="swapout", panels=[Panel(title="a", scene=Scene())]))
+        with pytest.raises(RtcError, match=r"no picture: .*no-such-directory"):
+            renderer.draw(
+                Picture(out="/no-such-directory/a.png", cell="swapout", panels=[Panel(title="", scene=Scene())])
+            )
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert [file.name for file in tmp_path.iterdir()] == ["a.png"]
