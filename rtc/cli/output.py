@@ -46,7 +46,7 @@ COLOUR = {
     OutcomeKind.LOST_SUBSYSTEM: "bold white on red",
 }
 
-UNITS = {"ms": 1e-3, "s": 1.0, "m": 60.0, "": 1.0}  # of a duration that is typed
+DURATION_UNITS = {"ms": 1e-3, "s": 1.0, "m": 60.0, "": 1.0}  # of a duration that is typed
 MOST_SAID = 200  # characters of a sentence that are repeated
 PIPED_WIDTH = 160  # columns of a table that no terminal bounds
 _on_terminal = sys.stdout is not None and sys.stdout.isatty()
@@ -139,7 +139,7 @@ def duration_s(text: str, option: str) -> float:
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(ms|s|m|)", text.strip())
     if found is None or not 0 < float(found[1]) < math.inf:
         raise trouble(f"{option} is a duration such as 2s, 500ms or 5m; not {text}", 2)
-    return float(found[1]) * UNITS[found[2]]
+    return float(found[1]) * DURATION_UNITS[found[2]]
 
 
 def table(*columns: str, title: str = "") -> Table:
