@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, NotRequired, TypedDict
 import msgspec
 
 from rtc.language.record import ParsedCommand, ReflexItem
-from rtc.outcomes import Outcome, Refusal, StopReason
+from rtc.outcomes import Outcome, Reflex, Refusal, StopReason
 from rtc.primitive import Primitive
 
 
@@ -537,6 +537,7 @@ class EndReport(Message, frozen=True, kw_only=True):
     measured: float | None = None  # the figure that tripped, and
     limit: float | None = None  # the limit it passed
     message: str = ""  # for REFUSED: why; for COLLISION: the bodies' link names
+    reflex: Reflex = Reflex.STOP  # what was done after the stop: BACK_OFF, RELEASE
     facts: dict[str, Any] = {}  # what was told or seen, by key (MACS-OLD.frame), SI; an analyzer judges and writes it
 
 

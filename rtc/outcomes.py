@@ -71,8 +71,11 @@ class StopReason(StrEnum):
     HALT = "halt"  # told to stop from outside
     COLLISION = "collision"  # a body touched another where no touch was planned
     JOINT_LIMIT = "joint_limit"  # a joint came within its margin of a limit
+    COMMAND_LIMIT = "command_limit"  # the next command was beyond the limits of the arm; it was not followed
     FORCE_LIMIT = "force_limit"  # measured force beyond the guard
     TORQUE_LIMIT = "torque_limit"  # measured torque beyond the guard
+    OVERSPEED = "overspeed"  # a joint was measured faster than it may turn
+    FOLLOWING_ERROR = "following_error"  # a joint was measured too far from where it was commanded to be
     CONTACT = "contact"  # a touch that the primitive was told to feel for
     SLIP = "slip"  # the held object moves in the fingers
     OBJECT_LOST = "object_lost"  # nothing between the fingers any more

@@ -12,6 +12,8 @@ fingers close along tool y. A primitive checks itself when made: what the MCM ge
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from typing import Literal
 
 import msgspec
@@ -19,6 +21,17 @@ import msgspec
 from rtc.outcomes import PRIORITY, Reflex, StopReason
 
 Vector = list[float]
+
+LONGEST_S = 1e6  # a primitive with a later end has none
+HEAVIEST_KG, FARTHEST_M, MOST_INERTIA_KG_M2 = 1000.0, 10.0, 1000.0  # a load beyond is an error of its unit
+# The number of its command, a dot, and what makes it unique.
+PRIMITIVE_ID = re.compile(r"(C-[1-9]\d{0,17})\.[A-Za-z0-9][A-Za-z0-9.~@_-]{0,80}", re.ASCII)
+
+
+def command_of(primitive_id: str) -> str:
+    """The number of the command that a primitive belongs to; empty when its id does not parse."""
+    found = PRIMITIVE_ID.fullmatch(primitive_id)
+    return found[1] if found else ""
 
 
 class JointTrajectory(msgspec.Struct, frozen=True, kw_only=True, tag="joint-trajectory"):
@@ -79,8 +92,17 @@ class Load(msgspec.Struct, frozen=True, kw_only=True):
     inertia_kg_m2: Vector  # about the centre of mass: xx, yy, zz, xy, xz, yz
 
     def __post_init__(self) -> None:
-        if self.mass_kg <= 0 or len(self.com_m) != 3 or len(self.inertia_kg_m2) != 6:
-            raise ValueError("a load has a mass above 0, a centre of mass of 3 numbers and an inertia of 6")
+        if len(self.com_m) != 3 or len(self.inertia_kg_m2) != 6:
+            raise ValueError("a load has a centre of mass of 3 numbers and an inertia of 6")
+        if not 0.0 < self.mass_kg <= HEAVIEST_KG:  # false for nan too
+            raise ValueError(f"a load of {self.mass_kg} kg: more than 0 and at most {HEAVIEST_KG:g} kg is possible")
+        if not all(abs(x) <= FARTHEST_M for x in self.com_m):
+            raise ValueError(f"a load has its centre of mass within {FARTHEST_M:g} m of the tcp, not at {self.com_m}")
+        xx, yy, zz, xy, xz, yz = self.inertia_kg_m2
+        if not all(0.0 <= i <= MOST_INERTIA_KG_M2 for i in (xx, yy, zz)):
+            raise ValueError(f"a load has an inertia of 0 to {MOST_INERTIA_KG_M2:g} kg m2 about each axis")
+        if not (xy * xy <= 1.001 * xx * yy and xz * xz <= 1.001 * xx * zz and yz * yz <= 1.001 * yy * zz):
+            raise ValueError("a load has no inertia whose products exceed its moments")
 
 
 class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -104,6 +126,10 @@ class GoalReached(msgspec.Struct, frozen=True, tag="goal-reached"):
 class TimeAbove(msgspec.Struct, frozen=True, tag="time-above"):
     limit_s: float  # since the start of the primitive, in the time of the simulation
 
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.limit_s <= LONGEST_S:  # false for nan too
+            raise ValueError(f"a time limit of {self.limit_s} s: 0 to {LONGEST_S:g} s is possible")
+
 
 class ForceAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="force-above"):
     """Wrist force beyond a limit: its magnitude, or its part along `axis` (unit vector, tool axes)."""
@@ -115,6 +141,18 @@ class ForceAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, 
 class TorqueAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="torque-above"):
     limit_nm: float
     axis: Vector | None = None
+
+
+class SpeedAbove(msgspec.Struct, frozen=True, tag="speed-above"):
+    """A joint is measured faster than `ratio` times its limit. The MCM watches one of its own in every primitive."""
+
+    ratio: float
+
+
+class FollowingErrorAbove(msgspec.Struct, frozen=True, tag="following-error-above"):
+    """A joint is measured farther than this from its command. The MCM watches one of its own in every primitive."""
+
+    limit_rad: float
 
 
 class JointMarginBelow(msgspec.Struct, frozen=True, tag="joint-margin-below"):
@@ -143,6 +181,8 @@ Predicate = (
     | TimeAbove
     | ForceAbove
     | TorqueAbove
+    | SpeedAbove
+    | FollowingErrorAbove
     | JointMarginBelow
     | BodyTouch
     | GripForceBelow
@@ -184,5 +224,9 @@ class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, t
             raise ValueError("F is not complete: no GoalReached")
 
     def by_priority(self) -> list[StopFunction]:
-        """F in the fixed order in which it is evaluated every tick; the first that is true wins (A21)."""
-        return sorted(self.stop_functions, key=lambda stop: PRIORITY[stop.reason])
+        return in_priority(self.stop_functions)
+
+
+def in_priority(stops: Iterable[StopFunction]) -> list[StopFunction]:
+    """F in the fixed order in which it is evaluated every tick; the first that is true wins (A21)."""
+    return sorted(stops, key=lambda stop: PRIORITY[stop.reason])

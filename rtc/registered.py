@@ -36,6 +36,8 @@ PREDICATES = (
     "time-above",
     "force-above",
     "torque-above",
+    "speed-above",
+    "following-error-above",
     "joint-margin-below",
     "body-touch",
     "grip-force-below",

@@ -10,14 +10,18 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from rtc import primitive as p
 from rtc.outcomes import Reflex
+from rtc.robot import quintic
 from sim_mcm.arm import Traits
 
 START_TOLERANCE_RAD = 0.01  # between where the arm is and where a trajectory begins
 REST_RAD_S = 1e-6  # a trajectory begins and ends at rest
 LIMIT_SLACK_RAD = 1e-9
-VELOCITY_SLACK = 1.001
+RATE_SLACK = 0.001  # share of the limit of velocity or acceleration that rounding may take
+MOST_KNOTS = 10_000  # checking them takes 20 ms, in which no arm is served
 
 
 def objection(primitive: p.Primitive, traits: Traits, joints: Sequence[float]) -> str:
@@ -36,30 +40,45 @@ def objection(primitive: p.Primitive, traits: Traits, joints: Sequence[float]) -
 
 def _joints(trajectory: p.JointTrajectory, traits: Traits, joints: Sequence[float]) -> Iterator[str]:
     names, dof = traits.joint_names, len(traits.joint_names)
-    given = len(trajectory.positions[0])
+    given, knots = len(trajectory.positions[0]), len(trajectory.time_s)
     if given != dof:
         yield f"the trajectory is for {given} joints, {traits.name} has {dof}"
         return
-    rows = (*trajectory.positions, *trajectory.velocities, *trajectory.accelerations, trajectory.time_s)
-    if not all(math.isfinite(value) for row in rows for value in row):
+    if knots > MOST_KNOTS:
+        yield f"the trajectory has {knots} knots; {MOST_KNOTS} is the maximum"
+        return
+    q, v, a = (np.asarray(rows) for rows in (trajectory.positions, trajectory.velocities, trajectory.accelerations))
+    if not all(np.isfinite(rows).all() for rows in (q, v, a, np.asarray(trajectory.time_s))):
         yield "the trajectory holds a number that is not finite"
+        return
     for name, here, start in zip(names, joints, trajectory.positions[0], strict=True):
         if abs(start - here) > START_TOLERANCE_RAD:
             yield (
                 f"the trajectory does not start where {traits.name} is: {name} is at {here:.4f} rad, "
                 f"it begins at {start:.4f}, {start - here:+.4f} away ({START_TOLERANCE_RAD} is allowed)"
             )
-    for k, row in enumerate(trajectory.positions):
-        for name, value, low, high in zip(names, row, traits.lower, traits.upper, strict=True):
-            if not low - LIMIT_SLACK_RAD <= value <= high + LIMIT_SLACK_RAD:
-                yield f"knot {k} puts {name} to {value:.4f} rad; its limits are {low:.4f} and {high:.4f}"
-    for k, row in enumerate(trajectory.velocities):
-        for name, value, limit in zip(names, row, traits.velocity, strict=True):
-            if abs(value) > limit * VELOCITY_SLACK:
-                yield f"knot {k} turns {name} at {value:.3f} rad/s; its limit is {limit:.3f}"
     for where, row in (("start", trajectory.velocities[0]), ("end", trajectory.velocities[-1])):
-        if max(abs(v) for v in row) > REST_RAD_S:
+        if max(abs(speed) for speed in row) > REST_RAD_S:
             yield f"the trajectory does not {where} at rest"
+    yield from _limits(quintic.control_points(trajectory.time_s, q, v, a), traits)
+
+
+def _limits(points: quintic.ControlPoints, traits: Traits) -> Iterator[str]:
+    """Every piece, knots and what is between them, against the limits of the arm. The first joint is named."""
+    velocity, acceleration = np.asarray(traits.velocity), np.asarray(traits.acceleration)
+    low, high = np.asarray(traits.lower), np.asarray(traits.upper)
+    for what, unit, rows, least, most, slack in (
+        ("velocity", "rad/s", points.velocities, -velocity, velocity, velocity * RATE_SLACK),
+        ("acceleration", "rad/s^2", points.accelerations, -acceleration, acceleration, acceleration * RATE_SLACK),
+        ("position", "rad", points.positions, low, high, LIMIT_SLACK_RAD),
+    ):
+        found = quintic.excess(rows, least - slack, most + slack)
+        if found is not None:
+            k = found.joint
+            yield (
+                f"between knots {found.piece} and {found.piece + 1} the {what} of {traits.joint_names[k]} reaches "
+                f"{found.value:.4g} {unit}; its limits are {least[k]:.4f} and {most[k]:.4f}"
+            )
 
 
 def _hand(trajectory: p.HandMotion, traits: Traits, joints: Sequence[float]) -> Iterator[str]:

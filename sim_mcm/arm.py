@@ -67,6 +67,8 @@ class Traits(msgspec.Struct, frozen=True, kw_only=True):
     lower: list[float]  # rad
     upper: list[float]
     velocity: list[float]  # rad/s
+    acceleration: list[float]  # rad/s^2; the cell's `acceleration_deg_s2`
+    payload_kg: float
     max_opening_m: float
     max_grip_n: float
     hand_speed_m_s: float
@@ -81,6 +83,8 @@ class Traits(msgspec.Struct, frozen=True, kw_only=True):
             lower=limits.lower.tolist(),
             upper=limits.upper.tolist(),
             velocity=limits.velocity.tolist(),
+            acceleration=limits.acceleration.tolist(),
+            payload_kg=spec.payload_kg,
             max_opening_m=spec.gripper.max_opening_m,
             max_grip_n=spec.gripper.max_force_n,
             hand_speed_m_s=spec.gripper.speed_m_s,

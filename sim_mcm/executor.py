@@ -9,7 +9,8 @@ objects: an arm that holds something is an arm whose fingers press.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from enum import Enum
 
 import msgspec
@@ -56,8 +57,13 @@ MOVING = frozenset({State.EXECUTING, State.STOPPING, State.RETREATING, State.REL
 # Reasons after which the arm may lean on something: the command goes to where the thing has stopped it.
 TOUCHED = frozenset({StopReason.CONTACT, StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT, StopReason.COLLISION})
 
-REST_RAD_S = 0.005  # measured joint speed that counts as rest
-REST_M_S = 0.002  # of a finger
+# Rest is judged by how far joints and fingers go within a window: a speed alternates from tick to tick where something
+# held is pressed on, though nothing goes anywhere. The same as 0.005 rad/s and 0.002 m/s of an even motion.
+WINDOW_TICKS = 20
+REST_RAD, REST_M = 0.005 * WINDOW_TICKS * TICK_S, 0.002 * WINDOW_TICKS * TICK_S
+# A command may pass a joint's limit of speed by so much: by taking up a small difference at the start of a path (0.08
+# rad/s), or braking from an acceleration (0.14 rad/s). More is an error in what made the command.
+COMMAND_SLACK = 1.25
 GOAL_RAD = 0.002  # measured joint error that counts as there
 # An arm that rests this long, this near, leans on something and will not come nearer: the report says where it is.
 LEANING_TICKS, LEANING_RAD = 100, 0.03
@@ -65,7 +71,6 @@ WIDTH_M = 0.0005  # the same for the opening of the hand
 LEAN_N = 20.0  # harder than at the start by this is a new touch
 SQUEEZE_N = 1.0  # less is no squeeze
 PRESSED = 0.95  # share of the commanded force that counts as all of it
-REST_TICKS = 10  # in a row, before it is believed
 SETTLE_LIMIT_S = 1.0  # of waiting for rest before the end is reported all the same
 RELEASE_LIMIT_S = 3.0
 
@@ -80,6 +85,9 @@ class Executor:
         self.primitive: p.Primitive | None = None
         self.trip: Trip | None = None
         self.sample = arm.read()
+        self._window = deque([self.sample], WINDOW_TICKS)
+        self._most_rad_s = [COMMAND_SLACK * limit for limit in arm.traits.velocity]
+        self._most_step_rad = [limit * TICK_S for limit in self._most_rad_s]
         self._ticks = 0  # of this primitive
         self._profile: profiles.Profile = profiles.Stay(self.sample.joints)
         self._profile_ticks = 0
@@ -92,8 +100,8 @@ class Executor:
         self._touched_before: dict[str, float] = {}
         self._peaks = Peaks()
         self._report_every: int | None = None
-        self._yielded = False
-        self._still_ticks = 0
+        self._yielded = self._releasing = False
+        self._leaning_ticks = 0
         self._work: dict[State, Callable[[float], Say]] = {
             State.HOLDING: lambda now_s: [],
             State.EXECUTING: self._execute,
@@ -119,8 +127,7 @@ class Executor:
 
     @property
     def at_rest(self) -> bool:
-        still = max(map(abs, self.sample.velocities)) < REST_RAD_S
-        return still and self.state in (State.HOLDING, State.SETTLING)
+        return self.state in (State.HOLDING, State.SETTLING) and self._joints_rest()
 
     @property
     def primitive_id(self) -> str:
@@ -155,6 +162,7 @@ class Executor:
     def tick(self, now_s: float) -> Say:
         """One servo tick: read, judge, command."""
         sample = self.sample = self.arm.read()
+        self._window.append(sample)
         if self.state is State.HOLDING:  # most arms, most of the time
             return []
         if self._ticks == 0:
@@ -164,8 +172,11 @@ class Executor:
         self._wrench = self.wrench
         said = self._work[self.state](now_s)
         self._profile_ticks += 1
-        self._command = self._profile.at(self._profile_ticks * TICK_S)
-        self.arm.follow(self._command)
+        command = self._profile.at(self._profile_ticks * TICK_S)
+        if not self._within_limits(command):
+            command = self._brake_instead(command)
+        self._command = command
+        self.arm.follow(command)
         return said
 
     # --- the states ------------------------------------------------------------------------------------
@@ -183,8 +194,8 @@ class Executor:
         trajectory = self.primitive.trajectory
         self._ticks = 0
         self._peaks = Peaks()
-        self._yielded = False
-        self._still_ticks = 0
+        self._yielded = self._releasing = False
+        self._leaning_ticks = 0
         every_s = self.primitive.reporting.every_s
         self._report_every = None if every_s is None else max(1, round(every_s / TICK_S))
         joints = self._command[0]
@@ -220,7 +231,8 @@ class Executor:
         assert self.primitive is not None
         assert self.trip is not None
         self._use(profiles.Brake(self._command, laden=min(self.sample.finger_forces) > SQUEEZE_N))
-        if isinstance(self.primitive.trajectory, p.HandMotion) and self.trip.reason is not StopReason.GOAL:
+        hand_moves = isinstance(self.primitive.trajectory, p.HandMotion) and self.trip.reason is not StopReason.GOAL
+        if hand_moves or self._releasing:
             self._freeze_hand()
 
     def _stop(self, now_s: float) -> Say:
@@ -248,6 +260,7 @@ class Executor:
         return self._settle(now_s)
 
     def _begin_release(self) -> None:
+        self._releasing = True
         self._use(profiles.Stay(self._command[0]))
         traits = self.arm.traits
         self._use_hand(HandCommand(traits.max_opening_m, traits.max_grip_n, traits.hand_speed_m_s))
@@ -260,7 +273,6 @@ class Executor:
         return self._settle(now_s)
 
     def _begin_settling(self) -> None:
-        self._still_ticks = 0
         self._use(profiles.Stay(self._command[0]))
 
     def _settle(self, now_s: float) -> Say:
@@ -268,12 +280,10 @@ class Executor:
         if self._profile_time_s < self._profile.duration_s:
             return []
         leaning = self.trip.reason in TOUCHED and not self._yielded
-        self._still_ticks = self._still_ticks + 1 if self._still(leaning) else 0
-        if self._still_ticks < REST_TICKS and self._profile_time_s < self._profile.duration_s + SETTLE_LIMIT_S:
+        if not self._still(leaning) and self._profile_time_s < self._profile.duration_s + SETTLE_LIMIT_S:
             return []
         if not self._yielded and self._off_command() > (0.0 if leaning else GOAL_RAD):
             self._yielded = True
-            self._still_ticks = 0
             self._use(profiles.Yield(self._command, self.sample.joints))
             return []
         report = self._end_report(now_s)
@@ -281,12 +291,15 @@ class Executor:
         return [report]
 
     def _still(self, leaning: bool) -> bool:
-        """At rest in this tick, and where the command is: an arm that swings with a load passes both in turn. One that
-        leans on something cannot be where the command is."""
-        slow = (
-            max(map(abs, self.sample.velocities)) < REST_RAD_S and max(map(abs, self.sample.finger_speeds)) < REST_M_S
-        )
-        return slow and (leaning or self._off_command() < GOAL_RAD)
+        """At rest, and where the command is: an arm that swings with a load passes both in turn. One that leans on
+        something cannot be where the command is."""
+        return self._joints_rest() and self._fingers_rest() and (leaning or self._off_command() < GOAL_RAD)
+
+    def _joints_rest(self) -> bool:
+        return _spread(sample.joints for sample in self._window) <= REST_RAD
+
+    def _fingers_rest(self) -> bool:
+        return _spread(sample.fingers for sample in self._window) <= REST_M
 
     def _off_command(self) -> float:
         """The worst joint error, rad."""
@@ -311,16 +324,42 @@ class Executor:
     def _objection(self, primitive: p.Primitive) -> str:
         if self.primitive is not None:
             return f"{self.name} is busy with {self.primitive.id} ({self.state.value})"
-        why = acceptance.objection(primitive, self.arm.traits, self._command[0])
-        if why:
-            return why
         try:
+            why = acceptance.objection(primitive, self.arm.traits, self._command[0])
+            if why:
+                return why
             stops = stop_functions.compile_stops(primitive, self.arm.traits)
             self.arm.use_law(primitive.control_law)
         except ValueError as error:
             return str(error)
+        except Exception as error:  # whatever is in it: the arms of others must not lose their controller to it
+            return f"it cannot be checked: {type(error).__name__}: {error}"
         self._stops = stops
         return ""
+
+    def _within_limits(self, command: Motion) -> bool:
+        """Whether no joint is commanded farther, or to be faster, than it can turn within a tick."""
+        joints, speeds, _ = command
+        for q, before, most, speed, fastest in zip(
+            joints, self._command[0], self._most_step_rad, speeds, self._most_rad_s, strict=True
+        ):
+            if not (-most <= q - before <= most and -fastest <= speed <= fastest):  # nan is no command
+                return False
+        return True
+
+    def _brake_instead(self, refused: Motion) -> Motion:
+        """Stop, from the last command that was within limits. Returns the command of this tick."""
+        if self.state is State.EXECUTING:
+            far = [abs(q - before) / TICK_S for q, before in zip(refused[0], self._command[0], strict=True)]
+            k = max(range(len(far)), key=lambda n: far[n] / self._most_rad_s[n])
+            words = f"{self.arm.traits.joint_names[k]} was to turn at {far[k]:.4g} rad/s"
+            limit = self._most_rad_s[k]
+            trip = Trip(reason=StopReason.COMMAND_LIMIT, measured=far[k], limit=limit, message=words)
+            self._trip(trip, Event.TRIPPED)
+        else:  # the reason stands
+            self._use(profiles.Brake(self._command))
+        self._profile_ticks = 1
+        return self._profile.at(TICK_S)
 
     def _use(self, profile: profiles.Profile) -> None:
         self._profile = profile
@@ -357,6 +396,7 @@ class Executor:
             self._arrived(),
             lambda: self.arm.tcp_pose(sample.joints),
             self._touch,
+            self._command[0],
         )
 
     def _touch(self) -> str:
@@ -381,16 +421,16 @@ class Executor:
         if self._profile_time_s < self._profile.duration_s:
             return None
         error = max(abs(a - b) for a, b in zip(sample.joints, trajectory.positions[-1], strict=True))
-        slow = max(map(abs, sample.velocities)) <= REST_RAD_S
-        self._still_ticks = self._still_ticks + 1 if slow else 0
-        if slow and error <= GOAL_RAD:
+        rests = self._joints_rest()
+        self._leaning_ticks = self._leaning_ticks + 1 if rests else 0
+        if rests and error <= GOAL_RAD:
             return error, GOAL_RAD, ""
-        if self._still_ticks >= LEANING_TICKS and error <= LEANING_RAD:
+        if self._leaning_ticks >= LEANING_TICKS and error <= LEANING_RAD:
             return error, LEANING_RAD, ""
         return None
 
     def _hand_arrived(self, trajectory: p.HandMotion) -> stop_functions.Finding | None:
-        if max(map(abs, self.sample.finger_speeds)) > REST_M_S:
+        if not self._fingers_rest():
             return None
         error = abs(sum(self.sample.fingers) - trajectory.width_m)
         if error <= WIDTH_M:
@@ -423,3 +463,8 @@ class Executor:
             wrench=self._wrench,
             peaks=self._peaks,
         )
+
+
+def _spread(rows: Iterable[Sequence[float]]) -> float:
+    """The greatest distance between any two values of one column."""
+    return max(max(column) - min(column) for column in zip(*rows, strict=True))

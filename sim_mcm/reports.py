@@ -77,6 +77,7 @@ def end_report(
         measured=trip.measured,
         limit=trip.limit,
         message=trip.message,
+        reflex=trip.reflex,
     )
 
 

@@ -15,6 +15,7 @@ import msgspec
 
 from rtc import primitive as p
 from rtc.geometry import Array
+from rtc.outcomes import Reflex, StopReason
 from sim_mcm.arm import Traits
 
 Finding = tuple[float | None, float | None, str]  # measured, limit, words
@@ -34,16 +35,27 @@ class Moment(msgspec.Struct):
     arrived: Finding | None  # worst remaining error and its tolerance, once the goal is reached
     tcp: Callable[[], Array]  # asked for when needed: they cost more than all the rest
     touch: Callable[[], str]
+    commanded: list[float]  # joints that this sample should show
 
 
 Check = Callable[[Moment], Finding | None]
 Stops = list[tuple[p.StopFunction, Check]]
 
+# Watched in every primitive, whatever its F says: then it is not the task that has gone wrong but the machine, or its
+# model. Commands keep the limits of speed, and are followed within 0.1 mrad in free motion; a wrist pushed with the
+# 40 N that end a free motion gives way by 0.03 rad.
+ALWAYS = (
+    p.StopFunction(reason=StopReason.OVERSPEED, when=p.SpeedAbove(1.5)),
+    p.StopFunction(reason=StopReason.FOLLOWING_ERROR, when=p.FollowingErrorAbove(0.2)),
+)
+# After these nothing but a stop is safe.
+STOP_ONLY = frozenset({StopReason.HALT, StopReason.COMMAND_LIMIT, StopReason.OVERSPEED, StopReason.FOLLOWING_ERROR})
+
 
 def compile_stops(primitive: p.Primitive, traits: Traits) -> Stops:
     """The checks of a primitive, by priority. Raises ValueError, in words, for a condition that cannot be checked."""
     stops: Stops = []
-    for stop in primitive.by_priority():
+    for stop in p.in_priority([*primitive.stop_functions, *ALWAYS]):
         for problem in _problems(stop):
             raise ValueError(problem)
         stops.append((stop, CHECKS[type(stop.when)](stop.when, traits)))
@@ -55,8 +67,19 @@ def first(stops: Stops, moment: Moment) -> tuple[p.StopFunction, Finding] | None
     for stop, check in stops:
         finding = check(moment)
         if finding is not None:
-            return stop, finding
+            return _with_reflex(stop, stops, moment), finding
     return None
+
+
+def _with_reflex(stop: p.StopFunction, stops: Stops, moment: Moment) -> p.StopFunction:
+    """The one that gives the reason, with the reflex of the first that is true and wants more than a stop: a reflex
+    that was asked for does not depend on which of two limits is named."""
+    if stop.reflex is not Reflex.STOP or stop.reason in STOP_ONLY:
+        return stop
+    for other, check in stops:
+        if other.reflex is not Reflex.STOP and check(moment) is not None:
+            return msgspec.structs.replace(stop, reflex=other.reflex, back_off_m=other.back_off_m)
+    return stop
 
 
 # --- one maker per kind of predicate -------------------------------------------------------------------
@@ -90,6 +113,32 @@ def _part(axis: Sequence[float] | None, first_entry: int) -> Callable[[list[floa
         return None
     (x, y, z), i, j, k = axis, first_entry, first_entry + 1, first_entry + 2
     return lambda wrench: x * wrench[i] + y * wrench[j] + z * wrench[k]
+
+
+def _speed(when: p.SpeedAbove, traits: Traits) -> Check:
+    names, limits = traits.joint_names, [when.ratio * limit for limit in traits.velocity]
+
+    def check(now: Moment) -> Finding | None:
+        for n, speed in enumerate(now.velocities):
+            if not -limits[n] <= speed <= limits[n]:
+                return abs(speed), limits[n], f"{names[n]} turns at {speed:.2f} rad/s"
+        return None
+
+    return check
+
+
+def _following(when: p.FollowingErrorAbove, traits: Traits) -> Check:
+    names, limit = traits.joint_names, when.limit_rad
+
+    def check(now: Moment) -> Finding | None:
+        commanded = now.commanded
+        for n, q in enumerate(now.joints):
+            if not -limit <= q - commanded[n] <= limit:
+                off = q - commanded[n]
+                return abs(off), limit, f"{names[n]} is {math.degrees(off):.1f} deg from where it is commanded to be"
+        return None
+
+    return check
 
 
 def _joint_margin(when: p.JointMarginBelow, traits: Traits) -> Check:
@@ -139,6 +188,8 @@ CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
     p.TimeAbove: _time,
     p.ForceAbove: _force,
     p.TorqueAbove: _torque,
+    p.SpeedAbove: _speed,
+    p.FollowingErrorAbove: _following,
     p.JointMarginBelow: _joint_margin,
     p.BodyTouch: _body_touch,
     p.GripForceBelow: _grip,

@@ -14,12 +14,14 @@ from rtc import expressions
 from rtc.messages import BinderInput
 from rtc.primitive import (
     BodyTouch,
+    FollowingErrorAbove,
     ForceAbove,
     GoalReached,
     GripForceBelow,
     HandWidthBelow,
     JointMarginBelow,
     Predicate,
+    SpeedAbove,
     StopFunction,
     TimeAbove,
     TorqueAbove,
@@ -35,6 +37,8 @@ MAKERS: dict[str, Callable[[float, Vector | None], Predicate]] = {
     "time-above": lambda limit, axis: TimeAbove(limit),
     "force-above": lambda limit, axis: ForceAbove(limit_n=limit, axis=axis),
     "torque-above": lambda limit, axis: TorqueAbove(limit_nm=limit, axis=axis),
+    "speed-above": lambda limit, axis: SpeedAbove(limit),
+    "following-error-above": lambda limit, axis: FollowingErrorAbove(limit),
     "joint-margin-below": lambda limit, axis: JointMarginBelow(limit),
     "body-touch": lambda limit, axis: BodyTouch(),
     "grip-force-below": lambda limit, axis: GripForceBelow(limit),

@@ -30,7 +30,10 @@ def moment(**changes: object) -> Moment:
         "arrived": None,
         "tcp": lambda: np.array([0.5, 0.0, 0.7, 0.0, 0.0, 0.0, 1.0]),
         "touch": lambda: "",
+        "commanded": [0.0, 1.0, -1.0, 0.0, 0.0, 0.0],
     }
+    if "joints" in changes:
+        figures["commanded"] = changes["joints"]
     return Moment(**{**figures, **changes})  # type: ignore[arg-type]
 
 
@@ -50,6 +53,12 @@ ROWS = [
         p.JointMarginBelow(0.05),
         {"joints": [0, -0.74, -1.0, 0, 0, 0], "velocities": [0, -0.1, 0, 0, 0, 0]},
         {"joints": [0, -0.74, -1.0, 0, 0, 0], "velocities": [0, 0.0, 0, 0, 0, 0]},
+    ),
+    (p.SpeedAbove(1.2), {"velocities": [0, 0, 0, 0, 0, -5.1]}, {"velocities": [0, 0, 0, 0, 0, -4.7]}),
+    (
+        p.FollowingErrorAbove(0.05),
+        {"commanded": [0.0, 1.0, -1.051, 0.0, 0.0, 0.0]},
+        {"commanded": [0.0, 1.0, -1.049, 0.0, 0.0, 0.0]},
     ),
     (p.BodyTouch(), {"touch": lambda: "forearm touches MACS-OLD"}, {}),
     (p.GripForceBelow(20.0), {"grip_n": 19.0}, {"grip_n": 21.0}),

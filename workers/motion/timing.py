@@ -18,6 +18,7 @@ import toppra.constraint
 
 from rtc.geometry import Array
 from rtc.primitive import JointTrajectory
+from rtc.robot import quintic
 from rtc.robot.kinematics import ArmModel
 from workers.motion.path import Path
 from workers.motion.rest_to_rest import rest_to_rest
@@ -70,9 +71,8 @@ def time_path(arm: ArmModel, path: Path, pace: Pace = FREE_PACE) -> Timed:
     """The path in time. A path of no length is a motion of one knot spacing that stays."""
     if np.abs(path.knots - path.knots[0]).max() < 1e-9:
         return _staying(path)
-    if path.space == "joint" and len(path.knots) > 2:
-        return _time_curve(arm, path, pace)
-    return _time_line(arm, path, pace)
+    curved = path.space == "joint" and len(path.knots) > 2
+    return _slowed(arm, _time_curve(arm, path, pace) if curved else _time_line(arm, path, pace))
 
 
 def _time_line(arm: ArmModel, path: Path, pace: Pace) -> Timed:
@@ -148,6 +148,19 @@ def _at_rest(timed: Timed, path: Path) -> Timed:
     timed.positions[0], timed.positions[-1] = path.knots[0], path.knots[-1]
     timed.velocities[[0, -1]] = 0.0
     return timed
+
+
+def _slowed(arm: ArmModel, timed: Timed) -> Timed:
+    """The same way, slow enough for the arm's limits between the knots too: an arm refuses what passes them there."""
+    points = quintic.control_points(timed.time_s, timed.positions, timed.velocities, timed.accelerations)
+    faster = float((quintic.peaks(points.velocities) / arm.limits.velocity).max())
+    harder = float((quintic.peaks(points.accelerations) / arm.limits.acceleration).max())
+    by = max(1.0, faster, math.sqrt(harder))
+    if by == 1.0:
+        return timed
+    return Timed(
+        timed.space, timed.time_s * by, timed.positions, timed.velocities / by, timed.accelerations / (by * by)
+    )
 
 
 def _staying(path: Path) -> Timed:

@@ -1,0 +1,101 @@
+"""What a trajectory does between its knots: bounds of position, velocity and acceleration of its quintic pieces. Pure.
+
+A polynomial lies between the least and the greatest of its Bernstein control points. Halving a piece moves its control
+points towards the curve, so a piece is inside its limits, or one of its points is outside, after a few halvings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from rtc.geometry import Array, Floats
+
+HALVINGS = 20  # after these a piece is a millionth of its length
+MOST_OPEN = 20_000  # pieces to be halved at once; a trajectory that needs more of them counts as outside
+
+
+class ControlPoints(NamedTuple):
+    """Bernstein control points of every piece, each [pieces][points][joints]: rad, rad/s, rad/s^2."""
+
+    positions: Array
+    velocities: Array
+    accelerations: Array
+
+
+class Excess(NamedTuple):
+    """Where a trajectory leaves its limits."""
+
+    piece: int  # between this knot and the next
+    joint: int
+    value: float
+
+
+def control_points(
+    time_s: Sequence[float] | Array, positions: object, velocities: object, accelerations: object
+) -> ControlPoints:
+    """Of the quintic Hermite polynomials that join the knots: [knots][joints] of rad, rad/s, rad/s^2."""
+    q, v, a = (np.asarray(rows, dtype=float) for rows in (positions, velocities, accelerations))
+    t = np.diff(np.asarray(time_s, dtype=float))[:, None]
+    with np.errstate(all="ignore"):  # a figure near 1e300 gives inf or nan, which is inside no limit
+        fifth_v, tenth_a = t * v[:-1] / 5.0, t * t * a[:-1] / 20.0
+        fifth_w, tenth_b = t * v[1:] / 5.0, t * t * a[1:] / 20.0
+        begin, end = q[:-1], q[1:]
+        points = np.stack(
+            (begin, begin + fifth_v, begin + 2 * fifth_v + tenth_a, end - 2 * fifth_w + tenth_b, end - fifth_w, end),
+            axis=1,
+        )
+        per_s = t[:, None]
+        speeds = 5.0 * np.diff(points, axis=1) / per_s
+        changes = 4.0 * np.diff(speeds, axis=1) / per_s
+        # The ends exactly as given: differences of positions would round them.
+        speeds[:, 0], speeds[:, -1] = v[:-1], v[1:]
+        changes[:, 0], changes[:, -1] = a[:-1], a[1:]
+    return ControlPoints(points, speeds, changes)
+
+
+def excess(points: Array, low: Floats, high: Floats) -> Excess | None:
+    """The first joint found to leave [low, high], per joint, in any of these pieces; None: none does anywhere."""
+    low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+    piece, joint = np.nonzero(~((points >= low) & (points <= high)).all(axis=1))  # nan is outside
+    if not piece.size:
+        return None
+    rows = points[piece, :, joint]
+    with np.errstate(all="ignore"):
+        for _ in range(HALVINGS):
+            ends = rows[:, [0, -1]]
+            found = np.flatnonzero(~((ends >= low[joint, None]) & (ends <= high[joint, None])).all(axis=1))
+            if found.size or len(rows) > MOST_OPEN:
+                break
+            rows, piece, joint = _halves(rows), np.repeat(piece, 2), np.repeat(joint, 2)
+            still = ~((rows >= low[joint, None]) & (rows <= high[joint, None])).all(axis=1)
+            rows, piece, joint = rows[still], piece[still], joint[still]
+            if not piece.size:
+                return None
+    n = int(found[0]) if found.size else 0
+    k, candidates = int(joint[n]), ends[n] if found.size else rows[n]
+    beyond = [value for value in candidates.tolist() if not low[k] <= value <= high[k]]
+    return Excess(int(piece[n]), k, max(beyond, key=abs))
+
+
+def peaks(points: Array, halvings: int = 4) -> Array:
+    """The greatest magnitude of every joint in any of these pieces: never too small, and a per mille too great."""
+    pieces, count, joints = points.shape
+    rows = points.transpose(0, 2, 1).reshape(-1, count)
+    for _ in range(halvings):
+        rows = _halves(rows)
+    highest: Array = np.abs(rows).reshape(pieces, joints, -1).max(axis=(0, 2))
+    return highest
+
+
+def _halves(rows: Array) -> Array:
+    """de Casteljau: the control points of the two halves of each row, one after the other."""
+    lefts, rights, now = [rows[:, 0]], [rows[:, -1]], rows
+    while now.shape[1] > 1:
+        now = 0.5 * (now[:, 1:] + now[:, :-1])
+        lefts.append(now[:, 0])
+        rights.append(now[:, -1])
+    both = np.stack((np.stack(lefts, axis=1), np.stack(rights[::-1], axis=1)), axis=1)
+    return both.reshape(-1, rows.shape[1])
