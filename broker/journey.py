@@ -23,7 +23,6 @@ from broker.state import (
     Ending,
     Link,
     ParsedHead,
-    PrimitiveHead,
     ScriptHead,
 )
 from broker.transitions import Stimulus
@@ -31,7 +30,8 @@ from broker.turn import Turn, read_step, step_body, step_in_words
 from rtc import wire
 from rtc.messages import EndReport, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
-from rtc.primitive_id import primitive_id
+from rtc.primitive import Primitive
+from rtc.primitive_id import belongs_to, primitive_id
 
 MAX_TRIMS = 6  # of one command (A17)
 MAX_ELABORATIONS = 20  # a command whose needs change each time it gets them
@@ -42,7 +42,7 @@ CONTROLS = {"PAUSE": Stimulus.PAUSE, "RESUME": Stimulus.RESUME, "ABORT": Stimulu
 read_parsed = wire.decoder(ParsedHead)
 read_script = wire.decoder(ScriptHead)
 read_bound = wire.decoder(BoundHead)
-read_primitive = wire.decoder(PrimitiveHead)
+read_primitive = wire.decoder(Primitive)  # whole: a subsystem is sent no bytes that it cannot read
 read_assessment = wire.decoder(AssessmentHead)
 
 
@@ -406,6 +406,10 @@ def bound(turn: Turn, command: Command, product: msgspec.Raw) -> None:
     primitive = read_primitive(result.primitive)
     if not turn.state.resources.held.get(command.id, {}).get(primitive.performer):
         message = f"the step moves {primitive.performer}, which its script has not claimed"
+        refuse(turn, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
+        return
+    if not belongs_to(primitive.id, command.id, command.primitives + 1, turn.state.life):
+        message = f"the binder made a primitive called {primitive.id[:40]!r}, which is not the next one of {command.id}"
         refuse(turn, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
         return
     command.primitives += 1

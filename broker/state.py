@@ -59,11 +59,6 @@ class ScriptHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     notes: list[str] = []
 
 
-class PrimitiveHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
-    id: str
-    performer: str
-
-
 class BoundHead(msgspec.Struct, frozen=True, kw_only=True, tag="BoundStep", gc=False):
     subsystem: str = ""
     primitive: msgspec.Raw = NIL

@@ -12,7 +12,6 @@ fingers close along tool y. A primitive checks itself when made: what the MCM ge
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from typing import Literal
 
@@ -24,14 +23,6 @@ Vector = list[float]
 
 LONGEST_S = 1e6  # a primitive with a later end has none
 HEAVIEST_KG, FARTHEST_M, MOST_INERTIA_KG_M2 = 1000.0, 10.0, 1000.0  # a load beyond is an error of its unit
-# The number of its command, a dot, and what makes it unique.
-PRIMITIVE_ID = re.compile(r"(C-[1-9]\d{0,17})\.[A-Za-z0-9][A-Za-z0-9.~@_-]{0,80}", re.ASCII)
-
-
-def command_of(primitive_id: str) -> str:
-    """The number of the command that a primitive belongs to; empty when its id does not parse."""
-    found = PRIMITIVE_ID.fullmatch(primitive_id)
-    return found[1] if found else ""
 
 
 class JointTrajectory(msgspec.Struct, frozen=True, kw_only=True, tag="joint-trajectory"):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 
+LONGEST = 200  # characters, as of every name in a message
 _ID = re.compile(r"(C-\d+)\.(\d+)(?:@(\w+))?", re.ASCII)
 
 
@@ -30,3 +31,8 @@ def number_of(primitive: str) -> int:
     """3 of C-3.1@k7f2; 0 of a name of another form."""
     found = _ID.fullmatch(primitive)
     return int(found[1].removeprefix("C-")) if found else 0
+
+
+def is_name(primitive: str) -> bool:
+    """Whether it has the form of a primitive's name, with or without a life."""
+    return len(primitive) <= LONGEST and _ID.fullmatch(primitive) is not None

@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import msgspec
 import zmq
 
 from rtc import messages as m
@@ -22,7 +23,7 @@ from rtc.outcomes import Refusal, RefusalReason, WireError
 from rtc.process import Every, Process, inbox, send
 from rtc.settings import BOUNDS, Settings
 from rtc.wire import reader
-from sim_mcm.subsystem import BROKER, Said
+from sim_mcm.subsystem import BROKER, Said, Unread
 
 # Messages taken from one socket in one tick, so that no sender can stretch it. Callers take turns at a socket, so that
 # one who calls without end delays another by one message.
@@ -83,8 +84,8 @@ class Doors:
                 refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words)
                 send(self._estop, m.Declined(request="", refusal=refusal), caller)
 
-    def orders(self, now_s: float) -> Iterator[m.Execute | m.HaltOrder | m.ReportAck]:
-        """What the broker has sent."""
+    def orders(self, now_s: float) -> Iterator[m.Execute | m.HaltOrder | m.ReportAck | Unread]:
+        """What the broker has sent. Of a primitive that is none, what can be read, so that it is answered."""
         if self._broker not in self._ready:
             return
         for parts in inbox(self._broker, PER_TICK):
@@ -93,6 +94,8 @@ class Doors:
                 self._log.error("the broker does not take us: %s", order.refusal.message)
             elif order is not None:
                 yield order
+            elif (unread := unread_order(parts)) is not None:
+                yield unread
 
     def questions(self, now_s: float) -> Iterator[tuple[bytes, m.SimTruth | m.SimDisplace]]:
         """What the test bench asks."""
@@ -140,6 +143,34 @@ class Doors:
             if self._log_due.due(now_s):
                 self._log.warning("%s: dropped a message (%d so far): %s", where, self.dropped[where], error)
             return None
+
+
+class _PrimitiveHead(msgspec.Struct):
+    id: m.Name
+    performer: m.Name = ""
+
+
+class _ExecuteHead(msgspec.Struct, tag="Execute"):
+    primitive: _PrimitiveHead
+    pid: int = 0
+
+
+_read_execute = reader(m.Execute)
+_read_head = reader(_ExecuteHead)
+
+
+def unread_order(parts: Sequence[bytes]) -> Unread | None:
+    """An Execute whose primitive does not decode: its id and what is wrong. None: it is no Execute, or has no id."""
+    try:
+        head = _read_head(parts)
+    except WireError:
+        return None
+    try:
+        _read_execute(parts)
+    except WireError as error:
+        why = f"it is not a primitive: {error}"
+        return Unread(head.primitive.id, head.primitive.performer, head.pid, why) if head.primitive.id else None
+    return None
 
 
 def _from_router(socket: zmq.Socket[bytes], limit: int) -> Iterator[tuple[bytes, Sequence[bytes]]]:

@@ -21,6 +21,7 @@ from rtc import messages as m
 from rtc import wire
 from rtc.halting import Fold
 from rtc.outcomes import Refusal, RefusalReason, StopReason
+from rtc.primitive_id import LONGEST, is_name
 from sim_mcm.arm import Arm
 from sim_mcm.executor import Executor, State
 from sim_mcm.reports import not_begun
@@ -39,6 +40,15 @@ REST_LIMIT_S = 2.0  # after a halt: no rest by then is told as such
 COMMAND = re.compile(r"C-\d+", re.ASCII)
 
 Said = list[tuple[bytes, m.Message]]
+
+
+class Unread(msgspec.Struct, frozen=True):
+    """An order to execute something that is not a primitive, with what can be read of it."""
+
+    primitive: str  # its id
+    performer: str
+    pid: int
+    why: str
 
 
 class Halt(msgspec.Struct):
@@ -81,7 +91,7 @@ class Subsystem:
     def idle(self) -> bool:
         return all(e.primitive is None for e in self.executors.values())
 
-    def hear(self, message: m.Execute | m.HaltOrder | m.ReportAck, door: bytes, now_s: float) -> Said:
+    def hear(self, message: m.Execute | m.HaltOrder | m.ReportAck | Unread, door: bytes, now_s: float) -> Said:
         if isinstance(message, m.HaltOrder):
             return self._halt(message, door, now_s)
         if isinstance(message, m.ReportAck):
@@ -89,6 +99,8 @@ class Subsystem:
                 return self.hello()
             self._kept.pop(message.primitive, None)
             return []
+        if isinstance(message, Unread):
+            return self._refuse(message, now_s)
         return self._execute(message, now_s)
 
     def hello(self) -> Said:
@@ -137,6 +149,9 @@ class Subsystem:
             return [(BROKER, not_begun(primitive.id, primitive.performer, why, at_s=now_s))]
         if (ended := self._ended.get(primitive.id)) is not None:
             return [(BROKER, ended)]
+        if not is_name(primitive.id):  # a halt of its command would not find it
+            why = "its id is not the name of a primitive, such as C-3.1"
+            return self._end(not_begun(primitive.id[:LONGEST], primitive.performer, why, at_s=now_s), now_s)
         executor = self.executors.get(primitive.performer)
         if executor is None:
             why = f"{self.name} has no {primitive.performer}; it has {', '.join(self.executors)}"
@@ -160,6 +175,19 @@ class Subsystem:
         for message in executor.accept(primitive, now_s):
             said += self._end(message, now_s) if isinstance(message, m.EndReport) else [(BROKER, message)]
         return said
+
+    def _refuse(self, order: Unread, now_s: float) -> Said:
+        """The broker waits for an answer, whatever it has sent."""
+        if order.pid not in (0, self.pid):
+            return self.hello()
+        if (ended := self._ended.get(order.primitive)) is not None:
+            return [(BROKER, ended)]
+        executor = self.executors.get(order.performer)
+        if executor is None:
+            return self._end(not_begun(order.primitive, order.performer, order.why, at_s=now_s), now_s)
+        sample, pose = executor.sample, executor.arm.tcp_pose(executor.sample.joints)
+        report = not_begun(order.primitive, order.performer, order.why, at_s=now_s, sample=sample, tcp_pose=pose)
+        return self._end(report, now_s)
 
     def _end(self, report: m.EndReport, now_s: float) -> Said:
         self._kept[report.primitive] = (report, now_s + REPEAT_S)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 from stories import Story, bound, give_up, go_on, mend, record, report, script, told, trim
 
@@ -57,6 +58,28 @@ def test_a_step_without_a_primitive_is_passed_through():
     s = Story()
     s.elaborated(script(steps=2))
     assert s.answers("C-1", BoundStep(note="GP set")) == ["note C-1 binding", "job C-1/4 binder #1", "note C-1 binding"]
+
+
+@pytest.mark.parametrize("name", ["X-9.1", "C-2.1", "C-1.2", ""])
+def test_a_primitive_of_another_name_is_not_sent(name):
+    """A halt of its command would not find it, and its report would belong to nobody."""
+    s = Story()
+    s.elaborated(script())
+    assert not [line for line in s.answers("C-1", bound(name)) if line.startswith("primitive")]
+    refusal = s.outcome("C-1").refusal
+    assert refusal.reason is RefusalReason.PROGRAM
+    assert "which is not the next one of C-1" in refusal.message
+
+
+def test_a_primitive_that_no_subsystem_could_read_is_not_sent():
+    s = Story()
+    s.elaborated(script())
+    product = msgspec.to_builtins(bound("C-1.1"))
+    product["primitive"]["stop_functions"] = []
+    assert not [line for line in s.answers("C-1", product) if line.startswith("primitive")]
+    refusal = s.outcome("C-1").refusal
+    assert refusal.reason is RefusalReason.PROGRAM
+    assert "F is not complete" in refusal.message
 
 
 def test_what_is_told_goes_straight_to_an_analyzer():

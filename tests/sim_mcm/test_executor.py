@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from rtc import geometry
 from rtc import messages as m
 from rtc import primitive as p
 from rtc.outcomes import PRIORITY, Reflex, StopReason
@@ -511,3 +512,148 @@ def test_what_is_squeezed_stays_squeezed_through_a_halt_and_no_harder(rig, make)
     rig.executor.halt()
     rig.until_end()
     assert rig.arm.hand == HandCommand(0.0, 12.0, 0.05)
+
+
+# --- the last guard, and what is watched always ----------------------------------------------------------
+
+
+class _Leap:
+    """A profile with an error in it: it is a radian away from one tick to the next."""
+
+    duration_s = 1.0
+
+    def __init__(self, joints) -> None:
+        self._joints = joints
+
+    def at(self, time_s: float):
+        far = 1.0 if time_s > 0.1 else 0.0
+        return [self._joints[0] + far, *self._joints[1:]], [0.0] * 6, [0.0] * 6
+
+
+@pytest.mark.parametrize("value", ["leap", "nan"])
+def test_a_command_beyond_the_limits_is_not_followed_and_ends_the_primitive(rig, value: str) -> None:
+    rig.accept(rig.swing())
+    rig.tick(300)
+    leap = _Leap(rig.arm.motion[0] if value == "leap" else [float("nan")] * 6)
+    rig.executor._profile, rig.executor._profile_ticks = leap, 0
+
+    report = rig.until_end()
+
+    assert report.reason is StopReason.COMMAND_LIMIT
+    assert report.limit == pytest.approx(1.25 * rig.arm.traits.velocity[0])
+    steps = np.abs(np.diff([motion[0] for motion in rig.arm.commands], axis=0))
+    assert np.all(steps <= 1.25 * np.array(rig.arm.traits.velocity) * TICK_S)
+    assert rig.executor.state is State.HOLDING
+
+
+def test_a_leap_while_it_stops_is_braked_and_the_reason_stands(rig, make) -> None:
+    rig.accept(rig.swing(_feel(make)))
+    rig.tick(500)
+    rig.arm.wrench = [6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    rig.tick(2)
+    assert rig.executor.state is State.STOPPING
+    rig.executor._profile, rig.executor._profile_ticks = _Leap(rig.arm.motion[0]), 200
+    rig.arm.wrench = [0.0] * 6
+    assert rig.until_end().reason is StopReason.CONTACT
+    steps = np.abs(np.diff([motion[0] for motion in rig.arm.commands], axis=0))
+    assert np.all(steps <= 1.25 * np.array(rig.arm.traits.velocity) * TICK_S)
+
+
+def test_an_arm_that_does_not_follow_is_stopped_for_that(rig) -> None:
+    rig.accept(rig.swing())
+    rig.tick(300)
+    rig.arm.lag = 0.25
+    report = rig.until_end()
+    assert report.reason is StopReason.FOLLOWING_ERROR
+    assert report.measured == pytest.approx(0.25)
+    assert "joint_1 is -14.3 deg from where it is commanded to be" in report.message
+
+
+def test_an_arm_that_runs_away_is_stopped_for_that(rig, make) -> None:
+    read = rig.arm.read
+    rig.accept(make.primitive(p.HoldStill(duration_s=5.0)))
+    rig.tick(10)
+    rig.arm.read = lambda: m_replace(read(), [0.0, 0.0, 0.0, 0.0, 0.0, 7.0])
+    report = rig.until_end()
+    assert report.reason is StopReason.OVERSPEED
+    assert "joint_6 turns at 7.00 rad/s" in report.message
+
+
+def m_replace(sample, velocities):
+    sample.velocities = velocities
+    return sample
+
+
+@pytest.mark.parametrize("trips", [{"force": 20.0, "reason": "force_limit"}, {"force": 50.0, "reason": "force_limit"}])
+def test_a_reflex_that_was_asked_for_is_done_whichever_limit_is_named(rig, make, trips) -> None:
+    """47 N in the first tick of a contact are beyond the 5 N of the sentence and the 40 N of the verb."""
+    guard = make.stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=15.0))
+    rig.accept(rig.swing(guard, _feel(make, Reflex.BACK_OFF, 0.05)))
+    rig.tick(600)
+    rig.arm.wrench = [trips["force"], 0.0, 0.0, 0.0, 0.0, 0.0]
+    rig.tick(1)
+    rig.arm.wrench = [0.0] * 6
+    report = rig.until_end()
+    assert report.reason == trips["reason"]
+    assert report.reflex is Reflex.BACK_OFF
+    assert geometry.distance(report.tcp_pose, report.trip_pose) == pytest.approx(0.05, abs=0.003)
+
+
+def test_a_limit_without_the_condition_of_the_reflex_only_stops(rig, make) -> None:
+    guard = make.stop(StopReason.TORQUE_LIMIT, p.TorqueAbove(limit_nm=2.0))
+    rig.accept(rig.swing(guard, _feel(make, Reflex.BACK_OFF, 0.05)))
+    rig.tick(600)
+    rig.arm.wrench = [0.0, 0.0, 0.0, 3.0, 0.0, 0.0]
+    report = rig.until_end()
+    assert (report.reason, report.reflex) == (StopReason.TORQUE_LIMIT, Reflex.STOP)
+
+
+@pytest.mark.parametrize("swing_rad_s", [0.0075, 0.06])
+def test_chatter_of_the_wrist_is_rest(rig, swing_rad_s: float) -> None:
+    """A speed that alternates from tick to tick, with which nothing goes anywhere."""
+    ticks = [0]
+    read = rig.arm.read
+
+    def chattering():
+        ticks[0] += 1
+        sample, way = read(), (-1) ** ticks[0]
+        sample.velocities = [*sample.velocities[:5], sample.velocities[5] + way * swing_rad_s]
+        sample.joints = [*sample.joints[:5], sample.joints[5] + 0.5 * way * swing_rad_s * TICK_S]
+        return sample
+
+    rig.arm.read = chattering
+    rig.accept(rig.swing(limit_s=2.0))
+    report = rig.until_end()
+    assert report.reason is StopReason.GOAL
+    assert report.duration_s < 1.1
+    assert rig.executor.at_rest
+
+
+def test_a_swing_is_no_rest(rig) -> None:
+    """Two Hz, 20 mrad: the arm is where it was commanded to be twice in every swing."""
+    ticks = [0]
+    read = rig.arm.read
+
+    def swinging():
+        ticks[0] += 1
+        sample = read()
+        sample.joints = [*sample.joints[:5], sample.joints[5] + 0.02 * np.sin(4.0 * np.pi * ticks[0] * TICK_S)]
+        return sample
+
+    rig.arm.read = swinging
+    rig.accept(rig.swing(limit_s=2.0))
+    assert rig.until_end().reason is StopReason.TIMEOUT
+    assert not rig.executor.at_rest
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("1/0"), OverflowError("too much"), TypeError("no")])
+def test_whatever_a_control_law_raises_is_an_objection(rig, error: Exception) -> None:
+    def use_law(law: p.ControlLaw) -> None:
+        raise error
+
+    rig.arm.use_law = use_law
+    answer = rig.accept(rig.swing())
+    assert isinstance(answer, m.EndReport)
+    assert answer.reason is StopReason.REFUSED
+    assert type(error).__name__ in answer.message
+    assert rig.executor.state is State.HOLDING

@@ -9,6 +9,8 @@ from rtc import messages as m
 from rtc import primitive as p
 from rtc.halting import PER_S
 from rtc.outcomes import StopReason
+from rtc.wire import frames
+from sim_mcm.doors import unread_order
 from sim_mcm.kinematic_arm import KinematicCell
 from sim_mcm.subsystem import BROKER, OPEN_HALTS, REPEAT_S, REST_LIMIT_S, SHADOWS
 
@@ -319,3 +321,59 @@ def test_a_stream_of_halts_stops_at_once_and_reaches_the_broker_as_one(bench, sw
     assert [order.halt for order in kinds(heard, m.HaltOrder)] == ["H-x19"]
     bench.hear(m.HaltOrder(halt="H-x19"))
     assert kinds(bench.subsystem.hello(), m.HaltOrder) == []
+
+
+# --- primitives that are none ------------------------------------------------------------------------------
+
+
+def _frames(change) -> list[bytes]:
+    """An Execute whose primitive has been changed on its way."""
+    body = msgspec.to_builtins(m.Execute(primitive=_still()))
+    change(body["primitive"])
+    return frames(body)
+
+
+def _still() -> p.Primitive:
+    stops = [
+        p.StopFunction(reason=StopReason.GOAL, when=p.GoalReached()),
+        p.StopFunction(reason=StopReason.TIMEOUT, when=p.TimeAbove(5.0)),
+    ]
+    return p.Primitive(id="C-7.1", performer=ARM, trajectory=p.HoldStill(duration_s=1.0), stop_functions=stops)
+
+
+LOAD = {"mass_kg": 1e308, "com_m": [float("nan")] * 3, "inertia_kg_m2": [-1.0] * 6}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda body: body.update(stop_functions=[]), "F is not complete"),
+        (lambda body: body.update(trajectory={"type": "no-such-thing"}), "not a primitive"),
+        (lambda body: body.update(control_law={"load": LOAD}), "a load"),
+        (lambda body: body["stop_functions"][1].update(when={"type": "time-above", "limit_s": 1e300}), "a time limit"),
+        (lambda body: body.pop("trajectory"), "missing required field"),
+    ],
+)
+def test_what_does_not_decode_is_refused_with_the_id_that_can_be_read(bench, change, words: str) -> None:
+    order = unread_order(_frames(change))
+    assert order is not None
+    ((door, report),) = bench.hear(order)
+    assert (door, report.primitive, report.performer, report.reason) == (BROKER, "C-7.1", ARM, StopReason.REFUSED)
+    assert words in report.message
+    assert len(report.joints) == 6
+    assert bench.subsystem.outstanding == ["C-7.1"]  # until it is acknowledged
+    assert bench.hear(order) == [(BROKER, report)]
+
+
+def test_what_decodes_or_has_no_id_is_not_answered_so() -> None:
+    assert unread_order(_frames(lambda body: None)) is None
+    assert unread_order(_frames(lambda body: body.update(id="", stop_functions=[]))) is None
+    assert unread_order(frames(m.Heartbeat(name="broker"))) is None
+
+
+@pytest.mark.parametrize("name", ["X-9.1", "", "C-7", "C-7.1/2", "7.1"])
+def test_an_id_that_no_halt_would_find_is_refused(bench, swing, name: str) -> None:
+    (report,) = kinds(bench.hear(m.Execute(primitive=swing(name))), m.EndReport)
+    assert report.reason is StopReason.REFUSED
+    assert "name of a primitive" in report.message
+    assert bench.subsystem.idle
