@@ -9,18 +9,22 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from broker.events import BrokerRestarted, ProgramInstalled
+from broker.events import BrokerRestarted, JournalLost, ProgramInstalled
 from broker.journal import Journal
 from broker.program_store import ProgramStore
 from broker.replay import replay
 from broker.router import Router
 from broker.state import State
-from rtc import handed, process, template
+from rtc import damage, handed, process, template
 from rtc.memory import Guard
-from rtc.messages import WorkerKind
+from rtc.messages import CommandRecord, WorkerKind
+from rtc.outcomes import RtcError
 from rtc.settings import Settings
+from rtc.world.client import WorldClient
+from rtc.world.lease import DOUBT, sign
 
 RANK, NICENESS = 1, -5  # after the MCM, whose servo ticks every millisecond, and before everybody else
+DOUBT_LIMIT_S = 2.0  # for the world database to mark its facts
 
 
 def main() -> None:
@@ -44,28 +48,75 @@ def live(run_dir: Path, fd: int = -1) -> None:
         priority = process.come_first(RANK, NICENESS)
         patience = 1.0 / settings.speed if 0 < settings.speed < 1 else 1.0
         first = State(patience=patience, life=secrets.token_hex(2))
-        journal = Journal.open(run_dir / "journal.db", settings.run, first)
-        state, ended = replay(journal)
-        store = ProgramStore(journal, state.programs)
-        router = Router(me, settings, journal, state, store, given)
-        router.guard = Guard()
-        now = time.monotonic()
-        restarted = bool(state.programs)
-        if restarted:
-            me.log.info("restarted: %d commands live, %d ended in the journal", len(state.commands), len(ended))
-            journal.keep_stories(ended.values())
-            router.hear(BrokerRestarted(at_s=now))
-        else:
-            for installed in _first_programs(settings, store, now):
-                router.hear(installed)
-        router.turn()
-        process.freeze_heap()
-        me.log.info("priority: %s", priority)
-        me.ready()
-        if restarted:  # whoever is killed again and again has not ever more to replay
-            journal.snapshot(state)
-        router.run()
-        journal.close()
+        path = run_dir / "journal.db"
+        journal, state, ended = damage.open_or_set_aside(path, lambda: _opened(path, settings.run, first), me.note)
+        with damage.put_aside_when_damaged(path, me.note):
+            _serve(me, given, journal, state, ended, priority)
+
+
+def _opened(path: Path, run: str, first: State) -> tuple[Journal, State, dict[str, CommandRecord]]:
+    journal = Journal.open(path, run, first)
+    return journal, *replay(journal)
+
+
+def _serve(
+    me: process.Process,
+    given: handed.Handed,
+    journal: Journal,
+    state: State,
+    ended: dict[str, CommandRecord],
+    priority: str,
+) -> None:
+    """Go on from the replayed state."""
+    settings, now = given.settings, time.monotonic()
+    lost = _lost(journal, state, given, now)
+    store = ProgramStore(journal, state.programs)
+    journal.written = lambda turn: given.remember("broker", state.life.encode(), turn, state.accepted)
+    router = Router(me, settings, journal, state, store, given)
+    router.guard = Guard()
+    restarted = bool(state.programs)
+    if restarted:
+        me.log.info("restarted: %d commands live, %d ended in the journal", len(state.commands), len(ended))
+        journal.keep_stories(ended.values())
+        router.hear(BrokerRestarted(at_s=now))
+    else:
+        for installed in _first_programs(settings, store, now):
+            router.hear(installed)
+    if lost is not None:
+        me.note(f"{lost.why}; what was under way has ended, facts of arms and things are suspect")
+        _doubt_the_world(me, given, lost)
+        router.hear(lost)
+    router.turn()
+    process.freeze_heap()
+    me.log.info("priority: %s", priority)
+    me.ready()
+    if restarted:  # whoever is killed again and again has not ever more to replay
+        journal.snapshot(state)
+    router.run()
+    journal.close()
+
+
+def _lost(journal: Journal, state: State, given: handed.Handed, now: float) -> JournalLost | None:
+    """Whether brokers of this run decided turns that this journal lacks."""
+    kept = given.remembered("broker")
+    if kept is None:
+        return None
+    life, turn, accepted = kept
+    missing = turn - journal.last_turn()
+    if life == state.life.encode() and missing <= 0:
+        return None
+    why = f"the journal lost its last {missing} turns" if life == state.life.encode() else "the journal was lost"
+    return JournalLost(at_s=now, why=why, life=secrets.token_hex(2), accepted=accepted)
+
+
+def _doubt_the_world(me: process.Process, given: handed.Handed, lost: JournalLost) -> None:
+    """Before anything is planned with facts that lost turns may have changed."""
+    world = WorldClient(given.settings.endpoint("world"), me.context, limit_s=DOUBT_LIMIT_S)
+    try:
+        world.doubt(sign(given.lease_key, f"{DOUBT}{lost.life}", []), lost.why)
+    except RtcError as error:
+        me.note(f"{error}: its facts are not marked suspect")
+    world.close()
 
 
 def _first_programs(settings: Settings, store: ProgramStore, now: float) -> Iterator[ProgramInstalled]:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from broker import ending, journey, untold
+from broker import ending, journey, lost, untold
 from broker.effects import AcknowledgeReport, DeclineHalt, Effect, SendHalt, TellClient
 from broker.events import (
     BrokerRestarted,
@@ -26,6 +26,7 @@ from broker.events import (
     JobDeclined,
     JobFinished,
     JobLost,
+    JournalLost,
     ListenersChanged,
     PrimitiveEnded,
     PrimitiveStarted,
@@ -40,7 +41,7 @@ from broker.turn import Turn
 from rtc.language.fastpath import halt_scope
 from rtc.messages import Accepted, Declined, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
-from rtc.primitive_id import command_of
+from rtc.primitive_id import command_of, number_of
 
 MAX_COMMANDS = 10_000  # live at once; more are declined
 LIVE_PER_CLIENT = 2_000  # of one client, so that no one client can take the place of all others
@@ -130,6 +131,9 @@ def on_command(turn: Turn, event: CommandReceived) -> None:
         turn.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=known)))
         if known in state.ended:
             turn.effects.append(TellClient(client=event.client, message=state.ended[known].told))
+        return
+    if lost.is_lost(state, event) and not halt_scope(event.text):
+        lost.end_lost(turn, event)
         return
     live = state.live.get(event.client, 0)
     if live >= LIVE_PER_CLIENT or len(state.commands) >= MAX_COMMANDS:
@@ -347,6 +351,7 @@ def on_subsystem(turn: Turn, event: SubsystemConnected) -> None:
         pid=event.pid, performers=event.performers, came_at_rest=event.at_rest
     )
     for primitive in event.outstanding:
+        state.accepted = max(state.accepted, number_of(primitive))  # a journal that was lost may not know it
         command_id = command_of(primitive)
         command = state.commands.get(command_id)
         # Of a command that lives, only what was given up may still be executed; the rest are unacknowledged reports.
@@ -398,6 +403,8 @@ def _gone(turn: Turn, name: str, why: str) -> None:
 
 
 def on_listeners(turn: Turn, event: ListenersChanged) -> None:
+    if event.listening and not turn.state.listened:
+        lost.publish(turn)
     turn.state.listened = event.listening
 
 
@@ -452,4 +459,5 @@ HEARD: dict[type[Event], Callable[[Turn, Any], None]] = {
     ProgramInstalled: on_program,
     ListenersChanged: on_listeners,
     BrokerRestarted: on_restart,
+    JournalLost: lost.on_journal_lost,
 }

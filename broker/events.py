@@ -23,6 +23,7 @@ class CommandReceived(Event, frozen=True, kw_only=True, gc=False):
     progress: bool = True
     halt_if_lost: bool = False
     sent_at_s: float = 0.0
+    known_as: str = ""  # C-n, as a broker before us accepted it
 
 
 class HaltCalled(Event, frozen=True, kw_only=True, gc=False):
@@ -117,6 +118,15 @@ class ListenersChanged(Event, frozen=True, kw_only=True, gc=False):
     listening: bool
 
 
+class JournalLost(Event, frozen=True, kw_only=True, gc=False):
+    """The journal lacks turns that a broker of this run has decided: it is new, or older than it was. `accepted`: the
+    highest number that is known to be given out."""
+
+    why: str
+    life: str  # of the journal from now on
+    accepted: int
+
+
 class BrokerRestarted(Event, frozen=True, kw_only=True, gc=False):
     """The broker came up with a replayed journal: nobody has the jobs it gave out any more."""
 
@@ -137,4 +147,5 @@ AnyEvent = (
     | ProgramInstalled
     | ListenersChanged
     | BrokerRestarted
+    | JournalLost
 )

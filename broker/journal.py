@@ -12,7 +12,7 @@ written some at a time: until a snapshot takes the place of the events, whoever 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from broker.events import AnyEvent, Event
@@ -44,6 +44,7 @@ read_record = wire.decoder(CommandRecord)
 class Journal:
     def __init__(self, db: sqlite3.Connection) -> None:
         self.db = db
+        self.written: Callable[[int], None] = lambda turn: None  # hears the number of every turn that is written
         self.events_since_snapshot = 0
         self._stories: dict[str, CommandRecord] = {}  # not written yet
         self._forget_before = 0  # turns that a snapshot has made needless
@@ -80,7 +81,8 @@ class Journal:
 
     def append(self, events: list[Event], stories: list[CommandRecord]) -> None:
         """One turn: its events, and the stories of the commands that ended in it."""
-        self.db.execute("INSERT INTO turns (events) VALUES (?)", (wire.encode(events),))
+        turn = self.db.execute("INSERT INTO turns (events) VALUES (?)", (wire.encode(events),)).lastrowid
+        self.written(turn or 0)
         self.events_since_snapshot += len(events)
         if stories:
             self._stories.update((story.command, story) for story in stories)
@@ -110,7 +112,7 @@ class Journal:
     def _write_stories(self) -> None:
         stories, self._stories = self._stories, {}
         if stories:
-            rows = [(_number(story.command), wire.encode(story)) for story in stories.values()]
+            rows = [(number(story.command), wire.encode(story)) for story in stories.values()]
             with self.transaction():
                 self.db.executemany(KEEP_STORY, rows)
                 newest = self.db.execute("SELECT max(ended) FROM stories").fetchone()[0]
@@ -122,6 +124,11 @@ class Journal:
         self._forget_before = n
         return n, read_state(state)
 
+    def last_turn(self) -> int:
+        """The number of the last turn; 0 of a new journal."""
+        newest: int = self.db.execute("SELECT coalesce(max(n), 0) FROM turns").fetchone()[0]
+        return max(newest, self._forget_before)
+
     def turns(self, after: int = 0) -> Iterator[list[Event]]:
         for (events,) in self.db.execute("SELECT events FROM turns WHERE n > ? ORDER BY n", (after,)):
             yield read_events(events)
@@ -129,7 +136,7 @@ class Journal:
     def story(self, command: str) -> CommandRecord | None:
         if command in self._stories:
             return self._stories[command]
-        row = self.db.execute("SELECT record FROM stories WHERE n = ?", (_number(command),)).fetchone()
+        row = self.db.execute("SELECT record FROM stories WHERE n = ?", (number(command),)).fetchone()
         return None if row is None else read_record(row[0])
 
     def keep_program(self, digest: str, body: bytes) -> None:
@@ -143,7 +150,7 @@ class Journal:
         self.db.close()
 
 
-def _number(command: str) -> int:
+def number(command: str) -> int:
     """7 of C-7; -1 for what is no command's name."""
     number = command.removeprefix("C-")
     return int(number) if number.isascii() and number.isdigit() and len(number) < 18 else -1

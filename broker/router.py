@@ -21,7 +21,7 @@ import zmq
 from broker import effects as do
 from broker import events as heard
 from broker.decision_unit import MAX_TEXT, decide
-from broker.journal import Journal
+from broker.journal import Journal, number
 from broker.pools import Pools
 from broker.program_store import ProgramStore
 from broker.roster import Lost, Roster
@@ -364,6 +364,7 @@ class Router:
                         progress=message.progress,
                         halt_if_lost=message.halt_if_lost,
                         sent_at_s=message.sent_at_s,
+                        known_as=message.known_as,
                     )
                 )
             case m.Heartbeat(name=name):
@@ -435,6 +436,9 @@ class Router:
             return m.TraceReply(request=query.request, record=record)
         if (story := self.journal.story(query.command)) is not None:
             return m.TraceReply(request=query.request, record=story)
+        if self.state.lost and 0 < number(query.command) <= self.state.accepted:
+            message = f"{query.command} is not in the journal: {self.state.lost}"
+            return m.Declined(request=query.request, refusal=Refusal(reason=RefusalReason.NAME, message=message))
         last = f"the last one accepted is C-{self.state.accepted}" if self.state.accepted else "none was accepted yet"
         message = f"there is no command {query.command}; {last}"
         return m.Declined(request=query.request, refusal=Refusal(reason=RefusalReason.NAME, message=message))

@@ -186,6 +186,8 @@ class State(msgspec.Struct, kw_only=True):
     unread: dict[str, dict[str, bool]] = {}  # client -> its commands not yet taken up, in order: parsed meanwhile?
     accepted: int = 0
     life: str = ""  # of the journal: part of the names of primitives; see rtc.primitive_id
+    lost: str = ""  # why the journal lacks turns, in words; empty = it never lost any
+    lost_at_s: float = 0.0  # when that was noticed: what was sent before is not begun
     began_at_s: float = 0.0  # the cluster, not this broker
     seq: int = 0  # of the event stream
     requests: dict[str, str] = {}  # `request_key` -> command, live or recently ended

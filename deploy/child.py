@@ -19,10 +19,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 from deploy.restarts import Death
-from rtc.process import ALIVE, READY, die_with_parent, now_s
+from rtc.process import ALIVE, NOTE, READY, die_with_parent, now_s
 
 LOG_LIMIT = 10 << 20  # bytes; then the log becomes NAME.log.1 and begins anew
 REMEMBERED_DEATHS = 100
+NOTES_KEPT = 5
 FORK_LIMIT_S = 1.0  # a template answers in milliseconds
 
 
@@ -100,6 +101,8 @@ class Child:
         self.busy_s = 0.0  # when it was seen to use the processor last
         self.stopped_since_s = 0.0  # by a signal; 0 = it is not
         self.restarts = 0
+        self.notes: deque[str] = deque(maxlen=NOTES_KEPT)  # that it told people, in all its lives
+        self._news: list[str] = []  # notes that nobody has taken
         self.was_ready = False  # in any of its lives
         self.deaths: deque[Death] = deque(maxlen=REMEMBERED_DEATHS)
         self.start_at_s = 0.0  # while WAITING or LOOPING: when to start it
@@ -168,11 +171,19 @@ class Child:
         said = self._read()
         self.heard_s = now_s()
         *lines, self._line = (self._line + said).split(b"\n")
-        other = [line for line in lines if line.strip() not in (READY, ALIVE)]
+        noted = [line for line in lines if line.startswith(NOTE)]
+        self._news += [line.removeprefix(NOTE).decode(errors="replace") for line in noted]
+        other = [line for line in lines if line.strip() not in (READY, ALIVE) and line not in noted]
         if other:
             with contextlib.suppress(OSError), open_log(self.log) as log:
                 log.write(b"\n".join([*other, b""]))
         return READY in lines
+
+    def take_news(self) -> list[str]:
+        """The notes that came since the last time."""
+        news, self._news = self._news, []
+        self.notes += news
+        return news
 
     def _read(self) -> bytes:
         try:

@@ -230,6 +230,9 @@ class Supervisor:
 
     def _heard(self, child: Child) -> None:
         said = child.heard_ready()
+        for words in child.take_news():
+            self._say(f"{child.spec.name}: {words}")
+            self._changes = True
         if child.output_over:
             self._forget(child.output_fd)
         if said and child.state == State.STARTING:
@@ -324,6 +327,7 @@ class Supervisor:
                 "restarts": child.restarts,
                 "since_s": child.since_s,
                 "node": child.spec.node,
+                "notes": [*child.notes, *_last_words(child)],
             }
             for child in self._children.values()
         ]
@@ -379,6 +383,12 @@ def _hung(child: Child, now: float) -> str:
     if child.spec.beats and silent_s > SILENCE_S:
         return f"hung, silent for {silent_s:.1f} s"
     return ""
+
+
+def _last_words(child: Child) -> list[str]:
+    """Why a process is in a crash loop, or was given up, as its log ends."""
+    ends = child.log_tail(1) if child.state in (State.LOOPING, State.FAILED) else ""
+    return [f"{child.state.value}: {ends[:300]}"] if ends else []
 
 
 def _log_of(child: Child) -> str:

@@ -132,9 +132,17 @@ class FrontDoor:
             return None
         if isinstance(message, m.Welcome):
             self._take_welcome(message)
+        if isinstance(message, m.Accepted):
+            self._note_number(message)
         if isinstance(message, LAST_ANSWERS):
             self._open.pop(message.request, None)
         return message
+
+    def _note_number(self, accepted: m.Accepted) -> None:
+        """Sent again, the sentence bears its number: a broker that lost it must not begin it once more."""
+        sentence = self._open.get(accepted.request)
+        if isinstance(sentence, m.CommandText) and not sentence.known_as:
+            self._open[accepted.request] = msgspec.structs.replace(sentence, known_as=accepted.command)
 
     @property
     def shut_out(self) -> str:

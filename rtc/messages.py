@@ -46,6 +46,7 @@ class CommandText(Message, frozen=True, kw_only=True):
     # A sentence sent before a HALT ALL does not start after it; 0 = not told.
     sent_at_s: Annotated[float, msgspec.Meta(ge=0)] = 0.0
     cluster: Name = ""  # the run it is meant for, as in Welcome: another one declines it; empty = whoever hears it
+    known_as: Name = ""  # C-n, when it is sent again after it was accepted
 
 
 class StatusQuery(Message, frozen=True, kw_only=True):
@@ -597,6 +598,15 @@ class Commit(Message, frozen=True, kw_only=True):
     source: str
 
 
+class Doubt(Message, frozen=True, kw_only=True):
+    """From the broker alone, by a lease for no location: nobody knows what was done. Every fact that a motion changes
+    becomes suspect; the same lease again changes nothing."""
+
+    request: Name
+    lease: Lease
+    why: Name  # becomes the source of the doubt
+
+
 class Committed(Message, frozen=True, kw_only=True):
     request: str
     version: int
@@ -638,6 +648,7 @@ class ProcessRow(TypedDict):
     state: Name
     since_s: float  # CLOCK_MONOTONIC
     restarts: NotRequired[int]
+    notes: NotRequired[list[str]]  # what people should know of it: a database put aside, a crash loop's last words
     node: NotRequired[int | None]  # a worker's address
 
 
@@ -727,7 +738,7 @@ SubsystemToBroker = (
 BrokerToSubsystem = Execute | HaltOrder | ReportAck | Declined  # Declined: the name is another's
 ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined
-ToWorld = ReadView | Commit | WorldHistory
+ToWorld = ReadView | Commit | WorldHistory | Doubt
 FromWorld = View | Committed | WorldRefused
 SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Dropped  # Dropped: from others
 BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | Shutdown

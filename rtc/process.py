@@ -9,10 +9,11 @@
                     ...
 
 SIGTERM and SIGINT only set `stopping` and wake `wait` (or any poll that holds `me.wake_fd`); the loop ends by itself.
-Logs go to stderr, which the supervisor keeps in the run directory; stdout carries two words: `ready`, and from then on,
-every second that the loop turns, `alive`; so the supervisor knows who is there and does nothing. That nothing outlives
-a killed supervisor is the business of the parent, who calls `die_with_parent` in the child it forks (SIGKILL for every
-kind of process: whoever wants an orderly end sends SIGTERM first). This file knows no message and no kind of process.
+Logs go to stderr, which the supervisor keeps in the run directory; stdout carries `ready`, from then on, every second
+that the loop turns, `alive`, and `note` with what people should know; so the supervisor knows who is there and does
+nothing. That nothing outlives a killed supervisor is the business of the parent, who calls `die_with_parent` in the
+child it forks (SIGKILL for every kind of process: whoever wants an orderly end sends SIGTERM first). This file knows no
+message and no kind of process.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ import zmq
 from rtc import wire
 from rtc.settings import Bounds
 
-READY, ALIVE = b"ready", b"alive"
+READY, ALIVE, NOTE = b"ready", b"alive", b"note "
 BEAT_S = 1.0
 QUEUE_LENGTH = 10_000  # messages per peer that ZeroMQ holds before it drops (ROUTER, PUB) or says no (DEALER)
 LINGER_MS = 200  # how long the last words of a process may take to leave it
@@ -150,6 +151,12 @@ class Process:
             if stat.S_ISFIFO(os.fstat(sys.stdout.fileno()).st_mode):
                 self._watched.register(sys.stdout.fileno(), zmq.POLLOUT)
         self.log.info("ready")
+
+    def note(self, words: str) -> None:
+        """Tell people, by the supervisor and `rtc status`, what they should know of this process. One line."""
+        self.log.warning("%s", words)
+        with contextlib.suppress(OSError):
+            os.write(sys.stdout.fileno(), NOTE + words.replace("\n", " ").encode() + b"\n")
 
     def beat(self, now: float) -> None:
         """Tell the supervisor, every second, that the loop turns; for a loop that does not `wait`. Never blocks: what

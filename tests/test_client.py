@@ -265,6 +265,8 @@ def test_a_lost_broker_hears_the_same_requests_again(run_dir: Path) -> None:
 
     assert outcome.outcome.kind == OutcomeKind.SUCCEEDED
     assert {said.request for said in second.sentences()} == {first.sentences()[0].request}
+    assert first.sentences()[0].known_as == ""
+    assert {said.known_as for said in second.sentences()} == {"C-1"}  # a broker that lost it must not begin it
     assert isinstance(second.heard[0], m.ClientHello)
     second.stop()
 

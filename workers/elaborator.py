@@ -467,7 +467,9 @@ def _lacking(need: str, at: Situation) -> Refusal | None:
     if lack is None:
         return None
     clears = at.say(at.program.needs.get(lack.row or need, "")).replace("{held}", lack.held)
-    return Refusal(reason=RefusalReason.STATE, message=lack.message, clears=clears)
+    doubt = at.belief.distrusted(f"{at.thing.name}.held_by", {}) if at.thing is not None else None
+    message = lack.message + (f", but {doubt.message}" if doubt else "")
+    return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
 
 
 def _unsure_grasp(script: ScriptFile, at: Situation) -> Refusal | None:

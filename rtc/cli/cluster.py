@@ -107,6 +107,9 @@ def show_status(said: dict[str, Any]) -> None:
     console.print(Text(f"cluster {said.get('cluster', '?')} in {where}, up {seconds(up_s)}{since}", style="bold"))
     for why in said.get("rolled_back", {}).values():
         console.print(Text("program taken back: ", style="bold red") + Text(why))
+    for row in said.get("processes") or []:
+        for note in row.get("notes") or []:
+            console.print(Text(f"{row['name']}: ", style="bold red") + Text(note))
     _workers_and_processes(said)
     if "commands" in said:
         _commands(said["commands"])

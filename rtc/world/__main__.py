@@ -13,17 +13,19 @@ from typing import Any
 
 import zmq
 
-from rtc import handed, process, template, wire
+from rtc import damage, handed, process, template, wire
 from rtc.memory import Guard
 from rtc.messages import Dropped, ToWorld
 from rtc.outcomes import WireError
 from rtc.process import Every, Process, inbox, now_s, send
 from rtc.settings import BOUNDS, Settings
+from rtc.world import lease
 from rtc.world.model import initial_facts
-from rtc.world.server import Packer, Server
+from rtc.world.server import Packer, Server, doubt_everything
 from rtc.world.store import Store
 
 FILE = "world.db"
+BORN = b"world"  # in the memory of the role: it has begun in this run
 PER_TURN = 256  # requests in one turn of the loop, and so in one transaction
 TELL_S = 0.5  # how often the broker hears of messages that could not be read
 
@@ -44,25 +46,52 @@ def live(run_dir: Path, fd: int = -1) -> None:
     """Be the world database until told to end. `fd`: what the supervisor hands over (rtc.handed)."""
     process.show_name("world")
     given = handed.begin("world", run_dir, fd)
-    settings = given.settings
     with process.start("world", run_dir) as me:
-        store = Store(run_dir / FILE)
-        if store.version == 0:
-            _begin(store, settings)
-        socket = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True, bounds=BOUNDS["world"])
-        broker = me.socket(zmq.DEALER, settings.endpoint("supervisor"), identity="world", poll=False)
-        server = Server(store, given.lease_key)
-        process.freeze_heap()
-        me.ready()
-        serve(me, socket, server, lambda dropped: send(broker, Dropped(counts={"world": dropped})), Guard())
-        store.close()
+        path = run_dir / FILE
+        store = damage.open_or_set_aside(path, lambda: Store(path), me.note)
+        with damage.put_aside_when_damaged(path, me.note):
+            _live(me, given, store)
 
 
-def _begin(store: Store, settings: Settings) -> None:
-    from rtc.cell import Cell  # brings numpy; a restart, which should be quick, does without
+def _live(me: Process, given: handed.Handed, store: Store) -> None:
+    settings = given.settings
+    _begin(me, given, store)
+    socket = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True, bounds=BOUNDS["world"])
+    broker = me.socket(zmq.DEALER, settings.endpoint("supervisor"), identity="world", poll=False)
+    server = Server(store, given.lease_key, lambda: _fixed(settings))
+    store.saved = lambda version: given.remember("world", BORN, version)
+    process.freeze_heap()
+    me.ready()
+    serve(me, socket, server, lambda dropped: send(broker, Dropped(counts={"world": dropped})), Guard())
+    store.close()
 
-    store.write("cell", initial_facts(Cell.load(settings.cell)), source="cell", at_s=now_s())
+
+def _begin(me: Process, given: handed.Handed, store: Store) -> None:
+    """A new database begins with what the cell says. If it had begun before in this run, or knew more, everything that
+    a motion changes is in doubt; versions go on above the highest that anybody has read."""
+    kept = given.remembered("world")
+    version = kept[1] if kept else 0
+    new = store.version == 0
+    if not new and store.version >= version:
+        return
+    why = "the world database began anew" if new else "the world database lost its last changes"
+    store.version = max(store.version, version)
+    if new:
+        from rtc.cell import Cell  # brings numpy; a restart, which should be quick, does without
+
+        store.write("cell", initial_facts(Cell.load(given.settings.cell)), source="cell", at_s=now_s())
+    if version:
+        doubt_everything(store, f"{lease.DOUBT}{store.version + 1}", why, _fixed(given.settings), now_s())
+        me.note(f"{why}; facts of arms and things are suspect")
     store.save()
+    given.remember("world", BORN, store.version)
+
+
+def _fixed(settings: Settings) -> list[str]:
+    """The things of the cell that nothing moves."""
+    from rtc.cell import Cell
+
+    return [thing.name for thing in Cell.load(settings.cell).objects if thing.fixed]
 
 
 def serve(

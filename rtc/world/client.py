@@ -14,6 +14,7 @@ from rtc import process, wire
 from rtc.messages import (
     Commit,
     Committed,
+    Doubt,
     Fact,
     FromWorld,
     Lease,
@@ -65,6 +66,10 @@ class WorldClient:
         """Write under a lease; the same job twice writes once. Raises ClusterError as `view` does."""
         answer = self._ask(Commit(request=self._request(), lease=lease, changes=changes, source=source))
         return answer.refusal if isinstance(answer, WorldRefused) else _expect(answer, Committed)
+
+    def doubt(self, lease: Lease, why: str) -> None:
+        """Make everything that a motion changes suspect. Raises ClusterError as `view` does."""
+        _expect(self._ask(Doubt(request=self._request(), lease=lease, why=why)), Committed)
 
     def close(self) -> None:
         self._socket.close()

@@ -15,6 +15,7 @@ from rtc.messages import Lease
 
 KEY_BYTES = 32
 KEY_FILE = "lease.key"  # in the run directory
+DOUBT = "doubt/"  # begins the job of a lease to doubt everything
 
 
 def sign(key: bytes, job: str, locations: Iterable[str]) -> Lease:

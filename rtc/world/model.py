@@ -18,6 +18,8 @@ from rtc.messages import Fact, Validity, View, WorldChange
 if TYPE_CHECKING:
     from rtc.cell import Cell  # brings numpy, which a restarted world database has no use for
 
+#: attributes that a motion may change
+MOVED = frozenset({"joints", "hand_width", "holding", "frame", "seat", "held_by", "grasp"})
 UNIT_TOLERANCE = 1e-4  # how far from 1 the length of a pose's quaternion may be
 MAX_DEPTH = 8  # of lists in lists, in values of attributes that have no row below
 

@@ -6,15 +6,28 @@ cluster's broker, only in the leased locations, only with sound values, and only
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from typing import Any
 
 import msgspec
 
 from rtc import wire
-from rtc.messages import Commit, Committed, Fact, Message, ReadView, View, WorldHistory, WorldRefused
+from rtc.messages import (
+    Commit,
+    Committed,
+    Doubt,
+    Fact,
+    Message,
+    ReadView,
+    Validity,
+    View,
+    WorldChange,
+    WorldHistory,
+    WorldRefused,
+)
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.world import lease as leases
-from rtc.world.model import location, problem, selected
+from rtc.world.model import MOVED, location, problem, selected
 from rtc.world.store import Store
 
 Answer = View | Committed | WorldRefused
@@ -23,11 +36,13 @@ Answer = View | Committed | WorldRefused
 class Server:
     """Give it requests; after a turn's requests call `store.save()`, and only then send the answers."""
 
-    def __init__(self, store: Store, key: bytes) -> None:
+    def __init__(self, store: Store, key: bytes, fixed: Callable[[], Collection[str]] = tuple) -> None:
+        """`fixed`: the names of things that nothing moves."""
         self.store = store
+        self._fixed = fixed
         self._key = key
 
-    def answer(self, request: ReadView | Commit | WorldHistory, at_s: float) -> Answer:
+    def answer(self, request: ReadView | Commit | WorldHistory | Doubt, at_s: float) -> Answer:
         match request:
             case ReadView():
                 return self._view(request)
@@ -36,6 +51,8 @@ class Server:
             case WorldHistory():
                 facts = self.store.history(request.key, request.limit)
                 return View(request=request.request, version=self.store.version, facts=facts)
+            case Doubt():
+                return self._doubt(request, at_s)
 
     def _view(self, request: ReadView) -> View:
         version = self.store.version
@@ -54,6 +71,16 @@ class Server:
         version = self.store.write(job, request.changes, request.source, at_s)
         return Committed(request=request.request, version=version)
 
+    def _doubt(self, request: Doubt, at_s: float) -> Committed | WorldRefused:
+        lease = request.lease
+        if not leases.check(self._key, lease) or not lease.job.startswith(leases.DOUBT):
+            refusal = _not_allowed("only this cluster's broker may doubt everything", lease.job)
+            return WorldRefused(request=request.request, refusal=refusal)
+        before = self.store.committed(lease.job)
+        if before is None:
+            before = doubt_everything(self.store, lease.job, request.why, self._fixed(), at_s)
+        return Committed(request=request.request, version=before)
+
     def _no(self, request: Commit) -> Refusal | None:
         lease = request.lease
         if not leases.check(self._key, lease):
@@ -67,6 +94,13 @@ class Server:
             if wrong := problem(change):
                 return _not_allowed(wrong, change.key)
         return None
+
+
+def doubt_everything(store: Store, job: str, why: str, fixed: Collection[str], at_s: float) -> int:
+    """Make every fact that a motion changes suspect; the version. `why` is the source of the doubt."""
+    moved = (key for key in store.facts if key.rpartition(".")[2] in MOVED and location(key) not in fixed)
+    changes = [WorldChange(key=key, keep_value=True, validity=Validity.SUSPECT) for key in moved]
+    return store.write(job, changes, source=why, at_s=at_s)
 
 
 class PackedView(Message, frozen=True, kw_only=True, tag="View"):

@@ -11,7 +11,7 @@ turn of its loop, and answers only after it: a row that was answered for survive
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import msgspec
@@ -36,6 +36,7 @@ class Store:
     """`version` and `facts` are what is believed now, in memory; the file always has them or is one `save` behind."""
 
     def __init__(self, path: Path | str) -> None:
+        self.saved: Callable[[int], object] = lambda version: None  # hears every version that is on disk
         self._db = sqlite3.connect(path, isolation_level=None)  # we say when a transaction begins
         self._db.execute("PRAGMA journal_mode=WAL")
         self._db.execute("PRAGMA synchronous=NORMAL")  # a killed process loses nothing; only a lost power might
@@ -75,6 +76,7 @@ class Store:
         """End the turn's transaction, if it wrote anything."""
         if self._db.in_transaction:
             self._db.execute("COMMIT")
+            self.saved(self.version)
 
     def history(self, key: str, limit: int) -> list[Fact]:
         """What was believed under this key, newest first; at most HISTORY_MAX facts."""

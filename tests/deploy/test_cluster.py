@@ -13,8 +13,11 @@ import pytest
 import zmq
 
 from deploy import cluster
+from rtc import wire
 from rtc.client import Client
-from rtc.outcomes import ClusterError, NoCluster
+from rtc.messages import Telemetry
+from rtc.outcomes import ClusterError, NoCluster, OutcomeKind
+from rtc.settings import Settings
 
 pytestmark = pytest.mark.slow
 
@@ -198,3 +201,64 @@ def test_a_new_cluster_in_the_directory_does_nothing_of_what_the_old_one_was_tol
     with Client(run_dir) as anew:
         status = anew.status()
         assert (status["commands_accepted"], status["commands"]) == (0, [])
+
+
+@pytest.fixture
+def cluster_of_its_own(run_dir):
+    began = up(run_dir)
+    assert began.returncode == 0, began.stderr
+    yield run_dir
+    deploy("down", run_dir=run_dir)
+
+
+def kill(run_dir, name):
+    old = rows(run_dir)[name]["pid"]
+    os.kill(old, signal.SIGKILL)
+    ready_again(run_dir, name, old)
+
+
+def notes(run_dir, name):
+    return " ".join(rows(run_dir)[name]["notes"])
+
+
+def tcp_x_m(run_dir):
+    """Where the hand of RIGHT-ARM is along X, as the simulated hardware publishes it."""
+    with zmq.Context() as context, context.socket(zmq.SUB) as telemetry:
+        telemetry.subscribe(b"")
+        telemetry.connect(f"ipc://{run_dir}/telemetry.sock")
+        assert telemetry.poll(5000)
+        return wire.reader(Telemetry)(telemetry.recv_multipart()).arms["RIGHT-ARM"].tcp_pose[0]
+
+
+def test_databases_that_were_lost_or_damaged_are_got_over_and_told(cluster_of_its_own):
+    run_dir = cluster_of_its_own
+    with Client(run_dir) as rtc:
+        for distance_cm in (-8, 1):
+            assert rtc.run(f"MOVE RIGHT-ARM BY {distance_cm} CM ALONG X").outcome.kind is OutcomeKind.SUCCEEDED
+        for file in run_dir.glob("journal.db*"):
+            file.unlink()
+        kill(run_dir, "broker")
+        before_m = tcp_x_m(run_dir)
+        ended = rtc.run("MOVE RIGHT-ARM BY -1 CM ALONG X")
+        assert (ended.command, ended.outcome.kind) == ("C-3", OutcomeKind.SUCCEEDED)
+        assert tcp_x_m(run_dir) == pytest.approx(before_m - 0.01, abs=0.002)  # the arm moved: no old report counted
+        assert "the journal was lost" in notes(run_dir, "broker")
+
+        with open(run_dir / "world.db", "r+b") as file:
+            file.write(b"noise" * 2000)
+        kill(run_dir, "world")
+        assert "world.db was damaged" in notes(run_dir, "world")
+        assert len(list(run_dir.glob("world.db.damaged-*[0-9]"))) == 1
+        refused = rtc.run("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A").outcome
+        assert "suspect since the world database began anew" in refused.message
+
+
+@pytest.mark.parametrize("module", ["broker", "sim_mcm", "rtc.world"])
+def test_a_second_process_of_a_role_ends_with_a_sentence(run_dir, module):
+    with cluster._lock(run_dir):  # as a supervisor holds it
+        Settings(run_dir=str(run_dir)).save()
+        command = [sys.executable, "-m", module, "--run-dir", str(run_dir)]
+        second = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
+    assert second.returncode == 1
+    assert "a second one is not started" in second.stderr
+    assert list(run_dir.glob("*.sock")) == []

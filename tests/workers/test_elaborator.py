@@ -217,6 +217,14 @@ def test_what_is_not_held_can_be_neither_lifted_nor_let_go(bench, sentence):
     assert refusal.clears == "GRASP MACS-NEW"
 
 
+def test_whether_a_thing_is_held_may_be_in_doubt(bench):
+    bench.told("MACS-NEW.held_by", "", Validity.SUSPECT)
+
+    refusal = refusal_of(bench, "LIFT MACS-NEW")
+
+    assert refusal.message.startswith("MACS-NEW is not held, but the held_by of MACS-NEW is suspect since")
+
+
 def test_what_another_hand_holds_is_lifted_by_that_hand(bench):
     bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
 

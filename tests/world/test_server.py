@@ -5,8 +5,21 @@ from __future__ import annotations
 import pytest
 
 from rtc import wire
-from rtc.messages import Commit, Committed, ReadView, View, WorldChange, WorldHistory
+from rtc.handed import Handed
+from rtc.messages import (
+    Commit,
+    Committed,
+    Doubt,
+    ReadView,
+    Validity,
+    View,
+    WorldChange,
+    WorldHistory,
+    WorldRefused,
+)
 from rtc.outcomes import RefusalReason
+from rtc.settings import Settings
+from rtc.world.__main__ import BORN, _begin
 from rtc.world.lease import sign
 from rtc.world.server import Packer, Server
 from rtc.world.store import Store
@@ -91,3 +104,96 @@ def test_a_value_too_deep_to_be_shown_is_refused(server):
         deep = [deep]
     answer = server.answer(commit("j", {"A.note": deep}), 0.0)
     assert answer.refusal.reason == RefusalReason.NOT_ALLOWED
+
+
+# --- doubt ---------------------------------------------------------------------------------------------
+
+
+def doubt(job="doubt/k7f2", key=KEY):
+    return Doubt(request="r", lease=sign(key, job, ()), why="the journal was lost")
+
+
+def test_a_doubt_makes_suspect_what_a_motion_changes_and_nothing_else(server):
+    server = Server(server.store, KEY, lambda: ["B"])  # B is fixed
+    server.store.write("more", [WorldChange(key="A.mass", value=2.0)], "cell", 0.0)
+    answer = server.answer(doubt(), 5.0)
+    facts = server.store.facts
+    assert answer == Committed(request="r", version=3)
+    assert (facts["A.seat"].value, facts["A.seat"].validity) == ("BAY-1", Validity.SUSPECT)
+    assert facts["A.seat"].source == "the journal was lost"
+    assert [facts[key].validity for key in ("B.seat", "A.mass")] == [Validity.VALID] * 2
+
+
+def test_the_same_doubt_again_changes_nothing(server):
+    server.answer(doubt(), 5.0)
+    server.answer(commit("C-1/4", {"A.seat": "RACK-1"}), 6.0)
+    server.answer(doubt(), 7.0)
+    assert server.store.facts["A.seat"].validity is Validity.VALID
+
+
+@pytest.mark.parametrize("request_", [doubt(job="C-1/4"), doubt(key=b"other" * 7)], ids=["another lease", "a stranger"])
+def test_who_is_not_the_broker_may_not_doubt(server, request_):
+    assert isinstance(server.answer(request_, 0.0), WorldRefused)
+    assert server.store.facts["A.seat"].validity is Validity.VALID
+
+
+# --- beginning -----------------------------------------------------------------------------------------
+
+
+class Notes:
+    def __init__(self):
+        self.notes = []
+        self.note = self.notes.append
+
+
+@pytest.fixture
+def given(tmp_path):
+    return Handed.make(Settings(run_dir=str(tmp_path), cell="swapout", run="r"), KEY, "t")
+
+
+def begun(given):
+    """One life of the world database."""
+    store, me = Store(given.settings.path / "world.db"), Notes()
+    _begin(me, given, store)
+    store.saved = lambda version: given.remember("world", BORN, version)
+    return store, me.notes
+
+
+def validity(store, key):
+    return store.facts[key].validity
+
+
+def test_a_new_run_begins_with_the_cell_and_trusts_it(given):
+    store, notes = begun(given)
+    assert notes == []
+    assert validity(store, "MACS-NEW.frame") is Validity.VALID
+
+
+def test_a_restart_believes_what_it_knew(given):
+    begun(given)[0].close()
+    store, notes = begun(given)
+    assert (notes, store.version) == ([], 1)
+    assert validity(store, "MACS-NEW.frame") is Validity.VALID
+
+
+def test_a_database_that_begins_anew_in_an_old_run_is_in_doubt(given):
+    first, _ = begun(given)
+    first.write("C-1/4", [WorldChange(key="MACS-NEW.held_by", value="RIGHT-ARM")], "C-1/4", 1.0)
+    first.save()
+    first.close()
+    (given.settings.path / "world.db").unlink()
+    store, notes = begun(given)
+    assert notes == ["the world database began anew; facts of arms and things are suspect"]
+    assert validity(store, "MACS-NEW.held_by") is Validity.SUSPECT
+    assert validity(store, "RIGHT-ARM.joints") is Validity.SUSPECT
+    assert validity(store, "MACS-NEW.mass") is Validity.VALID
+    assert store.version > first.version  # who has read the one before reads this one whole
+
+
+def test_a_database_that_is_older_than_it_was_is_in_doubt(given):
+    begun(given)[0].close()
+    given.remember("world", BORN, 9)
+    store, notes = begun(given)
+    assert notes == ["the world database lost its last changes; facts of arms and things are suspect"]
+    assert validity(store, "MACS-NEW.frame") is Validity.SUSPECT
+    assert store.version == 10

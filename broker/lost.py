@@ -1,0 +1,75 @@
+"""What follows when the journal lacks turns that this run has decided: every promise in them gets a true end.
+
+Nobody knows what the lost turns did. So the numbers go on above the highest one that anybody knows, primitives get
+names of another life, what is live ends as failed and leaves its facts suspect, and a client that waits for a command
+of the lost turns is told so. Nothing that was sent before is begun: it may have been done already.
+"""
+
+from __future__ import annotations
+
+from broker.effects import PublishNote, TellClient
+from broker.ending import end
+from broker.events import CommandReceived, JournalLost
+from broker.state import Command, Ending, State, request_key
+from broker.transitions import Stimulus
+from broker.turn import Turn
+from rtc.messages import Accepted, Phase, ProgressNote
+from rtc.outcomes import OutcomeKind, StopReason
+
+JOBS_APART = 10_000  # a command's jobs after the loss are numbered so much higher: the lost turns gave out some
+FURTHEST = 1_000_000  # how far above our own numbers a client's number is believed
+CLEARS = "look what was done, then give it again"
+
+
+def on_journal_lost(turn: Turn, event: JournalLost) -> None:
+    state = turn.state
+    state.life, state.lost, state.lost_at_s = event.life, event.why, event.at_s
+    state.accepted = max(state.accepted, event.accepted)
+    turn.count("journals_lost")
+    over = Ending(kind=OutcomeKind.FAILED, message=f"{event.why}; {CLEARS}", stop=StopReason.SUBSYSTEM_LOST)
+    for command in state.commands.values():
+        command.jobs += JOBS_APART
+        turn.follow(command.id, Stimulus.STOP, over)
+
+
+def is_lost(state: State, event: CommandReceived) -> bool:
+    """Whether a request that we do not know was one of a broker before us: its client has its number, or it was sent
+    before the loss."""
+    return bool(event.known_as) or 0 < event.sent_at_s <= state.lost_at_s
+
+
+def end_lost(turn: Turn, event: CommandReceived) -> None:
+    """A true outcome for who waits for it, under the number that the client knows, if that is free."""
+    state = turn.state
+    name = event.known_as
+    number = int(name.removeprefix("C-")[:18]) if name.removeprefix("C-").isdecimal() else 0
+    free = 0 < number <= state.accepted + FURTHEST and name not in state.commands and name not in state.ended
+    if not free:
+        number = state.accepted + 1
+    state.accepted = max(state.accepted, number)
+    command = Command(
+        id=f"C-{number}",
+        client=event.client,
+        request=event.request,
+        text=event.text,
+        source=event.source,
+        progress=event.progress,
+        halt_if_lost=event.halt_if_lost,
+        accepted_at_s=event.at_s,
+        phase=Phase.HELD,
+    )
+    state.commands[command.id] = command
+    state.live[event.client] = state.live.get(event.client, 0) + 1
+    state.requests[request_key(event.client, event.request)] = command.id
+    turn.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
+    why = state.lost or "its outcome is no longer kept"
+    end(turn, command, OutcomeKind.FAILED, message=f"{why}: how far it came is not known; {CLEARS}")
+
+
+def publish(turn: Turn) -> None:
+    """Tell those who listen to the events."""
+    state = turn.state
+    if state.lost:
+        state.seq += 1
+        note = ProgressNote(seq=state.seq, at_s=turn.now, command="", phase=Phase.ENDED, note=state.lost)
+        turn.effects.append(PublishNote(client="", note=note))
