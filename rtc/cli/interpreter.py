@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shlex
+import sys
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import typer
@@ -12,26 +14,34 @@ from prompt_toolkit.auto_suggest import AutoSuggestFromHistory
 from prompt_toolkit.completion import CompleteEvent, Completer, Completion
 from prompt_toolkit.document import Document
 from prompt_toolkit.history import FileHistory
+from prompt_toolkit.patch_stdout import patch_stdout
 from rich.text import Text
 
-from rtc.cli import story, world
+from rtc import messages as m
+from rtc.cell import Cell
+from rtc.cli import log, names, story, world
+from rtc.cli.background import Background
 from rtc.cli.cluster import show_status
 from rtc.cli.halt import print_halt
+from rtc.cli.offers import CellNames
 from rtc.cli.output import console, errors
-from rtc.cli.progress import Board
-from rtc.cli.sentences import LeftRunning, asked_on_interrupt, say_silence
+from rtc.cli.progress import Board, print_result
+from rtc.cli.sentences import LeftRunning, Signalled, asked_on_interrupt, gone_away, say_silence
 from rtc.client import Client
-from rtc.language.completion import complete
+from rtc.language.completion import Names, complete
 from rtc.language.fastpath import halt_scope
 from rtc.language.parse import default_grammar
 from rtc.outcomes import NoCluster, RequestDeclined, RtcError
 
+LOGGED = 20  # commands that :log shows
 LEAVE = (":quit", ":q", "quit", "exit")  # no verbs of the language
 HELP = """Type a sentence (rtc dictionary lists the verbs), end it with & to send it and go on typing. Or one of:
-  :status            what runs           :trace [C-7]  every phase of a command
+  :status            what runs           :trace [C-7]  every phase of a command, or of the last one
   :world [LOCATION]  what is believed    :why [C-7]    the chain of causes
+  :names [KIND]      names to be used    :log          the last commands
   :help              this                :quit, exit   leave (Ctrl-D); commands go on
-HALT and STOP go past everything. Ctrl-C while a command runs asks; twice halts. Tab completes."""
+The colon may be left out. HALT and STOP go past everything. Ctrl-C while a command runs asks; twice halts.
+Tab completes; Ctrl-R looks for an earlier line."""
 
 
 def interpret(run_dir: Path | None, key: Path | None = None) -> None:
@@ -39,18 +49,58 @@ def interpret(run_dir: Path | None, key: Path | None = None) -> None:
     with Client(run_dir, on_silence=say_silence, key=key) as rtc:
         history = FileHistory(str(key.with_suffix(".history") if key else Path(rtc.run_dir) / "history"))
         session: PromptSession[str] = PromptSession(
-            history=history, completer=Sentences(_names(rtc)), auto_suggest=AutoSuggestFromHistory()
+            history=history,
+            completer=Sentences(_names(rtc, far=key is not None)),
+            auto_suggest=AutoSuggestFromHistory(),
+            search_ignore_case=True,
         )
-        console.print(f"cluster in {rtc.where}; :help for help, Ctrl-D leaves")
-        while (line := _read(session)) is not None and line.lower() not in LEAVE:
-            if line:
-                _obey(rtc, line)
+        console.print(f"cluster in {rtc.where}; help for help, Ctrl-D leaves")
+        with _background(run_dir, key) as background:
+            while (line := _read(session)) is not None and line.lower() not in LEAVE:
+                if line:
+                    _obey(rtc, background, line)
+
+
+def obey_lines(lines: Iterable[str], run_dir: Path | None, key: Path | None = None) -> None:
+    """Obey lines that nobody types (`rtc shell < file`), without a prompt; comments begin with #. Raises NoCluster."""
+    with Client(run_dir, on_silence=say_silence, key=key) as rtc, _background(run_dir, key) as background:
+        for line in map(str.strip, lines):
+            if line.lower() in LEAVE:
+                break
+            if line and not line.startswith(("#", "--")):
+                _obey(rtc, background, line)
+
+
+@contextmanager
+def _background(run_dir: Path | None, key: Path | None) -> Iterator[Background]:
+    background = Background(run_dir, key, _print_end)
+    try:
+        yield background
+    finally:
+        if left := background.close():
+            console.print(f"left running: {', '.join(left)}; rtc status")
+
+
+def _print_end(record: m.CommandRecord) -> None:
+    """How a command ended that was sent with &."""
+    assert record.outcome is not None
+    assert record.ended_at_s is not None
+    ended = m.CommandEnded(
+        seq=0,
+        at_s=record.ended_at_s,
+        command=record.command,
+        request=record.request,
+        text=record.text,
+        outcome=record.outcome,
+        took_s=record.ended_at_s - record.accepted_at_s,
+    )
+    print_result(ended, record.text)
 
 
 class Sentences(Completer):
     """Words that may come next: those of the grammar, and the names the world knows."""
 
-    def __init__(self, names: list[str]) -> None:
+    def __init__(self, names: Names) -> None:
         self._names = names
 
     def get_completions(self, document: Document, complete_event: CompleteEvent) -> Iterator[Completion]:
@@ -67,23 +117,26 @@ class Sentences(Completer):
 def _read(session: PromptSession[str]) -> str | None:
     """One line; None at the end. Ctrl-C on an empty prompt clears the line, as in any shell."""
     try:
-        return session.prompt("rtc> ").strip()
+        with patch_stdout(raw=True):  # what ends meanwhile is reported above the prompt
+            return session.prompt("rtc> ").strip()
     except KeyboardInterrupt:
         return ""
     except EOFError:
         return None
 
 
-def _obey(rtc: Client, line: str) -> None:
+def _obey(rtc: Client, background: Background, line: str) -> None:
     """One line of the operator. Troubles are told and the shell goes on."""
     try:
-        if line.startswith(":"):
-            word, *rest = shlex.split(line)
-            WORDS.get(word, _unknown)(rtc, rest)
+        if (word := _own_word(line)) is not None:
+            _, *rest = shlex.split(line)
+            word(rtc, rest)
         elif scope := halt_scope(line):
             print_halt(rtc.halt(scope))
         elif line.endswith("&"):
-            console.print(Text(f"{rtc.submit(line[:-1].strip())} accepted"))
+            command = rtc.submit(line[:-1].strip())
+            console.print(Text(f"{command} accepted"))
+            background.watch(command)
         else:
             _run(rtc, line)
     except LeftRunning:
@@ -92,13 +145,27 @@ def _obey(rtc: Client, line: str) -> None:
         errors.print(Text(declined.refusal.message))
     except NoCluster:
         raise
-    except (RtcError, typer.Exit, ValueError) as error:
+    except typer.Exit:
+        pass  # the reason has been printed
+    except (RtcError, ValueError) as error:
         errors.print(Text(str(error)))
 
 
+def _own_word(line: str) -> Callable[[Client, list[str]], None] | None:
+    """What a line means that is no sentence: :help or help (none of these words is a verb); None for a sentence."""
+    first = line.split()[0].lower()
+    if first.startswith(":"):
+        return WORDS.get(first, _unknown)
+    return WORDS.get(f":{first}") or (_help if first == "?" else None)
+
+
 def _run(rtc: Client, text: str) -> None:
-    with Board([text]) as board, asked_on_interrupt(rtc, board):
-        rtc.run_many([text], on_accept=board.accepted, on_progress=board.progress, on_end=board.ended)
+    board = Board([text])
+    try:
+        with board, asked_on_interrupt(rtc, board):
+            rtc.run_many([text], on_accept=board.accepted, on_progress=board.progress, on_end=board.ended)
+    except Signalled as gone:
+        sys.exit(gone_away(gone, board, 1))
 
 
 def _status(rtc: Client, _: list[str]) -> None:
@@ -116,6 +183,14 @@ def _why(rtc: Client, words: list[str]) -> None:
 def _world(rtc: Client, words: list[str]) -> None:
     view = rtc.world.view(keys=[world.spelt(word) for word in words] or None)
     world.print_facts(view.facts)
+
+
+def _log(rtc: Client, _: list[str]) -> None:
+    log.print_log(log.from_cluster(rtc, LOGGED), None)
+
+
+def _names_of(rtc: Client, words: list[str]) -> None:
+    names.print_names(_cell(rtc), names.kind_of(" ".join(words)))
 
 
 def _help(_: Client, __: list[str]) -> None:
@@ -136,9 +211,17 @@ def _command(rtc: Client, words: list[str]) -> str:
     return name
 
 
-def _names(rtc: Client) -> list[str]:
-    """What the world knows by name; none when it does not answer, which is no reason not to start."""
+def _cell(rtc: Client) -> str:
+    """The cell of the cluster. Raises KeyTrouble over tcp, where nobody tells it."""
+    return rtc.settings.cell
+
+
+def _names(rtc: Client, far: bool) -> Names:
+    """Those of the cell; over tcp, what the world knows by name. None when it does not answer, which is no reason not
+    to start."""
     try:
+        if not far:
+            return CellNames(Cell.load(_cell(rtc)))
         return sorted({fact.key.partition(".")[0] for fact in rtc.world.view().facts})
     except RtcError:
         return []
@@ -149,5 +232,7 @@ WORDS: dict[str, Callable[[Client, list[str]], None]] = {
     ":trace": _trace,
     ":why": _why,
     ":world": _world,
+    ":log": _log,
+    ":names": _names_of,
     ":help": _help,
 }

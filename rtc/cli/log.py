@@ -35,16 +35,21 @@ def log(
     Example:  rtc log -n 5
     """
     records, run = _records(last, previous, run_dir, key)
-    rows = [as_row(record, run, far=key is not None) for record in records]
+    far = key is not None
     if json:
-        emit_json({"commands": rows, **run_as_json(run)})
-        return
+        emit_json({"commands": [as_row(record, run, far=far) for record in records], **run_as_json(run)})
+    else:
+        print_log(records, run, far=far)
+
+
+def print_log(records: list[m.CommandRecord], run: Past | None, *, far: bool = False) -> None:
     print_run(run)
-    if not rows:
+    if not records:
         console.print("there is no command yet")
         return
     out = table("command", "at", "took>", "outcome", "sentence")
-    for record, row in zip(records, rows, strict=True):
+    for record in records:
+        row = as_row(record, run, far=far)
         at = row["at"] and clock_time(datetime.fromisoformat(row["at"]).timestamp())
         outcome = Text(row["outcome"], style=COLOUR[record.outcome.kind] if record.outcome else "cyan")
         out.add_row(record.command, at or "-", seconds(row["took_s"]), outcome, Text(said(record.text)))
@@ -58,7 +63,7 @@ def _records(
     if not previous:
         try:
             with Client(run_dir, key=key) as rtc:
-                return _from_cluster(rtc, last), None
+                return from_cluster(rtc, last), None
         except NoCluster:
             if key or not list(runs(where)):
                 raise
@@ -66,7 +71,7 @@ def _records(
     return (ended[0].last(last), ended[0]) if ended else ([], None)
 
 
-def _from_cluster(rtc: Client, last: int) -> list[m.CommandRecord]:
+def from_cluster(rtc: Client, last: int) -> list[m.CommandRecord]:
     newest = rtc.status().get("commands_accepted", 0)
     records = []
     for number in range(max(1, newest - last + 1), newest + 1):

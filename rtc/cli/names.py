@@ -42,14 +42,24 @@ def names(
 
     Example:  rtc names places
     """
-    wanted = _kind(kind)
+    wanted = kind_of(kind)
     what = cell or _cell_of(run_dir or default_run_dir())
-    found = {name: rows(Cell.load(what)) for name, (rows, _) in KINDS.items() if wanted in ("", name)}
     if json:
+        found = _found(what, wanted)
         emit_json({"cell": what, "names": {kind: [row._asdict() for row in rows] for kind, rows in found.items()}})
         return
-    console.print(Text(f"cell {what}"))
-    for name, rows in found.items():
+    print_names(what, wanted)
+
+
+def _found(cell: str, kind: str) -> dict[str, list[Named]]:
+    known = Cell.load(cell)
+    return {name: rows(known) for name, (rows, _) in KINDS.items() if kind in ("", name)}
+
+
+def print_names(cell: str, kind: str) -> None:
+    """`kind`: a row of KINDS; empty: all."""
+    console.print(Text(f"cell {cell}"))
+    for name, rows in _found(cell, kind).items():
         console.print()
         console.print(Text(name, style="bold") + Text(f"   such as: {KINDS[name][1]}", style="dim"))
         out = table("", "", "")
@@ -60,7 +70,7 @@ def names(
         console.print(out if rows else Text("  there are none"))
 
 
-def _kind(word: str) -> str:
+def kind_of(word: str) -> str:
     """A row of KINDS for what was typed: also in the singular, and with any case. Raises typer.Exit."""
     kind = word.lower().replace("_", "-").replace(" ", "-")
     kind = OTHER_WORDS.get(kind, kind)

@@ -43,7 +43,7 @@ class Board:
         self._live: Live | None = None
         self._begun_s = time.monotonic()
         if not quiet and out.is_terminal:
-            self._live = Live(get_renderable=self._table, console=out, refresh_per_second=8, transient=True)
+            self._live = self._new_live()
 
     def __enter__(self) -> Board:
         if self._live:
@@ -59,8 +59,13 @@ class Board:
             self._live.stop()
 
     def resume(self) -> None:
+        """Go on below what was printed meanwhile: a live view that is started again would overwrite it."""
         if self._live:
+            self._live = self._new_live()
             self._live.start()
+
+    def _new_live(self) -> Live:
+        return Live(get_renderable=self._table, console=self._out, refresh_per_second=8, transient=True)
 
     @property
     def running(self) -> list[str]:

@@ -44,6 +44,14 @@ class LeftRunning(Exception):
     """The operator went away from running commands on purpose."""
 
 
+class Signalled(Exception):
+    """SIGTERM or SIGHUP: this process ends, its commands go on."""
+
+    def __init__(self, number: int) -> None:
+        self.exit_code = 128 + number  # as shells have it
+        super().__init__(f"ended by {signal.Signals(number).name}")
+
+
 def do(
     sentences: Annotated[list[str] | None, typer.Argument(help="Sentences, each in quotes.")] = None,
     file: Annotated[Path | None, typer.Option(help="Read sentences from a file, one a line; - is stdin.")] = None,
@@ -60,7 +68,8 @@ def do(
     One after the other, ending at the first that does not succeed (-k goes on); with --parallel all at once: the
     cluster finds out itself what may move at the same time. Exit status: 0 all succeeded, 1 a failure, 2 a refusal,
     3 halted, 4 no cluster, 130 left running. Ctrl-C asks: leave them running, or halt. When nobody reads on (`| head`),
-    or stdout is full, they are left running, and their numbers are said on stderr.
+    stdout is full, or this process gets SIGTERM (exit status 143) or SIGHUP (129), they are left running, and stderr
+    names them.
 
     Example:  rtc do "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A" "LIFT MACS-NEW BY 5 CM"
     """
@@ -120,8 +129,8 @@ def _see_through(
     except LeftRunning:
         console.print("left running; `rtc status` shows them, `rtc halt` stops them")
         return LEFT_RUNNING, results
-    except Unheard as unheard:
-        return gone_unheard(unheard, board, len(texts)), results
+    except (Unheard, Signalled) as gone:
+        return gone_away(gone, board, len(texts)), results
     for text in texts[len(results) :]:
         results.append({"text": text, "kind": "not_sent"})
         if not json:
@@ -131,15 +140,17 @@ def _see_through(
     return exit_code(kinds), results
 
 
-def gone_unheard(unheard: Unheard, board: Board, sentences: int) -> int:
-    """Nobody hears how it goes on: say what goes on without us. The exit status."""
+def gone_away(why: Unheard | Signalled, board: Board, sentences: int) -> int:
+    """Nobody waits for the commands any more: print on stderr which of them go on. The exit status."""
     running, others = board.running, sentences - len(board.running) - len(board.kinds)
-    parts = [str(unheard)]
+    parts = [str(why)]
     if running:
         parts.append(f"left running: {', '.join(running)}; rtc halt {running[0] if len(running) == 1 else ''}".rstrip())
     if others:
         parts.append(f"not heard of, or not sent: {others} more; rtc status")
     errors.print(Text(f"rtc: {'; '.join(parts)}"))
+    if isinstance(why, Signalled):
+        return why.exit_code
     if running:
         return LEFT_RUNNING
     return exit_code(board.kinds) or int(others > 0)
@@ -205,11 +216,20 @@ def asked_on_interrupt(rtc: Client, board: Board) -> Iterator[None]:
                 print_halt(rtc.halt(scope), errors)
         board.resume()
 
-    before = signal.signal(signal.SIGINT, interrupted)
+    def ended(number: int, _: object) -> None:
+        for other in (signal.SIGTERM, signal.SIGHUP):  # a second one must not interrupt the last words
+            signal.signal(other, signal.SIG_IGN)
+        raise Signalled(number)
+
+    before = {signal.SIGINT: signal.signal(signal.SIGINT, interrupted)}
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:  # nohup
+            before[number] = signal.signal(number, ended)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def say_silence(words: str) -> None:

@@ -6,7 +6,7 @@ Pure; the names that exist come from the caller, the rest from the grammar.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from lark.exceptions import UnexpectedInput
 
@@ -17,6 +17,9 @@ from rtc.language.refuse import Wrong
 from rtc.language.units import UNITS
 from rtc.language.words import TOKEN_CLASSES, Word, one_line
 from rtc.outcomes import Refusal
+
+#: names that exist, or a function that picks those that fit behind the words of a sentence (in capitals)
+Names = Iterable[str] | Callable[[list[str]], Iterable[str]]
 
 _UNFINISHED = re.compile(r"[A-Za-z0-9_%/-]*$")
 #: the word before a number -> what may be measured there; BY is looked up by the verb
@@ -31,7 +34,7 @@ _TAKES: dict[str, Takes] = {
 _BY: dict[str, Takes] = {**AMOUNTS, "MOVE": STEP}
 
 
-def complete(grammar: Grammar, text_so_far: str, names: Iterable[str] = ()) -> list[str]:
+def complete(grammar: Grammar, text_so_far: str, names: Names = ()) -> list[str]:
     """Whole words that may stand at the end, in capitals, sorted; the last word typed is their beginning.
 
     Empty where nothing can follow, inside quotes and comments, and after a mistake.
@@ -45,7 +48,8 @@ def complete(grammar: Grammar, text_so_far: str, names: Iterable[str] = ()) -> l
     choices = {grammar.reserved[t] for t in allowed if t in grammar.reserved}
     if "NAME" in allowed:
         reserved = grammar.vocabulary.reserved
-        choices |= {n for n in map(_spelt, names) if n not in reserved}
+        known = names([word.value for word in words]) if callable(names) else names
+        choices |= {n for n in map(_spelt, known) if n not in reserved}
     if words and words[-1].type == "NUMBER" and "QUANTITY" in _allowed(grammar, words[:-1]):
         choices |= set(_units(words))
     prefix = _spelt(beginning)

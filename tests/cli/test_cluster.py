@@ -207,6 +207,28 @@ def test_the_shell_is_left_by_the_words_people_try(
     assert "RIGHT-LEG" not in printed
 
 
+def test_the_shell_obeys_a_pipe_and_reports_what_was_sent_with_an_ampersand(run_dir: Path, rtc: Run) -> None:
+    words = [*RTC, "shell", "--run-dir", str(run_dir)]
+    before = len(last_json(rtc("log", "-n", "1000", "--json"))["commands"])
+    shell = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert shell.stdin is not None
+    assert shell.stdout is not None
+    shell.stdin.write("# a comment\n\nhelp\nSTOW LEFT-ARM &\nHOLD RIGHT-ARM &\nHALT RIGHT-ARM\n")
+    shell.stdin.flush()
+    lines: list[str] = []
+    while not ({"SUCCEEDED", "HALTED"} <= {word for line in lines for word in line.split()}):
+        lines.append(shell.stdout.readline())
+        assert lines[-1], lines
+    rest, errors = shell.communicate(timeout=60)
+
+    assert errors == ""
+    assert "left running" not in rest
+    assert all(line.strip() for line in lines)
+    assert sum("Type a sentence" in line for line in lines) == 1
+    assert sum(line.rstrip().endswith("accepted") for line in lines) == 2
+    assert len(last_json(rtc("log", "-n", "1000", "--json"))["commands"]) == before + 2  # `help` is none
+
+
 def test_a_status_that_the_broker_does_not_give_the_supervisor_gives(run_dir: Path, rtc: Run) -> None:
     """A broker that stands still is found and replaced; whoever asks meanwhile is told one or the other."""
     broker = next(row for row in last_json(rtc("status", "--json"))["processes"] if row["name"] == "broker")
@@ -227,6 +249,27 @@ def test_an_unknown_place_is_2_and_shows_the_known_ones(rtc: Run) -> None:
 
     assert done.returncode == 2
     assert "MACS-NEW" in done.stderr
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_signal_leaves_the_commands_running_and_names_them(
+    run_dir: Path, rtc: Run, number: signal.Signals, status: int
+) -> None:
+    words = [*RTC, "do", "HOLD LEFT-ARM", "--run-dir", str(run_dir)]
+    doing = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert doing.stdout is not None
+    for line in doing.stdout:
+        if "executing" in line:
+            break
+    command = line.split()[2]
+    doing.send_signal(number)
+    _, errors = doing.communicate(timeout=60)
+    live = [row["command"] for row in last_json(rtc("status", "--json"))["commands"]]
+    rtc("halt")
+
+    assert doing.returncode == status
+    assert errors == f"rtc: ended by {number.name}; left running: {command}; rtc halt {command}\n"
+    assert command in live
 
 
 def test_interrupted_with_nobody_to_ask_the_commands_are_halted(run_dir: Path) -> None:

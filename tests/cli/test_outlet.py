@@ -14,7 +14,7 @@ from rtc.cli import sentences
 from rtc.cli.halt import print_halt
 from rtc.cli.outlet import Outlet, Unheard
 from rtc.cli.progress import Board
-from rtc.cli.sentences import gone_unheard
+from rtc.cli.sentences import gone_away
 from rtc.halting import HaltResult
 from rtc.outcomes import Outcome, OutcomeKind
 
@@ -71,13 +71,13 @@ def ended(command: str) -> m.CommandEnded:
 def test_whose_reader_has_gone_is_told_what_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
     board = Board(["STOW LEFT-ARM", "STOW RIGHT-ARM"], quiet=True)
     board.accepted(0, "C-7")
-    assert gone_unheard(Unheard(BrokenPipeError()), board, 1) == sentences.LEFT_RUNNING
+    assert gone_away(Unheard(BrokenPipeError()), board, 1) == sentences.LEFT_RUNNING
     assert "left running: C-7; rtc halt C-7\n" in capsys.readouterr().err
 
     board.ended(0, ended("C-7"))
-    assert gone_unheard(Unheard(BrokenPipeError()), board, 1) == 1  # it failed
+    assert gone_away(Unheard(BrokenPipeError()), board, 1) == 1  # it failed
     assert "left running" not in capsys.readouterr().err
-    gone_unheard(Unheard(BrokenPipeError()), board, 2)
+    gone_away(Unheard(BrokenPipeError()), board, 2)
     assert "not sent: 1 more" in capsys.readouterr().err
 
 

@@ -10,6 +10,8 @@ from rtc import messages as m
 from rtc.cli.progress import Board, print_result
 from rtc.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
 
+CURSOR_UP = "\x1b[1A"
+
 
 def plain() -> tuple[Console, io.StringIO]:
     text = io.StringIO()
@@ -74,3 +76,14 @@ def test_a_sentence_with_markup_in_it_is_shown_as_it_is() -> None:
         "      ^",
         "    [bold]no[/bold]",
     ]
+
+
+def test_what_was_printed_during_a_pause_is_not_overwritten() -> None:
+    screen = io.StringIO()
+    with Board(["HOLD LEFT-ARM"], out=Console(file=screen, force_terminal=True, width=100)) as board:
+        board.accepted(0, "C-1")
+        board.pause()
+        begun = screen.tell()
+        screen.write("an answer\n")
+        board.resume()
+        assert CURSOR_UP not in screen.getvalue()[begun:]

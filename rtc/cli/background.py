@@ -1,0 +1,80 @@
+"""What was sent with `&` in the shell: a thread that reports how each command ends, whenever that is.
+
+It has a client of its own, because a client belongs to one thread, and asks the broker instead of listening to it: so
+nothing is missed while a broker is restarted.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from rtc import messages as m
+from rtc.client import Client
+from rtc.outcomes import NoCluster, RtcError
+
+ASK_S = 0.25
+
+
+class Background:
+    """`watch` a command; `tell` is called in another thread with the record of each that has ended."""
+
+    def __init__(self, run_dir: Path | None, key: Path | None, tell: Callable[[m.CommandRecord], None]) -> None:
+        self._run_dir, self._key, self._tell = run_dir, key, tell
+        self._waiting: list[str] = []
+        self._changed = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+
+    def watch(self, command: str) -> None:
+        with self._changed:
+            self._waiting.append(command)
+            if not self._thread.is_alive() and not self._closed:
+                self._thread = threading.Thread(target=self._serve, daemon=True)
+                self._thread.start()
+            self._changed.notify()
+
+    def close(self) -> list[str]:
+        """Report once more, then stop; the commands that go on."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        if self._thread.is_alive():
+            self._thread.join()
+        return self._waiting
+
+    def _serve(self) -> None:
+        try:
+            with Client(self._run_dir, key=self._key) as rtc:
+                while self._awaited():
+                    self._ask(rtc)
+                self._ask(rtc)
+        except NoCluster:  # the shell hears of that by itself
+            with self._changed:
+                self._waiting.clear()
+
+    def _awaited(self) -> bool:
+        """Wait until there is something to ask for; False once closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._closed or self._waiting)
+            self._changed.wait_for(lambda: self._closed, ASK_S)
+            return not self._closed
+
+    def _ask(self, rtc: Client) -> None:
+        """Raises NoCluster."""
+        try:
+            live = {row["command"] for row in rtc.status()["commands"]}
+            with self._changed:
+                over = [command for command in self._waiting if command not in live]
+            for command in over:
+                record = rtc.trace(command)
+                if record.outcome is None:
+                    continue  # there are more live commands than a status shows
+                with self._changed:
+                    self._waiting.remove(command)
+                self._tell(record)
+        except NoCluster:
+            raise
+        except RtcError:
+            pass  # a broker that is silent is replaced; ask again

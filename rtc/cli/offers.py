@@ -1,0 +1,71 @@
+"""Which names of the cell fit behind the words of a sentence that is being typed. Knows the cell, no grammar."""
+
+from __future__ import annotations
+
+from rtc.axis_names import AXES
+from rtc.cell import Cell
+
+#: what is done to a thing that a hand takes hold of
+HANDLING = {
+    *("GRASP", "APPROACH", "RELEASE", "LIFT", "PUSH", "PULL", "PLACE", "INSERT", "EXTRACT", "ALIGN"),
+    *("CARRY", "HANDOFF"),
+}
+HANDS = {"LEFT-END-EFF", "RIGHT-END-EFF"}
+#: word before the name -> kind of names
+BEHIND = {
+    "ALONG": "axes",
+    "ABOUT": "axes",
+    "SAFE-WORK-RANGE": "regions",
+    "AVOID-TASK-REGION": "regions",
+    "POSE-DURING-MOTION": "attitudes",
+    "ON": "seats",
+    "INTO": "seats",
+    "FROM": "seats",
+    "THROUGH": "places",
+    "TO-NEIGHBORHOOD-OF": "objects",
+    "TO-GRASP-POINT-OF": "graspable",
+    "ARM": "arms",
+    "AFTER": "none",
+    "TOGETHER-WITH": "none",
+    "TRY": "none",
+    "VIA": "none",
+    "LOAD": "none",
+}
+
+
+class CellNames:
+    """Call it with the words so far (in capitals); it answers with the names that may come next."""
+
+    def __init__(self, cell: Cell) -> None:
+        self._points = {thing.name: [point.name for point in thing.grasp_points] for thing in cell.objects}
+        self._kinds = {
+            "axes": list(AXES),
+            "regions": [region.name for region in cell.regions],
+            "attitudes": list(cell.attitudes),
+            "seats": [seat.name for seat in cell.seats],
+            "places": [place.name for place in cell.places],
+            "objects": list(self._points),
+            "graspable": [name for name, points in self._points.items() if points],
+            "arms": [name for arm in cell.arms for name in (arm.name, arm.end_effector)],
+            "none": [],
+            "all": sorted({*cell.names(), *(p for points in self._points.values() for p in points)}),
+        }
+
+    def __call__(self, words: list[str]) -> list[str]:
+        said = [word for word in words if word != "TEST"]
+        if len(said) < 1:
+            return self._kinds["all"]
+        verb, last = said[0], said[-1]
+        if last in BEHIND:
+            return self._kinds[BEHIND[last]]
+        if last == "TO":
+            return self._kinds["seats" if verb == "ALIGN" else "places"]
+        if last in self._points:  # an object: what may follow is one of its grasp points
+            return self._points[last]
+        if last == "AT":
+            return self._points.get(said[-2], []) if verb != "VERIFY" else self._kinds["arms"] + self._kinds["seats"]
+        if verb in HANDLING and (len(said) == 1 or last in HANDS):
+            return self._kinds["graspable"]
+        if len(said) == 1 and verb in ("LOCATE", "TRACK", "VERIFY"):
+            return self._kinds["objects"]
+        return self._kinds["all"]
