@@ -48,6 +48,7 @@ LIVE_PER_CLIENT = 2_000  # of one client, so that no one client can take the pla
 MAX_TEXT = 4_000  # characters kept of a sentence (the parser refuses shorter ones, with the place)
 MAX_SUBSYSTEMS = 32  # known by name, lost ones too
 HALTS_KEPT = 64
+CLIENTS_KEPT = 1024  # whose latest command is known, for AFTER LAST
 
 ACTIONS: dict[str, Callable[[Turn, Command, Any], None]] = {
     name: getattr(module, name)
@@ -150,7 +151,11 @@ def on_command(turn: Turn, event: CommandReceived) -> None:
         halt_if_lost=event.halt_if_lost,
         accepted_at_s=event.at_s,
         given_at_s=min(event.sent_at_s or event.at_s, event.at_s),
+        previous=state.last_given.pop(event.client, ""),
     )
+    state.last_given[event.client] = command.id  # the latest client last
+    if len(state.last_given) > CLIENTS_KEPT:
+        del state.last_given[next(iter(state.last_given))]
     state.commands[command.id] = command
     state.live[event.client] = live + 1
     state.requests[key] = command.id

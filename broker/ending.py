@@ -10,6 +10,7 @@ from __future__ import annotations
 from itertools import islice
 from typing import Any
 
+from broker import reporting
 from broker import untold as left
 from broker.effects import AcknowledgeReport, CancelJob, ReportEnd, SendHalt
 from broker.resources import Quarantine
@@ -54,6 +55,7 @@ def end(
         step=command.step_words if kind is not OutcomeKind.SUCCEEDED else "",
         trims=command.trims_told,
         steps_done=command.steps_done,
+        measured=command.measured,
     )
     if untold:
         left.keep(turn, command)
@@ -225,6 +227,7 @@ def overdue(turn: Turn, command: Command, _: Any) -> None:
 def rested(turn: Turn, command: Command, report: EndReport) -> None:
     """An end report comes after rest, whatever its reason: the motion may have ended by itself meanwhile."""
     turn.stop_timer(command)
+    command.measured = reporting.at_end(command, report)
     turn.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
     command.primitive_body = NIL
     command.at_rest = True

@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from broker import reporting
 from broker.effects import AcknowledgeReport, SendHalt, SendPrimitive
 from broker.ending import HALT_LIMIT_S, close, end, refuse
 from broker.resources import Claim, number
@@ -33,6 +34,7 @@ from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 from rtc.primitive import Primitive
 from rtc.primitive_id import belongs_to, primitive_id
 
+LAST = "LAST"  # in the place of a command's number
 MAX_TRIMS = 6  # of one command (A17)
 MAX_ELABORATIONS = 20  # a command whose needs change each time it gets them
 REPORT_MARGIN_S = 2.0  # beyond the limit of a primitive, before silence is taken for trouble
@@ -51,15 +53,42 @@ read_assessment = wire.decoder(AssessmentHead)
 
 def parsed(turn: Turn, command: Command, product: msgspec.Raw) -> None:
     command.parsed = product
-    command.head = head = read_parsed(product)
+    command.head = head = _with_last(read_parsed(product), command.previous)
     if head.test:  # first: the test of a HALT halts nothing
         message = "hypothesis tests (TEST ...) are not in this release"
         clears = "rtc parse tells how it is understood; without TEST it moves"
         refuse(turn, command, Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears=clears))
+    elif refusal := _unkept(command, head):
+        refuse(turn, command, refusal)
     elif turn.is_next(command) or (head.kind == "control" and not _means_those_before(head)):
         take_up(turn, command)
     else:
         turn.state.unread[command.client][command.id] = True
+
+
+def _with_last(head: ParsedHead, previous: str) -> ParsedHead:
+    """LAST is the command that the same client gave before this one."""
+    if previous and head.after == LAST:
+        return msgspec.structs.replace(head, after=previous)
+    if previous and head.together_with == LAST:
+        return msgspec.structs.replace(head, together_with=previous)
+    return head
+
+
+def _unkept(command: Command, head: ParsedHead) -> Refusal | None:
+    """What only the broker knows: that there is no LAST, or nobody who would get periodic reports."""
+    if LAST in (head.after, head.together_with):
+        word = "AFTER" if head.after else "TOGETHER-WITH"
+        message = f"{word} {LAST}: this client has given no command before this one"
+        clears = f"give the number: {word} C-n (`rtc log` lists the commands), or leave it out"
+        return Refusal(reason=RefusalReason.NAME, message=message, where=LAST, clears=clears)
+    if head.report is not None and head.report.every_s is not None and not command.progress:
+        message = "REPORT EVERY: this client does not take progress notes, so nobody would get the reports"
+        clears = (
+            "give it so that somebody waits for it (rtc do without --no-wait; on_progress in Python), or without EVERY"
+        )
+        return Refusal(reason=RefusalReason.STATE, message=message, where="EVERY", clears=clears)
+    return None
 
 
 def take_up(turn: Turn, command: Command, _: Any = None) -> None:
@@ -420,7 +449,7 @@ def bound(turn: Turn, command: Command, product: msgspec.Raw) -> None:
     command.evaluation = result.evaluation
     command.limit_s = result.limit_s
     send(turn, command)
-    turn.enter(command, Phase.EXECUTING, result.note)
+    turn.enter(command, Phase.EXECUTING, result.note, expected_s=result.predicted_s * turn.state.patience)
     if command.primitives == 1:
         for waiting in turn.state.joining.pop(command.id, ()):
             turn.follow(waiting, Stimulus.RELEASE, True)
@@ -448,13 +477,14 @@ def send(turn: Turn, command: Command) -> None:
 def reported(turn: Turn, command: Command, report: EndReport) -> None:
     turn.stop_timer(command)
     acknowledge(turn, command)
+    command.measured = reporting.at_end(command, report)
     note = f"ended: {report.reason.value}" + (f" ({report.message})" if report.message else "")
     if report.reason is StopReason.HALT:
         command.ending = Ending(kind=OutcomeKind.HALTED, message="halted at its subsystem", stop=StopReason.HALT)
         close(turn, command, report, note)
         return
     analyze(turn, command, report)
-    turn.enter(command, Phase.ANALYZING, note)
+    turn.enter(command, Phase.ANALYZING, note, measured=command.measured)
 
 
 def acknowledge(turn: Turn, command: Command) -> None:

@@ -20,6 +20,7 @@ import zmq
 
 from broker import effects as do
 from broker import events as heard
+from broker import reporting
 from broker.decision_unit import MAX_TEXT, decide
 from broker.journal import Journal, number
 from broker.pools import Pools
@@ -34,6 +35,7 @@ from rtc.halting import Fold, as_a_callers
 from rtc.handed import TOKEN_BEARERS, Handed
 from rtc.memory import Guard
 from rtc.outcomes import Refusal, RefusalReason, WireError
+from rtc.primitive_id import command_of
 from rtc.process import Every, Process, inbox, send
 from rtc.settings import BOUNDS, Settings
 from rtc.world.lease import sign
@@ -92,6 +94,8 @@ class Router:
         self._topics: set[bytes] = set()  # that somebody listens to: beginnings of all that is published
         self._asked: Counter[bytes] = Counter()  # questions of a client in this second
         self._second = Every(1.0)
+        self._reports: Counter[str] = Counter()  # periodic reports forwarded to a client in this second
+        self._reports_second = Every(1.0)
         self._audit = Every(0.1)
         self._snapshots = Every(SNAPSHOT_S)
         self.guard: Guard | None = None  # of this process's memory; none in a simulation
@@ -279,7 +283,20 @@ class Router:
             case m.Dropped():
                 self._count_dropped(message, ("estop", "bench"))
             case m.ProgressReport():
-                pass  # for the telemetry's listeners; the Decision Unit lives on events alone
+                self._forward(name, message, now)
+
+    def _forward(self, subsystem: str, report: m.ProgressReport, now: float) -> None:
+        """A report of REPORT EVERY goes straight to the client that gave the command: no event, and not journalled."""
+        command = self.state.commands.get(command_of(report.primitive))
+        if command is None or not reporting.wants_periodic(command, report, subsystem):
+            return
+        if self._reports_second.due(now):
+            self._reports.clear()
+        self._reports[command.client] += 1
+        if self._reports[command.client] > reporting.MOST_PER_S:
+            self.dropped["reports"] += 1
+            return
+        send(self._socket["front"], reporting.periodic(command, report, now), _peer(command.client))
 
     def _from_supervisor(self, peer: bytes, message: Any, now: float) -> None:
         if isinstance(message, m.Dropped) and peer in TELL_DROPPED:

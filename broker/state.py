@@ -12,7 +12,7 @@ import msgspec
 
 from broker.resources import Resources
 from rtc.messages import Phase, ProgressNote, WorkerKind
-from rtc.outcomes import OutcomeKind, Refusal, StopReason
+from rtc.outcomes import Measured, OutcomeKind, Refusal, StopReason
 
 NOTES_KEPT = 400  # of one command's story; a longer one loses its middle
 NOMINAL = 0  # the "trim" number of the script's own steps
@@ -20,6 +20,15 @@ NOMINAL = 0  # the "trim" number of the script's own steps
 NIL = msgspec.Raw(b"\xc0")  # MessagePack's nil: no bytes of this kind
 
 StepRef = tuple[int, int]  # (NOMINAL or number of a trim, index of the step in it)
+
+
+class ReportHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
+    """REPORT of a ParsedCommand."""
+
+    joints: bool = False
+    forces: bool = False
+    pose: bool = False
+    every_s: float | None = None
 
 
 class ParsedHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
@@ -34,6 +43,7 @@ class ParsedHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     after: str | None = None
     together_with: str | None = None
     now: bool = False
+    report: ReportHead | None = None
 
 
 class StepHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
@@ -66,6 +76,7 @@ class BoundHead(msgspec.Struct, frozen=True, kw_only=True, tag="BoundStep", gc=F
     evaluation: msgspec.Raw = NIL
     bindings: dict[str, msgspec.Raw] = {}
     limit_s: float = 0.0
+    predicted_s: float = 0.0
     note: str = ""
 
 
@@ -146,6 +157,8 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     ending: Ending | None = None
     unconfirmed: list[str] = []  # of a HALT sentence: subsystems that were told and have not confirmed rest
     notes: list[ProgressNote] = []
+    previous: str = ""  # the command that its client gave before it: AFTER LAST
+    measured: Measured | None = None  # at the end of its last primitive, as far as REPORT asks for it
 
 
 class Link(StrEnum):
@@ -185,6 +198,7 @@ class State(msgspec.Struct, kw_only=True):
     live: dict[str, int] = {}  # client -> how many of them are its own
     unread: dict[str, dict[str, bool]] = {}  # client -> its commands not yet taken up, in order: parsed meanwhile?
     accepted: int = 0
+    last_given: dict[str, str] = {}  # client -> its latest command; of the clients that gave one last
     life: str = ""  # of the journal: part of the names of primitives; see rtc.primitive_id
     lost: str = ""  # why the journal lacks turns, in words; empty = it never lost any
     lost_at_s: float = 0.0  # when that was noticed: what was sent before is not begun

@@ -21,6 +21,7 @@ from broker.state import NOMINAL, NOTES_KEPT, Command, PendingJob, State, StepHe
 from broker.transitions import Stimulus
 from rtc import wire
 from rtc.messages import Phase, ProgressNote, WorkerKind
+from rtc.outcomes import Measured
 
 read_step = wire.decoder(StepHead)
 
@@ -79,12 +80,14 @@ class Turn(msgspec.Struct, gc=False):
     def count(self, what: str) -> None:
         self.state.counts[what] = self.state.counts.get(what, 0) + 1
 
-    def enter(self, command: Command, phase: Phase, note: str = "") -> None:
-        """Change the phase, and tell it."""
+    def enter(self, command: Command, phase: Phase, note: str = "", **more: Any) -> None:
+        """Change the phase, and tell it. `more`: expected_s, measured."""
         command.phase = phase
-        self.note(command, note)
+        self.note(command, note, **more)
 
-    def note(self, command: Command, text: str = "") -> None:
+    def note(
+        self, command: Command, text: str = "", *, expected_s: float = 0.0, measured: Measured | None = None
+    ) -> None:
         state = self.state
         state.seq += 1
         note = ProgressNote(
@@ -96,6 +99,8 @@ class Turn(msgspec.Struct, gc=False):
             node=self.node,
             took_s=self.took_s,
             note=text,
+            expected_s=expected_s,
+            measured=measured,
         )
         command.notes.append(note)
         if len(command.notes) > NOTES_KEPT:

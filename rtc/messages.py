@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, NotRequired, TypedDict
 import msgspec
 
 from rtc.language.record import ParsedCommand, ReflexItem
-from rtc.outcomes import Outcome, Reflex, Refusal, StopReason
+from rtc.outcomes import Measured, Outcome, Reflex, Refusal, StopReason
 from rtc.primitive import Primitive
 
 
@@ -119,7 +119,7 @@ class Phase(StrEnum):
 class ProgressNote(Message, frozen=True, kw_only=True):
     """One step of one command's way, as it happens; also the line of a trace."""
 
-    seq: int  # of the broker's event stream, rises by one
+    seq: int  # of the broker's event stream, rises by one; 0: a report of REPORT EVERY, which is not of that stream
     at_s: float
     command: str
     phase: Phase  # the phase it is in now
@@ -127,6 +127,8 @@ class ProgressNote(Message, frozen=True, kw_only=True):
     node: str = ""  # who did the work that just ended: "binder@2", "MCM"
     took_s: float = 0.0  # how long that work took, from dispatch to answer
     note: str = ""  # what came of it, in words
+    expected_s: float = 0.0  # how long the step that is being executed takes, as planned; 0 = not known
+    measured: Measured | None = None  # what REPORT asks for
 
 
 class CommandEnded(Message, frozen=True, kw_only=True):
@@ -425,6 +427,7 @@ class BoundStep(Message, frozen=True, kw_only=True):
     evaluation: EvaluationContext | None = None
     bindings: dict[str, Binding] = {}
     limit_s: float = 0.0  # longest time until an end report, with the arm's own limit well inside
+    predicted_s: float = 0.0  # how long the primitive takes when nothing happens
     note: str = ""
 
 
@@ -509,7 +512,7 @@ class Started(Message, frozen=True, kw_only=True):
 
 
 class ProgressReport(Message, frozen=True, kw_only=True):
-    """An event report while moving (R)."""
+    """A report while moving, at the period that R asks for."""
 
     primitive: str
     at_s: float

@@ -144,6 +144,17 @@ class Refusal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     detail: dict[str, float | str] = {}  # figures: joint, limit_rad, value_rad, bodies, distance_m ...
 
 
+class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
+    """What a subsystem measured, as far as REPORT asked for it; None = not asked for."""
+
+    arm: str
+    tcp_pose: list[float] | None = None  # [x y z qx qy qz qw]: m, world axes
+    joints: list[float] | None = None  # rad
+    wrench: list[float] | None = None  # [Fx Fy Fz Tx Ty Tz]: N, N.m, tool axes; at rest, or in the tick of a report
+    peak_force_n: float | None = None  # the greatest while the last primitive was executed
+    peak_torque_nm: float | None = None
+
+
 class Outcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """How one command ended, told to whoever submitted it."""
 
@@ -154,3 +165,4 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=
     step: str = ""  # the step it ended in, e.g. "5 of 9: feel GP1"
     trims: list[str] = []  # the trims used, in order
     steps_done: int = 0
+    measured: Measured | None = None  # at the end of the last primitive, as far as REPORT asked for it

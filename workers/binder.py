@@ -318,6 +318,7 @@ def primitive(
         subsystem=SUBSYSTEM,
         primitive=made,
         evaluation=evaluation,
+        predicted_s=evaluation.predicted_s,
         limit_s=values["report_factor"] * limit_s + values["report_margin_s"],
         note=note,
     )

@@ -6,6 +6,8 @@ Fed by a client's callbacks; asks nobody anything.
 from __future__ import annotations
 
 import time
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from rich.console import Console
@@ -14,11 +16,15 @@ from rich.table import Table
 from rich.text import Text
 
 from rtc import messages as m
+from rtc.cli.measured import duration, in_words
 from rtc.cli.output import COLOUR, console, refusal_lines, said, seconds, table
-from rtc.outcomes import Outcome, OutcomeKind
+from rtc.outcomes import Measured, Outcome, OutcomeKind
 
 #: phases too short to be a line of their own (`rtc trace` has them); ENDED has its result line
 PASSING = {m.Phase.PARSING, m.Phase.ELABORATING, m.Phase.BINDING, m.Phase.ANALYZING, m.Phase.ENDED}
+
+
+REPORTS_KEPT = 1000  # of REPORT EVERY, of one command, for the JSON result
 
 
 @dataclass
@@ -26,7 +32,8 @@ class Row:
     text: str
     command: str = ""
     phase: str = "waiting"
-    step: str = ""
+    step: str = ""  # as it is shown
+    of: str = ""  # as the last note has it
     node: str = ""
     started_s: float = field(default_factory=time.monotonic)
 
@@ -37,6 +44,8 @@ class Board:
     def __init__(self, texts: list[str], *, quiet: bool = False, out: Console = console) -> None:
         self._rows = [Row(text) for text in texts]
         self._row_of: dict[str, Row] = {}
+        self.reports: dict[str, deque[tuple[float, Measured]]] = {}  # command -> (at_s, what REPORT EVERY gave)
+        self.on_long: Callable[[m.ProgressNote], None] | None = None  # gets every note; asks when a step takes long
         self.kinds: list[OutcomeKind] = []  # of those that have ended, told or not
         self.quiet = quiet
         self._out = out
@@ -81,12 +90,30 @@ class Board:
     def progress(self, note: m.ProgressNote) -> None:
         if (row := self._row_of.get(note.command)) is None:
             return
-        changed = (note.phase.value, note.step) != (row.phase, row.step)
+        if note.seq == 0 and note.measured is not None:
+            self._report(note)
+            return
+        if self.on_long is not None:
+            self.on_long(note)
+        changed = (note.phase.value, note.step) != (row.phase, row.of)
+        row.of = note.step
         row.phase, row.node = note.phase.value, note.node or row.node
         row.step = note.step or (note.note if note.phase is m.Phase.HELD else "")
+        if note.expected_s:
+            row.step += f" (about {duration(note.expected_s)})"
         if changed and note.phase not in PASSING:
             done = f"  ({note.node}, {seconds(note.took_s)})" if note.node else ""
-            self._line(f"{note.command}  {note.phase.value:<11} {note.step or note.note}{done}".rstrip())
+            about = f"  about {duration(note.expected_s)}" if note.expected_s else ""
+            self._line(f"{note.command}  {note.phase.value:<11} {note.step or note.note}{about}{done}".rstrip())
+
+    def _report(self, note: m.ProgressNote) -> None:
+        """One of REPORT EVERY: a line on the screen, or kept for the JSON result."""
+        assert note.measured is not None
+        kept = self.reports.setdefault(note.command, deque(maxlen=REPORTS_KEPT))
+        kept.append((note.at_s, note.measured))
+        if not self.quiet:
+            for line in in_words(note.measured):
+                self._out.print(Text(f"{time.monotonic() - self._begun_s:7.2f} s  {note.command}  {line}"))
 
     def ended(self, n: int, ended: m.CommandEnded) -> None:
         """Print the result line for good; it stays when the board goes."""
@@ -141,7 +168,7 @@ def explain(ended: m.CommandEnded, text: str) -> list[str]:
         lines.append(outcome.message)
     if outcome.trims:
         lines.append(mended(outcome) + ", ".join(outcome.trims))
-    return lines
+    return lines + (in_words(outcome.measured) if outcome.measured else [])
 
 
 def mended(outcome: Outcome) -> str:

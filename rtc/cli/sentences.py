@@ -16,6 +16,7 @@ from rich.text import Text
 
 from rtc import messages as m
 from rtc.cli.halt import print_halt
+from rtc.cli.long_steps import LongSteps
 from rtc.cli.outlet import Unheard
 from rtc.cli.output import (
     LEFT_RUNNING,
@@ -118,7 +119,7 @@ def _see_through(
                     on_end=board.ended,
                 )
                 kinds = [one.outcome.kind for one in ended]
-                results = [_result(one, text) for one, text in zip(ended, texts, strict=True)]
+                results = [_result(one, text, board) for one, text in zip(ended, texts, strict=True)]
             else:
                 for n, text in enumerate(texts):
                     kind, result = _one(rtc, board, n, text)
@@ -168,7 +169,7 @@ def _one(rtc: Client, board: Board, n: int, text: str) -> tuple[OutcomeKind, dic
         on_progress=board.progress,
         on_end=lambda _, one: board.ended(n, one),
     )[0]
-    return ended.outcome.kind, _result(ended, text)
+    return ended.outcome.kind, _result(ended, text, board)
 
 
 def _hand_in(rtc: Client, texts: list[str]) -> tuple[int, list[dict[str, Any]]]:
@@ -206,7 +207,11 @@ def asked_on_interrupt(rtc: Client, board: Board) -> Iterator[None]:
     interrupted, and the wait goes on afterwards to hear how the commands ended.
     """
 
+    steps = _long_steps(rtc, board)
+
     def interrupted(*_: object) -> None:
+        if steps:
+            steps.drop()
         board.pause()
         answer = _ask() if sys.stdin.isatty() else "h"
         if answer == "l":
@@ -230,6 +235,21 @@ def asked_on_interrupt(rtc: Client, board: Board) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        if steps:
+            steps.drop()
+
+
+def _long_steps(rtc: Client, board: Board) -> LongSteps | None:
+    """Asks about long steps; None when nobody is there to be asked."""
+    if board.quiet or not (sys.stdin.isatty() and console.is_terminal):
+        return None
+    steps = LongSteps(
+        lambda words: errors.print(Text(words, style="bold yellow")),
+        lambda command: print_halt(rtc.halt(command), errors),
+        sys.stdin.fileno(),
+    )
+    board.on_long = steps.heard
+    return steps
 
 
 def say_silence(words: str) -> None:
@@ -258,10 +278,13 @@ def _lines(file: Path) -> list[str]:
     return [LABEL.sub("", line, count=1) for line in lines if line and not line.startswith(("#", "--"))]
 
 
-def _result(ended: m.CommandEnded, text: str) -> dict[str, Any]:
-    """One result of --json: flat where people look first."""
+def _result(ended: m.CommandEnded, text: str, board: Board) -> dict[str, Any]:
+    """One result of --json: flat where people look first. `reports`: those of REPORT EVERY, if it was said."""
     outcome = msgspec.to_builtins(ended.outcome)
-    return {"command": ended.command, "text": text, **outcome, "took_s": round(ended.took_s, 6)}
+    result = {"command": ended.command, "text": text, **outcome, "took_s": round(ended.took_s, 6)}
+    if reports := board.reports.get(ended.command):
+        result["reports"] = [{"at_s": at_s, **msgspec.to_builtins(measured)} for at_s, measured in reports]
+    return result
 
 
 def _source(name: str) -> Source:

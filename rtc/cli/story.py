@@ -12,6 +12,7 @@ import typer
 from rich.text import Text
 
 from rtc import messages as m
+from rtc.cli.measured import duration, in_words
 from rtc.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, refusal_lines, said, seconds, trouble
 from rtc.cli.progress import mended
 from rtc.client import Client
@@ -121,7 +122,10 @@ def print_trace(record: m.CommandRecord) -> None:
 def trace_line(note: m.ProgressNote, accepted_at_s: float) -> str:
     took = seconds(note.took_s) if note.node else ""
     line = f"{seconds(note.at_s - accepted_at_s):>9}  {took:>8}  {note.node:<13} {address(note.node):<4} "
-    return line + (f"{note.phase.value:<11}  {note.note}" if note.note else note.phase.value)
+    words = [note.note] if note.note else []
+    words += [f"about {duration(note.expected_s)}"] if note.expected_s else []
+    words += in_words(note.measured) if note.measured else []
+    return line + (f"{note.phase.value:<11}  {'; '.join(words)}" if words else note.phase.value)
 
 
 def why(
@@ -225,6 +229,8 @@ def _print_decision(record: m.CommandRecord) -> None:
     line.append(f" after {seconds(record.ended_at_s - record.accepted_at_s)}")
     line.append(f": {outcome.message}" if outcome.message else "")
     console.print(line)
+    for text in in_words(outcome.measured) if outcome.measured else ():
+        console.print(Text("    " + text))
     if outcome.trims:
         console.print(Text("    " + mended(outcome) + ", ".join(outcome.trims)))
     if outcome.refusal is not None:

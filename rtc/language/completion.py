@@ -21,6 +21,8 @@ from rtc.outcomes import Refusal
 #: names that exist, or a function that picks those that fit behind the words of a sentence (in capitals)
 Names = Iterable[str] | Callable[[list[str]], Iterable[str]]
 
+LAST = "LAST"  # the command given before
+COMMAND_FOLLOWS = ("AFTER", "TOGETHER_WITH")
 _UNFINISHED = re.compile(r"[A-Za-z0-9_%/-]*$")
 #: the word before a number -> what may be measured there; BY is looked up by the verb
 _TAKES: dict[str, Takes] = {
@@ -50,6 +52,8 @@ def complete(grammar: Grammar, text_so_far: str, names: Names = ()) -> list[str]
         reserved = grammar.vocabulary.reserved
         known = names([word.value for word in words]) if callable(names) else names
         choices |= {n for n in map(_spelt, known) if n not in reserved}
+    if words and words[-1].type in COMMAND_FOLLOWS:
+        choices.add(LAST)
     if words and words[-1].type == "NUMBER" and "QUANTITY" in _allowed(grammar, words[:-1]):
         choices |= set(_units(words))
     prefix = _spelt(beginning)

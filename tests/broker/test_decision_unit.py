@@ -6,8 +6,9 @@ import msgspec
 import pytest
 from stories import Story, bound, give_up, go_on, mend, record, report, script, told, trim
 
+from broker import effects as do
 from broker import ending
-from broker.decision_unit import ACTIONS, InvalidTransition, stimulate
+from broker.decision_unit import ACTIONS, CLIENTS_KEPT, InvalidTransition, stimulate
 from broker.effects import PublishNote, SendHalt, SendPrimitive
 from broker.events import (
     BrokerRestarted,
@@ -24,6 +25,7 @@ from broker.state import State
 from broker.transitions import TABLE, Stimulus
 from broker.turn import Turn
 from rtc import wire
+from rtc.language.record import Report
 from rtc.messages import AnalyzerInput, BoundStep, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, RefusalReason, StopReason
 
@@ -703,6 +705,88 @@ def test_what_came_after_keeps_its_place_before_those_given_later():
     s.parsed()
     s.answers("C-1", go_on())
     assert (s.phase("C-2"), s.phase("C-3")) == ("elaborating", "held")
+
+
+def test_after_last_is_the_command_that_the_same_client_gave_before():
+    s = Story()
+    s.analyzing()
+    s.says("X", client="bob")
+    s.says("STOW AFTER LAST", client="ann")
+
+    assert s.answers("C-3", record(after="LAST")) == ["note C-3 held"]
+    assert s.state.commands["C-3"].head.after == "C-1"
+    assert "job C-3/2 elaborator #1" in s.answers("C-1", go_on())
+
+
+def test_after_last_of_one_that_has_failed_is_refused():
+    s = Story()
+    s.analyzing()
+    s.answers("C-1", give_up())
+    s.parsed(after="LAST")
+    assert s.outcome("C-2").refusal.message == "C-1 has ended without success"
+
+
+def test_after_last_without_one_before_is_refused():
+    s = Story()
+    s.says("X", client="bob")
+    s.parsed(after="LAST")
+
+    refusal = s.outcome("C-2").refusal
+    assert (refusal.reason, refusal.where) == (RefusalReason.NAME, "LAST")
+    assert "AFTER C-n" in refusal.clears
+
+
+def test_the_latest_commands_of_many_clients_are_bounded():
+    s = Story()
+    for n in range(CLIENTS_KEPT + 5):
+        s.says("HALT", client=f"client-{n}")
+    assert len(s.state.last_given) == CLIENTS_KEPT
+
+
+# --- report, and how long a step takes ---------------------------------------------------------------
+
+
+def test_what_was_measured_is_in_the_outcome_and_in_the_note_as_far_as_it_was_asked_for():
+    s = Story()
+    s.executing(report=Report(pose=True, forces=True))
+    s.reports("C-1")
+    s.answers("C-1", go_on())
+
+    measured = s.outcome("C-1").measured
+    assert (measured.arm, measured.tcp_pose, measured.wrench) == ("RIGHT-ARM", [0, 0, 0, 0, 0, 0, 1], [0.0] * 6)
+    assert measured.joints is None
+    assert [e.note.measured for e in s.log if isinstance(e, do.PublishNote) and e.note.measured] == [measured]
+
+
+def test_a_halted_command_reports_what_was_measured_too():
+    s = Story()
+    s.executing(report=Report(joints=True))
+    s.halts("C-1")
+    s.reports("C-1", StopReason.HALT)
+    s.answers("C-1", go_on())
+    assert s.outcome("C-1").measured.joints == [0.0] * 6
+
+
+def test_without_report_nothing_is_added():
+    s = Story()
+    s.analyzing()
+    s.answers("C-1", go_on())
+    assert s.outcome("C-1").measured is None
+
+
+def test_periodic_reports_that_nobody_would_get_are_refused():
+    s = Story()
+    s.says("X", progress=False)
+    s.answers("C-1", record(report=Report(every_s=0.5)))
+    assert s.outcome("C-1").refusal.where == "EVERY"
+
+
+def test_a_step_says_how_long_it_takes():
+    s = Story()
+    s.state.patience = 2.0
+    s.elaborated()
+    s.answers("C-1", msgspec.structs.replace(bound("C-1.1"), predicted_s=4.2))
+    assert s.state.commands["C-1"].notes[-1].expected_s == 8.4
 
 
 def test_after_a_failure_is_refused():

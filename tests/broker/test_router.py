@@ -23,8 +23,9 @@ from broker.events import HaltCalled, ProgramInstalled
 from broker.invariants import violations
 from broker.journal import Journal
 from broker.program_store import ProgramStore
+from broker.reporting import MOST_PER_S
 from broker.router import CALLERS_KEPT, HALTS_OF_CALLER, QUESTIONS_PER_S, Router
-from broker.state import State
+from broker.state import ParsedHead, ReportHead, State
 from rtc import messages as m
 from rtc import program, wire
 from rtc.halting import PER_S
@@ -351,3 +352,47 @@ def test_a_subsystem_that_is_lost_although_it_runs_is_started_anew(supervised: B
     (kill,) = [order for order in asked if isinstance(order, m.KillProcess)]
     assert (kill.name, kill.pid) == ("MCM", 7)
     assert "lost to the broker" in kill.why
+
+
+# --- REPORT EVERY ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def reporting(working: Bench) -> Bench:
+    """Ann's command is being executed, and its sentence asks for periodic reports of joints."""
+    command = working.state.commands["C-1"]
+    command.head = ParsedHead(kind="task", verb="STOW", report=ReportHead(joints=True, every_s=0.5))
+    command.primitive, command.subsystem, command.performers = "C-1.1", "MCM", ["LEFT-ARM"]
+    working.sockets["front"].sent.clear()
+    return working
+
+
+def progress(primitive: str = "C-1.1") -> m.ProgressReport:
+    return m.ProgressReport(primitive=primitive, at_s=1.0, joints=[0.5], wrench=[0.0] * 6, tcp_pose=[0.0] * 7)
+
+
+def forwarded(bench: Bench) -> list[Any]:
+    return [wire.reader(m.BrokerToClient)(parts[1:]) for parts in bench.sockets["front"].sent if parts[0] == b"ann"]
+
+
+def test_a_periodic_report_goes_to_the_client_and_past_the_journal(reporting: Bench) -> None:
+    before = (reporting.router.journal.events_since_snapshot, reporting.state.seq)
+
+    reporting.say("subsystems", b"MCM", progress())
+
+    [note] = forwarded(reporting)
+    assert (note.seq, note.command, note.measured.joints, note.measured.tcp_pose) == (0, "C-1", [0.5], None)
+    assert (reporting.router.journal.events_since_snapshot, reporting.state.seq) == before
+
+
+def test_a_report_that_nobody_asked_for_is_dropped(reporting: Bench) -> None:
+    reporting.say("subsystems", b"MCM", progress("C-1.0"), progress("C-9.1"))
+    reporting.state.commands["C-1"].head = ParsedHead(kind="task", verb="STOW", report=ReportHead(joints=True))
+    reporting.say("subsystems", b"MCM", progress())
+    assert forwarded(reporting) == []
+
+
+def test_periodic_reports_are_bounded(reporting: Bench) -> None:
+    reporting.say("subsystems", b"MCM", *[progress()] * (2 * MOST_PER_S))
+    assert len(forwarded(reporting)) == MOST_PER_S
+    assert reporting.router.dropped["reports"] == MOST_PER_S

@@ -285,3 +285,31 @@ def test_interrupted_with_nobody_to_ask_the_commands_are_halted(run_dir: Path) -
 
     assert doing.returncode == 3, errors
     assert "rest confirmed" in errors
+
+
+def test_what_was_measured_is_reported_at_the_end_and_on_the_way(rtc: Run) -> None:
+    held, stowed = (
+        "HOLD LEFT-ARM FOR 2 SEC REPORT FORCES AND EVERY 0.5 SEC",
+        "STOW LEFT-ARM REPORT POSE AND JOINTS AFTER LAST",
+    )
+    done = rtc("do", "--parallel", held, stowed, "--json")
+    first, second = last_json(done)["results"]
+
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert 3 <= len(first["reports"]) <= 4  # of two seconds, in the time of the arms
+    assert all(set(one) == {"at_s", "arm", "wrench"} for one in first["reports"])
+    assert set(first["measured"]) == {"arm", "wrench", "peak_force_n", "peak_torque_nm"}
+    assert (len(second["measured"]["tcp_pose"]), len(second["measured"]["joints"])) == (7, 6)
+    assert "reports" not in second
+    why = last_json(rtc("why", second["command"], "--json"))
+    assert why["outcome"]["measured"] == second["measured"]
+    trace = last_json(rtc("trace", first["command"], "--json"))
+    assert next(note["expected_s"] for note in trace["notes"] if note["phase"] == "executing") == 2.0
+    assert any(f"waits for {first['command']}" in line for line in why["chain"])
+
+
+def test_after_last_of_a_client_without_one_before_is_refused(rtc: Run) -> None:
+    done = rtc("do", "STOW LEFT-ARM AFTER LAST")
+
+    assert done.returncode == 2
+    assert "this client has given no command before this one" in done.stdout

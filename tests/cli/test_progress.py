@@ -8,7 +8,7 @@ from rich.console import Console
 
 from rtc import messages as m
 from rtc.cli.progress import Board, print_result
-from rtc.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
+from rtc.outcomes import Measured, Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
 
 CURSOR_UP = "\x1b[1A"
 
@@ -39,6 +39,27 @@ def test_a_change_is_a_line_and_no_change_is_none() -> None:
         "C-7  executing   1 of 2: go  (binder@2, 0.00 ms)",
         "C-7 SUCCEEDED  STOW LEFT-ARM  (2 steps, 2.00 s)",
     ]
+
+
+def test_a_step_says_how_long_it_takes_and_reports_are_lines_of_their_own() -> None:
+    out, text = plain()
+    step = {"seq": 1, "at_s": 0.0, "command": "C-7", "phase": m.Phase.EXECUTING, "step": "1 of 1: go"}
+    with Board(["STOW LEFT-ARM REPORT EVERY 1 SEC"], out=out) as board:
+        board.accepted(0, "C-7")
+        board.progress(m.ProgressNote(**step, expected_s=4.2))
+        board.progress(m.ProgressNote(**{**step, "seq": 0}, measured=Measured(arm="LEFT-ARM", joints=[0.0])))
+        board.progress(m.ProgressNote(**step))
+
+    lines = [line.split(" s  ", 1)[-1] for line in text.getvalue().splitlines()]
+    assert lines[1:] == ["C-7  executing   1 of 1: go  about 4.2 s", "C-7  LEFT-ARM joints: 0.0 deg"]
+    assert [measured.joints for _, measured in board.reports["C-7"]] == [[0.0]]
+
+
+def test_what_was_measured_stands_below_the_result() -> None:
+    out, text = plain()
+    outcome = Outcome(kind=OutcomeKind.SUCCEEDED, measured=Measured(arm="LEFT-ARM", joints=[0.0]))
+    print_result(ended(outcome), "X", out)
+    assert text.getvalue().splitlines()[1:] == ["    LEFT-ARM joints: 0.0 deg"]
 
 
 def test_notes_of_other_commands_are_not_shown() -> None:

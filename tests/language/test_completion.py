@@ -68,3 +68,8 @@ def test_every_reserved_word_of_a_sample_is_offered_where_it_stands(sample: str)
 def test_any_text_has_completions_or_none(text: str) -> None:
     for word in complete(GRAMMAR, text, NAMES):
         assert word == word.upper()
+
+
+def test_after_offers_the_last_command() -> None:
+    assert "LAST" in complete(default_grammar(), "STOW LEFT-ARM AFTER ")
+    assert complete(default_grammar(), "STOW LEFT-ARM TOGETHER-WITH LA") == ["LAST"]

@@ -1,0 +1,55 @@
+"""What was measured and how long a step takes, in words: centimetres, degrees, minutes."""
+
+from __future__ import annotations
+
+import math
+
+from rtc.outcomes import Measured
+
+
+def duration(value_s: float) -> str:
+    """As people say it: 4.2 s, 46 min, 2 h 46 min."""
+    if value_s < 60:
+        return f"{value_s:.2g} s" if value_s < 10 else f"{value_s:.0f} s"
+    minutes = round(value_s / 60)
+    if minutes < 60:
+        return f"{minutes} min"
+    hours, left = divmod(minutes, 60)
+    return f"{hours} h {left} min" if left else f"{hours} h"
+
+
+def in_words(measured: Measured) -> list[str]:
+    """One line for each thing that was asked for."""
+    lines = []
+    if measured.tcp_pose is not None:
+        lines.append(f"{measured.arm} pose: {_pose(measured.tcp_pose)}")
+    if measured.wrench is not None:
+        force, torque = measured.wrench[:3], measured.wrench[3:]
+        peaks = ""
+        if measured.peak_force_n is not None:
+            peaks = f"; most on the way {measured.peak_force_n:.1f} N, {measured.peak_torque_nm or 0.0:.2f} Nm"
+        felt = f"forces: {_numbers(force, '.1f')} N, torques: {_numbers(torque, '.2f')} Nm (tool axes)"
+        lines.append(f"{measured.arm} {felt}{peaks}")
+    if measured.joints is not None:
+        lines.append(f"{measured.arm} joints: {_numbers(map(math.degrees, measured.joints), '.1f')} deg")
+    return lines
+
+
+def _numbers(values: object, form: str) -> str:
+    return " ".join(format(float(value) + 0.0, form) for value in values)  # type: ignore[attr-defined]
+
+
+def _pose(pose: list[float]) -> str:
+    x, y, z, *q = pose
+    roll, pitch, yaw = (math.degrees(angle) for angle in _rpy(*q))
+    return f"x {100 * x:.1f} y {100 * y:.1f} z {100 * z:.1f} cm, roll {roll:.1f} pitch {pitch:.1f} yaw {yaw:.1f} deg"
+
+
+def _rpy(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+    """As `rtc.geometry.to_rpy`, without numpy: what prints a line need not load that."""
+    pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
+    if abs(abs(pitch) - math.pi / 2) < 1e-6:
+        return 0.0, pitch, math.copysign(2.0, -pitch) * math.atan2(x, w)
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return roll, pitch, yaw
