@@ -28,7 +28,7 @@ MODULES = ["MACS-NEW", "MACS-OLD"]
         ("MOVE RIGHT-ARM BY 5 CM ALONG T", ["TOOL-X", "TOOL-Y", "TOOL-Z"]),
         ("STOW LEFT-ARM MAINTAIN AVOID-TASK-REGION ", ["BAY-2-RANGE", "SOLAR-ARRAY"]),
         ("LIFT MACS-NEW MAINTAIN POSE-DURING-MOTION ", ["LEVEL"]),
-        ("STOW LEFT-ARM AFTER ", []),
+        ("STOW LEFT-ARM AFTER ", ["LAST"]),
         ("VERIFY ", [*MODULES, "SATELLITE"]),
         ("SET ", None),
         ("", None),
