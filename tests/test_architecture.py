@@ -30,7 +30,7 @@ ONLY_IN = {
     "coal": ("rtc/robot/", "workers/motion/", "sim_mcm/"),
     "lark": ("rtc/language/",),
     "typer": ("rtc/cli/",),
-    "sqlite3": ("rtc/world/", "rtc/past.py", "broker/"),
+    "sqlite3": ("rtc/world/", "rtc/past.py", "rtc/damage.py", "broker/"),
 }
 #: pure files and folders: no clock, no socket, no process, no chance
 PURE = (
