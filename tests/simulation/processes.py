@@ -136,7 +136,9 @@ class TinyArm:
             joint_names=["a", "b"],
             lower=[-1.0] * 2,
             upper=[1.0] * 2,
-            velocity=[5.0] * 2,
+            velocity=[50.0] * 2,
+            acceleration=[1e5] * 2,  # its motions take some ticks
+            payload_kg=10.0,
             max_opening_m=0.08,
             max_grip_n=50.0,
             hand_speed_m_s=0.05,
