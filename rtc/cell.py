@@ -19,7 +19,7 @@ import msgspec
 import msgspec.yaml
 from msgspec import Meta
 
-from rtc import geometry
+from rtc import cell_models, geometry
 from rtc.digest import digest
 from rtc.outcomes import ProgramError
 
@@ -260,7 +260,10 @@ class Cell(Part, frozen=True, kw_only=True):
                         texts[file] = (path.parent / file).read_text(encoding="utf-8")
                     except OSError as error:
                         raise ProgramError(f"{path}: $.arms[{n}].{field}: cannot read {file}: {error}") from error
-        return msgspec.structs.replace(bare, texts=texts)
+        cell = msgspec.structs.replace(bare, texts=texts)
+        for place, problem in cell_models.problems(cell):
+            raise ProgramError(f"{path}: $.{place}: {problem}")
+        return cell
 
     @classmethod
     def from_bytes(cls, document: bytes) -> Cell:

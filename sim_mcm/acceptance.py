@@ -28,6 +28,9 @@ def objection(primitive: p.Primitive, traits: Traits, joints: Sequence[float]) -
     """The first thing that is wrong with it, or ''."""
     for problem in CHECKS[type(primitive.trajectory)](primitive.trajectory, traits, joints):
         return problem
+    load = primitive.control_law.load
+    if load is not None and load.mass_kg > traits.payload_kg:
+        return f"a load of {load.mass_kg:g} kg is more than the {traits.payload_kg:g} kg that {traits.name} can carry"
     for stop in primitive.stop_functions:
         if stop.reflex is Reflex.COMPLY:
             return f"reflex comply of {stop.reason} is not available: this arm has no compliant control yet"

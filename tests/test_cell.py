@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc import geometry
+from rtc import cell_models, geometry
 from rtc.cell import CELLS, Cell
 from rtc.outcomes import ProgramError
 
@@ -135,3 +135,66 @@ def test_an_error_names_its_place(tmp_path, plain, spoil, place):
     with pytest.raises(ProgramError) as raised:
         load(tmp_path, plain)
     assert place in str(raised.value)
+
+
+# --- the models of arms --------------------------------------------------------------------------------
+
+
+def test_the_models_of_the_default_cell_fit_it(swapout):
+    assert list(cell_models.problems(swapout)) == []
+
+
+SLIDE_A = '<joint name="finger_a_slide" type="prismatic">'
+FOUR = ("joints", "home_deg", "stow_deg", "acceleration_deg_s2")
+PALM = '<joint name="palm_mount" type="fixed">'
+
+
+def hand(**fields):
+    return lambda arm: arm["gripper"].update(fields)
+
+
+#: what is changed in the first arm, or in the text of its model; what is said of it
+MISFITS = {
+    "joint": (
+        lambda arm: arm["joints"].__setitem__(2, "elbow"),
+        None,
+        r"0\]\.joints: .*no joint elbow; there are finger_a",
+    ),
+    "order": (lambda arm: arm["joints"].reverse(), None, r"\.joints: .*the joints that move tcp are joint_1, joint_2"),
+    "too few": (lambda arm: arm.update({k: arm[k][:5] for k in FOUR}), None, r"\.joints: .*move tcp are joint_1"),
+    "tcp": (lambda arm: arm.update(tcp_link="tool0"), None, r"\.tcp_link: .*there is no link tool0"),
+    "sensor": (lambda arm: arm.update(sensor_joint="ft"), None, r"\.sensor_joint: .*there is no joint ft"),
+    "moving sensor": (lambda arm: arm.update(sensor_joint="joint_6"), None, r"\.sensor_joint: .*joint_6 is revolute"),
+    "palm": (hand(palm_link="hand"), None, r"gripper\.palm_link: .*no link hand"),
+    "fingers": (hand(finger_joints=["left", "right"]), None, r"gripper\.finger_joints: .*there is no joint left"),
+    "crossed": (hand(finger_links=["finger_b", "finger_a"]), None, r"finger_a_slide carries finger_a, not finger_b"),
+    "narrow": (hand(max_opening_m=0.2), None, r"max_opening_m: .*goes from 0 to 0\.04 m"),
+    "revolute": (None, (SLIDE_A, SLIDE_A.replace("prismatic", "revolute")), r"finger_a_slide is revolute"),
+    "same way": (None, ('<axis xyz="0 -1 0"/>', '<axis xyz="0 1 0"/>'), "do not move against each other"),
+    "third": (None, (PALM, PALM.replace("fixed", "continuous")), "palm_mount"),
+    "home": (
+        lambda arm: arm["home_deg"].__setitem__(4, 120),
+        None,
+        r"home_deg: .*joint_5 is at 120 deg.* -100\.0 and 100",
+    ),
+    "stow": (lambda arm: arm["stow_deg"].__setitem__(0, -170), None, r"stow_deg: .*joint_1 is at -170 deg"),
+    "mesh": (
+        None,
+        ('<box size="0.05 0.11 0.06"/>', '<mesh filename="package://palm.stl"/>'),
+        r"package://palm\.stl is not found",
+    ),
+    "no XML": (None, ("</robot>", ""), "is not XML"),
+}
+
+
+@pytest.mark.parametrize("kind", MISFITS)
+def test_a_model_that_does_not_fit_its_cell_is_refused_when_it_is_loaded(tmp_path, plain, kind):
+    change, texts, words = MISFITS[kind]
+    if change:
+        change(plain["arms"][0])
+    for model in (CELLS / "swapout").glob("puma560.*"):
+        (tmp_path / model.name).write_text(model.read_text().replace(*(texts or ("", ""))))
+    file = tmp_path / "cell.yaml"
+    file.write_bytes(msgspec.yaml.encode(plain))
+    with pytest.raises(ProgramError, match=words):
+        Cell.load(file)

@@ -10,13 +10,14 @@ from __future__ import annotations
 import msgspec
 
 from rtc import geometry
+from rtc.language.record import ReflexItem
 from rtc.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity, WorldChange
 from rtc.outcomes import ProgramError, Refusal, RefusalReason, StopReason
 from rtc.program import decode
 from rtc.program_fit import row_of
 from rtc.program_schema import AnalyzerProgram, OutcomeClass
 from rtc.world.model import World
-from workers import facts, known
+from workers import facts, known, reflexes
 from workers.belief import TRUSTED, Belief
 from workers.cell_model import CellModel
 from workers.effects import EFFECTS, Changes, gone
@@ -134,12 +135,17 @@ def _failure(
     changes += _carried(program, belief, data, changes, suspect="held" in failure.suspect, drops=failure.drops)
     changes += _suspect(program, belief, data, failure)
     changes = _stated(program, belief, data, _last(changes))
-    todo = (failure.clears, *_cures(program, belief, changes), failure.again)
+    asked = reflexes.asked_for(evaluation.context.reflexes, data.report)
+    words = _words(failure.message, data, reason) if asked is None else _as_asked(asked, data)
+    if done := reflexes.done(data.report):
+        words = f"{words}; {done}"
+    cures = _cures(program, belief, changes)
+    todo = (failure.clears, *cures, failure.again) if asked is None else tuple(cures)
     trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
     return Assessment(
         verdict="trim" if trim else "abort",
         reason=reason,
-        message=f"{evaluation.step.label}: {_words(failure.message, data, reason)}",
+        message=f"{evaluation.step.label}: {words}",
         trim=trim,
         changes=changes,
         clears=_words("; ".join(word for word in todo if word), data, reason),
@@ -266,6 +272,12 @@ def _last(changes: Changes) -> Changes:
 
 
 # --- words ---------------------------------------------------------------------------------------------------
+
+
+def _as_asked(reflex: ReflexItem, data: AnalyzerInput) -> str:
+    """The sentence has foreseen it: the goal is not reached, and nothing has gone wrong."""
+    measured = _words(" at {measured} {unit}", data, data.report.reason) if data.report.measured is not None else ""
+    return f"stopped{measured.rstrip()} as asked: {reflexes.said(reflex)}"
 
 
 def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:

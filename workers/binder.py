@@ -29,9 +29,10 @@ from rtc.primitive_id import command_of
 from rtc.program import decode
 from rtc.program_schema import BinderProgram, StopClass
 from rtc.world.model import World
-from workers import axes, legs, naming, procedures, stopping
+from workers import axes, impact, legs, naming, procedures, stopping
 from workers.belief import Belief
 from workers.cell_model import CellModel
+from workers.impact import Impact
 from workers.legs import Target
 from workers.motion.plan import Motion
 from workers.motion.timing import Pace
@@ -110,7 +111,9 @@ def bind_motion(at: Bind) -> BoundStep | Refusal:
         away=stop_class.away,
         near=[name for name in (context.object, context.target) if name],
     )
-    pace = Pace(values["speed_m_s"], values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
+    hit = impact_of(at, target, values, held)
+    speed_m_s, slowed = pace_of(at, values, hit, step.space == "move_task" or stop_class.touches)
+    pace = Pace(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
     margin_rad = math.radians(values["joint_margin_deg"])
     setting = belief.setting(at.arm, scene, context.limits, pace, margin_rad)
     motion = legs.timed(setting, step.space, target)
@@ -130,7 +133,36 @@ def bind_motion(at: Bind) -> BoundStep | Refusal:
     )
     against = against_motion(belief.tcp(at.arm).tolist(), motion) if step.space == "move_task" else None
     trajectory = motion.timed.trajectory()
-    return primitive(at, stop_class, values, trajectory, evaluation, against, "; ".join(motion.notes))
+    return primitive(at, stop_class, values, trajectory, evaluation, against, "; ".join((*slowed, *motion.notes)))
+
+
+def impact_of(at: Bind, target: Target, values: Values, held: str) -> Impact | None:
+    """How hard this motion would meet a rigid body; None: the sentence asks for no force."""
+    asked_n = impact.asked_force_n(at.data.context)
+    if asked_n is None:
+        return None
+    arm, joints = at.belief.model.arms[at.arm], at.belief.joints(at.arm)
+    goal = target.pose if target.pose is not None else arm.fk(target.joints or joints)
+    way = [there - here for there, here in zip(goal[:3], at.belief.tcp(at.arm)[:3], strict=True)]
+    load = at.belief.load(at.arm) if held else None
+    carried_kg = load.mass_kg if load else 0.0
+    return impact.impact(arm, joints, way, carried_kg, values["impact_s"], values["speed_m_s"], asked_n)
+
+
+def pace_of(at: Bind, values: Values, hit: Impact | None, touches: bool) -> tuple[float, list[str]]:
+    """The speed (m/s), and a note when the force that was asked for has changed it, or cannot be kept at it. A speed
+    that the sentence names is kept; so is that of a way on which no touch is expected."""
+    speed_m_s, limits = values["speed_m_s"], at.data.context.limits
+    if hit is None or hit.felt_n <= hit.asked_n:
+        return speed_m_s, []
+    felt = (
+        f"at {speed_m_s * 1e3:.3g} mm/s the first millisecond on a rigid body is felt with {hit.felt_n:.0f} N; "
+        f"{hit.asked_n:g} N is kept up to {hit.kept_m_s * 1e3:.3g} mm/s"
+    )
+    if not touches or limits.speed_m_s is not None or limits.speed_ratio is not None:
+        return speed_m_s, [f"not slowed: {felt}"]
+    slow_m_s = max(hit.kept_m_s, values["slowest_m_s"])
+    return slow_m_s, [f"slowed to {slow_m_s * 1e3:.3g} mm/s: {felt}; MAINTAIN SPEED keeps another speed"]
 
 
 def target_of(at: Bind) -> Target | Refusal:
@@ -304,6 +336,14 @@ def primitive(
     every_s = at.data.step.args.get("report_every_s")
     lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > at.belief.hand_width(at.arm)
     load = None if lets_go else at.belief.load(at.arm)
+    payload_kg = at.belief.cell.arm(at.arm).payload_kg
+    if load is not None and load.mass_kg > payload_kg:
+        return Refusal(
+            reason=RefusalReason.INFEASIBLE,
+            message=f"{evaluation.held} weighs {load.mass_kg:g} kg; {at.arm} carries {payload_kg:g} kg at most",
+            clears=f"RELEASE {evaluation.held}; if it is lighter: SET {evaluation.held} MASS, in KG",
+            detail={"cause": "payload", "mass_kg": load.mass_kg, "limit_kg": payload_kg, "arm": at.arm},
+        )
     made = Primitive(
         id=at.data.primitive_id,
         performer=at.arm,

@@ -6,11 +6,14 @@ may then be asked for every step. A figure along an axis counts in both senses o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from rtc import geometry
 from rtc.geometry import Array
 from rtc.language.record import Condition, ReflexItem
+from rtc.messages import EndReport
 from rtc.outcomes import Reflex, Refusal, RefusalReason, StopReason
 from rtc.primitive import (
     BodyTouch,
@@ -159,3 +162,30 @@ def _words(condition: Condition) -> str:
 
 def _no(message: str, expected: list[str], clears: str = "leave it out, or use one of those expected") -> Refusal:
     return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where="UNLESS", expected=expected, clears=clears)
+
+
+# --- what was done ---------------------------------------------------------------------------------------------
+
+
+def asked_for(reflexes: list[ReflexItem], report: EndReport) -> ReflexItem | None:
+    """The reflex of the sentence whose condition has ended the primitive, if one has: same reason, same figure."""
+    for reflex in reflexes:
+        quantity = reflex.condition.quantity
+        same = quantity is None or (report.limit is not None and math.isclose(quantity.value, report.limit))
+        if reason_of(reflex.condition) is report.reason and same and ACTIONS.get(reflex.action) is report.reflex:
+            return reflex
+    return None
+
+
+def said(reflex: ReflexItem) -> str:
+    """The reflex in the words of the sentence."""
+    quantity = reflex.condition.quantity
+    figure = f" {quantity.value:g} {quantity.unit.upper()}" if quantity else ""
+    return f"UNLESS {_words(reflex.condition)}{figure} THEN {reflex.action.upper().replace('_', '-')}"
+
+
+def done(report: EndReport) -> str:
+    """What the arm did after it had stopped; empty when it stopped, and no more."""
+    if report.reflex is Reflex.BACK_OFF and report.trip_pose and report.tcp_pose:
+        return f"backed off by {100.0 * geometry.distance(report.trip_pose, report.tcp_pose):.1f} cm"
+    return f"opened the hand to {1000.0 * report.hand_width_m:.0f} mm" if report.reflex is Reflex.RELEASE else ""

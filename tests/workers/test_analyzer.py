@@ -9,7 +9,7 @@ import pytest
 
 from rtc import geometry
 from rtc.messages import Assessment, BoundStep, EndReport, Validity, WorldChange
-from rtc.outcomes import RefusalReason, StopReason
+from rtc.outcomes import Reflex, RefusalReason, StopReason
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A GUARDED"
 
@@ -261,10 +261,41 @@ def test_a_reflex_that_opened_the_hand_has_let_go(bench):
     bench.do(GRASP)
     bound, report = bound_and_done(bench, "LIFT MACS-NEW UNLESS FORCE EXCEEDS 9 N THEN RELEASE", 1)
 
-    made = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT, hand_width_m=0.08, measured=9.4, limit=9.0))
+    tripped = {"hand_width_m": 0.08, "measured": 9.4, "limit": 9.0, "reflex": Reflex.RELEASE}
+    made = judged(bench, bound, ended(report, StopReason.FORCE_LIMIT, **tripped))
 
     assert change(made, "MACS-NEW.held_by").value == ""
-    assert "9.4 N where 9 N is the limit" in made.message
+    assert "stopped at 9.4 N as asked: UNLESS FORCE EXCEEDS 9 N THEN RELEASE; opened the hand to 80 mm" in made.message
+
+
+def _felt(bench, sentence: str, reason: StopReason, limit: float, back_m: float = 0.0) -> Assessment:
+    bound, report = bound_and_done(bench, sentence)
+    back = geometry.compose(report.tcp_pose, (0.0, 0.0, -back_m, 0.0, 0.0, 0.0, 1.0)).tolist()
+    reflex = Reflex.BACK_OFF if back_m else Reflex.STOP
+    figures = {"measured": 47.4, "limit": limit, "trip_pose": report.tcp_pose, "tcp_pose": back, "reflex": reflex}
+    return judged(bench, bound, ended(report, reason, **figures))
+
+
+FORWARD = "MOVE RIGHT-ARM BY 5 CM ALONG TOOL-Z UNLESS CONTACT"
+
+
+def test_a_stop_that_was_asked_for_reads_as_such(bench):
+    made = _felt(bench, f"{FORWARD} THEN STOP", StopReason.CONTACT, 5.0)
+    assert (made.verdict, made.reason) == ("abort", StopReason.CONTACT)  # the goal is not reached
+    assert made.message.endswith("stopped at 47.4 N as asked: UNLESS CONTACT THEN STOP")
+    assert "in the way" not in made.clears
+
+
+def test_what_was_done_after_the_stop_is_told(bench):
+    made = _felt(bench, f"{FORWARD} THEN BACK-OFF BY 2 CM", StopReason.CONTACT, 5.0, 0.02)
+    assert made.message.endswith("as asked: UNLESS CONTACT THEN BACK-OFF; backed off by 2.0 cm")
+
+
+def test_the_reason_is_the_one_that_won_and_what_was_done_is_told_beside_it(bench):
+    made = _felt(bench, f"{FORWARD} THEN BACK-OFF BY 2 CM", StopReason.FORCE_LIMIT, 40.0, 0.02)
+    assert made.reason is StopReason.FORCE_LIMIT
+    assert "47.4 N where 40 N is the limit" in made.message
+    assert made.message.endswith("; backed off by 2.0 cm")
 
 
 def test_without_a_report_of_the_arm_its_joints_are_suspect(bench):

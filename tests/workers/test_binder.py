@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 
 import msgspec
 import numpy as np
 import pytest
 
 from rtc import geometry, program
+from rtc.cell import Cell
 from rtc.messages import Binding, BoundStep, Script, Step, Validity, WorldChange
 from rtc.outcomes import ProgramError, Reflex, Refusal, RefusalReason, StopReason
 from rtc.primitive import (
@@ -22,6 +24,7 @@ from rtc.primitive import (
     JointTrajectory,
     TimeAbove,
 )
+from rtc.robot.kinematics import ArmModel
 
 
 def bound_to(bench, sentence: str, to: str) -> tuple[Script, BoundStep]:
@@ -280,6 +283,54 @@ def test_unless_runs_in_the_motion_loop(bench):
     torque = next(s for s in made if s.reason is StopReason.TORQUE_LIMIT)
     assert (force.when, force.reflex, force.back_off_m) == (ForceAbove(limit_n=10.0), Reflex.BACK_OFF, 0.03)
     assert (torque.when.limit_nm, torque.reflex) == (3.0, Reflex.RELEASE)
+
+
+LINE = "MOVE RIGHT-ARM BY 5 CM ALONG TOOL-Z"
+
+
+def _speed_m_s(bound: BoundStep) -> float:
+    """The greatest of the tcp, at the knots."""
+    path, arm = bound.primitive.trajectory, ArmModel.of(Cell.load("swapout"), "RIGHT-ARM")
+    rates = [arm.jacobian(q)[:3] @ v for q, v in zip(path.positions, path.velocities, strict=True)]
+    return max(float(np.linalg.norm(rate)) for rate in rates)
+
+
+@pytest.mark.parametrize("said", ["UNLESS FORCE EXCEEDS 8 N THEN STOP", "MAINTAIN FORCE-LIMIT 8 N"])
+def test_a_line_is_slowed_to_the_speed_at_which_the_force_can_be_kept(bench, said):
+    """A rigid body takes up effective mass times speed in one tick: 4 to 8 kg there."""
+    _, bound = bound_to(bench, f"{LINE} {said}", "HERE")
+    assert 0.0008 < _speed_m_s(bound) < 0.0025
+    assert re.search(r"slowed to \d\.\d+ mm/s: at 250 mm/s .* felt with \d{3,4} N; 8 N is kept up to", bound.note)
+
+
+def test_a_speed_that_is_said_is_kept_and_the_force_it_means_is_told(bench):
+    _, bound = bound_to(bench, f"{LINE} MAINTAIN SPEED 3 CM/S UNLESS FORCE EXCEEDS 8 N THEN STOP", "HERE")
+    assert _speed_m_s(bound) == pytest.approx(0.03, rel=0.05)
+    assert "not slowed: at 30 mm/s" in bound.note
+
+
+def test_a_way_on_which_no_touch_is_expected_is_not_slowed(bench):
+    _, bound = bound_to(bench, "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN FORCE-LIMIT 8 N", "GOAL")
+    assert _speed_m_s(bound) > 0.1
+    assert "not slowed" in bound.note
+
+
+@pytest.mark.parametrize(
+    "said",
+    ["", "MAINTAIN FORCE-LIMIT 4000 N", "UNLESS CONTACT THEN STOP", "MAINTAIN SPEED 0.5 MM/S AND FORCE-LIMIT 8 N"],
+)
+def test_without_a_force_that_cannot_be_kept_nothing_is_said_of_it(bench, said):
+    _, bound = bound_to(bench, f"{LINE} {said}", "HERE")
+    assert "slowed" not in bound.note
+
+
+def test_a_load_beyond_the_payload_is_refused_before_it_is_moved(bench):
+    assert bench.do("GRASP MACS-NEW HANDLE-A WITH RIGHT-ARM").succeeded
+    bench.world = bench.world.overlay([WorldChange(key="MACS-NEW.mass", value=2.6)], source="C-9/9")
+    script = bench.elaborate("LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM")
+    refusal = bench.bind(script, script.steps[-1])
+    assert isinstance(refusal, Refusal)
+    assert refusal.message == "MACS-NEW weighs 2.6 kg; RIGHT-ARM carries 2.5 kg at most"
 
 
 def test_a_force_along_an_axis_counts_both_ways(bench):
