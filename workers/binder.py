@@ -341,7 +341,7 @@ def primitive(
         return Refusal(
             reason=RefusalReason.INFEASIBLE,
             message=f"{evaluation.held} weighs {load.mass_kg:g} kg; {at.arm} carries {payload_kg:g} kg at most",
-            clears=f"RELEASE {evaluation.held}; if it is lighter: SET {evaluation.held} MASS, in KG",
+            clears=f"let go of {evaluation.held}; if it is lighter, tell its mass",
             detail={"cause": "payload", "mass_kg": load.mass_kg, "limit_kg": payload_kg, "arm": at.arm},
         )
     made = Primitive(
