@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
-from rtc.geometry import Array, Floats
+from rtc.geometry import Floats
 from rtc.messages import ScriptContext
 from rtc.robot.kinematics import ArmModel
 
@@ -41,14 +40,5 @@ def impact(
     length_m = float(np.linalg.norm(way))
     if length_m < 1e-6:
         return None
-    momentum = (effective_mass_kg(arm, joints, way / length_m) + carried_kg) / impact_s  # N per m/s
+    momentum = (arm.effective_mass_kg(joints, way / length_m) + carried_kg) / impact_s  # N per m/s
     return Impact(asked_n, momentum * speed_m_s, asked_n / momentum)
-
-
-def effective_mass_kg(arm: ArmModel, joints: Floats, direction: Array) -> float:
-    """Of the tcp along a direction (unit vector, world axes): 1 / (d J M^-1 J' d)."""
-    q = np.asarray(joints, dtype=float)
-    upper = np.triu(pin.crba(arm.model, arm.model.createData(), q))
-    mass = upper + np.triu(upper, 1).T
-    along = direction @ arm.jacobian(q)[:3]
-    return 1.0 / max(float(along @ np.linalg.solve(mass, along)), 1e-6)

@@ -116,6 +116,14 @@ class ArmModel:
         turned: Array = self._turn @ local
         return turned
 
+    def effective_mass_kg(self, joints: Floats, direction: Floats) -> float:
+        """Of the tcp along a direction (unit vector, world axes), without a load: 1 / (d J M^-1 J' d)."""
+        q = np.asarray(joints, dtype=float)
+        upper = np.triu(pin.crba(self.model, self._data, q))
+        mass = upper + np.triu(upper, 1).T
+        along = np.asarray(direction, dtype=float) @ self.jacobian(q)[:3]
+        return 1.0 / max(float(along @ np.linalg.solve(mass, along)), 1e-6)
+
     def sigma_min(self, joints: Floats) -> float:
         """Least singular value of the Jacobian: 0 in a singularity. Metres and radians are mixed, so compare only."""
         return float(np.linalg.svd(self.jacobian(joints), compute_uv=False)[-1])

@@ -6,7 +6,7 @@ executor over arms that follow exactly. The same tests run on both.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -160,6 +160,16 @@ class Kinematic:
         raise AssertionError(f"no end report of {made.id} within {bound.limit_s} s")
 
 
+class Physical(Kinematic):
+    """The same in physics."""
+
+    def __init__(self) -> None:
+        from sim_mcm.bullet_arm import BulletCell  # takes a second; only slow tests want it
+
+        self.sim = BulletCell(CELL)  # type: ignore[assignment]
+        self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
+
+
 @dataclass
 class Run:
     """How one command went."""
@@ -169,6 +179,7 @@ class Run:
     labels: list[str] = field(default_factory=list)  # of the steps bound, in order
     primitives: list[Primitive] = field(default_factory=list)
     assessments: list[Assessment] = field(default_factory=list)
+    reports: list[EndReport] = field(default_factory=list)
     trims: list[int] = field(default_factory=list)
     bindings: dict[str, Binding] = field(default_factory=dict)
 
@@ -240,6 +251,7 @@ class Bench:
                 report = self.subsystem.perform(bound.primitive, bound)
             if report is None:
                 continue
+            run.reports.append(report)
             judged = self.analyze(bound, report, used.get(ref))
             if isinstance(judged, Refusal):
                 run.refusal = judged
@@ -275,6 +287,14 @@ def either(request: pytest.FixtureRequest) -> Bench:
     """The same on perfect reports, and on the MCM's own executor."""
     make: dict[str, Callable[[], Any]] = {"reports": Reporter, "kinematic": Kinematic}
     return Bench(make[request.param]())
+
+
+@pytest.fixture
+def physical() -> Iterator[Bench]:
+    """In physics, without sockets: some six times slower than real time lasts."""
+    subsystem = Physical()
+    yield Bench(subsystem)
+    subsystem.sim.close()  # type: ignore[attr-defined]
 
 
 @pytest.fixture

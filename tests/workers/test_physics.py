@@ -1,0 +1,54 @@
+"""Whole sentences in physics, in one process: what exact arms cannot show."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtc import geometry
+from rtc.outcomes import StopReason
+
+pytestmark = pytest.mark.slow
+
+
+def test_a_held_module_rests_and_every_step_with_it_ends(physical) -> None:
+    """14 mm off along the approach: the pads hold it by their edge. With a contact solver that gave up early the wrist
+    alternated by 0.12 rad/s from tick to tick, and the lift was "not done within 4.7 s"."""
+    physical.subsystem.displace("MACS-OLD", [0.014, 0.0, 0.0])
+    assert physical.do("GRASP LEFT-END-EFF MACS-OLD HANDLE-B").succeeded
+
+    swing = []
+    executor = physical.subsystem.executors["LEFT-ARM"]
+    for _ in range(200):
+        physical.subsystem.sim.step()
+        executor.tick(0.0)
+        swing.append(max(map(abs, executor.sample.velocities)))
+    assert max(swing[100:]) < 0.005
+    assert executor.at_rest
+
+    for sentence in ("LIFT MACS-OLD BY 15 CM WITH LEFT-ARM", "VERIFY MACS-OLD AT LEFT-ARM"):
+        run = physical.do(sentence)
+        assert run.succeeded, [a.message for a in run.assessments]
+
+
+ARM = "RIGHT-ARM"
+
+
+def test_guarded_lines_onto_a_rigid_wall(physical) -> None:
+    """The satellite is 6 cm nearer than believed."""
+    physical.subsystem.displace("SATELLITE", [-0.06, 0.0, 0.0])
+    assert physical.do(f"MOVE {ARM} BY 15 CM ALONG DOWN").succeeded
+
+    # 3 cm/s: the first tick of the contact is beyond the 5 N of the sentence and the 40 N of the verb
+    run = physical.do(f"MOVE {ARM} BY 8 CM ALONG TOOL-Z MAINTAIN SPEED 3 CM/S UNLESS CONTACT THEN BACK-OFF BY 2 CM")
+    report, made = run.reports[-1], run.assessments[-1]
+    assert report.reason is StopReason.FORCE_LIMIT
+    assert report.measured > 40.0
+    assert geometry.distance(report.tcp_pose, report.trip_pose) == pytest.approx(0.02, abs=0.002)
+    assert made.message.endswith("backed off by 2.0 cm")
+
+    # a force without a speed is kept
+    run = physical.do(f"MOVE {ARM} BY 6 CM ALONG TOOL-Z UNLESS FORCE EXCEEDS 15 N THEN STOP")
+    report, made = run.reports[-1], run.assessments[-1]
+    assert report.reason is StopReason.FORCE_LIMIT
+    assert 15.0 < report.peak_force_n < 30.0  # a tick below the threshold, and one above it
+    assert "as asked: UNLESS FORCE EXCEEDS 15 N THEN STOP" in made.message
