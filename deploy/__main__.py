@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import signal
 import sys
 from pathlib import Path
 
@@ -20,7 +21,15 @@ WRONG = 2  # exit status for an option that cannot be, as argparse has it
 def main(arguments: list[str] | None = None) -> int:
     """0 = ready and, later, ended in order; 1 = it did not come up; 2 = it was not tried, for an option is wrong."""
     given = _parser().parse_args(arguments)
-    run_dir: Path = (given.run_dir or default_run_dir()).absolute()
+    try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # `rtc up` has blocked it until here
+        return _obey(given, (given.run_dir or default_run_dir()).absolute())
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+
+
+def _obey(given: argparse.Namespace, run_dir: Path) -> int:
     if given.what == "up":
         try:
             settings = settings_of(given, run_dir)
@@ -32,8 +41,6 @@ def main(arguments: list[str] | None = None) -> int:
     except RtcError as error:
         print(error, file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        return 130
 
 
 def settings_of(given: argparse.Namespace, run_dir: Path) -> Settings:

@@ -7,6 +7,16 @@ import sys
 
 import pytest
 
+from rtc.demos import faults
+
+
+def test_an_arm_is_judged_over_several_samples_however_quickly_the_broker_is_back():
+    """Telemetry comes every 20 ms; a broker may be back after 5."""
+    samples = [(0.02 * n, 0.3) for n in range(100)]
+    assert faults.judged_speed_rad_s(samples, struck_s=1.001, back_s=0.005) == 0.3
+    assert faults.judged_speed_rad_s([*samples, (1.1, 0.01)], struck_s=1.001, back_s=0.005) == 0.01
+    assert faults.judged_speed_rad_s([], struck_s=1.001, back_s=0.005) == 0.0
+
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from rtc.chaos import VICTIMS, Chaos, Strike
+from rtc.chaos import VICTIMS, Chaos, Strike, processes
 from rtc.cli.output import AsJson, RunDir, console, duration_s, emit_json, exits_with, seconds, table, trouble
 from rtc.settings import default_run_dir
 
@@ -40,10 +40,14 @@ def chaos(
         raise trouble(f"--kill is one of {', '.join(VICTIMS)}; not {kill}", 2)
     every_s, for_s = duration_s(every, "--every"), duration_s(for_, "--for")
     maker = Chaos(run_dir or default_run_dir(), random.Random(seed), stop)
+    processes(run_dir or default_run_dir())  # raises NoCluster before anything is announced
     begun_s = time.monotonic()
     word = "stopped" if stop else "killed"
     with exits_with(1):
-        console.print(f"{word} {kill} every {seconds(every_s)} for {seconds(for_s)}, seed {seed}; Ctrl-C ends it")
+        does = "stops" if stop else "kills"
+        console.print(
+            f"{does} a process ({kill}) every {seconds(every_s)} for {seconds(for_s)}, seed {seed}; Ctrl-C ends it"
+        )
         try:
             _run(maker, kill, word, begun_s, every_s, for_s)
         except KeyboardInterrupt:

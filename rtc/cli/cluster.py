@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 import sys
 import time
 from pathlib import Path
@@ -205,5 +206,6 @@ def check_speed(speed: str) -> None:
 def _deploy(arguments: list[str], run_dir: Path | None) -> None:
     """Become the supervisor's command line: same terminal, same Ctrl-C, same exit status."""
     sys.stdout.flush()
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # until it is ready to be interrupted
     where = str(run_dir if run_dir is not None else default_run_dir())
     os.execv(sys.executable, [sys.executable, "-P", "-m", "deploy", *arguments, "--run-dir", where])

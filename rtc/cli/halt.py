@@ -14,6 +14,7 @@ from rtc.client import Client
 from rtc.halting import HaltResult
 
 NOT_CONFIRMED = 3
+SETTLED_S, SETTLED = 0.05, " (but a hand still pressed, or a touch still gave way)"
 LATE_S = 0.2  # who hears of it so late may be the successor of one that was hung, and know of no motion
 
 
@@ -60,10 +61,11 @@ def _print(result: HaltResult, out: Console) -> None:
     else:
         nothing = f"nothing of {result.scope} moves: it has ended, or not begun"
         late = "nothing moves; whether something did when it was called is not known"
-        still = nothing if not result.reached else late if result.latency_s > LATE_S else "nothing was moving"
-        what = f"{', '.join(result.moving)} decelerating" if result.moving else f"{still}; it was heard"
-        line.append(f"{what} after {result.latency_s * 1e3:.2f} ms; ")
         rest = max((sub.rest_s for sub in result.subsystems if sub.rest_s is not None), default=None)
+        resting = "no joint was moving" + (SETTLED if (rest or 0.0) > SETTLED_S else "")
+        still = nothing if not result.reached else late if result.latency_s > LATE_S else resting
+        what = f"{', '.join(result.moving)} decelerating" if result.moving else f"{still}; the order arrived"
+        line.append(f"{what} after {result.latency_s * 1e3:.2f} ms; ")
         if result.confirmed and rest is not None:
             line.append(f"rest confirmed after {rest * 1e3:.0f} ms", style="bold green")
         else:

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import platform
 import sys
+from collections.abc import Callable
+from functools import wraps
 from importlib import import_module
 from importlib.metadata import version
 from typing import Annotated, Any
 
 import typer
 
+from rtc.cli.entry import begun
 from rtc.cli.outlet import Unheard, attach
 from rtc.cli.output import LEFT_RUNNING, NO_CLUSTER, errors, trouble
 from rtc.outcomes import KeyTrouble, NoCluster, RequestDeclined, RtcError
@@ -59,10 +62,25 @@ def build(names: list[str]) -> typer.Typer:
     for name in names:
         module: Any = import_module(f"rtc.cli.{COMMANDS[name]}")
         if hasattr(module, "app"):
+            module.app.callback()(begun)
             app.add_typer(module.app, name=name)
         else:
-            app.command(name)(getattr(module, name))
+            app.command(name)(_interruptible(getattr(module, name)))
     return app
+
+
+def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
+    """Ctrl-C in a command that has no use for it is one line. Typer would exit without a word."""
+
+    @wraps(command)
+    def called(*given: Any, **options: Any) -> None:
+        begun()
+        try:
+            command(*given, **options)
+        except KeyboardInterrupt:
+            raise trouble("interrupted", LEFT_RUNNING) from None
+
+    return called
 
 
 def _version(wanted: bool) -> None:
@@ -85,7 +103,7 @@ def as_option(words: list[str]) -> list[str]:
 
 
 def main() -> None:
-    """Entry point. Exit status: see `rtc do -h`; 4 = no cluster."""
+    """Run the command line. Exit status: see `rtc do -h`; 4 = no cluster."""
     attach()
     sys.argv[1:] = as_option(sys.argv[1:])
     try:
@@ -116,7 +134,7 @@ def _call() -> None:
     except UnicodeEncodeError as error:  # bytes that are no text, where a sentence would be refused at its place
         sys.exit(trouble(f"this is no text: {error.object!a}", 2).exit_code)
     except KeyboardInterrupt:
-        sys.exit(LEFT_RUNNING)
+        sys.exit(trouble("interrupted", LEFT_RUNNING).exit_code)
 
 
 if __name__ == "__main__":

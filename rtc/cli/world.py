@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Iterable
-from typing import Annotated, Any
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from typing import Annotated, Any, NoReturn
 
 import msgspec
 import typer
@@ -12,7 +14,8 @@ from rich.text import Text
 
 from rtc.cli.output import AsJson, RunDir, With, console, emit_json, seconds, table, trouble
 from rtc.client import Client
-from rtc.messages import Fact, Validity
+from rtc.messages import Fact, Validity, View
+from rtc.scene import centimetres, degrees
 from rtc.world.client import WorldClient
 from rtc.world.spread import in_words
 
@@ -69,12 +72,17 @@ def watch(
         if key and not seen.facts:
             raise _unknown(key, rtc.world)
         _show(seen.facts, False, seen.version)
-        while True:
-            time.sleep(every)
-            news = rtc.world.view(since=seen.version, keys=keys)
-            for fact in sorted(news.facts, key=lambda fact: fact.version):
-                console.print(Text(f"{fact.version:>6}  {fact.key}  {stated(fact)}  {fact.validity}  {fact.source}"))
-            seen = news
+        with suppress(KeyboardInterrupt):
+            _follow(rtc, seen, keys, every)
+
+
+def _follow(rtc: Client, seen: View, keys: list[str] | None, every_s: float) -> NoReturn:
+    while True:
+        time.sleep(every_s)
+        news = rtc.world.view(since=seen.version, keys=keys)
+        for fact in sorted(news.facts, key=lambda fact: fact.version):
+            console.print(Text(f"{fact.version:>6}  {fact.key}  {stated(fact)}  {fact.validity}  {fact.source}"))
+        seen = news
 
 
 @app.command()
@@ -142,7 +150,33 @@ def shown(value: Any) -> str:
 def stated(fact: Fact) -> str:
     """The value, and for a pose how well it is known."""
     words = in_words(fact.spread)
-    return f"{shown(fact.value)} +- {words}" if words else shown(fact.value)
+    value = UNITS.get(fact.key.rpartition(".")[2], shown)(fact.value)
+    return f"{value} +- {words}" if words else value
+
+
+def _pose(value: Any) -> str:
+    return f"{centimetres(value)} cm, {degrees(value)} deg" if isinstance(value, list | tuple) else shown(value)
+
+
+def _joints(value: Any) -> str:
+    if not isinstance(value, list | tuple):
+        return shown(value)
+    return " ".join(f"{round(math.degrees(n), 2) + 0.0:g}" for n in value) + " deg"
+
+
+def _width(value: Any) -> str:
+    return f"{round(100 * value, 2) + 0.0:g} cm" if isinstance(value, float | int) else shown(value)
+
+
+#: attribute -> its value for people; JSON has m, rad and quaternions
+UNITS: dict[str, Callable[[Any], str]] = {
+    "frame": _pose,
+    "grasp": _pose,
+    "joints": _joints,
+    "hand_width": _width,
+    "mass": lambda value: f"{shown(value)} kg",
+}
+VALUE = "value (x y z cm, roll pitch yaw deg)"
 
 
 def _show(facts: Iterable[Fact], json: bool, version: int | None, *, by_key: bool = True) -> None:
@@ -156,7 +190,7 @@ def _show(facts: Iterable[Fact], json: bool, version: int | None, *, by_key: boo
 
 
 def print_facts(facts: Iterable[Fact]) -> None:
-    out = table("fact", "value", "validity", "version>", "source", "age>")
+    out = table("fact", VALUE, "validity", "version>", "source", "age>")
     now_s = time.monotonic()
     for fact in facts:
         validity = Text(fact.validity.value, style=COLOUR.get(fact.validity, ""))

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -43,6 +43,8 @@ BROKER_S = 1.0
 MCM_S = 3.0
 HALT_S = 0.05  # from the call to the first decelerating tick, all cores busy
 MOVING_RAD_S = 0.05
+AT_SPEED_RAD_S = 0.2  # well past the beginning of a motion, and far from its end
+JUDGED_S = 0.25  # how long an arm is looked at, at least: a broker may be back before the next sample of telemetry
 TRIES = 4  # of each, to catch a worker in the milliseconds of a bind
 
 
@@ -123,7 +125,7 @@ class _Faults:
             self.story.line(f"broker (pid {strike.pid}) killed while {command} moves {arm}")
             end = self.rtc.wait(command, COMMAND_S)
         self._check_back(strike, BROKER_S)
-        slowest = speeds.slowest_rad_s(strike.at_s, strike.at_s + (strike.back_s or 0.0))
+        slowest = judged_speed_rad_s(speeds.samples, strike.at_s, strike.back_s or 0.0)
         self.story.check(f"the arm went on meanwhile, at {slowest:.2f} rad/s or more", slowest > MOVING_RAD_S)
         self.story.check(f"the result arrived all the same: {end.command} {end.outcome.kind.value}",
                          end.outcome.kind is OutcomeKind.SUCCEEDED)  # fmt: skip
@@ -222,7 +224,7 @@ class _Speeds:
 
     def __init__(self, rtc: Client, arm: str) -> None:
         self._client = Client(rtc.run_dir, need_broker=False)
-        self._arm, self._samples = arm, list[tuple[float, float]]()
+        self._arm, self.samples = arm, list[tuple[float, float]]()  # (when, rad/s)
         self._moves, self._over = threading.Event(), False
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
@@ -230,8 +232,8 @@ class _Speeds:
     def _listen(self) -> None:
         for sample in self._client.telemetry():
             speed = max(map(abs, sample.arms[self._arm].velocities))
-            self._samples.append((sample.at_s, speed))
-            if speed > MOVING_RAD_S:
+            self.samples.append((sample.at_s, speed))
+            if speed > AT_SPEED_RAD_S:
                 self._moves.set()
             if self._over:
                 break
@@ -239,13 +241,17 @@ class _Speeds:
     def await_motion(self) -> None:
         self._moves.wait(COMMAND_S)
 
-    def slowest_rad_s(self, since_s: float, until_s: float) -> float:
-        return min((speed for at_s, speed in self._samples if since_s <= at_s <= until_s), default=0.0)
-
     def close(self) -> None:
         self._over = True
         self._thread.join(2.0)
         self._client.close()
+
+
+def judged_speed_rad_s(samples: Iterable[tuple[float, float]], struck_s: float, back_s: float) -> float:
+    """The lowest speed of the samples (when, rad/s) from a strike until the process was back, and at least for a
+    quarter of a second; 0 when there is none."""
+    until_s = struck_s + max(back_s, JUDGED_S)
+    return min((speed for at_s, speed in samples if struck_s <= at_s <= until_s), default=0.0)
 
 
 @contextmanager

@@ -41,6 +41,15 @@ def test_a_wrong_word_is_2_in_a_sentence(
     assert said in " ".join(capsys.readouterr().err.split())
 
 
+def test_chaos_without_a_cluster_announces_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert status_of(["chaos", "--run-dir", str(tmp_path)], monkeypatch) == 4
+    heard = capsys.readouterr()
+    assert heard.out == ""
+    assert "no cluster is running" in " ".join(heard.err.split())
+
+
 def test_a_status_that_no_broker_gives_the_supervisor_gives(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,0 +1,32 @@
+"""The entry point of `rtc`. Importing the rest takes a moment; Ctrl-C meanwhile is one line, not a traceback."""
+
+from __future__ import annotations
+
+import os
+import signal
+from importlib import import_module
+from typing import NoReturn
+
+INTERRUPTED = 130  # exit status, as shells have it
+
+
+def main() -> None:
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as it is for `rtc do ... &` in a script
+        signal.signal(signal.SIGINT, leave)
+    import_module("rtc.cli.main").main()
+
+
+def leave(*_: object) -> NoReturn:
+    """SIGINT until a command begins."""
+    os.write(2, b"rtc: interrupted\n")
+    os._exit(INTERRUPTED)  # nothing has begun that would have to be ended
+
+
+def begun() -> None:
+    """A command begins: from here on SIGINT is a KeyboardInterrupt."""
+    if signal.getsignal(signal.SIGINT) is leave:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+if __name__ == "__main__":
+    main()
