@@ -28,7 +28,13 @@ from rtc.settings import ENDPOINTS, Settings
 #: door -> what it takes (but for Shutdown, which is no attack: whoever may say it means it); nobody is listened to on
 #: the last two
 DOORS: dict[str, Any] = {
-    "front": m.ClientHello | m.CommandText | m.StatusQuery | m.TraceQuery | m.ProgramText | m.Heartbeat,
+    "front": m.ClientHello
+    | m.CommandText
+    | m.StatusQuery
+    | m.TraceQuery
+    | m.ProgramQuery
+    | m.ProgramText
+    | m.Heartbeat,
     "halt": m.ToHalt,
     "workers": m.WorkerToBroker,
     "subsystems": m.SubsystemToBroker,

@@ -48,6 +48,7 @@ LIVE_PER_CLIENT = 2_000  # of one client, so that no one client can take the pla
 MAX_TEXT = 4_000  # characters kept of a sentence (the parser refuses shorter ones, with the place)
 MAX_SUBSYSTEMS = 32  # known by name, lost ones too
 HALTS_KEPT = 64
+PROVEN_KEPT = 16  # programs of a kind
 CLIENTS_KEPT = 1024  # whose latest command is known, for AFTER LAST
 
 ACTIONS: dict[str, Callable[[Turn, Command, Any], None]] = {
@@ -231,6 +232,7 @@ def on_job_finished(turn: Turn, event: JobFinished) -> None:
     command.job = None
     if (trial := turn.state.trials.get(job.kind)) and trial.new == job.program:
         del turn.state.trials[job.kind]
+        _prove(turn.state, job.kind, job.program)
     try:
         stimulate(turn, command, Stimulus.PRODUCT, event.product)
     except WireError as error:
@@ -295,10 +297,20 @@ def on_program(turn: Turn, event: ProgramInstalled) -> None:
     if event.kind and kind in programs and programs[kind] != event.digest:
         untried = turn.state.trials.pop(kind, None)  # it is no program to go back to
         old = untried.old if untried else programs[kind]
-        if event.digest != old:
+        _prove(turn.state, kind, old)
+        if event.digest not in turn.state.proven[kind]:
             turn.state.trials[kind] = Trial(new=event.digest, old=old)
     turn.state.rolled_back.pop(kind, None)
     programs[kind] = event.digest
+
+
+def _prove(state: State, kind: str, digest: str) -> None:
+    """This program works: loaded again after another one, it needs no trial, and is one to go back to."""
+    proven = state.proven.setdefault(kind, [])
+    if digest in proven:
+        proven.remove(digest)
+    proven.append(digest)
+    del proven[:-PROVEN_KEPT]
 
 
 # --- subsystems --------------------------------------------------------------------------------------

@@ -36,12 +36,15 @@ class ProgramStore:
         return self._bodies.get(digest)
 
     def load(self, current: str, text: ProgramText) -> Loaded | Refusal:
-        """Put a file into the program of a kind (LOAD); or why it does not check."""
+        """Put a file into the program of a kind (LOAD), or take all back; or why it does not check."""
         from rtc import program  # brings lark, yaml and numpy; a restart, which should be quick, does without
 
         try:
             others = {kind: self._bodies[self._in_use[kind]] for kind in WorkerKind if kind in self._in_use}
-            merged = program.merge(text.kind, self._bodies[current], text.name, text.body, others)
+            if text.reset:
+                merged = program.original(text.kind, others)
+            else:
+                merged = program.merge(text.kind, self._bodies[current], text.name, text.body, others)
             return Loaded(self.keep(merged), program.changes(text.kind, self._bodies[current], merged))
         except ProgramError as error:
             return Refusal(reason=RefusalReason.PROGRAM, message=str(error), where=text.name)

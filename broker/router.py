@@ -393,6 +393,10 @@ class Router:
                 self._answer(peer, m.StatusReply(request=message.request, status=status(self)))
             case m.TraceQuery():
                 self._answer(peer, self._trace(message))
+            case m.ProgramQuery():
+                digest = self.state.programs.get(message.kind, "")
+                body = self.store.body(digest) or b""
+                self._answer(peer, m.ProgramReply(request=message.request, kind=message.kind, digest=digest, body=body))
             case m.ProgramText():
                 self._answer(peer, self._load(message, now))
             case m.Shutdown():
@@ -650,7 +654,7 @@ def _peer(name: str) -> bytes:
 
 
 _read_ended = wire.decoder(m.CommandEnded)
-_QUESTIONS = (m.StatusQuery, m.TraceQuery, m.ProgramText)
+_QUESTIONS = (m.StatusQuery, m.TraceQuery, m.ProgramQuery, m.ProgramText)
 _MEANT_FOR_ONE = (m.CommandText, m.ProgramText)
 #: socket -> how its messages are read, and who takes them
 _DOORS: dict[str, tuple[Callable[[Any], Any], Callable[[Router, bytes, Any, float], None]]] = {

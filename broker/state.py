@@ -213,6 +213,7 @@ class State(msgspec.Struct, kw_only=True):
     programs: dict[str, str] = {}  # kind (or "cell") -> digest
     untold: dict[str, Untold] = {}  # command that has ended -> what the world has not been told of it
     trials: dict[str, Trial] = {}
+    proven: dict[str, list[str]] = {}  # kind -> programs that have done a job well, the latest last
     rolled_back: dict[str, str] = {}  # kind -> why its newest program was taken back, until the next one is loaded
     halted_at_s: dict[str, float] = {}  # scope of a halt -> when: what was sent before it does not start
     halts: dict[str, float] = {}  # halt id -> when, the last few: a halt told twice is one

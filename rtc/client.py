@@ -266,6 +266,18 @@ class Client:
         )
         return self._query(message, m.ProgramLoaded)
 
+    def reset(self, kind: str) -> m.ProgramLoaded:
+        """Put the default program of a kind back. Raises RequestDeclined when it does not fit the other programs."""
+        message = m.ProgramText(
+            request=self._next_request(), kind=m.WorkerKind(kind.lower()), name="default", body=b"", reset=True
+        )
+        return self._query(message, m.ProgramLoaded)
+
+    def program(self, kind: str) -> m.ProgramReply:
+        """The program of a kind of worker as it is now."""
+        query = m.ProgramQuery(request=self._next_request(), kind=m.WorkerKind(kind.lower()))
+        return self._query(query, m.ProgramReply)
+
     def events(self, silence_s: float | None = None) -> Iterator[m.ProgressNote | m.CommandEnded]:
         """All that happens to all commands from now on, whoever submitted them. Disturbs nobody.
 
@@ -359,7 +371,7 @@ class Client:
                 self._answers[request] = message
             case m.Declined(request=request, refusal=refusal):
                 self._keep_outcome(request, _never_taken(request, refusal))
-            case m.StatusReply() | m.TraceReply() | m.ProgramLoaded():
+            case m.StatusReply() | m.TraceReply() | m.ProgramLoaded() | m.ProgramReply():
                 if message.request in self._queries:
                     self._answers[message.request] = message
 

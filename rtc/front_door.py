@@ -31,7 +31,7 @@ LOOK_S = 0.2  # whether the supervisor still lives
 FAR_IDLE_S = 60.0  # a gate forgets who has said nothing for long: then we say hello again
 LAST_WORDS_MS = 200  # how long a sentence may take to leave us when we close
 SILENCE_S = 2.0  # nothing heard for so long: ask whether anybody is there
-LAST_ANSWERS = (m.Declined, m.CommandEnded, m.StatusReply, m.TraceReply, m.ProgramLoaded)
+LAST_ANSWERS = (m.Declined, m.CommandEnded, m.StatusReply, m.TraceReply, m.ProgramLoaded, m.ProgramReply)
 ACTS = (m.CommandText, m.ProgramText)  # never for another cluster than the one it was said to
 
 FAILED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL

@@ -65,7 +65,15 @@ class ProgramText(Message, frozen=True, kw_only=True):
     kind: WorkerKind
     name: Name  # of the file, for messages
     body: Annotated[bytes, msgspec.Meta(max_length=PROGRAM_BYTES)]  # YAML
+    reset: bool = False  # back to the default program of this kind instead; `body` is not read
     cluster: Name = ""  # as of a CommandText
+
+
+class ProgramQuery(Message, frozen=True, kw_only=True):
+    """Which program a kind of worker has. Answered with ProgramReply."""
+
+    request: Name
+    kind: WorkerKind
 
 
 class ClientHello(Message, frozen=True, kw_only=True):
@@ -170,6 +178,13 @@ class ProgramLoaded(Message, frozen=True, kw_only=True):
     kind: WorkerKind
     digest: str  # of the whole program
     changes: list[str] = []  # in words, one item of the program each; none: it was so before
+
+
+class ProgramReply(Message, frozen=True, kw_only=True):
+    request: str
+    kind: WorkerKind
+    digest: str
+    body: bytes  # the whole program in its canonical form: JSON; for the parser a grammar
 
 
 # --- 2. broker <-> workers ----------------------------------------------------------------------------
@@ -731,8 +746,20 @@ class SimDone(Message, frozen=True, kw_only=True):
 
 # --- who may say what: one union per socket and direction ----------------------------------------------
 
-ClientToBroker = ClientHello | CommandText | StatusQuery | TraceQuery | ProgramText | Shutdown | Heartbeat
-BrokerToClient = Welcome | Accepted | Declined | ProgressNote | CommandEnded | StatusReply | TraceReply | ProgramLoaded
+ClientToBroker = (
+    ClientHello | CommandText | StatusQuery | TraceQuery | ProgramQuery | ProgramText | Shutdown | Heartbeat
+)
+BrokerToClient = (
+    Welcome
+    | Accepted
+    | Declined
+    | ProgressNote
+    | CommandEnded
+    | StatusReply
+    | TraceReply
+    | ProgramReply
+    | ProgramLoaded
+)
 WorkerToBroker = WorkerHello | Heartbeat | ResultBatch | ProgramWanted | WorkerGone
 BrokerToWorker = JobBatch | Drop | ProgramBody | Shutdown
 SubsystemToBroker = (

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import msgspec
 import yaml
 
-from rtc import expressions, registered
+from rtc import expressions, program_checks, registered
 from rtc.language.grammar import Grammar
 from rtc.messages import Limits, WorkerKind
 from rtc.outcomes import ProgramError, StopReason
@@ -81,12 +81,22 @@ def merge(
         merged = _canonical(kind, document, name)
         _fits({**(others or {}), kind: merged}, kind, document, name)
     except ProgramError as error:
-        path = _in_file(path_of(str(error)), document, news)
-        if not path or text.startswith(b"{"):
+        unknown = re.search(r"unknown field `(.*?)`", str(error))
+        path = _in_file([*path_of(str(error)), *unknown.groups()] if unknown else path_of(str(error)), document, news)
+        if path is None or text.startswith(b"{"):
             raise
         complaint = str(error).removeprefix(f"{name}: ")
         raise ProgramError(f"{name}, line {line_of(text, path)}: {complaint}") from error
     return merged
+
+
+def original(kind: WorkerKind | str, others: Mapping[WorkerKind, bytes]) -> bytes:
+    """The default program of a kind again; complains when it does not fit the `others` that are in use."""
+    kind, body = WorkerKind(kind), default(kind)
+    if kind is not WorkerKind.PARSER:
+        name = f"the default {kind} program"
+        _fits({**others, kind: body}, kind, _read(body, name), name)
+    return body
 
 
 def changes(kind: WorkerKind | str, before: bytes, after: bytes) -> list[str]:
@@ -97,6 +107,7 @@ def changes(kind: WorkerKind | str, before: bytes, after: bytes) -> list[str]:
     old, new = _items(_read(before, "the program in use")), _items(_read(after, "the new program"))
     told = [f"{name} is {'changed' if name in old else 'new'}" for name, item in new.items() if old.get(name) != item]
     chosen = {row["script"] for name, row in new.items() if name.startswith("decision_tree:")}
+    told += [f"{name} is taken away" for name in old if name not in new]
     for name, item in new.items():
         if name.startswith("scripts:") and item["script"] not in chosen and old.get(name) != item:
             row = f"decision_tree: [{{verb: VERB, script: {item['script']}}}]"
@@ -230,17 +241,17 @@ def _grammar(text: bytes, source: str) -> bytes:
     return text
 
 
-def _in_file(path: list[str | int], whole: dict[str, Any], news: dict[str, Any]) -> list[str | int]:
-    """A place in the whole program as one in the file that was put into it; empty when it is not from there."""
+def _in_file(path: list[str | int], whole: dict[str, Any], news: dict[str, Any]) -> list[str | int] | None:
+    """A place in the whole program as one in the file that was put into it; None when it is not from there."""
     section, *rest = path or [""]
     if section not in IDENTITY or not rest:
-        return path if section in news else []
+        return path if section in news else None
     item = whole[section][rest[0]]
     single = next((field for field, of in ITEMS.items() if of == section and isinstance(news.get(field), str)), "")
     if single:
-        return rest[1:] if item.get(single) == news[single] else []
+        return rest[1:] if item.get(single) == news[single] else None
     mine = news.get(section, [])
-    return next(([section, n, *rest[1:]] for n, one in enumerate(mine) if one is item), [])
+    return next(([section, n, *rest[1:]] for n, one in enumerate(mine) if one is item), None)
 
 
 # --- checking what types alone cannot see ----------------------------------------------------------------
@@ -267,6 +278,10 @@ def _owner(document: dict[str, Any], place: str) -> str:
 
 def _fits(programs: Mapping[WorkerKind, bytes], kind: WorkerKind, document: dict[str, Any], source: str) -> None:
     """Raises ProgramError unless those of the three that are there fit together."""
+    if kind is WorkerKind.ELABORATOR and (grammar := programs.get(WorkerKind.PARSER)) is not None:
+        typed = msgspec.json.decode(programs[kind], type=ElaboratorProgram)
+        for place, problem in program_checks.unknown_verbs(typed, grammar.decode()):
+            raise ProgramError(f"{source}: $.{place}: {problem}")
     if not programs.keys() >= SCHEMAS.keys():
         return
     elaborator = msgspec.json.decode(programs[WorkerKind.ELABORATOR], type=ElaboratorProgram)
@@ -294,6 +309,7 @@ def _elaborator_problems(program: ElaboratorProgram) -> Problems:
     for attribute, skill in program.senses.items():
         yield from _known("piece", skill, pieces, f"senses.{attribute}")
     yield from _figure_problems(program)
+    yield from program_checks.problems(program)
     for n, script in enumerate(program.scripts):
         yield from _script_problems(script, f"scripts[{n}]")
     for n, piece in enumerate(program.pieces):
@@ -416,7 +432,8 @@ def _values(values: dict[str, str | float], place: str) -> Problems:
 def _expression(text: str | float | None, place: str) -> Problems:
     if text is not None:
         try:
-            expressions.names(text)
+            if problem := program_checks.valueless(str(text)):
+                yield place, problem
         except expressions.ExpressionError as error:
             yield place, str(error)
 

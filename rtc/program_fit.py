@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
+from rtc.cell import Numbers
 from rtc.program_schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, ScriptStep
-from rtc.registered import unknown
+from rtc.registered import ARGS, unknown
 
 Problems = Iterator[tuple[str, str]]  # place, what is wrong there
 
@@ -39,11 +40,21 @@ def misfits(elaborator: ElaboratorProgram, binder: BinderProgram, analyzer: Anal
             yield from _step(step, f"{item}.steps[{n}]", binder, analyzer)
 
 
+def _figures(binder: BinderProgram) -> set[str]:
+    """What a step's args may set: what the binder's code reads, and every value of its program and of the cell."""
+    classes = (name for row in binder.stop_classes.values() for name in row.values)
+    return {*ARGS, *Numbers.__struct_fields__, *binder.values, *classes}
+
+
 def _step(step: ScriptStep, place: str, binder: BinderProgram, analyzer: AnalyzerProgram) -> Problems:
     if step.do not in binder.actions:
         yield f"{place}.do", unknown("action of the binder", step.do, binder.actions)
         return
     algorithm = binder.actions[step.do]
+    known = _figures(binder)
+    for name in step.args:
+        if name not in known:
+            yield f"{place}.args.{name}", unknown("figure of a step", name, known)
     if (step.stop or algorithm in ("motion", "still")) and step.stop not in binder.stop_classes:
         yield f"{place}.stop", unknown("stop class", step.stop or "(none)", binder.stop_classes)
     if (step.op or algorithm == "hand") and step.op not in binder.hand:

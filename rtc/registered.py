@@ -25,6 +25,20 @@ FIGURES = (
     *("opening_m", "hand_width_m", "grasp_width_m", "mass_kg", "duration_s"),
     *(f"{said}_{unit}" for said in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),
 )
+#: what stands for somebody in the resources of a script
+ROLES = ("active_arm", "active_object", "target")
+#: what may stand in braces in the words of a script; the last two in those of SET
+PLACEHOLDERS = (
+    *("arm", "object", "point", "target", "destination", "axis", "out", "amount", "time"),
+    *("attribute", "value"),
+)
+#: words of a step that act
+WORDS = ("axis", "effect", "seat")
+#: figures of a step that are no value of the binder's program
+ARGS = (
+    *("by_m", "by_rad", "width_m", "least_m", "most_m", "grip_n", "duration_s", "within_m"),
+    *("speed_m_s", "force_n", "contact_n", "torque_nm"),
+)
 #: who performs steps
 PERFORMERS = ("active_arm",)
 #: binder: how a step becomes a primitive

@@ -25,7 +25,7 @@ class Role(StrEnum):
 
 
 Kinds = tuple[type[m.Message], ...]
-LOOK: Kinds = (m.ClientHello, m.StatusQuery, m.TraceQuery)
+LOOK: Kinds = (m.ClientHello, m.StatusQuery, m.TraceQuery, m.ProgramQuery)
 PLAN: Kinds = (*LOOK, m.CommandText, m.Heartbeat)
 OPERATE: Kinds = (*PLAN, m.ProgramText, m.Shutdown)
 READ: Kinds = (m.ReadView, m.WorldHistory)

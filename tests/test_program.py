@@ -8,9 +8,11 @@ import pytest
 
 from rtc import expressions, geometry, program
 from rtc.digest import digest
+from rtc.language import dictionary
 from rtc.messages import WorkerKind
 from rtc.outcomes import ProgramError, StopReason
 from rtc.program import decode
+from rtc.program_checks import valueless, verbs
 from rtc.program_outcomes import outcomes
 from rtc.program_schema import AnalyzerProgram, BinderProgram, ElaboratorProgram
 
@@ -351,3 +353,64 @@ def test_a_file_of_the_wrong_shape_is_told_what_is_expected(kind, text, complain
 
     assert "byte string" not in str(caught.value)
     assert "NoneType" not in str(caught.value)
+
+
+# --- what can never work ------------------------------------------------------------------------------------
+
+HOLD = "do: hold, stop: hold, label: stay, args: {duration_s: 1}"
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (
+            "decision_tree:\n- {verb: CARY, script: stow}",
+            r"line 2: \$.decision_tree.*no verb of the language CARY",
+        ),
+        ("command_object_table:\n- {verb: CARY, values: {}}", "line 2: .*no verb of the language CARY"),
+        (
+            f"script: s\ncase: 1\nresources: [active_leg]\nsteps: [{{{HOLD}}}]",
+            "line 3: .*no resource active_leg",
+        ),
+        (f"script: s\ncase: 1\nuses: [hnad]\nsteps: [{{{HOLD}}}]", "line 3: .*no field of a sentence hnad"),
+        (
+            "script: s\ncase: 1\nsteps:\n- {do: hold, stop: hold, label: x, args: {by_furlong: 3, duration_s: 1}}",
+            "line 4: .*no figure of a step by_furlong; there are .*duration_s",
+        ),
+        (
+            "script: s\ncase: 1\nsteps:\n- {do: hold, stop: hold, label: 'hold {objekt}', args: {duration_s: 1}}",
+            "line 4: .*no placeholder objekt; there are .*object",
+        ),
+        (
+            "script: s\ncase: 1\nsteps:\n- {do: hold, stop: hold, label: x, words: {efect: taken}}",
+            "line 4: .*no word that acts efect",
+        ),
+        (
+            "script: s\ncase: 1\nsteps:\n- {do: hold, stop: hold, label: x, args: {duration_s: 1/0}}",
+            "line 4: .*'1/0' has no value: division by zero",
+        ),
+        (
+            "script: s\ncase: 1\nsteps:\n- {do: hold, stop: hold, label: x, args: {duration_s: 1/(mass_kg - mass_kg)}}",
+            "line 4: .*has no value: division by zero",
+        ),
+        (f"script: s\ncasee: 1\ncase: 1\nsteps: [{{{HOLD}}}]", "t.yaml, line 2: .*unknown field `casee`"),
+        (
+            "decision_tree:\n- {verb: STOW, script: stow, when: [{gven: hand}]}",
+            "line 2: .*unknown field `gven`",
+        ),
+    ],
+)
+def test_what_can_never_work_is_refused_when_it_is_loaded(text, complaint):
+    programs = {kind: program.default(kind) for kind in WorkerKind}
+
+    with pytest.raises(ProgramError, match=complaint):
+        program.merge("elaborator", programs[WorkerKind.ELABORATOR], "t.yaml", text.encode(), programs)
+
+
+def test_an_expression_that_may_have_a_value_is_none_that_never_has():
+    assert valueless("1/(amount_m - by_m)") == ""
+    assert valueless("0.5*(GP1 + GP2)") == ""
+
+
+def test_the_verbs_of_a_grammar_are_those_that_sentences_begin_with():
+    assert verbs(program.default("parser").decode()) == {*dictionary.verbs()} - {"TEST"}

@@ -8,56 +8,143 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from rtc.cli.output import AsJson, RunDir, With, console, emit_json, table, trouble
+from rtc.cli.output import AsJson, RunDir, With, console, emit_json, errors, table, trouble
 from rtc.client import Client
-from rtc.messages import WorkerKind
-from rtc.outcomes import ProgramError
-from rtc.program import default
+from rtc.messages import ProgramLoaded, WorkerKind
+from rtc.outcomes import NoCluster, ProgramError
+from rtc.program import changes, default, merge
 from rtc.program_outcomes import outcomes as rows_of
 
 KINDS = ", ".join(kind.value for kind in WorkerKind)
+DEFAULTS = "the default programs (no cluster runs)"
+USAGE = f"say: rtc load FILE INTO KIND, where KIND is one of {KINDS}"
 
 
 def load(
-    file: Annotated[Path, typer.Argument(help="A program file (YAML; for the parser a grammar).")],
-    into: Annotated[str, typer.Argument(help="The word INTO.", metavar="INTO")],
-    kind: Annotated[str, typer.Argument(help=f"A kind of worker: {KINDS}.")],
+    file: Annotated[Path | None, typer.Argument(help="A program file (YAML; for the parser a grammar).")] = None,
+    into: Annotated[str, typer.Argument(help="The word INTO.", metavar="INTO")] = "",
+    kind: Annotated[str, typer.Argument(help=f"A kind of worker: {KINDS}.")] = "",
+    check: Annotated[bool, typer.Option("--check", help="Check the file; change nothing. Needs no cluster.")] = False,
+    show: Annotated[bool, typer.Option("--list", help="List what differs from the default programs.")] = False,
+    reset: Annotated[str, typer.Option("--reset", metavar="KIND", help="Back to the default program.")] = "",
     json: AsJson = False,
     run_dir: RunDir = None,
     key: With = None,
 ) -> None:
     """Change a program while the cluster runs; motions are not touched, and a program that fails is rolled back.
 
+    --check tells what is wrong with the file, or what it would change, against the programs of the running cluster;
+    when none runs, against the default ones. Exit status: 0 it may be loaded, 2 it may not.
+
     Example:  rtc load my-grasp.yaml INTO elaborator
+    Example:  rtc load my-grasp.yaml INTO elaborator --check
+    Example:  rtc load --reset elaborator
     """
-    if into.upper() != "INTO":
-        raise trouble(f"say: rtc load {file} INTO KIND, where KIND is one of {KINDS}", 2)
-    if kind.lower() not in list(WorkerKind):
-        raise trouble(f"{kind} is no kind of worker; one of {KINDS} is", 2)
+    if show:
+        _list(json, run_dir, key)
+    elif reset:
+        with Client(run_dir, key=key) as rtc:
+            _loaded(rtc.reset(_kind(reset)), "the default program", json)
+    elif file is None or into.upper() != "INTO":
+        raise trouble(USAGE, 2)
+    elif check:
+        _check(_readable(file), _kind(kind), json, run_dir, key)
+    else:
+        wanted, path = _kind(kind), _readable(file)
+        with Client(run_dir, key=key) as rtc:
+            _loaded(rtc.load(wanted, path), path.name, json)
+
+
+def _kind(word: str) -> WorkerKind:
+    if word.lower() not in list(WorkerKind):
+        raise trouble(f"{word or 'nothing'} is not a kind of worker; one of {KINDS} is", 2)
+    return WorkerKind(word.lower())
+
+
+def _readable(file: Path) -> Path:
+    if file.is_dir():
+        raise trouble(f"{file} is a directory; name a file", 2)
     if not file.is_file():
         raise trouble(f"there is no file {file}", 2)
-    with Client(run_dir, key=key) as rtc:
-        loaded = rtc.load(kind, file)
+    return file
+
+
+def _loaded(loaded: ProgramLoaded, name: str, json: bool) -> None:
     if json:
-        told = {"kind": loaded.kind.value, "digest": loaded.digest, "file": file.name, "changes": loaded.changes}
+        told = {"kind": loaded.kind.value, "digest": loaded.digest, "file": name, "changes": loaded.changes}
         emit_json(told)
         return
-    console.print(Text(f"{file.name} is in the {loaded.kind.value}s' program, which is now {loaded.digest}"))
+    console.print(Text(f"{name} is in the {loaded.kind.value}s' program, which is now {loaded.digest}"))
     for change in loaded.changes or ["nothing has changed: all of it was there"]:
         console.print(Text(f"  {change}"))
 
 
+def _programs(run_dir: Path | None, key: Path | None) -> tuple[dict[WorkerKind, bytes], str]:
+    """The programs in use, and whose they are; without a cluster the default ones."""
+    try:
+        with Client(run_dir, key=key) as rtc:
+            return {kind: rtc.program(kind).body for kind in WorkerKind}, f"the cluster in {rtc.where}"
+    except NoCluster:
+        if run_dir is not None or key is not None:
+            raise
+        return {kind: default(kind) for kind in WorkerKind}, DEFAULTS
+
+
+def _check(file: Path, kind: WorkerKind, json: bool, run_dir: Path | None, key: Path | None) -> None:
+    programs, whose = _programs(run_dir, key)
+    try:
+        merged = merge(kind, programs[kind], file.name, file.read_bytes(), programs)
+    except ProgramError as error:
+        raise trouble(str(error), 2, file=file.name, against=whose) from None
+    would = changes(kind, programs[kind], merged)
+    if json:
+        emit_json({"kind": kind.value, "file": file.name, "against": whose, "changes": would})
+        return
+    console.print(Text(f"{file.name} may be loaded into the {kind.value}s' program of {whose}"))
+    for change in would or ["nothing would change: all of it is there"]:
+        console.print(Text(f"  {change}"))
+
+
+def _list(json: bool, run_dir: Path | None, key: Path | None) -> None:
+    """What has been loaded, kind by kind, as differences from the default programs."""
+    with Client(run_dir, key=key) as rtc:
+        found = {kind: rtc.program(kind) for kind in WorkerKind}
+        rolled_back = rtc.status()["rolled_back"]
+    told = {kind: changes(kind, default(kind), reply.body) for kind, reply in found.items()}
+    if json:
+        rows = {kind: {"digest": found[kind].digest, "changes": told[kind]} for kind in found}
+        emit_json({"programs": rows, "rolled_back": rolled_back})
+        return
+    for kind, reply in found.items():
+        console.print(Text(f"{kind.value:<11} {reply.digest}  {'' if told[kind] else 'the default program'}".rstrip()))
+        for change in told[kind]:
+            console.print(Text(f"  {change}"))
+        if why := rolled_back.get(kind.value):
+            errors.print(Text(f"  {why}", style="yellow"))
+    if any(told.values()):
+        console.print(Text("rtc load --reset KIND takes it away again", style="dim"))
+
+
 def outcomes(
-    script: Annotated[str, typer.Argument(help="A script: grasp-centering.")],
+    script: Annotated[str, typer.Argument(help="A script, or a verb: grasp-centering.")],
+    file: Annotated[Path | None, typer.Option("--file", help="A script file of yours, as if it were loaded.")] = None,
     json: AsJson = False,
+    run_dir: RunDir = None,
+    key: With = None,
 ) -> None:
-    """Every way that every step of a script can end, and what follows. No cluster needed: the programs as they come.
+    """Every way that every step of a script can end, and what follows.
+
+    By the programs of the running cluster; when none runs, by the default ones.
 
     Example:  rtc outcomes grasp-centering
+    Example:  rtc outcomes carry --file carry.yaml
     """
-    programs = default(WorkerKind.ELABORATOR), default(WorkerKind.BINDER), default(WorkerKind.ANALYZER)
+    programs, _ = _programs(run_dir, key)
+    elaborator = programs[WorkerKind.ELABORATOR]
     try:
-        rows = rows_of(*programs, script.lower())
+        if file is not None:
+            elaborator = merge(WorkerKind.ELABORATOR, elaborator, file.name, _readable(file).read_bytes(), programs)
+        rows = rows_of(elaborator, programs[WorkerKind.BINDER], programs[WorkerKind.ANALYZER], script.lower())
     except ProgramError as error:
         raise trouble(str(error), 2) from None
     if json:

@@ -1078,6 +1078,18 @@ def test_back_from_a_new_program_is_to_one_that_has_done_a_job():
     assert s.state.trials == {}
 
 
+def test_back_is_to_the_last_program_that_has_worked_though_it_was_left_meanwhile():
+    s = Story()
+    for digest in ("default", "good", "other"):
+        s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
+        s.parsed()  # each does a job well
+    for digest in ("good", "bad"):
+        s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
+    s.says("X")
+    s.loses_worker("C-4")
+    assert s.state.programs["parser"] == "good"
+
+
 def test_a_new_program_whose_first_job_is_done_stays():
     s = Story()
     s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")

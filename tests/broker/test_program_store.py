@@ -32,3 +32,18 @@ def test_a_script_must_fit_the_binder_in_use(tmp_path, stop, fits):
         assert isinstance(loaded, Refusal)
         assert "mine.yaml, line 4: " in loaded.message
         assert "no stop class move_fast; there are" in loaded.message
+
+
+def test_what_was_loaded_is_taken_away_again(tmp_path):
+    in_use: dict[str, str] = {}
+    store = ProgramStore(Journal.open(tmp_path / "journal.db", "run", State()), in_use)
+    in_use |= {kind: store.keep(program.default(kind)) for kind in WorkerKind}
+    original = in_use["elaborator"]
+    body = f"script: mine\ncase: 1\nsteps:\n- {STEP.replace('STOP', 'move_free')}".encode()
+    mine = ProgramText(request="r", kind=WorkerKind.ELABORATOR, name="mine.yaml", body=body)
+    in_use["elaborator"] = store.load(original, mine).digest
+
+    reset = ProgramText(request="r", kind=WorkerKind.ELABORATOR, name="default", body=b"", reset=True)
+    taken = store.load(in_use["elaborator"], reset)
+
+    assert (taken.digest, taken.changes) == (original, ["scripts: mine is taken away"])
