@@ -28,6 +28,7 @@ import zmq
 
 from deploy import hypercube
 from deploy.child import Spec
+from deploy.directory import Directory, claim_path
 from deploy.supervisor import END_LIMIT_S, Supervisor
 from rtc import handed, process, template
 from rtc.outcomes import ClusterError, NoCluster, RtcError
@@ -110,7 +111,7 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
     begun_s = process.now_s()
     settings = msgspec.structs.replace(settings, run=secrets.token_hex(4))
     run_dir = prepare_run_dir(settings.path)
-    with _lock(run_dir):
+    with _lock(run_dir) as lock, claim_path(run_dir):
         logs = run_dir / LOGS
         report = _Report(run_dir, settings.run)
         try:
@@ -123,6 +124,12 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
         except OSError as error:  # a full disk, most often
             raise ClusterError(f"no cluster can be started in {run_dir}: {error}") from error
         given = handed.Handed.make(settings, key, secrets.token_hex(8))
+        files: dict[str, Callable[[], object]] = {
+            "settings.json": settings.save,
+            lease.KEY_FILE: lambda: write_key(run_dir, key),
+            LOGS: lambda: logs.mkdir(mode=0o700),
+        }
+        directory = Directory(run_dir, lock, files)
         with process.start("supervisor", run_dir) as me:
             process.nice(NICENESS)
             supervisor = Supervisor(
@@ -135,7 +142,9 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
                 identity=given.identity("supervisor"),
                 say=say,
                 save=report.save,
+                look=directory.look,
             )
+            files[REPORT] = lambda: report.save(supervisor.table())
             try:
                 _start(supervisor, settings)
                 say(f"ready in {process.now_s() - begun_s:.2f} s: cluster {report.cluster} in {run_dir}")
@@ -145,7 +154,8 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
                 supervisor.run()
             finally:
                 supervisor.stop()
-                _remove_traces(run_dir)
+                if directory.ours():
+                    _remove_traces(run_dir)
 
 
 def _start(supervisor: Supervisor, settings: Settings) -> None:
@@ -285,8 +295,8 @@ def _ended(pidfd: int, patience_s: float) -> bool:
 
 
 @contextlib.contextmanager
-def _lock(run_dir: Path) -> Iterator[None]:
-    """Be the only one to run a cluster here. Raises ClusterError that names who does."""
+def _lock(run_dir: Path) -> Iterator[int]:
+    """Be the only one to run a cluster here: the lock's file descriptor. Raises ClusterError that names who does."""
     with open(run_dir / LOCK, "a") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -294,7 +304,7 @@ def _lock(run_dir: Path) -> Iterator[None]:
             raise ClusterError(
                 f"a cluster is already running in {run_dir}: {_owner(run_dir)}; end it with: rtc down"
             ) from None
-        yield
+        yield lock.fileno()
 
 
 def _owner(run_dir: Path) -> str:

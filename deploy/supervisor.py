@@ -47,7 +47,8 @@ FORK_AGAIN_S = 0.05  # after which a killed template is known to be dead
 class Supervisor:
     """`start`, then `run` until told to stop, then `stop`; `stop` also after an exception.
 
-    `say` gets one line for people at a time, `save` the process table after every change of it.
+    `say` gets one line for people at a time, `save` the process table after every change of it. `look` looks after the
+    run directory every second: what was written again, and why the cluster must end, if it must.
     """
 
     def __init__(
@@ -63,11 +64,13 @@ class Supervisor:
         save: Callable[[Sequence[Mapping[str, object]]], None] = lambda table: None,
         policy: Policy = DEFAULT,
         identity: str = "supervisor",
+        look: Callable[[float], tuple[list[str], str]] = lambda now: ([], ""),
     ) -> None:
         self._me = me
         self._logs = logs
         self._pid = pid
         self._new_worker, self._tell_people, self._save = new_worker, say, save
+        self._look = look
         self._policy = policy
         self._children = {spec.name: Child(spec, logs / f"{spec.name}.log") for spec in specs}
         self._by_fd: dict[int, Child] = {}
@@ -183,6 +186,7 @@ class Supervisor:
             self._tell_table()
         stood_still = now - self._looked_s > STOOD_STILL_S  # then nobody else is to blame for silence
         self._looked_s = now
+        self._look_at_directory(now)
         if self._unsaved:
             self._save_table()
         reap_strangers([child.pid for child in self._children.values()])
@@ -194,6 +198,14 @@ class Supervisor:
                 child.look(now)
             if (self._up or child.state == State.STARTING) and (why := _hung(child, now)):
                 self._kill_hung(child, why)
+
+    def _look_at_directory(self, now: float) -> None:
+        again, why = self._look(now)
+        if again:
+            self._say(f"somebody deleted {', '.join(again)}: written again")
+        if why and not self._me.stopping:
+            self._say(f"{why}: everything is halted, and the cluster ends")
+            self._me.stop()
 
     def _kill_hung(self, child: Child, why: str) -> None:
         if not self._up:

@@ -41,6 +41,7 @@ from rtc.settings import Bounds
 
 READY, ALIVE, NOTE = b"ready", b"alive", b"note "
 BEAT_S = 1.0
+IPC = "ipc://"
 QUEUE_LENGTH = 10_000  # messages per peer that ZeroMQ holds before it drops (ROUTER, PUB) or says no (DEALER)
 LINGER_MS = 200  # how long the last words of a process may take to leave it
 RECONNECT_MS, RECONNECT_MAX_MS = 10, 30  # a restarted peer is found again within this
@@ -68,6 +69,7 @@ class Process:
         self.poller = zmq.Poller()
         self.poller.register(self.wake_fd, zmq.POLLIN)
         self._beat = Every(BEAT_S)
+        self._doors: dict[zmq.Socket[bytes], tuple[str, int]] = {}  # that we bind -> endpoint, inode of its file
         self._watched = zmq.Poller()  # holds our stdout, once somebody is known to listen there
 
     def socket(
@@ -100,7 +102,19 @@ class Process:
         )
         if poll:
             self.poller.register(made, zmq.POLLIN)
+        if bind and endpoint.startswith(IPC):
+            self._doors[made] = (endpoint, _inode(endpoint))
         return made
+
+    def _keep_doors(self) -> None:
+        """Bind again what somebody has deleted, or has put another socket in the place of. Connections stay."""
+        for door, (endpoint, inode) in self._doors.items():
+            if door.closed or _inode(endpoint) == inode:
+                continue
+            with contextlib.suppress(zmq.ZMQError):  # the directory is gone: that is the supervisor's business
+                door.bind(endpoint)
+                self._doors[door] = (endpoint, _inode(endpoint))
+                self.log.warning("%s was not ours any more: bound again", endpoint)
 
     def open_anew(self, old: zmq.Socket[bytes], endpoint: str, bounds: Bounds | None = None) -> zmq.Socket[bytes]:
         """Another bound socket of the same kind in place of `old`, with nothing in it; peers come back by themselves.
@@ -109,6 +123,7 @@ class Process:
         """
         kind = int(old.getsockopt(zmq.TYPE))
         self.poller.unregister(old)
+        self._doors.pop(old, None)
         old.unbind(endpoint)
         limit_s = now_s() + OPEN_LIMIT_S
         # The old listener removes its file when it closes, in a thread of its own; it must not be the new one's.
@@ -161,7 +176,10 @@ class Process:
     def beat(self, now: float) -> None:
         """Tell the supervisor, every second, that the loop turns; for a loop that does not `wait`. Never blocks: what
         nobody reads is not said."""
-        if self._beat.due(now) and self._watched.poll(0):
+        if not self._beat.due(now):
+            return
+        self._keep_doors()
+        if self._watched.poll(0):
             with contextlib.suppress(OSError):
                 os.write(sys.stdout.fileno(), ALIVE + b"\n")
 
@@ -266,6 +284,14 @@ def _frames(socket: zmq.Socket[bytes], part: zmq.Frame) -> list[bytes]:
         part = socket.recv(AT_ONCE, copy=False)
         parts.append(part.bytes)
     return parts
+
+
+def _inode(endpoint: str) -> int:
+    """Of the file of an ipc endpoint; 0 when there is none."""
+    try:
+        return os.stat(endpoint.removeprefix(IPC)).st_ino
+    except OSError:
+        return 0
 
 
 class Reconnections:

@@ -16,7 +16,7 @@ from rtc import process, wire
 from rtc.keys import KeyRing
 from rtc.messages import Heartbeat
 from rtc.outcomes import ClusterError
-from rtc.process import Every, Process, inbox, send
+from rtc.process import Every, Process, inbox, now_s, send
 from rtc.roles import Role
 from rtc.settings import prepare_run_dir
 
@@ -45,6 +45,29 @@ def test_a_message_travels_to_a_named_peer_and_back(me, tmp_path):
     assert wire.reader(Heartbeat)(parts) == Heartbeat(name="binder@2")
     assert send(router, Heartbeat(name="answer"), to=who)
     assert me.wait(5) == [dealer]
+
+
+@pytest.mark.parametrize("taken", [False, True], ids=["deleted", "taken by another"])
+def test_a_door_whose_file_is_gone_is_bound_again_and_connections_stay(me, tmp_path, taken):
+    path = tmp_path / "door.sock"
+    door = me.socket(zmq.ROUTER, f"ipc://{path}", bind=True)
+    known = me.socket(zmq.DEALER, f"ipc://{path}", identity="known")
+    assert send(known, Heartbeat(name="known"))
+    assert door.poll(5000)
+    door.recv_multipart()
+    path.unlink()
+    other = me.context.socket(zmq.ROUTER)
+    if taken:
+        other.bind(f"ipc://{path}")
+
+    me.beat(now_s() + 2.0)
+
+    other.close(linger=0)
+    new = me.socket(zmq.DEALER, f"ipc://{path}", identity="new")
+    for dealer in (known, new):
+        assert send(dealer, Heartbeat(name="x"))
+        assert door.poll(5000)
+        assert door.recv_multipart()[0] in (b"known", b"new")
 
 
 def test_sending_never_waits(me, tmp_path):

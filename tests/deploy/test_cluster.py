@@ -262,3 +262,35 @@ def test_a_second_process_of_a_role_ends_with_a_sentence(run_dir, module):
     assert second.returncode == 1
     assert "a second one is not started" in second.stderr
     assert list(run_dir.glob("*.sock")) == []
+
+
+SMALL = ["settings.json", "lease.key", "supervisor.lock", "supervisor.json"]
+
+
+def there_again(paths):
+    end = os.times().elapsed + LIMIT_S
+    while not all(path.exists() for path in paths):
+        assert os.times().elapsed < end, [path.name for path in paths if not path.exists()]
+        zmq.Poller().poll(10)
+
+
+def test_what_is_deleted_in_the_directory_comes_back_and_without_the_directory_the_cluster_ends(cluster_of_its_own):
+    run_dir = cluster_of_its_own
+    before = report(run_dir)
+    deleted = [run_dir / name for name in SMALL] + list(run_dir.glob("*.sock"))
+    for path in deleted:
+        path.unlink()
+    for row in before["processes"]:
+        if row["name"] in ("binder@2", "world", "MCM", "broker"):  # none of them needs a file for its start
+            os.kill(row["pid"], signal.SIGKILL)
+    there_again(deleted)
+    with Client(run_dir) as rtc:
+        assert rtc.halt().confirmed
+        assert rtc.run("MOVE RIGHT-ARM BY -1 CM ALONG X").outcome.kind is OutcomeKind.SUCCEEDED
+    assert up(run_dir).returncode == 1  # the lock is held again
+
+    pids = [before["pid"], *(row["pid"] for row in rows(run_dir).values())]
+    run_dir.rename(run_dir.with_name("elsewhere"))
+    second = up(run_dir)  # while the first still ends, or after that, but never beside it
+    assert second.returncode == 0 or "was renamed or removed" in second.stdout + second.stderr
+    gone(pids)
