@@ -82,7 +82,8 @@ class Router:
         self.timers = Timers()
         self.dropped: Counter[str] = Counter()  # messages nobody could read, or from who may not say such; by socket
         self.told_dropped: dict[str, int] = {}  # the same by other processes' sockets, as they tell
-        self.processes: list[dict[str, Any]] = []  # as the supervisor told last
+        self.processes: list[dict[str, Any]] = []  # as the supervisor told last,
+        self.processes_at_s = self._clock()  # and when
         self.turn_times_s: deque[float] = deque(maxlen=4096)
         self.began_s = self._turn_at_s = self._clock()
         self._fold = Fold()
@@ -317,6 +318,7 @@ class Router:
                     self._events.append(heard.SubsystemGone(at_s=now, subsystem=message.name, why=why))
             case m.ProcessTable():
                 self.processes = [dict(row) for row in message.processes]
+                self.processes_at_s = now
 
     def _count_dropped(self, message: m.Dropped, sockets: Collection[str]) -> None:
         self.told_dropped.update((name, n) for name, n in message.counts.items() if name in sockets)

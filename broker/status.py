@@ -29,6 +29,7 @@ def status(router: Router) -> dict[str, Any]:
         "broker_uptime_s": now - router.began_s,
         "seq": state.seq,
         "processes": router.processes,
+        "supervisor_silent_s": now - router.processes_at_s,
         "workers": [
             {
                 "name": w.name,

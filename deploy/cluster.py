@@ -1,7 +1,7 @@
 """One cluster in its run directory: who may start it, what lies there, which processes it has, how it is ended.
 
     settings.json  supervisor.json  lease.key  logs/NAME.log  *.sock  *.db
-    previous/         databases and logs of the cluster before
+    previous/         databases and logs of the cluster before; previous-2/, previous-3/: of those before it
     supervisor.lock   held by the supervisor as long as it lives; the kernel lets go of it however it dies
 
 A cluster begins with a clean world: its predecessor's databases and logs are put into previous/.
@@ -40,6 +40,7 @@ LOGS = "logs"
 TEMPLATE = "template"  # of workers; NAME-template of the process NAME
 TWIN = "twin-template"  # making a template of workers takes seconds, so each of two is forked from the other
 PREVIOUS = "previous"
+RUNS_KEPT = 3  # in previous, previous-2, previous-3
 NICENESS = -10  # of the supervisor: it does little, and until it has done it a dead process's work waits
 
 
@@ -318,9 +319,19 @@ def _clean(run_dir: Path) -> None:
     """Take away what a cluster that was here before has left."""
     _remove_traces(run_dir)
     previous = run_dir / PREVIOUS
-    shutil.rmtree(previous, ignore_errors=True)
+    older = [run_dir / f"{PREVIOUS}-{n}" for n in range(2, RUNS_KEPT + 1)]
+    shutil.rmtree(older[-1], ignore_errors=True)
+    for newer, path in reversed(list(zip([previous, *older], older, strict=False))):
+        if newer.exists():
+            newer.rename(path)
     previous.mkdir(mode=0o700)
-    for left in (*run_dir.glob("*.db"), *run_dir.glob("*.db-wal"), *run_dir.glob("*.db-shm"), run_dir / LOGS):
+    for left in (
+        *run_dir.glob("*.db.damaged-*"),
+        *run_dir.glob("*.db"),
+        *run_dir.glob("*.db-wal"),
+        *run_dir.glob("*.db-shm"),
+        run_dir / LOGS,
+    ):
         if left.exists():
             left.rename(previous / left.name)
 

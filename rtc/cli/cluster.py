@@ -25,6 +25,7 @@ SILENT = (
     "the broker does not answer; one that hangs or has died is replaced within seconds: ask again "
     "(its log is logs/broker.log in the run directory; rtc halt works meanwhile)"
 )
+SUPERVISOR_SILENT_S = 3.0  # it tells its table every second
 SAME_AGE_S = 1.0  # a broker that is younger than its cluster by more has been restarted
 
 
@@ -108,6 +109,9 @@ def show_status(said: dict[str, Any]) -> None:
     console.print(Text(f"cluster {said.get('cluster', '?')} in {where}, up {seconds(up_s)}{since}", style="bold"))
     for why in said.get("rolled_back", {}).values():
         console.print(Text("program taken back: ", style="bold red") + Text(why))
+    if (silent_s := said.get("supervisor_silent_s", 0.0)) > SUPERVISOR_SILENT_S:
+        words = f"silent for {seconds(silent_s)}: nothing that dies is started again, and the table below is as old"
+        console.print(Text("supervisor: ", style="bold red") + Text(words))
     for row in said.get("processes") or []:
         for note in row.get("notes") or []:
             console.print(Text(f"{row['name']}: ", style="bold red") + Text(note))
