@@ -186,23 +186,36 @@ def _decline(turn: Turn, event: CommandReceived, live: int) -> None:
 
 
 def on_halt(turn: Turn, event: HaltCalled) -> None:
-    state, halts = turn.state, turn.state.halts
-    told_by_subsystem = event.client in state.subsystems
-    if event.halt not in halts:
-        halts[event.halt] = event.at_s
-        if len(halts) > HALTS_KEPT:
-            del halts[next(iter(halts))]
-        turn.count("halts")
-        known = journey.halt(turn, event.halt, event.scope, event.called_at_s)
-        # Of a command that has ended nothing moves, as the subsystems confirm: that is no halt of nobody knows what.
-        if not known and not told_by_subsystem and not journey.has_ended(turn, event.scope):
-            message = journey.no_target(turn, event.scope).message
-            turn.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
-    if told_by_subsystem and not any(type(e) is SendHalt and e.halt == event.halt for e in turn.effects):
+    """Stop what is in its scope now. Whether its name was used before does not matter: two callers may count from one,
+    and a button may always say the same."""
+    told_by_subsystem = event.client in turn.state.subsystems
+    _count_halt(turn, event)
+    known = journey.halt(turn, event.halt, event.scope, event.called_at_s, call=event.call)
+    # Of a command that has ended nothing moves, as the subsystems confirm: that is no halt of nobody knows what.
+    if not known and not told_by_subsystem and not journey.has_ended(turn, event.scope):
+        message = journey.no_target(turn, event.scope).message
+        turn.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
+    if told_by_subsystem and not any(type(e) is SendHalt and e.subsystem == event.client for e in turn.effects):
         # It begins nothing until it hears that we know.
         turn.effects.append(
-            SendHalt(subsystem=event.client, halt=event.halt, scope=event.scope, called_at_s=event.called_at_s)
+            SendHalt(
+                subsystem=event.client,
+                halt=event.halt,
+                scope=event.scope,
+                called_at_s=event.called_at_s,
+                call=event.call,
+            )
         )
+
+
+def _count_halt(turn: Turn, event: HaltCalled) -> None:
+    """A caller uses both doors, so most halts are received twice: from the caller, and from the subsystem."""
+    halts, key = turn.state.halts, f"{event.halt} {event.scope} {event.called_at_s}"
+    if key not in halts:
+        turn.count("halts")
+    halts[key] = event.at_s
+    if len(halts) > HALTS_KEPT:
+        del halts[next(iter(halts))]
 
 
 def on_client_gone(turn: Turn, event: ClientGone) -> None:

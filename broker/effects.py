@@ -40,6 +40,7 @@ class SendHalt(Effect, frozen=True, kw_only=True, gc=False):
     halt: str
     scope: str
     called_at_s: float
+    call: str = ""  # the number of the order that this passes on, or answers
 
 
 class AcknowledgeReport(Effect, frozen=True, kw_only=True, gc=False):

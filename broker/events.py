@@ -33,6 +33,7 @@ class HaltCalled(Event, frozen=True, kw_only=True, gc=False):
     halt: str
     scope: str
     called_at_s: float = 0.0
+    call: str = ""  # the number of this order, for those who answer it
 
 
 class JobFinished(Event, frozen=True, kw_only=True, gc=False):

@@ -28,6 +28,7 @@ from zmq.utils import z85
 
 from rtc import handed, process, wire
 from rtc import messages as m
+from rtc.halting import read_order
 from rtc.keys import KeyRing, KnownKey, door_address, secure_server
 from rtc.language.parse import default_grammar, parse
 from rtc.language.record import ParsedCommand
@@ -46,7 +47,8 @@ PEERS_OF_KEY = 32  # at one door; the one that has been silent longest gives way
 UNSENT = 1_000  # messages of one peer that wait for the cluster
 IDLE_S = 600.0  # who has said nothing for so long is forgotten; it says hello again
 HALT_AGAIN_S, HALT_KEPT_S = 0.02, 1.0  # a halt whose door is shut is offered again for so long: a broker restarts
-HALTS_KEPT = 1_000  # whose answers are delivered
+HALTS_KEPT = 2_000  # names and numbers of halts whose answers are delivered
+NOBODY = (b"", "")
 COMMANDS_KEPT = 10_000  # of one planner, that it may control
 LOOK_S, LOOKS = 0.2, 10  # at the keys; and so often between, when somebody comes who is not known
 TELL_S, TIDY_S, PROBE_S = 0.5, 1.0, 0.2  # what was counted, to the broker; who is silent; whether workers are there
@@ -83,7 +85,9 @@ class Gate:
         self._by_socket: dict[Any, Link] = {}
         self._halt_lines: dict[tuple[str, str], zmq.Socket[bytes]] = {}  # by door and key: connected in advance
         self._halt_lines_of: dict[Any, str] = {}  # the door of each
-        self._callers: OrderedDict[tuple[str, str], bytes] = OrderedDict()  # door and halt -> session
+        self._halts_called = 0
+        # Door and number of a halt, or its name for answers that bear no number -> session, and the caller's number.
+        self._callers: OrderedDict[tuple[str, str], tuple[bytes, str]] = OrderedDict()
         self._waiting: deque[Waiting] = deque(maxlen=HALTS_KEPT)
         self._commands: dict[str, OrderedDict[str, None]] = {}  # public key of a planner -> its own C-n
         self.counts: Counter[str] = Counter()
@@ -394,10 +398,12 @@ class Gate:
         return line
 
     def _halt(self, door: str, key: KnownKey, session: bytes, order: m.HaltOrder, now: float) -> None:
-        self._callers[door, order.halt] = session
-        if len(self._callers) > HALTS_KEPT:
+        self._halts_called += 1  # each order has a number of its own: two callers may use one name
+        call = f"gate {self._halts_called}"
+        self._callers[door, call] = self._callers[door, order.halt] = session, order.call
+        while len(self._callers) > HALTS_KEPT:
             self._callers.popitem(last=False)
-        order = msgspec.structs.replace(order, called_at_s=now)
+        order = msgspec.structs.replace(order, called_at_s=now, call=call)
         if not send(self._halt_line(door, key), order):
             self._waiting.append(Waiting(key, door, session, order, now + HALT_KEPT_S))
 
@@ -417,8 +423,12 @@ class Gate:
         for parts in inbox(line, PER_TURN):
             with contextlib.suppress(WireError):
                 answer: m.FromHalt = READ_HALT_ANSWER(parts)
-                halt = answer.request if isinstance(answer, m.Declined) else answer.halt
-                if (session := self._callers.get((door, halt))) is not None:
+                if isinstance(answer, m.Declined):
+                    session, _ = self._callers.get((door, answer.request), NOBODY)
+                else:
+                    session, call = self._callers.get((door, answer.call or answer.halt), NOBODY)
+                    parts = wire.frames(msgspec.structs.replace(answer, call=call))
+                if session:
                     self._send_out(door, session, parts)
 
     # --- what goes out --------------------------------------------------------------------------------
@@ -560,8 +570,8 @@ READ_HALT_ANSWER = wire.reader(m.FromHalt)
 #: door -> how its messages are read: all that the inner door takes, so that what is not allowed can be named
 READ: dict[str, Callable[[Sequence[bytes]], Any]] = {
     "front": wire.reader(m.ClientToBroker),
-    "halt": wire.reader(m.ToHalt),
-    "estop": wire.reader(m.ToHalt),
+    "halt": read_order,
+    "estop": read_order,
     "world": wire.reader(m.ToWorld),
     "workers": wire.reader(m.WorkerToBroker),
     "subsystems": wire.reader(m.SubsystemToBroker),

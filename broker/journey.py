@@ -193,7 +193,7 @@ def halt_by_command(turn: Turn, command: Command, scope: str) -> None:
     command.unconfirmed = [e.subsystem for e in turn.effects if type(e) is SendHalt and e.halt == command.id]
 
 
-def halt(turn: Turn, halt_id: str, scope: str, called_at_s: float, spare: str = "") -> bool:
+def halt(turn: Turn, halt_id: str, scope: str, called_at_s: float, spare: str = "", call: str = "") -> bool:
     """Stop all in scope: tell the subsystems first, then end the commands. False: nothing is called that."""
     state = turn.state
     targets = in_scope(turn, scope)
@@ -206,7 +206,9 @@ def halt(turn: Turn, halt_id: str, scope: str, called_at_s: float, spare: str = 
     for name, subsystem in state.subsystems.items():
         concerned = scope == "ALL" or name == performer or any(c.subsystem == name for c in targets)
         if concerned and subsystem.link is not Link.LOST:
-            turn.effects.append(SendHalt(subsystem=name, halt=halt_id, scope=scope, called_at_s=called_at_s))
+            turn.effects.append(
+                SendHalt(subsystem=name, halt=halt_id, scope=scope, called_at_s=called_at_s, call=call)
+            )
     for command in targets:
         if command.id != spare:
             turn.follow(command.id, Stimulus.STOP, _halted(scope))

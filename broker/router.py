@@ -16,6 +16,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from typing import Any
 
+import msgspec
 import zmq
 
 from broker import effects as do
@@ -31,13 +32,13 @@ from broker.status import status
 from broker.timers import Timers
 from rtc import messages as m
 from rtc import wire
-from rtc.halting import Fold, as_a_callers
+from rtc.halting import Fold, read_order
 from rtc.handed import TOKEN_BEARERS, Handed
 from rtc.memory import Guard
 from rtc.outcomes import Refusal, RefusalReason, WireError
 from rtc.primitive_id import command_of
 from rtc.process import Every, Process, inbox, send
-from rtc.settings import BOUNDS, Settings
+from rtc.settings import BOUNDS, HALTS, Settings
 from rtc.world.lease import sign
 
 # A turn reads from a socket until it has heard of so many events; the shares are those of a stream of short commands,
@@ -87,7 +88,9 @@ class Router:
         self.turn_times_s: deque[float] = deque(maxlen=4096)
         self.began_s = self._turn_at_s = self._clock()
         self._fold = Fold()
-        self._halts_of: OrderedDict[bytes, deque[str]] = OrderedDict()  # by caller
+        self._life = f"{self.began_s * 1e6:.0f}"  # of this broker: another one begins to count again
+        self._halts_called = 0
+        self._halts_of: OrderedDict[bytes, deque[tuple[str, m.HaltOrder]]] = OrderedDict()  # by caller
         self._subsystem_heard_s: dict[str, float] = {}
         # Clients with commands that are halted when they go away; when each was heard last.
         self._watched_s = {c.client: self.began_s for c in state.commands.values() if c.halt_if_lost}
@@ -102,7 +105,9 @@ class Router:
         self.guard: Guard | None = None  # of this process's memory; none in a simulation
         self._socket: dict[str, zmq.Socket[bytes]] = {}
         for name in ("halt", "subsystems", "supervisor", "workers", "front"):
-            self._socket[name] = me.socket(zmq.ROUTER, settings.endpoint(name), bind=True, bounds=BOUNDS[name])
+            self._socket[name] = me.socket(
+                zmq.ROUTER, settings.endpoint(name), bind=True, bounds=BOUNDS[name], handover=name not in HALTS
+            )
         self._socket["events"] = me.socket(zmq.XPUB, settings.endpoint("events"), bind=True, bounds=BOUNDS["events"])
         self._events: list[heard.Event] = []
         self._perform = {kind: partial(perform, self) for kind, perform in _PERFORM.items()}
@@ -209,12 +214,13 @@ class Router:
     # --- bytes into events ----------------------------------------------------------------------------
 
     def _from_halt(self, peer: bytes, order: m.HaltOrder, now: float) -> None:
-        order = as_a_callers(order)
+        self._halts_called += 1  # each order has a number of its own: names may be used again
+        called, order = order, msgspec.structs.replace(order, call=f"{self._life}-{self._halts_called}")
         if self._fold.too_often(peer, now):
             self._fold.add(order)
             self.dropped["halts_folded"] += 1
             return
-        self._halts_of.setdefault(peer, deque(maxlen=HALTS_OF_CALLER)).append(order.halt)
+        self._halts_of.setdefault(peer, deque(maxlen=HALTS_OF_CALLER)).append((order.call, called))
         self._halts_of.move_to_end(peer)
         if len(self._halts_of) > CALLERS_KEPT:
             self._halts_of.popitem(last=False)
@@ -539,7 +545,9 @@ class Router:
         doors = ("front", "halt") if stage == 1 else ("events", "supervisor", "workers", "subsystems")
         self.me.log.warning("more than %.0f MB: opening %s anew", self.guard.limit_mb, ", ".join(doors))
         for name in doors:
-            self._socket[name] = self.me.open_anew(self._socket[name], self.settings.endpoint(name), BOUNDS[name])
+            self._socket[name] = self.me.open_anew(
+                self._socket[name], self.settings.endpoint(name), BOUNDS[name], handover=name not in HALTS
+            )
         if "events" in doors:
             before = bool(self._topics)
             self._topics.clear()
@@ -585,7 +593,9 @@ class Router:
         send(self._socket["subsystems"], message, self._subsystem_peer(effect.subsystem))
 
     def _send_halt(self, effect: do.SendHalt) -> None:
-        order = m.HaltOrder(halt=effect.halt, scope=effect.scope, called_at_s=effect.called_at_s)
+        order = m.HaltOrder(
+            halt=effect.halt, scope=effect.scope, called_at_s=effect.called_at_s, call=effect.call
+        )
         send(self._socket["subsystems"], order, self._subsystem_peer(effect.subsystem))
 
     def _acknowledge(self, effect: do.AcknowledgeReport) -> None:
@@ -620,13 +630,22 @@ class Router:
         send(self._socket["halt"], m.Declined(request=effect.halt, refusal=refusal), _peer(effect.client))
 
     def _tell_halt_callers(self, message: m.HaltStarted | m.HaltAtRest) -> None:
+        """Who called it; by name, when the subsystem does not repeat which order it answers."""
         for peer, called in self._halts_of.items():
-            if message.halt in called:
-                send(self._socket["halt"], message, peer)
+            for call, order in called:
+                if message.call == call or (not message.call and message.halt == order.halt):
+                    send(self._socket["halt"], msgspec.structs.replace(message, call=order.call), peer)
 
 
 def _halt_called(client: str, order: m.HaltOrder, now: float) -> heard.HaltCalled:
-    return heard.HaltCalled(at_s=now, client=client, halt=order.halt, scope=order.scope, called_at_s=order.called_at_s)
+    return heard.HaltCalled(
+        at_s=now,
+        client=client,
+        halt=order.halt,
+        scope=order.scope,
+        called_at_s=order.called_at_s,
+        call=order.call,
+    )
 
 
 def _result(node: str, result: m.JobResult, now: float) -> heard.Event:
@@ -660,7 +679,7 @@ _QUESTIONS = (m.StatusQuery, m.TraceQuery, m.ProgramQuery, m.ProgramText)
 _MEANT_FOR_ONE = (m.CommandText, m.ProgramText)
 #: socket -> how its messages are read, and who takes them
 _DOORS: dict[str, tuple[Callable[[Any], Any], Callable[[Router, bytes, Any, float], None]]] = {
-    "halt": (wire.reader(m.ToHalt), Router._from_halt),
+    "halt": (read_order, Router._from_halt),
     "subsystems": (wire.reader(m.SubsystemToBroker), Router._from_subsystem),
     "supervisor": (wire.reader(m.SupervisorToBroker), Router._from_supervisor),
     "workers": (wire.reader(m.WorkerToBroker), Router._from_worker),

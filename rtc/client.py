@@ -75,8 +75,8 @@ class Client:
 
     `run_dir` is the cluster's run directory; None = where `rtc up` puts it. Raises NoCluster, within a second, when
     nothing answers there; for a broker that is being restarted it waits some seconds. `need_broker=False` connects
-    although the broker is away: halt, truth and telemetry work. `name` may have 128 bytes. Raises ValueError for a
-    longer one, and for a source that is none.
+    although the broker is away: halt, truth and telemetry work. `name` is a label for people, of 128 bytes at most; two
+    clients may have the same. Raises ValueError for a longer one, and for a source that is none.
     `halt_if_lost`: what it has under way is halted when this process dies or stands still for some seconds.
     `key`: a key file, in place of `run_dir`, for a cluster on another machine (docs/security.md). To connect may then
     take some seconds, and what the key's role may not do is declined. Raises KeyTrouble when the file is no good.
@@ -103,9 +103,10 @@ class Client:
         self._doors.endpoint("front")  # raises for a key that is no client's
         self.source: Source = source
         self._life = uuid.uuid4().hex[:8]  # the cluster remembers requests; those of another of our name are not ours
-        self.name = name or f"client-{os.getpid()}-{self._life}"
+        self.name = name or f"client-{os.getpid()}"
         if (length := len(self.name.encode())) > NAME_BYTES or self.name[0] == "\0":
             raise ValueError(f"no name for a client: {length} bytes; it may have {NAME_BYTES}, and no zero in front")
+        me = f"{self.name}~{self._life}"  # two clients of one name are two clients
         self._ask_number = itertools.count(1)
         self._command_of: dict[str, str] = {}  # request -> C-n
         self._request_of: dict[str, str] = {}  # C-n -> request
@@ -116,11 +117,11 @@ class Client:
         self._queries: set[str] = set()  # requests that are questions, not sentences
         self._answers: dict[str, m.BrokerToClient] = {}  # request -> answer to a query
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._halt_line = HaltLine(self._context, self._doors, self.name)
+        self._halt_line = HaltLine(self._context, self._doors)
         self._front = FrontDoor(
-            self._context, self._doors, self.name, self._doors.run if isinstance(self._doors, Settings) else ""
+            self._context, self._doors, me, self._doors.run if isinstance(self._doors, Settings) else ""
         )
-        self._lifeline = Lifeline(self._context, self._doors, self.name) if halt_if_lost else None
+        self._lifeline = Lifeline(self._context, self._doors, me) if halt_if_lost else None
         self._silence = Silence(self.run_dir if key is None else None, on_silence)
         self._world: WorldClient | None = None
         if need_broker:

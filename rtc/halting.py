@@ -9,13 +9,15 @@ clocks: over tcp it is measured here, until the news of it has come, so it holds
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import threading
 import time
 import uuid
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from typing import Any
 
 import msgspec
 import zmq
@@ -39,9 +41,34 @@ PER_S = 200  # calls of one caller in a second that are each answered
 FOLD_S = 0.1
 OWN_NAMES = ("C-", "stop-", "orphan-", "rejoin-", "declined-")  # of halts that the broker orders
 DOORS = ("halt", "estop")  # who is told: broker, MCM
+NAME_CHARACTERS = 200  # of `messages.Name`: a longer name of a halt is cut, and the halt is obeyed
 COMMAND = re.compile(r"C-\d+", re.ASCII)  # a scope that means something to the broker alone
 
 _read = reader(m.FromHalt)
+_read_order = reader(m.ToHalt)
+
+
+class _ScopeOfHalt(msgspec.Struct, tag_field="type", tag="HaltOrder"):
+    """What a halt must have to be obeyed: a scope."""
+
+    scope: m.Name = "ALL"
+    halt: Any = ""
+
+
+_read_scope = reader(_ScopeOfHalt)
+
+
+def read_order(parts: Sequence[bytes]) -> m.HaltOrder:
+    """A halt from outside. It is obeyed if its scope can be read, whatever else is wrong with it. Raises WireError."""
+    try:
+        order: m.HaltOrder = _read_order(parts)
+    except WireError as error:
+        with contextlib.suppress(WireError):
+            found: _ScopeOfHalt = _read_scope(parts)
+            name = found.halt[:NAME_CHARACTERS] if isinstance(found.halt, str) else ""
+            return as_a_callers(m.HaltOrder(halt=name, scope=found.scope))
+        raise error
+    return as_a_callers(order)
 
 
 def as_a_callers(order: m.HaltOrder) -> m.HaltOrder:
@@ -49,7 +76,7 @@ def as_a_callers(order: m.HaltOrder) -> m.HaltOrder:
     somebody else, they would confirm rest of what has not been stopped. Such a halt is obeyed under another name.
     And a time that is none is as good as none told."""
     if order.halt.startswith(OWN_NAMES):
-        order = msgspec.structs.replace(order, halt=f"H-{order.halt}")
+        order = msgspec.structs.replace(order, halt=f"H-{order.halt}"[:NAME_CHARACTERS])
     if not 0.0 <= order.called_at_s < math.inf:
         order = msgspec.structs.replace(order, called_at_s=0.0)
     return order
@@ -125,7 +152,7 @@ class HaltResult(msgspec.Struct, kw_only=True):
 class HaltLine:
     """Thread-safe: `halt` may be called from any thread, one call after the other."""
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], doors: Doors, name: str) -> None:
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], doors: Doors) -> None:
         self._context, self._all_doors = context, doors
         self._far = doors.far
         self._connect_s, self._unnamed_s = (FAR_CONNECT_S, FAR_UNNAMED_S) if self._far else (CONNECT_S, UNNAMED_S)
@@ -133,9 +160,7 @@ class HaltLine:
         self._poller = zmq.Poller()
         self._doors: dict[str, zmq.Socket[bytes]] = {}
         for door in DOORS:
-            socket = context.socket(zmq.DEALER)
-            if not self._far:
-                socket.setsockopt(zmq.IDENTITY, f"{name}.{door}".encode())
+            socket = context.socket(zmq.DEALER)  # without an identity: nobody else can have the same one
             doors.secure(socket)
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.IMMEDIATE, 1)  # never kept for later: a stale halt would stop what comes after it

@@ -507,12 +507,14 @@ class Execute(Message, frozen=True, kw_only=True):
 class HaltOrder(Message, frozen=True, kw_only=True):
     """Stop now. `scope`: ALL, a performer, or a command number, which stops the primitives that begin with it.
 
-    From a subsystem to the broker: a halt that was called past the broker. Nothing in its scope begins until the
-    broker has answered with the same order; it is said again with every hello until then."""
+    It is obeyed whenever it is received, also when its name was used before. From a subsystem to the broker: a halt
+    that was called past the broker. Nothing in its scope begins until the broker has answered with the same order; it
+    is said again with every hello until then."""
 
     halt: Name
     scope: Name = "ALL"
     called_at_s: float = 0.0  # when the operator called
+    call: Name = ""  # the sender's own number for this order; answers to it repeat it
 
 
 class ReportAck(Message, frozen=True, kw_only=True):
@@ -568,6 +570,7 @@ class HaltStarted(Message, frozen=True, kw_only=True):
     received_at_s: float
     decelerating_at_s: float
     moving: list[str]  # performers that were in motion
+    call: str = ""  # of the order that this answers
 
 
 class HaltAtRest(Message, frozen=True, kw_only=True):
@@ -578,6 +581,7 @@ class HaltAtRest(Message, frozen=True, kw_only=True):
     at_s: float
     at_rest: bool
     performers: list[str]
+    call: str = ""  # of the order that this answers
 
 
 # --- 5. workers and others <-> world database ---------------------------------------------------------

@@ -83,11 +83,13 @@ class Process:
         bounds: Bounds | None = None,
         poll: bool = True,
         secure: Secure = None,
+        handover: bool = True,
     ) -> zmq.Socket[bytes]:
         """A bounded socket on `endpoint`, watched by `wait` unless `poll` is False. `bounds`: for one that is bound.
 
-        A ROUTER hands an identity over to its newest bearer, so that a restarted process is heard at once. `secure`
-        sees the socket before it binds or connects.
+        A ROUTER hands an identity over to its newest bearer, so that a restarted process is heard at once; without
+        `handover` it stays with the one who has it, and the newer peer is not heard. `secure` sees the socket before
+        it binds or connects.
         Raises `zmq.ZMQError` when the endpoint cannot be bound.
         """
         made = open_socket(
@@ -99,6 +101,7 @@ class Process:
             queue_length=queue_length,
             bounds=bounds,
             secure=secure,
+            handover=handover,
         )
         if poll:
             self.poller.register(made, zmq.POLLIN)
@@ -116,7 +119,9 @@ class Process:
                 self._doors[door] = (endpoint, _inode(endpoint))
                 self.log.warning("%s was not ours any more: bound again", endpoint)
 
-    def open_anew(self, old: zmq.Socket[bytes], endpoint: str, bounds: Bounds | None = None) -> zmq.Socket[bytes]:
+    def open_anew(
+        self, old: zmq.Socket[bytes], endpoint: str, bounds: Bounds | None = None, handover: bool = True
+    ) -> zmq.Socket[bytes]:
         """Another bound socket of the same kind in place of `old`, with nothing in it; peers come back by themselves.
 
         Raises `zmq.ZMQError` when the endpoint cannot be bound again within `OPEN_LIMIT_S`.
@@ -131,7 +136,7 @@ class Process:
             time.sleep(0.0002)
         old.close(linger=0)
         path.unlink(missing_ok=True)
-        return self.socket(kind, endpoint, bind=True, bounds=bounds)
+        return self.socket(kind, endpoint, bind=True, bounds=bounds, handover=handover)
 
     def wait(self, timeout_s: float | None = None) -> list[Any]:
         """The sockets with something to read, in the order of their making; none: the time is up, a signal came, or
@@ -230,6 +235,7 @@ def open_socket(
     queue_length: int = QUEUE_LENGTH,
     bounds: Bounds | None = None,
     secure: Secure = None,
+    handover: bool = True,
 ) -> zmq.Socket[bytes]:
     """A socket with our limits set: length of its queues, size of a frame, time to linger, pace of reconnecting."""
     made: zmq.Socket[bytes] = context.socket(kind)
@@ -241,7 +247,7 @@ def open_socket(
     made.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
     made.setsockopt(zmq.RECONNECT_IVL_MAX, RECONNECT_MAX_MS)
     if kind == zmq.ROUTER:
-        made.setsockopt(zmq.ROUTER_HANDOVER, 1)
+        made.setsockopt(zmq.ROUTER_HANDOVER, int(handover))
     if identity:
         made.setsockopt(zmq.IDENTITY, identity.encode())
     if secure is not None:

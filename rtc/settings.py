@@ -73,6 +73,9 @@ ENDPOINTS: dict[str, str] = {
 }
 
 
+HALTS = ("halt", "estop")  # a client at these must not be cut off by another one of the same identity
+
+
 class Bounds(NamedTuple):
     """What one peer of a socket may make its owner keep. Whoever has this much unread has to wait; an answer that finds
     so many unsent before it is dropped, for who does not read cannot be helped; a larger frame cuts its sender off."""

@@ -18,10 +18,10 @@ import msgspec
 import zmq
 
 from rtc import messages as m
-from rtc.halting import as_a_callers
+from rtc.halting import read_order
 from rtc.outcomes import Refusal, RefusalReason, WireError
 from rtc.process import Every, Process, inbox, send
-from rtc.settings import BOUNDS, Settings
+from rtc.settings import BOUNDS, HALTS, Settings
 from rtc.wire import reader
 from sim_mcm.subsystem import BROKER, Said, Unread
 
@@ -33,7 +33,6 @@ QUESTIONS_PER_TICK = 1
 LOG_EVERY_S = 1.0
 NONE: frozenset[Any] = frozenset()
 
-_read_halt = reader(m.ToHalt)
 _read_broker = reader(m.BrokerToSubsystem)
 _read_bench = reader(m.ToSim)
 
@@ -41,7 +40,9 @@ _read_bench = reader(m.ToSim)
 class Doors:
     def __init__(self, me: Process, settings: Settings, name: str) -> None:
         self._me, self._log = me, me.log
-        self._estop = me.socket(zmq.ROUTER, settings.endpoint("estop"), bind=True, bounds=BOUNDS["estop"])
+        self._estop = me.socket(
+            zmq.ROUTER, settings.endpoint("estop"), bind=True, bounds=BOUNDS["estop"], handover=False
+        )
         self._bench = me.socket(zmq.ROUTER, settings.endpoint("bench"), bind=True, bounds=BOUNDS["bench"])
         self._telemetry = me.socket(zmq.PUB, settings.endpoint("telemetry"), bind=True, bounds=BOUNDS["telemetry"])
         self._broker = me.socket(zmq.DEALER, settings.endpoint("subsystems"), identity=name)
@@ -62,7 +63,7 @@ class Doors:
         for name in ("estop", "bench"):
             old = getattr(self, f"_{name}")
             self._poller.unregister(old)
-            made = self._me.open_anew(old, settings.endpoint(name), BOUNDS[name])
+            made = self._me.open_anew(old, settings.endpoint(name), BOUNDS[name], handover=name not in HALTS)
             self._poller.register(made, zmq.POLLIN)
             setattr(self, f"_{name}", made)
 
@@ -76,9 +77,9 @@ class Doors:
         if self._estop not in self._ready:
             return
         for caller, parts in _from_router(self._estop, HALTS_PER_TICK):
-            order = self._understand(_read_halt, parts, "estop", now_s)
+            order = self._understand(read_order, parts, "estop", now_s)
             if order is not None:
-                yield caller, as_a_callers(order)
+                yield caller, order
             else:
                 words = "the estop socket takes a HaltOrder and nothing else"
                 refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words)

@@ -4,15 +4,19 @@
 
 A door is who said it and who is answered: BROKER, or the identity of a caller at the estop socket. Trusted soldier
 (R58): between a primitive and its end report nothing is needed from the broker; reports are kept, and said again,
-until they are acknowledged. No primitive is executed twice (its id is remembered). A halt that was called past the
-broker is passed on to it, and said again with every hello; until the broker has answered with the same halt, nothing
-in its scope begins, so a broker that was dead or blind meanwhile cannot start what was halted.
+until they are acknowledged. No primitive is executed twice (its id is remembered).
+
+Every halt brakes what is in its scope first, and is answered afterwards. Earlier halts are remembered for one purpose:
+a halt that is received twice (from the caller and from the broker) is answered with the same figures, as long as
+nothing in its scope has moved in between. A halt that was called past the broker is passed on to it under a number of
+its own, and said again with every hello; until the broker has answered that number, nothing in its scope begins, so a
+broker that was dead or blind meanwhile cannot start what was halted.
 """
 
 from __future__ import annotations
 
 import re
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Mapping
 
 import msgspec
@@ -33,7 +37,7 @@ REMEMBERED = 2_000  # ended primitives, and halts
 # tick, and answers. One more is obeyed like any other, and declined in words.
 OPEN_HALTS = 8
 OPEN_HALTS_OF_BROKER = 64
-DOORS_OF_A_HALT = 16  # callers that are answered
+CALLERS_OF_A_HALT = 16  # that are answered with the same figures; one more gets an answer of its own
 SHADOWS = 64  # scopes; with more of them, nothing at all begins until the broker has answered
 REST_LIMIT_S = 2.0  # after a halt: no rest by then is told as such
 
@@ -58,9 +62,13 @@ class Halt(msgspec.Struct):
     received_at_s: float
     performers: list[str]
     moving: list[str]
-    doors: list[bytes]
+    begun: list[int]  # primitives that each performer had begun when it was called
+    callers: list[tuple[bytes, str]]  # door, and the number of the order there
     started: m.HaltStarted | None = None
     ended: m.HaltAtRest | None = None
+
+    def tell(self, message: m.HaltStarted | m.HaltAtRest) -> Said:
+        return [(door, msgspec.structs.replace(message, call=call)) for door, call in self.callers]
 
 
 class Subsystem:
@@ -71,7 +79,9 @@ class Subsystem:
         self._kept: dict[str, tuple[m.EndReport, float]] = {}  # not acknowledged; when to say it again
         self._ended: OrderedDict[str, m.EndReport] = OrderedDict()  # all, for repeated orders
         self._asked: dict[str, int] = {}  # primitive -> hash of the whole primitive that bore this id
-        self._halts: OrderedDict[str, Halt] = OrderedDict()
+        self._begun: Counter[str] = Counter()  # primitives, by performer
+        self._halts: OrderedDict[tuple[str, str], Halt] = OrderedDict()  # by name and scope
+        self._calls = 0  # halts passed on to the broker so far
         self._open_halts: list[Halt] = []
         self._fold = Fold()
         self._shadows: dict[str, m.HaltOrder] = {}  # scope -> halt that the broker has not shown to know of
@@ -173,6 +183,7 @@ class Subsystem:
             return self._end(report, now_s)
         said: Said = []
         for message in executor.accept(primitive, now_s):
+            self._begun[executor.name] += isinstance(message, m.Started)
             said += self._end(message, now_s) if isinstance(message, m.EndReport) else [(BROKER, message)]
         return said
 
@@ -213,41 +224,64 @@ class Subsystem:
     # --- halts -----------------------------------------------------------------------------------------
 
     def _halt(self, order: m.HaltOrder, door: bytes, now_s: float) -> Said:
-        """Brake now what is in scope; who asks about a halt that is known is told what became of it."""
+        """Brake now what is in scope, whatever the halt is called and whoever calls it; then answer."""
         if door != BROKER and not self._may_mean(order.scope):
             words = f"nothing here is called {order.scope}; there are ALL, {', '.join(self.executors)}"
             refusal = Refusal(reason=RefusalReason.NAME, message=words, expected=["ALL", *self.executors])
             return [(door, m.Declined(request=order.halt, refusal=refusal))]
-        halt = self._halts.get(order.halt)
-        said: Said = []
-        if door == BROKER:  # what comes on this socket from here on, the broker has sent knowing of the halt
-            self._shadows = {scope: seen for scope, seen in self._shadows.items() if seen.halt != order.halt}
         reached = [e for e in self.executors.values() if _in_scope(order.scope, e.name, e.primitive_id)]
-        if door != BROKER and halt is None:
-            if self._fold.too_often(door, now_s):
-                folded = self._fold.add(order)
-                self._shadows = {"ALL": folded} if folded.scope == "ALL" else {**self._shadows, folded.scope: folded}
-                for executor in reached:
-                    executor.halt()
-                return [(door, _too_many(order, "you call too often"))]
-            self._shadow(order)
-            said.append((BROKER, order))
-        # Said again by the broker, it is obeyed again: somebody may have used its name up before.
-        if halt is not None and not (door == BROKER and any(e.state is State.EXECUTING for e in reached)):
-            if door not in halt.doors and len(halt.doors) < DOORS_OF_A_HALT:
-                halt.doors.append(door)
-            return [*said, *((door, message) for message in (halt.started, halt.ended) if message is not None)]
-        halt = Halt(order, now_s, [e.name for e in reached], [e.name for e in reached if e.moving], [door])
-        for executor in reached:
-            executor.halt()
-        open_halts = sum(other.doors[0] == door for other in self._open_halts)
+        moving = [e.name for e in reached if e.halt()]
+        if door == BROKER:  # what comes on this socket from here on, the broker has sent knowing of the halt
+            self._shadows = {scope: seen for scope, seen in self._shadows.items() if not _answers(order, seen)}
+            return self._answer(order, door, reached, moving, now_s)
+        passed_on = self._numbered(order)
+        if self._fold.too_often(door, now_s):
+            folded = self._fold.add(passed_on)
+            if folded.scope == "ALL":  # in place of those that have been folded into it
+                self._shadows.clear()
+            self._shadow(folded)
+            return [(door, _too_many(order, "you call too often"))]
+        self._shadow(passed_on)
+        return [(BROKER, passed_on), *self._answer(order, door, reached, moving, now_s)]
+
+    def _numbered(self, order: m.HaltOrder) -> m.HaltOrder:
+        """As it is passed on: two halts may have one name, and the broker may know of only one of them."""
+        self._calls += 1
+        return msgspec.structs.replace(order, call=f"{self.pid}-{self._calls}")
+
+    def _answer(
+        self, order: m.HaltOrder, door: bytes, reached: list[Executor], moving: list[str], now_s: float
+    ) -> Said:
+        """What became of a halt that has been obeyed: at once, or when all in its scope rest."""
+        halt, caller = self._halts.get((order.halt, order.scope)), (door, order.call)
+        if halt is not None and self._is_still_true(halt, reached):
+            if caller not in halt.callers:
+                halt.callers.append(caller)
+            known = [message for message in (halt.started, halt.ended) if message is not None]
+            return [(door, msgspec.structs.replace(message, call=order.call)) for message in known]
+        performers = [e.name for e in reached]
+        halt = Halt(order, now_s, performers, moving, self._begun_by(performers), [caller])
+        open_halts = sum(other.callers[0][0] == door for other in self._open_halts)
         if open_halts >= (OPEN_HALTS_OF_BROKER if door == BROKER else OPEN_HALTS):
-            return said if door == BROKER else [*said, (door, _too_many(order, "earlier ones still wait for rest"))]
-        self._halts[order.halt] = halt
+            return [] if door == BROKER else [(door, _too_many(order, "earlier ones still wait for rest"))]
+        self._halts[order.halt, order.scope] = halt
+        self._halts.move_to_end((order.halt, order.scope))
         if len(self._halts) > REMEMBERED:
             self._halts.popitem(last=False)
         self._open_halts.append(halt)
-        return said if halt.moving else said + self._follow_halts(now_s)  # nothing moves: no tick need pass
+        return [] if moving else self._follow_halts(now_s)  # nothing moves: no tick need pass
+
+    def _is_still_true(self, halt: Halt, reached: list[Executor]) -> bool:
+        """Whether an earlier halt says of those `reached` now what is so now: none of them has begun anything since,
+        and if it said that they rest, they do."""
+        if len(halt.callers) >= CALLERS_OF_A_HALT or not {e.name for e in reached} <= set(halt.performers):
+            return False
+        if halt.begun != self._begun_by(halt.performers):
+            return False
+        return halt.ended is None or (halt.ended.at_rest and all(_rests(self.executors[n]) for n in halt.performers))
+
+    def _begun_by(self, performers: list[str]) -> list[int]:
+        return [self._begun[name] for name in performers]
 
     def _may_mean(self, scope: str) -> bool:
         """Whether a scope is one of ours, or a command, of which only the broker knows whether it is there."""
@@ -273,7 +307,7 @@ class Subsystem:
                     decelerating_at_s=now_s,
                     moving=halt.moving,
                 )
-                said += [(door, halt.started) for door in halt.doors]
+                said += halt.tell(halt.started)
             at_rest = resting.issuperset(halt.performers)
             if at_rest or now_s - halt.received_at_s > REST_LIMIT_S:
                 halt.ended = m.HaltAtRest(
@@ -283,7 +317,7 @@ class Subsystem:
                     at_rest=at_rest,
                     performers=halt.performers,
                 )
-                said += [(door, halt.ended) for door in halt.doors]
+                said += halt.tell(halt.ended)
                 self._open_halts.remove(halt)
         return said
 
@@ -292,6 +326,11 @@ def _rests(executor: Executor) -> bool:
     """It stands still and has said how its primitive ended: whoever hears of rest has heard the report before, and
     can give it something new at once."""
     return executor.at_rest and executor.primitive is None
+
+
+def _answers(order: m.HaltOrder, seen: m.HaltOrder) -> bool:
+    """Whether the broker has sent this order knowing of that halt."""
+    return order.call == seen.call if order.call else order.halt == seen.halt
 
 
 def _too_many(order: m.HaltOrder, why: str) -> m.Declined:

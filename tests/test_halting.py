@@ -6,8 +6,10 @@ import math
 
 import pytest
 
-from rtc.halting import FOLD_S, PER_S, Fold, as_a_callers
+from rtc import wire
+from rtc.halting import FOLD_S, PER_S, Fold, as_a_callers, read_order
 from rtc.messages import HaltOrder
+from rtc.outcomes import WireError
 
 
 @pytest.mark.parametrize("name", ["C-7", "stop-C-7", "orphan-C-7.1", "rejoin-MCM-1.0", "declined-3"])
@@ -23,6 +25,36 @@ def test_a_time_that_is_none_is_not_told(at_s: float) -> None:
 def test_an_honest_halt_is_left_alone() -> None:
     order = HaltOrder(halt="H-1", scope="RIGHT-ARM", called_at_s=12.5)
     assert as_a_callers(order) is order
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"called_at_s": "soon"},
+        {"called_at_s": True},
+        {"called_at_s": None},
+        {"called_at_s": [1]},
+        {"called_at_s": math.nan},
+        {"call": 7},
+        {"halt": 7},
+        {"halt": None},
+        {"halt": "x" * 5_000},
+        {"halt": "C-" + "9" * 198},  # 200 characters, before it is changed
+    ],
+)
+def test_a_halt_whose_scope_can_be_read_is_obeyed_whatever_else_is_wrong_with_it(wrong) -> None:
+    said = {"type": "HaltOrder", "halt": "H-1", "scope": "RIGHT-ARM", "called_at_s": 12.5, **wrong}
+    order = read_order([wire.PROTOCOL, wire.encode(said)])
+    assert order.scope == "RIGHT-ARM"
+    assert wire.reader(HaltOrder)(wire.frames(order)) == order  # and it can be passed on
+
+
+@pytest.mark.parametrize("said", [{"scope": 7}, {"type": "HaltStarted"}, {"scope": "x" * 201}, [], 7])
+def test_what_names_no_scope_is_no_halt(said) -> None:
+    if isinstance(said, dict):
+        said = {"type": "HaltOrder", "halt": "H-1", **said}
+    with pytest.raises(WireError):
+        read_order([wire.PROTOCOL, wire.encode(said)])
 
 
 def test_a_caller_calls_too_often_within_a_second_and_another_does_not() -> None:

@@ -553,10 +553,32 @@ def test_halt_on_an_idle_system_still_reaches_the_subsystem():
     assert Story().halts() == ["halt ALL to MCM"]
 
 
-def test_the_same_halt_twice_is_one():
+@pytest.mark.parametrize("caller", ["ann", "bob", "MCM"])
+def test_a_halt_whose_name_was_used_before_stops_what_is_in_scope_now(caller):
+    """Two callers may count their halts from one; a button may always say the same."""
+    s = Story()
+    s.halts("LEFT-ARM", "1")
+    s.executing()
+    assert s.hear(HaltCalled, client=caller, halt="1", scope="ALL")[:2] == ["halt ALL to MCM", "halt C-1 to MCM"]
+    s.reports("C-1", StopReason.HALT)
+    s.answers("C-1", go_on())
+    s.executing()
+    assert s.hear(HaltCalled, client=caller, halt="1", scope="ALL")[:2] == ["halt ALL to MCM", "halt C-2 to MCM"]
+
+
+def test_a_halt_that_came_by_both_doors_is_counted_once_and_a_new_command_works():
     s = Story()
     s.halts()
-    assert s.halts() == []
+    s.hear(HaltCalled, client="MCM", halt="h1", scope="ALL")
+    assert s.state.counts["halts"] == 1
+    assert s.phase(s.executing()) == "executing"
+
+
+def test_a_halt_is_answered_under_the_number_it_came_with():
+    s = Story()
+    s.hear(HaltCalled, client="ann", halt="1", scope="ALL", call="7-1")
+    s.hear(HaltCalled, client="MCM", halt="1", scope="ALL", call="4-9")
+    assert [e.call for e in s.log if isinstance(e, SendHalt)] == ["7-1", "4-9"]
 
 
 def test_halt_typed_as_a_sentence_ends_when_rest_is_confirmed():

@@ -14,6 +14,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from broker import decision_unit, ending, journey, untold
+from broker.effects import SendHalt
 from broker.events import HaltCalled, JobLost, SubsystemConnected
 from broker.resources import Resources
 from broker.turn import Turn
@@ -96,3 +97,21 @@ def test_a_halt_called_past_the_broker_and_not_passed_on_is_found(monkeypatch):
 def test_an_arm_that_stays_closed_because_nobody_tells_the_world_is_found(monkeypatch):
     monkeypatch.setattr(untold, "rang", lambda turn, timer: False)
     assert "quarantine is not empty" in explore(faults(SAME_ARM, 1)).violation
+
+
+@pytest.mark.parametrize(("by_subsystem", "move"), [(False, "halt again"), (True, "estop")])
+def test_a_halt_that_is_not_obeyed_because_its_name_was_used_before_is_found(monkeypatch, by_subsystem, move):
+    """Two callers may count their halts from one; a button may always say the same."""
+
+    def only_once(turn, event):
+        known = any(key.startswith(f"{event.halt} ") for key in turn.state.halts)
+        if known and (event.client == "MCM") is by_subsystem:
+            turn.effects.append(SendHalt(subsystem="MCM", halt=event.halt, scope="C-99", called_at_s=0, call=event.call))
+        else:
+            called(turn, event)
+
+    called = decision_unit.HEARD[HaltCalled]
+    monkeypatch.setitem(decision_unit.HEARD, HaltCalled, only_once)
+    found = explore(faults(SAME_ARM, 2))
+    assert found.violation
+    assert move in [done[0] for done in found.path]

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import pytest
 import zmq
 from hypothesis import HealthCheck, given
@@ -296,6 +297,17 @@ def test_who_calls_halts_without_end_is_obeyed_and_folded(working: Bench) -> Non
     rest = m.HaltAtRest(halt="H-ann", subsystem="MCM", at_s=1.0, at_rest=True, performers=["LEFT-ARM"])
     working.say("subsystems", b"MCM", rest)
     assert working.sockets["halt"].sent[-1] == [b"ann", *wire.frames(rest)]
+
+
+def test_two_callers_of_one_name_are_each_told_of_their_own_halt(working: Bench) -> None:
+    for caller, scope in ((b"ann", "LEFT-ARM"), (b"bob", "ALL")):
+        working.say("halt", caller, m.HaltOrder(halt="1", scope=scope))
+    sent = [wire.reader(m.BrokerToSubsystem)(parts[1:]) for parts in working.sockets["subsystems"].sent]
+    of_bob = next(order for order in sent if isinstance(order, m.HaltOrder) and order.scope == "ALL")
+    working.sockets["halt"].sent.clear()
+    rest = m.HaltAtRest(halt="1", subsystem="MCM", at_s=1.0, at_rest=True, performers=[], call=of_bob.call)
+    working.say("subsystems", b"MCM", rest)
+    assert working.sockets["halt"].sent == [[b"bob", *wire.frames(msgspec.structs.replace(rest, call=""))]]
 
 
 def test_callers_are_forgotten_some_time(bench: Bench) -> None:

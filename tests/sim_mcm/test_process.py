@@ -106,7 +106,7 @@ def test_without_a_broker_it_finishes_stops_on_halt_and_tells_all_to_the_next(mc
     broker.hear(m.Started)
     broker.socket.close()  # in the middle of the motion
 
-    halt_line = HaltLine(mcm.context, mcm.settings, "test")
+    halt_line = HaltLine(mcm.context, mcm.settings)
     result = halt_line.halt("LEFT-ARM")  # it rests, as the MCM knows: works when the broker is dead
     assert result.confirmed
     assert result.told == ["estop"]
@@ -128,7 +128,7 @@ def test_a_halt_past_the_broker_stops_the_arm_and_is_told_to_both(mcm, swing) ->
     broker.hear(m.Started)
     broker.hear(m.Heartbeat)
 
-    halt_line = HaltLine(mcm.context, mcm.settings, "test")
+    halt_line = HaltLine(mcm.context, mcm.settings)
     result = halt_line.halt("ALL")
 
     assert result.confirmed

@@ -119,7 +119,8 @@ def test_a_halt_of_all_stops_both_arms_and_tells_when(bench, swing) -> None:
     bench.tick(500)
     called = bench.now_s
     halt = m.HaltOrder(halt="H-1")
-    assert bench.hear(halt, CALLER) == [(BROKER, halt)]  # passed on, in case nobody has told the broker
+    ((door, passed_on),) = bench.hear(halt, CALLER)  # passed on, in case nobody has told the broker
+    assert (door, msgspec.structs.replace(passed_on, call="")) == (BROKER, halt)
 
     said = bench.tick(300)
 
@@ -178,7 +179,78 @@ def test_the_same_halt_from_two_sides_is_one_halt_and_both_are_told(bench, swing
     assert late == (BROKER, started)
     assert [door for door, message in rest if isinstance(message, m.HaltAtRest)] == [CALLER, BROKER]
     again = bench.hear(m.HaltOrder(halt="H-1"), ANOTHER)
-    assert [type(message) for _, message in again] == [m.HaltStarted, m.HaltAtRest]
+    assert [message for door, message in again if door == ANOTHER] == [started, *kinds(rest, m.HaltAtRest)[:1]]
+
+
+# Of a halt whose name was used before: it is obeyed, and what was true then is not told as being true now.
+
+
+@pytest.mark.parametrize("door", [CALLER, ANOTHER, BROKER])
+@pytest.mark.parametrize("scope_before", ["ALL", ARM, OTHER, "C-7"])
+def test_a_halt_whose_name_was_used_before_stops_what_moves_now(bench, make, door, scope_before) -> None:
+    bench.hear(m.HaltOrder(halt="THE-BUTTON", scope=scope_before), CALLER)
+    bench.tick(10)
+    for order in kinds(bench.heard, m.HaltOrder):
+        bench.hear(order, BROKER)
+    for n in (7, 8):  # and so for every press
+        here = list(bench.simulation.arms[ARM].joints)
+        path = make.joint_path(here, [here[0] + 0.3, *here[1:]], 1.0)
+        bench.hear(m.Execute(primitive=make.primitive(path, id=f"C-{n}.1")))
+        bench.tick(500)
+        assert fastest(bench) > 0.1
+        said = bench.hear(m.HaltOrder(halt="THE-BUTTON"), door)
+        assert kinds(said, m.HaltAtRest) == []  # it moves
+        said = bench.tick(400)
+        assert fastest(bench) == pytest.approx(0.0, abs=1e-6)
+        (rest,) = [message for to, message in said if to == door and isinstance(message, m.HaltAtRest)]
+        assert (rest.at_rest, rest.performers) == (True, [ARM, OTHER])
+        (report,) = {report.primitive: report.reason for report in kinds(said, m.EndReport)}.items()
+        assert report == (f"C-{n}.1", StopReason.HALT)
+        bench.hear(m.ReportAck(primitive=f"C-{n}.1"))
+        for order in kinds(bench.heard, m.HaltOrder):
+            bench.hear(order, BROKER)
+
+
+def test_a_halt_of_all_under_the_open_name_of_a_halt_of_one_arm_stops_the_other_too(bench, swing) -> None:
+    bench.hear(m.Execute(primitive=swing("C-7.1", ARM)))
+    bench.hear(m.Execute(primitive=swing("C-8.1", OTHER)))
+    bench.tick(500)
+    bench.hear(m.HaltOrder(halt="1", scope=OTHER), CALLER)
+    bench.tick(3)
+    bench.hear(m.HaltOrder(halt="1"), ANOTHER)
+    said = bench.tick(400)
+    assert fastest(bench) == pytest.approx(0.0, abs=1e-6)
+    told = {door: message.performers for door, message in said if isinstance(message, m.HaltAtRest)}
+    assert told == {CALLER: [OTHER], ANOTHER: [ARM, OTHER]}  # each hears of its own halt
+
+
+def test_the_broker_that_knows_of_one_halt_need_not_know_of_another_of_its_name(bench, swing) -> None:
+    """Given a halt that the broker was told of, when another of the same name is called past it, then what the broker
+    sent before it knows of that one does not begin."""
+    first = bench.hear(m.HaltOrder(halt="1"), CALLER)
+    second = bench.hear(m.HaltOrder(halt="1"), ANOTHER)
+    for order in kinds(first, m.HaltOrder):
+        bench.hear(order, BROKER)
+    bench.hear(m.HaltOrder(halt="1", call="7-1"), BROKER)  # the broker was told of the first by its caller as well
+    (report,) = kinds(bench.hear(m.Execute(primitive=swing("C-9.1"))), m.EndReport)
+    assert report.reason is StopReason.HALT
+    for order in kinds(second, m.HaltOrder):
+        bench.hear(order, BROKER)
+    assert kinds(bench.hear(m.Execute(primitive=swing("C-9.2"))), m.Started)
+
+
+def test_each_order_is_answered_with_its_number(bench, swing) -> None:
+    bench.hear(m.Execute(primitive=swing()))
+    bench.tick(500)
+    bench.hear(m.HaltOrder(halt="1", call="7-1"), BROKER)
+    bench.hear(m.HaltOrder(halt="1", call="7-2"), BROKER)
+    said = bench.tick(400)
+    for kind in (m.HaltStarted, m.HaltAtRest):
+        assert [message.call for message in kinds(said, kind)] == ["7-1", "7-2"]
+
+
+def fastest(bench) -> float:
+    return max(abs(v) for e in bench.subsystem.executors.values() for v in e.arm.read().velocities)
 
 
 def test_a_halt_during_a_stop_waits_for_rest(bench, swing) -> None:
@@ -224,8 +296,9 @@ def test_what_was_sent_in_ignorance_of_a_halt_does_not_begin_after_it(bench, swi
 def test_a_halt_called_past_the_broker_is_told_with_every_hello_until_the_broker_knows_of_it(bench) -> None:
     halt = m.HaltOrder(halt="H-1", called_at_s=99.0)
     bench.hear(halt, CALLER)
-    assert (BROKER, halt) in bench.subsystem.hello()
-    bench.hear(halt, BROKER)
+    (told,) = kinds(bench.subsystem.hello(), m.HaltOrder)
+    assert msgspec.structs.replace(told, call="") == halt
+    bench.hear(told, BROKER)
     assert kinds(bench.subsystem.hello(), m.HaltOrder) == []
 
 

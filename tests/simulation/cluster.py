@@ -35,6 +35,7 @@ from rtc.outcomes import OutcomeKind, Refusal, StopReason
 from rtc.settings import Settings
 from rtc.world.server import Server
 from rtc.world.store import Store
+from sim_mcm.executor import State as Doing
 from tests.simulation import network, skills
 from tests.simulation.processes import ARMS, Caller, Client, Mcm, Supervisor, Worker
 
@@ -156,12 +157,24 @@ class Ledger:
         if not order.halt.startswith(("stop-", "orphan-", "rejoin-")):
             self.last_halt_s[order.scope] = now_s
 
+    def obeyed(self, mcm: Mcm, order: m.HaltOrder) -> None:
+        """Called when the MCM has just heard it: nothing in its scope goes on, whatever it is called."""
+        for executor in mcm.subsystem.executors.values():
+            primitive = executor.primitive_id
+            in_scope = order.scope in ("ALL", executor.name, primitive.partition(".")[0])
+            if in_scope and executor.state is Doing.EXECUTING:
+                self.cluster.wrong(f"halt {order.halt} of {order.scope} was heard, and {primitive} goes on")
+
     def said(self, mcm: Mcm, message: m.Message) -> None:
         if isinstance(message, m.Started):
             if message.primitive in self.begun:
                 self.cluster.wrong(f"{message.primitive} was executed twice")
             self.begun[message.primitive] = message.at_s
             self._not_after_a_halt(mcm, message)
+        elif isinstance(message, m.HaltAtRest) and message.at_rest:
+            moving = [n for n in message.performers if mcm.subsystem.executors[n].primitive_id]
+            if moving:
+                self.cluster.wrong(f"halt {message.halt}: {moving} told to be at rest, and executing")
         elif isinstance(message, m.EndReport):
             known = self.ended.setdefault(message.primitive, message.reason)
             if known is not message.reason:
@@ -250,9 +263,10 @@ class Cluster:
         for client in self.clients:
             for _ in range(random.randint(1, 3)):
                 clock.after(random.uniform(0.15, FAULTS_S * 0.8), client.submit, self._sentence())
-        for n in range(random.choice((0, 0, 0, 1, 1, 2))):
+        for n in range(random.choice((0, 0, 0, 1, 1, 2, 3))):
             scope = random.choice(("ALL", "ALL", "LEFT-ARM", "RIGHT-ARM", f"C-{random.randint(1, 4)}"))
-            clock.after(random.uniform(0.01, FAULTS_S), self._call_halt, f"H-{n}", scope)
+            halt = random.choice((f"H-{n}", "THE-BUTTON"))  # of two callers, or of one button that always says the same
+            clock.after(random.uniform(0.01, FAULTS_S), self._call_halt, halt, scope)
         for _ in range(random.choice((0, 1, 1, 2, 3, 5))):
             fault = random.choice(FAULTS)
             clock.after(random.uniform(0.005, FAULTS_S), fault, self)
@@ -281,7 +295,8 @@ class Cluster:
     def _call_halt(self, halt: str, scope: str) -> None:
         knows_broker = self.random.random() < 0.7
         self.tell(f"somebody calls HALT {scope} ({halt}){'' if knows_broker else ' at the door of the MCM alone'}")
-        self.callers.append(Caller(self, halt, scope, knows_broker=knows_broker))
+        number = len(self.callers) + 1
+        self.callers.append(Caller(self, number, halt, scope, knows_broker=knows_broker))
 
     # --- processes ------------------------------------------------------------------------------------
 

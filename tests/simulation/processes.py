@@ -230,7 +230,10 @@ class Mcm:
         for door, order in waiting:
             if isinstance(order, m.HaltOrder):
                 self.cluster.ledger.halted(self, order, now_s)
-            self._say(subsystem.hear(order, door, now_s))
+            answers = subsystem.hear(order, door, now_s)
+            if isinstance(order, m.HaltOrder):
+                self.cluster.ledger.obeyed(self, order)
+            self._say(answers)
         self._say(subsystem.tick(now_s))
         if not subsystem.idle or subsystem._open_halts:
             self._ticking = True
@@ -325,14 +328,14 @@ class Caller:
     LIMIT_S = 2.0
     RETRY_S = 0.02
 
-    def __init__(self, cluster: Cluster, halt: str, scope: str, *, knows_broker: bool) -> None:
+    def __init__(self, cluster: Cluster, number: int, halt: str, scope: str, *, knows_broker: bool) -> None:
         self.cluster = cluster
         now_s = cluster.clock.now_s
         self.order = m.HaltOrder(halt=halt, scope=scope, called_at_s=now_s)
         self.limit_s = now_s + self.LIMIT_S
         self.told: set[str] = set() if knows_broker else {"halt"}
         self.at_rest = False
-        self.line = Dealer(cluster.clock, f"{halt}.halt".encode(), self._hear, immediate=True)
+        self.line = Dealer(cluster.clock, b"\0%d" % number, self._hear, immediate=True)
         cluster.attach("halt", self.line)
         self._tell()
 

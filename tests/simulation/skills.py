@@ -133,7 +133,8 @@ def analyze(data: bytes) -> Assessment:
         return Assessment(verdict="continue", reason=report.reason, changes=[done])
     if evaluation.step.do == "late-mended" and report.reason is StopReason.TIMEOUT:
         return Assessment(verdict="trim", reason=report.reason, trim=1, changes=[done])
-    return Assessment(verdict="abort", reason=report.reason, message=report.message, changes=[done])
+    changed = [] if report.reason is StopReason.REFUSED else [done]  # what was not begun has changed nothing
+    return Assessment(verdict="abort", reason=report.reason, message=report.message, changes=changed)
 
 
 FUNCTIONS = {"parser": parse, "elaborator": elaborate, "binder": bind, "analyzer": analyze}

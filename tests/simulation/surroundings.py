@@ -73,12 +73,12 @@ class Halt(msgspec.Struct):
     handed_in: int  # commands that were there when it was called
     at_broker: bool = False
     at_estop: bool = False
+    estops: int = 0  # how often it was called past the broker
 
 
 class OpenHalt(msgspec.Struct):
     id: str
     performers: list[str]
-    to_broker: bool
 
 
 class Mcm(msgspec.Struct):
@@ -91,9 +91,8 @@ class Mcm(msgspec.Struct):
     braking: list[str] = []
     kept: dict[str, StopReason] = {}  # ended, not acknowledged
     ended: dict[str, StopReason] = {}
-    halts: dict[str, list[str] | None] = {}  # known ones; those that are at rest for it, once they are
-    open: list[OpenHalt] = []
-    shadows: dict[str, str] = {}  # scope -> halt called past the broker, which has not shown to know of it
+    open: list[OpenHalt] = []  # that the broker has ordered
+    shadows: dict[str, str] = {}  # scope -> call of a halt past the broker, which has not shown to know of it
     said: list[heard.AnyEvent] = []  # to the broker, on its way
 
 
@@ -192,6 +191,10 @@ def _moves(model: Model, scenario: Scenario) -> Iterator[Move]:
             yield "halt", scope
         if mcm.alive and (halt is None or not halt.at_estop):
             yield "estop", scope
+        if halt is not None and halt.at_broker:
+            yield "halt again", scope
+        if mcm.alive and halt is not None and halt.at_estop:
+            yield "estop again", scope
     yield ("broker restarts",)
     if _left(model, "broker dies") > 0:
         yield from _deaths(model, scenario)
@@ -227,8 +230,7 @@ def _moves_of_broker(model: Model, scenario: Scenario) -> Iterator[Move]:
         yield ("said",)
     for scope in scenario.halts:
         halt = model.halts.get(f"h-{scope}")
-        if halt is None or not halt.at_broker:
-            yield "halt", scope
+        yield ("halt again" if halt is not None and halt.at_broker else "halt"), scope
 
 
 def at_work(model: Model, command: Command) -> bool:
@@ -400,6 +402,10 @@ def _call(model: Model, scenario: Scenario, scope: str) -> heard.Event:
     return heard.HaltCalled(at_s=model.now, client=CLIENTS[0], halt=f"h-{scope}", scope=scope)
 
 
+def _call_again(model: Model, scenario: Scenario, scope: str) -> heard.Event:
+    return heard.HaltCalled(at_s=model.now, client=CLIENTS[1], halt=f"h-{scope}", scope=scope)
+
+
 def _called(model: Model, scope: str) -> Halt:
     return model.halts.setdefault(f"h-{scope}", Halt(scope, model.handed_in))
 
@@ -463,6 +469,7 @@ EVENTS: dict[str, Callable[..., heard.Event]] = {
     "exit told": _gone("exit -9"),
     "timer": _ring,
     "halt": _call,
+    "halt again": _call_again,
     "client gone": _client_gone,
     "program installed": _install,
     "resume": _resume,
@@ -473,14 +480,14 @@ def _hear(model: Model, event: heard.Event, out: int | None = None) -> list[do.E
     """The Decision Unit hears; its effects are carried out, or only the first `out` of those that leave the broker."""
     du = model.du
     live = set(du.commands)
-    new_halt = event.scope if isinstance(event, heard.HaltCalled) and event.halt not in du.halts else ""
+    halted = event.scope if isinstance(event, heard.HaltCalled) else ""
     effects = decide(du, event)
     for command in du.commands.values():
         command.notes.clear()  # told, and never read again
     du.counts.clear()
-    wrong = [*violations(du), *forbidden(du, live, effects, halt_all=new_halt == "ALL")]
-    if new_halt:
-        model.stopped += [c for c in _stopped_by(model, live, new_halt) if c not in model.stopped]
+    wrong = [*violations(du), *forbidden(du, live, effects, halt_all=halted == "ALL")]
+    if halted:
+        model.stopped += [c for c in _stopped_by(model, live, halted) if c not in model.stopped]
     for effect in effects:
         wrong += _untrue(model, effect)
     if wrong:
@@ -572,7 +579,7 @@ def _lose(model: Model, move: Move) -> None:
 
 def late(model: Model) -> Iterator[heard.Event]:
     """What may still arrive, or arrive once more, and must change nothing: answers of workers thought dead, answers
-    and reports told twice, requests and halts repeated, a timer that was set anew."""
+    and reports told twice, requests repeated, a timer that was set anew. (A halt that is repeated is obeyed again.)"""
     now, body = model.now, wire.raw(go_on())
     old = [(f"{command}/1", 1) for command in model.outcomes]
     old += [(left.job.id, left.job.attempt - 1) for left in model.du.untold.values()]
@@ -591,8 +598,6 @@ def late(model: Model) -> Iterator[heard.Event]:
     for key in model.du.requests:
         client, _, request = key.partition(" ")
         yield heard.CommandReceived(at_s=now, client=client, request=request, text="X")
-    for halt in model.du.halts:
-        yield heard.HaltCalled(at_s=now, client=CLIENTS[0], halt=halt, scope="ALL")
 
 
 # --- the subsystem -----------------------------------------------------------------------------------
@@ -654,33 +659,26 @@ def _rest(model: Model, arm: str) -> None:
     _confirm(model)
 
 
-def _halt(model: Model, id_: str, scope: str, *, to_broker: bool) -> None:
+def _halt(model: Model, id_: str, scope: str, *, call: str) -> None:
+    """Ordered by the broker. `call`: of the halt past it that this answers, if it does."""
     mcm = model.mcm
     if not mcm.alive:
         return
-    if to_broker:
-        mcm.shadows = {s: h for s, h in mcm.shadows.items() if h != id_}
-    elif id_ not in mcm.halts:
-        mcm.shadows[scope] = id_
-        _pass_on(model, id_, scope)
-        before = [f"C-{n}" for n in range(1, model.halts[id_].handed_in + 1)]
-        model.estopped += [c for c in before if scope in ("ALL", c) and c not in model.estopped]
-    if id_ in mcm.halts:
-        if mcm.halts[id_] is not None and to_broker:
-            _say_at_rest(model, id_)
-        for known in mcm.open:
-            known.to_broker |= to_broker and known.id == id_
-        return
-    reached = [a for a, p in mcm.arms.items() if p and (scope in ("ALL", a) or p.startswith(f"{scope}."))]
-    mcm.braking += [a for a in reached if a not in mcm.braking]
-    mcm.halts[id_] = None
+    mcm.shadows = {s: c for s, c in mcm.shadows.items() if c != call}
+    reached = _brake(mcm, scope)
     in_scope = list(ARMS) if scope == "ALL" else [scope] if scope in ARMS else reached
-    mcm.open.append(OpenHalt(id_, in_scope, to_broker))
+    mcm.open.append(OpenHalt(id_, in_scope))
     _confirm(model)
 
 
-def _pass_on(model: Model, id_: str, scope: str) -> None:
-    _say(model, heard.HaltCalled(at_s=0.0, client="MCM", halt=id_, scope=scope))
+def _brake(mcm: Mcm, scope: str) -> list[str]:
+    reached = [a for a, p in mcm.arms.items() if p and (scope in ("ALL", a) or p.startswith(f"{scope}."))]
+    mcm.braking += [a for a in reached if a not in mcm.braking]
+    return reached
+
+
+def _pass_on(model: Model, call: str, scope: str) -> None:
+    _say(model, heard.HaltCalled(at_s=0.0, client="MCM", halt=call.partition("#")[0], scope=scope, call=call))
 
 
 def _confirm(model: Model) -> None:
@@ -688,19 +686,29 @@ def _confirm(model: Model) -> None:
     for halt in list(mcm.open):
         if not any(mcm.arms[arm] for arm in halt.performers):
             mcm.open.remove(halt)
-            mcm.halts[halt.id] = halt.performers
-            if halt.to_broker:
-                _say_at_rest(model, halt.id)
-
-
-def _say_at_rest(model: Model, id_: str) -> None:
-    performers = model.mcm.halts[id_]
-    _say(model, heard.HaltConfirmed(at_s=0.0, subsystem="MCM", halt=id_, at_rest=True, performers=performers))
+            rest = {"subsystem": "MCM", "halt": halt.id, "at_rest": True, "performers": halt.performers}
+            _say(model, heard.HaltConfirmed(at_s=0.0, **rest))
 
 
 def _estop(model: Model, scope: str) -> None:
-    _called(model, scope).at_estop = True
-    _halt(model, f"h-{scope}", scope, to_broker=False)
+    halt = _called(model, scope)
+    halt.at_estop = True
+    _at_estop(model, halt, halt.handed_in)
+
+
+def _estop_again(model: Model, scope: str) -> None:
+    """Another halt under a name that was used before: by a second caller, or by a button that always says the same."""
+    _at_estop(model, _called(model, scope), model.handed_in)
+
+
+def _at_estop(model: Model, halt: Halt, handed_in: int) -> None:
+    halt.estops += 1
+    call = f"h-{halt.scope}#{halt.estops}"
+    _brake(model.mcm, halt.scope)
+    model.mcm.shadows[halt.scope] = call
+    _pass_on(model, call, halt.scope)
+    before = [f"C-{n}" for n in range(1, handed_in + 1)]
+    model.estopped += [c for c in before if halt.scope in ("ALL", c) and c not in model.estopped]
 
 
 def _die(model: Model) -> None:
@@ -720,8 +728,8 @@ def _say_hello(model: Model) -> None:
     _say(model, _hello(model))
     for primitive in model.mcm.kept:
         _report(model, primitive)
-    for scope, id_ in model.mcm.shadows.items():
-        _pass_on(model, id_, scope)
+    for scope, call in model.mcm.shadows.items():
+        _pass_on(model, call, scope)
 
 
 def _say_again(model: Model, primitive: str) -> None:
@@ -732,6 +740,7 @@ OF_MCM: dict[str, Callable[..., None]] = {
     "goal": _goal,
     "rest": _rest,
     "estop": _estop,
+    "estop again": _estop_again,
     "mcm dies": _die,
     "born": _born,
     "hello": _say_hello,
@@ -743,7 +752,7 @@ OF_MCM: dict[str, Callable[..., None]] = {
 
 
 def _order_halt(model: Model, effect: do.SendHalt) -> None:
-    _halt(model, effect.halt, effect.scope, to_broker=True)
+    _halt(model, effect.halt, effect.scope, call=effect.call)
 
 
 def _give(model: Model, effect: do.DispatchJob) -> None:
@@ -802,9 +811,9 @@ def _essence(model: Model) -> list[Any]:
         untold_at_work(model),
         [du.awaiting, du.joining, {c: r.succeeded for c, r in du.ended.items()}],
         [(s.pid, s.link, s.came_at_rest) for s in du.subsystems.values()],
-        [du.programs, list(du.trials), sorted(du.halts)],
+        [du.programs, list(du.trials)],
         [model.handed_in, sorted(model.timers), model.stopped, model.estopped],
-        [(id_, halt.handed_in, halt.at_broker, halt.at_estop) for id_, halt in sorted(model.halts.items())],
+        [(id_, halt.handed_in, halt.at_broker, halt.at_estop, halt.estops) for id_, halt in sorted(model.halts.items())],
         [
             mcm.pid,
             mcm.alive,
@@ -813,7 +822,6 @@ def _essence(model: Model) -> list[Any]:
             mcm.braking,
             [_name(model, p) for p in mcm.kept],
             [(c.id, mcm.ended.get(c.primitive)) for c in du.commands.values()],
-            mcm.halts,
             mcm.open,
             mcm.shadows,
             [_of_said(model, said) for said in mcm.said],
@@ -850,5 +858,5 @@ def _of_said(model: Model, said: heard.AnyEvent) -> list[Any]:
         case heard.HaltConfirmed():
             return ["rest", said.halt, said.performers]
         case heard.HaltCalled():
-            return ["halt", said.halt]
+            return ["halt", said.call]
     raise AssertionError(said)

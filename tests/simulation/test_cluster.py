@@ -11,7 +11,7 @@ from rtc import messages as m
 from rtc import wire
 from rtc.outcomes import StopReason
 from sim_mcm.reports import not_begun
-from sim_mcm.subsystem import Subsystem
+from sim_mcm.subsystem import BROKER, Subsystem
 from tests.simulation.__main__ import Result, run
 from tests.simulation.cluster import Cluster
 
@@ -122,6 +122,23 @@ def test_a_broker_that_does_not_listen_to_halts_of_its_mcm_is_found(monkeypatch)
 
     monkeypatch.setitem(router._DOORS, "subsystems", (read, deaf))
     assert first_problem().problem
+
+
+def test_an_mcm_that_obeys_a_halt_once_by_its_name_is_found(monkeypatch):
+    obey = Subsystem._halt
+
+    def only_once(self, order, door, now_s):
+        known = (door != BROKER, order.halt) in vars(self).setdefault("seen", set())
+        self.seen.add((door != BROKER, order.halt))
+        return [] if known and door != BROKER else obey(self, order, door, now_s)
+
+    monkeypatch.setattr(Subsystem, "_halt", only_once)
+    assert "was heard, and" in first_problem().problem
+
+
+def test_an_mcm_that_tells_from_memory_that_it_rests_is_found(monkeypatch):
+    monkeypatch.setattr(Subsystem, "_is_still_true", lambda self, halt, reached: True)
+    assert "told to be at rest, and executing" in first_problem().problem
 
 
 def test_a_broker_that_forgets_what_happened_while_the_world_was_away_is_found(monkeypatch):
