@@ -206,9 +206,7 @@ def halt(turn: Turn, halt_id: str, scope: str, called_at_s: float, spare: str = 
     for name, subsystem in state.subsystems.items():
         concerned = scope == "ALL" or name == performer or any(c.subsystem == name for c in targets)
         if concerned and subsystem.link is not Link.LOST:
-            turn.effects.append(
-                SendHalt(subsystem=name, halt=halt_id, scope=scope, called_at_s=called_at_s, call=call)
-            )
+            turn.effects.append(SendHalt(subsystem=name, halt=halt_id, scope=scope, called_at_s=called_at_s, call=call))
     for command in targets:
         if command.id != spare:
             turn.follow(command.id, Stimulus.STOP, _halted(scope))

@@ -593,9 +593,7 @@ class Router:
         send(self._socket["subsystems"], message, self._subsystem_peer(effect.subsystem))
 
     def _send_halt(self, effect: do.SendHalt) -> None:
-        order = m.HaltOrder(
-            halt=effect.halt, scope=effect.scope, called_at_s=effect.called_at_s, call=effect.call
-        )
+        order = m.HaltOrder(halt=effect.halt, scope=effect.scope, called_at_s=effect.called_at_s, call=effect.call)
         send(self._socket["subsystems"], order, self._subsystem_peer(effect.subsystem))
 
     def _acknowledge(self, effect: do.AcknowledgeReport) -> None:

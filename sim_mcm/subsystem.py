@@ -27,7 +27,7 @@ from rtc.halting import Fold
 from rtc.outcomes import Refusal, RefusalReason, StopReason
 from rtc.primitive_id import LONGEST, is_name
 from sim_mcm.arm import Arm
-from sim_mcm.executor import Executor, State
+from sim_mcm.executor import Executor
 from sim_mcm.reports import not_begun
 
 BROKER = b""  # no caller at the estop socket has this identity

@@ -106,7 +106,9 @@ def test_a_halt_that_is_not_obeyed_because_its_name_was_used_before_is_found(mon
     def only_once(turn, event):
         known = any(key.startswith(f"{event.halt} ") for key in turn.state.halts)
         if known and (event.client == "MCM") is by_subsystem:
-            turn.effects.append(SendHalt(subsystem="MCM", halt=event.halt, scope="C-99", called_at_s=0, call=event.call))
+            turn.effects.append(
+                SendHalt(subsystem="MCM", halt=event.halt, scope="C-99", called_at_s=0, call=event.call)
+            )
         else:
             called(turn, event)
 

@@ -813,7 +813,10 @@ def _essence(model: Model) -> list[Any]:
         [(s.pid, s.link, s.came_at_rest) for s in du.subsystems.values()],
         [du.programs, list(du.trials)],
         [model.handed_in, sorted(model.timers), model.stopped, model.estopped],
-        [(id_, halt.handed_in, halt.at_broker, halt.at_estop, halt.estops) for id_, halt in sorted(model.halts.items())],
+        [
+            (id_, halt.handed_in, halt.at_broker, halt.at_estop, halt.estops)
+            for id_, halt in sorted(model.halts.items())
+        ],
         [
             mcm.pid,
             mcm.alive,
