@@ -49,6 +49,7 @@ MAX_TEXT = 4_000  # characters kept of a sentence (the parser refuses shorter on
 MAX_SUBSYSTEMS = 32  # known by name, lost ones too
 HALTS_KEPT = 64
 PROVEN_KEPT = 16  # programs of a kind
+FILES_KEPT = 64  # programs whose file is known, for `rtc status`
 CLIENTS_KEPT = 1024  # whose latest command is known, for AFTER LAST
 
 ACTIONS: dict[str, Callable[[Turn, Command, Any], None]] = {
@@ -303,6 +304,14 @@ def _with_another_program(turn: Turn, command: Command, job: PendingJob, why: st
     return True
 
 
+def _keep_file(state: State, event: ProgramInstalled) -> None:
+    """For people, who know files and no digests; also after a roll-back, which goes back to an older digest."""
+    state.program_files.pop(event.digest, None)
+    state.program_files[event.digest] = (event.file, event.at_s)
+    while len(state.program_files) > FILES_KEPT:
+        del state.program_files[next(iter(state.program_files))]
+
+
 def on_program(turn: Turn, event: ProgramInstalled) -> None:
     kind = event.kind or "cell"
     turn.state.began_at_s = turn.state.began_at_s or event.at_s  # it begins with its programs
@@ -315,6 +324,8 @@ def on_program(turn: Turn, event: ProgramInstalled) -> None:
             turn.state.trials[kind] = Trial(new=event.digest, old=old)
     turn.state.rolled_back.pop(kind, None)
     programs[kind] = event.digest
+    if event.file:
+        _keep_file(turn.state, event)
 
 
 def _prove(state: State, kind: str, digest: str) -> None:

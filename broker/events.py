@@ -111,6 +111,7 @@ class ProgramInstalled(Event, frozen=True, kw_only=True, gc=False):
 
     kind: WorkerKind | None
     digest: str
+    file: str = ""  # that was loaded; empty: it comes with the project
 
 
 class ListenersChanged(Event, frozen=True, kw_only=True, gc=False):

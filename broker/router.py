@@ -476,7 +476,7 @@ class Router:
         loaded = self.store.load(self.state.programs.get(text.kind, ""), text)
         if isinstance(loaded, Refusal):
             return m.Declined(request=text.request, refusal=loaded)
-        self._events.append(heard.ProgramInstalled(at_s=now, kind=text.kind, digest=loaded.digest))
+        self._events.append(heard.ProgramInstalled(at_s=now, kind=text.kind, digest=loaded.digest, file=text.name))
         return m.ProgramLoaded(request=text.request, kind=text.kind, digest=loaded.digest, changes=loaded.changes)
 
     # --- what only the clock tells --------------------------------------------------------------------

@@ -211,6 +211,7 @@ class State(msgspec.Struct, kw_only=True):
     joining: dict[str, list[str]] = {}  # command -> those that start when it begins to move
     subsystems: dict[str, Subsystem] = {}
     programs: dict[str, str] = {}  # kind (or "cell") -> digest
+    program_files: dict[str, tuple[str, float]] = {}  # digest -> file that was loaded last into it, when
     untold: dict[str, Untold] = {}  # command that has ended -> what the world has not been told of it
     trials: dict[str, Trial] = {}
     proven: dict[str, list[str]] = {}  # kind -> programs that have done a job well, the latest last

@@ -81,6 +81,11 @@ def status(router: Router) -> dict[str, Any]:
         "counters": {**state.counts, **{f"dropped_{name}": n for name, n in dropped.items()}},
         "decision_ms": _spread_ms(router.turn_times_s),
         "programs": dict(state.programs),
+        "program_files": {
+            kind: {"file": found[0], "age_s": now - found[1]}
+            for kind, name in state.programs.items()
+            if (found := state.program_files.get(name)) is not None
+        },
         "rolled_back": dict(state.rolled_back),
     }
 

@@ -7,15 +7,30 @@ import os
 import signal
 import sys
 import time
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 import typer
+from rich.live import Live
 from rich.text import Text
 
 from rtc.chaos import REPORT
-from rtc.cli.output import NO_CLUSTER, AsJson, RunDir, With, console, emit_json, said, seconds, table, trouble
+from rtc.cli.measured import duration
+from rtc.cli.output import (
+    NO_CLUSTER,
+    AsJson,
+    RunDir,
+    With,
+    console,
+    duration_s,
+    emit_json,
+    said,
+    seconds,
+    table,
+    trouble,
+)
 from rtc.client import Client
 from rtc.outcomes import NoCluster, TimedOut
 from rtc.settings import default_run_dir
@@ -66,28 +81,69 @@ def down(run_dir: RunDir = None) -> None:
     _deploy(["down"], run_dir)
 
 
-def status(run_dir: RunDir = None, key: With = None, json: AsJson = False) -> None:
-    """What runs: processes and their cube addresses, queues, resources and owners, commands, counters.
+def status(
+    watch: Annotated[bool, typer.Option("--watch", help="Again and again, until Ctrl-C.")] = False,
+    every: Annotated[str, typer.Option(help="With --watch: how often, as 1s or 500ms.")] = "1s",
+    for_: Annotated[str, typer.Option("--for", help="With --watch: how long.", show_default="for ever")] = "",
+    run_dir: RunDir = None,
+    key: With = None,
+    json: AsJson = False,
+) -> None:
+    """What runs: processes and their cube addresses, queues, resources and owners, commands, programs, counters.
 
     Exit status 4 when the broker does not answer; then it shows what the supervisor knows.
 
-    Example:  rtc status --json
+    Example:  rtc status
+    Example:  rtc status --watch
     """
+    every_s, for_s = duration_s(every, "--every"), duration_s(for_, "--for") if for_ else math.inf
+    if watch and not json:
+        with suppress(KeyboardInterrupt):
+            _watch(run_dir, key, every_s, for_s)
+        return
+    said, silent = _status(run_dir, key)
+    if silent:
+        if not json:
+            show_status(said)
+        raise trouble(SILENT, NO_CLUSTER, **said) from None
+    if json:
+        emit_json(said)
+    else:
+        show_status(said)
+
+
+def _status(run_dir: Path | None, key: Path | None) -> tuple[dict[str, Any], bool]:
+    """What the broker says; True with what the supervisor knows when the broker does not answer. Raises NoCluster."""
     try:
         with Client(run_dir, key=key) as rtc:
             said = rtc.status()
     except (NoCluster, TimedOut):
         if key or not (known := as_supervised(run_dir or default_run_dir())):
             raise
-        if not json:
-            show_status(known)
-        raise trouble(SILENT, NO_CLUSTER, **known) from None
+        return known, True
     if not key and not said.get("processes"):  # a new broker has not heard of them yet
         said |= {"processes": (as_supervised(run_dir or default_run_dir()) or {}).get("processes", [])}
-    if json:
-        emit_json(said)
-    else:
-        show_status(said)
+    return said, False
+
+
+def _watch(run_dir: Path | None, key: Path | None, every_s: float, for_s: float) -> None:
+    """On a terminal in one place, elsewhere one below the other. Raises NoCluster when the cluster is gone."""
+    until_s = time.monotonic() + for_s
+    with Live(console=console, auto_refresh=False) if console.is_terminal else nullcontext() as live:
+        while True:
+            said, silent = _status(run_dir, key)
+            with console.capture() as shown:
+                show_status(said)
+                if silent:
+                    console.print(Text(SILENT, style="bold yellow"))
+            if live is not None:
+                live.update(Text.from_ansi(shown.get()), refresh=True)
+            else:
+                console.print(Text(time.strftime("%H:%M:%S")))
+                console.print(Text.from_ansi(shown.get()))
+            if (left_s := until_s - time.monotonic()) <= 0:
+                return
+            time.sleep(min(every_s, left_s))
 
 
 def as_supervised(run_dir: Path) -> dict[str, Any] | None:
@@ -120,7 +176,9 @@ def show_status(said: dict[str, Any]) -> None:
         _commands(said["commands"])
     _resources(said.get("resources", []))
     _subsystems(said.get("subsystems", []))
-    for name in ("queues", "programs", "halts", "counters"):
+    if "programs" in said:
+        console.print(Text("programs: ", style="bold") + Text(programs_in_words(said)))
+    for name in ("queues", "halts", "counters"):
         figures = {key: value for key, value in said.get(name, {}).items() if value not in (0, None, "", [], {})}
         if figures:
             console.print(
@@ -128,9 +186,32 @@ def show_status(said: dict[str, Any]) -> None:
             )
 
 
+def programs_in_words(said: dict[str, Any]) -> str:
+    """Which file each kind of worker was given last, and when."""
+    files = said.get("program_files", {})
+    words = [f"{kind} {one['file']} (loaded {age(one['age_s'])} ago)" for kind, one in files.items()]
+    rest = "all as they come with rtc" if not words else "the others as they come with rtc"
+    return ", ".join([*words, rest])
+
+
+def age(value_s: float) -> str:
+    """45 s, 12 min, 3 h 5 min."""
+    return duration(max(1.0, round(value_s)))
+
+
+def folded(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The processes, but the templates that others are forked from as one row; those that are not ready by name."""
+    templates = [row for row in rows if row["name"].endswith("template") and row.get("state") == "ready"]
+    if len(templates) < 2:
+        return rows
+    restarts = sum(row.get("restarts") or 0 for row in templates)
+    one = {"name": f"{len(templates)} templates", "state": "ready", "restarts": restarts}
+    return [*(row for row in rows if row not in templates), one]
+
+
 def _workers_and_processes(said: dict[str, Any]) -> None:
     workers = {worker["name"]: worker for worker in said.get("workers", [])}
-    rows = said.get("processes") or []
+    rows = folded(said.get("processes") or [])
     here = {row["name"] for row in rows}
     elsewhere = {"state": "ready, elsewhere"} if here else {}  # our supervisor knows only its own
     rows = [*rows, *({**worker, **elsewhere} for name, worker in workers.items() if name not in here)]

@@ -1088,6 +1088,19 @@ def test_what_else_was_under_way_with_a_program_that_was_rolled_back_is_done_aga
     assert s.state.counts["programs_rolled_back"] == 1
 
 
+def test_the_file_of_a_program_is_known_and_after_a_roll_back_that_of_the_one_before():
+    s = Story()
+    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="old", file="good.lark")
+    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="new", file="bad.lark")
+    s.says("X")
+    assert s.state.program_files[s.state.programs["parser"]][0] == "bad.lark"
+    s.loses_worker("C-1")
+    assert s.state.program_files[s.state.programs["parser"]][0] == "good.lark"
+    for n in range(100):
+        s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest=f"p{n}", file="many.lark")
+    assert len(s.state.program_files) == 64
+
+
 def test_back_from_a_new_program_is_to_one_that_has_done_a_job():
     s = Story()
     for digest in ("old", "new", "newer"):

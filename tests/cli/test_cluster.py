@@ -16,6 +16,7 @@ from prompt_toolkit.application import create_app_session
 from prompt_toolkit.input import create_pipe_input
 from prompt_toolkit.output import DummyOutput
 
+import rtc as rtc_package
 from rtc.cli.interpreter import interpret
 from rtc.client import Client
 
@@ -153,6 +154,17 @@ def test_status_names_every_worker(rtc: Run) -> None:
     for name in ("parser@0", "elaborator@1", "binder@2", "analyzer@3", "broker", "MCM", "world"):
         assert name in shown.stdout
     assert {worker["name"] for worker in said["workers"]} == {"parser@0", "elaborator@1", "binder@2", "analyzer@3"}
+
+
+def test_status_names_the_file_of_a_program_and_may_be_watched(rtc: Run, tmp_path: Path) -> None:
+    file = tmp_path / "my_lift.yaml"
+    file.write_bytes((Path(rtc_package.__file__).parent / "programs/elaborator/scripts/lift.yaml").read_bytes())
+    assert rtc("load", str(file), "INTO", "elaborator").returncode == 0
+    watched = rtc("status", "--watch", "--every", "100ms", "--for", "1s")
+
+    assert watched.returncode == 0
+    assert watched.stdout.count("elaborator my_lift.yaml (loaded ") >= 2
+    assert watched.stdout.count("no command under way") >= 2
 
 
 def test_world_get_list_history_at(rtc: Run) -> None:
