@@ -20,6 +20,7 @@ from rtc.outcomes import RtcError, WireError
 
 JOURNAL = "journal.db"  # in the run directory of a cluster
 PREVIOUS = "previous"  # a directory in it: the same of the run before
+OLDER = ("previous-2", "previous-3")
 NEWEST_FIRST = "SELECT record FROM stories ORDER BY n DESC LIMIT ?"
 ONE = "SELECT record FROM stories WHERE n = ?"
 
@@ -60,9 +61,9 @@ class Past:
 
 def runs(run_dir: Path) -> Iterator[Past]:
     """What journals lie in a run directory, the newest first; the first may be that of a cluster that runs."""
-    for directory in (run_dir, run_dir / PREVIOUS):
+    for name in (".", PREVIOUS, *OLDER):
         with contextlib.suppress(OSError):
-            journal = directory / JOURNAL
+            journal = run_dir / name / JOURNAL
             yield Past(journal, journal.stat().st_mtime)
 
 
