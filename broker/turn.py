@@ -86,7 +86,13 @@ class Turn(msgspec.Struct, gc=False):
         self.note(command, note, **more)
 
     def note(
-        self, command: Command, text: str = "", *, expected_s: float = 0.0, measured: Measured | None = None
+        self,
+        command: Command,
+        text: str = "",
+        *,
+        expected_s: float = 0.0,
+        measured: Measured | None = None,
+        warning: bool = False,
     ) -> None:
         state = self.state
         state.seq += 1
@@ -101,6 +107,7 @@ class Turn(msgspec.Struct, gc=False):
             note=text,
             expected_s=expected_s,
             measured=measured,
+            warning=warning,
         )
         command.notes.append(note)
         if len(command.notes) > NOTES_KEPT:

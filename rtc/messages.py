@@ -137,6 +137,7 @@ class ProgressNote(Message, frozen=True, kw_only=True):
     note: str = ""  # what came of it, in words
     expected_s: float = 0.0  # how long the step that is being executed takes, as planned; 0 = not known
     measured: Measured | None = None  # what REPORT asks for
+    warning: bool = False  # the note is worth a person's attention although the command goes on
 
 
 class CommandEnded(Message, frozen=True, kw_only=True):

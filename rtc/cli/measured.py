@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 from rtc.outcomes import Measured
 
@@ -35,14 +36,15 @@ def in_words(measured: Measured) -> list[str]:
     return lines
 
 
-def _numbers(values: object, form: str) -> str:
-    return " ".join(format(float(value) + 0.0, form) for value in values)  # type: ignore[attr-defined]
+def _numbers(values: Iterable[float], form: str) -> str:
+    return " ".join(format(value, "z" + form) for value in values)  # z: minus nothing is nothing
 
 
 def _pose(pose: list[float]) -> str:
     x, y, z, *q = pose
     roll, pitch, yaw = (math.degrees(angle) for angle in _rpy(*q))
-    return f"x {100 * x:.1f} y {100 * y:.1f} z {100 * z:.1f} cm, roll {roll:.1f} pitch {pitch:.1f} yaw {yaw:.1f} deg"
+    place = f"x {100 * x:z.1f} y {100 * y:z.1f} z {100 * z:z.1f} cm"
+    return f"{place}, roll {roll:z.1f} pitch {pitch:z.1f} yaw {yaw:z.1f} deg"
 
 
 def _rpy(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:

@@ -98,7 +98,7 @@ def refusal_lines(refusal: Refusal, text: str = "") -> list[str]:
     if refusal.owner:
         lines.append(f"owner: {refusal.owner}")
     if refusal.detail:
-        lines.append("figures: " + ", ".join(with_unit(key, value) for key, value in refusal.detail.items()))
+        lines.append("figures: " + ", ".join(with_unit(*row) for row in refusal.detail.items() if row[0] != "others"))
     if refusal.clears:
         lines.append(f"to clear it: {refusal.clears}")
     return lines

@@ -93,6 +93,8 @@ class Board:
         if note.seq == 0 and note.measured is not None:
             self._report(note)
             return
+        if note.warning and not self.quiet:
+            self._out.print(Text(f"{note.command}  warning: {note.note}", style="yellow"))
         if self.on_long is not None:
             self.on_long(note)
         changed = (note.phase.value, note.step) != (row.phase, row.of)

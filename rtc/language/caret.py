@@ -11,7 +11,7 @@ from rtc.language.refuse import visible
 from rtc.outcomes import Refusal
 
 WIDTH = 100  # columns of the whole picture
-MOST_EXPECTED = 20  # shown in full although some of them are like the word that was written
+MOST_EXPECTED = 20  # words; a longer list, that of all verbs, is only named
 INDENT = "  "
 CUT = "..."
 
@@ -24,8 +24,8 @@ def show(sentence: str | bytes, refusal: Refusal) -> str:
         lines += [INDENT + line, INDENT + " " * place + "^"]
     lines.append(refusal.message)
     expected = refusal.expected
-    if refusal.nearest and len(expected) > MOST_EXPECTED:
-        expected = [f"{len(expected)} words; `rtc dictionary` lists the verbs"] if refusal.column is not None else []
+    if refusal.column is not None and len(expected) > MOST_EXPECTED:
+        expected = [f"one of {len(expected)} words; `rtc dictionary` lists the verbs"]
     for label, words in (("expected", expected), ("nearest", refusal.nearest)):
         if words:
             lines.append(_wrapped(f"{label}: ", words))

@@ -1065,7 +1065,8 @@ def test_a_new_program_whose_first_job_fails_is_rolled_back():
     assert s.loses_worker("C-1") == ["note C-1 parsing", "job C-1/1 parser #2"]
     assert s.state.commands["C-1"].job.program == "old"
     assert s.state.programs["parser"] == "old"
-    told = s.state.commands["C-1"].notes[-1].note
+    told, warning = s.state.commands["C-1"].notes[-1].note, s.state.commands["C-1"].notes[-1].warning
+    assert warning
     assert told.startswith("the new parser program new failed its first job (")
     assert s.state.rolled_back == {"parser": f"{told}. The job was of C-1"}
     s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="newer")

@@ -55,6 +55,15 @@ def test_a_step_says_how_long_it_takes_and_reports_are_lines_of_their_own() -> N
     assert [measured.joints for _, measured in board.reports["C-7"]] == [[0.0]]
 
 
+def test_a_warning_is_a_line_although_the_phase_passes() -> None:
+    out, text = plain()
+    note = {"seq": 1, "at_s": 0.0, "command": "C-7", "phase": m.Phase.ELABORATING}
+    with Board(["LIFT X"], out=out) as board:
+        board.accepted(0, "C-7")
+        board.progress(m.ProgressNote(**note, note="the new program failed its first job", warning=True))
+    assert text.getvalue().splitlines()[1:] == ["C-7  warning: the new program failed its first job"]
+
+
 def test_what_was_measured_stands_below_the_result() -> None:
     out, text = plain()
     outcome = Outcome(kind=OutcomeKind.SUCCEEDED, measured=Measured(arm="LEFT-ARM", joints=[0.0]))
