@@ -39,6 +39,7 @@ class Meanings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     words: dict[str, str]
     clauses: dict[str, str]
     verbs: dict[str, list[Way]]
+    examples: dict[str, list[str]]
 
 
 def entry(verb: str) -> str | Refusal:
@@ -56,12 +57,12 @@ def entry(verb: str) -> str | Refusal:
             nearest=nearest_words(verb, verbs()),
         )
     clause, production = _first_clause(verb)
-    lines = [_heading(verb), "", *print_clause(clause, [production])]
+    lines = [_heading(verb), "", *_examples(verb), *_ways(verb), "", *print_clause(clause, [production])]
     for name in _closure(production, [clause]):
         lines += print_clause(name, clauses()[name])
     if clause not in ("sentence", "control", "data", "operator"):
         lines += ["", f"After every task: {' '.join(_task_production()[1:])} (see `rtc grammar`)."]
-    return "\n".join(lines) + "\n" + _ways(verb)
+    return "\n".join(lines) + "\n"
 
 
 def verbs() -> list[str]:
@@ -186,10 +187,14 @@ def _heading(verb: str) -> str:
     return f"{verb}{also}: {meanings().words[verb]}"
 
 
-def _ways(verb: str) -> str:
-    text = ""
+def _examples(verb: str) -> list[str]:
+    heads = ["example", *[""] * len(meanings().examples[verb])]
+    return [f"  {head:<10} {sentence}" for head, sentence in zip(heads, meanings().examples[verb], strict=False)]
+
+
+def _ways(verb: str) -> list[str]:
+    lines = []
     for way in meanings().verbs.get(verb, []):
-        text += f"\n{verb} {way.of}\n" if way.of else "\n"
         rows = {
             "class": way.kind,
             "resources": way.resources,
@@ -198,5 +203,6 @@ def _ways(verb: str) -> str:
             "GUARDED": way.guarded,
             "trims": way.trims,
         }
-        text += "".join(f"  {what:<10} {value}\n" for what, value in rows.items())
-    return text
+        lines += ["", f"{verb} {way.of}"] if way.of else []
+        lines += [f"  {what:<10} {value}" for what, value in rows.items()]
+    return lines

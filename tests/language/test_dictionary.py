@@ -3,6 +3,8 @@
 import pytest
 
 from rtc.language import dictionary
+from rtc.language.parse import default_grammar, parse
+from rtc.language.record import ParsedCommand
 from rtc.outcomes import Refusal, RefusalReason
 
 
@@ -26,6 +28,10 @@ def test_stats() -> None:
 def test_the_entry_of_halt() -> None:
     assert entry("HALT") == (
         "HALT: stop motion now\n"
+        "\n"
+        "  example    HALT\n"
+        "             HALT RIGHT-ARM\n"
+        "             HALT C-7\n"
         "\n"
         "sentence --> HALT scope\n"
         "scope --> nil\n"
@@ -75,7 +81,20 @@ def test_every_word_clause_and_task_verb_has_a_meaning() -> None:
 
     assert set(meanings.words) == dictionary.reserved_words() - synonyms
     assert set(meanings.clauses) == set(dictionary.clauses())
-    assert set(meanings.verbs) == tasks
+    assert set(meanings.verbs) == tasks | {"SET"}
+
+
+def test_every_verb_has_examples_that_are_sentences() -> None:
+    examples = dictionary.meanings().examples
+    grammar = default_grammar()
+
+    assert set(examples) == set(dictionary.verbs())
+    for verb, sentences in examples.items():
+        assert all(f" {sentence}\n" in entry(verb) for sentence in sentences)
+        for sentence in sentences:
+            parsed = parse(grammar, sentence)
+            assert isinstance(parsed, ParsedCommand), sentence
+            assert sentence.split()[0] == verb
 
 
 def test_a_synonym_has_the_entry_of_its_verb() -> None:
