@@ -441,6 +441,10 @@ def bound(turn: Turn, command: Command, product: msgspec.Raw) -> None:
         message = f"the binder made a primitive called {primitive.id[:40]!r}, which is not the next one of {command.id}"
         refuse(turn, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
         return
+    if result.evaluation == NIL:
+        message = "the binder made a primitive and does not say what is expected of it"
+        refuse(turn, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
+        return
     command.primitives += 1
     command.primitive = primitive.id
     command.primitive_body = result.primitive

@@ -20,9 +20,8 @@ from rtc.geometry import Array
 
 STEP_S = 0.001
 SOLVER_ITERATIONS = 50  # fewer, and the wrist sensor shows spikes of 20 N while carrying
-SOLVER_RESIDUAL = (
-    1e-7  # larger: it gives up after more or fewer iterations from step to step, and a held thing chatters
-)
+# With a larger one the solver gives up after more or fewer iterations from step to step, and what is held chatters.
+SOLVER_RESIDUAL = 1e-7
 
 
 class Body:

@@ -84,6 +84,14 @@ def test_a_primitive_that_no_subsystem_could_read_is_not_sent():
     assert "F is not complete" in refusal.message
 
 
+def test_a_primitive_that_no_analyzer_could_judge_is_not_sent():
+    s = Story()
+    s.elaborated(script())
+    product = msgspec.structs.replace(bound("C-1.1"), evaluation=None)
+    assert not [line for line in s.answers("C-1", product) if line.startswith("primitive")]
+    assert s.outcome("C-1").refusal.reason is RefusalReason.PROGRAM
+
+
 def test_what_is_told_goes_straight_to_an_analyzer():
     """A24: it is a report like any other, but nobody moves for it: no subsystem, no acknowledgement, no timer."""
     s = Story(mcm=False)
