@@ -117,7 +117,18 @@ def _remember(turn: Turn, command: Command, ended: CommandEnded) -> None:
 
 
 def refuse(turn: Turn, command: Command, refusal: Refusal) -> None:
+    if command.given_up is not None:
+        end_given_up(turn, command, refusal.message)
+        return
     end(turn, command, OutcomeKind.REFUSED, message=refusal.message, refusal=refusal)
+
+
+def end_given_up(turn: Turn, command: Command, after: str = "") -> None:
+    """It fails of what made it give up, whatever came `after` that."""
+    cause = command.given_up
+    assert cause is not None
+    message = f"{cause.message}; after that: {after}" if after else cause.message
+    end(turn, command, cause.kind, message=message, stop=cause.stop, refusal=cause.refusal)
 
 
 def refused(turn: Turn, command: Command, refusal: Refusal) -> None:

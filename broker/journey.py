@@ -13,7 +13,7 @@ import msgspec
 
 from broker import reporting
 from broker.effects import AcknowledgeReport, SendHalt, SendPrimitive
-from broker.ending import HALT_LIMIT_S, close, end, refuse
+from broker.ending import HALT_LIMIT_S, close, end, end_given_up, refuse
 from broker.resources import Claim, number
 from broker.state import (
     NIL,
@@ -396,7 +396,9 @@ def elaborated(turn: Turn, command: Command, product: msgspec.Raw) -> None:
 
 def next_step(turn: Turn, command: Command) -> None:
     """The loop of the paper (L148-167): while the Action_Stack is not empty, bind its top."""
-    if not command.stack:
+    if not command.stack and command.given_up is not None:
+        end_given_up(turn, command)
+    elif not command.stack:
         end(turn, command, OutcomeKind.SUCCEEDED)
     elif command.pause_wanted:
         turn.enter(command, Phase.PAUSED, "paused between two steps")
@@ -527,12 +529,20 @@ def assessed(turn: Turn, command: Command, product: msgspec.Raw) -> None:
         next_step(turn, command)
     elif assessment.verdict == "trim" and push_trim(turn, command, assessment):
         next_step(turn, command)
+    elif command.given_up is not None:
+        end_given_up(turn, command, assessment.message)
     else:
-        message = assessment.message or f"{assessment.reason.value} where it was not expected"
-        refusal = None
-        if assessment.clears:
-            refusal = Refusal(reason=RefusalReason.STATE, message=message, clears=assessment.clears)
-        end(turn, command, OutcomeKind.FAILED, message=message, stop=assessment.reason, refusal=refusal)
+        failed = failure(assessment)
+        end(turn, command, failed.kind, message=failed.message, stop=failed.stop, refusal=failed.refusal)
+
+
+def failure(assessment: AssessmentHead) -> Ending:
+    """How a command ends after a step that nothing mends."""
+    message = assessment.message or f"{assessment.reason.value} where it was not expected"
+    refusal = None
+    if assessment.clears:
+        refusal = Refusal(reason=RefusalReason.STATE, message=message, clears=assessment.clears)
+    return Ending(kind=OutcomeKind.FAILED, message=message, stop=assessment.reason, refusal=refusal)
 
 
 def push_trim(turn: Turn, command: Command, assessment: AssessmentHead) -> bool:
@@ -541,7 +551,7 @@ def push_trim(turn: Turn, command: Command, assessment: AssessmentHead) -> bool:
     assert command.step is not None
     trim = next((t for t in command.script.trims if t.n == assessment.trim), None)
     used = command.trims_used.setdefault(_step_key(command), [])
-    if trim is None or trim.n in used or len(command.trims_told) >= MAX_TRIMS:
+    if trim is None or trim.n in used or (len(command.trims_told) >= MAX_TRIMS and trim.then != "give_up"):
         return False
     used.append(trim.n)
     command.trims_told.append(trim.label)
@@ -553,6 +563,9 @@ def push_trim(turn: Turn, command: Command, assessment: AssessmentHead) -> bool:
         command.bindings = dict(command.script.bindings)
     elif trim.then == "replace_rest":
         command.stack = []
+    elif trim.then == "give_up":
+        command.stack = []
+        command.given_up = failure(assessment)
     command.stack += [(trim.n, index) for index in reversed(range(len(trim.steps)))]
     turn.note(command, f"{assessment.message or assessment.reason.value}: trim {trim.n}, {trim.label}")
     return True

@@ -141,6 +141,7 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     step_words: str = ""  # the same for people: "5 of 9: feel one side"
     trims_used: dict[str, list[int]] = {}  # "trim/index" of a step -> entries used for it
     trims_told: list[str] = []
+    given_up: Ending | None = None  # how it ends once the steps on the stack are done
     steps_done: int = 0
     elaborations: int = 0
     primitive: str = ""  # being executed

@@ -339,7 +339,7 @@ class Trim(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     n: int
     label: str
     steps: list[Step]
-    then: Literal["retry_step", "restart_script", "skip", "replace_rest"] = "retry_step"
+    then: Literal["retry_step", "restart_script", "skip", "replace_rest", "give_up"] = "retry_step"
     fits: list[StopReason] = []  # the failures it may mend; empty = any
 
 

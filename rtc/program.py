@@ -373,8 +373,9 @@ def _step_problems(step: ScriptStep, place: str, entries: int, bindings: set[str
         yield from _known("space", step.space or "(none)", registered.SPACES, f"{place}.space")
     for name, source in step.keep.items():
         yield from _known("measured value", source, registered.KEPT, f"{place}.keep.{name}")
-    if effect := step.words.get("effect"):
-        yield from _known("effect", effect, registered.EFFECTS, f"{place}.words.effect")
+    for word in ("effect", "missed"):
+        if effect := step.words.get(word):
+            yield from _known("effect", effect, registered.EFFECTS, f"{place}.words.{word}")
     if "{" not in (axis := step.words.get("axis", "X")):
         yield from _known("axis", axis, registered.AXES, f"{place}.words.axis")
     for name, expression in step.args.items():

@@ -18,7 +18,7 @@ Expression = str | float  # see rtc.expressions
 Case = Annotated[int, Meta(ge=1, le=4)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Positive = Annotated[float, Meta(gt=0)]
-Then = Literal["retry_step", "restart_script", "skip", "replace_rest"]
+Then = Literal["retry_step", "restart_script", "skip", "replace_rest", "give_up"]
 
 
 class Part(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):

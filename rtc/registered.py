@@ -23,6 +23,7 @@ SPACES = ("move_joint", "move_task")
 FIGURES = (
     *Numbers.__struct_fields__,
     *("opening_m", "hand_width_m", "grasp_width_m", "mass_kg", "duration_s"),
+    *("unsure_x_m", "unsure_y_m", "unsure_z_m", "unsure_rad"),  # of the grasp point, in the axes of the tool there
     *(f"{said}_{unit}" for said in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),
 )
 #: what stands for somebody in the resources of a script
@@ -58,7 +59,7 @@ PREDICATES = (
     "hand-width-below",
 )
 #: analyzer: what success has changed, and what of a report may be kept
-EFFECTS = ("taken", "let_go", "still_held", "verified")
+EFFECTS = ("taken", "let_go", "still_held", "verified", "felt", "pinched", "passed", "landed")
 KEPT = ("report.trip_pose", "report.pose", "report.hand_width")
 
 

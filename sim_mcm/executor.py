@@ -435,9 +435,10 @@ class Executor:
         error = abs(sum(self.sample.fingers) - trajectory.width_m)
         if error <= WIDTH_M:
             return error, WIDTH_M, ""
-        pressed = min(self.sample.finger_forces)
+        # On a thing beside the middle of the hand one finger presses more, the other as much less.
+        pressed, less = 0.5 * sum(self.sample.finger_forces), min(self.sample.finger_forces)
         closing = sum(self.sample.fingers) > trajectory.width_m
-        if closing and pressed >= PRESSED * trajectory.force_n:
+        if closing and pressed >= PRESSED * trajectory.force_n and less >= 0.5 * trajectory.force_n:
             return pressed, trajectory.force_n, ""
         return None
 

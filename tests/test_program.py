@@ -168,7 +168,7 @@ def test_the_traced_outcomes_of_line_5():
 
 
 def test_a_verb_means_its_likeliest_script():
-    assert outcomes(*defaults(), "GRASP") == outcomes(*defaults(), "grasp-centering")
+    assert outcomes(*defaults(), "GRASP") == outcomes(*defaults(), "grasp-feeling")
 
 
 def test_an_unknown_script_is_told():

@@ -34,7 +34,7 @@ UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE
 #: figures that its program must have
 VALUES = (
     *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m", "told_m", "told_rad"),
-    *("creep_m_per_min", "creep_rad_per_min", "struck_n", "struck_m", "struck_rad"),
+    *("creep_m_s", "creep_rad_s", "struck_n", "struck_m", "struck_rad"),
 )
 
 
@@ -134,6 +134,9 @@ def _failure(
     changes += _half_done(program, belief, data)
     changes += _carried(program, belief, data, changes, suspect="held" in failure.suspect, drops=failure.drops)
     changes += _suspect(program, belief, data, failure)
+    missed = evaluation.step.args.get("missed")
+    if isinstance(missed, str) and missed in EFFECTS and failure.retriable and not data.closing and not data.trims_used:
+        changes += EFFECTS[missed](belief, data, Validity.SUSPECT)
     changes = _stated(program, belief, data, _last(changes))
     asked = reflexes.asked_for(evaluation.context.reflexes, data.report)
     words = _words(failure.message, data, reason) if asked is None else _as_asked(asked, data)

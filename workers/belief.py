@@ -152,7 +152,7 @@ class Belief:
         opening_m: float | None = None,
         near: Iterable[str] = (),
     ) -> Scene:
-        """Everything as believed. `touching`: the object that this arm's fingers may touch; `seated`: what the hand
+        """Everything as believed. `touching`: the object that this arm's hand may touch; `seated`: what the hand
         holds may be in, or come into, a seat; `away`: what is in doubt is no obstacle; `opening_m`: of this arm's hand,
         if not as it is now; `near`: what it need keep no clearance to."""
         held: dict[str, Held] = {}
@@ -169,8 +169,10 @@ class Belief:
         ignore: list[tuple[str, str]] = []
         carried = self.holding(arm)
         close = [name for name in dict.fromkeys((touching, *near)) if name]
-        if touching:
-            ignore += [(f"{arm} {link}", touching) for link in self.cell.arm(arm).gripper.finger_links]
+        if touching:  # whose seat stands where it stands, if that is not where both are believed to be
+            hand = self.cell.arm(arm).gripper
+            met = filter(None, (touching, self.seat(touching)))
+            ignore += [(f"{arm} {link}", name) for name in met for link in (*hand.finger_links, hand.palm_link)]
         doubtful = [name for name in poses if away and not self.trusts(f"{name}.frame")]
         ignore += [pair for name in doubtful for pair in ((arm, name), *([(carried, name)] if carried else []))]
         if carried and (seated or (away and not self.trusts(f"{carried}.grasp"))):

@@ -9,35 +9,53 @@ from collections.abc import Callable
 
 from rtc import geometry
 from rtc.messages import AnalyzerInput, Validity, WorldChange
-from workers import known
+from workers import feeling
 from workers.belief import Belief
 
 Changes = list[WorldChange]
-
-CLOSING = 1  # the axis of a grasp point along which fingers close
-CENTRED_M = 0.001  # how well that is known of what is between them
 
 
 def taken(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
     """The hand has the object between its fingers. Where it was believed to be is corrected by what the fingers have
     measured: along the axis they close on, the grasp point is in the middle between them (R149). Of the other axes
     no more is known than before."""
-    context, report = data.evaluation.context, data.report
+    context = data.evaluation.context
     thing, arm = context.object, context.arm
-    point = belief.cell.object(thing).grasp_point(context.grasp_point).frame.pose
-    believed = geometry.compose(belief.frame(thing), point)  # of the tcp, had the object been where it was believed
-    offset = geometry.relative(report.tcp_pose, believed)
-    offset[1] = 0.0
-    grasp = geometry.compose(offset, geometry.inverse(point))
-    frame = geometry.compose(report.tcp_pose, grasp)
-    before = belief.spread(f"{thing}.frame")
-    spread = known.felt(belief.frame(thing), frame, before, point, {CLOSING: CENTRED_M})
+    frame, spread = feeling.between_fingers(belief, data)
+    grasp = geometry.normalise(geometry.relative(data.report.tcp_pose, frame))
     return [
         WorldChange(key=f"{arm}.holding", value=thing, validity=validity),
         WorldChange(key=f"{thing}.held_by", value=arm, validity=validity),
-        WorldChange(key=f"{thing}.grasp", value=geometry.normalise(grasp).tolist(), validity=validity, spread=spread),
-        WorldChange(key=f"{thing}.frame", value=geometry.normalise(frame).tolist(), validity=validity, spread=spread),
+        WorldChange(key=f"{thing}.grasp", value=grasp.tolist(), validity=validity, spread=spread),
+        WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity, spread=spread),
     ]
+
+
+def felt(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
+    """The hand came upon the object sooner or later than expected: so much nearer or farther is the object."""
+    return _seen(data, feeling.touched(belief, data), validity)
+
+
+def pinched(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
+    """The fingers have pressed on the object for a moment, and do not hold it: they tell where and how it stands."""
+    return _seen(data, feeling.between_fingers(belief, data), validity)
+
+
+def passed(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
+    """A search felt nothing all along its way: what it looked for may lie beyond."""
+    return _seen(data, feeling.beyond(belief, data), validity)
+
+
+def landed(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
+    """A finger stands on what was to come between the fingers: it lies to that finger's side."""
+    found = feeling.beside(belief, data)
+    return [] if found is None else _seen(data, found, validity)
+
+
+def _seen(data: AnalyzerInput, found: feeling.Found, validity: Validity) -> Changes:
+    frame, spread = found
+    key = f"{data.evaluation.context.object}.frame"
+    return [WorldChange(key=key, value=frame.tolist(), validity=validity, spread=spread)]
 
 
 def let_go(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
@@ -83,4 +101,8 @@ EFFECTS: dict[str, Callable[[Belief, AnalyzerInput, Validity], Changes]] = {
     "let_go": let_go,
     "still_held": still_held,
     "verified": verified,
+    "felt": felt,
+    "pinched": pinched,
+    "passed": passed,
+    "landed": landed,
 }

@@ -37,9 +37,15 @@ def felt(before: Floats, after: Floats, spread: Spread, at: Floats, measured: Ma
     return narrowest(carried(there, geometry.inverse(at)), wider)
 
 
+def figures(spread: Spread, at: Floats) -> dict[str, float]:
+    """How badly the pose `at` (in the axes of a frame of this spread) is known, as figures of a script."""
+    x, y, z, *angles = carried(spread, at)
+    return {"unsure_x_m": x, "unsure_y_m": y, "unsure_z_m": z, "unsure_rad": max(angles)}
+
+
 def aged(spread: Spread, seconds: float, peak_force_n: float, values: Mapping[str, float]) -> list[float]:
     """The spread of what a hand has held for so long: it creeps in the grip, and what strikes it turns it."""
-    minutes = max(0.0, seconds) / 60.0
-    older = widened(spread, even(minutes * values["creep_m_per_min"], minutes * values["creep_rad_per_min"]))
+    for_s = max(0.0, seconds)
+    older = widened(spread, even(for_s * values["creep_m_s"], for_s * values["creep_rad_s"]))
     struck = peak_force_n > values["struck_n"]
     return widened(older, even(values["struck_m"], values["struck_rad"])) if struck else older

@@ -17,6 +17,7 @@ from rtc.language.units import in_words
 from rtc.messages import Limits
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.program_schema import ElaboratorProgram, TableRow
+from workers import known
 from workers.belief import Belief
 
 #: unit of a quantity -> how a figure's name ends
@@ -111,6 +112,8 @@ def figures_of(
     between = point or (belief.point_in_hand(thing.name) if thing and belief.held_by(thing.name) else None)
     if between is not None:
         figures["grasp_width_m"] = between.width_m
+    if point is not None and thing is not None:
+        figures |= known.figures(belief.spread(f"{thing.name}.frame"), point.frame.pose)
     if thing is not None:
         figures["mass_kg"] = float(belief.world.value(f"{thing.name}.mass") or thing.mass_kg)
     figures |= _said("amount", parsed.amount)

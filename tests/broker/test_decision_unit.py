@@ -367,6 +367,7 @@ def test_a_trim_goes_on_the_stack_and_the_step_is_tried_again():
         ("restart_script", [(0, 1), (0, 0)]),
         ("skip", [(0, 1)]),
         ("replace_rest", []),
+        ("give_up", []),
     ],
 )
 def test_what_follows_a_trim(then, stack):
@@ -384,6 +385,35 @@ def test_a_trim_is_used_once_for_a_step():
     s.answers("C-1", bound("C-1.2"))
     s.reports("C-1")
     assert s.answers("C-1", mend(1)) == ["note C-1 ended", "end C-1 failed"]
+
+
+def test_a_command_that_gives_up_first_does_what_it_has_to_and_then_fails_of_its_cause():
+    s = Story()
+    s.analyzing(script(steps=2, trims=[trim(1, "give_up", steps=2)]))
+    s.answers("C-1", mend(1))
+    for n in (2, 3):
+        s.answers("C-1", bound(f"C-1.{n}"))
+        s.reports("C-1")
+        last = s.answers("C-1", go_on())
+    assert last[-1] == "end C-1 failed"
+    assert s.outcome("C-1").stop is StopReason.NO_CONTACT
+
+
+@pytest.mark.parametrize("bound_first", [True, False])
+def test_the_first_failure_is_the_cause_of_what_follows_it(bound_first):
+    s = Story()
+    s.analyzing(script(trims=[trim(1, "give_up")]))
+    s.answers("C-1", mend(1))
+    if bound_first:
+        s.answers("C-1", bound("C-1.2"))
+        s.reports("C-1")
+        s.answers("C-1", give_up())
+    else:
+        s.declines("C-1")
+    outcome = s.outcome("C-1")
+    assert outcome.kind is OutcomeKind.FAILED
+    assert outcome.stop is StopReason.NO_CONTACT
+    assert "after that" in outcome.message
 
 
 def test_giving_up_reports_the_failure():

@@ -80,7 +80,7 @@ class Surroundings(Story):
                 together_with=other if choice % 8 == 1 else None,
             )
         if kind is WorkerKind.ELABORATOR:
-            then = ("retry_step", "restart_script", "skip", "replace_rest")[choice % 4]
+            then = ("retry_step", "restart_script", "skip", "replace_rest", "give_up")[choice % 5]
             return script(choice % 4, ARMS[choice // 4 % len(ARMS)], [trim(1, then), trim(2, "retry_step", 0)])
         if kind is WorkerKind.BINDER:
             performer = next((r for r in command.script.resources if r.endswith("ARM")), "RIGHT-ARM")

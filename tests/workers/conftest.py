@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -182,10 +183,11 @@ class Run:
     reports: list[EndReport] = field(default_factory=list)
     trims: list[int] = field(default_factory=list)
     bindings: dict[str, Binding] = field(default_factory=dict)
+    failure: Assessment | None = None  # the one that nothing has mended
 
     @property
     def succeeded(self) -> bool:
-        return self.refusal is None and all(a.verdict != "abort" for a in self.assessments)
+        return self.refusal is None and self.failure is None and all(a.verdict != "abort" for a in self.assessments)
 
     @property
     def reasons(self) -> list[str]:
@@ -199,9 +201,15 @@ class Bench:
 
     def __init__(self, subsystem: Any) -> None:
         self.subsystem = subsystem
-        self.world = World().overlay(initial_facts(CELL))
+        # As if somebody had surveyed the cell: then a grasp is that of Figure 4. `unsurveyed` is as the cell file has it.
+        surveyed = [msgspec.structs.replace(change, spread=None) for change in initial_facts(CELL)]
+        self.world = World().overlay(surveyed)
         self.programs = {kind: program.default(kind) for kind in ("elaborator", "binder", "analyzer")}
         self.commands = 0
+
+    def unsurveyed(self) -> None:
+        """Things may be as far from where they are believed to be as the cell file says."""
+        self.world = World().overlay(initial_facts(CELL))
 
     def load(self, kind: str, text: str, name: str = "test.yaml") -> None:
         self.programs[kind] = program.merge(kind, self.programs[kind], name, text.encode())
@@ -261,6 +269,7 @@ class Bench:
             self.world = self.world.overlay(judged.changes, source=f"C-{self.commands}/{len(run.assessments)}")
             run.bindings |= judged.keep
             if judged.verdict == "abort":
+                run.failure = run.failure or judged
                 return run
             if judged.verdict == "trim":
                 trim = trims[judged.trim]
@@ -272,6 +281,8 @@ class Bench:
                 elif trim.then == "restart_script":
                     stack = [(NOMINAL, n) for n in reversed(range(len(script.steps)))]
                     run.bindings = dict(script.bindings)
+                elif trim.then == "give_up":
+                    stack, run.failure = [], judged
                 stack += [(trim.n, n) for n in reversed(range(len(trim.steps)))]
         return run
 

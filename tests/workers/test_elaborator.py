@@ -33,7 +33,7 @@ def refusal_of(bench, sentence: str) -> Refusal:
 # --- Figure 4 ----------------------------------------------------------------------------------------------
 
 
-def test_fig4_has_the_nine_lines_and_two_trims_of_the_paper():
+def test_fig4_has_the_nine_lines_and_two_trims_of_the_paper_and_one_to_back_off():
     document = decode(program.default("elaborator"), ElaboratorProgram)
     grasp = next(s for s in document.scripts if s.script == "grasp-centering")
 
@@ -43,25 +43,27 @@ def test_fig4_has_the_nine_lines_and_two_trims_of_the_paper():
         ("proc", "grasp_init", "", "", (0, 0)),
         ("proc", "grasp_plan", "", "", (0, 0)),
         ("move", "JAP", "move_free", "move_joint", (0, 0)),
-        ("move", "JCM", "move_to_contact", "move_joint", (0, 0)),
-        ("move", "GP1", "move_to_contact", "move_task", (1, 2)),
-        ("move", "GP2", "move_to_contact", "move_task", (1, 2)),
+        ("move", "JCM", "move_to_contact", "move_joint", (3, 1)),
+        ("move", "GP1", "move_to_contact", "move_task", (1, 3)),
+        ("move", "GP2", "move_to_contact", "move_task", (1, 3)),
         ("let", "GP", "", "", (0, 0)),
-        ("move", "GP", "move_to_contact", "move_task", (0, 0)),
-        ("grip", "close", "", "", (0, 0)),
+        ("move", "GP", "move_to_contact", "move_task", (3, 1)),
+        ("grip", "close", "", "", (3, 1)),
     ]
     assert [(t.n, t.who, t.skill) for t in grasp.trimming_stack] == [
         (1, "active_object", "vision"),
         (2, "active_object", "grasp"),
+        (3, "active_object", "grasp"),
     ]
+    assert [t.then for t in grasp.trimming_stack] == ["retry_step", "restart_script", "give_up"]
     assert grasp.case == 4
 
 
 def test_a_trim_that_nothing_does_yet_is_left_out_and_told(bench):
     script = script_of(bench, "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
 
-    assert [t.n for t in script.trims] == [2]
-    assert [s.trims for s in script.steps if s.to in ("GP1", "GP2")] == [[2], [2]]
+    assert [t.n for t in script.trims] == [2, 3]
+    assert [s.trims for s in script.steps if s.to in ("GP1", "GP2")] == [[2, 3], [2, 3]]
     assert any("vision" in note and "left out" in note for note in script.notes)
 
 
@@ -70,8 +72,8 @@ def test_a_new_piece_of_script_brings_the_trim_to_life(bench):
 
     script = script_of(bench, "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
 
-    assert [(t.n, t.then) for t in script.trims] == [(1, "retry_step"), (2, "restart_script")]
-    assert script.steps[4].trims == [1, 2]
+    assert [(t.n, t.then) for t in script.trims] == [(1, "retry_step"), (2, "restart_script"), (3, "give_up")]
+    assert script.steps[4].trims == [1, 2, 3]
 
 
 def test_bindings_are_decided_backwards_from_the_grasp_point(bench):

@@ -13,8 +13,8 @@ from rtc.world.spread import even
 from workers.known import aged, carried, felt
 
 VALUES = {
-    "creep_m_per_min": 0.0025,
-    "creep_rad_per_min": math.radians(1),
+    "creep_m_s": 0.0025 / 60,
+    "creep_rad_s": math.radians(1) / 60,
     "struck_n": 25.0,
     "struck_m": 0.01,
     "struck_rad": 0.1,
