@@ -85,7 +85,7 @@ def beyond(belief: Belief, data: AnalyzerInput) -> Found:
 
 
 def beside(belief: Belief, data: AnalyzerInput) -> Found | None:
-    """A touch in front of one finger: the thing is believed `aside_m` to that side. None: it was in front of neither."""
+    """A touch in front of one finger: the thing is believed `aside_m` to that side. None: in front of neither."""
     wrench, trip = data.report.trip_wrench, data.report.trip_pose
     if not wrench or not trip or abs(wrench[3]) < NO_TORQUE_NM:
         return None

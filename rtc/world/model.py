@@ -2,8 +2,7 @@
 
 A fact's key is LOCATION.attribute (MACS-OLD.frame). A fact that is a pose may state its spread (`rtc.world.spread`).
 `World` is one consistent view of all facts; nothing changes one, a newer view or an overlay makes another. What a value
-may look like is the table `ATTRIBUTES`. This file knows neither the database that keeps the facts nor who may write
-them.
+may look like is the table `ATTRIBUTES`. This file knows neither the database that keeps facts nor who may write them.
 """
 
 from __future__ import annotations
