@@ -148,7 +148,10 @@ class Kinematic:
         return self.sim.poses
 
     def displace(self, name: str, by: list[float]) -> None:
-        assert not self.sim.displace(name, [*by, 0.0, 0.0, 0.0])
+        self.displace_and_turn(name, [*by, 0.0, 0.0, 0.0])
+
+    def displace_and_turn(self, name: str, offset: list[float]) -> None:
+        assert not self.sim.displace(name, offset)
 
     def perform(self, made: Primitive, bound: BoundStep) -> EndReport:
         said: list[Any] = list(self.executors[made.performer].accept(made, 0.0))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from rtc import geometry
@@ -52,3 +54,29 @@ def test_guarded_lines_onto_a_rigid_wall(physical) -> None:
     assert report.reason is StopReason.FORCE_LIMIT
     assert 15.0 < report.peak_force_n < 30.0  # a tick below the threshold, and one above it
     assert "as asked: UNLESS FORCE EXCEEDS 15 N THEN STOP" in made.message
+
+
+@pytest.mark.parametrize(
+    ("sentence", "offset"),
+    [
+        ("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", [0.014, 0.014, 0.020, 0.0, 0.0, math.radians(4)]),
+        ("GRASP LEFT-END-EFF MACS-OLD HANDLE-B", [-0.025, -0.010, -0.031, 0.0, 0.0, math.radians(-4)]),
+        ("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", [0.031, 0.033, 0.0, 0.0, 0.0, 0.0]),
+    ],
+)
+def test_what_is_far_from_where_it_is_believed_is_felt_and_then_known(physical, sentence, offset) -> None:
+    """As badly known as the cell file says, along and about every axis; in the last, a finger lands on the handle."""
+    module = sentence.split()[2]
+    physical.unsurveyed()
+    physical.subsystem.displace_and_turn(module, offset)
+
+    run = physical.do(sentence)
+
+    assert run.succeeded, [a.message for a in run.assessments]
+    fact, true = physical.world.get(f"{module}.frame"), physical.subsystem.sim.world.pose(module)
+    off = geometry.relative(fact.value, true)
+    errors = [*off[:3], *geometry.to_rpy(off)]
+    assert all(abs(error) <= bound for error, bound in zip(errors, fact.spread, strict=True)), (errors, fact.spread)
+    assert max(fact.spread[:3]) < 0.005
+    assert max(abs(n) for n in errors[:3]) < 0.002
+    assert max(report.peak_force_n for report in run.reports) < 25.0
