@@ -34,12 +34,13 @@ PLACEHOLDERS = (
     *("attribute", "value"),
 )
 #: words of a step that act
-WORDS = ("axis", "effect", "missed", "seat")
+WORDS = ("axis", "effect", "missed", "needs", "seat")
 #: figures of a step that are no value of the binder's program
 ARGS = (
     *("by_m", "by_rad", "width_m", "least_m", "most_m", "grip_n", "duration_s", "within_m"),
     *("speed_m_s", "force_n", "contact_n", "torque_nm"),
     *("beyond_m", "felt_m", "lever_m", "aside_m", "pad_m", "centre_n_m"),  # of what is felt
+    *("needs_m", "needs_rad"),  # how well known must be what is held
 )
 #: who performs steps
 PERFORMERS = ("active_arm",)

@@ -29,7 +29,7 @@ from rtc.primitive_id import command_of
 from rtc.program import decode
 from rtc.program_schema import BinderProgram, StopClass
 from rtc.world.model import World
-from workers import axes, impact, legs, naming, procedures, stopping
+from workers import axes, enough, impact, legs, naming, procedures, stopping
 from workers.belief import Belief
 from workers.cell_model import CellModel
 from workers.impact import Impact
@@ -98,6 +98,9 @@ def bind_motion(at: Bind) -> BoundStep | Refusal:
         return stop_class
     if step.space not in legs.SPACES:
         return refused_program(f"no space {step.space}", f"there are {', '.join(legs.SPACES)}")
+    lacks = enough.lacking(belief, at.arm, step.args, at.program.clears)
+    if lacks is not None:
+        return lacks
     target = target_of(at)
     if isinstance(target, Refusal):
         return target

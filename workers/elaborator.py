@@ -21,7 +21,7 @@ from rtc.outcomes import Refusal, RefusalReason
 from rtc.program import decode
 from rtc.program_schema import Branch, Check, ElaboratorProgram, Piece, ScriptFile, ScriptStep
 from rtc.world.model import World
-from workers import naming, reflexes, sentence, telling
+from workers import enough, naming, reflexes, sentence, telling
 from workers.backtrack import plan
 from workers.belief import Belief
 from workers.cell_model import CellModel
@@ -267,6 +267,10 @@ def _script(
         steps = [*_sensed_first(compiled, at), *(_step(step, at, entries, nominal=True) for step in script.steps)]
     except expressions.ExpressionError as error:
         return Refusal(reason=RefusalReason.PROGRAM, message=f"{script.script}: {error}", where=script.script)
+    for step in steps:
+        lacks = enough.lacking(at.belief, at.arm.name, step.args, at.program.clears)
+        if lacks is not None:
+            return lacks
     held = at.belief.holding(at.arm.name)
     case = script.case if script.case >= FIRST_SKILL else 1 if len(candidates) == 1 and not planned.chosen else 2
     return Script(
