@@ -124,7 +124,8 @@ class Studio:
         points += [frame.xyz for place in self.cell.places for frame in place.poses.values()]
         points += [tuple(self.cell.object_pose(thing.name)[:3].tolist()) for thing in self.cell.objects]
         low, high = np.min(points, axis=0), np.max(points, axis=0)
-        return 0.5 * (low + high), max(0.5, 0.5 * float(np.linalg.norm(high - low)))
+        radius = max(0.5, 0.5 * float(np.linalg.norm(high - low)))
+        return 0.5 * (low + high) + [0.0, 0.0, 0.12 * radius], radius  # arms reach up, and below is only floor
 
     def _target(self, name: str, scene: Scene) -> Array:
         cell = self.cell

@@ -72,4 +72,6 @@ def _print(result: HaltResult, out: Console) -> None:
             line.append(f"REST NOT CONFIRMED: {result.message}", style="bold white on red")
     out.print(line)
     if "halt" not in result.told:
-        out.print(Text("the broker could not be told; the MCM tells it, and begins nothing more until it knows"))
+        out.print(
+            Text("the broker did not get this order; the MCM passes it on, and starts nothing until the broker has it")
+        )

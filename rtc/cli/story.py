@@ -171,7 +171,7 @@ def as_json(record: m.CommandRecord) -> dict[str, Any]:
 
 def chain(record: m.CommandRecord) -> list[str]:
     """The story in words: one line for each step that went well, every link for the one it ended in."""
-    lines = [f"{record.command} was said by the {record.source}: {said(record.text)}"]
+    lines = [f"{record.command} was given by the {record.source}: {said(record.text)}"]
     steps = [(step, list(notes)) for step, notes in groupby(_by_step(record.notes), key=lambda pair: pair[0])]
     last = len(steps) - 1
     ended_well = record.outcome is not None and record.outcome.kind == OutcomeKind.SUCCEEDED

@@ -126,7 +126,7 @@ def test_trace_and_why_tell_the_story(rtc: Run) -> None:
 
     nodes = {note.get("node", "") for note in last_json(trace)["notes"]}
     assert {"parser@0", "elaborator@1", "binder@2"} <= nodes
-    assert why.stdout.startswith(f"{number} was said by the operator: STOW LEFT-ARM")
+    assert why.stdout.startswith(f"{number} was given by the operator: STOW LEFT-ARM")
     assert "decision: SUCCEEDED" in why.stdout
 
 

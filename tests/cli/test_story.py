@@ -46,7 +46,7 @@ def failed_in_step_2() -> m.CommandRecord:
 
 def test_a_failure_has_every_link_of_its_last_step_and_one_line_for_the_others() -> None:
     assert chain(failed_in_step_2()) == [
-        "C-7 was said by the aip: GRASP MACS-OLD",
+        "C-7 was given by the aip: GRASP MACS-OLD",
         "parsed by parser@0 in 1.00 ms",
         "planned by elaborator@1 in 2.00 ms: grasp-centering of 2 candidates",
         "script line 1 of 2: go before HANDLE-A: MCM ended: goal after 2.50 s",
