@@ -434,7 +434,13 @@ def on_subsystem_gone(turn: Turn, event: SubsystemGone) -> None:
 
 def _gone(turn: Turn, name: str, why: str) -> None:
     """A global error (A30): every command that has worked through this subsystem ends."""
-    lost = Ending(kind=OutcomeKind.LOST_SUBSYSTEM, message=f"{name} was lost: {why}", stop=StopReason.SUBSYSTEM_LOST)
+    message = f"{name} was lost: {why}"
+    lost = Ending(
+        kind=OutcomeKind.LOST_SUBSYSTEM,
+        message=message,
+        stop=StopReason.SUBSYSTEM_LOST,
+        refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=ending.LOOKED_AT_FIRST),
+    )
     for command in turn.state.commands.values():
         if command.subsystem == name:
             moving = command.phase in (Phase.EXECUTING, Phase.HALTING)

@@ -443,8 +443,12 @@ class Router:
         whoever waits for that one's answers knows that none will come."""
         self.dropped["for_another_cluster"] += 1
         self._welcome(peer)
-        words = f"said to the cluster {message.cluster}, which is gone; this is {self.settings.run or 'another'}"
-        refusal = Refusal(reason=RefusalReason.STATE, message=words, clears="connect anew, and say it again if need be")
+        words = f"meant for the cluster {message.cluster}, which is gone; this is {self.settings.run or 'another'}"
+        refusal = Refusal(
+            reason=RefusalReason.STATE,
+            message=words,
+            clears="connect again, and give it again if it is meant for this one",
+        )
         self._answer(peer, m.Declined(request=message.request, refusal=refusal))
 
     def _answer(self, peer: bytes, message: m.BrokerToClient) -> None:

@@ -351,7 +351,6 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     force_n: float | None = None
     torque_nm: float | None = None
     grip_force_n: float | None = None
-    stiffness_n_m: float | None = None
     time_s: float | None = None
     clearance_m: float | None = None  # AVOID-NEIGHBORS
     keep_out: list[str] = []  # regions

@@ -803,6 +803,33 @@ def test_the_latest_commands_of_many_clients_are_bounded():
     assert len(s.state.last_given) == CLIENTS_KEPT
 
 
+# --- words ---------------------------------------------------------------------------------------------
+
+
+def test_a_lost_subsystem_says_what_leads_on():
+    s = Story()
+    s.executing()
+    s.mcm_gone()
+    s.answers("C-1", go_on())
+    assert (s.outcome("C-1").kind, s.outcome("C-1").refusal.clears) == (
+        OutcomeKind.LOST_SUBSYSTEM,
+        ending.LOOKED_AT_FIRST,
+    )
+
+
+def test_a_step_of_a_trim_has_its_own_words():
+    s = Story()
+    s.analyzing(script(trims=[trim()]))
+    s.answers("C-1", mend())
+    assert s.state.commands["C-1"].step_words == "trim 1, 1 of 1: mend"
+
+
+def test_a_control_word_that_finds_nothing_says_so():
+    s = Story()
+    s.parsed(kind="control", verb="ABORT", object="ALL")
+    assert s.outcome("C-1").message == "ABORT had nothing to act on"
+
+
 # --- report, and how long a step takes ---------------------------------------------------------------
 
 
