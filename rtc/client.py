@@ -192,7 +192,8 @@ class Client:
     ) -> m.CommandEnded:
         """Submit one sentence and wait for its outcome.
 
-        `on_progress` hears each ProgressNote. Raises TimedOut after `timeout_s`; the command then goes on.
+        `on_progress` hears each ProgressNote; one with `seq` 0 is a report of REPORT EVERY. Raises TimedOut after
+        `timeout_s`; the command then goes on.
         """
         return self.run_many([text], on_progress=on_progress, timeout_s=timeout_s)[0]
 

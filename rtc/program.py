@@ -411,6 +411,7 @@ def _binder_problems(program: BinderProgram) -> Problems:
 
 
 def _analyzer_problems(program: AnalyzerProgram) -> Problems:
+    yield from program_checks.failure_words(program)
     for row, cells in program.outcomes.items():
         missing = [reason.value for reason in StopReason if reason not in cells]
         if missing:

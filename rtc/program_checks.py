@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator
 from rtc import expressions, registered
 from rtc.language.record import ParsedCommand
 from rtc.program_fit import Problems
-from rtc.program_schema import ElaboratorProgram, ScriptFile, ScriptStep
+from rtc.program_schema import AnalyzerProgram, ElaboratorProgram, ScriptFile, ScriptStep
 
 PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 FIELDS = ParsedCommand.__struct_fields__
@@ -49,6 +49,14 @@ def _step(step: ScriptStep, place: str) -> Problems:
             yield from _known("placeholder", name, registered.PLACEHOLDERS, f"{place}.{field}")
     for name in step.words:
         yield from _known("word that acts", name, registered.WORDS, f"{place}.words.{name}")
+
+
+def failure_words(program: AnalyzerProgram) -> Problems:
+    """Placeholders in what is said of failures that nothing stands for."""
+    for name, row in program.classes.items():
+        for field, text in (("message", row.message), ("clears", row.clears), ("again", row.again)):
+            for word in PLACEHOLDER.findall(text):
+                yield from _known("placeholder", word, registered.FAILURE_PLACEHOLDERS, f"classes.{name}.{field}")
 
 
 def unknown_verbs(program: ElaboratorProgram, grammar: str) -> Problems:

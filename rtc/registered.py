@@ -33,6 +33,11 @@ PLACEHOLDERS = (
     *("arm", "object", "point", "target", "destination", "axis", "out", "amount", "time"),
     *("attribute", "value"),
 )
+#: the same in what an analyzer says of a failure
+FAILURE_PLACEHOLDERS = (
+    *("reason", "measured", "limit", "unit", "message", "arm", "object", "point"),
+    *("width", "wanted", "off"),
+)
 #: words of a step that act
 WORDS = ("axis", "effect", "missed", "needs", "seat")
 #: figures of a step that are no value of the binder's program

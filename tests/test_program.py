@@ -414,3 +414,9 @@ def test_an_expression_that_may_have_a_value_is_none_that_never_has():
 
 def test_the_verbs_of_a_grammar_are_those_that_sentences_begin_with():
     assert verbs(program.default("parser").decode()) == {*dictionary.verbs()} - {"TEST"}
+
+
+def test_an_unknown_placeholder_in_the_words_of_a_failure_is_refused():
+    text = b"classes: {late: {message: 'not done within {limitt} s'}}"
+    with pytest.raises(ProgramError, match=r"classes\.late\.message: no placeholder limitt; there are .*limit"):
+        program.merge("analyzer", program.default("analyzer"), "t.yaml", text)

@@ -90,7 +90,7 @@ def _units(words: list[Word]) -> list[str]:
     """The units that fit the words before the number; all of them when that is not known."""
     said = [w.value for w in words if w.type not in TOKEN_CLASSES]
     word, previous = said[-1], said[-2:-1]
-    if word == "BY":  # right behind BACK-OFF and AVOID-NEIGHBORS, else it belongs to the verb
+    if word in ("BY", "TO"):  # right behind BACK-OFF and AVOID-NEIGHBORS, else it belongs to the verb
         takes = LENGTH if previous in (["BACK-OFF"], ["AVOID-NEIGHBORS"]) else _BY.get(_verb(said))
     elif word in ("EXCEEDS", "BELOW"):
         takes = next((MEASURES[w] for w in reversed(said) if w in MEASURES), None)

@@ -70,6 +70,10 @@ def test_any_text_has_completions_or_none(text: str) -> None:
         assert word == word.upper()
 
 
+def test_units_that_fit_behind_to() -> None:
+    assert complete(default_grammar(), "OPEN LEFT-ARM TO 2 ") == ["CM", "DEG", "M", "MM", "RAD"]
+
+
 def test_after_offers_the_last_command() -> None:
     assert "LAST" in complete(default_grammar(), "STOW LEFT-ARM AFTER ")
     assert complete(default_grammar(), "STOW LEFT-ARM TOGETHER-WITH LA") == ["LAST"]
