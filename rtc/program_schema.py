@@ -126,7 +126,8 @@ class Piece(Part, frozen=True, kw_only=True):
 class Tellable(Part, frozen=True, kw_only=True):
     """An attribute of a thing that a sentence may tell, and how it is said."""
 
-    unit: str  # SI, as in a record
+    unit: str = ""  # SI, as in a record; empty = it is a name
+    attitude: bool = False  # roll, pitch and yaw (rad) may follow
     of: Annotated[list[str], Meta(min_length=1)]  # what its numbers are, in order: [x, y, z]
     example: str  # "71.5 12 28 CM"
 
@@ -150,6 +151,7 @@ class ElaboratorProgram(Part, frozen=True, kw_only=True):
     instead: dict[str, str] = {}  # verb without a script -> what does the same, or nearly, today
     needs: dict[str, str] = {}  # registered condition of the world -> what would bring it about
     told: dict[str, Tellable] = {}  # attribute of a thing -> how it is told
+    told_of_seats: list[str] = []  # of these, what may be told of a seat
     not_told: dict[str, str] = {}  # attribute that is found out, not told -> what finds it out
     clears: dict[str, str] = {}  # attribute of a fact -> what would make it trusted again
     senses: dict[str, str] = {}  # attribute of an arm that is not trusted -> the piece of script that comes first then
@@ -199,12 +201,13 @@ class BinderProgram(Part, frozen=True, kw_only=True):
 
 class OutcomeClass(Part, frozen=True, kw_only=True):
     """What a failure means: its words, what cannot be trusted after it, and what would clear that. In the words may
-    stand {reason} {measured} {limit} {unit} {message} {arm} {object} {point}."""
+    stand {reason} {measured} {limit} {unit} {message} {arm} {object} {point} {target}."""
 
     message: str
     # object: the frame of the one it is about; if_touched: the same, if it may have been moved; held: of what is held
     suspect: list[Literal["object", "if_touched", "held"]] = []
     drops: bool = False  # nothing is in the hand any more
+    misplaced: bool = False  # what is held is elsewhere than believed: feeling it proves nothing, it must be looked at
     clears: str = ""  # first; then what makes those trusted again that have become suspect (`clears` of the program)
     again: str = ""  # and what to do after that
     retriable: bool = True  # a trim may be looked up

@@ -22,7 +22,7 @@ SPACES = ("move_joint", "move_task")
 #: elaborator: figures that are no row of the command-object table: the cell's, the hand's, and what a sentence says
 FIGURES = (
     *Numbers.__struct_fields__,
-    *("opening_m", "hand_width_m", "grasp_width_m", "mass_kg", "duration_s"),
+    *("opening_m", "hand_width_m", "grasp_width_m", "mass_kg", "duration_s", "seat_depth_m", "detent_n"),
     *("unsure_x_m", "unsure_y_m", "unsure_z_m", "unsure_rad"),  # of the grasp point, in the axes of the tool there
     *(f"{said}_{unit}" for said in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),
 )
@@ -30,7 +30,7 @@ FIGURES = (
 ROLES = ("active_arm", "active_object", "target")
 #: what may stand in braces in the words of a script; the last two in those of SET
 PLACEHOLDERS = (
-    *("arm", "object", "point", "target", "destination", "axis", "out", "amount", "time"),
+    *("arm", "object", "point", "target", "destination", "axis", "out", "way_out", "amount", "time"),
     *("attribute", "value"),
 )
 #: the same in what an analyzer says of a failure

@@ -3,8 +3,9 @@
 What it is good for: everything but dynamics, in microseconds. What is honest in it: joints, frames, and touch. Where
 the command would put palm or fingers into a shape of an object or seat, the arm stays where it was free, and the
 wrist feels the command's depth as a stiff spring: guarded moves find what is there. Fingers stop on what lies between
-them, press with their force, and carry it from then on. What it leaves out: inertia, friction, slip, an object that
-gives way, and any touch by the arm's other links or by what is held.
+them, press with their force, and carry it from then on. What is carried feels the bottom and the catch of a seat
+(`kinematic_seats`). What it leaves out: inertia, friction, slip, an object that gives way, and any other touch by the
+arm's other links or by what is held.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from rtc.robot.kinematics import ArmModel
 from sim_mcm import control_laws
 from sim_mcm.arm import TICK_S, ArmState, CellState, HandCommand, Motion, Sample, Traits
 from sim_mcm.hand import CENTRE_N_M
+from sim_mcm.kinematic_seats import Seats
 
 SPRING_N_M = 50_000.0  # a millimetre of depth would be 50 N; at 20 mm/s a tick adds 1 N
 REACH_M = 0.16  # from the tcp: no part of the hand is farther away
@@ -54,6 +56,7 @@ class KinematicCell:
         self.cell = cell
         self.poses: dict[str, Array] = {thing.name: cell.object_pose(thing.name) for thing in cell.objects}
         self.poses |= {seat.name: seat.frame.pose for seat in cell.seats}
+        self.seats = Seats(cell, self.poses)
         self.carried: dict[str, tuple[str, Array]] = {}  # object -> arm, pose in tcp axes
         self.pieces: dict[str, list[Piece]] = {}
         shapes = {thing.name: thing.shapes for thing in cell.objects} | {seat.name: seat.shapes for seat in cell.seats}
@@ -104,7 +107,7 @@ class KinematicCell:
         )
 
     def restore(self, state: CellState) -> None:
-        self.poses = {name: np.array(pose) for name, pose in state.poses.items()}
+        self.poses |= {name: np.array(pose) for name, pose in state.poses.items()}
         self.carried = {name: (arm, np.array(grasp)) for name, (arm, grasp) in state.carried.items()}
         for owner in self.pieces:
             self._place(owner)
@@ -218,13 +221,32 @@ class KinematicArm:
             return
         wanted = self._model.fk(joints)
         touches = list(self._touches(wanted))
-        if touches:  # something is in the way: it stays where it was free
+        seats, blocked = self._seats(wanted, joints == self.joints)
+        if touches or blocked:  # something is in the way: it stays where it was free
             self._velocities = [0.0] * len(joints)
         else:
             self.joints, self._velocities, self._pose = joints, velocities, wanted
-            self._clear_m = self._clearance(wanted)
+            self._clear_m = min([self._clearance(wanted), *map(self._world.seats.away_m, self._held(wanted).values())])
         self._move_fingers()
-        self._wrench = self._feel(wanted, touches)
+        self._wrench = [a + b for a, b in zip(self._feel(wanted, touches), seats, strict=True)]
+
+    def _held(self, tcp: Array) -> dict[str, Array]:
+        """Where what this arm carries is with the tcp at `tcp`."""
+        mine = {name: grasp for name, (arm, grasp) in self._world.carried.items() if arm == self.traits.name}
+        return {name: geometry.compose(tcp, grasp) for name, grasp in mine.items()}
+
+    def _seats(self, tcp: Array, still: bool) -> tuple[list[float], bool]:
+        """(wrench on the hand through what it carries, tool axes; whether a seat's bottom is in the way)."""
+        force, torque, blocked = np.zeros(3), np.zeros(3), False
+        for name, pose in self._held(tcp).items():
+            for felt in self._world.seats.feel(name, pose, still):
+                push = felt.force * (SPRING_N_M * felt.depth_m if felt.depth_m else 1.0)
+                force, torque = force + push, torque + np.cross(pose[:3] - tcp[:3], push)
+                blocked = blocked or felt.depth_m > 0.0
+        if not force.any():
+            return [0.0] * 6, False
+        turn = geometry.to_matrix(tcp)[:3, :3].T
+        return [*(turn @ force).tolist(), *(turn @ torque).tolist()], blocked
 
     def forget_clearance(self) -> None:
         """Things have moved."""

@@ -17,6 +17,7 @@ from rtc.program import decode
 from rtc.program_fit import row_of
 from rtc.program_schema import AnalyzerProgram, OutcomeClass
 from rtc.world.model import World
+from rtc.world.spread import even, widened
 from workers import facts, known, reflexes
 from workers.belief import TRUSTED, Belief
 from workers.cell_model import CellModel
@@ -34,6 +35,7 @@ UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE
 #: figures that its program must have
 VALUES = (
     *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m", "told_m", "told_rad"),
+    *("seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
     *("creep_m_s", "creep_rad_s", "struck_n", "struck_m", "struck_rad"),
 )
 
@@ -138,11 +140,13 @@ def _failure(
     if isinstance(missed, str) and missed in EFFECTS and failure.retriable and not data.closing and not data.trims_used:
         changes += EFFECTS[missed](belief, data, Validity.SUSPECT)
     changes = _stated(program, belief, data, _last(changes))
+    if failure.misplaced:
+        changes = _misplaced(program, belief, changes)
     asked = reflexes.asked_for(evaluation.context.reflexes, data.report)
     words = _words(failure.message, data, reason) if asked is None else _as_asked(asked, data)
     if done := reflexes.done(data.report):
         words = f"{words}; {done}"
-    cures = _cures(program, belief, changes)
+    cures = _cures(program, belief, changes, failure.misplaced)
     todo = (failure.clears, *cures, failure.again) if asked is None else tuple(cures)
     trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
     return Assessment(
@@ -155,11 +159,12 @@ def _failure(
     )
 
 
-def _cures(program: AnalyzerProgram, belief: Belief, changes: Changes) -> list[str]:
+def _cures(program: AnalyzerProgram, belief: Belief, changes: Changes, misplaced: bool) -> list[str]:
     """What would make those facts trusted again that are suspect now, each way once."""
     after = Belief(belief.model, belief.world.overlay(changes))
     suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
-    told = [after.cure(key, program.clears) for key in suspect if key.rpartition(".")[2] in program.clears]
+    clears = {**program.clears, "grasp": program.clears["misplaced"]} if misplaced else program.clears
+    told = [after.cure(key, clears) for key in suspect if key.rpartition(".")[2] in clears]
     return list(dict.fromkeys(told))
 
 
@@ -220,7 +225,7 @@ def _carried(
         return [*moved, *gone(arm, thing)]
     moved.append(WorldChange(key=f"{thing}.grasp", keep_value=True, validity=validity))
     seat = belief.seat(thing)
-    if seat and geometry.distance(frame, belief.cell.seated_pose(seat)) >= belief.cell.seat(seat).depth_m:
+    if seat and geometry.distance(frame, belief.seated_pose(seat)) >= belief.cell.seat(seat).depth_m:
         moved.append(WorldChange(key=f"{thing}.seat", value=""))
     return moved
 
@@ -237,6 +242,17 @@ def _stated(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput, chang
     return [
         msgspec.structs.replace(change, spread=spread)
         if change.key in keys and change.spread is None and (change.keep_value or change.value is not None)
+        else change
+        for change in changes
+    ]
+
+
+def _misplaced(program: AnalyzerProgram, belief: Belief, changes: Changes) -> Changes:
+    """The changes, of what is in the hand with less known of its place there than was believed."""
+    more = even(program.values["misplaced_m"], program.values["misplaced_rad"])
+    return [
+        msgspec.structs.replace(change, spread=widened(change.spread or belief.spread(change.key), more))
+        if change.key.rpartition(".")[2] in ("frame", "grasp") and change.validity is Validity.SUSPECT
         else change
         for change in changes
     ]
@@ -294,6 +310,7 @@ def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:
         "message": report.message or evaluation.arm,
         "arm": evaluation.arm,
         "object": evaluation.context.object or evaluation.held or "the object",
+        "target": evaluation.context.target or "the seat",
         "point": evaluation.context.grasp_point,
         "width": f"{report.hand_width_m * 1000:.1f}",
         "wanted": f"{least * 1000:.0f} to {most * 1000:.0f}",

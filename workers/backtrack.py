@@ -91,7 +91,7 @@ def _moved(start: Start, line: PlanLine, at: Situation) -> Start | Refusal:
     if line.along == "WAY-OUT":
         if at.target is None:
             return _program("WAY-OUT is the way out of a seat, and the sentence names none")
-        out = geometry.rotate(at.target.frame.pose, at.target.way_out)
+        out = geometry.rotate(at.belief.seat_frame(at.target.name), at.target.way_out)
         moved = geometry.translate(world, by_m * out)
     elif line.along in axes.AXES:
         moved = axes.shifted(world, line.along, by_m)

@@ -29,6 +29,7 @@ from workers.motion.plan import Setting
 from workers.motion.timing import Pace
 
 UNKNOWN_RADIUS_M = 0.1  # an object whose inertia nobody has told turns like a ball of this radius
+BESIDE_M = 0.04  # what is farther than this from the line of a seat's way out is not in its slot
 TRUSTED = (Validity.VALID, Validity.CHANGING)
 
 
@@ -66,12 +67,32 @@ class Belief:
         return self.world.value(f"{thing}.seat") or ""
 
     def way_out(self, thing: str) -> str:
-        """The word for the direction in which a thing leaves the seat it is in; UP when it is in none."""
-        seat = self.seat(thing)
-        if not seat:
-            return "UP"
-        spec = self.cell.seat(seat)
-        return axes.name_of(geometry.rotate(spec.frame.pose, spec.way_out).tolist())
+        """The word for the direction in which a thing leaves the seat it is in, or half in; UP when it is in none."""
+        seat = self.seat(thing) or self.seat_around(thing)
+        return self.way_out_of(seat) if seat else "UP"
+
+    def way_out_of(self, seat: str) -> str:
+        """The word for the direction in which a thing leaves this seat."""
+        return axes.name_of(geometry.rotate(self.seat_frame(seat), self.cell.seat(seat).way_out).tolist())
+
+    def seat_around(self, thing: str) -> str:
+        """The seat in whose slot a thing is, though it need not sit in it: it was stopped on its way in, or out."""
+        for seat in self.cell.seats:
+            out = geometry.rotate(self.seat_frame(seat.name), seat.way_out)
+            off = self.frame(thing)[:3] - self.seated_pose(seat.name)[:3]
+            along = float(off @ out)
+            if -BESIDE_M < along < seat.depth_m and float(np.linalg.norm(off - along * out)) < BESIDE_M:
+                return seat.name
+        return ""
+
+    def seat_frame(self, seat: str) -> Array:
+        """Where a seat is believed to be; where the cell has it, unless somebody has told."""
+        frame = self.world.value(f"{seat}.frame")
+        return self.cell.seat(seat).frame.pose if frame is None else geometry.normalise(frame)
+
+    def seated_pose(self, seat: str) -> Array:
+        """Where a thing is that sits in this seat (world)."""
+        return geometry.compose(self.seat_frame(seat), self.cell.seat(seat).module_frame.pose)
 
     def frame(self, thing: str) -> Array:
         """Where an object is believed to be, trusted or not; before anything was told, where the cell has it."""
@@ -156,7 +177,8 @@ class Belief:
         holds may be in, or come into, a seat; `away`: what is in doubt is no obstacle; `opening_m`: of this arm's hand,
         if not as it is now; `near`: what it need keep no clearance to."""
         held: dict[str, Held] = {}
-        poses: dict[str, Array] = {}
+        told = [seat.name for seat in self.cell.seats if self.world.get(f"{seat.name}.frame") is not None]
+        poses: dict[str, Array] = {name: self.seat_frame(name) for name in told}
         for thing in self.cell.objects:
             holder, grasp = self.held_by(thing.name), self.grasp(thing.name)
             if holder and grasp is not None:
@@ -173,7 +195,7 @@ class Belief:
             hand = self.cell.arm(arm).gripper
             met = filter(None, (touching, self.seat(touching)))
             ignore += [(f"{arm} {link}", name) for name in met for link in (*hand.finger_links, hand.palm_link)]
-        doubtful = [name for name in poses if away and not self.trusts(f"{name}.frame")]
+        doubtful = [name for name in poses if away and name not in told and not self.trusts(f"{name}.frame")]
         ignore += [pair for name in doubtful for pair in ((arm, name), *([(carried, name)] if carried else []))]
         if carried and (seated or (away and not self.trusts(f"{carried}.grasp"))):
             ignore += [(carried, seat.name) for seat in self.cell.seats]

@@ -112,7 +112,7 @@ def _situations(compiled: Compiled, parsed: ParsedCommand, limits: Limits, belie
     situations = []
     for arm in arms:
         for point in points:
-            figures = figures_of(program, parsed, belief, arm, thing, point)
+            figures = figures_of(program, parsed, belief, arm, thing, point, target)
             if isinstance(figures, Refusal):
                 return figures
             situations.append(Situation(belief, program, parsed, limits, arm, thing, point, target, figures))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from rtc import geometry
-from rtc.messages import WorldChange
+from rtc.messages import Validity, WorldChange
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.world.model import problem
 from rtc.world.spread import even
@@ -70,10 +70,13 @@ TOLD: dict[str, Callable[[Values], list[float]]] = {"frame": lambda values: even
 
 
 def _placed(thing: str, frame: Any, belief: Belief, values: Values) -> Changes | Refusal:
-    """In the seat that is there, if one is; and in no hand, unless one holds it."""
+    """What holds it follows from where it is: the seat that is there, or the hand that has it. What sits in a seat goes
+    with that seat."""
+    if any(seat.name == thing for seat in belief.cell.seats):
+        return _moved_with(thing, frame, belief)
     if belief.held_by(thing):
-        return []
-    seat = seat_at(frame, belief, values["seated_m"])
+        return _in_hand(thing, frame, belief, values)
+    seat = seat_at(frame, belief, values["seated_m"], values["seated_rad"])
     inside = [t.name for t in belief.cell.objects if seat and t.name != thing and belief.seat(t.name) == seat]
     if inside:
         return _refused(
@@ -87,10 +90,51 @@ def _placed(thing: str, frame: Any, belief: Belief, values: Values) -> Changes |
     ]
 
 
-def seat_at(frame: Any, belief: Belief, within_m: float) -> str:
-    """The seat whose module would be here; empty when none is near enough."""
-    away_m = {seat.name: geometry.distance(frame, belief.cell.seated_pose(seat.name)) for seat in belief.cell.seats}
-    near = [name for name, distance_m in away_m.items() if distance_m <= within_m]
+def _in_hand(thing: str, frame: Any, belief: Belief, values: Values) -> Changes | Refusal:
+    """How the hand holds it, when it is here; none of its grasp points may be far from between the fingers."""
+    arm = belief.held_by(thing)
+    tcp = belief.tcp(arm)
+    points = [geometry.compose(frame, point.frame.pose) for point in belief.cell.object(thing).grasp_points]
+    away_m = min((geometry.distance(tcp, point) for point in points), default=math.inf)
+    if away_m > values["in_hand_m"]:
+        return _refused(
+            f"{thing} is held by {arm}, and would be {away_m * 1000:.0f} mm from its fingers; "
+            f"{values['in_hand_m'] * 1000:.0f} mm is the most",
+            f"{thing}.frame",
+            "say where it is in the hand; open the hand first if it is not in it",
+        )
+    grasp = geometry.normalise(geometry.relative(tcp, frame)).tolist()
+    return [
+        WorldChange(key=f"{arm}.holding", value=thing),
+        WorldChange(key=f"{thing}.held_by", value=arm),
+        WorldChange(key=f"{thing}.grasp", value=grasp, spread=TOLD["frame"](values)),
+    ]
+
+
+def _moved_with(seat: str, frame: Any, belief: Belief) -> Changes:
+    """What sits in this seat is as far from it as before."""
+    changes = []
+    for thing in belief.cell.objects:
+        if belief.seat(thing.name) == seat and not belief.held_by(thing.name):
+            key = f"{thing.name}.frame"
+            inside = geometry.relative(belief.seat_frame(seat), belief.frame(thing.name))
+            fact = belief.world.get(key)
+            changes.append(
+                WorldChange(
+                    key=key,
+                    value=geometry.normalise(geometry.compose(frame, inside)).tolist(),
+                    validity=fact.validity if fact else Validity.VALID,
+                    spread=fact.spread if fact else None,
+                )
+            )
+    return changes
+
+
+def seat_at(frame: Any, belief: Belief, within_m: float, within_rad: float = math.pi) -> str:
+    """The seat whose module would be here; empty when none is near enough, or it is turned too far."""
+    places = {seat.name: belief.seated_pose(seat.name) for seat in belief.cell.seats}
+    away_m = {name: geometry.distance(frame, place) for name, place in places.items()}
+    near = [name for name, at in places.items() if away_m[name] <= within_m and geometry.angle(frame, at) <= within_rad]
     return min(near, key=lambda name: away_m[name], default="")
 
 

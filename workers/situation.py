@@ -46,6 +46,7 @@ class Situation:
             "target": self.target.name if self.target else "",
             "axis": (self.parsed.place.along if self.parsed.place else None) or "TOOL-Z",
             "destination": destination_in_words(self.parsed),
+            "way_out": self.belief.way_out_of(self.target.name) if self.target else "",
             "out": self.belief.way_out(self.thing.name) if self.thing else "",
             "amount": _amount_in_words(self.parsed),
             "time": _time_in_words(self.parsed, self.figures),
@@ -101,6 +102,7 @@ def figures_of(
     arm: cells.Arm,
     thing: cells.Object | None,
     point: cells.GraspPoint | None,
+    target: cells.Seat | None,
 ) -> dict[str, float] | Refusal:
     """Every figure in force, or the refusal that says which cell of the command-object table is missing."""
     figures: dict[str, float] = dict(msgspec.structs.asdict(belief.cell.numbers))
@@ -116,6 +118,8 @@ def figures_of(
         figures |= known.figures(belief.spread(f"{thing.name}.frame"), point.frame.pose)
     if thing is not None:
         figures["mass_kg"] = float(belief.world.value(f"{thing.name}.mass") or thing.mass_kg)
+    if target is not None:
+        figures |= {"seat_depth_m": target.depth_m, "detent_n": target.detent_n}
     figures |= _said("amount", parsed.amount)
     figures |= _said("by", parsed.place.by if parsed.place else None)
     figures |= _said("to", parsed.to_value)

@@ -44,9 +44,9 @@ def seat(at: Situation) -> Start | Refusal:
     grasp = at.belief.grasp(at.thing.name)
     if grasp is None:
         return _state(f"how {at.arm.name} holds {at.thing.name} is not known", "let go of it, and take it again")
-    seated = at.belief.cell.seated_pose(at.target.name)
+    seated = at.belief.seated_pose(at.target.name)
     pose = geometry.compose(seated, geometry.inverse(grasp)).tolist()
-    return Start(pose=pose, relies_on=(f"{at.thing.name}.grasp",))
+    return Start(pose=pose, relies_on=(f"{at.thing.name}.grasp", f"{at.target.name}.frame"))
 
 
 def destination(at: Situation) -> Start | Refusal:

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from typing import Any
 
 from rtc import cell as cells
+from rtc import geometry
+from rtc.geometry import Array
 from rtc.language.record import ParsedCommand
 from rtc.messages import Script, ScriptContext, Step
 from rtc.outcomes import Refusal, RefusalReason
@@ -18,6 +20,7 @@ from rtc.program_schema import ElaboratorProgram, ScriptFile, Tellable
 from workers import naming, sentence
 from workers.belief import Belief
 
+Thing = cells.Object | cells.Seat
 MISSPELT = 0.75  # an attribute so like a known one is taken for a slip of the pen, not for a new one
 
 
@@ -26,33 +29,45 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
     misplaced = sentence.misplaced(parsed, file.script, file.uses)
     if misplaced is not None:
         return misplaced
-    things = {thing.name: thing for thing in belief.cell.objects}
+    things: dict[str, Thing] = {thing.name: thing for thing in belief.cell.objects}
+    things |= {seat.name: seat for seat in belief.cell.seats}
     thing = things.get(parsed.object or "")
     if thing is None:
-        return naming.unknown("object", parsed.object or "", things)
-    value = _value(program, parsed, thing, belief)
-    if isinstance(value, Refusal):
-        return value
+        return naming.unknown("object or seat", parsed.object or "", things)
+    facts = _facts(program, parsed, thing, belief)
+    if isinstance(facts, Refusal):
+        return facts
     said = " ".join(str(v) if isinstance(v, str) else f"{v:.6g}" for v in parsed.value or [])
     texts = {
         "object": thing.name,
         "attribute": parsed.attribute or "",
         "value": f"{said} {parsed.value_unit or ''}".strip(),
     }
-    roles = {"active_object": thing.name}
+    inside = [key.rpartition(".")[0] for key in facts]
+    inside += _seated(thing.name, belief) if isinstance(thing, cells.Seat) else []
     return Script(
         context=ScriptContext(
             verb=parsed.verb,
             script=file.script,
             object=thing.name,
-            told={f"{thing.name}.{_attribute(parsed)}": value},
+            told=facts,
         ),
         case=file.case,
         steps=[Step(do=step.do, label=_said(step.label, texts), expect=step.expect) for step in file.steps],
-        resources=[roles.get(role, role) for role in file.resources],
-        writes=[roles.get(role, role) for role in file.writes],
+        resources=_names(file.resources, [thing.name, *inside]),
+        writes=_names(file.writes, [thing.name, *inside]),
         candidates=[f"{file.script} {thing.name}"],
     )
+
+
+def _names(roles: list[str], active: list[str]) -> list[str]:
+    """What the roles of a script stand for."""
+    return list(dict.fromkeys(name for role in roles for name in (active if role == "active_object" else [role])))
+
+
+def _seated(seat: str, belief: Belief) -> list[str]:
+    """What sits in a seat goes with it."""
+    return [thing.name for thing in belief.cell.objects if belief.seat(thing.name) == seat]
 
 
 def _said(words: str, texts: dict[str, str]) -> str:
@@ -66,10 +81,13 @@ def _attribute(parsed: ParsedCommand) -> str:
     return (parsed.attribute or "").lower().replace("-", "_")
 
 
-def _value(program: ElaboratorProgram, parsed: ParsedCommand, thing: cells.Object, belief: Belief) -> Any:
-    """What is to be believed, in SI; or the refusal that says how it is told."""
+def _facts(program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, belief: Belief) -> dict[str, Any] | Refusal:
+    """What is to be believed, in SI, by key; or the refusal that says how it is told."""
     attribute = _attribute(parsed)
     said: list[float | str] = parsed.value or []
+    if isinstance(thing, cells.Seat) and attribute not in program.told_of_seats:
+        told = [_word(name) for name in program.told_of_seats]
+        return naming.unknown("attribute of a seat", parsed.attribute or "", told, where=parsed.attribute or "")
     if attribute in program.not_told:
         return Refusal(
             reason=RefusalReason.NOT_ALLOWED,
@@ -79,18 +97,29 @@ def _value(program: ElaboratorProgram, parsed: ParsedCommand, thing: cells.Objec
         )
     if attribute in program.told:
         row = program.told[attribute]
-        if parsed.value_unit != row.unit or len(said) != len(row.of):
+        if not _fits(row, parsed):
             return _misfit(row, parsed, thing)
-        fit = FITS.get(attribute)
-        return fit(program, said, thing, belief) if fit else said[0] if len(said) == 1 else said
-    known = [_word(name) for name in (*program.told, *program.not_told, *_others(thing, belief))]
-    like = naming.nearest(parsed.attribute or "", known, MISSPELT)
-    if like and parsed.attribute not in known:
-        return naming.unknown("attribute", parsed.attribute or "", known, where=parsed.attribute or "")
-    return said[0] if len(said) == 1 else said
+        make = FACTS.get(attribute)
+        if make is not None:
+            return make(program, said, thing, belief)
+    else:
+        known = [_word(name) for name in (*program.told, *program.not_told, *_others(thing, belief))]
+        like = naming.nearest(parsed.attribute or "", known, MISSPELT)
+        if like and parsed.attribute not in known:
+            return naming.unknown("attribute", parsed.attribute or "", known, where=parsed.attribute or "")
+    return {f"{thing.name}.{attribute}": said[0] if len(said) == 1 else said}
 
 
-def _others(thing: cells.Object, belief: Belief) -> list[str]:
+def _fits(row: Tellable, parsed: ParsedCommand) -> bool:
+    """As many numbers as the row has, in its unit; or a name; or both a place and an attitude."""
+    said, unit = parsed.value or [], parsed.value_unit
+    if not row.unit:
+        return len(said) == len(row.of) and all(isinstance(word, str) for word in said)
+    turned = " ".join([row.unit] * len(row.of) + ["rad"] * len(ANGLES))
+    return (unit == row.unit and len(said) == len(row.of)) or (row.attitude and unit == turned)
+
+
+def _others(thing: Thing, belief: Belief) -> list[str]:
     """What else is believed of it by now, because it was told before."""
     own = f"{thing.name}."
     return [key.removeprefix(own) for key in belief.world.facts if key.startswith(own)]
@@ -100,13 +129,15 @@ def _word(attribute: str) -> str:
     return attribute.upper().replace("_", "-")
 
 
-def _misfit(row: Tellable, parsed: ParsedCommand, thing: cells.Object) -> Refusal:
+def _misfit(row: Tellable, parsed: ParsedCommand, thing: Thing) -> Refusal:
     said = parsed.value or []
     what = "a name" if any(isinstance(v, str) for v in said) else f"{len(said)} number{'s' * (len(said) != 1)}"
     unit = f"in {parsed.value_unit}" if parsed.value_unit else "without a unit"
+    wanted = f"{' '.join(row.of)} in {row.unit}" if row.unit else "a name"
+    wanted += f", and may go on with {' '.join(ANGLES)} in rad" if row.attitude else ""
     return Refusal(
         reason=RefusalReason.SENTENCE,
-        message=f"{parsed.attribute} of {thing.name} is {' '.join(row.of)} in {row.unit}; said was {what} {unit}",
+        message=f"{parsed.attribute} of {thing.name} is {wanted}; said was {what} {unit}",
         where=parsed.attribute or "",
         expected=[row.example],
         clears=f"say it as in {parsed.verb} {thing.name} {parsed.attribute} {row.example}",
@@ -116,18 +147,45 @@ def _misfit(row: Tellable, parsed: ParsedCommand, thing: cells.Object) -> Refusa
 # --- where a thing is ----------------------------------------------------------------------------------------
 
 
-def _frame(program: ElaboratorProgram, said: list[Any], thing: cells.Object, belief: Belief) -> Any:
-    """A position; the attitude is the one believed so far. What a hand holds is where the hand is."""
+def _frame(program: ElaboratorProgram, said: list[Any], thing: Thing, belief: Belief) -> dict[str, Any] | Refusal:
+    """A place, with its attitude or with the one believed so far."""
+    angles = said[3:]
+    attitude = geometry.from_rpy((0, 0, 0), angles)[3:] if angles else _believed(thing, belief)[3:]
+    return _pose(said[:3], attitude, thing)
+
+
+def _attitude(program: ElaboratorProgram, said: list[Any], thing: Thing, belief: Belief) -> dict[str, Any] | Refusal:
+    """An attitude, at the place believed so far."""
+    return _pose(_believed(thing, belief)[:3], geometry.from_rpy((0, 0, 0), said)[3:], thing)
+
+
+def _seat(program: ElaboratorProgram, said: list[Any], thing: Thing, belief: Belief) -> dict[str, Any] | Refusal:
+    """It is where that seat holds a thing."""
+    seats = [seat.name for seat in belief.cell.seats]
+    if said[0] not in seats:
+        return naming.unknown("seat", said[0], seats, where=said[0])
     holder = belief.held_by(thing.name)
-    if thing.fixed or holder:
-        return Refusal(
-            reason=RefusalReason.STATE,
-            message=f"{thing.name} is fixed"
-            if thing.fixed
-            else f"{thing.name} is held by {holder}, and goes where it goes",
-            clears=belief.cure(f"{thing.name}.grasp", program.clears) if holder else "",
-        )
-    return [*said, *belief.frame(thing.name)[3:].tolist()]
+    if holder:
+        message = f"{thing.name} is held by {holder}"
+        clears = program.needs["object_free"].replace("{object}", thing.name)
+        return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
+    seated = belief.seated_pose(said[0])
+    return _pose(seated[:3], seated[3:], thing)
 
 
-FITS: dict[str, Callable[[ElaboratorProgram, list[Any], cells.Object, Belief], Any]] = {"frame": _frame}
+def _believed(thing: Thing, belief: Belief) -> Array:
+    return belief.seat_frame(thing.name) if isinstance(thing, cells.Seat) else belief.frame(thing.name)
+
+
+def _pose(place: Any, attitude: Any, thing: Thing) -> dict[str, Any] | Refusal:
+    if isinstance(thing, cells.Object) and thing.fixed:
+        return Refusal(reason=RefusalReason.STATE, message=f"{thing.name} is fixed", clears="another object")
+    return {f"{thing.name}.frame": [float(n) for n in (*place, *attitude)]}
+
+
+ANGLES = ("roll", "pitch", "yaw")
+FACTS: dict[str, Callable[[ElaboratorProgram, list[Any], Thing, Belief], dict[str, Any] | Refusal]] = {
+    "frame": _frame,
+    "attitude": _attitude,
+    "seat": _seat,
+}

@@ -428,11 +428,14 @@ def name_datum(parts: Parts) -> Fields:
 
 
 def number_datum(parts: Parts) -> Fields:
+    """A place and an attitude are numbers of two kinds: `80 77 60 CM 0 0 4 DEG`. Other mixtures make no sense."""
     said = in_one_unit([*parts[1], parts[0]])
     first, unit = said[0]
     si = None if unit is None else UNITS[unit].si
-    values = in_si(said, (si,) if si else (), f"SET after {quoted(first.text)}")
-    return {"value": values, "value_unit": si}
+    kinds = (si, "rad") if si == "m" else (si,) if si else ()
+    values = in_si(said, kinds, f"SET after {quoted(first.text)}")
+    units = [si if unit is None else UNITS[unit].si for _, unit in said]
+    return {"value": values, "value_unit": si if len(set(units)) == 1 else " ".join(map(str, units))}
 
 
 def cannot(parts: Parts) -> Fields:

@@ -101,5 +101,5 @@ class ParsedCommand(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     now: bool = False
     attribute: str | None = None  # SET object attribute value
     value: list[float | str] | None = None  # SET ... datum, SI numbers or one name
-    value_unit: str | None = None
+    value_unit: str | None = None  # SI; of all numbers, or one for each of them ("m m m rad rad rad")
     reason: str | None = None  # CANNOT "..."

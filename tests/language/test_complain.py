@@ -99,7 +99,7 @@ WRONG = [
     ("MOVE LEFT-ARM TO JOINTS 1 2 ¦3 KG", [AN_ANGLE, A_LENGTH], [], "an angle or a length; 3 KG is a mass"),
     ("MOVE LEFT-ARM TO POSITION 1 2 CM¦", ["x y z such as 60 -20 35 CM"], [], "three numbers, not 2"),
     ("MOVE LEFT-ARM TO POSITION 1 2 3 ¦4 CM", ["x y z such as 60 -20 35 CM"], [], "three numbers, not 4"),
-    ("SET BOLT-2 FRAME 1 CM ¦2 N", [A_LENGTH], [], "2 N is a force"),
+    ("SET BOLT-2 FRAME 1 CM ¦2 N", [A_LENGTH, "an angle such as 90 DEG"], [], "2 N is a force"),
     ("SET X Y ¦1e999", ["a number within reason"], [], "too large"),
     ("LIFT X BY ¦1e400 M", ["a number within reason"], [], "too large"),
     # the wrong kind of quantity

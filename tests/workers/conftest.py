@@ -60,6 +60,7 @@ class Reporter:
         self.widths = {arm.name: arm.gripper.max_opening_m for arm in CELL.arms}
         self.closes: list[float] = []  # what the next closures come to, instead of the truth
         self.instead: dict[str, StopReason] = {}  # primitive -> how it ends instead, at its start
+        self.seats = True  # what is brought down in a seat touches it, and is caught
 
     def displace(self, name: str, by: list[float]) -> None:
         self.poses[name] = geometry.translate(self.poses[name], by)
@@ -97,7 +98,9 @@ class Reporter:
                 self.joints[arm] = self._first_touch(arm, np.array(before), np.array(after), bound)
                 return StopReason.CONTACT
         self.joints[arm] = np.array(way.positions[-1])
-        return StopReason.GOAL
+        assert bound.evaluation is not None
+        seat = bound.evaluation.held and feels and bound.evaluation.no_contact_is_failure
+        return StopReason.CONTACT if seat and self.seats else StopReason.GOAL
 
     def _aside(self, arm: str, joints: Any, bound: BoundStep) -> float:
         """How far the grasp point's bar is from the middle between the fingers (m)."""
@@ -220,10 +223,10 @@ class Bench:
     def told(self, key: str, value: Any, validity: Validity = Validity.VALID) -> None:
         self.world = self.world.overlay([WorldChange(key=key, value=value, validity=validity)])
 
-    def elaborate(self, sentence: str) -> Script | Refusal:
+    def elaborate(self, sentence: str, model: CellModel = MODEL) -> Script | Refusal:
         self.commands += 1
         data = ElaboratorInput(command=f"C-{self.commands}", parsed=record(sentence))
-        return elaborator.run(elaborator.compile(self.programs["elaborator"]), MODEL, self.world, data)
+        return elaborator.run(elaborator.compile(self.programs["elaborator"]), model, self.world, data)
 
     def bind(self, script: Script, step: Step, bindings: dict[str, Binding] | None = None, n: int = 1) -> Any:
         given = script.bindings if bindings is None else bindings

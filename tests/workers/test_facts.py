@@ -6,11 +6,12 @@ import math
 
 import pytest
 
+from rtc import geometry
 from rtc.outcomes import Refusal, RefusalReason
 from workers.belief import Belief
 from workers.facts import believed, seat_at
 
-VALUES = {"reach_m": 5.0, "seated_m": 0.05, "told_m": 0.005, "told_rad": 0.035}
+VALUES = {"reach_m": 5.0, "seated_m": 0.05, "seated_rad": 0.2, "in_hand_m": 0.06, "told_m": 0.005, "told_rad": 0.035}
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 
 
@@ -57,12 +58,43 @@ def test_a_frame_brings_its_seat_and_an_end_of_any_grasp(belief):
     ]
 
 
-def test_what_is_seen_in_a_hand_stays_in_it(bench):
+def test_what_is_seen_in_a_hand_tells_how_the_hand_holds_it(bench):
+    bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+    before = geometry.normalise(bench.world.value("MACS-NEW.grasp"))
+
+    changes = believed({"MACS-NEW.frame": [0.81, -0.8, 0.6, *UPRIGHT]}, Belief(bench.model, bench.world), VALUES)
+
+    told = {c.key: c.value for c in changes}
+    assert told["MACS-NEW.held_by"] == "RIGHT-ARM"
+    assert "MACS-NEW.seat" not in told
+    assert geometry.distance(told["MACS-NEW.grasp"], before) == pytest.approx(0.01, abs=1e-6)
+
+
+def test_what_is_held_is_not_told_to_be_far_from_the_hand(bench):
     bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
 
-    changes = believed({"MACS-NEW.frame": [0.5, 0.0, 0.5, *UPRIGHT]}, Belief(bench.model, bench.world), VALUES)
+    refusal = believed({"MACS-NEW.frame": [0.5, 0.0, 0.5, *UPRIGHT]}, Belief(bench.model, bench.world), VALUES)
 
-    assert [c.key for c in changes] == ["MACS-NEW.frame"]
+    assert "from its fingers" in refusal.message
+    assert "open the hand" in refusal.clears
+
+
+def test_what_sits_in_a_seat_goes_with_it(belief):
+    turned = geometry.from_rpy([0.79, -0.81, 0.6], [0.0, 0.0, 0.1])
+
+    changes = {c.key: c.value for c in believed({"RACK-1.frame": turned.tolist()}, belief, VALUES)}
+
+    assert changes["RACK-1.frame"] == pytest.approx(turned.tolist())
+    assert changes["MACS-NEW.frame"] == pytest.approx(turned.tolist())
+    assert "MACS-OLD.frame" not in changes
+
+
+def test_what_is_turned_in_a_seat_does_not_sit_in_it(belief):
+    askew = geometry.from_rpy([0.80, -0.80, 0.60], [0.0, 0.0, 0.9]).tolist()
+
+    changes = {c.key: c.value for c in believed({"MACS-NEW.frame": askew}, belief, VALUES)}
+
+    assert changes["MACS-NEW.seat"] == ""
 
 
 @pytest.mark.parametrize(("x_m", "seat"), [(0.80, "RACK-1"), (0.76, "RACK-1"), (0.74, "")])

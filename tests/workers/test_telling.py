@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from rtc import geometry
@@ -143,25 +145,112 @@ def test_numbers_and_units_that_do_not_fit_are_refused_with_an_example(bench, se
     assert refusal.expected in (["71.5 12 28 CM"], ["2.1 KG"])
 
 
-@pytest.mark.parametrize("attribute", ["SEAT", "HELD-BY"])
-def test_what_is_found_out_is_not_told(bench, attribute):
-    refusal = refused(bench, f"SET MACS-NEW {attribute} RACK-2")
+def test_what_is_found_out_is_not_told(bench):
+    refusal = refused(bench, "SET MACS-NEW HELD-BY RACK-2")
 
     assert refusal.reason is RefusalReason.NOT_ALLOWED
     assert "MACS-NEW" in refusal.clears
 
 
-def test_where_a_held_thing_is_follows_from_the_hand(bench):
+def test_where_a_held_thing_is_tells_how_it_is_held(bench):
     bench.do(GRASP)
-    frame = bench.world.value("MACS-NEW.frame")
+    bench.told("MACS-NEW.grasp", bench.world.value("MACS-NEW.grasp"), Validity.SUSPECT)
 
-    refusal = refused(bench, "SET MACS-NEW FRAME 80 -80 60 CM")
+    told(bench, "SET MACS-NEW FRAME 78 -80 60 CM")
 
-    assert refusal.reason is RefusalReason.STATE
+    assert bench.world.value("MACS-NEW.held_by") == "RIGHT-ARM"
+    assert bench.world.get("MACS-NEW.grasp").validity is Validity.VALID
+    assert bench.do("LIFT MACS-NEW BY 20 CM").succeeded
+    assert bench.world.value("MACS-NEW.frame")[:3] == pytest.approx([0.78, -0.80, 0.80], abs=0.001)
+
+
+def test_a_held_thing_is_not_told_to_be_far_from_its_hand(bench):
+    bench.do(GRASP)
+
+    refusal = refused(bench, "SET MACS-NEW FRAME 80 80 60 CM")
+
     assert "held by RIGHT-ARM" in refusal.message
-    assert bench.do(refusal.clears).succeeded
-    told(bench, "SET MACS-NEW MASS 2.1 KG")  # what it weighs does not
-    assert bench.world.value("MACS-NEW.frame") == pytest.approx(frame, abs=1e-6)
+
+
+# --- attitudes and seats -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("sentence", "place", "angles_deg"),
+    [
+        ("SET MACS-NEW FRAME 70 10 40 CM 5 -10 30 DEG", [0.70, 0.10, 0.40], [5, -10, 30]),
+        ("SET MACS-NEW FRAME 0.7 0.1 0.4 M 0 0 0.5 RAD", [0.70, 0.10, 0.40], [0, 0, 28.647889]),
+        ("SET MACS-NEW ATTITUDE 0 0 4 DEG", [0.80, -0.80, 0.60], [0, 0, 4]),
+    ],
+)
+def test_an_attitude_is_told_as_roll_pitch_and_yaw(bench, sentence, place, angles_deg):
+    told(bench, sentence)
+
+    wanted = geometry.from_rpy(place, [math.radians(n) for n in angles_deg])
+    frame = bench.world.value("MACS-NEW.frame")
+    assert geometry.distance(frame, wanted) < 1e-6
+    assert geometry.angle(frame, wanted) < 1e-6
+
+
+def test_a_module_that_is_turned_is_grasped_as_it_is(bench):
+    told(bench, "SET MACS-NEW FRAME 78 -80 60 CM 0 0 12 DEG")
+
+    assert bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM").succeeded
+
+    tcp = bench.model.arms["RIGHT-ARM"].fk(bench.world.value("RIGHT-ARM.joints"))
+    axis = geometry.rotate(tcp, (0, 0, 1))
+    assert math.atan2(axis[1], axis[0]) == pytest.approx(math.radians(12), abs=1e-4)
+
+
+def test_an_object_is_told_to_be_in_a_seat(bench):
+    told(bench, "SET MACS-NEW FRAME 60 0 95 CM 0 0 30 DEG")
+    told(bench, "SET MACS-NEW SEAT BAY-2")
+
+    assert bench.world.value("MACS-NEW.seat") == "BAY-2"
+    assert bench.world.value("MACS-NEW.frame") == pytest.approx([0.93, 0, 0.70, 0, 0, 0, 1], abs=1e-9)
+    assert refused(bench, "SET MACS-NEW SEAT BAY-3").reason is RefusalReason.NAME
+    assert "MACS-OLD is believed to be" in refused(bench, "SET MACS-NEW SEAT RACK-2").message
+
+
+def test_a_seat_that_is_told_to_be_elsewhere_is_where_things_are_placed(bench):
+    bench.do(GRASP)
+    bench.do("LIFT MACS-NEW BY 15 CM")
+    script = bench.elaborate("SET RACK-1 FRAME 78 -81 61 CM")
+    assert script.writes == ["RACK-1"]  # what is in the hand does not go with it
+
+    told(bench, "SET RACK-1 FRAME 78 -81 61 CM")
+    assert bench.do("PLACE MACS-NEW ON RACK-1").succeeded
+
+    placed = bench.world.value("MACS-NEW.frame")
+    assert geometry.distance(placed, [0.78, -0.81, 0.608]) < 1e-3  # pressed 5 mm down, tugged at
+    assert bench.world.value("MACS-NEW.seat") == "RACK-1"
+
+
+def test_a_seat_takes_along_what_sits_in_it(bench):
+    script = bench.elaborate("SET RACK-1 FRAME 79 -80 60 CM 0 0 3 DEG")
+    assert script.writes == script.resources == ["RACK-1", "MACS-NEW"]
+
+    told(bench, "SET RACK-1 FRAME 79 -80 60 CM 0 0 3 DEG")
+
+    wanted = geometry.from_rpy([0.79, -0.80, 0.60], [0, 0, math.radians(3)])
+    assert geometry.distance(bench.world.value("MACS-NEW.frame"), wanted) < 1e-6
+    assert geometry.angle(bench.world.value("MACS-NEW.frame"), wanted) < 1e-6
+
+
+def test_a_seat_is_an_obstacle_where_it_is_told_to_be(bench):
+    assert bench.do("MOVE RIGHT-ARM TO RACK-1-FRONT").succeeded
+    told(bench, "SET RACK-2 FRAME 45 -88 90 CM")
+    assert refused(bench, "MOVE RIGHT-ARM BY 35 CM ALONG UP STRAIGHT-LINE").detail["body_b"].startswith("RACK-2")
+
+
+@pytest.mark.parametrize("sentence", ["SET RACK-1 MASS 3 KG", "SET RACK-1 SEAT RACK-2", "SET RACK-1 COLOUR RED"])
+def test_of_a_seat_only_its_place_is_told(bench, sentence):
+    refusal = refused(bench, sentence)
+    assert {"FRAME", "ATTITUDE"} == set(refusal.expected)
+
+
+def test_a_seat_beyond_the_cell_is_not_believed(bench):
+    assert refused(bench, "SET RACK-1 FRAME 80 -80 900 CM").reason is RefusalReason.INFEASIBLE
 
 
 def test_a_fixed_thing_stays_where_it_is(bench):
