@@ -89,12 +89,15 @@ class Router:
         self.began_s = self._turn_at_s = self._clock()
         self._fold = Fold()
         self._life = f"{self.began_s * 1e6:.0f}"  # of this broker: another one begins to count again
+        self._end_halt = f"end-{self._life}"  # when the cluster is stopped
         self._halts_called = 0
         self._halts_of: OrderedDict[bytes, deque[tuple[str, m.HaltOrder]]] = OrderedDict()  # by caller
         self._subsystem_heard_s: dict[str, float] = {}
         # Clients with commands that are halted when they go away; when each was heard last.
         self._watched_s = {c.client: self.began_s for c in state.commands.values() if c.halt_if_lost}
         self._supervisor = False
+        self._ending: list[str] | None = None  # commands that were live when the cluster was told to end
+        self._arms_at_end: set[str] = set()  # that were in motion then
         self._topics: set[bytes] = set()  # that somebody listens to: beginnings of all that is published
         self._asked: Counter[bytes] = Counter()  # questions of a client in this second
         self._second = Every(1.0)
@@ -149,6 +152,7 @@ class Router:
             self._look_after(began)
         if self._events:
             self._settle(began)
+            self._tell_all_ended()
             self.turn_times_s.append(self._clock() - began)
         else:
             self._give_out(began)
@@ -258,6 +262,8 @@ class Router:
                 self._events.append(heard.PrimitiveStarted(at_s=now, subsystem=name, primitive=message.primitive))
             case m.HaltStarted():
                 self._tell_halt_callers(message)
+                if message.halt == self._end_halt:
+                    self._arms_at_end.update(message.moving)
             case m.HaltAtRest():
                 self._tell_halt_callers(message)
                 self._events.append(
@@ -322,9 +328,26 @@ class Router:
                 if subsystem is not None and subsystem.pid == message.pid:
                     why = f"its process ended with status {message.status}"
                     self._events.append(heard.SubsystemGone(at_s=now, subsystem=message.name, why=why))
+            case m.Shutdown():
+                self._end_all(now)
             case m.ProcessTable():
                 self.processes = [dict(row) for row in message.processes]
                 self.processes_at_s = now
+
+    def _end_all(self, now: float) -> None:
+        """The cluster is being stopped: halt everything, and tell the supervisor when every command has ended."""
+        if self._ending is None:
+            self.me.log.info("the cluster is being stopped; %d commands are live", len(self.state.commands))
+            self._ending = list(self.state.commands)
+            order = m.HaltOrder(halt=self._end_halt, called_at_s=now)
+            self._events.append(_halt_called("supervisor", order, now))
+        else:
+            self._tell_all_ended()
+
+    def _tell_all_ended(self) -> None:
+        if self._ending is not None and not self.state.commands:
+            ended = m.AllEnded(commands=self._ending, arms=sorted(self._arms_at_end))
+            send(self._socket["supervisor"], ended, self._supervisor_peer)
 
     def _count_dropped(self, message: m.Dropped, sockets: Collection[str]) -> None:
         self.told_dropped.update((name, n) for name, n in message.counts.items() if name in sockets)
@@ -376,6 +399,9 @@ class Router:
                 clears = "give each sentence a request of its own"
                 refusal = Refusal(reason=RefusalReason.STATE, message=words, clears=clears)
                 self._answer(peer, m.Declined(request=message.request, refusal=refusal))
+            case m.CommandText() if self._ending is not None and not self._is_known(peer, message):
+                refusal = Refusal(reason=RefusalReason.STATE, message="the cluster is being stopped", clears="rtc up")
+                self._answer(peer, m.Declined(request=message.request, refusal=refusal))
             case m.CommandText():
                 if message.halt_if_lost:
                     self._watched_s[_name(peer)] = now
@@ -422,6 +448,9 @@ class Router:
         refusal = Refusal(reason=RefusalReason.OVERLOAD, message=words, clears="ask again a second later")
         self._answer(peer, m.Declined(request=message.request, refusal=refusal))
         return True
+
+    def _is_known(self, peer: bytes, message: m.CommandText) -> bool:
+        return request_key(_name(peer), message.request) in self.state.requests
 
     def _another_sentence(self, peer: bytes, message: m.CommandText) -> str:
         """The command that this request is already, if that has another text: a client that counts from one again has

@@ -84,10 +84,12 @@ def _up(settings: Settings, detach: bool) -> int:
 
 def _down(run_dir: Path) -> int:
     try:
-        pid = cluster.down(run_dir)
+        pid, stopped = cluster.down(run_dir)
     except NoCluster as error:
         print(error)  # what was wanted is so
         return 0
+    if stopped:
+        print(stopped)
     print(f"the cluster in {run_dir} has ended (supervisor pid {pid})")
     return 0
 

@@ -29,8 +29,9 @@ import zmq
 from deploy import hypercube
 from deploy.child import Spec
 from deploy.directory import Directory, claim_path
-from deploy.supervisor import END_LIMIT_S, Supervisor
+from deploy.supervisor import END_LIMIT_S, OUTCOMES_S, Supervisor
 from rtc import handed, process, template
+from rtc.halting import HaltLine
 from rtc.outcomes import ClusterError, NoCluster, RtcError
 from rtc.settings import ENDPOINTS, LOCK, Settings, prepare_run_dir
 from rtc.world import lease
@@ -41,6 +42,8 @@ TEMPLATE = "template"  # of workers; NAME-template of the process NAME
 TWIN = "twin-template"  # making a template of workers takes seconds, so each of two is forked from the other
 PREVIOUS = "previous"
 RUNS_KEPT = 3  # in previous, previous-2, previous-3
+LAST_WORDS = "ended.txt"  # what was stopped when the cluster ended
+REST_S = 1.5  # for the arms to come to rest when the cluster ends
 NICENESS = -10  # of the supervisor: it does little, and until it has done it a dead process's work waits
 
 
@@ -144,6 +147,7 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
                 say=say,
                 save=report.save,
                 look=directory.look,
+                halt=lambda: _halt_arms(settings),
             )
             files[REPORT] = lambda: report.save(supervisor.table())
             try:
@@ -154,9 +158,29 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
                 process.freeze_heap()
                 supervisor.run()
             finally:
-                supervisor.stop()
+                stopped = supervisor.stop()
                 if directory.ours():
+                    _leave_word(run_dir, stopped.in_words())
                     _remove_traces(run_dir)
+
+
+def _halt_arms(settings: Settings) -> list[str]:
+    """Halt everything by the sockets that are for that; the arms that were in motion. Empty also when nobody could be
+    told: then the MCM, which is told to end next, brakes by itself."""
+    with zmq.Context() as context:
+        line = HaltLine(context, settings)
+        try:
+            return line.halt(timeout_s=REST_S).moving
+        except ClusterError:
+            return []
+        finally:
+            line.close()
+
+
+def _leave_word(run_dir: Path, words: str) -> None:
+    """For `rtc down`, which waits for our end."""
+    with contextlib.suppress(OSError):
+        (run_dir / LAST_WORDS).write_text(words)
 
 
 def _start(supervisor: Supervisor, settings: Settings) -> None:
@@ -248,8 +272,9 @@ def _let_go(log: Path) -> None:
 # --- down ----------------------------------------------------------------------------------------------
 
 
-def down(run_dir: Path, limit_s: float = END_LIMIT_S + 3.0) -> int:
-    """End the cluster in this directory; the pid of its supervisor. Raises NoCluster when there is none."""
+def down(run_dir: Path, limit_s: float = REST_S + OUTCOMES_S + END_LIMIT_S + 3.0) -> tuple[int, str]:
+    """End the cluster in this directory; the pid of its supervisor, and what was stopped, in words. Raises NoCluster
+    when there is none."""
     running = _running(run_dir)
     if running is None:
         if run_dir.is_dir():
@@ -265,9 +290,12 @@ def down(run_dir: Path, limit_s: float = END_LIMIT_S + 3.0) -> int:
                 break
     finally:
         os.close(gone)
+    words = ""
+    with contextlib.suppress(OSError):
+        words = (run_dir / LAST_WORDS).read_text()
     with contextlib.suppress(ClusterError), _lock(run_dir):  # unless the next one is already there
         _remove_traces(run_dir)
-    return pid
+    return pid, words
 
 
 def _running(run_dir: Path) -> tuple[int, int] | None:
@@ -318,6 +346,7 @@ def _owner(run_dir: Path) -> str:
 def _clean(run_dir: Path) -> None:
     """Take away what a cluster that was here before has left."""
     _remove_traces(run_dir)
+    (run_dir / LAST_WORDS).unlink(missing_ok=True)
     previous = run_dir / PREVIOUS
     older = [run_dir / f"{PREVIOUS}-{n}" for n in range(2, RUNS_KEPT + 1)]
     shutil.rmtree(older[-1], ignore_errors=True)

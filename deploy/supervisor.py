@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import signal
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from deploy.child import Child, Spec, State, in_words, limit_log, reap_strangers
 from deploy.restarts import DEFAULT, Death, Policy, delay_s
 from rtc import wire
 from rtc.messages import (
+    AllEnded,
     BrokerToSupervisor,
     KillProcess,
     ProcessExited,
@@ -41,7 +43,28 @@ TABLE_S = 1.0
 STOOD_STILL_S = 3.0  # this process itself, or the machine, if it has not looked after the others for so long
 SILENCE_S = 4.0  # one that should have said every second that it is alive: it hangs
 STOPPED_S = 2.0  # seen stopped by a signal for so long
+OUTCOMES_S, OUTCOMES_AGAIN_S = 3.0, 0.2  # for the outcomes of all commands when the cluster ends; asked so often
+SHOWN = 10  # commands that were stopped, by number
 FORK_AGAIN_S = 0.05  # after which a killed template is known to be dead
+
+
+@dataclass
+class Stopped:
+    """What was stopped because the cluster ended."""
+
+    commands: list[str] = field(default_factory=list)
+    arms: list[str] = field(default_factory=list)  # that were in motion
+    doubt: str = ""
+
+    def in_words(self) -> str:
+        """Empty: there was nothing to stop."""
+        what = ", ".join([*self.commands[:SHOWN], *([f"{len(self.commands)} commands in all"] * self.too_many)])
+        words = [f"halted: {what}" if what else "", f"stopped: {', '.join(self.arms)}" if self.arms else ""]
+        return "; ".join(filter(None, [*words, self.doubt]))
+
+    @property
+    def too_many(self) -> bool:
+        return len(self.commands) > SHOWN
 
 
 class Supervisor:
@@ -65,12 +88,15 @@ class Supervisor:
         policy: Policy = DEFAULT,
         identity: str = "supervisor",
         look: Callable[[float], tuple[list[str], str]] = lambda now: ([], ""),
+        halt: Callable[[], list[str]] = lambda: [],
     ) -> None:
         self._me = me
         self._logs = logs
         self._pid = pid
         self._new_worker, self._tell_people, self._save = new_worker, say, save
         self._look = look
+        self._halt = halt
+        self._all_ended: AllEnded | None = None
         self._policy = policy
         self._children = {spec.name: Child(spec, logs / f"{spec.name}.log") for spec in specs}
         self._by_fd: dict[int, Child] = {}
@@ -108,8 +134,10 @@ class Supervisor:
         while not self._me.stopping:
             self._once()
 
-    def stop(self, limit_s: float = END_LIMIT_S) -> None:
-        """End all: SIGTERM, and SIGKILL for whoever has not ended within the limit."""
+    def stop(self, limit_s: float = END_LIMIT_S) -> Stopped:
+        """Halt everything, wait for rest and for the outcomes of all commands, then end all processes: SIGTERM, and
+        SIGKILL for whoever has not ended within the limit."""
+        stopped = self._halt_all() if self._up else Stopped()
         self._up = False
         running = [child for child in self._children.values() if child.pid]
         for child in running:
@@ -119,6 +147,27 @@ class Supervisor:
             left_s = max(0.0, min((c.kill_at_s for c in running if c.pid), default=0.0) - now_s())
             self._turn(left_s or 0.1)
         self._save_table()
+        return stopped
+
+    def _halt_all(self) -> Stopped:
+        """The broker ends its commands, which its clients then know; the arms are halted past it as well, because it
+        may be dead. Each wait has a limit: the MCM brakes by itself, too, when it is told to end."""
+        self._all_ended = None
+        self._tell(Shutdown())
+        arms = self._halt()
+        ask_again, limit_s = Every(OUTCOMES_AGAIN_S), now_s() + OUTCOMES_S
+        while self._all_ended is None and now_s() < limit_s:
+            if ask_again.due(now_s()):
+                self._tell(Shutdown())  # a broker that was restarted meanwhile has not heard it
+            self._turn(OUTCOMES_AGAIN_S)
+            self._start_waiting()
+        ended = self._all_ended or AllEnded(commands=[])
+        stopped = Stopped(commands=ended.commands, arms=sorted({*arms, *ended.arms}))
+        if self._all_ended is None:
+            stopped.doubt = f"the broker has not ended its commands within {OUTCOMES_S:.0f} s"
+        if words := stopped.in_words():
+            self._say(words)
+        return stopped
 
     # --- one turn of the loop --------------------------------------------------------------------------
 
@@ -369,6 +418,8 @@ class Supervisor:
             case Shutdown():
                 self._say("the broker asks the cluster to end")
                 self._me.stop()
+            case AllEnded():
+                self._all_ended = order
 
     def _retire(self, child: Child) -> None:
         if child.pid:

@@ -14,6 +14,7 @@ import contextlib
 import fcntl
 import os
 import struct
+import time
 from pathlib import Path
 
 import msgspec
@@ -29,6 +30,7 @@ MEMORY: dict[str, tuple[int, struct.Struct]] = {
     "broker": (0, struct.Struct("<8sQQ")),
     "world": (64, struct.Struct("<8sQ")),
 }
+HOLD_S = 3.0  # for the MCM of a cluster whose supervisor was killed a moment ago: it stops its arms before it ends
 TOKEN_BEARERS = ("MCM", "supervisor")  # names whose ZeroMQ identity nobody else can guess
 
 
@@ -82,12 +84,25 @@ class Handed:
         path = self.settings.path / f"{name}.lock"
         try:
             self._lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _lock_within(self._lock, HOLD_S if self.fd >= 0 else 0.0)
         except BlockingIOError:
             raise SystemExit(f"{self.settings.path} has its {name} already; a second one is not started") from None
         except OSError:  # a full disk, or the directory is gone: the supervisor looks after that
             if self.fd < 0:
                 raise
+
+
+def _lock_within(fd: int, limit_s: float) -> None:
+    """Raises BlockingIOError."""
+    end_s = time.monotonic() + limit_s
+    while True:
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            if time.monotonic() >= end_s:
+                raise
+            time.sleep(0.01)
 
 
 def add_option(parser: argparse.ArgumentParser) -> None:

@@ -84,7 +84,8 @@ class ClientHello(Message, frozen=True, kw_only=True):
 
 
 class Shutdown(Message, frozen=True, kw_only=True):
-    """Ask the cluster to end itself in order (from `rtc down`, or to a worker that retires)."""
+    """Ask the cluster to end itself in order (from a client, or to a worker that retires). From the supervisor to the
+    broker: halt everything, take no more commands, and answer AllEnded."""
 
     request: Name = ""
 
@@ -688,6 +689,13 @@ class KillProcess(Message, frozen=True, kw_only=True):
     why: str
 
 
+class AllEnded(Message, frozen=True, kw_only=True):
+    """Answer to the supervisor's Shutdown: every command has ended, and its client has been sent the outcome."""
+
+    commands: list[str]  # that were live when the cluster was told to end
+    arms: list[str] = []  # that were in motion then
+
+
 class SpawnWorker(Message, frozen=True, kw_only=True):
     kind: WorkerKind
 
@@ -774,7 +782,7 @@ ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined
 ToWorld = ReadView | Commit | WorldHistory | Doubt
 FromWorld = View | Committed | WorldRefused
-SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Dropped  # Dropped: from others
-BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | Shutdown
+SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Shutdown | Dropped  # Dropped: from others
+BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | Shutdown | AllEnded
 ToSim = SimTruth | SimDisplace
 FromSim = SimTruthReply | SimDone

@@ -8,7 +8,7 @@
                 for parts in inbox(socket):
                     ...
 
-SIGTERM and SIGINT only set `stopping` and wake `wait` (or any poll that holds `me.wake_fd`); the loop ends by itself.
+SIGTERM, SIGINT and SIGHUP only set `stopping` and wake `wait` (or any poll that holds `me.wake_fd`); the loop ends by itself.
 Logs go to stderr, which the supervisor keeps in the run directory; stdout carries `ready`, from then on, every second
 that the loop turns, `alive`, and `note` with what people should know; so the supervisor knows who is there and does
 nothing. That nothing outlives a killed supervisor is the business of the parent, who calls `die_with_parent` in the
@@ -202,8 +202,9 @@ def start(name: str, run_dir: Path | str) -> Iterator[Process]:
     faulthandler.enable()  # a crash inside a C++ library leaves its stack in the log
     me = Process(name, Path(run_dir))
     if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: me.stop())
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:  # as nohup wants it
+                signal.signal(number, lambda *_: me.stop())
         # A handler runs only between two bytecodes; the byte written here ends a poll that is under way.
         signal.set_wakeup_fd(me._wake_start.fileno(), warn_on_full_buffer=False)
     try:
@@ -385,3 +386,14 @@ def die_with_parent(parent: int) -> None:
     _libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:  # it died between fork and prctl
         os._exit(1)
+
+
+def end_with_parent() -> None:
+    """Instead of being killed with its parent, be told to end (SIGTERM): for a process that has arms to stop first."""
+    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+
+
+def end_within(limit_s: float) -> None:
+    """Let the kernel end this process after `limit_s`, whatever it is doing then."""
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_REAL, limit_s)

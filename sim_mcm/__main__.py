@@ -29,6 +29,7 @@ from sim_mcm.subsystem import BROKER, Said, Subsystem
 NAME = "MCM"
 HEARTBEAT_S = 0.25
 TELEMETRY_S = 0.02
+END_S = 1.0  # longest time that the arms may take to come to rest before the process ends
 FARTHEST = 10.0  # m or rad, of a belief error; physics has no answer to 1e300 m
 RANK, NICENESS = 2, -5  # before the broker and the workers, if the system gives leave
 
@@ -63,7 +64,23 @@ class Station:
             if left_s > 0.0:
                 time.sleep(left_s)
             self._tick(process.now_s())
+        self._come_to_rest()
         self._me.log.info("%d ticks, %d late", clock.ticks, clock.late_ticks)
+
+    def _come_to_rest(self) -> None:
+        """Told to end, or the supervisor has died: no arm is left moving. Telemetry shows it."""
+        subsystem, limit_s = self._subsystem, process.now_s() + END_S
+        process.end_within(END_S + 1.0)
+        if not subsystem.at_rest:
+            self._me.log.info("braking before the end")
+        subsystem.brake()
+        while not subsystem.at_rest and (now_s := process.now_s()) < limit_s:
+            self._clock.begin(now_s)
+            self._move()
+            if self._telemetry.due(now_s):
+                self._doors.publish(self._look(now_s))
+            time.sleep(max(0.0, self._clock.left_s(process.now_s(), busy=True)))
+        self._doors.publish(self._look(process.now_s()))
 
     def _tick(self, now_s: float) -> None:
         doors, subsystem = self._doors, self._subsystem
@@ -75,12 +92,16 @@ class Station:
             answers = subsystem.hear(order, BROKER, now_s)
             doors.say(answers)
             self._keep_in_mind(answers)
-        said = subsystem.tick(process.now_s())
+        self._move()
+        self._between_ticks(now_s)
+
+    def _move(self) -> None:
+        """One servo tick, and the world's step."""
+        said = self._subsystem.tick(process.now_s())
         self._simulation.step()
         if any(isinstance(message, m.EndReport) for _, message in said):
             self._memory.keep(self._simulation.state())  # what has been reported stays so
-        doors.say(said)
-        self._between_ticks(now_s)
+        self._doors.say(said)
 
     def _between_ticks(self, now_s: float) -> None:
         """What is not urgent."""
@@ -174,6 +195,7 @@ def live(run_dir: str, fd: int = -1, simulation: Simulation | None = None) -> No
     given = handed.begin(NAME, Path(run_dir), fd)
     settings = given.settings
     with process.start(NAME, run_dir) as me:
+        process.end_with_parent()
         station = Station(me, given, simulation or SIMULATIONS[settings.mcm](Cell.load(settings.cell)))
         me.log.info("scheduling: %s", _come_first(settings))
         station.run()

@@ -113,6 +113,11 @@ class Subsystem:
             return self._refuse(message, now_s)
         return self._execute(message, now_s)
 
+    def brake(self) -> None:
+        """Stop everything, for nobody in particular: the process is to end."""
+        for executor in self.executors.values():
+            executor.halt()
+
     def hello(self) -> Said:
         """To a broker that has just been found: who we are, what is under way, and what it has not acknowledged:
         end reports, and halts that were called past it."""

@@ -1,0 +1,224 @@
+"""Halts and the end of a cluster, judged by telemetry: what the joints do, never what is reported of them.
+
+Real processes, the exact arm in real time; the messages are those of docs/protocol.md, sent by plain sockets where a
+client that is not ours is meant.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgpack
+import pytest
+import zmq
+
+from deploy import cluster
+from rtc.client import Client
+from rtc.outcomes import NoCluster, OutcomeKind
+from rtc.settings import ENDPOINTS
+
+pytestmark = pytest.mark.slow
+
+LIMIT_S = 90.0
+REST_RAD_S = 0.005
+
+
+class Running:
+    """A cluster, a client, and what telemetry shows."""
+
+    def __init__(self, run_dir: Path, mcm: str = "kinematic") -> None:
+        self.run_dir = run_dir
+        command = [sys.executable, "-m", "deploy", "up", "--mcm", mcm, "--run-dir", str(run_dir)]
+        self.supervisor = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+        assert self.supervisor.stdout is not None
+        assert any(line.startswith("ready in") for line in self.supervisor.stdout), "it did not come up"
+        self.context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._telemetry = self.context.socket(zmq.SUB)
+        self._telemetry.subscribe(b"")
+        self._telemetry.connect(self._endpoint("telemetry"))
+        self.client = Client(run_dir)
+        self._way = 1
+
+    def _endpoint(self, name: str) -> str:
+        return f"ipc://{self.run_dir / ENDPOINTS[name]}"
+
+    def door(self, name: str, identity: str = "") -> zmq.Socket[bytes]:
+        """As somebody's client opens it."""
+        made = self.context.socket(zmq.DEALER)
+        if identity:
+            made.setsockopt(zmq.IDENTITY, identity.encode())
+        made.connect(self._endpoint(name))
+        return made
+
+    def speed(self) -> float:
+        """Of the fastest joint, in the next sample that is not old. Raises AssertionError when there is none."""
+        asked_s = time.monotonic()
+        while self._telemetry.poll(2000):
+            told = msgpack.unpackb(self._telemetry.recv_multipart()[-1])
+            if told["at_s"] >= asked_s:
+                return fastest(told)
+        raise AssertionError("no telemetry")
+
+    def last_speed(self) -> float:
+        """In the last sample before telemetry ended."""
+        last = None
+        while self._telemetry.poll(2000):
+            last = msgpack.unpackb(self._telemetry.recv_multipart()[-1])
+        assert last is not None
+        return fastest(last)
+
+    def moving(self) -> str:
+        """Begin a motion that takes seconds; the command, once a joint moves."""
+        self._way = -self._way
+        command = self.client.submit(f"MOVE RIGHT-ARM BY {9 * self._way} CM ALONG X MAINTAIN SPEED 2 CM/S")
+        until(lambda: self.speed() > 0.03)
+        return command
+
+    def close(self) -> None:
+        self.client.close()
+        self.context.destroy(linger=0)
+        try:
+            cluster.down(self.run_dir)
+        except NoCluster:
+            pass
+        self.supervisor.wait(LIMIT_S)
+        assert self.supervisor.stdout is not None
+        self.supervisor.stdout.close()
+
+
+def fastest(told: dict) -> float:
+    return max(abs(v) for arm in told["arms"].values() for v in arm["velocities"])
+
+
+def until(done: Callable[[], bool], limit_s: float = 20.0) -> None:
+    end_s = time.monotonic() + limit_s
+    while not done():
+        assert time.monotonic() < end_s, "it does not come to that"
+
+
+def say(door: zmq.Socket[bytes], **message: object) -> None:
+    door.send_multipart([b"RTC1", msgpack.packb(message)])
+
+
+def hear(door: zmq.Socket[bytes], limit_s: float = 3.0) -> dict | None:
+    return msgpack.unpackb(door.recv_multipart()[-1]) if door.poll(limit_s * 1000) else None
+
+
+def rest_told(door: zmq.Socket[bytes]) -> dict:
+    """What is said last of one halt."""
+    while (said := hear(door)) is not None:
+        if said["type"] in ("HaltAtRest", "Declined"):
+            return said
+    raise AssertionError("no answer")
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory) -> Iterator[Running]:
+    made = Running(tmp_path_factory.mktemp("h"))
+    yield made
+    made.close()
+
+
+def stops(running: Running, press: Callable[[], None]) -> None:
+    """Given a motion, when somebody halts, the arm stands still soon, and its command ends halted."""
+    command = running.moving()
+    press()
+    until(lambda: running.speed() < REST_RAD_S, limit_s=1.0)
+    assert running.client.wait(command, 20).outcome.kind is OutcomeKind.HALTED
+
+
+@pytest.mark.parametrize("doors", [["estop"], ["halt"], ["halt", "estop"]], ids="+".join)
+def test_a_button_that_always_says_the_same_stops_the_arm_at_every_press(running: Running, doors: list[str]) -> None:
+    opened = [running.door(name) for name in doors]
+
+    def press() -> None:
+        for door in opened:
+            say(door, type="HaltOrder", halt="THE-BUTTON", scope="ALL", called_at_s="soon")
+        for door in opened:
+            told = rest_told(door)
+            assert running.speed() < REST_RAD_S or not told["at_rest"]
+            assert set(told["performers"]) == {"RIGHT-ARM", "LEFT-ARM"}
+
+    for _ in range(3):
+        stops(running, press)
+
+
+def test_two_clients_of_one_name_are_each_heard_and_answered(running: Running) -> None:
+    with Client(running.run_dir, name="panel") as first:
+        with Client(running.run_dir, name="panel") as second:
+            assert first.status()["cluster"] == second.status()["cluster"]
+            stops(running, lambda: second.halt())
+            stops(running, lambda: first.halt())
+        assert first.status()["commands_live"] == 0
+        stops(running, lambda: first.halt())
+
+
+@pytest.mark.parametrize("door", ["halt", "estop"])
+def test_who_takes_an_identity_that_is_in_use_does_not_silence_its_bearer(running: Running, door: str) -> None:
+    first = running.door(door, identity="panel")
+    say(first, type="HaltOrder", halt="1", scope="LEFT-ARM", called_at_s=0.0)
+    assert rest_told(first)["at_rest"]
+    second = running.door(door, identity="panel")
+    say(second, type="HaltOrder", halt="1", scope="LEFT-ARM", called_at_s=0.0)
+    for _ in range(2):
+        stops(running, lambda: say(first, type="HaltOrder", halt=uuid.uuid4().hex, scope="ALL", called_at_s=0.0))
+        second.close(linger=0)
+    first.close(linger=0)
+
+
+# --- the end of a cluster ------------------------------------------------------------------------------
+
+ENDS = {
+    "down": lambda running: print(cluster.down(running.run_dir)[1]),
+    "SIGTERM": lambda running: running.supervisor.send_signal(signal.SIGTERM),
+    "SIGINT": lambda running: running.supervisor.send_signal(signal.SIGINT),
+    "SIGHUP": lambda running: running.supervisor.send_signal(signal.SIGHUP),
+    "SIGKILL": lambda running: running.supervisor.kill(),
+}
+
+
+@pytest.mark.parametrize("how", ENDS)
+def test_a_cluster_that_ends_brakes_its_arms_and_tells_its_clients(how: str, tmp_path_factory, capsys) -> None:
+    running = Running(tmp_path_factory.mktemp("e"))
+    command = running.moving()
+    waiting = running.client.submit("MOVE RIGHT-ARM BY 1 CM ALONG X")
+    ended: list[OutcomeKind] = []
+
+    def wait() -> None:
+        for name in (command, waiting):
+            ended.append(running.client.wait(name, 20).outcome.kind)
+
+    client = threading.Thread(target=wait, daemon=True)
+    if how != "SIGKILL":
+        client.start()
+    ENDS[how](running)
+    assert running.last_speed() < REST_RAD_S
+    if how != "SIGKILL":  # with everything else killed there is nobody left to tell
+        client.join(20)
+        assert ended == [OutcomeKind.HALTED] * 2
+    if how == "down":
+        assert capsys.readouterr().out == f"halted: {command}, {waiting}; stopped: RIGHT-ARM\n"
+    assert running.supervisor.wait(LIMIT_S) == (-signal.SIGKILL if how == "SIGKILL" else 0)
+    running.close()
+
+
+def test_a_cluster_that_ends_brakes_in_physics_too(tmp_path_factory) -> None:
+    running = Running(tmp_path_factory.mktemp("b"), mcm="bullet")
+    running.moving()
+    button = running.door("estop")
+    for _ in range(2):
+        say(button, type="HaltOrder", halt="THE-BUTTON", scope="ALL", called_at_s=True)
+        assert rest_told(button)["at_rest"]
+        assert running.speed() < 0.02
+        running.moving()
+    os.kill(running.supervisor.pid, signal.SIGTERM)
+    assert running.last_speed() < 0.02
+    running.close()
