@@ -155,6 +155,9 @@ class Supervisor:
         self._all_ended = None
         self._tell(Shutdown())
         arms = self._halt()
+        broker = self._children.get("broker")
+        if broker is None or broker.state is State.FAILED:
+            return Stopped(arms=arms)
         ask_again, limit_s = Every(OUTCOMES_AGAIN_S), now_s() + OUTCOMES_S
         while self._all_ended is None and now_s() < limit_s:
             if ask_again.due(now_s()):

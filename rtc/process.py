@@ -8,7 +8,8 @@
                 for parts in inbox(socket):
                     ...
 
-SIGTERM, SIGINT and SIGHUP only set `stopping` and wake `wait` (or any poll that holds `me.wake_fd`); the loop ends by itself.
+SIGTERM, SIGINT and SIGHUP only set `stopping` and wake `wait` (or any poll that holds `me.wake_fd`); the loop ends by
+itself.
 Logs go to stderr, which the supervisor keeps in the run directory; stdout carries `ready`, from then on, every second
 that the loop turns, `alive`, and `note` with what people should know; so the supervisor knows who is there and does
 nothing. That nothing outlives a killed supervisor is the business of the parent, who calls `die_with_parent` in the

@@ -6,6 +6,7 @@ client that is not ours is meant.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -85,10 +86,8 @@ class Running:
     def close(self) -> None:
         self.client.close()
         self.context.destroy(linger=0)
-        try:
+        with contextlib.suppress(NoCluster):
             cluster.down(self.run_dir)
-        except NoCluster:
-            pass
         self.supervisor.wait(LIMIT_S)
         assert self.supervisor.stdout is not None
         self.supervisor.stdout.close()
