@@ -354,13 +354,8 @@ def _clean(run_dir: Path) -> None:
         if newer.exists():
             newer.rename(path)
     previous.mkdir(mode=0o700)
-    for left in (
-        *run_dir.glob("*.db.damaged-*"),
-        *run_dir.glob("*.db"),
-        *run_dir.glob("*.db-wal"),
-        *run_dir.glob("*.db-shm"),
-        run_dir / LOGS,
-    ):
+    databases = [path for end in ("", "-wal", "-shm", ".damaged-*") for path in run_dir.glob(f"*.db{end}")]
+    for left in (*databases, run_dir / LOGS):
         if left.exists():
             left.rename(previous / left.name)
 

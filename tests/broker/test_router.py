@@ -408,3 +408,9 @@ def test_periodic_reports_are_bounded(reporting: Bench) -> None:
     reporting.say("subsystems", b"MCM", *[progress()] * (2 * MOST_PER_S))
     assert len(forwarded(reporting)) == MOST_PER_S
     assert reporting.router.dropped["reports"] == MOST_PER_S
+
+
+def test_the_status_tells_how_old_the_list_of_processes_is(supervised: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("time.monotonic", lambda: supervised.now + 12.0)
+    (reply,) = supervised.say("front", b"ann", m.StatusQuery(request="q"))
+    assert reply.status["supervisor_silent_s"] == pytest.approx(12.0, abs=0.1)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.cluster import _lock
+from deploy.cluster import _clean, _lock
 from deploy.directory import TOUCH_S, Directory, claim_path
 from rtc.outcomes import ClusterError
 from rtc.settings import LOCK
@@ -78,3 +78,14 @@ def test_a_path_has_one_supervisor_although_its_directory_is_another(run_dir: Pa
         claim_path(run_dir)
     claim.close()
     claim_path(run_dir).close()
+
+
+def test_the_journals_of_the_last_three_runs_are_kept(run_dir: Path) -> None:
+    for run in "abcde":
+        _clean(run_dir)
+        (run_dir / "journal.db").write_text(run)
+        (run_dir / "journal.db.damaged-20260101-000000").write_text(run)
+    _clean(run_dir)
+    kept = {path.parent.name: path.read_text() for path in run_dir.glob("previous*/journal.db")}
+    assert kept == {"previous": "e", "previous-2": "d", "previous-3": "c"}
+    assert not list(run_dir.glob("*.db*"))
