@@ -11,11 +11,12 @@ from pathlib import Path
 
 from broker.events import BrokerRestarted, JournalLost, ProgramInstalled
 from broker.journal import Journal
+from broker.loads import Loads
 from broker.program_store import ProgramStore
 from broker.replay import replay
 from broker.router import Router
 from broker.state import State
-from rtc import damage, handed, process, template
+from rtc import damage, handed, process, program_check, template
 from rtc.memory import Guard
 from rtc.messages import CommandRecord, WorkerKind
 from rtc.outcomes import RtcError
@@ -74,6 +75,7 @@ def _serve(
     journal.written = lambda turn: given.remember("broker", state.life.encode(), turn, state.accepted)
     router = Router(me, settings, journal, state, store, given)
     router.guard = Guard()
+    router.loads = Loads(store, program_check.Process)
     restarted = bool(state.programs)
     if restarted:
         me.log.info("restarted: %d commands live, %d ended in the journal", len(state.commands), len(ended))

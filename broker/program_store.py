@@ -8,7 +8,8 @@ from typing import NamedTuple
 from broker.journal import Journal
 from rtc.digest import digest
 from rtc.messages import ProgramText, WorkerKind
-from rtc.outcomes import ProgramError, Refusal, RefusalReason
+from rtc.outcomes import Refusal, RefusalReason
+from rtc.program_check import Asked, Checked
 
 
 class Loaded(NamedTuple):
@@ -35,16 +36,20 @@ class ProgramStore:
     def body(self, digest: str) -> bytes | None:
         return self._bodies.get(digest)
 
-    def load(self, current: str, text: ProgramText) -> Loaded | Refusal:
-        """Put a file into the program of a kind (LOAD), or take all back; or why it does not check."""
-        from rtc import program  # brings lark, yaml and numpy; a restart, which should be quick, does without
+    def asked(self, text: ProgramText) -> Asked:
+        """What must be checked to put a file into the program of a kind (LOAD), or to take all back."""
+        others = {kind: self._bodies[self._in_use[kind]] for kind in WorkerKind if kind in self._in_use}
+        return Asked(
+            kind=text.kind,
+            name=text.name,
+            body=text.body,
+            reset=text.reset,
+            program=self._bodies[self._in_use[text.kind]],
+            others=others,
+        )
 
-        try:
-            others = {kind: self._bodies[self._in_use[kind]] for kind in WorkerKind if kind in self._in_use}
-            if text.reset:
-                merged = program.original(text.kind, others)
-            else:
-                merged = program.merge(text.kind, self._bodies[current], text.name, text.body, others)
-            return Loaded(self.keep(merged), program.changes(text.kind, self._bodies[current], merged))
-        except ProgramError as error:
-            return Refusal(reason=RefusalReason.PROGRAM, message=str(error), where=text.name)
+    def take(self, text: ProgramText, checked: Checked) -> Loaded | Refusal:
+        """Keep a program that checks; or why it does not."""
+        if checked.error:
+            return Refusal(reason=RefusalReason.PROGRAM, message=checked.error, where=text.name)
+        return Loaded(self.keep(checked.merged), checked.changes)

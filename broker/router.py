@@ -24,6 +24,7 @@ from broker import events as heard
 from broker import reporting
 from broker.decision_unit import MAX_TEXT, decide
 from broker.journal import Journal, number
+from broker.loads import Loads
 from broker.pools import Pools
 from broker.program_store import ProgramStore
 from broker.roster import Lost, Roster
@@ -52,6 +53,7 @@ SUBSYSTEM_SILENCE_S = 2.0
 SUBSYSTEM_DEAF_S = 5.0  # one that is lost for so long, and runs, is started anew
 CLIENT_SILENCE_S = 5.0  # of one that is watched
 STOOD_STILL_S = 1.0  # between two turns of ours: we were stopped, or the machine was
+LOOK_S = 0.02  # whether a program is checked
 SNAPSHOT_EVENTS = 30_000  # decided again in well under a second by a restarted broker
 SNAPSHOT_S, WORTH_A_SNAPSHOT = 10.0, 2_000  # and this many events after so long, for a restart in a moment
 #: who says at the supervisor's door how many messages it has dropped -> which counts are its own
@@ -78,6 +80,7 @@ class Router:
         self.me, self.settings, self.journal, self.state = me, settings, journal, state
         self.store, self.given, self.lease_key = store, given, given.lease_key
         self._supervisor_peer = _peer(given.identity("supervisor"))
+        self.loads = Loads(store)
         self.roster = Roster()
         self._pools = Pools(settings.least, settings.most_workers)
         self.timers = Timers()
@@ -124,7 +127,9 @@ class Router:
 
     def _patience_s(self) -> float:
         now = self._clock()
-        next_s = self.timers.next_at_s()
+        next_s = now + LOOK_S if self.loads.busy else None
+        if (timer_s := self.timers.next_at_s()) is not None:
+            next_s = timer_s if next_s is None else min(timer_s, next_s)
         return min(self._audit.left_s(now), max(0.0, next_s - now) if next_s is not None else 1.0)
 
     def turn(self, readable: Collection[Any] | None = None) -> None:
@@ -148,6 +153,8 @@ class Router:
             self._events += [heard.TimerFired(at_s=began, timer=name) for name in self.timers.due(began)]
         stood_still = began - self._turn_at_s > STOOD_STILL_S  # then nobody else is to blame for silence
         self._turn_at_s = began
+        if self.loads.busy:
+            self._put_into_use(began)
         if self._audit.due(began) and not stood_still:
             self._look_after(began)
         if self._events:
@@ -432,7 +439,8 @@ class Router:
                 body = self.store.body(digest) or b""
                 self._answer(peer, m.ProgramReply(request=message.request, kind=message.kind, digest=digest, body=body))
             case m.ProgramText():
-                self._answer(peer, self._load(message, now))
+                if (too_many := self.loads.add(peer, message)) is not None:
+                    self._answer(peer, m.Declined(request=message.request, refusal=too_many))
             case m.Shutdown():
                 self.me.log.info("told to shut the cluster down")
                 send(self._socket["supervisor"], m.Shutdown(request=message.request), self._supervisor_peer)
@@ -505,12 +513,20 @@ class Router:
         message = f"there is no command {query.command}; {last}"
         return m.Declined(request=query.request, refusal=Refusal(reason=RefusalReason.NAME, message=message))
 
-    def _load(self, text: m.ProgramText, now: float) -> m.ProgramLoaded | m.Declined:
-        loaded = self.store.load(self.state.programs.get(text.kind, ""), text)
-        if isinstance(loaded, Refusal):
-            return m.Declined(request=text.request, refusal=loaded)
-        self._events.append(heard.ProgramInstalled(at_s=now, kind=text.kind, digest=loaded.digest, file=text.name))
-        return m.ProgramLoaded(request=text.request, kind=text.kind, digest=loaded.digest, changes=loaded.changes)
+    def _put_into_use(self, now: float) -> None:
+        """Programs whose check is done. One that checks is decided and journalled before its client is told."""
+        for peer, text, loaded in self.loads.look(now):
+            answer: m.ProgramLoaded | m.Declined
+            if isinstance(loaded, Refusal):
+                answer = m.Declined(request=text.request, refusal=loaded)
+            else:
+                self._events.append(
+                    heard.ProgramInstalled(at_s=now, kind=text.kind, digest=loaded.digest, file=text.name)
+                )
+                self._settle(now)
+                changes = loaded.changes
+                answer = m.ProgramLoaded(request=text.request, kind=text.kind, digest=loaded.digest, changes=changes)
+            self._answer(peer, answer)
 
     # --- what only the clock tells --------------------------------------------------------------------
 

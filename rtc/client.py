@@ -52,6 +52,7 @@ from rtc.world.client import WorldClient
 
 NAME_BYTES = 128  # of a client's name: it becomes part of other names
 ANSWER_S = 5.0  # longest wait for an answer that needs no motion
+LOADED_S = 40.0  # the same for a program, which is checked first
 ASK_AGAIN_S = 0.2  # after the broker has said that we ask too much
 WINDOW = 512  # sentences under way at once in `run_many`
 KEPT = 10_000  # outcomes nobody has asked for yet
@@ -266,14 +267,14 @@ class Client:
         message = m.ProgramText(
             request=self._next_request(), kind=m.WorkerKind(kind.lower()), name=path.name, body=path.read_bytes()
         )
-        return self._query(message, m.ProgramLoaded)
+        return self._query(message, m.ProgramLoaded, LOADED_S)
 
     def reset(self, kind: str) -> m.ProgramLoaded:
         """Put the default program of a kind back. Raises RequestDeclined when it does not fit the other programs."""
         message = m.ProgramText(
             request=self._next_request(), kind=m.WorkerKind(kind.lower()), name="default", body=b"", reset=True
         )
-        return self._query(message, m.ProgramLoaded)
+        return self._query(message, m.ProgramLoaded, LOADED_S)
 
     def program(self, kind: str) -> m.ProgramReply:
         """The program of a kind of worker as it is now."""
@@ -394,14 +395,14 @@ class Client:
             del self._fetched[next(iter(self._fetched))]
         return self._ended.pop(request)
 
-    def _query(self, message: Any, answer: type[Answer]) -> Answer:
+    def _query(self, message: Any, answer: type[Answer], within_s: float = ANSWER_S) -> Answer:
         """Ask, and ask again for a while when we have asked more than the broker answers a client in a second."""
-        request, limit_s = message.request, time.monotonic() + ANSWER_S
+        request, limit_s = message.request, time.monotonic() + within_s
         self._queries.add(request)
         try:
             while True:
                 self._front.ask(request, message)
-                self._until(lambda: request in self._answers, ANSWER_S, "the broker did not answer")
+                self._until(lambda: request in self._answers, within_s, "the broker did not answer")
                 found = self._answers.pop(request)
                 overload = isinstance(found, m.Declined) and found.refusal.reason is RefusalReason.OVERLOAD
                 if not overload or time.monotonic() > limit_s:

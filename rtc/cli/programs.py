@@ -13,6 +13,7 @@ from rtc.client import Client
 from rtc.messages import ProgramLoaded, WorkerKind
 from rtc.outcomes import NoCluster, ProgramError
 from rtc.program import changes, default, merge
+from rtc.program_check import Asked, in_a_process
 from rtc.program_outcomes import outcomes as rows_of
 
 KINDS = ", ".join(kind.value for kind in WorkerKind)
@@ -92,11 +93,13 @@ def _programs(run_dir: Path | None, key: Path | None) -> tuple[dict[WorkerKind, 
 
 def _check(file: Path, kind: WorkerKind, json: bool, run_dir: Path | None, key: Path | None) -> None:
     programs, whose = _programs(run_dir, key)
-    try:
-        merged = merge(kind, programs[kind], file.name, file.read_bytes(), programs)
-    except ProgramError as error:
-        raise trouble(str(error), 2, file=file.name, against=whose) from None
-    would = changes(kind, programs[kind], merged)
+    asked = Asked(
+        kind=kind, name=file.name, body=file.read_bytes(), reset=False, program=programs[kind], others=programs
+    )
+    checked = in_a_process(asked)
+    if checked.error:
+        raise trouble(checked.error, 2, file=file.name, against=whose)
+    would = checked.changes
     if json:
         emit_json({"kind": kind.value, "file": file.name, "against": whose, "changes": would})
         return

@@ -31,6 +31,8 @@ class Grammar:
             )
         except lark.exceptions.LarkError as error:
             raise ProgramError(f"the grammar does not compile: {error}") from error
+        except RecursionError:
+            raise ProgramError("the grammar does not compile: it is nested too deeply") from None
         self.productions: list[tuple[str, tuple[str, ...]]] = []  # in the words of command.bnf
         for rule in self._lark.rules:
             meaning = rule.alias or str(rule.origin.name)

@@ -10,6 +10,12 @@ from broker.state import State
 from rtc import program
 from rtc.messages import ProgramText, WorkerKind
 from rtc.outcomes import Refusal
+from rtc.program_check import check
+
+
+def load(store: ProgramStore, text: ProgramText) -> Loaded | Refusal:
+    return store.take(text, check(store.asked(text)))
+
 
 STEP = "{do: move, to: HERE, stop: STOP, space: move_task, label: x}"
 
@@ -22,7 +28,7 @@ def test_a_script_must_fit_the_binder_in_use(tmp_path, stop, fits):
     body = f"script: mine\ncase: 1\nsteps:\n- {STEP.replace('STOP', stop)}".encode()
     text = ProgramText(request="r", kind=WorkerKind.ELABORATOR, name="mine.yaml", body=body)
 
-    loaded = store.load(in_use["elaborator"], text)
+    loaded = load(store, text)
 
     if fits:
         assert isinstance(loaded, Loaded), loaded
@@ -41,9 +47,9 @@ def test_what_was_loaded_is_taken_away_again(tmp_path):
     original = in_use["elaborator"]
     body = f"script: mine\ncase: 1\nsteps:\n- {STEP.replace('STOP', 'move_free')}".encode()
     mine = ProgramText(request="r", kind=WorkerKind.ELABORATOR, name="mine.yaml", body=body)
-    in_use["elaborator"] = store.load(original, mine).digest
+    in_use["elaborator"] = load(store, mine).digest
 
     reset = ProgramText(request="r", kind=WorkerKind.ELABORATOR, name="default", body=b"", reset=True)
-    taken = store.load(in_use["elaborator"], reset)
+    taken = load(store, reset)
 
     assert (taken.digest, taken.changes) == (original, ["scripts: mine is taken away"])

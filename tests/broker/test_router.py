@@ -9,7 +9,7 @@ import sqlite3
 from collections import deque
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 import pytest
@@ -23,14 +23,18 @@ from broker import journal as journals
 from broker.events import HaltCalled, ProgramInstalled
 from broker.invariants import violations
 from broker.journal import Journal
+from broker.loads import MOST_WAITING, Loads
 from broker.program_store import ProgramStore
 from broker.reporting import MOST_PER_S
 from broker.router import CALLERS_KEPT, HALTS_OF_CALLER, QUESTIONS_PER_S, Router
 from broker.state import ParsedHead, ReportHead, State
 from rtc import messages as m
 from rtc import program, wire
+from rtc.digest import digest
 from rtc.halting import PER_S
 from rtc.handed import Handed
+from rtc.outcomes import RefusalReason
+from rtc.program_check import Asked, Checked
 from rtc.settings import Settings
 
 DOORS = ("front", "halt", "workers", "subsystems", "supervisor", "events")
@@ -78,9 +82,10 @@ class Bench:
         journal = Journal(db)
         journal.snapshot(State())
         me = SimpleNamespace(socket=self._socket, log=SILENT, stopping=False)
-        store = ProgramStore(journal)
+        state = State()
+        store = ProgramStore(journal, state.programs)
         self.router = Router(
-            me, SETTINGS, journal, State(), store, given or Handed(SETTINGS, b"k" * 32), lambda: self.now
+            me, SETTINGS, journal, state, store, given or Handed(SETTINGS, b"k" * 32), lambda: self.now
         )  # type: ignore[arg-type]
         for kind in m.WorkerKind:
             digest = store.keep(program.default(kind))
@@ -414,3 +419,57 @@ def test_the_status_tells_how_old_the_list_of_processes_is(supervised: Bench, mo
     monkeypatch.setattr("time.monotonic", lambda: supervised.now + 12.0)
     (reply,) = supervised.say("front", b"ann", m.StatusQuery(request="q"))
     assert reply.status["supervisor_silent_s"] == pytest.approx(12.0, abs=0.1)
+
+
+# --- programs -----------------------------------------------------------------------------------------
+
+
+class Slow:
+    """A check that is done when the test says so."""
+
+    started: ClassVar[list[Slow]] = []
+
+    def __init__(self, asked: Asked) -> None:
+        self.asked, self.checked = asked, None
+        self.started.append(self)
+
+    def result(self, now: float) -> Checked | None:
+        return self.checked
+
+
+@pytest.fixture
+def slow(bench: Bench) -> Bench:
+    Slow.started = []
+    bench.router.loads = Loads(bench.router.store, Slow)
+    return bench
+
+
+def program_text(request: str, body: bytes = b"x") -> m.ProgramText:
+    return m.ProgramText(request=request, kind=m.WorkerKind.PARSER, name="mine.lark", body=body)
+
+
+def test_nobody_waits_for_a_program_that_is_checked(slow: Bench) -> None:
+    assert slow.say("front", b"ann", program_text("1")) == []
+    (reply,) = slow.say("front", b"bob", m.StatusQuery(request="q"))
+    assert isinstance(reply, m.StatusReply)
+    Slow.started[0].checked = Checked(error="mine.lark: it takes more than 3 s")
+    (declined,) = slow.say("front", b"ann", m.ClientHello(client="ann"))[1:]
+    assert declined.refusal.message == "mine.lark: it takes more than 3 s"
+
+
+def test_programs_are_checked_one_after_the_other_each_upon_the_one_before(slow: Bench) -> None:
+    slow.say("front", b"ann", program_text("1"), program_text("1"), program_text("2"))
+    (first,) = Slow.started
+    first.checked = Checked(merged=b"first", changes=["a change"])
+    loaded = [a for a in slow.say("front", b"ann", m.Heartbeat(name="ann")) if isinstance(a, m.ProgramLoaded)]
+    assert [answer.changes for answer in loaded] == [["a change"]]
+    assert Slow.started[1].asked.program == b"first"
+    assert slow.state.programs["parser"] == digest(b"first")
+
+
+def test_too_many_programs_at_once_are_declined(slow: Bench) -> None:
+    answers = []
+    for n in range(MOST_WAITING + 1):
+        slow.now += 1.0
+        answers += slow.say("front", b"ann", program_text(str(n)))
+    assert [answer.refusal.reason for answer in answers] == [RefusalReason.OVERLOAD]

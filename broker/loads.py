@@ -1,0 +1,81 @@
+"""Programs that are being checked before they are in use: one after the other, each in a process of its own.
+
+One at a time, because each is put into the program that the one before has made. The broker waits for none of them.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import NamedTuple, Protocol
+
+from broker.program_store import Loaded, ProgramStore
+from rtc.messages import ProgramText
+from rtc.outcomes import Refusal, RefusalReason
+from rtc.program_check import Asked, Checked, check
+
+MOST_WAITING = 8
+
+
+class Check(Protocol):
+    """One check at work."""
+
+    def result(self, now: float) -> Checked | None:
+        """What came of it; None as long as it is at work."""
+
+
+class Here:
+    """A check without a process; for tests and simulations."""
+
+    def __init__(self, asked: Asked) -> None:
+        self._checked = check(asked)
+
+    def result(self, now: float) -> Checked | None:
+        return self._checked
+
+
+class Done(NamedTuple):
+    peer: bytes
+    text: ProgramText
+    loaded: Loaded | Refusal
+
+
+class Loads:
+    """`start` begins a check; it may raise OSError."""
+
+    def __init__(self, store: ProgramStore, start: Callable[[Asked], Check] = Here) -> None:
+        self._store, self._start = store, start
+        self._waiting: deque[tuple[bytes, ProgramText]] = deque()
+        self._running: Check | None = None  # for the first of them
+
+    @property
+    def busy(self) -> bool:
+        return bool(self._waiting)
+
+    def add(self, peer: bytes, text: ProgramText) -> Refusal | None:
+        """Check this in its turn. The same request again is the same check. A refusal: too many wait."""
+        if any((peer, text.request) == (other, known.request) for other, known in self._waiting):
+            return None
+        if len(self._waiting) >= MOST_WAITING:
+            words = f"{MOST_WAITING} programs are being checked"
+            return Refusal(reason=RefusalReason.OVERLOAD, message=words, clears="load it again a few seconds later")
+        self._waiting.append((peer, text))
+        return None
+
+    def look(self, now: float) -> Iterator[Done]:
+        """Those that are done. The caller puts each into use before it asks for the next."""
+        while self._waiting:
+            peer, text = self._waiting[0]
+            if self._running is None:
+                try:
+                    self._running = self._start(self._store.asked(text))
+                except OSError as error:
+                    self._waiting.popleft()
+                    words = f"no process can be started to check it: {error}"
+                    yield Done(peer, text, Refusal(reason=RefusalReason.OVERLOAD, message=words))
+                    continue
+            if (checked := self._running.result(now)) is None:
+                return
+            self._running = None
+            self._waiting.popleft()
+            yield Done(peer, text, self._store.take(text, checked))

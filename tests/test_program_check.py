@@ -1,0 +1,39 @@
+"""Programs are checked in a process of their own: what costs too much is refused in words, and nobody waits for it."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtc import program
+from rtc.messages import WorkerKind
+from rtc.program_check import Asked, in_a_process
+
+GRAMMAR = program.default(WorkerKind.PARSER)
+
+
+def asked(body: bytes) -> Asked:
+    return Asked(kind=WorkerKind.PARSER, name="mine.lark", body=body, reset=False, program=GRAMMAR, others={})
+
+
+def test_a_grammar_that_compiles_is_taken():
+    checked = in_a_process(asked(GRAMMAR + b"\n// mine\n"), cpu_s=10)
+    assert (checked.error, checked.changes) == ("", ["the grammar is another"])
+    assert checked.merged.endswith(b"// mine\n")
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        (b"sentence: " + b"(" * 500 + b"A" + b")" * 500 + b'\nA: "A"\n', "nested too deeply"),
+        (
+            b"sentence: " + b" ".join([b"A?"] * 22) + b' -> control_sentence\nA: "A"\n',
+            "more than 1 s of",
+        ),
+        (b'sentence: t{A}\nt{x}: t{t{x}}\nA: "A"\n', "takes|nested too deeply"),
+    ],
+    ids=["brackets", "options without end", "a template that calls itself"],
+)
+def test_a_grammar_that_costs_too_much_is_refused_in_words(body, why):
+    error = in_a_process(asked(body), cpu_s=1).error
+    assert error.startswith("mine.lark: ")
+    assert any(words in error for words in why.split("|")), error
