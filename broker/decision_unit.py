@@ -299,7 +299,6 @@ def _with_another_program(turn: Turn, command: Command, job: PendingJob, why: st
         return False
     job.program = current
     job.attempt += 1
-    command.program_note = state.rolled_back.get(job.kind, "") and told
     turn.note(command, told, warning=True)
     turn.dispatch(job)
     return True

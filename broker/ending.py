@@ -47,7 +47,6 @@ def end(
     """The only way to ENDED: free everything, tell everybody. `untold`: but for what its last analysis is to write,
     which goes on without it."""
     state = turn.state
-    message = "; ".join(filter(None, (message, command.program_note)))
     outcome = Outcome(
         kind=kind,
         message=message,

@@ -153,7 +153,6 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     sent_at_s: float = 0.0
     limit_s: float = 0.0
     due_s: float = 0.0  # when its timer rings; 0 = it has none
-    program_note: str = ""  # that a program was taken back because of its job: told with its outcome
     at_rest: bool = True  # nothing moves for it: never did, or a report or a halt has told so
     pause_wanted: bool = False  # takes effect between two steps
     ending: Ending | None = None

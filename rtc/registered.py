@@ -36,7 +36,7 @@ PLACEHOLDERS = (
 #: the same in what an analyzer says of a failure
 FAILURE_PLACEHOLDERS = (
     *("reason", "measured", "limit", "unit", "message", "arm", "object", "point"),
-    *("width", "wanted", "off"),
+    *("width", "wanted", "off", "target"),
 )
 #: words of a step that act
 WORDS = ("axis", "effect", "missed", "needs", "seat")
