@@ -15,7 +15,7 @@ DEMOS = ["grasp", "faults"]  # modules of rtc.demos, each with `tell(console, sp
 
 
 def demo(
-    name: Annotated[str, typer.Argument(help=f"One of: {', '.join(DEMOS)}.")] = "grasp",
+    name: Annotated[str, typer.Argument(help=f"One of: {', '.join(DEMOS)}.", autocompletion=lambda: DEMOS)] = "grasp",
     speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = "1",
     out: Annotated[Path, typer.Option(help="Where the pictures go.")] = Path("out"),
 ) -> None:

@@ -48,7 +48,9 @@ def parse(
 
 
 def dictionary(
-    verb: Annotated[str | None, typer.Argument(help="A verb such as GRASP; without it, all verbs.")] = None,
+    verb: Annotated[
+        str | None, typer.Argument(help="A verb such as GRASP; without it, all verbs.", autocompletion=entries.verbs)
+    ] = None,
 ) -> None:
     """Print the dictionary entry of a verb in the paper's Figure 2 notation, or the list of verbs.
 

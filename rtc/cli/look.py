@@ -90,9 +90,9 @@ class _Eye:
             return None
         try:
             return self._rtc.truth()
-        except (TimedOut, KeyTrouble):  # real arms, a key for another machine, or an MCM that is being restarted
-            self._bench = False
-            errors.print("rtc: the truth is not known here; the picture shows what is believed")
+        except (TimedOut, KeyTrouble) as trouble:  # real arms or an MCM that is being restarted; or a key
+            self._bench = isinstance(trouble, TimedOut)
+            errors.print("rtc: the truth is not known; the picture shows what is believed")
             return None
 
 

@@ -29,7 +29,10 @@ class Named(NamedTuple):
 
 
 def names(
-    kind: Annotated[str, typer.Argument(help="One kind only, such as places.", show_default="all")] = "",
+    kind: Annotated[
+        str,
+        typer.Argument(help="One kind only, such as places.", show_default="all", autocompletion=lambda: list(KINDS)),
+    ] = "",
     cell: Annotated[
         str, typer.Option(help="Name of a cell that comes with rtc, or a cell file.", show_default="the cluster's")
     ] = "",

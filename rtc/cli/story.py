@@ -16,7 +16,7 @@ from rtc.cli.measured import duration, in_words
 from rtc.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, refusal_lines, said, seconds, trouble
 from rtc.cli.progress import mended
 from rtc.client import Client
-from rtc.outcomes import NoCluster, OutcomeKind
+from rtc.outcomes import NoCluster, OutcomeKind, RequestDeclined
 from rtc.past import Past, runs
 from rtc.settings import default_run_dir
 
@@ -56,17 +56,30 @@ def recall(command: str, previous: bool, run_dir: Path | None, key: Path | None)
     name = number(command) if command else ""
     where = run_dir or default_run_dir()
     if previous:
-        return _from_past(name, [past for past in runs(where) if past.journal.parent != where])
+        return _from_past(name, _before(where))
     try:
         with Client(run_dir, key=key) as rtc:
             name = name or last_number(rtc)
             if name:
                 return rtc.trace(name), None
+    except RequestDeclined as declined:
+        if key or not any(past.command(_n(name)) for past in _before(where)):
+            raise
+        raise trouble(f"{declined.refusal.message}; an earlier run had one: add --previous", 2) from None
     except NoCluster:
         if key or not (ended := list(runs(where))):
             raise
         return _from_past(name, ended[:1])
-    return _from_past("", [] if key else [past for past in runs(where) if past.journal.parent != where])
+    return _from_past("", [] if key else _before(where))
+
+
+def _before(run_dir: Path) -> list[Past]:
+    """The runs before the one whose journal lies in the run directory itself."""
+    return [past for past in runs(run_dir) if past.journal.parent != run_dir]
+
+
+def _n(name: str) -> int:
+    return int(name.removeprefix("C-"))
 
 
 def last_number(rtc: Client) -> str:
@@ -77,7 +90,7 @@ def last_number(rtc: Client) -> str:
 
 def _from_past(name: str, ended: list[Past]) -> tuple[m.CommandRecord, Past]:
     for past in ended:
-        found = past.command(int(name.removeprefix("C-"))) if name else next(iter(past.last(1)), None)
+        found = past.command(_n(name)) if name else next(iter(past.last(1)), None)
         if found is not None:
             return found, past
     if not ended:

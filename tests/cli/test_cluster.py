@@ -17,6 +17,9 @@ from prompt_toolkit.input import create_pipe_input
 from prompt_toolkit.output import DummyOutput
 
 import rtc as rtc_package
+from broker.journal import Journal
+from broker.state import State
+from rtc import messages as m
 from rtc.cli.interpreter import interpret
 from rtc.client import Client
 
@@ -146,6 +149,20 @@ def test_an_unknown_command_is_2_in_one_sentence(rtc: Run) -> None:
     assert done.returncode == 2
     assert "C-9999" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_command_of_the_run_before_is_found_with_previous(rtc: Run, run_dir: Path) -> None:
+    text = "HOLD LEFT-ARM FOR 1 SEC"
+    record = m.CommandRecord(
+        command="C-8000", text=text, source="operator", request="r", accepted_at_s=1.0, phase=m.Phase.ENDED
+    )
+    journal = Journal.open(run_dir / "previous" / "journal.db", "run", State())
+    journal.append([], [record])
+    journal.close()
+
+    assert "an earlier run had one: add --previous" in " ".join(rtc("why", "8000").stderr.split())
+    assert "HOLD LEFT-ARM FOR 1 SEC" in rtc("why", "8000", "--previous").stdout
+    assert rtc("log", "--previous").stdout.startswith("of the run that ended at ")
 
 
 def test_status_names_every_worker(rtc: Run) -> None:

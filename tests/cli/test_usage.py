@@ -89,10 +89,12 @@ def test_bash_completes_commands_and_options() -> None:
     eval "$(rtc --show-completion bash)"
     COMP_WORDS=(rtc sta); COMP_CWORD=1; _rtc_completion rtc; echo "${COMPREPLY[@]}"
     COMP_WORDS=(rtc log --prev); COMP_CWORD=2; _rtc_completion rtc; echo "${COMPREPLY[@]}"
+    COMP_WORDS=(rtc names pl); COMP_CWORD=2; _rtc_completion rtc; echo "${COMPREPLY[@]}"
+    COMP_WORDS=(rtc dictionary GR); COMP_CWORD=2; _rtc_completion rtc; echo "${COMPREPLY[@]}"
     """
     path = f"{Path(sys.executable).parent}:/usr/bin:/bin"
     done = subprocess.run(["bash", "-c", script], env={"PATH": path}, capture_output=True, text=True, timeout=60)
-    assert done.stdout.split() == ["status", "--previous"], done.stderr
+    assert done.stdout.split() == ["status", "--previous", "places", "GRASP"], done.stderr
 
 
 @pytest.mark.parametrize("command", [name for name in COMMANDS if name not in ("world", "keys")])  # these are groups
