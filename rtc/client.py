@@ -309,6 +309,13 @@ class Client:
     def displace(self, object: str, offset: Sequence[float]) -> None:
         """Move an object, with its seat, behind the cluster's back. `offset`: x y z (m) roll pitch yaw (rad), world."""
         message = m.SimDisplace(request=self._next_request(), object=object, offset=[float(v) for v in offset])
+        self._tamper(message)
+
+    def change_physics(self, mass: float = 1.0, friction: float = 1.0) -> None:
+        """Make things heavier, and pads rub less, by factors of what the cell says, behind the cluster's back."""
+        self._tamper(m.SimFactors(request=self._next_request(), mass=mass, friction=friction))
+
+    def _tamper(self, message: m.SimDisplace | m.SimFactors) -> None:
         done = self._bench(message, m.SimDone)
         if done.error:
             raise RequestDeclined(Refusal(reason=RefusalReason.STATE, message=done.error))

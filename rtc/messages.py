@@ -751,6 +751,15 @@ class SimDisplace(Message, frozen=True, kw_only=True):
     offset: list[float]  # x y z roll pitch yaw: m, rad; world axes about the object's origin
 
 
+class SimFactors(Message, frozen=True, kw_only=True):
+    """Make all things that can be moved heavier, and the pads of all hands rub less, than the cell says: what the RTC
+    counts on is not so. Factors of the cell's figures; the last ones count."""
+
+    request: Name
+    mass: Annotated[float, msgspec.Meta(gt=0, le=10)] = 1.0
+    friction: Annotated[float, msgspec.Meta(gt=0, le=10)] = 1.0
+
+
 class SimDone(Message, frozen=True, kw_only=True):
     request: str
     error: str = ""
@@ -784,5 +793,5 @@ ToWorld = ReadView | Commit | WorldHistory | Doubt
 FromWorld = View | Committed | WorldRefused
 SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Shutdown | Dropped  # Dropped: from others
 BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | Shutdown | AllEnded
-ToSim = SimTruth | SimDisplace
+ToSim = SimTruth | SimDisplace | SimFactors
 FromSim = SimTruthReply | SimDone

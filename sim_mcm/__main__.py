@@ -145,7 +145,10 @@ class Station:
             subsystem=NAME, at_s=now_s, sim_s=clock.sim_s, late_ticks=clock.late_ticks, ticks=clock.ticks, arms=arms
         )
 
-    def _answer(self, question: m.SimTruth | m.SimDisplace) -> m.SimTruthReply | m.SimDone:
+    def _answer(self, question: m.SimTruth | m.SimDisplace | m.SimFactors) -> m.SimTruthReply | m.SimDone:
+        if isinstance(question, m.SimFactors):
+            error = self._simulation.change_physics(question.mass, question.friction)
+            return m.SimDone(request=question.request, error=error)
         if isinstance(question, m.SimDisplace):
             if len(question.offset) != 6 or not all(abs(part) <= FARTHEST for part in question.offset):
                 words = f"offset: six finite numbers are needed, none beyond {FARTHEST:g} m or rad"

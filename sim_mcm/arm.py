@@ -137,3 +137,6 @@ class Simulation(Protocol):
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
         """Move an object with the seat it sits in (x y z roll pitch yaw). Returns why not, or ''."""
+
+    def change_physics(self, mass: float, friction: float) -> str:
+        """Things weigh, and pads rub, so many times what the cell says. Returns why not, or ''."""

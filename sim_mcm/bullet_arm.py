@@ -148,14 +148,7 @@ class BulletArm:
             pybullet.changeDynamics(
                 self.body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=client
             )
-        for finger in self.fingers:
-            pybullet.changeDynamics(
-                self.body,
-                finger,
-                lateralFriction=FINGER_FRICTION,
-                spinningFriction=SPINNING_FRICTION,
-                physicsClientId=client,
-            )
+        self.rub(1.0)
         # A motor that nobody asked for locks every joint until it is switched off.
         pybullet.setJointMotorControlArray(
             self.body, self._all, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._all), physicsClientId=client
@@ -163,6 +156,17 @@ class BulletArm:
         pybullet.enableJointForceTorqueSensor(self.body, sensor, True, physicsClientId=client)
         half = 0.5 * spec.gripper.max_opening_m
         self._put([*spec.home_rad, half, half])
+
+    def rub(self, factor: float) -> None:
+        """The pads' friction, as a factor of what they have."""
+        for finger in self.fingers:
+            pybullet.changeDynamics(
+                self.body,
+                finger,
+                lateralFriction=factor * FINGER_FRICTION,
+                spinningFriction=SPINNING_FRICTION,
+                physicsClientId=self._client,
+            )
 
     def _put(self, values: Sequence[float]) -> None:
         """Joints and fingers somewhere, at rest."""
@@ -245,6 +249,13 @@ class BulletCell:
         if along is not None:
             along.home = geometry.compose(after, geometry.relative(before, along.home))
             self.world.place(along, along.home)
+        return ""
+
+    def change_physics(self, mass: float, friction: float) -> str:
+        for name in self.world.free:
+            self.world.weigh(name, mass)
+        for arm in self.arms.values():
+            arm.rub(friction)
         return ""
 
     def close(self) -> None:

@@ -96,6 +96,14 @@ class World:
         linear, angular = pybullet.getBaseVelocity(self.objects[name].id, physicsClientId=self.client)
         return [*linear, *angular]
 
+    def weigh(self, name: str, factor: float) -> None:
+        """Make an object so many times as heavy as the cell says."""
+        thing, body = self.cell.object(name), self.objects[name].id
+        pybullet.changeDynamics(body, -1, mass=factor * thing.mass_kg, physicsClientId=self.client)
+        if thing.inertia_kg_m2 is not None:  # else Bullet works it out of the mass
+            inertia = [factor * n for n in thing.inertia_kg_m2]
+            pybullet.changeDynamics(body, -1, localInertiaDiagonal=inertia, physicsClientId=self.client)
+
     def place(self, body: Body, pose: geometry.Floats) -> None:
         """Put a thing somewhere, at rest."""
         for part, local in body.parts:

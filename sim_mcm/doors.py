@@ -98,7 +98,7 @@ class Doors:
             elif (unread := unread_order(parts)) is not None:
                 yield unread
 
-    def questions(self, now_s: float) -> Iterator[tuple[bytes, m.SimTruth | m.SimDisplace]]:
+    def questions(self, now_s: float) -> Iterator[tuple[bytes, m.SimTruth | m.SimDisplace | m.SimFactors]]:
         """What the test bench asks."""
         if self._bench not in self._ready:
             return

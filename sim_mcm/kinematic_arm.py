@@ -129,6 +129,9 @@ class KinematicCell:
             arm.forget_clearance()
         return ""
 
+    def change_physics(self, mass: float, friction: float) -> str:
+        return "exact arms know neither mass nor friction"
+
     def _place(self, owner: str) -> None:
         at = geometry.to_matrix(self.poses[owner])
         for piece in self.pieces[owner]:
