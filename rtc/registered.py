@@ -35,7 +35,7 @@ PLACEHOLDERS = (
 )
 #: the same in what an analyzer says of a failure
 FAILURE_PLACEHOLDERS = (
-    *("reason", "measured", "limit", "unit", "message", "arm", "object", "point"),
+    *("reason", "measured", "limit", "unit", "message", "arm", "object", "point", "target"),
     *("width", "wanted", "off", "target"),
 )
 #: words of a step that act
