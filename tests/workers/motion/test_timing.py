@@ -10,6 +10,7 @@ import pytest
 
 from rtc import geometry
 from rtc.primitive import JointTrajectory
+from rtc.robot import quintic as quintic_pieces
 from workers.motion.path import joint_line, task_line, through
 from workers.motion.timing import KNOT_S, Pace, time_path
 
@@ -73,6 +74,19 @@ def test_limits_hold_on_random_paths(right, pace):
         over = TOLERANCE if len(path.knots) == 2 else 1.25
         assert (np.abs(a) <= over * pace.ratio * right.limits.acceleration).all()
         assert speeds(right, q, v).max() <= 1.03 * pace.speed_m_s
+
+
+@pytest.mark.parametrize("pace", [Pace(), Pace(speed_m_s=10.0, acceleration_m_s2=100.0)])
+def test_between_the_knots_no_limit_is_passed_at_all(right, pace):
+    """An arm refuses what does: a curve used to pass its limit of acceleration by 15 %, of speed by 3 %."""
+    limits = right.limits
+    for path in random_paths(right, 12, seed=9):
+        timed = time_path(right, path, pace)
+        points = quintic_pieces.control_points(timed.time_s, timed.positions, timed.velocities, timed.accelerations)
+        assert quintic_pieces.excess(points.velocities, -1.0001 * limits.velocity, 1.0001 * limits.velocity) is None
+        hardest = 1.0001 * limits.acceleration
+        assert quintic_pieces.excess(points.accelerations, -hardest, hardest) is None
+        assert_at_rest(timed, path)
 
 
 def test_some_limit_is_used(right):
