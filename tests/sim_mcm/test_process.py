@@ -84,7 +84,7 @@ def test_a_primitive_from_execute_to_acknowledgement(mcm, swing) -> None:
     assert hello.performers == [ARM, "LEFT-ARM"]
     assert hello.pid == mcm.process.pid
 
-    broker.say(m.Execute(primitive=swing("C-1.1", 0.5)))
+    broker.say(m.Execute(primitive=swing("C-1.1", 0.8)))
     assert broker.hear(m.Started).primitive == "C-1.1"
     first = broker.hear(m.EndReport)
     again = broker.hear(m.EndReport)
@@ -163,7 +163,7 @@ def test_no_bytes_stop_it(mcm, swing) -> None:
     bench.send_multipart(frames(m.SimDisplace(request="2", object="MACS-NEW", offset=[0.0, 0.001])))
     assert bench.poll(LIMIT_S * 1000)
     assert "six finite numbers" in reader(m.FromSim)(bench.recv_multipart()).error
-    broker.say(m.Execute(primitive=swing("C-1.1", 0.3)))
+    broker.say(m.Execute(primitive=swing("C-1.1", 0.8)))
     assert broker.hear(m.EndReport).reason is StopReason.GOAL
 
 
