@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from rtc.cell import Numbers
 
 #: elaborator: what a script may need of the world
-NEEDS = ("hand_empty", "object_free", "object_held", "seat_free", "width_known")
+NEEDS = ("hand_empty", "object_free", "object_held", "object_seated", "seat_free", "width_known")
 #: elaborator: where a plan may start
 STARTS = ("grasp_point", "destination", "stow", "seat")
 #: directions; WAY-OUT is that of the target seat, for plans alone
@@ -36,7 +36,7 @@ PLACEHOLDERS = (
 #: the same in what an analyzer says of a failure
 FAILURE_PLACEHOLDERS = (
     *("reason", "measured", "limit", "unit", "message", "arm", "object", "point", "target"),
-    *("width", "wanted", "off", "target"),
+    *("width", "wanted", "off"),
 )
 #: words of a step that act
 WORDS = ("axis", "effect", "missed", "needs", "seat")
@@ -66,7 +66,7 @@ PREDICATES = (
     "hand-width-below",
 )
 #: analyzer: what success has changed, and what of a report may be kept
-EFFECTS = ("taken", "let_go", "still_held", "verified", "felt", "pinched", "passed", "landed")
+EFFECTS = ("taken", "let_go", "let_drift", "still_held", "verified", "felt", "pinched", "passed", "landed")
 KEPT = ("report.trip_pose", "report.pose", "report.hand_width")
 
 

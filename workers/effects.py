@@ -5,6 +5,7 @@ Registered by the name a script gives (`effect: taken`). An effect that a halt c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from rtc import geometry
@@ -13,6 +14,8 @@ from workers import feeling
 from workers.belief import Belief
 
 Changes = list[WorldChange]
+
+CATCHES_M = 0.005  # further from its seated place than this, no catch takes hold of a thing that is let go
 
 
 def taken(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
@@ -65,7 +68,25 @@ def let_go(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
     seat = data.evaluation.step.args.get("seat")
     if isinstance(seat, str) and seat:
         changes.append(WorldChange(key=f"{context.object}.seat", value=seat, validity=validity))
+    elif _off_m(belief, context.object) > CATCHES_M:
+        changes.append(WorldChange(key=f"{context.object}.frame", keep_value=True, validity=Validity.SUSPECT))
     return changes
+
+
+def let_drift(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
+    """The fingers are open, and nothing holds the object: where it is now, nobody knows."""
+    context = data.evaluation.context
+    return [
+        *gone(context.arm, context.object),
+        WorldChange(key=f"{context.object}.seat", value=""),
+        WorldChange(key=f"{context.object}.frame", keep_value=True, validity=Validity.SUSPECT),
+    ]
+
+
+def _off_m(belief: Belief, thing: str) -> float:
+    """How far a thing is from the nearest place where a seat would hold it."""
+    places = (belief.seated_pose(seat.name) for seat in belief.cell.seats)
+    return min((geometry.distance(belief.frame(thing), place) for place in places), default=math.inf)
 
 
 def gone(arm: str, thing: str) -> Changes:
@@ -99,6 +120,7 @@ def verified(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes
 EFFECTS: dict[str, Callable[[Belief, AnalyzerInput, Validity], Changes]] = {
     "taken": taken,
     "let_go": let_go,
+    "let_drift": let_drift,
     "still_held": still_held,
     "verified": verified,
     "felt": felt,

@@ -7,9 +7,9 @@ executed, the others are not tried (R75). Which verbs there are, and what is don
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import msgspec
 
@@ -21,7 +21,7 @@ from rtc.outcomes import Refusal, RefusalReason
 from rtc.program import decode
 from rtc.program_schema import Branch, Check, ElaboratorProgram, Piece, ScriptFile, ScriptStep
 from rtc.world.model import World
-from workers import enough, naming, reflexes, sentence, telling
+from workers import enough, naming, needs, reflexes, sentence, telling
 from workers.backtrack import plan
 from workers.belief import Belief
 from workers.cell_model import CellModel
@@ -252,7 +252,7 @@ def _script(
     problem = sentence.misplaced(at.parsed, script.script, script.uses)
     problem = problem or sentence.without_effect(at.program, at.parsed, script)
     for need in script.needs:
-        problem = problem or _lacking(need, at)
+        problem = problem or needs.lacking(need, at)
     problem = problem or _unsure_grasp(script, at)
     if problem is not None:
         return problem
@@ -409,71 +409,6 @@ def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refusal:
         message = f"AND TRY {name}: {script.script} is an action, and only skills are corrected on the way"
         return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where=name, clears="leave out AND TRY")
     return naming.unknown("piece of script to TRY", name, [piece.upper() for piece in compiled.pieces])
-
-
-# --- what a script may need of the world -------------------------------------------------------------------
-
-
-class Lack(NamedTuple):
-    """What is not so, the thing that is in the way, and the row of `needs` that clears it (else the need's own)."""
-
-    message: str
-    held: str
-    row: str = ""
-
-
-def _hand_empty(at: Situation) -> Lack | None:
-    held = at.belief.holding(at.arm.name)
-    return Lack(f"{at.arm.name} holds {held}", held) if held else None
-
-
-def _object_free(at: Situation) -> Lack | None:
-    assert at.thing is not None
-    if at.thing.fixed:
-        return Lack(f"{at.thing.name} is fixed", at.thing.name)
-    holder = at.belief.held_by(at.thing.name)
-    return Lack(f"{at.thing.name} is held by {holder}", holder) if holder else None
-
-
-def _object_held(at: Situation) -> Lack | None:
-    assert at.thing is not None
-    holder = at.belief.held_by(at.thing.name)
-    if holder == at.arm.name:
-        return None
-    if holder:
-        return Lack(f"{at.thing.name} is held by {holder}, not by {at.arm.name}", holder, "held_by_another")
-    return Lack(f"{at.thing.name} is not held", at.thing.name)
-
-
-def _seat_free(at: Situation) -> Lack | None:
-    assert at.target is not None
-    inside = [t.name for t in at.belief.cell.objects if at.belief.seat(t.name) == at.target.name]
-    others = [name for name in inside if at.thing is None or name != at.thing.name]
-    return Lack(f"{at.target.name} holds {others[0]}", others[0]) if others else None
-
-
-def _width_known(at: Situation) -> Lack | None:
-    known = at.belief.trusts(f"{at.arm.name}.hand_width")
-    return None if known else Lack(f"it is not known how wide the hand of {at.arm.name} is open", at.arm.name)
-
-
-NEEDS: dict[str, Callable[[Situation], Lack | None]] = {
-    "hand_empty": _hand_empty,
-    "object_free": _object_free,
-    "object_held": _object_held,
-    "seat_free": _seat_free,
-    "width_known": _width_known,
-}
-
-
-def _lacking(need: str, at: Situation) -> Refusal | None:
-    lack = NEEDS[need](at)
-    if lack is None:
-        return None
-    clears = at.say(at.program.needs.get(lack.row or need, "")).replace("{held}", lack.held)
-    doubt = at.belief.distrusted(f"{at.thing.name}.held_by", {}) if at.thing is not None else None
-    message = lack.message + (f", but {doubt.message}" if doubt else "")
-    return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
 
 
 def _unsure_grasp(script: ScriptFile, at: Situation) -> Refusal | None:

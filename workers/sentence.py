@@ -58,8 +58,11 @@ def in_words(path: str) -> str:
 
 def unsaid(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal | None:
     """Something this release does not do yet, if the sentence asks for it."""
+    checks = [check for branch in program.decision_tree if branch.verb == parsed.verb for check in branch.when]
+    chosen_by = {(name, value) for check in checks for name, value in check.equals.items()}
     for name, why in program.not_yet.items():
-        if field(parsed, name) is not None:
+        value = field(parsed, name)
+        if value is not None and not (isinstance(value, str) and (name, value) in chosen_by):
             return _refused(why, name, f"leave out {in_words(name)}")
     return None
 

@@ -202,7 +202,7 @@ def test_after_a_halt_while_carrying_the_next_command_works_at_once(bench):
     assert bench.world.get("MACS-NEW.frame").validity is Validity.SUSPECT  # moving it proves nothing
     assert bench.elaborate("MOVE RIGHT-ARM TO BAY-2-FRONT").reason is RefusalReason.SUSPECT
     assert bench.elaborate("PLACE MACS-NEW ON RACK-1").reason is RefusalReason.SUSPECT
-    assert bench.do("RELEASE MACS-NEW").succeeded
+    assert bench.do("RELEASE MACS-NEW VIA FREE-DRIFT").succeeded
     assert bench.do("STOW RIGHT-ARM").succeeded
 
 

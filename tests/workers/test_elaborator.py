@@ -355,7 +355,7 @@ IN_DOUBT = [
     ("STOW RIGHT-ARM", True),
     ("INSERT MACS-NEW INTO RACK-1", True),  # whoever wrote its script
     ("RETRACT RIGHT-ARM BY 1 CM", False),
-    ("RELEASE MACS-NEW", False),
+    ("RELEASE MACS-NEW VIA FREE-DRIFT", False),
     ("VERIFY MACS-NEW AT RIGHT-ARM", False),
     ("CLOSE RIGHT-END-EFF", False),
     ("HOLD RIGHT-ARM FOR 1 SEC", False),

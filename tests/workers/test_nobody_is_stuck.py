@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rtc.messages import Validity
-from rtc.outcomes import StopReason
+from rtc.outcomes import RefusalReason, StopReason
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 SAME_PLACE = "SET MACS-NEW FRAME 80 -80 60 CM"
@@ -43,3 +43,59 @@ def test_deeper_into_a_handle_stays_refused(in_the_handle):
     in_the_handle.do(SAME_PLACE)
     refusal = in_the_handle.do("MOVE RIGHT-ARM BY 1 CM ALONG Y STRAIGHT-LINE").refusal
     assert refusal.detail["cause"] == "collision"
+
+
+# --- letting go ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def in_the_air(bench):
+    for sentence in (GRASP, "LIFT MACS-NEW BY 15 CM"):
+        assert bench.do(sentence).succeeded
+    return bench
+
+
+def test_nothing_is_let_go_of_in_the_air_unless_it_is_said(in_the_air):
+    refusal = in_the_air.do("RELEASE MACS-NEW").refusal
+
+    assert refusal.reason is RefusalReason.STATE
+    assert "would drift away" in refusal.message
+    assert refusal.clears == (
+        "PLACE MACS-NEW ON RACK-1 or BAY-2; or RELEASE MACS-NEW VIA FREE-DRIFT, if it may drift away"
+    )
+
+
+def test_what_is_let_go_of_in_the_air_is_in_doubt_until_somebody_tells_where_it_is(in_the_air):
+    assert in_the_air.do("RELEASE MACS-NEW VIA FREE-DRIFT").succeeded
+
+    assert in_the_air.world.value("RIGHT-ARM.holding") == ""
+    assert in_the_air.world.get("MACS-NEW.frame").validity is Validity.SUSPECT
+    assert "SET MACS-NEW FRAME" in in_the_air.do(GRASP).refusal.clears
+    assert in_the_air.do("RETRACT RIGHT-ARM BY 5 CM").succeeded
+    assert in_the_air.do("STOW RIGHT-ARM").succeeded
+    assert in_the_air.do("SET MACS-NEW FRAME 78 -78 80 CM 0 0 -10 DEG").succeeded
+    assert in_the_air.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM").refusal is None
+
+
+def test_a_module_is_let_go_of_in_its_seat_and_taken_again(bench):
+    for sentence in (GRASP, "RELEASE MACS-NEW", GRASP):
+        assert bench.do(sentence).succeeded, sentence
+
+
+def test_half_way_out_of_its_seat_is_no_place_to_let_go(bench):
+    for sentence in (GRASP, "LIFT MACS-NEW BY 5 CM"):
+        assert bench.do(sentence).succeeded
+    assert bench.world.value("MACS-NEW.seat") == "RACK-1"  # not yet free of it
+    assert "would drift away" in bench.do("RELEASE MACS-NEW").refusal.message
+
+
+def test_free_drift_is_a_strategy_of_one_verb(bench):
+    bench.do(GRASP)
+    for sentence in ("LIFT MACS-NEW VIA FREE-DRIFT", "RELEASE MACS-NEW VIA CAMERA-1"):
+        assert bench.do(sentence).refusal.reason is RefusalReason.NO_SCRIPT
+
+
+def test_a_full_hand_in_the_air_is_told_where_it_can_be_emptied(in_the_air):
+    refusal = in_the_air.do("GRASP MACS-OLD WITH RIGHT-ARM").refusal
+    assert refusal.clears == "PLACE MACS-NEW ON RACK-1 or BAY-2, or another arm"
+    assert in_the_air.do("PLACE MACS-NEW ON RACK-1").succeeded

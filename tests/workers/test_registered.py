@@ -7,13 +7,13 @@ import pytest
 from rtc import registered
 from rtc.messages import AnalyzerInput
 from rtc.outcomes import StopReason
-from workers import analyzer, axes, binder, effects, elaborator, legs, situation, starting_points, stopping
+from workers import analyzer, axes, binder, effects, legs, needs, situation, starting_points, stopping
 
 
 @pytest.mark.parametrize(
     ("told", "there"),
     [
-        (registered.NEEDS, elaborator.NEEDS),
+        (registered.NEEDS, needs.NEEDS),
         (registered.STARTS, starting_points.STARTS),
         (registered.AXES, axes.AXES),
         (registered.SPACES, legs.SPACES),
