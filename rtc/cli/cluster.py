@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import msgspec
 import typer
+from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
@@ -129,7 +130,8 @@ def _status(run_dir: Path | None, key: Path | None) -> tuple[dict[str, Any], boo
 def _watch(run_dir: Path | None, key: Path | None, every_s: float, for_s: float) -> None:
     """On a terminal in one place, elsewhere one below the other. Raises NoCluster when the cluster is gone."""
     until_s = time.monotonic() + for_s
-    with Live(console=console, auto_refresh=False) if console.is_terminal else nullcontext() as live:
+    # a console of its own: what is captured below must not be taken for something printed above the live view
+    with Live(console=Console(), auto_refresh=False) if console.is_terminal else nullcontext() as live:
         while True:
             said, silent = _status(run_dir, key)
             with console.capture() as shown:
