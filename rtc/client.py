@@ -17,7 +17,6 @@ from __future__ import annotations
 import itertools
 import os
 import re
-import socket as unix
 import time
 import uuid
 from collections import deque
@@ -45,8 +44,8 @@ from rtc.outcomes import (
     TimedOut,
     WireError,
 )
-from rtc.settings import ENDPOINTS, Settings, default_run_dir
-from rtc.silence import Silence, Tell, supervised
+from rtc.settings import Settings, default_run_dir
+from rtc.silence import Silence, Tell, somebody_listens, supervised
 from rtc.wire import MAX_BYTES, frames, reader
 from rtc.world.client import WorldClient
 
@@ -467,21 +466,9 @@ def _settings_of(run_dir: Path) -> Settings:
         raise NoCluster(f"no cluster in {run_dir}; start one with: rtc up -d") from None
     except PermissionError:
         raise NoCluster(f"the cluster in {run_dir} belongs to another user; choose another --run-dir") from None
-    heard = any(_listens(run_dir / ENDPOINTS[door]) for door in ("front", "estop"))
-    if not heard and not supervised(run_dir, by_hand=False):
+    if not somebody_listens(run_dir, ("front", "estop")):
         raise NoCluster(f"the cluster in {run_dir} is not running any more; start one with: rtc up -d")
     return settings
-
-
-def _listens(path: Path) -> bool:
-    """True when a process holds this Unix socket open."""
-    with unix.socket(unix.AF_UNIX) as probe:
-        probe.settimeout(0.2)
-        try:
-            probe.connect(str(path))
-        except OSError:
-            return False
-        return True
 
 
 def _expect(message: object, kind: type[Answer]) -> Answer:

@@ -6,11 +6,12 @@ Knows the cluster's run directory, and who holds the supervisor's lock in it; no
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Callable
+import socket as unix
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from rtc.outcomes import NoCluster
-from rtc.settings import LOCK
+from rtc.settings import ENDPOINTS, LOCK
 
 TOLD_AFTER = 2  # questions without an answer, two seconds each
 
@@ -28,6 +29,21 @@ def supervised(run_dir: Path, by_hand: bool = True) -> bool:
         return True
     except FileNotFoundError:
         return by_hand and run_dir.exists()
+
+
+def somebody_listens(run_dir: Path, doors: Iterable[str]) -> bool:
+    """True when a process holds one of these sockets of a cluster open, or will again: its supervisor lives."""
+    return any(_listens(run_dir / ENDPOINTS[door]) for door in doors) or supervised(run_dir, by_hand=False)
+
+
+def _listens(path: Path) -> bool:
+    with unix.socket(unix.AF_UNIX) as probe:
+        probe.settimeout(0.2)
+        try:
+            probe.connect(str(path))
+        except OSError:
+            return False
+        return True
 
 
 class Silence:

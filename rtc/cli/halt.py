@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated
 
 import typer
+import zmq
 from rich.console import Console
 from rich.text import Text
 
 from rtc.cli.outlet import Unheard
 from rtc.cli.output import AsJson, RunDir, With, console, emit_json, errors, exits_with
-from rtc.client import Client
-from rtc.halting import HaltResult
+from rtc.halting import DOORS, HaltLine, HaltResult
+from rtc.keys import Doors, KeyFile
+from rtc.outcomes import NoCluster
+from rtc.settings import Settings, default_run_dir
+from rtc.silence import somebody_listens
 
 NOT_CONFIRMED = 3
 SETTLED_S, SETTLED = 0.05, " (but a hand still pressed, or a touch still gave way)"
@@ -33,8 +40,8 @@ def halt(
     Example:  rtc halt
     Example:  rtc halt RIGHT-ARM
     """
-    with Client(run_dir, need_broker=False, key=key) as rtc:
-        result = rtc.halt(scope, timeout_s=timeout)
+    with _halt_line(run_dir or default_run_dir(), key) as line:
+        result = line.halt(scope, timeout_s=timeout)
     code = 0 if result.confirmed else NOT_CONFIRMED
     if json:
         with exits_with(code):
@@ -42,6 +49,28 @@ def halt(
     else:
         print_halt(result)
     raise typer.Exit(code)
+
+
+@contextmanager
+def _halt_line(run_dir: Path, key: Path | None) -> Iterator[HaltLine]:
+    """Of a cluster here it needs the two sockets and no file: whatever was deleted, what moves can be stopped. Raises
+    NoCluster when nobody is behind them."""
+    if key is None:
+        try:
+            there = somebody_listens(run_dir, DOORS)
+        except PermissionError:
+            raise NoCluster(f"the cluster in {run_dir} belongs to another user; choose another --run-dir") from None
+        if not there:
+            raise NoCluster(f"no cluster in {run_dir}; start one with: rtc up -d")
+        doors: Doors = Settings(run_dir=str(run_dir.absolute()))
+    else:
+        doors = KeyFile.load(key)
+    with zmq.Context() as context:
+        line = HaltLine(context, doors)
+        try:
+            yield line
+        finally:
+            line.close()
 
 
 def print_halt(result: HaltResult, out: Console = console) -> None:

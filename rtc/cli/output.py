@@ -15,7 +15,8 @@ from typing import Annotated, Any
 
 import msgspec
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -49,9 +50,22 @@ COLOUR = {
 DURATION_UNITS = {"ms": 1e-3, "s": 1.0, "m": 60.0, "": 1.0}  # of a duration that is typed
 MOST_SAID = 200  # characters of a sentence that are repeated
 PIPED_WIDTH = 160  # columns of a table that no terminal bounds
+
+
+class Screen(Console):
+    """A console on which no text does anything but stand there: names, labels and arguments came from somebody."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                yield segment._replace(text="\n".join(map(visible, segment.text.split("\n"))))
+
+
 _on_terminal = sys.stdout is not None and sys.stdout.isatty()
-console = Console(highlight=False, soft_wrap=True, width=None if _on_terminal else PIPED_WIDTH)
-errors = Console(stderr=True, highlight=False, soft_wrap=True)
+console = Screen(highlight=False, soft_wrap=True, width=None if _on_terminal else PIPED_WIDTH)
+errors = Screen(stderr=True, highlight=False, soft_wrap=True)
 
 RunDir = Annotated[Path | None, typer.Option("--run-dir", help="The cluster's run directory.", show_default="yours")]
 With = Annotated[Path | None, typer.Option("--with", help="A key file, for a cluster on another machine.")]

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import fcntl
+import io
 import json
 import time
 from pathlib import Path
 
 import pytest
+from rich.table import Table
+from rich.text import Text
 
 from rtc.cli.cluster import as_supervised, show_status
-from rtc.cli.output import EXIT, exit_code, refusal_lines, said, seconds
+from rtc.cli.output import EXIT, Screen, exit_code, refusal_lines, said, seconds
 from rtc.language.parse import default_grammar, parse
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason
 
@@ -102,3 +105,20 @@ def test_without_a_broker_the_supervisors_report_is_what_is_known(
     assert printed.startswith(f"cluster abc in {tmp_path}, up 5.")
     assert "starting" in printed
     assert "command under way" not in printed
+
+
+def test_what_somebody_has_named_does_nothing_to_the_terminal() -> None:
+    """The argument of rtc halt, a subsystem's performers, labels of a loaded program: whatever is printed."""
+    evil = "ARM\x1b]0;title\x07\x1b[2J\x9b31m"
+    row = Table()
+    row.add_row(evil)
+    out = io.StringIO()
+    screen = Screen(file=out, force_terminal=True, color_system="standard", width=80, highlight=False)
+    for it in (evil, Text(f"HALT {evil}: \nwell", style="bold"), row):
+        screen.print(it, markup=False)
+    for own in ("\x1b[1m", "\x1b[0m"):  # of the style
+        assert own in out.getvalue()
+    shown = out.getvalue().replace("\x1b[1m", "").replace("\x1b[0m", "")
+    assert not [c for c in shown if not c.isprintable() and c != "\n"]
+    assert "ARM\u241b]0;title\u2407" in shown
+    assert "\nwell\n" in shown

@@ -173,6 +173,19 @@ def test_who_takes_an_identity_that_is_in_use_does_not_silence_its_bearer(runnin
     first.close(linger=0)
 
 
+def test_rtc_halt_needs_nothing_but_the_two_sockets(running: Running, tmp_path: Path) -> None:
+    for door in ("halt", "estop"):
+        (tmp_path / ENDPOINTS[door]).symlink_to(running.run_dir / ENDPOINTS[door])
+
+    def press() -> None:
+        command = [sys.executable, "-P", "-m", "rtc.cli.main", "halt", "--run-dir", str(tmp_path)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert "RIGHT-ARM decelerating" in done.stdout
+
+    stops(running, press)
+
+
 # --- the end of a cluster ------------------------------------------------------------------------------
 
 ENDS = {
