@@ -39,7 +39,7 @@ from rtc.memory import Guard
 from rtc.outcomes import Refusal, RefusalReason, WireError
 from rtc.primitive_id import command_of
 from rtc.process import Every, Process, inbox, send
-from rtc.settings import BOUNDS, HALTS, Settings
+from rtc.settings import BOUNDS, NO_HANDOVER, Settings
 from rtc.world.lease import sign
 
 # A turn reads from a socket until it has heard of so many events; the shares are those of a stream of short commands,
@@ -112,7 +112,7 @@ class Router:
         self._socket: dict[str, zmq.Socket[bytes]] = {}
         for name in ("halt", "subsystems", "supervisor", "workers", "front"):
             self._socket[name] = me.socket(
-                zmq.ROUTER, settings.endpoint(name), bind=True, bounds=BOUNDS[name], handover=name not in HALTS
+                zmq.ROUTER, settings.endpoint(name), bind=True, bounds=BOUNDS[name], handover=name not in NO_HANDOVER
             )
         self._socket["events"] = me.socket(zmq.XPUB, settings.endpoint("events"), bind=True, bounds=BOUNDS["events"])
         self._events: list[heard.Event] = []
@@ -595,7 +595,7 @@ class Router:
         self.me.log.warning("more than %.0f MB: opening %s anew", self.guard.limit_mb, ", ".join(doors))
         for name in doors:
             self._socket[name] = self.me.open_anew(
-                self._socket[name], self.settings.endpoint(name), BOUNDS[name], handover=name not in HALTS
+                self._socket[name], self.settings.endpoint(name), BOUNDS[name], handover=name not in NO_HANDOVER
             )
         if "events" in doors:
             before = bool(self._topics)

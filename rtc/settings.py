@@ -73,7 +73,8 @@ ENDPOINTS: dict[str, str] = {
 }
 
 
-HALTS = ("halt", "estop")  # a client at these must not be cut off by another one of the same identity
+#: Sockets where a client is not cut off by a newer one of the same identity: the newer one is not heard.
+NO_HANDOVER = ("front", "halt", "estop")
 
 
 class Bounds(NamedTuple):

@@ -21,7 +21,7 @@ from rtc import messages as m
 from rtc.halting import read_order
 from rtc.outcomes import Refusal, RefusalReason, WireError
 from rtc.process import Every, Process, inbox, send
-from rtc.settings import BOUNDS, HALTS, Settings
+from rtc.settings import BOUNDS, NO_HANDOVER, Settings
 from rtc.wire import reader
 from sim_mcm.subsystem import BROKER, Said, Unread
 
@@ -63,7 +63,7 @@ class Doors:
         for name in ("estop", "bench"):
             old = getattr(self, f"_{name}")
             self._poller.unregister(old)
-            made = self._me.open_anew(old, settings.endpoint(name), BOUNDS[name], handover=name not in HALTS)
+            made = self._me.open_anew(old, settings.endpoint(name), BOUNDS[name], handover=name not in NO_HANDOVER)
             self._poller.register(made, zmq.POLLIN)
             setattr(self, f"_{name}", made)
 

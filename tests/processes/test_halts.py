@@ -160,6 +160,27 @@ def test_two_clients_of_one_name_are_each_heard_and_answered(running: Running) -
         stops(running, lambda: first.halt())
 
 
+def test_a_client_whose_identity_somebody_else_takes_is_still_answered(running: Running) -> None:
+    first, second = (running.door("front", identity="panel"), running.door("front", identity="panel"))
+    for told in range(3):
+        say(first, type="StatusQuery", request=str(told))
+        answer = hear(first)
+        assert answer is not None
+        assert answer["request"] == str(told)
+        say(second, type="ClientHello", client="panel")
+        if told == 1:
+            second.close(linger=0)
+            second = running.door("front")
+    first.close(linger=0)
+    again = running.door("front", identity="panel")  # its bearer has gone
+    until(lambda: _welcome(again))
+
+
+def _welcome(door: zmq.Socket[bytes]) -> bool:
+    say(door, type="ClientHello", client="panel")
+    return hear(door, 0.2) is not None
+
+
 @pytest.mark.parametrize("door", ["halt", "estop"])
 def test_who_takes_an_identity_that_is_in_use_does_not_silence_its_bearer(running: Running, door: str) -> None:
     first = running.door(door, identity="panel")

@@ -77,9 +77,9 @@ class Broker:
                 self.router.hear(ProgramInstalled(at_s=now_s, kind=kind, digest=kind.value))
         self._wakes_at_s = 0.0
 
-    def _socket(self, kind: int, endpoint: str, **_: Any) -> network.Router:
+    def _socket(self, kind: int, endpoint: str, *, handover: bool = True, **_: Any) -> network.Router:
         name = endpoint.rpartition("/")[2].removesuffix(".sock")
-        self.sockets[name] = network.Router(self.cluster.clock, self.wake, self.sending)
+        self.sockets[name] = network.Router(self.cluster.clock, self.wake, self.sending, handover)
         return self.sockets[name]
 
     def sending(self) -> None:
@@ -270,8 +270,19 @@ class Cluster:
         for _ in range(random.choice((0, 1, 1, 2, 3, 5))):
             fault = random.choice(FAULTS)
             clock.after(random.uniform(0.005, FAULTS_S), fault, self)
+        if random.random() < 0.3:
+            clock.after(random.uniform(0.05, FAULTS_S / 2), self._twin)
         self.dies_after_commit = random.choice((0.0, 0.0, 0.0, 0.2))
         clock.after(FAULTS_S, self._calm_down)
+
+    def _twin(self) -> None:
+        """Somebody chooses the identity of a client that is there, and goes away again. (It does not outlive the
+        broker: one that connects to the next broker first has the identity there.)"""
+        name = self.clients[0].name
+        self.tell(f"a twin of {name} comes, for a moment")
+        twin = network.Dealer(self.clock, name.encode(), lambda parts: None)
+        self.clock.after(0.0005, self._connect, "front", twin)
+        self.clock.after(self.random.uniform(0.01, 0.3), twin.close)
 
     def _sentence(self) -> str:
         random = self.random

@@ -60,11 +60,14 @@ class Clock:
 class Router:
     """The bound end of a socket, as far as the broker's shell uses it."""
 
-    def __init__(self, clock: Clock, wake: Callable[[], None], sending: Callable[[], None]) -> None:
+    def __init__(
+        self, clock: Clock, wake: Callable[[], None], sending: Callable[[], None], handover: bool = True
+    ) -> None:
         self._clock = clock
         self._wake = wake
         self._sending = sending  # called before anything leaves: a process may die just then
         self.open = True
+        self.handover = handover
         self.peers: dict[bytes, Dealer] = {}
         self._inbox: deque[Frame] = deque()
         self._parts: list[bytes] = []
@@ -123,15 +126,23 @@ class Dealer:
         self._immediate = immediate  # nothing is kept for later
         self.router: Router | None = None
         self.dead = False
+        self.muted = False  # connected, and another one has its identity: what it sends reaches nobody
         self._kept: list[Frames] = []
         self._out_s = 0.0  # when the last message of each way arrives: none overtakes it
         self._in_s = 0.0
 
     def connect(self, router: Router) -> None:
-        """Also over an older bearer of the same identity, as ROUTER_HANDOVER has it."""
+        """With ROUTER_HANDOVER the newer bearer of an identity has it, and without, the older one; the other is mute,
+        and does not learn it."""
         if self.dead or not router.open:
             return
         self.router = router
+        before = router.peers.get(self.identity)
+        if before is not None and not router.handover:
+            self.muted = True
+            return
+        if before is not None:
+            before.muted = True
         router.peers[self.identity] = self
         kept, self._kept = self._kept, []
         for parts in kept:
@@ -144,6 +155,8 @@ class Dealer:
             if not self._immediate:
                 self._kept.append(parts)
             return not self._immediate
+        if self.muted:
+            return True
         self._out_s = max(self._out_s, self._clock.now_s + self._clock.delay_s())
         self._clock.at(self._out_s, self.router.arrive, self, parts)
         return True
@@ -154,6 +167,7 @@ class Dealer:
 
     def lost(self) -> None:
         self.router = None
+        self.muted = False
 
     def close(self) -> None:
         """The process is dead."""

@@ -124,6 +124,11 @@ def test_a_broker_that_does_not_listen_to_halts_of_its_mcm_is_found(monkeypatch)
     assert first_problem().problem
 
 
+def test_a_client_that_is_cut_off_by_a_twin_is_found(monkeypatch):
+    monkeypatch.setattr(router, "NO_HANDOVER", ())
+    assert "not over after" in first_problem().problem
+
+
 def test_an_mcm_that_obeys_a_halt_once_by_its_name_is_found(monkeypatch):
     obey = Subsystem._halt
 
