@@ -27,7 +27,7 @@ FIGURES = (
     *(f"{said}_{unit}" for said in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),
 )
 #: what stands for somebody in the resources of a script
-ROLES = ("active_arm", "active_object", "target")
+ROLES = ("active_arm", "active_object", "its_seat", "target")
 #: what may stand in braces in the words of a script; the last two in those of SET
 PLACEHOLDERS = (
     *("arm", "object", "point", "target", "destination", "axis", "out", "way_out", "amount", "time"),
@@ -44,7 +44,7 @@ WORDS = ("axis", "effect", "missed", "needs", "seat")
 ARGS = (
     *("by_m", "by_rad", "width_m", "least_m", "most_m", "grip_n", "duration_s", "within_m"),
     *("speed_m_s", "force_n", "contact_n", "torque_nm"),
-    *("beyond_m", "felt_m", "lever_m", "aside_m", "pad_m", "centre_n_m"),  # of what is felt
+    *("beyond_m", "felt_m", "lever_m", "aside_m", "pad_m", "centre_n_m", "play_m"),  # of what is felt
     *("needs_m", "needs_rad"),  # how well known must be what is held
 )
 #: who performs steps

@@ -31,7 +31,15 @@ def taken(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:
         WorldChange(key=f"{thing}.held_by", value=arm, validity=validity),
         WorldChange(key=f"{thing}.grasp", value=grasp.tolist(), validity=validity, spread=spread),
         WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity, spread=spread),
+        *_its_seat(belief, data, feeling.seat_of(belief, data, frame, spread), validity),
     ]
+
+
+def _its_seat(belief: Belief, data: AnalyzerInput, found: feeling.Found | None, validity: Validity) -> Changes:
+    if found is None:
+        return []
+    key = f"{belief.seat(data.evaluation.context.object)}.frame"
+    return [WorldChange(key=key, value=found[0].tolist(), validity=validity, spread=found[1])]
 
 
 def felt(belief: Belief, data: AnalyzerInput, validity: Validity) -> Changes:

@@ -304,7 +304,8 @@ def _context(candidate: Candidate, at: Situation, entries: list[Trim]) -> Script
 
 def _names(roles: list[str], at: Situation, held: str) -> list[str]:
     """What the roles stand for; what the arm holds goes where the arm goes."""
-    return list(dict.fromkeys(name for name in (*(at.roles.get(role, role) for role in roles), held) if name))
+    stands_for = {**at.roles, "its_seat": at.belief.seat(at.thing.name) if at.thing else ""}
+    return list(dict.fromkeys(name for name in (*(stands_for.get(role, role) for role in roles), held) if name))
 
 
 def _step(step: ScriptStep, at: Situation, entries: list[Trim], nominal: bool) -> Step:

@@ -13,6 +13,7 @@ import numpy as np
 from rtc import geometry
 from rtc.geometry import Array
 from rtc.messages import AnalyzerInput
+from rtc.world.spread import even, widened
 from workers import known
 from workers.belief import Belief
 
@@ -62,6 +63,17 @@ def between_fingers(belief: Belief, data: AnalyzerInput) -> Found:
     after = geometry.normalise(geometry.compose(stands, geometry.inverse(point)))
     spread = known.felt(before, after, spread, point, measured)
     return after, spread
+
+
+def seat_of(belief: Belief, data: AnalyzerInput, frame: Array, spread: list[float]) -> Found | None:
+    """Where the seat is that the thing sits in: it was as far off as the thing, but for the play of `play_m` in it.
+    None: the thing sits in none, or the step does not say what play there is."""
+    seat, play_m = belief.seat(data.evaluation.context.object), _figure(data, "play_m")
+    if not seat or play_m <= 0.0:
+        return None
+    inside = belief.cell.seat(seat).module_frame.pose
+    place = geometry.normalise(geometry.compose(frame, geometry.inverse(inside)))
+    return place, known.carried(widened(spread, even(play_m, 0.0)), geometry.inverse(inside))
 
 
 def _askew(belief: Belief, data: AnalyzerInput, pad_m: float, believed_rad: float) -> tuple[float, float]:
