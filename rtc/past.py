@@ -64,7 +64,14 @@ def runs(run_dir: Path) -> Iterator[Past]:
     for name in (".", PREVIOUS, *OLDER):
         with contextlib.suppress(OSError):
             journal = run_dir / name / JOURNAL
-            yield Past(journal, journal.stat().st_mtime)
+            changed = journal.stat().st_mtime
+            log = _log_of(journal)
+            yield Past(journal, max(changed, log.stat().st_mtime) if log.exists() else changed)
+
+
+def _log_of(journal: Path) -> Path:
+    """The write-ahead log, where the last changes are when the broker was killed."""
+    return journal.with_name(f"{journal.name}-wal")
 
 
 def clock_time(at: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 
@@ -80,6 +81,16 @@ def test_a_run_before_the_machine_was_started_has_no_dates(tmp_path: Path) -> No
     past = Past(tmp_path / "journal.db", ended_at=time.time() - time.monotonic() - 10.0)
 
     assert log.as_row(record(1), past)["at"] is None
+
+
+def test_a_run_ended_when_its_journal_was_written_last(tmp_path: Path) -> None:
+    """Of a broker that was killed the last changes are in the write-ahead log."""
+    left_behind(tmp_path, [record(1)])
+    os.utime(tmp_path / "journal.db", (1000.0, 1000.0))
+    assert next(runs(tmp_path)).ended_at == 1000.0
+    (tmp_path / "journal.db-wal").touch()
+    os.utime(tmp_path / "journal.db-wal", (1005.0, 1005.0))
+    assert next(runs(tmp_path)).ended_at == 1005.0
 
 
 def test_a_damaged_journal_is_named(tmp_path: Path) -> None:
