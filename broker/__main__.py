@@ -70,7 +70,7 @@ def _serve(
 ) -> None:
     """Go on from the replayed state."""
     settings, now = given.settings, time.monotonic()
-    lost = _lost(journal, state, given, now)
+    lost = lost_turns(journal, state, given, now, secrets.token_hex(2))
     store = ProgramStore(journal, state.programs)
     journal.written = lambda turn: given.remember("broker", state.life.encode(), turn, state.accepted)
     router = Router(me, settings, journal, state, store, given)
@@ -98,17 +98,18 @@ def _serve(
     journal.close()
 
 
-def _lost(journal: Journal, state: State, given: handed.Handed, now: float) -> JournalLost | None:
-    """Whether brokers of this run decided turns that this journal lacks."""
+def lost_turns(journal: Journal, state: State, given: handed.Handed, now: float, life: str) -> JournalLost | None:
+    """Whether brokers of this run decided turns that this journal lacks. `life`: of the journal from then on."""
     kept = given.remembered("broker")
     if kept is None:
         return None
-    life, turn, accepted = kept
+    before, turn, accepted = kept
     missing = turn - journal.last_turn()
-    if life == state.life.encode() and missing <= 0:
+    same = before == state.life.encode()
+    if same and missing <= 0:
         return None
-    why = f"the journal lost its last {missing} turns" if life == state.life.encode() else "the journal was lost"
-    return JournalLost(at_s=now, why=why, life=secrets.token_hex(2), accepted=accepted)
+    why = f"the journal lost its last {missing} turns" if same else "the journal was lost"
+    return JournalLost(at_s=now, why=why, life=life, accepted=accepted)
 
 
 def _doubt_the_world(me: process.Process, given: handed.Handed, lost: JournalLost) -> None:

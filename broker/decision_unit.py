@@ -142,9 +142,8 @@ def on_command(turn: Turn, event: CommandReceived) -> None:
     if live >= LIVE_PER_CLIENT or len(state.commands) >= MAX_COMMANDS:
         _decline(turn, event, live)
         return
-    state.accepted += 1
     command = Command(
-        id=f"C-{state.accepted}",
+        id=lost.new_number(state, event),
         client=event.client,
         request=event.request,
         text=event.text[:MAX_TEXT],

@@ -38,17 +38,23 @@ def is_lost(state: State, event: CommandReceived) -> bool:
     return bool(event.known_as) or 0 < event.sent_at_s <= state.lost_at_s
 
 
-def end_lost(turn: Turn, event: CommandReceived) -> None:
-    """A true outcome for who waits for it, under the number that the client knows, if that is free."""
-    state = turn.state
-    name = event.known_as
-    number = int(name.removeprefix("C-")[:18]) if name.removeprefix("C-").isdecimal() else 0
-    free = 0 < number <= state.accepted + FURTHEST and name not in state.commands and name not in state.ended
+def new_number(state: State, event: CommandReceived) -> str:
+    """The number that the client knows, if that is free; else the next one."""
+    name, digits = event.known_as, event.known_as.removeprefix("C-")
+    number = int(digits[:18]) if digits.isascii() and digits.isdigit() else 0
+    taken = name in state.commands or name in state.ended
+    free = name == f"C-{number}" and 0 < number <= state.accepted + FURTHEST and not taken
     if not free:
         number = state.accepted + 1
     state.accepted = max(state.accepted, number)
+    return f"C-{number}"
+
+
+def end_lost(turn: Turn, event: CommandReceived) -> None:
+    """A true outcome for who waits for it, under the number that the client knows, if that is free."""
+    state = turn.state
     command = Command(
-        id=f"C-{number}",
+        id=new_number(state, event),
         client=event.client,
         request=event.request,
         text=event.text,

@@ -6,7 +6,7 @@ import pytest
 from stories import Story, go_on
 
 from broker import events as heard
-from broker.__main__ import _lost
+from broker.__main__ import lost_turns
 from broker.effects import PublishNote, ReportEnd, SendPrimitive, TellClient
 from broker.journal import Journal
 from broker.state import State
@@ -96,8 +96,9 @@ def test_what_was_sent_before_the_loss_is_not_begun():
 def test_a_halt_sent_before_the_loss_is_obeyed():
     s = Story()
     command = s.executing()
-    asks(s, "h", text="HALT", known_as="C-2")
+    asks(s, "h", text="HALT", known_as="C-7")
     assert s.phase(command) == "halting"
+    assert s.phase("C-7") == "halting"  # it keeps its number
 
 
 def test_a_number_far_out_is_not_believed():
@@ -138,7 +139,7 @@ class Life:
         self.given = given
         self.journal = Journal.open(self.path, "r", State(life=life))
         _, self.state = self.journal.last_snapshot()
-        self.lost = _lost(self.journal, self.state, given, 5.0)
+        self.lost = lost_turns(self.journal, self.state, given, 5.0, "cccc")
         self.journal.written = lambda turn: given.remember("broker", self.state.life.encode(), turn, 7)
 
     def turns(self, n):

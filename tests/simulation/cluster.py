@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import sqlite3
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from random import Random
 from types import SimpleNamespace
 from typing import Any
@@ -68,13 +68,14 @@ class Broker:
         state, _ = replay(journal)
         self.state = state
         me = SimpleNamespace(socket=self._socket, log=SILENT, stopping=False)
-        self.router = Router(me, SETTINGS, journal, state, ProgramStore(journal), Handed(SETTINGS, KEY), cluster.clock)  # type: ignore[arg-type]
+        self.router = Router(me, SETTINGS, journal, state, ProgramStore(journal), cluster.handed, cluster.clock)  # type: ignore[arg-type]
         now_s = cluster.clock.now_s
         if state.programs:
             self.router.hear(BrokerRestarted(at_s=now_s))
         else:
             for kind in m.WorkerKind:
                 self.router.hear(ProgramInstalled(at_s=now_s, kind=kind, digest=kind.value))
+        cluster.broker_begins(self, journal)
         self._wakes_at_s = 0.0
 
     def _socket(self, kind: int, endpoint: str, *, handover: bool = True, **_: Any) -> network.Router:
@@ -198,6 +199,8 @@ class Ledger:
 
 
 class Cluster:
+    LIFE = ""  # of the first journal
+
     def __init__(self, seed: int, story: Callable[[str], None] | None = None) -> None:
         self.seed = seed
         self.random = Random(seed)
@@ -212,7 +215,8 @@ class Cluster:
         self._pids = iter(range(100, 10_000))
         self._db = sqlite3.connect(":memory:", isolation_level=None)
         self._db.executescript(SCHEMA)
-        Journal(self._db).snapshot(State())
+        Journal(self._db).snapshot(State(life=self.LIFE))
+        self.handed = self.hand_over()
         self.world = Server(Store(":memory:"), KEY)
         self.world_back_s = 0.0
         self.stories: dict[str, m.CommandRecord] = {}
@@ -225,6 +229,17 @@ class Cluster:
         self.mcm: Mcm | None = Mcm(self, next(self._pids))
         self.clients = [Client(self, f"client-{n}") for n in range(self.random.choice((1, 2)))]
         self.callers: list[Caller] = []
+
+    def hand_over(self) -> Handed:
+        """What the supervisor gives to the processes."""
+        return Handed(SETTINGS, KEY)
+
+    def broker_begins(self, broker: Broker, journal: Journal) -> None:
+        """A broker has replayed its journal and has not made a turn yet."""
+
+    @property
+    def faults_there_are(self) -> Sequence[Callable[[Any], None]]:
+        return FAULTS
 
     # --- the run --------------------------------------------------------------------------------------
 
@@ -268,7 +283,7 @@ class Cluster:
             halt = random.choice((f"H-{n}", "THE-BUTTON"))  # of two callers, or of one button that always says the same
             clock.after(random.uniform(0.01, FAULTS_S), self._call_halt, halt, scope)
         for _ in range(random.choice((0, 1, 1, 2, 3, 5))):
-            fault = random.choice(FAULTS)
+            fault = random.choice(self.faults_there_are)
             clock.after(random.uniform(0.005, FAULTS_S), fault, self)
         if random.random() < 0.3:
             clock.after(random.uniform(0.05, FAULTS_S / 2), self._twin)
@@ -422,7 +437,9 @@ class Cluster:
     def given(self, command: str, record: m.CommandRecord | None = None) -> tuple[float, float]:
         """When its client said it, and when it was accepted."""
         assert self.broker is not None
-        known = record or self.broker.state.commands.get(command) or self.stories[command]
+        known = record or self.broker.state.commands.get(command) or self.stories.get(command)
+        if known is None:  # the journal lost it
+            return self.clock.now_s, self.clock.now_s
         (sentence,) = (c.texts[known.request] for c in self.clients if known.request in c.texts)
         return sentence.sent_at_s, known.accepted_at_s
 
@@ -438,7 +455,7 @@ class Cluster:
                 self.wrong(f"{request} has no outcome: {result}")
             elif (record := self.stories.get(result.command)) is None or record.outcome != result.outcome:
                 self.wrong(f"{request} was told {result.outcome}, the story says {record and record.outcome}")
-        if state.accepted != len(said):
+        if state.accepted != len(said) and not state.lost:
             self.wrong(f"{len(said)} sentences became {state.accepted} commands")
         for what in ("held", "waiting", "holders", "lines", "quarantine"):
             if left := getattr(state.resources, what):
@@ -469,7 +486,8 @@ class Cluster:
                         self.wrong(f"{record.command} did {mine}, written is {written}")
 
     def _arm_of(self, primitive: str) -> str:
-        return f"{self.stories[primitive.partition('.')[0]].text.split()[1]}-ARM"
+        story = self.stories.get(primitive.partition(".")[0])
+        return f"{story.text.split()[1]}-ARM" if story else ""
 
     def wrong(self, what: str) -> None:
         self.tell(f"!! {what}")

@@ -10,6 +10,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
 from rtc import messages as m
 from rtc import wire
 from rtc.outcomes import Refusal, RefusalReason
@@ -185,7 +187,7 @@ class Mcm:
         self._callers: dict[bytes, Callable[[Frames], None]] = {}
         self._waiting: deque[tuple[bytes, Any]] = deque()  # read in the next tick
         self._ticking = False
-        self.line = Dealer(cluster.clock, b"MCM", self._from_broker, self._greet)
+        self.line = Dealer(cluster.clock, cluster.handed.identity("MCM").encode(), self._from_broker, self._greet)
         cluster.attach("subsystems", self.line)
         cluster.clock.after(self.HEARTBEAT_S, self._beat)
         cluster.clock.after(REPEAT_S, self._look_again)
@@ -288,8 +290,8 @@ class Client:
     def repeat(self) -> None:
         self._heard_at_s = self.cluster.clock.now_s
         self._say(m.ClientHello(client=self.name))
-        for sentence in self.open.values():
-            self._say(sentence)
+        for request, sentence in self.open.items():
+            self._say(msgspec.structs.replace(sentence, known_as=self.command_of.get(request, "")))
 
     def _say(self, message: m.ClientToBroker) -> None:
         self.line.send(wire.frames(message))
@@ -365,7 +367,7 @@ class Supervisor:
 
     def __init__(self, cluster: Cluster) -> None:
         self.cluster = cluster
-        self.line = Dealer(cluster.clock, b"supervisor", self._hear, self.tell_table)
+        self.line = Dealer(cluster.clock, cluster.handed.identity("supervisor").encode(), self._hear, self.tell_table)
         cluster.attach("supervisor", self.line)
 
     def died(self, name: str, pid: int) -> None:
