@@ -13,8 +13,8 @@ itself.
 Logs go to stderr, which the supervisor keeps in the run directory; stdout carries `ready`, from then on, every second
 that the loop turns, `alive`, and `note` with what people should know; so the supervisor knows who is there and does
 nothing. That nothing outlives a killed supervisor is the business of the parent, who calls `die_with_parent` in the
-child it forks (SIGKILL for every kind of process: whoever wants an orderly end sends SIGTERM first). This file knows no
-message and no kind of process.
+child it forks (SIGKILL: whoever wants an orderly end sends SIGTERM first; a process that has arms to stop calls
+`end_with_parent`). This file knows no message and no kind of process.
 """
 
 from __future__ import annotations
