@@ -92,6 +92,8 @@ class KeyFile(msgspec.Struct, frozen=True, kw_only=True):
         if not Path(path).is_file():
             raise KeyTrouble(f"there is no key file {path}; one is made where the cluster is: rtc keys new")
         key = _read(Path(path), KeyFile)
+        if (mode := Path(path).stat().st_mode & 0o777) & 0o077:
+            raise KeyTrouble(f"others may read or change {path} (mode {mode:o}); not used until: chmod 600 {path}")
         check_address(key.address)
         try:
             sound = zmq.curve_public(key.secret.encode()) == key.public.encode() and len(key.cluster) == 40

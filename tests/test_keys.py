@@ -23,6 +23,9 @@ def test_a_new_key_is_known_by_its_public_half_and_whole_in_one_file(ring: KeyRi
     made = ring.new("alice", Role.OPERATOR, AT, tmp_path / "alice.key")
 
     assert KeyFile.load(tmp_path / "alice.key") == made
+    (tmp_path / "alice.key").chmod(0o644)
+    with pytest.raises(KeyTrouble, match=r"others may read or change .* \(mode 644\); .* chmod 600 "):
+        KeyFile.load(tmp_path / "alice.key")
     assert [(known.name, known.role, known.public) for known in ring.known()] == [("alice", Role.OPERATOR, made.public)]
     assert made.cluster == ring.cluster().public
     kept = "".join(path.read_text() for path in ring.path.iterdir())
