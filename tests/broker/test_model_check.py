@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from broker import decision_unit, ending, journey, untold
 from broker.effects import SendHalt
-from broker.events import HaltCalled, JobLost, SubsystemConnected
+from broker.events import HaltCalled, JobLost, JournalLost, SubsystemConnected
 from broker.resources import Resources
 from broker.turn import Turn
 from tests.simulation.explore import explore, tell
@@ -117,3 +117,9 @@ def test_a_halt_that_is_not_obeyed_because_its_name_was_used_before_is_found(mon
     found = explore(faults(SAME_ARM, 2))
     assert found.violation
     assert move in [done[0] for done in found.path]
+
+
+def test_a_journal_that_was_lost_without_a_consequence_is_found(monkeypatch):
+    monkeypatch.setitem(decision_unit.HEARD, JournalLost, lambda turn, event: None)
+    scenario = next(s for s in SCENARIOS if s.name == "a lost journal")
+    assert "after its journal was lost" in explore(faults(scenario, 1)).violation

@@ -29,5 +29,6 @@ SCENARIOS = (
     Scenario(name="abort of an arm", sentences=(ONE, _control("ABORT", None, "RIGHT-ARM"), ONE), one_client=True),
     Scenario(name="pause, resume", sentences=(Sentence(steps=2), _control("PAUSE"), _control("RESUME"))),
     Scenario(name="client goes away", sentences=(ONE, Sentence(arms=LEFT, halt_if_lost=True))),
+    Scenario(name="a lost journal", sentences=(Sentence(steps=2), ONE), losses=True),
     Scenario(name="halt of an arm, of a command", sentences=(ONE, Sentence(arms=LEFT)), halts=("RIGHT-ARM", "C-2")),
 )

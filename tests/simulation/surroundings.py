@@ -64,6 +64,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     halts: tuple[str, ...] = ("ALL",)  # scopes that may be called, each once
     faults: int = 2  # of all kinds together
     caps: dict[str, int] = {}  # of one kind, where not 1
+    losses: bool = False  # the journal may lose turns, which the next broker notices
 
 
 class Halt(msgspec.Struct):
@@ -196,6 +197,8 @@ def _moves(model: Model, scenario: Scenario) -> Iterator[Move]:
         if mcm.alive and halt is not None and halt.at_estop:
             yield "estop again", scope
     yield ("broker restarts",)
+    if scenario.losses:
+        yield ("journal lost",)
     if _left(model, "broker dies") > 0:
         yield from _deaths(model, scenario)
     if any(s.halt_if_lost for s in scenario.sentences):
@@ -309,7 +312,20 @@ def happen(model: Model, scenario: Scenario, move: Move, *, paid: bool = True) -
         return _restart(model)
     if name == "broker restarts":
         return _restart(model)
+    if name == "journal lost":
+        return _lose_turns(model)
     return _hear(model, _event(model, scenario, move))
+
+
+def _lose_turns(model: Model) -> list[do.Effect]:
+    """A broker comes that knows that turns are missing. Nothing that was live goes on."""
+    done = _restart(model)
+    lost = heard.JournalLost(at_s=model.now, why="lost", life="", accepted=model.du.accepted)
+    done += _hear(model, lost)
+    for command in model.du.commands.values():
+        if command.phase not in (Phase.HALTING, Phase.CLOSING):
+            raise Violation(f"{command.id} is {command.phase.value} after its journal was lost")
+    return done
 
 
 def _event(model: Model, scenario: Scenario, move: Move) -> heard.Event:
