@@ -20,7 +20,7 @@ from rtc import expressions, geometry
 from rtc.messages import Binding
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.program_schema import PlanLine, ScriptFile, ScriptStep
-from workers import axes, legs, naming
+from workers import advice, axes, legs, naming
 from workers.legs import Target
 from workers.motion.plan import Setting
 from workers.motion.timing import Pace
@@ -134,6 +134,7 @@ def _search(script: ScriptFile, at: Situation, lines: dict[str, Start]) -> Solve
         notes.append(f"generated {what}; tested: {problem.message}")
         first = first or problem
     assert first is not None
+    first = advice.colliding(first, at.belief, at.arm.name, at.program.clears)
     return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))})
 
 

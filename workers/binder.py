@@ -29,7 +29,7 @@ from rtc.primitive_id import command_of
 from rtc.program import decode
 from rtc.program_schema import BinderProgram, StopClass
 from rtc.world.model import World
-from workers import axes, enough, impact, legs, naming, procedures, stopping
+from workers import advice, axes, enough, impact, legs, naming, procedures, stopping
 from workers.belief import Belief
 from workers.cell_model import CellModel
 from workers.impact import Impact
@@ -121,7 +121,7 @@ def bind_motion(at: Bind) -> BoundStep | Refusal:
     setting = belief.setting(at.arm, scene, context.limits, pace, margin_rad)
     motion = legs.timed(setting, step.space, target)
     if isinstance(motion, Refusal):
-        return motion
+        return advice.colliding(motion, belief, at.arm, at.program.clears)
     evaluation = EvaluationContext(
         context=context,
         step=step,

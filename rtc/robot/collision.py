@@ -57,7 +57,7 @@ class Collision:
             reason=RefusalReason.INFEASIBLE,
             message=f"{self.body_a} {verb} {self.body_b}" + (f" {where}" if where else ""),
             where=where,
-            clears=f"another way round {self.body_b.split()[0]}",
+            clears=f"another goal: {self.body_b.split()[0]} is in the way",
             detail={
                 "cause": "collision",
                 "body_a": self.body_a,

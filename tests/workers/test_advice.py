@@ -1,0 +1,81 @@
+"""What a refusal for a blocked way advises leads on, word for word."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtc import geometry
+from rtc.messages import EndReport
+from rtc.outcomes import StopReason
+
+GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
+LIFT = "LIFT MACS-NEW BY 15 CM"
+
+
+def in_hand(bench, *sentences):
+    for sentence in (GRASP, *sentences):
+        run = bench.do(sentence)
+        assert run.succeeded, (sentence, run.refusal)
+
+
+@pytest.mark.parametrize(
+    "sentence", ["STOW RIGHT-ARM", "MOVE RIGHT-ARM TO CLEAR-POINT-1", "MOVE RIGHT-ARM BY 5 CM ALONG LEFT"]
+)
+def test_a_module_that_is_still_in_its_seat_is_lifted_first(bench, sentence):
+    in_hand(bench)
+    refusal = bench.do(sentence).refusal
+    assert refusal.clears == "LIFT MACS-NEW first: it is in RACK-1"
+    assert bench.do("LIFT MACS-NEW").succeeded
+    bench.do("LIFT MACS-NEW")  # 10 cm are not yet out of a rack 12 cm deep
+    assert bench.do(sentence).refusal is None
+
+
+def test_a_goal_that_is_not_free_is_said_to_be_the_goal(bench):
+    in_hand(bench, LIFT)
+    refusal = bench.do("MOVE RIGHT-ARM TO POSITION 80 -80 70 CM").refusal
+    assert refusal.clears == "another goal: RACK-1 is there"
+
+
+def test_a_way_that_is_blocked_goes_by_another_place(bench):
+    """The module is so near to the satellite that no way of its own choice leads into the bay."""
+    in_hand(bench, "LIFT MACS-NEW BY 20 CM", "MOVE RIGHT-ARM TO POSITION 57 -61 52 CM")
+
+    refusal = bench.do("PLACE MACS-NEW ON BAY-2").refusal
+
+    assert "MOVE RIGHT-ARM TO another place first (BAY-2-FRONT, CLEAR-POINT-1, RACK-1-FRONT)" in refusal.clears
+    assert bench.do("MOVE RIGHT-ARM TO CLEAR-POINT-1").succeeded
+    assert bench.do("PLACE MACS-NEW ON BAY-2").succeeded
+
+
+@pytest.mark.parametrize("sentence", ["PLACE MACS-NEW ON RACK-1", LIFT])
+def test_an_arm_that_has_crept_is_looked_at_and_the_step_done_again(bench, sentence):
+    in_hand(bench, LIFT) if sentence != LIFT else in_hand(bench)
+    perform, refused = bench.subsystem.perform, []
+
+    def crept(made, bound):
+        report = perform(made, bound) if bound.evaluation.step.do != "move" or refused else None
+        if report is None:  # the first way is refused: the arm is 0.014 rad from where it began
+            refused.append(made.id)
+            joints = bench.subsystem.joints["RIGHT-ARM"]
+            joints[5] += 0.014
+            return EndReport(
+                primitive=made.id,
+                performer="RIGHT-ARM",
+                reason=StopReason.REFUSED,
+                at_s=0.0,
+                duration_s=0.0,
+                joints=joints.tolist(),
+                tcp_pose=bench.model.arms["RIGHT-ARM"].fk(joints).tolist(),
+                wrench=[0.0] * 6,
+                hand_width_m=bench.subsystem.widths["RIGHT-ARM"],
+                hand_force_n=45.0,
+            )
+        return report
+
+    bench.subsystem.perform = crept
+    run = bench.do(sentence)
+
+    assert len(refused) == 1
+    assert run.trims == [1]
+    assert run.succeeded, (run.refusal, run.assessments)
+    assert geometry.distance(bench.world.value("MACS-NEW.frame"), [0, 0, 0]) > 0
