@@ -33,7 +33,7 @@ from rtc import program, wire
 from rtc.digest import digest
 from rtc.halting import PER_S
 from rtc.handed import Handed
-from rtc.outcomes import RefusalReason
+from rtc.outcomes import OutcomeKind, RefusalReason
 from rtc.program_check import Asked, Checked
 from rtc.settings import Settings
 
@@ -313,6 +313,18 @@ def test_two_callers_of_one_name_are_each_told_of_their_own_halt(working: Bench)
     rest = m.HaltAtRest(halt="1", subsystem="MCM", at_s=1.0, at_rest=True, performers=[], call=of_bob.call)
     working.say("subsystems", b"MCM", rest)
     assert working.sockets["halt"].sent == [[b"bob", *wire.frames(msgspec.structs.replace(rest, call=""))]]
+
+
+def test_a_cluster_that_is_stopped_ends_its_commands_and_takes_no_more(working: Bench) -> None:
+    supervisor = working.router._supervisor_peer
+    for asked in range(2):  # the supervisor asks again until it has the answer
+        said = working.say("supervisor", supervisor, m.Shutdown())
+        assert m.AllEnded(commands=["C-1"]) in said, asked
+    (declined,) = working.say("front", b"ann", m.CommandText(request="2", text="STOW LEFT-ARM"))
+    assert "is being stopped" in declined.refusal.message
+    known = working.say("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
+    assert [type(answer) for answer in known] == [m.Accepted, m.CommandEnded]
+    assert known[1].outcome.kind is OutcomeKind.HALTED
 
 
 def test_callers_are_forgotten_some_time(bench: Bench) -> None:
