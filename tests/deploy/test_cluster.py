@@ -275,8 +275,17 @@ def there_again(paths):
         zmq.Poller().poll(10)
 
 
-def test_what_is_deleted_in_the_directory_comes_back_and_without_the_directory_the_cluster_ends(cluster_of_its_own):
-    run_dir = cluster_of_its_own
+def last_speed_rad_s(telemetry):
+    """The greatest joint speed of RIGHT-ARM in the last sample that was published."""
+    speed_rad_s = None
+    while telemetry.poll(0):
+        sample = wire.reader(Telemetry)(telemetry.recv_multipart()).arms["RIGHT-ARM"]
+        speed_rad_s = max(map(abs, sample.velocities))
+    return speed_rad_s
+
+
+def test_what_is_deleted_in_the_directory_comes_back_and_without_the_directory_the_cluster_ends(run_dir):
+    assert deploy("up", "-d", "--mcm", "kinematic", run_dir=run_dir).returncode == 0  # in real time
     before = report(run_dir)
     deleted = [run_dir / name for name in SMALL] + list(run_dir.glob("*.sock"))
     for path in deleted:
@@ -291,7 +300,15 @@ def test_what_is_deleted_in_the_directory_comes_back_and_without_the_directory_t
     assert up(run_dir).returncode == 1  # the lock is held again
 
     pids = [before["pid"], *(row["pid"] for row in rows(run_dir).values())]
-    run_dir.rename(run_dir.with_name("elsewhere"))
-    second = up(run_dir)  # while the first still ends, or after that, but never beside it
-    assert second.returncode == 0 or "was renamed or removed" in second.stdout + second.stderr
-    gone(pids)
+    with Client(run_dir) as rtc, zmq.Context() as context, context.socket(zmq.SUB) as telemetry:
+        telemetry.setsockopt(zmq.RCVHWM, 100_000)
+        telemetry.subscribe(b"")
+        telemetry.connect(f"ipc://{run_dir}/telemetry.sock")
+        rtc.submit("MOVE RIGHT-ARM BY -12 CM ALONG X MAINTAIN SPEED 1 CM/S")
+        while not (last_speed_rad_s(telemetry) or 0.0) > 0.01:
+            assert telemetry.poll(5000)
+        run_dir.rename(run_dir.with_name("elsewhere"))
+        second = up(run_dir)  # while the first still ends, or after that, but never beside it
+        assert second.returncode == 0 or "was renamed or removed" in second.stdout + second.stderr
+        gone(pids)
+        assert last_speed_rad_s(telemetry) < 0.001  # it was braked before the cluster ended
