@@ -15,7 +15,7 @@ from workers.known import aged, carried, felt
 VALUES = {
     "creep_m_s": 0.0025 / 60,
     "creep_rad_s": math.radians(1) / 60,
-    "struck_n": 25.0,
+    "struck_n": 40.0,
     "struck_m": 0.01,
     "struck_rad": 0.1,
 }
@@ -65,5 +65,5 @@ def test_a_thing_that_was_moved_in_belief_along_an_axis_not_measured_is_known_le
 
 def test_what_is_held_creeps_and_what_is_struck_turns():
     assert aged(even(0.001, 0.0), 60.0, 5.0, VALUES)[0] == pytest.approx(0.0035)
-    assert aged(even(0.001, 0.0), 0.0, 40.0, VALUES) == pytest.approx([0.011] * 3 + [0.1] * 3)
+    assert aged(even(0.001, 0.0), 0.0, 41.0, VALUES) == pytest.approx([0.011] * 3 + [0.1] * 3)
     assert np.allclose(aged(even(0.001, 0.0), -5.0, 0.0, VALUES), even(0.001, 0.0))
