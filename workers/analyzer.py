@@ -32,6 +32,8 @@ SOURCES = {"report.trip_pose", "report.pose", "report.hand_width"}
 UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE_LIMIT: "N.m", StopReason.TIMEOUT: "s"}
 
 
+THIN_M = 0.002  # fingers nearer to one another than this have nothing between them
+
 #: figures that its program must have
 VALUES = (
     *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m", "told_m", "told_rad"),
@@ -110,6 +112,7 @@ def _success(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) -> A
             return Refusal(reason=RefusalReason.PROGRAM, message=message, where=step.label)
         changes += EFFECTS[effect](belief, data, Validity.VALID)
     changes += _carried(program, belief, data, changes, suspect=False)
+    changes += _pressed_on(program, belief, data)
     return Assessment(
         verdict="abort" if data.closing else "continue",
         reason=data.report.reason,
@@ -256,6 +259,22 @@ def _misplaced(program: AnalyzerProgram, belief: Belief, changes: Changes) -> Ch
         else change
         for change in changes
     ]
+
+
+def _pressed_on(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) -> Changes:
+    """A hand that was only to close, and presses on something: whether what is believed to be there goes with the hand,
+    nobody knows, so its place is in doubt."""
+    evaluation, report = data.evaluation, data.report
+    if evaluation.step.op != "close" or evaluation.context.object or evaluation.held:
+        return []
+    if report.hand_force_n < program.values["pressing_n"] or report.hand_width_m < THIN_M:
+        return []
+    near = []
+    for thing in belief.cell.objects:
+        points = [geometry.compose(belief.frame(thing.name), point.frame.pose) for point in thing.grasp_points]
+        if any(geometry.distance(report.tcp_pose, point) < program.values["in_hand_m"] for point in points):
+            near.append(thing.name)
+    return [WorldChange(key=f"{name}.frame", keep_value=True, validity=Validity.SUSPECT) for name in near]
 
 
 def _half_done(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) -> Changes:

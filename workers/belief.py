@@ -155,9 +155,9 @@ class Belief:
         holder = self.held_by(location)
         words = clears.get("grasp" if attribute == "frame" and holder else attribute, "sense {location} again")
         if "{position}" in words:
-            words = words.replace(
-                "{position}", " ".join(f"{round(100 * x, 2) + 0:g}" for x in self.frame(location)[:3])
-            )
+            frame = self.frame(location)
+            words = words.replace("{position}", _figures(100 * frame[:3]))
+            words = words.replace("{attitude}", _figures(np.degrees(geometry.to_rpy(frame))))
         return words.replace("{location}", location).replace("{holder}", holder or "the hand that holds it")
 
     # --- for motions ---------------------------------------------------------------------------------------
@@ -227,3 +227,8 @@ class Belief:
             pace=pace,
             margin_rad=margin_rad,
         )
+
+
+def _figures(values: Array) -> str:
+    """Numbers as a sentence says them: to a hundredth, without a minus before nothing."""
+    return " ".join(f"{round(float(x), 2) + 0:g}" for x in values)

@@ -99,3 +99,21 @@ def test_a_full_hand_in_the_air_is_told_where_it_can_be_emptied(in_the_air):
     refusal = in_the_air.do("GRASP MACS-OLD WITH RIGHT-ARM").refusal
     assert refusal.clears == "PLACE MACS-NEW ON RACK-1 or BAY-2, or another arm"
     assert in_the_air.do("PLACE MACS-NEW ON RACK-1").succeeded
+
+
+# --- a hand that was only to close -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("closed_to_m", "validity"), [(0.02, Validity.SUSPECT), (0.0, Validity.VALID)])
+def test_a_hand_closed_round_a_handle_leaves_the_place_of_the_thing_in_doubt(bench, closed_to_m, validity):
+    """After a halt in the grasp, say: the hand presses, and is believed to hold nothing."""
+    assert bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM").succeeded
+    assert bench.do("MOVE RIGHT-ARM BY 10 CM ALONG TOOL-Z").succeeded
+    bench.subsystem.closes = [closed_to_m]
+
+    assert bench.do("CLOSE RIGHT-ARM").succeeded
+
+    assert bench.world.get("MACS-NEW.frame").validity is validity
+    assert bench.world.get("MACS-OLD.frame").validity is Validity.VALID
+    assert bench.do("RETRACT RIGHT-ARM").refusal is None
+    assert bench.do("OPEN RIGHT-ARM").succeeded

@@ -48,6 +48,17 @@ def test_what_the_refusal_says_would_clear_it_clears_it(bench):
     assert isinstance(bench.elaborate(GRASP), Script)
 
 
+def test_the_refusal_says_how_the_thing_is_turned(bench):
+    askew = geometry.from_rpy([0.79, -0.80, 0.60], [0.0, 0.0, math.radians(12)])
+    bench.told("MACS-NEW.frame", askew.tolist(), Validity.SUSPECT)
+    advice = refused(bench, GRASP).clears.partition("tell it: ")[2].partition(",")[0]
+
+    assert advice == "SET MACS-NEW FRAME 79 -80 60 CM 0 0 12 DEG"
+    told(bench, advice)
+
+    assert geometry.angle(bench.world.value("MACS-NEW.frame"), askew) < 1e-3
+
+
 def test_it_is_an_analyzer_that_writes_what_was_told(bench):
     """A24: the binder makes a report of it, which changes nothing yet."""
     script = bench.elaborate("SET MACS-NEW MASS 2.1 KG")
