@@ -53,6 +53,9 @@ class LossyCluster(Cluster):
             self.world.store.save()
             broker.router.hear(lost)
 
+    def _twin(self) -> None:
+        """Not here: one that connects to the next broker first has the identity there (tests/simulation/cluster.py)."""
+
     def lose_journal(self) -> None:
         self._db = sqlite3.connect(":memory:", isolation_level=None)
         self._db.executescript(SCHEMA)
