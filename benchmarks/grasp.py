@@ -79,9 +79,10 @@ def main() -> None:
     arguments.add_argument("--runs", type=int, default=200)
     arguments.add_argument("--clusters", type=int, default=2, help="at a time")
     arguments.add_argument("--speed", default="max")
+    arguments.add_argument("--seed", type=int, default=SEED)
     given = arguments.parse_args()
-    question("grasp", "Does a grasp know where the module is that is far from where it is believed?", seed=SEED)
-    pairs = list(_pairs(given.runs))
+    question("grasp", "Does a grasp know where the module is that is far from where it is believed?", seed=given.seed)
+    pairs = list(_pairs(given.runs, given.seed))
     done: list[Run] = []
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(given.clusters, mp_context=context) as pool:
@@ -106,9 +107,9 @@ def _finish(done: list[Run]) -> None:
     finish("grasp", metrics)
 
 
-def _pairs(runs: int) -> Iterator[list[Run]]:
+def _pairs(runs: int, seed: int) -> Iterator[list[Run]]:
     """Two runs for each cluster, one per arm, going round all the offsets."""
-    rng = random.Random(SEED)
+    rng = random.Random(seed)
     offsets = _offsets(rng)
     for n in range((runs + 1) // 2):
         heavy = n % 2 == 0
