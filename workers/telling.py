@@ -37,11 +37,10 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
     facts = _facts(program, parsed, thing, belief)
     if isinstance(facts, Refusal):
         return facts
-    said = " ".join(str(v) if isinstance(v, str) else f"{v:.6g}" for v in parsed.value or [])
     texts = {
         "object": thing.name,
         "attribute": parsed.attribute or "",
-        "value": f"{said} {parsed.value_unit or ''}".strip(),
+        "value": _shown(parsed),
     }
     inside = [key.rpartition(".")[0] for key in facts]
     inside += _seated(thing.name, belief) if isinstance(thing, cells.Seat) else []
@@ -58,6 +57,17 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
         writes=_names(file.writes, [thing.name, *inside]),
         candidates=[f"{file.script} {thing.name}"],
     )
+
+
+def _shown(parsed: ParsedCommand) -> str:
+    """The values with their units, each unit once for the numbers that share it: 0.8 0.77 0.6 m 0 0 0.07 rad."""
+    said = [value if isinstance(value, str) else f"{value:.6g}" for value in parsed.value or []]
+    unit = parsed.value_unit or ""
+    if " " not in unit:
+        return f"{' '.join(said)} {unit}".strip()
+    units = unit.split()
+    ends = [unit if unit != after else "" for unit, after in zip(units, [*units[1:], ""], strict=True)]
+    return " ".join(word for pair in zip(said, ends, strict=True) for word in pair if word)
 
 
 def _names(roles: list[str], active: list[str]) -> list[str]:

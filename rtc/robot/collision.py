@@ -130,7 +130,9 @@ class CollisionWorld:
                 hit = self._ask()
                 if hit is not None and index == 0:
                     leaving, hit = self._let_leave(), None
-                elif hit is None and leaving:
+                while hit is not None and self._touched_at(slots, configurations[0], configuration, hit, leaving):
+                    hit = self._ask()
+                if hit is None and leaving and index > 0:
                     hit = self._left(slots, configurations[index - 1], configuration, leaving)
                 if hit is not None:
                     return PathCollision(index, hit)
@@ -157,14 +159,34 @@ class CollisionWorld:
             data.deactivateCollisionPair(pair)
         return leaving
 
+    def _touched_at(
+        self, slots: list[int], start: Floats, here: Floats, hit: Collision, leaving: dict[int, float]
+    ) -> bool:
+        """Whether the pair that was just found touched at the start too, and may leave: coal misses some pairs of boxes
+        whose faces lie in one plane, and finds them a millimetre further."""
+        pair = self._callback.collisionPairIndex
+        self._q[slots] = start
+        self._place()
+        start_m = self._describe(pair).distance_m
+        self._q[slots] = here
+        self._place()
+        if start_m > max(float(self._margin[pair]), 0.0) or hit.distance_m < start_m - DEEPER_M:
+            return False
+        leaving[pair] = hit.distance_m
+        self._geometry_data.deactivateCollisionPair(pair)
+        return True
+
+    def _place(self) -> None:
+        """All pieces where the joints have them now."""
+        bodies, data = self._bodies, self._geometry_data
+        pin.updateGeometryPlacements(bodies.model, self._data, bodies.geometry, data, self._q)
+
     def _left(self, slots: list[int], before: Floats, after: Floats, leaving: dict[int, float]) -> Collision | None:
         """`_nearer_again` from one configuration to the next, in steps so small that no thin bar is passed through."""
         way, together = np.asarray(after, dtype=float) - np.asarray(before, dtype=float), len(leaving)
         for n in range(1, LEAVING_STEPS + 1):
             self._q[slots] = before + n / LEAVING_STEPS * way
-            pin.updateGeometryPlacements(
-                self._bodies.model, self._data, self._bodies.geometry, self._geometry_data, self._q
-            )
+            self._place()
             hit = self._nearer_again(leaving)
             if hit is not None:
                 return hit

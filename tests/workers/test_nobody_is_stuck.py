@@ -117,3 +117,19 @@ def test_a_hand_closed_round_a_handle_leaves_the_place_of_the_thing_in_doubt(ben
     assert bench.world.get("MACS-OLD.frame").validity is Validity.VALID
     assert bench.do("RETRACT RIGHT-ARM").refusal is None
     assert bench.do("OPEN RIGHT-ARM").succeeded
+
+
+@pytest.mark.slow
+def test_on_physics_out_of_a_handle_that_is_believed_to_be_between_finger_and_palm(physical):
+    """The hand straddles the handle; told is, wrongly, that a finger stands 10 mm deep in it."""
+    for sentence in (
+        "APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM",
+        "MOVE RIGHT-ARM BY 10 CM ALONG TOOL-Z",
+        "SET MACS-NEW FRAME 80 -76 60 CM",
+        "RETRACT RIGHT-ARM",
+        "STOW RIGHT-ARM",
+        "SET MACS-NEW SEAT RACK-1",
+        GRASP,
+    ):
+        run = physical.do(sentence)
+        assert run.succeeded, (sentence, run.refusal, run.assessments)

@@ -203,6 +203,11 @@ def test_an_attitude_is_told_as_roll_pitch_and_yaw(bench, sentence, place, angle
     assert geometry.angle(frame, wanted) < 1e-6
 
 
+def test_the_step_says_what_was_told_with_its_units(bench):
+    script = bench.elaborate("SET MACS-NEW FRAME 80 77 60 CM 0 0 90 DEG")
+    assert script.steps[0].label.endswith("MACS-NEW FRAME 0.8 0.77 0.6 m 0 0 1.5708 rad")
+
+
 def test_a_module_that_is_turned_is_grasped_as_it_is(bench):
     told(bench, "SET MACS-NEW FRAME 78 -80 60 CM 0 0 12 DEG")
 
