@@ -44,7 +44,7 @@ SLACK = [0.005] * 3 + [math.radians(2.0)] * 3  # beyond the spread that a fact s
 SEATED_M, SEATED_RAD = 0.005, math.radians(2.0)
 HEAVY, SMOOTH = 1.5, 0.5
 COMMAND_S = 300.0
-ADVISED = re.compile(r"\b(RETRACT|RELEASE|VERIFY|OPEN|STOW) ([A-Z0-9-]+(?: AT [A-Z0-9-]+)?)")
+ADVISED = re.compile(r"\b(LIFT|RETRACT|RELEASE|VERIFY|OPEN|STOW) ([A-Z0-9-]+(?: AT [A-Z0-9-]+| BY [0-9]+ CM)?)")
 
 
 @dataclass

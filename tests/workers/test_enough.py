@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 
 from rtc.messages import WorldChange
-from rtc.outcomes import Refusal, RefusalReason
+from rtc.outcomes import Refusal, RefusalReason, StopReason
 from rtc.world.spread import even
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
@@ -60,3 +61,14 @@ def test_what_a_grasp_could_not_feel_is_too_little_for_a_seat(bench):
     refused = bench.elaborate("PLACE MACS-NEW ON RACK-1")
     assert refused.reason is RefusalReason.SUSPECT
     assert "x 3" in refused.message
+
+
+@pytest.mark.parametrize("reason", [StopReason.FORCE_LIMIT, StopReason.CONTACT])
+def test_a_module_that_jams_on_its_way_in_is_drawn_out_by_the_advice(holding, reason):
+    """STOW and MOVE are refused from inside a seat."""
+    script = holding.elaborate("PLACE MACS-NEW ON RACK-1")
+    bound = holding.bind(script, script.steps[1])
+    report = holding.subsystem.perform(bound.primitive, bound)
+    made = holding.analyze(bound, msgspec.structs.replace(report, reason=reason, measured=30.1, limit=30.0))
+    assert made.verdict == "abort"
+    assert "LIFT MACS-NEW BY 30 CM, then PLACE it again" in made.clears
