@@ -70,7 +70,8 @@ class Process:
         self.poller = zmq.Poller()
         self.poller.register(self.wake_fd, zmq.POLLIN)
         self._beat = Every(BEAT_S)
-        self._doors: dict[zmq.Socket[bytes], tuple[str, int]] = {}  # that we bind -> endpoint, inode of its file
+        # That we bind -> endpoint, inode of its file, inode of its directory.
+        self._doors: dict[zmq.Socket[bytes], tuple[str, int, int]] = {}
         self._watched = zmq.Poller()  # holds our stdout, once somebody is known to listen there
 
     def socket(
@@ -107,17 +108,20 @@ class Process:
         if poll:
             self.poller.register(made, zmq.POLLIN)
         if bind and endpoint.startswith(IPC):
-            self._doors[made] = (endpoint, _inode(endpoint))
+            self._doors[made] = (endpoint, _inode(endpoint), _inode(os.path.dirname(endpoint)))
         return made
 
     def _keep_doors(self) -> None:
-        """Bind again what somebody has deleted, or has put another socket in the place of. Connections stay."""
-        for door, (endpoint, inode) in self._doors.items():
-            if door.closed or _inode(endpoint) == inode:
+        """Bind again what somebody has deleted, or has put another socket in the place of. Connections stay.
+
+        Not in another directory of the same name: it is not ours, and what is left there keeps `rtc up` out of it.
+        """
+        for door, (endpoint, inode, directory) in self._doors.items():
+            if door.closed or _inode(endpoint) == inode or _inode(os.path.dirname(endpoint)) != directory:
                 continue
             with contextlib.suppress(zmq.ZMQError):  # the directory is gone: that is the supervisor's business
                 door.bind(endpoint)
-                self._doors[door] = (endpoint, _inode(endpoint))
+                self._doors[door] = (endpoint, _inode(endpoint), directory)
                 self.log.warning("%s was not ours any more: bound again", endpoint)
 
     def open_anew(
@@ -295,7 +299,7 @@ def _frames(socket: zmq.Socket[bytes], part: zmq.Frame) -> list[bytes]:
 
 
 def _inode(endpoint: str) -> int:
-    """Of the file of an ipc endpoint; 0 when there is none."""
+    """Of the file of an ipc endpoint, or of a directory in one; 0 when there is none."""
     try:
         return os.stat(endpoint.removeprefix(IPC)).st_ino
     except OSError:

@@ -70,6 +70,18 @@ def test_a_door_whose_file_is_gone_is_bound_again_and_connections_stay(me, tmp_p
         assert door.recv_multipart()[0] in (b"known", b"new")
 
 
+def test_no_door_is_bound_in_another_directory_of_the_same_name(me, tmp_path):
+    ours = tmp_path / "run"
+    ours.mkdir()
+    me.socket(zmq.ROUTER, f"ipc://{ours}/door.sock", bind=True)
+    ours.rename(tmp_path / "away")
+    ours.mkdir()
+
+    me.beat(now_s() + 2.0)
+
+    assert list(ours.iterdir()) == []
+
+
 def test_sending_never_waits(me, tmp_path):
     nobody = me.socket(zmq.DEALER, f"ipc://{tmp_path}/nobody.sock", queue_length=2)
     said = [send(nobody, Heartbeat(name="x")) for _ in range(10)]

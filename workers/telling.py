@@ -44,6 +44,8 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
     }
     inside = [key.rpartition(".")[0] for key in facts]
     inside += _seated(thing.name, belief) if isinstance(thing, cells.Seat) else []
+    if f"{thing.name}.frame" in facts and (holder := belief.held_by(thing.name)):
+        inside.append(holder)  # what its hand holds, and how, follows from it
     return Script(
         context=ScriptContext(
             verb=parsed.verb,

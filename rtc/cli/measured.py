@@ -7,9 +7,14 @@ from collections.abc import Iterable
 
 from rtc.outcomes import Measured
 
+SHORTEST_S = 0.1  # of a step, as it is said
+POLE_RAD = 1e-4  # this near to straight up or down, roll and yaw cannot be told apart: the yaw is said to be 0
+
 
 def duration(value_s: float) -> str:
-    """As people say it: 4.2 s, 46 min, 2 h 46 min."""
+    """As people say it: 4.2 s, 46 min, 2 h 46 min; at least 0.1 s."""
+    if value_s < SHORTEST_S:
+        return f"{SHORTEST_S:g} s"
     if value_s < 60:
         return f"{value_s:.2g} s" if value_s < 10 else f"{value_s:.0f} s"
     minutes = round(value_s / 60)
@@ -50,7 +55,7 @@ def _pose(pose: list[float]) -> str:
 def _rpy(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
     """As `rtc.geometry.to_rpy`, without numpy: what prints a line need not load that."""
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
-    if abs(abs(pitch) - math.pi / 2) < 1e-6:
+    if abs(abs(pitch) - math.pi / 2) < POLE_RAD:
         return 0.0, pitch, math.copysign(2.0, -pitch) * math.atan2(x, w)
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

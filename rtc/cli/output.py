@@ -5,6 +5,7 @@ Knows outcomes and refusals, no sockets. Text that came from outside is never re
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import sys
@@ -79,9 +80,18 @@ def exit_code(kinds: Iterable[OutcomeKind]) -> int:
 
 
 def emit_json(value: Any) -> None:
-    """The result, on one line of its own on stdout."""
-    sys.stdout.write(msgspec.json.encode(value).decode() + "\n")
+    """The result, on one line of its own on stdout. What a terminal may obey (C1, text direction) is escaped; JSON
+    itself leaves it as it is."""
+    line = msgspec.json.encode(value).decode()
+    if not line.isprintable():
+        line = "".join(c if c.isprintable() else _escaped(c) for c in line)
+    sys.stdout.write(line + "\n")
     sys.stdout.flush()
+
+
+def _escaped(character: str) -> str:
+    """In a JSON string; json.dumps leaves DEL as it is."""
+    return "\\u007f" if character == "\x7f" else json.dumps(character)[1:-1]
 
 
 def trouble(message: str, code: int = 1, **known: Any) -> typer.Exit:

@@ -13,7 +13,15 @@ from rtc.outcomes import Measured
 
 @pytest.mark.parametrize(
     ("value_s", "words"),
-    [(0.42, "0.42 s"), (4.2, "4.2 s"), (59.0, "59 s"), (60.0, "1 min"), (3600.0, "1 h"), (9960.0, "2 h 46 min")],
+    [
+        (5.6e-16, "0.1 s"),
+        (0.42, "0.42 s"),
+        (4.2, "4.2 s"),
+        (59.0, "59 s"),
+        (60.0, "1 min"),
+        (3600.0, "1 h"),
+        (9960.0, "2 h 46 min"),
+    ],
 )
 def test_durations(value_s: float, words: str) -> None:
     assert duration(value_s) == words
@@ -42,3 +50,9 @@ def test_angles_turn_back_into_the_same_attitude(rpy: list[float]) -> None:
     again = geometry.from_rpy([0, 0, 0], _rpy(*pose[3:].tolist()))
 
     assert geometry.angle(pose, again) < 1e-6
+
+
+def test_a_hand_that_points_straight_has_one_spelling() -> None:
+    """A simulator is never exactly at the pole."""
+    pose = geometry.from_rpy([0.45, 0.885, 0.6], [1.8, math.pi / 2 - 2e-6, 1.8]).tolist()
+    assert "roll 0.0 pitch 90.0 yaw 0.0 deg" in in_words(Measured(arm="LEFT-ARM", tcp_pose=pose))[0]

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rtc.cli.cluster import as_supervised, show_status
-from rtc.cli.output import EXIT, Screen, exit_code, refusal_lines, said, seconds
+from rtc.cli.output import EXIT, Screen, emit_json, exit_code, refusal_lines, said, seconds
 from rtc.language.parse import default_grammar, parse
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason
 
@@ -122,3 +122,11 @@ def test_what_somebody_has_named_does_nothing_to_the_terminal() -> None:
     assert not [c for c in shown if not c.isprintable() and c != "\n"]
     assert "ARM\u241b]0;title" in shown
     assert "\nwell\n" in shown
+
+
+def test_json_does_nothing_to_the_terminal_and_stays_what_it_was(capsys: pytest.CaptureFixture[str]) -> None:
+    evil = {"performers": "ARM\x1b[2J\x9b31m\x7f\u202e \u00e9 \U0001f600 \U000e0001"}
+    emit_json(evil)
+    line = capsys.readouterr().out.removesuffix("\n")
+    assert line.isprintable()
+    assert json.loads(line) == evil

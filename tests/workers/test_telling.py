@@ -81,6 +81,17 @@ def test_it_claims_the_thing_alone_and_no_arm(bench):
     assert script.context.arm == ""
 
 
+def test_what_is_told_of_a_thing_in_a_hand_is_within_what_the_script_writes(bench):
+    """The world database takes no other change; the arm must not move meanwhile."""
+    bench.do(GRASP)
+    script = bench.elaborate("SET MACS-NEW ATTITUDE 0 0 0 DEG")
+    bound = bench.bind(script, script.steps[0])
+    changes = bench.analyze(bound, bound.told).changes
+
+    assert {change.key.partition(".")[0] for change in changes} == {"MACS-NEW", "RIGHT-ARM"}
+    assert set(script.writes) == set(script.resources) == {"MACS-NEW", "RIGHT-ARM"}
+
+
 def test_a_position_keeps_the_attitude_believed_so_far(bench):
     askew = geometry.from_rpy([0.5, 0.1, 0.4], [0.0, 0.1, 0.3]).tolist()
     bench.told("MACS-NEW.frame", askew, Validity.SUSPECT)
