@@ -11,7 +11,6 @@ process die, how much memory did it cost, how long did the others wait? What was
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import random
 import sys
@@ -32,6 +31,7 @@ from rtc import wire
 from rtc.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.outcomes import OutcomeKind, RtcError
+from rtc.process_table import processes
 from rtc.settings import Settings
 
 WATCHED = ("broker", "world", "MCM")
@@ -215,8 +215,7 @@ class Others:
 
     def pids(self) -> dict[str, int]:
         """Of all processes that do the cluster's work."""
-        table = json.loads((self._run_dir / "supervisor.json").read_text())["processes"]
-        return {row["name"]: row["pid"] for row in table if "template" not in row["name"]}
+        return {name: row.pid for name, row in processes(self._run_dir).items() if "template" not in name}
 
     def memory_mb(self) -> dict[str, float]:
         """Resident memory."""

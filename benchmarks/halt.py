@@ -25,10 +25,10 @@ from pathlib import Path
 
 from benchmarks.report import finish, percentile, question, spread
 from rtc import messages as m
-from rtc.chaos import processes
 from rtc.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.messages import WorkerKind
+from rtc.process_table import processes
 
 SEED = 20
 PLACES = ("BAY-2-FRONT", "CLEAR-POINT-1")

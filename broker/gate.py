@@ -28,7 +28,7 @@ from zmq.utils import z85
 
 from rtc import handed, process, wire
 from rtc import messages as m
-from rtc.halting import read_order
+from rtc.halt_admission import read_order
 from rtc.keys import KeyRing, KnownKey, door_address, secure_server
 from rtc.language.parse import default_grammar, parse
 from rtc.language.record import ParsedCommand

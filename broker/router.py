@@ -33,7 +33,7 @@ from broker.status import status
 from broker.timers import Timers
 from rtc import messages as m
 from rtc import wire
-from rtc.halting import Fold, read_order
+from rtc.halt_admission import HaltRateLimiter, read_order
 from rtc.handed import TOKEN_BEARERS, Handed
 from rtc.memory import Guard
 from rtc.outcomes import Refusal, RefusalReason, WireError
@@ -90,7 +90,7 @@ class Router:
         self.processes_at_s = self._clock()  # and when
         self.turn_times_s: deque[float] = deque(maxlen=4096)
         self.began_s = self._turn_at_s = self._clock()
-        self._fold = Fold()
+        self._halt_limiter = HaltRateLimiter()
         self._life = f"{self.began_s * 1e6:.0f}"  # of this broker: another one begins to count again
         self._end_halt = f"end-{self._life}"  # when the cluster is stopped
         self._halts_called = 0
@@ -138,8 +138,8 @@ class Router:
         waiting = [n for n, socket in self._socket.items() if readable is None or socket in readable]
         if "halt" in waiting:
             self._read("halt", began)
-        if (folded := self._fold.due(began)) is not None:
-            self._events.append(_halt_called("", folded, began))
+        if (merged := self._halt_limiter.due(began)) is not None:
+            self._events.append(_halt_called("", merged, began))
         if self._events:
             self._settle(began)
         reports_heard = True
@@ -227,8 +227,8 @@ class Router:
     def _from_halt(self, peer: bytes, order: m.HaltOrder, now: float) -> None:
         self._halts_called += 1  # each order has a number of its own: names may be used again
         called, order = order, msgspec.structs.replace(order, call=f"{self._life}-{self._halts_called}")
-        if self._fold.too_often(peer, now):
-            self._fold.add(order)
+        if self._halt_limiter.exceeds(peer, now):
+            self._halt_limiter.merge(order)
             self.dropped["halts_folded"] += 1
             return
         self._halts_of.setdefault(peer, deque(maxlen=HALTS_OF_CALLER)).append((order.call, called))

@@ -30,13 +30,12 @@ from deploy import hypercube
 from deploy.child import Spec
 from deploy.directory import Directory, claim_path
 from deploy.supervisor import END_LIMIT_S, OUTCOMES_S, Supervisor
-from rtc import handed, process, template
+from rtc import handed, process, process_table, template
 from rtc.halting import HaltLine
 from rtc.outcomes import ClusterError, NoCluster, RtcError
 from rtc.settings import ENDPOINTS, LOCK, Settings, prepare_run_dir
 from rtc.world import lease
 
-REPORT = "supervisor.json"
 LOGS = "logs"
 TEMPLATE = "template"  # of workers; NAME-template of the process NAME
 TWIN = "twin-template"  # making a template of workers takes seconds, so each of two is forked from the other
@@ -117,7 +116,7 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
     run_dir = prepare_run_dir(settings.path)
     with _lock(run_dir) as lock, claim_path(run_dir):
         logs = run_dir / LOGS
-        report = _Report(run_dir, settings.run)
+        report = _ProcessTableFile(run_dir, settings.run)
         try:
             _clean(run_dir)
             settings.save()
@@ -149,7 +148,7 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
                 look=directory.look,
                 halt=lambda: _halt_arms(settings),
             )
-            files[REPORT] = lambda: report.save(supervisor.table())
+            files[process_table.FILE] = lambda: report.save(supervisor.table())
             try:
                 _start(supervisor, settings)
                 say(f"ready in {process.now_s() - begun_s:.2f} s: cluster {report.cluster} in {run_dir}")
@@ -239,24 +238,22 @@ def _be_detached(settings: Settings, say: Callable[[str], None], output: int) ->
         os._exit(status)
 
 
-class _Report:
-    """supervisor.json: who the supervisor is and what it runs. Always whole: written aside, then renamed."""
+class _ProcessTableFile:
+    """Writes the process table of this run into its run directory."""
 
     def __init__(self, run_dir: Path, cluster: str) -> None:
-        self._path = run_dir / REPORT
+        self._run_dir = run_dir
         self.cluster = cluster
         self._started_at = time.time()
 
-    def save(self, table: Sequence[Mapping[str, object]]) -> None:
-        document = {
-            "pid": os.getpid(),
-            "cluster": self.cluster,
-            "started_at": self._started_at,  # seconds since 1970
-            "processes": table,
-        }
-        aside = self._path.with_suffix(".new")
-        aside.write_bytes(msgspec.json.format(msgspec.json.encode(document)))
-        os.replace(aside, self._path)
+    def save(self, rows: Sequence[Mapping[str, object]]) -> None:
+        table = process_table.Table(
+            pid=os.getpid(),
+            cluster=self.cluster,
+            started_at=self._started_at,
+            processes=msgspec.convert(rows, list[process_table.Row]),
+        )
+        table.save(self._run_dir)
 
 
 def _let_go(log: Path) -> None:
@@ -300,10 +297,12 @@ def down(run_dir: Path, limit_s: float = REST_S + OUTCOMES_S + END_LIMIT_S + 3.0
 
 def _running(run_dir: Path) -> tuple[int, int] | None:
     """(pid, pidfd) of the supervisor that holds this directory."""
+    pid = process_table.supervisor_pid(run_dir)
+    if pid is None:
+        return None
     try:
-        pid = msgspec.json.decode((run_dir / REPORT).read_bytes())["pid"]
         gone = os.pidfd_open(pid)
-    except (OSError, KeyError, msgspec.DecodeError):
+    except OSError:
         return None
     # The pid may be of an unrelated process by now: only while somebody holds the lock is it the supervisor's.
     try:
@@ -337,10 +336,8 @@ def _lock(run_dir: Path) -> Iterator[int]:
 
 
 def _owner(run_dir: Path) -> str:
-    try:
-        return f"supervisor pid {msgspec.json.decode((run_dir / REPORT).read_bytes())['pid']}"
-    except (OSError, KeyError, msgspec.DecodeError):
-        return "its supervisor is just starting or ending"
+    pid = process_table.supervisor_pid(run_dir)
+    return "its supervisor is just starting or ending" if pid is None else f"supervisor pid {pid}"
 
 
 def _clean(run_dir: Path) -> None:
@@ -362,7 +359,7 @@ def _clean(run_dir: Path) -> None:
 
 def _remove_traces(run_dir: Path) -> None:
     """What says that a cluster is here: its sockets, which killed processes leave behind, and the report."""
-    (run_dir / REPORT).unlink(missing_ok=True)
+    (run_dir / process_table.FILE).unlink(missing_ok=True)
     for file in ENDPOINTS.values():
         (run_dir / file).unlink(missing_ok=True)
 

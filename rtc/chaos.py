@@ -14,26 +14,8 @@ from pathlib import Path
 
 import msgspec
 
-from rtc.outcomes import NoCluster
 from rtc.process import now_s
-
-REPORT = "supervisor.json"  # in the run directory: who the supervisor is and what it runs
-
-
-class Row(msgspec.Struct, frozen=True):
-    """One process, as the supervisor has it."""
-
-    name: str
-    pid: int  # 0 = it does not run
-    state: str
-    restarts: int
-    since_s: float  # CLOCK_MONOTONIC: in this state
-    node: int | None = None  # a worker's address
-
-
-class _Report(msgspec.Struct):
-    processes: list[Row]
-
+from rtc.process_table import Row, processes
 
 VICTIMS: dict[str, Callable[[Row], bool]] = {  # the words of `rtc chaos --kill`
     "worker": lambda row: row.node is not None,
@@ -108,12 +90,3 @@ class Chaos:
                 strike.back_s, strike.new_pid = row.since_s - strike.at_s, row.pid
                 found.append(strike)
         return found
-
-
-def processes(run_dir: Path) -> dict[str, Row]:
-    """What the supervisor runs, by name. Raises NoCluster when there is none."""
-    try:
-        report = msgspec.json.decode((run_dir / REPORT).read_bytes(), type=_Report)
-    except FileNotFoundError:
-        raise NoCluster(f"no cluster is running in {run_dir}; start one with: rtc up -d") from None
-    return {row.name: row for row in report.processes}

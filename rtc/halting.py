@@ -9,15 +9,12 @@ clocks: over tcp it is measured here, until the news of it has come, so it holds
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 import threading
 import time
 import uuid
-from collections import Counter
-from collections.abc import Collection, Sequence
-from typing import Any
+from collections.abc import Collection
 
 import msgspec
 import zmq
@@ -37,83 +34,10 @@ UNNAMED_S, FAR_UNNAMED_S = (
 ASK_S, FAR_ASK_S = 1.0, 3.0  # for the broker to say whether there is such a command
 LONGEST_S = 3600.0  # that anybody waits for rest, whatever number was given
 RETRY_S = 0.02  # how often the order is offered to a door that was closed
-PER_S = 200  # calls of one caller in a second that are each answered
-FOLD_S = 0.1
-OWN_NAMES = ("C-", "stop-", "orphan-", "rejoin-", "declined-")  # of halts that the broker orders
-DOORS = ("halt", "estop")  # who is told: broker, MCM
-NAME_CHARACTERS = 200  # of `messages.Name`: a longer name of a halt is cut, and the halt is obeyed
+HALT_ENDPOINTS = ("halt", "estop")  # of the broker, of the MCM
 COMMAND = re.compile(r"C-\d+", re.ASCII)  # a scope that means something to the broker alone
 
 _read = reader(m.FromHalt)
-_read_order = reader(m.ToHalt)
-
-
-class _ScopeOfHalt(msgspec.Struct, tag_field="type", tag="HaltOrder"):
-    """What a halt must have to be obeyed: a scope."""
-
-    scope: m.Name = "ALL"
-    halt: Any = ""
-
-
-_read_scope = reader(_ScopeOfHalt)
-
-
-def read_order(parts: Sequence[bytes]) -> m.HaltOrder:
-    """A halt from outside. It is obeyed if its scope can be read, whatever else is wrong with it. Raises WireError."""
-    try:
-        order: m.HaltOrder = _read_order(parts)
-    except WireError as error:
-        with contextlib.suppress(WireError):
-            found: _ScopeOfHalt = _read_scope(parts)
-            name = found.halt[:NAME_CHARACTERS] if isinstance(found.halt, str) else ""
-            return as_a_callers(m.HaltOrder(halt=name, scope=found.scope))
-        raise error
-    return as_a_callers(order)
-
-
-def as_a_callers(order: m.HaltOrder) -> m.HaltOrder:
-    """A halt as it came from outside. The names that the broker gives to halts of its own are not for others: used by
-    somebody else, they would confirm rest of what has not been stopped. Such a halt is obeyed under another name.
-    And a time that is none is as good as none told."""
-    if order.halt.startswith(OWN_NAMES):
-        order = msgspec.structs.replace(order, halt=f"H-{order.halt}"[:NAME_CHARACTERS])
-    if not 0.0 <= order.called_at_s < math.inf:
-        order = msgspec.structs.replace(order, called_at_s=0.0)
-    return order
-
-
-class Fold:
-    """Keeps those who call halts without end from keeping everybody busy. Pure; the time is an argument.
-
-    Who calls more than PER_S times in a second is obeyed where it costs nothing; beyond that, all such calls of a tenth
-    of a second become one halt: of their scope, or of ALL when they differ.
-    """
-
-    def __init__(self) -> None:
-        self._calls: Counter[bytes] = Counter()  # by caller, in this second
-        self._second = self._tenth = 0.0  # when they end
-        self._folded: m.HaltOrder | None = None
-
-    def too_often(self, caller: bytes, now_s: float) -> bool:
-        if now_s >= self._second:
-            self._second = now_s + 1.0
-            self._calls.clear()
-        self._calls[caller] += 1
-        return self._calls[caller] > PER_S
-
-    def add(self, order: m.HaltOrder) -> m.HaltOrder:
-        """What has become of this one and those before it."""
-        before = self._folded
-        same = before is None or before.scope == order.scope
-        self._folded = order if same else msgspec.structs.replace(order, scope="ALL")
-        return self._folded
-
-    def due(self, now_s: float) -> m.HaltOrder | None:
-        if self._folded is None or now_s < self._tenth:
-            return None
-        self._tenth = now_s + FOLD_S
-        order, self._folded = self._folded, None
-        return order
 
 
 class SubsystemHalt(msgspec.Struct, kw_only=True):
@@ -159,7 +83,7 @@ class HaltLine:
         self._lock = threading.Lock()
         self._poller = zmq.Poller()
         self._doors: dict[str, zmq.Socket[bytes]] = {}
-        for door in DOORS:
+        for door in HALT_ENDPOINTS:
             socket = context.socket(zmq.DEALER)  # without an identity: nobody else can have the same one
             doors.secure(socket)
             socket.setsockopt(zmq.LINGER, 0)
@@ -232,7 +156,7 @@ class HaltLine:
             told += self._tell(order, untold)
             for socket, _ in ready:
                 declined = self._hear(socket, order, subsystems) or declined
-            if declined and not _reached(subsystems.values()) and len(told) == len(DOORS):
+            if declined and not _reached(subsystems.values()) and len(told) == len(HALT_ENDPOINTS):
                 break
         doubt = ""
         if COMMAND.fullmatch(order.scope) and not declined and not _reached(subsystems.values()):

@@ -18,7 +18,7 @@ import msgspec
 import zmq
 
 from rtc import messages as m
-from rtc.halting import read_order
+from rtc.halt_admission import read_order
 from rtc.outcomes import Refusal, RefusalReason, WireError
 from rtc.process import Every, Process, inbox, send
 from rtc.settings import BOUNDS, NO_HANDOVER, Settings

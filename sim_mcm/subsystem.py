@@ -23,7 +23,7 @@ import msgspec
 
 from rtc import messages as m
 from rtc import wire
-from rtc.halting import Fold
+from rtc.halt_admission import HaltRateLimiter
 from rtc.outcomes import Refusal, RefusalReason, StopReason
 from rtc.primitive_id import LONGEST, is_name
 from sim_mcm.arm import Arm
@@ -83,7 +83,7 @@ class Subsystem:
         self._halts: OrderedDict[tuple[str, str], Halt] = OrderedDict()  # by name and scope
         self._calls = 0  # halts passed on to the broker so far
         self._open_halts: list[Halt] = []
-        self._fold = Fold()
+        self._halt_limiter = HaltRateLimiter()
         self._shadows: dict[str, m.HaltOrder] = {}  # scope -> halt that the broker has not shown to know of
 
     # --- what is asked of it ---------------------------------------------------------------------------
@@ -146,8 +146,8 @@ class Subsystem:
                     said.append((BROKER, message))
         if self._open_halts:
             said += self._follow_halts(now_s)
-        if (folded := self._fold.due(now_s)) is not None:
-            said.append((BROKER, folded))
+        if (merged := self._halt_limiter.due(now_s)) is not None:
+            said.append((BROKER, merged))
         if self._kept:
             said += self._say_again(now_s)
         return said
@@ -240,11 +240,11 @@ class Subsystem:
             self._shadows = {scope: seen for scope, seen in self._shadows.items() if not _answers(order, seen)}
             return self._answer(order, door, reached, moving, now_s)
         passed_on = self._numbered(order)
-        if self._fold.too_often(door, now_s):
-            folded = self._fold.add(passed_on)
-            if folded.scope == "ALL":  # in place of those that have been folded into it
+        if self._halt_limiter.exceeds(door, now_s):
+            merged = self._halt_limiter.merge(passed_on)
+            if merged.scope == "ALL":  # in place of those that have been merged into it
                 self._shadows.clear()
-            self._shadow(folded)
+            self._shadow(merged)
             return [(door, _too_many(order, "you call too often"))]
         self._shadow(passed_on)
         return [(BROKER, passed_on), *self._answer(order, door, reached, moving, now_s)]

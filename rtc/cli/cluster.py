@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from rtc.chaos import REPORT
+from rtc import process_table
 from rtc.cli.measured import duration
 from rtc.cli.output import (
     NO_CLUSTER,
@@ -150,13 +150,15 @@ def _watch(run_dir: Path | None, key: Path | None, every_s: float, for_s: float)
 
 def as_supervised(run_dir: Path) -> dict[str, Any] | None:
     """What the supervisor has written of the cluster, as `show_status` takes it; None when there is no supervisor."""
-    try:
-        report = msgspec.json.decode((run_dir / REPORT).read_bytes())
-        up_s = time.time() - report["started_at"]
-        known = {"cluster": report["cluster"], "uptime_s": up_s, "processes": report["processes"]}
-    except (OSError, KeyError, msgspec.DecodeError):
+    found = process_table.Table.load(run_dir)
+    if found is None or not supervised(run_dir):
         return None
-    return {"run_dir": str(run_dir), **known} if supervised(run_dir) else None
+    return {
+        "run_dir": str(run_dir),
+        "cluster": found.cluster,
+        "uptime_s": time.time() - found.started_at,
+        "processes": msgspec.to_builtins(found.processes),
+    }
 
 
 def show_status(said: dict[str, Any]) -> None:

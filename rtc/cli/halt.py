@@ -14,7 +14,7 @@ from rich.text import Text
 
 from rtc.cli.outlet import Unheard
 from rtc.cli.output import AsJson, RunDir, With, console, emit_json, errors, exits_with
-from rtc.halting import DOORS, HaltLine, HaltResult
+from rtc.halting import HALT_ENDPOINTS, HaltLine, HaltResult
 from rtc.keys import Doors, KeyFile
 from rtc.outcomes import NoCluster
 from rtc.settings import Settings, default_run_dir
@@ -57,7 +57,7 @@ def _halt_line(run_dir: Path, key: Path | None) -> Iterator[HaltLine]:
     NoCluster when nobody is behind them."""
     if key is None:
         try:
-            there = somebody_listens(run_dir, DOORS)
+            there = somebody_listens(run_dir, HALT_ENDPOINTS)
         except PermissionError:
             raise NoCluster(f"the cluster in {run_dir} belongs to another user; choose another --run-dir") from None
         if not there:

@@ -21,12 +21,13 @@ from pathlib import Path
 from rich.console import Console
 
 from rtc import messages as m
-from rtc.chaos import Chaos, Strike, processes
+from rtc.chaos import Chaos, Strike
 from rtc.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.demos.telling import Story
 from rtc.outcomes import OutcomeKind
 from rtc.process import die_with_parent
+from rtc.process_table import processes
 
 SEED = 20
 STOWS = ["STOW RIGHT-ARM", "STOW LEFT-ARM"]

@@ -31,7 +31,7 @@ from broker.state import ParsedHead, ReportHead, State
 from rtc import messages as m
 from rtc import program, wire
 from rtc.digest import digest
-from rtc.halting import PER_S
+from rtc.halt_admission import PER_S
 from rtc.handed import Handed
 from rtc.outcomes import OutcomeKind, RefusalReason
 from rtc.program_check import Asked, Checked

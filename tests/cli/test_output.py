@@ -91,7 +91,7 @@ def test_without_a_broker_the_supervisors_report_is_what_is_known(
 ) -> None:
     """And of commands it knows nothing: that none is under way must not be said."""
     assert as_supervised(tmp_path) is None
-    rows = [{"name": "broker", "pid": 7, "state": "starting", "restarts": 3, "since_s": 0.0, "node": None}]
+    rows = [{"name": "broker", "pid": 7, "state": "starting", "restarts": 3, "since_s": 0.0, "node": None, "notes": []}]
     report = {"pid": 1, "cluster": "abc", "started_at": time.time() - 5, "processes": rows}
     (tmp_path / "supervisor.json").write_text(json.dumps(report))
     with open(tmp_path / "supervisor.lock", "w") as lock:

@@ -55,7 +55,7 @@ def test_a_status_that_no_broker_gives_the_supervisor_gives(
 ) -> None:
     monkeypatch.setattr(front_door, "RESTART_S", 0.1, raising=False)
     Settings(run_dir=str(tmp_path)).save()
-    rows = [{"name": "broker", "pid": 7, "state": "starting", "restarts": 3, "since_s": 0.0, "node": None}]
+    rows = [{"name": "broker", "pid": 7, "state": "starting", "restarts": 3, "since_s": 0.0, "node": None, "notes": []}]
     report = {"pid": 1, "cluster": "abc", "started_at": 0.0, "processes": rows}
     (tmp_path / "supervisor.json").write_text(json.dumps(report))
     with open(tmp_path / LOCK, "w") as lock:

@@ -17,10 +17,11 @@ import pytest
 import zmq
 
 from rtc import messages as m
-from rtc.chaos import Chaos, Strike, processes
+from rtc.chaos import Chaos, Strike
 from rtc.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.outcomes import OutcomeKind
+from rtc.process_table import processes
 
 pytestmark = pytest.mark.slow
 

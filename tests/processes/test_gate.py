@@ -24,11 +24,11 @@ import zmq
 from benchmarks.fuzz import Others
 from rtc import messages as m
 from rtc import wire
-from rtc.chaos import processes
 from rtc.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.keys import KeyFile, KeyRing, door_address
 from rtc.outcomes import ClusterError, NoCluster, OutcomeKind, RefusalReason, RequestDeclined
+from rtc.process_table import processes
 from rtc.roles import TCP_DOORS, Role
 
 pytestmark = pytest.mark.slow

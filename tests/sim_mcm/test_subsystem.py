@@ -7,7 +7,7 @@ import pytest
 
 from rtc import messages as m
 from rtc import primitive as p
-from rtc.halting import PER_S
+from rtc.halt_admission import PER_S
 from rtc.outcomes import StopReason
 from rtc.wire import frames
 from sim_mcm.doors import unread_order

@@ -7,24 +7,24 @@ import math
 import pytest
 
 from rtc import wire
-from rtc.halting import FOLD_S, PER_S, Fold, as_a_callers, read_order
+from rtc.halt_admission import MERGE_S, PER_S, HaltRateLimiter, read_order, sanitize_halt
 from rtc.messages import HaltOrder
 from rtc.outcomes import WireError
 
 
 @pytest.mark.parametrize("name", ["C-7", "stop-C-7", "orphan-C-7.1", "rejoin-MCM-1.0", "declined-3"])
 def test_a_name_of_the_brokers_own_is_changed(name: str) -> None:
-    assert as_a_callers(HaltOrder(halt=name)).halt == f"H-{name}"
+    assert sanitize_halt(HaltOrder(halt=name)).halt == f"H-{name}"
 
 
 @pytest.mark.parametrize("at_s", [math.nan, math.inf, -math.inf, -1.0])
 def test_a_time_that_is_none_is_not_told(at_s: float) -> None:
-    assert as_a_callers(HaltOrder(halt="H-1", called_at_s=at_s)).called_at_s == 0.0
+    assert sanitize_halt(HaltOrder(halt="H-1", called_at_s=at_s)).called_at_s == 0.0
 
 
 def test_an_honest_halt_is_left_alone() -> None:
     order = HaltOrder(halt="H-1", scope="RIGHT-ARM", called_at_s=12.5)
-    assert as_a_callers(order) is order
+    assert sanitize_halt(order) is order
 
 
 @pytest.mark.parametrize(
@@ -57,23 +57,23 @@ def test_what_names_no_scope_is_no_halt(said) -> None:
         read_order([wire.PROTOCOL, wire.encode(said)])
 
 
-def test_a_caller_calls_too_often_within_a_second_and_another_does_not() -> None:
-    fold = Fold()
-    assert not any(fold.too_often(b"x", 1.0) for _ in range(PER_S))
-    assert fold.too_often(b"x", 1.5)
-    assert not fold.too_often(b"y", 1.5)
-    assert not fold.too_often(b"x", 2.1)
+def test_a_caller_calls_exceeds_within_a_second_and_another_does_not() -> None:
+    limiter = HaltRateLimiter()
+    assert not any(limiter.exceeds(b"x", 1.0) for _ in range(PER_S))
+    assert limiter.exceeds(b"x", 1.5)
+    assert not limiter.exceeds(b"y", 1.5)
+    assert not limiter.exceeds(b"x", 2.1)
 
 
-def test_what_is_folded_is_said_once_and_never_less_than_was_called() -> None:
-    fold = Fold()
-    assert fold.due(1.0) is None
-    fold.add(HaltOrder(halt="a", scope="LEFT-ARM"))
-    assert fold.add(HaltOrder(halt="b", scope="LEFT-ARM")).scope == "LEFT-ARM"
-    assert fold.due(1.0) == HaltOrder(halt="b", scope="LEFT-ARM")
-    fold.add(HaltOrder(halt="c", scope="LEFT-ARM"))
-    fold.add(HaltOrder(halt="d", scope="C-7"))
-    fold.add(HaltOrder(halt="e", scope="C-7"))
-    assert fold.due(1.0 + FOLD_S / 2) is None
-    assert fold.due(1.0 + FOLD_S) == HaltOrder(halt="e", scope="ALL")
-    assert fold.due(9.0) is None
+def test_merged_halts_are_sent_once_and_never_cover_less_than_was_called() -> None:
+    limiter = HaltRateLimiter()
+    assert limiter.due(1.0) is None
+    limiter.merge(HaltOrder(halt="a", scope="LEFT-ARM"))
+    assert limiter.merge(HaltOrder(halt="b", scope="LEFT-ARM")).scope == "LEFT-ARM"
+    assert limiter.due(1.0) == HaltOrder(halt="b", scope="LEFT-ARM")
+    limiter.merge(HaltOrder(halt="c", scope="LEFT-ARM"))
+    limiter.merge(HaltOrder(halt="d", scope="C-7"))
+    limiter.merge(HaltOrder(halt="e", scope="C-7"))
+    assert limiter.due(1.0 + MERGE_S / 2) is None
+    assert limiter.due(1.0 + MERGE_S) == HaltOrder(halt="e", scope="ALL")
+    assert limiter.due(9.0) is None
