@@ -15,7 +15,7 @@ import random
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from importlib import resources
+from pathlib import Path
 
 from benchmarks.load.stories import FUNCTIONS, Job, Story, Workers, changed, sentences
 from benchmarks.report import finish, percentile, question, spread
@@ -28,9 +28,8 @@ from rtc.world.model import World
 from workers.cell_model import CellModel
 
 SEED = 20
-SAMPLES = [
-    line.split(": ", 1)[1] for line in resources.files("rtc.language").joinpath("samples.txt").read_text().splitlines()
-]
+SENTENCES = Path(__file__).parents[1] / "tests" / "language" / "samples.txt"
+SAMPLES = [line.split(": ", 1)[1] for line in SENTENCES.read_text().splitlines()]
 UNIT = {"parse": (1e6, "us"), "elaborate": (1e6, "us"), "bind": (1e3, "ms"), "analyze": (1e6, "us")}
 VERBS = {
     WorkerKind.PARSER: "parse",

@@ -1,22 +1,21 @@
-"""Names of a sentence against names that are known: the nearest ones when a name is not."""
+"""Suggestions for an unknown name: the refusal that lists the known names and the nearest ones."""
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 
+from rtc.language.alike import MAX_NEAREST, nearest_words
 from rtc.outcomes import Refusal, RefusalReason
 
-MOST_NEAREST = 3
 
-
-def nearest(name: str, known: Iterable[str], likeness: float = 0.5) -> list[str]:
-    """The known names most like this one, likest first. `likeness`: at least so much, of 1 for the same name."""
-    return difflib.get_close_matches(name, sorted(set(known)), n=MOST_NEAREST, cutoff=likeness)
+def nearest(name: str, known: Iterable[str]) -> list[str]:
+    """The known names that this one may misspell; else those that it abbreviates (RACK for RACK-1)."""
+    names = sorted(set(known))
+    return nearest_words(name, names) or [n for n in names if name and n.startswith(name)][:MAX_NEAREST]
 
 
 def unknown(what: str, name: str, known: Iterable[str], where: str = "") -> Refusal:
-    """No such name. The names there are, and those like it, are in `expected` and `nearest`, once."""
+    """A refusal with reason NAME. `expected` lists all known names, `nearest` those like the unknown one."""
     names = sorted(set(known))
     near = nearest(name, names)
     message = f"there is no {what} {name}" + ("" if names else "; there are none at all")

@@ -21,7 +21,6 @@ from workers import naming, sentence
 from workers.belief import Belief
 
 Thing = cells.Object | cells.Seat
-MISSPELT = 0.75  # an attribute so like a known one is taken for a slip of the pen, not for a new one
 
 
 def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, belief: Belief) -> Script | Refusal:
@@ -116,7 +115,7 @@ def _facts(program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, beli
             return make(program, said, thing, belief)
     else:
         known = [_word(name) for name in (*program.told, *program.not_told, *_others(thing, belief))]
-        like = naming.nearest(parsed.attribute or "", known, MISSPELT)
+        like = naming.nearest(parsed.attribute or "", known)
         if like and parsed.attribute not in known:
             return naming.unknown("attribute", parsed.attribute or "", known, where=parsed.attribute or "")
     return {f"{thing.name}.{attribute}": said[0] if len(said) == 1 else said}

@@ -1,4 +1,7 @@
-"""Which known words a mistyped one may have been meant for. Knows letters only."""
+"""Fuzzy matching: the known words that a misspelt word may stand for, by edit distance.
+
+Knows letters only. The one matcher of the project.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ MAX_NEAREST = 3
 
 
 def nearest_words(written: str, known: Iterable[str]) -> list[str]:
-    """The known words with the fewest slips of the finger, if these are few enough for the word's length."""
+    """The known words at the least edit distance, at most MAX_NEAREST, sorted; empty if that exceeds the allowance."""
     allowed = slips_allowed(written)
     near: dict[int, list[str]] = {}
     for word in known:
@@ -19,12 +22,12 @@ def nearest_words(written: str, known: Iterable[str]) -> list[str]:
 
 
 def slips_allowed(written: str) -> int:
-    """So few that at least one letter is right."""
+    """The greatest edit distance for a word of this length. It leaves at least one letter right."""
     return min(len(written) - 1, 1 if len(written) < 5 else 2 if len(written) < 9 else 3)
 
 
 def slips(written: str, meant: str) -> int:
-    """How often a letter was left out, added, changed, or swapped with the next one."""
+    """The edit distance (optimal string alignment): omitted, added, changed and transposed letters."""
     before: list[int] = []
     last = list(range(len(meant) + 1))
     for i, w in enumerate(written, 1):

@@ -1,6 +1,6 @@
-"""A refused sentence as a person sees it: the line, a caret under the fault, what would have been right.
+"""A refused sentence as text for people: the line, a caret under the fault, the expected words.
 
-Prints nothing itself and knows no grammar.
+Returns text and prints nothing. Knows no grammar.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import textwrap
 from rtc.language.refuse import visible
 from rtc.outcomes import Refusal
 
-WIDTH = 100  # columns of the whole picture
-MOST_EXPECTED = 20  # words; a longer list, that of all verbs, is only named
+WIDTH = 100  # columns of the text
+MOST_EXPECTED = 20  # words; a longer list (all verbs) is replaced by a reference
 INDENT = "  "
 CUT = "..."
 
 
 def show(sentence: str | bytes, refusal: Refusal) -> str:
-    """The lines, without an end of line after the last. Without a column there is no caret."""
+    """The lines, without a newline at the end. A refusal without a column gets no caret."""
     lines = []
     if refusal.column is not None:
         line, place = _window(_line(sentence), refusal.column)
@@ -38,7 +38,7 @@ def _line(sentence: str | bytes) -> str:
 
 
 def _window(line: str, column: int) -> tuple[str, int]:
-    """A piece of the line that has the column in it, and where in the piece the column is."""
+    """The part of the line around the column, and the column's position in that part."""
     room = WIDTH - len(INDENT) - 2 * len(CUT)
     if len(line) <= room:
         return line, column
@@ -48,7 +48,7 @@ def _window(line: str, column: int) -> tuple[str, int]:
 
 
 def _wrapped(label: str, words: list[str]) -> str:
-    # A word with '-' is one word, and 'a name' too: glued while the line is broken.
+    # Lines must not break inside 'a name' or at a '-': a NUL replaces the blank meanwhile.
     text = ", ".join(w.replace(" ", "\0") for w in words)
     wrapped = textwrap.fill(
         text, WIDTH, initial_indent=label, subsequent_indent=" " * len(label),

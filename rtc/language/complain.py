@@ -1,7 +1,7 @@
-"""From a parse that stopped to words that help: where it stopped, what would have been right, what was meant.
+"""Error messages of the parser: the place of the fault, the words expected there, the word probably meant.
 
-Runs only when a sentence is wrong, so it may take a millisecond: it says the good words again to a fresh
-parser to learn exactly what could have followed them.
+Runs only for a wrong sentence, so it may take a millisecond. It feeds the correct words to a fresh parser again to
+get the exact set of words that can follow them.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ READABLE = {
     "NUMBER": "a number",
     "STRING": 'a text in quotes such as "bolt head is stripped"',
 }
-#: directions, for a hint alone: which there are is for the workers to say
+#: directions, used for a hint only; the workers decide which directions exist
 AXES = frozenset({"X", "Y", "Z", "TOOL-X", "TOOL-Y", "TOOL-Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK"})
 THE_END = "the end of the sentence"
 A_UNIT = "a unit such as CM"
-LOOK_BACK = 6  # how many words before the fault may be the misspelt one
+LOOK_BACK = 6  # number of words before the fault that are tested for a misspelling
 
 
 class Stop:
-    """Where the parse stopped: `word` can not follow `before`. `following` is the word after it, if known."""
+    """Where the parse stopped: `word` cannot follow `before`. `following` is the next word, if known."""
 
     def __init__(self, grammar: Grammar, text: str, before: Sequence[Word], word: Word, following: Word | None) -> None:
         self.grammar = grammar
@@ -41,23 +41,23 @@ class Stop:
         self.following = following
         self.allowed = allowed_after(grammar, before)
 
-    def said(self, word: Word) -> str:
-        """The word as the person said it, so that a synonym is not told back as another word."""
-        said = self.text[word.start_pos : word.end_pos]
-        return quoted(said if word.type == "STRING" else said.upper())
+    def written(self, word: Word) -> str:
+        """The word as the user wrote it: a synonym is repeated as that synonym."""
+        text = self.text[word.start_pos : word.end_pos]
+        return quoted(text if word.type == "STRING" else text.upper())
 
     def opening(self) -> bool:
-        """No verb has been said yet."""
+        """True before the verb."""
         return all(word.type == "TEST" for word in self.before)
 
 
 def complaint(stop: Stop) -> Refusal:
-    """What to say about it; the most particular explanation that fits."""
+    """The refusal with the most specific explanation that fits."""
     return _unit_fault(stop) or _misspelt_before(stop) or _misplaced(stop)
 
 
 def allowed_after(grammar: Grammar, words: Sequence[Word]) -> set[str]:
-    """The terminals that may follow these words (which are known to be right so far)."""
+    """The terminals that may follow these words, which must be correct so far."""
     parser = grammar.begin()
     for word in words:
         parser.feed_token(word)
@@ -65,37 +65,37 @@ def allowed_after(grammar: Grammar, words: Sequence[Word]) -> set[str]:
 
 
 def readable(grammar: Grammar, allowed: Collection[str]) -> list[str]:
-    """Terminals as a person reads them: kinds of words first, reserved words in order, the end last."""
+    """Terminals as text: token classes first, then sorted reserved words, the end of the sentence last."""
     classes = [text for kind, text in READABLE.items() if kind in allowed]
     words = sorted(grammar.reserved[t] for t in allowed if t in grammar.reserved)
     return classes + words + ([THE_END] if END in allowed else [])
 
 
 def nearest(grammar: Grammar, written: str, allowed: Collection[str]) -> list[str]:
-    """Reserved words (and synonyms) like the one written, of those that may stand here."""
+    """The reserved words and synonyms that resemble the written word and may stand here."""
     spellings = grammar.vocabulary.reserved
     return nearest_words(written, [spelling for spelling, (terminal, _) in spellings.items() if terminal in allowed])
 
 
 def _unit_fault(stop: Stop) -> Refusal | None:
-    """A number without its unit, or with one that is none."""
+    """A number without a unit, or with an unknown one."""
     word, following = stop.word, stop.following
     if word.type == "NAME" and stop.before and stop.before[-1].type == "NUMBER":
         return _no_unit(stop, word)
     if word.type == "NUMBER" and "QUANTITY" in stop.allowed:
         if following is not None and following.type == "NAME":
             return _no_unit(stop, following)
-        return refusal(word.start_pos or 0, f"{stop.said(word)} has no unit.", [READABLE["QUANTITY"]])
+        return refusal(word.start_pos or 0, f"{stop.written(word)} has no unit.", [READABLE["QUANTITY"]])
     return None
 
 
 def _no_unit(stop: Stop, word: Word) -> Refusal:
     near = nearest_words(word.value, UNITS)
-    return refusal(word.start_pos or 0, f"{stop.said(word)} is not a unit.", [A_UNIT], near)
+    return refusal(word.start_pos or 0, f"{stop.written(word)} is not a unit.", [A_UNIT], near)
 
 
 def _misspelt_before(stop: Stop) -> Refusal | None:
-    """A misspelt reserved word that passed as a name, so that the next words seemed wrong."""
+    """A misspelt reserved word that was read as a name, so that the error appeared at a later word."""
     grammar, before = stop.grammar, stop.before
     spellings = grammar.vocabulary.reserved
     for i in range(len(before) - 1, max(len(before) - LOOK_BACK, 0) - 1, -1):
@@ -107,7 +107,8 @@ def _misspelt_before(stop: Stop) -> Refusal | None:
             meant = Word(terminal, value, suspect.start_pos or 0, suspect.end_pos or 0)
             if _fits(grammar, [*before[:i], meant, *before[i + 1 :], stop.word]):
                 expected = readable(grammar, allowed_after(grammar, before[:i]))
-                message = f"{stop.said(suspect)} is read as a name here, and then nothing fits. {spelling} would."
+                written = stop.written(suspect)
+                message = f"{written} is read as a name here, and the rest does not fit. Did you mean {spelling}?"
                 return refusal(suspect.start_pos or 0, message, expected, [spelling])
     return None
 
@@ -123,7 +124,7 @@ def _fits(grammar: Grammar, words: Sequence[Word]) -> bool:
 
 
 def _meant(stop: Stop, word: Word) -> list[str]:
-    """Two words for one (RIGHT ARM), an axis without ALONG, or ABOUT for ALONG."""
+    """A blank for a hyphen (RIGHT ARM), an axis without ALONG, or ABOUT instead of ALONG."""
     spellings = stop.grammar.vocabulary.reserved
     if stop.following is not None:
         joined = f"{word.value}-{stop.following.value}"
@@ -143,15 +144,15 @@ def _misplaced(stop: Stop) -> Refusal:
         message = (
             "There is no command in this sentence."
             if stop.opening()
-            else f"The sentence ends too early, after {stop.said(stop.before[-1])}."
+            else f"The sentence ends too early, after {stop.written(stop.before[-1])}."
         )
     else:
-        said = stop.said(word)
+        written = stop.written(word)
         near = _meant(stop, word) or nearest(stop.grammar, word.value, stop.allowed)
         if stop.opening():
-            message = f"{said} is not a verb of the language."
+            message = f"{written} is not a verb of the language."
         elif word.type in stop.grammar.reserved and "NAME" in stop.allowed:
-            message = f"{said} is a reserved word and cannot be a name, after {stop.said(stop.before[-1])}."
+            message = f"{written} is a reserved word and cannot be a name, after {stop.written(stop.before[-1])}."
         else:
-            message = f"{said} cannot stand here, after {stop.said(stop.before[-1])}."
+            message = f"{written} cannot stand here, after {stop.written(stop.before[-1])}."
     return refusal(word.start_pos or 0, message, readable(stop.grammar, stop.allowed), near)

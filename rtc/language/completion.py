@@ -1,6 +1,6 @@
-"""What may come next at the end of a sentence that is still being typed.
+"""Completion: the words that may stand at the end of an unfinished sentence.
 
-Pure; the names that exist come from the caller, the rest from the grammar.
+Pure. The caller gives the existing names; the grammar gives the rest.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from rtc.language.units import UNITS
 from rtc.language.words import TOKEN_CLASSES, Word, one_line
 from rtc.outcomes import Refusal
 
-#: names that exist, or a function that picks those that fit behind the words of a sentence (in capitals)
+#: the existing names, or a function that returns those that fit after the given words (in capitals)
 Names = Iterable[str] | Callable[[list[str]], Iterable[str]]
 
-LAST = "LAST"  # the command given before
+LAST = "LAST"  # refers to the previous command
 COMMAND_FOLLOWS = ("AFTER", "TOGETHER_WITH")
 _UNFINISHED = re.compile(r"[A-Za-z0-9_%/-]*$")
-#: the word before a number -> what may be measured there; BY is looked up by the verb
+#: the word before a number -> the quantities it takes; for BY the verb decides
 _TAKES: dict[str, Takes] = {
     **CONSTRAINTS,
     **MEASURES,
@@ -37,9 +37,9 @@ _BY: dict[str, Takes] = {**AMOUNTS, "MOVE": STEP}
 
 
 def complete(grammar: Grammar, text_so_far: str, names: Names = ()) -> list[str]:
-    """Whole words that may stand at the end, in capitals, sorted; the last word typed is their beginning.
+    """The words that may stand at the end, in capitals, sorted; each begins with the last word typed.
 
-    Empty where nothing can follow, inside quotes and comments, and after a mistake.
+    Empty where nothing can follow, inside quotes and comments, and after an error.
     """
     unfinished = _UNFINISHED.search(text_so_far)
     beginning = unfinished[0] if unfinished else ""
@@ -72,7 +72,7 @@ def _spelt(word: str) -> str:
 
 
 def _whole_words(grammar: Grammar, text: str) -> list[Word] | None:
-    """The words before the unfinished one; None where no word is being typed."""
+    """The words before the unfinished one; None inside quotes or comments, after the end, and after an error."""
     line = one_line(text)
     if isinstance(line, Refusal) or "--" in _without_quotes(line) or line.rstrip(" \t,").endswith("."):
         return None
@@ -87,17 +87,17 @@ def _without_quotes(line: str) -> str:
 
 
 def _units(words: list[Word]) -> list[str]:
-    """The units that fit the words before the number; all of them when that is not known."""
-    said = [w.value for w in words if w.type not in TOKEN_CLASSES]
-    word, previous = said[-1], said[-2:-1]
-    if word in ("BY", "TO"):  # right behind BACK-OFF and AVOID-NEIGHBORS, else it belongs to the verb
-        takes = LENGTH if previous in (["BACK-OFF"], ["AVOID-NEIGHBORS"]) else _BY.get(_verb(said))
+    """The units that fit the words before the number; all units when the words do not determine them."""
+    reserved = [w.value for w in words if w.type not in TOKEN_CLASSES]
+    word, previous = reserved[-1], reserved[-2:-1]
+    if word in ("BY", "TO"):  # after BACK-OFF and AVOID-NEIGHBORS a length; else the verb decides
+        takes = LENGTH if previous in (["BACK-OFF"], ["AVOID-NEIGHBORS"]) else _BY.get(_verb(reserved))
     elif word in ("EXCEEDS", "BELOW"):
-        takes = next((MEASURES[w] for w in reversed(said) if w in MEASURES), None)
+        takes = next((MEASURES[w] for w in reversed(reserved) if w in MEASURES), None)
     else:
         takes = _TAKES.get(word)
     return [u for u, unit in UNITS.items() if takes is None or unit.si in takes.units]
 
 
-def _verb(said: list[str]) -> str:
-    return next(word for word in said if word != "TEST")
+def _verb(words: list[str]) -> str:
+    return next(word for word in words if word != "TEST")

@@ -1,7 +1,7 @@
-"""The command dictionary: each verb's entry as Figure 2 of the paper prints one, and the counts of the grammar.
+"""The command dictionary: an entry for each verb, in the form of Figure 2 of the paper, and grammar statistics.
 
-Made from command.bnf (the clauses), dictionary.yaml (their meaning) and the spellings in command.lark. It
-parses no sentence and compiles no grammar, so that asking it is quick.
+Sources: command.bnf (clauses), dictionary.yaml (meanings) and command.lark (spellings). It neither parses a sentence
+nor compiles the grammar, so look-ups are fast.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rtc.outcomes import Refusal, RefusalReason
 
 NIL = "nil"
 ARROW = "-->"
-RESERVED = re.compile(r"[A-Z][A-Z-]*")  # in the bnf: capitals are reserved words, <x> token classes
+RESERVED = re.compile(r"[A-Z][A-Z-]*")  # in the BNF, capitals are reserved words and <x> is a token class
 
 Production = list[str]
 
@@ -27,12 +27,12 @@ class Way(msgspec.Struct, frozen=True, rename={"kind": "class"}):
     """One way a verb works: a line of the table of commands."""
 
     kind: str
-    resources: str  # non-sharable, held while it runs
+    resources: str  # non-sharable, allocated while the command runs
     steps: str
     success: str
-    guarded: str  # the reflexes GUARDED stands for
+    guarded: str  # the reflexes that GUARDED adds
     trims: str
-    of: str = ""  # what it is done to, when there are two ways
+    of: str = ""  # the kind of object, for a verb with two ways
 
 
 class Meanings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -43,9 +43,9 @@ class Meanings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def entry(verb: str) -> str | Refusal:
-    """The entry of one verb in the notation of Figure 2: its clause, and every clause that one needs.
+    """The entry of one verb in the notation of Figure 2: its clause and all clauses that it uses.
 
-    A synonym gives the entry of its verb. An unknown verb is a refusal with the nearest ones.
+    A synonym returns the entry of its verb. An unknown verb returns a refusal with the nearest verbs.
     """
     verb = verb.strip().upper().replace("_", "-")
     verb = next((word for word, others in synonyms().items() if verb in others), verb)
@@ -66,7 +66,7 @@ def entry(verb: str) -> str | Refusal:
 
 
 def verbs() -> list[str]:
-    """Every word a sentence may begin with, in the order of the grammar."""
+    """All words that can begin a sentence, in the order of the grammar."""
     firsts: list[str] = []
     for production in clauses()["sentence"]:
         _add_firsts(production[0], firsts)
@@ -89,7 +89,7 @@ def stats() -> dict[str, int]:
 
 
 def reserved_words() -> frozenset[str]:
-    """Every word that can not be a name: the reserved words and their synonyms."""
+    """All words that cannot be a name: the reserved words and their synonyms."""
     others = (word for words in synonyms().values() for word in words)
     return frozenset({s for s in _symbols() if RESERVED.fullmatch(s)}.union(others))
 
@@ -121,7 +121,7 @@ def meanings() -> Meanings:
 
 @lru_cache(maxsize=1)
 def synonyms() -> dict[str, list[str]]:
-    """Reserved word -> its other spellings, where it has any. A lone STOP is one only there (see docs)."""
+    """Reserved word -> its synonyms, if any. STOP for HALT is missing: its position decides (docs/language.md)."""
     found = {}
     for line in _text("command.lark").splitlines():
         spelt = re.fullmatch(r'[A-Z_]+: "([A-Z-]+)"((?: \| "[A-Z-]+")+)', line)
@@ -154,7 +154,7 @@ def _add_firsts(symbol: str, firsts: list[str]) -> None:
 
 
 def _first_clause(verb: str) -> tuple[str, Production]:
-    """Where the entry begins. A verb that is a production by itself begins with the sentence it opens."""
+    """The clause and production that begin the entry. For a one-word production, that is its sentence."""
     for name, productions in clauses().items():
         for production in productions:
             if production and production[0] == verb:
@@ -166,8 +166,7 @@ def _first_clause(verb: str) -> tuple[str, Production]:
 
 
 def _closure(production: Production, known: list[str]) -> list[str]:
-    """The clauses the production needs beyond those known, each with what it needs itself right behind it
-    (the order of Figure 2)."""
+    """The further clauses that a production uses, depth first as in Figure 2; `known` ones are left out."""
     found: list[str] = []
     for symbol in production:
         if symbol in clauses() and symbol not in known + found:

@@ -1,8 +1,8 @@
-"""Is this sentence a plain HALT? Told in a microsecond, without any grammar.
+"""Recognition of a plain HALT sentence in a microsecond, without the grammar.
 
-A client asks before it sends: a halt goes to the halt sockets at once and never waits behind a parse. It
-must agree with the parser: whatever is a halt here is the same halt there (a test compares them). A halt of
-something else than everything, an arm or a command goes the ordinary way.
+A client calls this before it sends: a halt goes to the halt sockets at once and never waits for the parser. The
+result must agree with the parser (a test compares them). Only a halt of everything, of an arm or of a command is
+recognised here; any other halt is sent as an ordinary sentence.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ EVERYTHING = "ALL"
 ARMS = {
     "LEFT-ARM": "LEFT-ARM",
     "RIGHT-ARM": "RIGHT-ARM",
-    "BOTH-ARMS": EVERYTHING,  # no arm is left, and nothing that wants one may begin
+    "BOTH-ARMS": EVERYTHING,  # as ALL: no arm remains, and no command that needs one may begin
     "LEFT-END-EFF": "LEFT-ARM",
     "RIGHT-END-EFF": "RIGHT-ARM",
 }
@@ -34,9 +34,9 @@ _RESERVED = reserved_words()
 
 
 def halt_scope(text: str) -> str | None:
-    """`ALL`, the arm, or the command that a lone HALT or STOP sentence halts; None if it is no such one.
+    """The scope of a HALT or STOP sentence: `ALL`, an arm or a command id; None for any other text.
 
-    Never raises, whatever it is given.
+    Never raises, for any argument.
     """
     if not isinstance(text, str) or len(text) > MAX_CHARACTERS + len("\r\n"):
         return None
@@ -49,5 +49,5 @@ def halt_scope(text: str) -> str | None:
         return EVERYTHING
     scope = match[kind].upper().replace("_", "-")
     if kind == "ARM" and (scope in _RESERVED or _COMMAND.fullmatch(scope)):
-        return None  # no arm is called so; an arm named like a command would be ambiguous here
+        return None  # a reserved word cannot name an arm; a command id as a name would be ambiguous
     return ARMS.get(scope, scope)

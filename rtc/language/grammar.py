@@ -1,7 +1,7 @@
-"""A grammar, compiled from its text: the vocabulary and the LALR tables that one program of the parser means.
+"""A grammar compiled from its text, the program of the parser: vocabulary and LALR tables.
 
-The text is data that may arrive while the system runs, so whatever is wrong with it is a `ProgramError`
-that says what. It knows no sentence.
+The text can arrive while the system runs, so each fault in it raises `ProgramError` with the cause. This module
+knows no sentence.
 """
 
 from __future__ import annotations
@@ -16,15 +16,18 @@ from rtc.language.words import TOKEN_CLASSES, Vocabulary
 from rtc.outcomes import ProgramError
 
 START = "sentence"
-END = "$END"  # Lark's word for the end of the sentence
+END = "$END"  # Lark's terminal for the end of the input
 
 
 class Grammar:
-    """Compiled grammar text. Costs a fifth of a second; the caller keeps it. Not changed by parsing."""
+    """Compiled grammar text. Compiling takes 0.2 s, so the caller keeps the object. Parsing does not change it.
+
+    Raises ProgramError.
+    """
 
     def __init__(self, text: str) -> None:
         if "%import" in text:
-            raise ProgramError("the grammar may not import: it is complete in itself")
+            raise ProgramError("the grammar must not use %import: it must be one complete text")
         try:
             self._lark = lark.Lark(
                 text, parser="lalr", lexer="basic", start=START, transformer=SimpleNamespace(**MEANING)
@@ -33,18 +36,18 @@ class Grammar:
             raise ProgramError(f"the grammar does not compile: {error}") from error
         except RecursionError:
             raise ProgramError("the grammar does not compile: it is nested too deeply") from None
-        self.productions: list[tuple[str, tuple[str, ...]]] = []  # in the words of command.bnf
+        self.productions: list[tuple[str, tuple[str, ...]]] = []  # (clause, symbols), with the names of command.bnf
         for rule in self._lark.rules:
             meaning = rule.alias or str(rule.origin.name)
             if meaning not in MEANING:
-                raise ProgramError(f"clause {rule.origin.name}: nothing is known of the meaning {meaning!r}")
+                raise ProgramError(f"clause {rule.origin.name}: the meaning {meaning!r} does not exist")
             self.productions.append((_word(rule.origin.name), tuple(_word(s.name) for s in rule.expansion)))
         self.vocabulary = Vocabulary(self._lark.terminals)
         #: terminal -> the reserved word it stands for
         self.reserved = {t.name: _word(t.name) for t in self._lark.terminals if t.name not in TOKEN_CLASSES}
 
     def begin(self) -> InteractiveParser:
-        """A parser at the beginning of a sentence; it is fed one word at a time."""
+        """A parser at the beginning of a sentence. The caller feeds it one word at a time."""
         return self._lark.parse_interactive()
 
 

@@ -1,11 +1,11 @@
-"""What each production means: from its parts to fields of the record (one small function per meaning).
+"""Semantic actions of the grammar: one small function per meaning, from the parts of a production to record fields.
 
-The grammar names these functions (`-> word`); the table `MEANING` at the end is all it may name. Nothing
-here knows where words may stand. Most clauses give a dict of record fields, and the clause above merges
-them; what the words can not express is checked here: the kind and sense of each quantity, and that nothing
-is said twice. A fault is a `Wrong` at its column.
+The grammar names these functions (`-> word`); it may name only those in the table `MEANING` at the end. They do not
+know the positions of words. Most clauses return a dict of record fields, and the enclosing clause merges them. The
+checks that a grammar cannot express are here: dimension and sign of each quantity, and repeated items. A fault raises
+`Wrong` at its column.
 
-Lists come up from the right (the grammar is right-recursive), so they are built last item first.
+The grammar is right-recursive, so lists are built last item first.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ Fields = dict[str, Any]
 Parts = list[Any]
 Sense = Literal["any", "not negative", "more than nothing"]
 
-NOTHING: Fields = {}  # shared by every empty clause; merged from, never changed
+NOTHING: Fields = {}  # the fields of every empty clause; never modified
 
 
 class Takes(NamedTuple):
-    """What a word takes after it: SI units, and which sense of number."""
+    """The quantities that a word takes: SI units and the permitted sign."""
 
     units: tuple[str, ...]
     sense: Sense = "more than nothing"
@@ -37,9 +37,9 @@ class Takes(NamedTuple):
 LENGTH = Takes(("m",))
 TIME = Takes(("s",))
 
-ANYTHING = Takes(tuple(KINDS), "any")  # for words that only a grammar loaded later knows
+ANYTHING = Takes(tuple(KINDS), "any")  # for words of a grammar that is loaded later
 
-#: verb -> what BY gives it. A negative MOVE or TURN goes the other way; a negative LIFT means nothing.
+#: verb -> quantities for BY. A negative MOVE or TURN reverses the direction; a negative LIFT is refused.
 AMOUNTS: dict[str, Takes] = {
     "RETRACT": LENGTH,
     "LIFT": LENGTH,
@@ -74,12 +74,12 @@ MEASURES: dict[str, Takes] = {
 
 ARMS = {"LEFT-END-EFF": "LEFT-ARM", "RIGHT-END-EFF": "RIGHT-ARM"}
 ACTIONS = {"STOP": "stop", "BACK-OFF": "back_off", "COMPLY": "comply", "RELEASE": "release"}
-SHARED_PARTS = {"ORIENTATION": "WRIST"}  # two names of one part of a shared motion
+SHARED_PARTS = {"ORIENTATION": "WRIST"}  # synonyms for a part of a shared motion
 POSITION_NUMBERS = 3  # x y z
 
 
 class Hand(dict[str, Any]):
-    """Fields of a hand, which remember their column: only hands can contradict each other."""
+    """Fields of a hand, with their column: two hands of one sentence can contradict each other."""
 
     column: int = 0
 
@@ -87,38 +87,40 @@ class Hand(dict[str, Any]):
 # --- quantities ---------------------------------------------------------------------------------------
 
 
-def checked(said: Measured, takes: Takes, by: str) -> Quantity:
-    """The quantity in SI, if it is of a kind and sense that the word `by` takes."""
-    if said.unit is None:
-        raise Wrong(said.column, f"{quoted(said.text)} has no unit.", map(such_as, takes.units))
-    si = UNITS[said.unit].si
+def checked(given: Measured, takes: Takes, by: str) -> Quantity:
+    """The quantity in SI. Raises `Wrong` unless the word `by` takes its unit and sign."""
+    if given.unit is None:
+        raise Wrong(given.column, f"{quoted(given.text)} has no unit.", map(such_as, takes.units))
+    si = UNITS[given.unit].si
     if si not in takes.units:
         kinds = " or ".join(KINDS[u].word for u in takes.units)
-        message = f"{by} takes {kinds}; {quoted(said.text)} is {KINDS[si].word}."
-        raise Wrong(said.column, message, map(such_as, takes.units))
-    value = to_si(said.number, said.unit)
+        message = f"{by} takes {kinds}; {quoted(given.text)} is {KINDS[si].word}."
+        raise Wrong(given.column, message, map(such_as, takes.units))
+    value = to_si(given.number, given.unit)
     if (value < 0 and takes.sense != "any") or (value == 0 and takes.sense == "more than nothing"):
-        message = f"{by} {quoted(said.text)} makes no sense: it must be {takes.sense}."
-        raise Wrong(said.column, message, map(such_as, takes.units))
+        message = f"{by} {quoted(given.text)} makes no sense: it must be {takes.sense}."
+        raise Wrong(given.column, message, map(such_as, takes.units))
     if si == "ratio" and value > 1:
-        raise Wrong(said.column, f"{by} {quoted(said.text)} makes no sense: at most 100 PERCENT.", ["100 PERCENT"])
+        raise Wrong(given.column, f"{by} {quoted(given.text)} makes no sense: at most 100 PERCENT.", ["100 PERCENT"])
     return Quantity(value, si)
 
 
 def in_one_unit(last_first: list[Measured]) -> list[tuple[Measured, str | None]]:
-    """Each number, first one first, with its unit: its own, or that of the next one that has any
-    (`60 -20 35 CM`). A list without any unit is in SI."""
+    """Each number in order, with its own unit or that of the next number with a unit (`60 -20 35 CM`).
+
+    A list without any unit is in SI. Raises `Wrong` for a number without a unit after one with a unit.
+    """
     unit: str | None = None
-    bare: Measured | None = None  # the leftmost number seen so far that no unit closes
+    bare: Measured | None = None  # the leftmost number so far without a unit after it
     result = []
-    for said in last_first:
-        if said.unit is None and unit is None:
-            bare = said
+    for given in last_first:
+        if given.unit is None and unit is None:
+            bare = given
         elif bare is not None and unit is None:
             message = f"{quoted(bare.text)} has no unit, but the number before it has one."
-            raise Wrong(bare.column, message, [f"a quantity such as {bare.text[:20]} {said.unit}"])
-        unit = said.unit or unit
-        result.append((said, unit))
+            raise Wrong(bare.column, message, [f"a quantity such as {bare.text[:20]} {given.unit}"])
+        unit = given.unit or unit
+        result.append((given, unit))
     result.reverse()
     return result
 
@@ -126,16 +128,16 @@ def in_one_unit(last_first: list[Measured]) -> list[tuple[Measured, str | None]]
 def si_numbers(last_first: list[Measured], takes: tuple[str, ...], word: Token) -> list[float]:
     """The numbers after JOINTS or POSITION, in SI."""
     if not last_first:
-        raise Wrong(word.end_pos or 0, f"{word.value} is followed by no numbers.", ["a number", such_as(takes[0])])
+        raise Wrong(word.end_pos or 0, f"{word.value} needs numbers after it.", ["a number", such_as(takes[0])])
     return in_si(in_one_unit(last_first), takes, word.value)
 
 
 def in_si(numbers: list[tuple[Measured, str | None]], units: tuple[str, ...], by: str) -> list[float]:
-    """The SI values of numbers of these kinds; a wrong kind is shown where its unit is written."""
-    for said, _ in numbers:
-        if said.unit is not None:
-            checked(said, Takes(units, "any"), by)
-    return [said.number + 0.0 if unit is None else to_si(said.number, unit) for said, unit in numbers]
+    """The numbers in SI. Raises `Wrong`, at the number, for a unit that is not among `units`."""
+    for given, _ in numbers:
+        if given.unit is not None:
+            checked(given, Takes(units, "any"), by)
+    return [given.number + 0.0 if unit is None else to_si(given.number, unit) for given, unit in numbers]
 
 
 # --- what many clauses share --------------------------------------------------------------------------
@@ -161,7 +163,7 @@ def items(parts: Parts) -> Parts:
 
 
 def merge(parts: Iterable[Any]) -> Fields:
-    """The fields of all parts; reserved words have said what they had to say."""
+    """The fields of all parts; reserved words carry none."""
     fields: Fields = {}
     for part in parts:
         if isinstance(part, dict):
@@ -170,14 +172,14 @@ def merge(parts: Iterable[Any]) -> Fields:
 
 
 def command(parts: Parts) -> Fields:
-    """A verb and its clauses. Its first lone name is the object, the second the target."""
+    """A verb and its clauses. The first plain name is the object, the second the target."""
     verb = parts[0].value
     fields: Fields = {"verb": verb}
     for part in parts:
         if isinstance(part, dict):
             if "hand" in fields and part.__class__ is Hand and part["hand"] != fields["hand"]:
-                said = f"{fields['hand']} is named first, then {part['hand']}: {verb} is done by one of them."
-                raise Wrong(part.column, said, [fields["hand"]])
+                message = f"{fields['hand']} is named first, then {part['hand']}: {verb} takes one of them."
+                raise Wrong(part.column, message, [fields["hand"]])
             fields.update(part)
         elif part.__class__ is str:
             fields["target" if "object" in fields else "object"] = part
@@ -194,7 +196,7 @@ def command(parts: Parts) -> Fields:
 
 
 def arm(parts: Parts) -> Hand:
-    """A hand is always told by its arm; ARM <name> by the name."""
+    """A hand is represented by its arm; ARM <name> by the name."""
     hand = Hand(hand=ARMS.get(parts[-1], str(parts[-1])))
     hand.column = parts[0].start_pos
     return hand
@@ -262,12 +264,12 @@ def through(parts: Parts) -> Fields:
 
 
 def amount(parts: Parts) -> Fields:
-    """Checked by the clause above, which knows what is measured."""
+    """Checked by the enclosing clause, which knows the quantity."""
     return {"amount": parts[-1]}
 
 
 def to_value(parts: Parts) -> Fields:
-    """Checked by the clause above, like `amount`."""
+    """Checked by the enclosing clause, like `amount`."""
     return {"to_value": parts[-1]}
 
 
@@ -292,13 +294,13 @@ def verify(parts: Parts) -> Fields:
 
 
 def maintain(parts: Parts) -> Fields:
-    said: list[tuple[Token, Constraint]] = items(parts)[::-1]
+    given: list[tuple[Token, Constraint]] = items(parts)[::-1]
     seen = set()
-    for word, constraint in said:
+    for word, constraint in given:
         if constraint.slot in seen:
-            raise Wrong(word.start_pos or 0, f"{word.value} is said twice.", ["each constraint once"])
+            raise Wrong(word.start_pos or 0, f"{word.value} is repeated.", ["each constraint once"])
         seen.add(constraint.slot)
-    return {"constraints": sorted((c for _, c in said), key=lambda c: c.slot)}
+    return {"constraints": sorted((c for _, c in given), key=lambda c: c.slot)}
 
 
 def named_constraint(parts: Parts) -> tuple[Token, Constraint]:
@@ -343,11 +345,11 @@ def event(parts: Parts) -> Condition:
 
 
 def measured_condition(parts: Parts) -> Condition:
-    measure, direction, bound, said = parts
+    measure, direction, bound, given = parts
     takes = MEASURES.get(measure.value, ANYTHING)
     if direction:
-        takes = takes._replace(sense="any")  # along an axis a force has a sign, as a magnitude it has none
-    quantity = checked(said, takes, f"{measure.value} {bound[0]}")
+        takes = takes._replace(sense="any")  # a force along an axis has a sign; a magnitude has none
+    quantity = checked(given, takes, f"{measure.value} {bound[0]}")
     return Condition(measure=measure.value, bound=bound[1], quantity=quantity, **direction)
 
 
@@ -428,13 +430,13 @@ def name_datum(parts: Parts) -> Fields:
 
 
 def number_datum(parts: Parts) -> Fields:
-    """A place and an attitude are numbers of two kinds: `80 77 60 CM 0 0 4 DEG`. Other mixtures make no sense."""
-    said = in_one_unit([*parts[1], parts[0]])
-    first, unit = said[0]
+    """Numbers of one dimension; or a position with an attitude (`80 77 60 CM 0 0 4 DEG`), the only mixture allowed."""
+    given = in_one_unit([*parts[1], parts[0]])
+    first, unit = given[0]
     si = None if unit is None else UNITS[unit].si
     kinds = (si, "rad") if si == "m" else (si,) if si else ()
-    values = in_si(said, kinds, f"SET after {quoted(first.text)}")
-    units = [si if unit is None else UNITS[unit].si for _, unit in said]
+    values = in_si(given, kinds, f"SET after {quoted(first.text)}")
+    units = [si if unit is None else UNITS[unit].si for _, unit in given]
     return {"value": values, "value_unit": si if len(set(units)) == 1 else " ".join(map(str, units))}
 
 
@@ -463,7 +465,7 @@ def test_sentence(parts: Parts) -> Fields:
 
 
 def name(word: Token) -> str:
-    """A name as a plain string: the record outlives the parse, the word need not."""
+    """A name as a plain string, because the record is kept longer than the token."""
     return str(word.value)
 
 
@@ -477,7 +479,7 @@ _MEANINGS: tuple[Callable[[Parts], Any], ...] = (
     number_datum, cannot, task_sentence, control_sentence, data_sentence, operator_sentence, test_sentence,
 )  # fmt: skip
 
-#: What a grammar may name: a meaning for each production, and a reader for each token class but strings.
+#: The functions that a grammar may name: one per meaning, and a reader for each token class except STRING.
 MEANING: dict[str, Callable[[Any], Any]] = {
     **{function.__name__: function for function in _MEANINGS},
     "NAME": name,

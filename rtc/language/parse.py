@@ -1,7 +1,7 @@
-"""One sentence in, its record or a located refusal out. Nothing is raised, whatever the sentence.
+"""The parser: from one sentence to its record or a located refusal. No sentence makes it raise.
 
-Pure but for `default_grammar`, which reads the grammar of this package once. Names are not looked up here:
-whether a MACS-OLD exists is known to the world, not to the language.
+Pure, except `default_grammar`, which reads the grammar of this package once. Names are not looked up here: the
+language does not know which objects exist.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["Grammar", "default_grammar", "parse"]
 
 
 def parse(grammar: Grammar, sentence: str | bytes) -> ParsedCommand | Refusal:
-    """The meaning of one sentence (R117). A refusal has the column of the first offending character."""
+    """The record of one sentence (R117), or a refusal with the column of the first offending character."""
     text = one_line(sentence)
     if isinstance(text, Refusal):
         return text
@@ -51,7 +51,7 @@ def default_grammar() -> Grammar:
 
 
 def _end(taken: list[Word]) -> Word:
-    """The end of the sentence is just behind its last word: there something is missing."""
+    """The end-of-sentence token, placed after the last word: an incomplete sentence is refused at that column."""
     column = (taken[-1].end_pos or 0) if taken else 0
     return Word(END, "", column, column)
 

@@ -1,7 +1,7 @@
-"""What a sentence means, whatever its wording: the record every later phase works on (R117).
+"""The record of a sentence: its meaning, independent of wording, as all later phases use it (R117).
 
-Units are SI (m, rad, N, N·m, s, kg); names are upper case with '-'. Two sentences that mean the same
-give equal records; nothing here remembers the words.
+Units are SI (m, rad, N, N·m, s, kg); names are upper case with '-'. Two sentences with the same meaning give equal
+records; the original words are not kept.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ class Quantity(msgspec.Struct, frozen=True):
 
 
 class Place(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Where to: exactly one of the fields is set."""
+    """A destination. Exactly one field is set, except `along`, which belongs to `by`."""
 
     name: str | None = None  # a named place or object
     joints: list[float] | None = None  # rad, one per joint
     position: list[float] | None = None  # m, world frame: x y z
-    neighborhood_of: str | None = None  # an object's neighbourhood (section 5 of the paper)
-    grasp_point_of: str | None = None
+    neighborhood_of: str | None = None  # object whose neighbourhood is the destination (paper, section 5)
+    grasp_point_of: str | None = None  # object whose grasp point is the destination
     by: Quantity | None = None  # a relative step ...
     along: str | None = None  # ... along this axis: TOOL-Z, X, UP ...; None = the tool's axis
 
@@ -52,7 +52,7 @@ class ReflexItem(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Constraint(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One MAINTAIN item: the reserved word, and what it is given if anything."""
+    """One MAINTAIN item: the reserved word and its argument, if any."""
 
     slot: str  # SAFE-WORK-RANGE AVOID-TASK-REGION AVOID-NEIGHBORS POSE-DURING-MOTION SPEED FORCE-LIMIT ...
     name: str | None = None  # region, attitude or shared part
@@ -60,25 +60,25 @@ class Constraint(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What the report shall hold beyond the standard one."""
+    """The REPORT clause: contents of the report in addition to the standard ones."""
 
     joints: bool = False
     forces: bool = False
     pose: bool = False
-    every_s: float | None = None
+    every_s: float | None = None  # period of event reports
 
 
 class ParsedCommand(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="ParsedCommand"):
     """The record of one sentence.
 
     `verb` is the canonical verb after synonyms (RELEASE for UNGRASP, STOW for PARK, HALT for a lone STOP).
-    A hand is always given by its arm: LEFT-ARM, RIGHT-ARM, BOTH-ARMS or the name of a further arm, so that
-    `GRASP RIGHT-END-EFF X` and `GRASP X WITH RIGHT-ARM` are equal. Fields a verb does not use stay None.
+    A hand is always represented by its arm: LEFT-ARM, RIGHT-ARM, BOTH-ARMS or the name of a further arm, so that
+    `GRASP RIGHT-END-EFF X` and `GRASP X WITH RIGHT-ARM` are equal. Fields that the verb does not use stay None.
     """
 
     kind: Kind
     verb: str  # GRASP MOVE ... HALT PAUSE ... SHOW SET ... GIVE DONE ...
-    test: bool = False  # TEST + sentence: hypothesis, no motion
+    test: bool = False  # TEST before the sentence: hypothesis only, without motion
     hand: str | None = None  # LEFT-ARM | RIGHT-ARM | BOTH-ARMS | name; None = the RTC chooses
     to_hand: str | None = None  # HANDOFF ... TO hand
     object: str | None = None  # the object, mechanism, seat, command or table the verb is about
@@ -87,11 +87,11 @@ class ParsedCommand(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     place: Place | None = None  # MOVE ... TO / BY
     path: Literal["straight_line", "joint"] | None = None
     through: list[str] = []
-    amount: Quantity | None = None  # BY: how much more
-    to_value: Quantity | None = None  # TO: how much in all (OPEN RIGHT-ARM TO 2 CM)
+    amount: Quantity | None = None  # BY: relative amount
+    to_value: Quantity | None = None  # TO: absolute value (OPEN RIGHT-ARM TO 2 CM)
     until: Condition | None = None
     duration_s: float | None = None  # FOR
-    constraints: list[Constraint] = []  # sorted by slot, so that the order of words does not count
+    constraints: list[Constraint] = []  # sorted by slot, so that word order does not matter
     guarded: bool = False
     reflexes: list[ReflexItem] = []
     performer: str | None = None  # VIA name, or OPERATOR for VIA OPERATOR-INTERVENTION
@@ -101,5 +101,5 @@ class ParsedCommand(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     now: bool = False
     attribute: str | None = None  # SET object attribute value
     value: list[float | str] | None = None  # SET ... datum, SI numbers or one name
-    value_unit: str | None = None  # SI; of all numbers, or one for each of them ("m m m rad rad rad")
+    value_unit: str | None = None  # SI unit of all numbers, or one per number ("m m m rad rad rad")
     reason: str | None = None  # CANNOT "..."

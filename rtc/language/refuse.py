@@ -1,6 +1,6 @@
-"""How the language says no: a `Refusal` at a column, and the way out of the middle of a parse.
+"""Refusals of the language: a `Refusal` at a column, and the exception that leaves a parse.
 
-Knows no grammar. Text from outside is made harmless here before it is quoted: a message can always be
+Knows no grammar. Text from outside is sanitised here before a message quotes it, so that every message can be
 printed and encoded.
 """
 
@@ -10,14 +10,14 @@ from collections.abc import Iterable
 
 from rtc.outcomes import Refusal, RefusalReason
 
-MAX_CHARACTERS = 2000  # of a sentence
-MAX_QUOTED = 40  # characters of a sentence that a message repeats
+MAX_CHARACTERS = 2000  # maximum length of a sentence
+MAX_QUOTED = 40  # maximum number of characters that a message quotes
 
 
 class Wrong(Exception):
-    """Leaves the parse from wherever the fault was seen; `parse` turns it into its refusal at once.
+    """Leaves the parse at a fault; `parse` returns its `refusal`.
 
-    Never seen outside this package: an exception only because a parser's callbacks have no other way out.
+    Never leaves this package. It is an exception because callbacks of the parser cannot return a refusal.
     """
 
     def __init__(self, column: int, message: str, expected: Iterable[str] = (), nearest: Iterable[str] = ()) -> None:
@@ -37,12 +37,12 @@ def refusal(column: int, message: str, expected: Iterable[str] = (), nearest: It
 
 
 def visible(text: str) -> str:
-    """The text with one visible character for each that has no shape of its own; columns stay."""
+    """The text with one visible character in place of each unprintable one, so that columns are kept."""
     return "".join(_picture(c) for c in text)
 
 
 def quoted(text: str) -> str:
-    """A piece of the sentence as a message repeats it."""
+    """A part of the sentence as a message quotes it: printable, at most MAX_QUOTED characters."""
     text = visible(text)
     return text if len(text) <= MAX_QUOTED else text[: MAX_QUOTED - 3] + "..."
 

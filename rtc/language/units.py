@@ -1,6 +1,6 @@
-"""Units: the words people write after a number, the SI unit a record keeps, and what a unit measures.
+"""Units: their spelling in sentences, their SI equivalents in records, and the quantities they measure.
 
-Knows no clause and no verb. Turns stay turns, because a bolt is counted in turns, not in radians.
+Knows neither clauses nor verbs. Turns are not converted to radians, because bolts are counted in turns.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 
 class Unit(NamedTuple):
-    si: str  # the unit in the record
+    si: str  # the SI unit in the record
     times: float = 1.0  # SI value = number * times / over; two factors so that 35 CM is exactly 0.35 m
     over: float = 1.0
 
@@ -62,12 +62,12 @@ KINDS: dict[str, Kind] = {
 
 
 def to_si(number: float, unit: str) -> float:
-    """The value in `UNITS[unit].si`. Minus nothing is nothing, so that equal records are equal bytes."""
+    """The value in `UNITS[unit].si`. -0.0 becomes 0.0, so that equal records have equal bytes."""
     _, times, over = UNITS[unit]
     return number * times / over + 0.0
 
 
-#: SI unit -> the unit that people read, and how many of it an SI unit is
+#: SI unit -> (unit for display, factor from SI)
 _READ: dict[str, tuple[str, float]] = {
     "m": ("mm", 1000.0),
     "rad": ("deg", 180 / math.pi),
@@ -79,7 +79,7 @@ _READ: dict[str, tuple[str, float]] = {
 
 
 def in_words(value: float, si: str) -> str:
-    """A value in SI as people read it: 0.08 m is "80 mm"."""
+    """An SI value as text for people: 0.08 m becomes "80 mm"."""
     unit, times = _READ.get(si, (si, 1.0))
     return f"{round(value * times, 6):g} {unit}"
 

@@ -1,7 +1,7 @@
-"""The lexer: from one line to its words, each with its type and its column in the line as it was typed.
+"""The lexer: from one line to its words, each with its type and its column in the typed line.
 
-It knows what a word looks like, not where it may stand. The shapes and the reserved words come from the
-grammar's terminals; this file adds what the language leaves out: blanks, commas, comments, a final '.'.
+It knows the form of a word, not its place in a sentence. Token patterns and reserved words come from the terminals
+of the grammar. This module skips blanks, commas, comments and a final '.'.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _MALFORMED_NUMBER = re.compile(r"[-+]?\.?\d[^\s,\"]*")
 
 
 class Word(Token):
-    """A Lark token without line numbers: a sentence is one line, and this halves the price of a token."""
+    """A Lark token without line numbers, which halves its cost. A sentence is one line."""
 
     def __new__(cls, kind: str, value: str, start: int, end: int) -> Word:
         word = str.__new__(cls, value)
@@ -38,7 +38,7 @@ class Word(Token):
 
 
 class Measured(NamedTuple):
-    """A number as written. `unit` is a key of `UNITS`, or None for a lone number."""
+    """A number as written. `unit` is a key of `UNITS`, or None for a number without a unit."""
 
     number: float
     unit: str | None
@@ -47,7 +47,7 @@ class Measured(NamedTuple):
 
 
 class Vocabulary:
-    """What the words of one grammar look like, compiled once."""
+    """The token patterns of one grammar, compiled once. Raises ProgramError for an incomplete grammar."""
 
     def __init__(self, terminals: Collection[TerminalDef]) -> None:
         shapes = {t.name: t.pattern.to_regexp() for t in terminals}
@@ -55,7 +55,7 @@ class Vocabulary:
         if missing:
             raise ProgramError(f"the grammar lacks the token class {missing[0]}")
         reserved = [t for t in terminals if t.name not in TOKEN_CLASSES]
-        #: spelling -> (terminal, the spelling it is printed with); synonyms are further spellings
+        #: spelling -> (terminal, canonical spelling); synonyms are further spellings
         self.reserved = {s: (t.name, t.name.replace("_", "-")) for t in reserved for s in _spellings(t)}
         self.scanner = re.compile(
             r"[ \t,]*(?:(?P<NAME>{NAME})|(?P<QUANTITY>{QUANTITY})|(?P<NUMBER>{NUMBER})|(?P<STRING>{STRING})"
@@ -64,17 +64,17 @@ class Vocabulary:
         )
 
     def words(self, text: str) -> Iterator[Word]:
-        """The words from left to right. Raises `Wrong` at the first character that begins none."""
+        """The words from left to right. Raises `Wrong` at the first character that cannot begin a word."""
         reserved = self.reserved
         plain = text.isascii()
-        opening = True  # no word yet but TEST: here a lone STOP means HALT
+        opening = True  # at the verb: only TEST came before. Here STOP means HALT
         for match in self.scanner.finditer(text):
             kind = match.lastgroup
             if kind is None:  # a comment or the final '.'
                 continue
             start, end = match.span(kind)
             value = match[kind]
-            if not plain and text[end : end + 1] > "\x7f":  # glued to it: STÖW is not the word ST and then something
+            if not plain and text[end : end + 1] > "\x7f":  # STÖW must not be read as the word ST and a rest
                 raise _malformed(text, end)
             if kind == "NAME":
                 value = value.upper().replace("_", "-")
@@ -89,7 +89,7 @@ class Vocabulary:
 
 
 def one_line(sentence: str | bytes) -> str | Refusal:
-    """The sentence as one line of readable text, or where it is not: too long, not UTF-8, invisible."""
+    """The sentence as one line of printable text; a refusal if it is too long, not UTF-8 or not printable."""
     bad_byte = None
     if isinstance(sentence, bytes):
         try:
@@ -114,18 +114,18 @@ def one_line(sentence: str | bytes) -> str | Refusal:
 
 
 def measured(word: Token) -> Measured:
-    """Read a number or quantity. Raises `Wrong` when it is too large to be a number at all."""
+    """Reads a number or quantity. Raises `Wrong` when it is too large for a float."""
     figure = word.value.rstrip(_UNIT_LETTERS)
     unit = word.value[len(figure) :].upper() or None
     number = float(figure)
     column = word.start_pos or 0
     if not math.isfinite(number):
-        raise Wrong(column, f"{quoted(word.value)} is too large a number.", ["a number within reason"])
+        raise Wrong(column, f"{quoted(word.value)} is too large a number.", ["a smaller number"])
     return Measured(number, unit, column, word.value)
 
 
 def _spellings(terminal: TerminalDef) -> list[str]:
-    """`STOW: "STOW" | "PARK"` arrives from Lark as the pattern `(?:STOW|PARK)`."""
+    """The spellings of a reserved word. Lark gives `STOW: "STOW" | "PARK"` as the pattern `(?:STOW|PARK)`."""
     pattern = terminal.pattern
     value = pattern.value if isinstance(pattern, PatternStr) else pattern.to_regexp()
     spellings = value.removeprefix("(?:").removesuffix(")").replace("\\", "").split("|")
@@ -137,8 +137,8 @@ def _spellings(terminal: TerminalDef) -> list[str]:
 
 def _invisible(column: int, character: str) -> Refusal:
     if character in "\r\n":
-        return refusal(column, "A sentence is one line; here another begins.", ["the end of the sentence"])
-    return refusal(column, f"The invisible character U+{ord(character):04X} here is no text.", ["readable text"])
+        return refusal(column, "A sentence must be one line; a second line begins here.", ["the end of the sentence"])
+    return refusal(column, f"The invisible character U+{ord(character):04X} is not printable text.", ["readable text"])
 
 
 def _malformed(text: str, column: int) -> Wrong:
@@ -151,7 +151,7 @@ def _malformed(text: str, column: int) -> Wrong:
             nearest_words(number[0].upper().lstrip("+-.0123456789"), UNITS),
         )
     if text[column] == '"':
-        return Wrong(column, "The quotation that begins here does not end.", ['a closing "'])
+        return Wrong(column, "The quotation that begins here is not closed.", ['a closing "'])
     meant = " Did you mean -?" if _like_a_dash(text[column]) else ""
     return Wrong(
         column,
@@ -161,5 +161,5 @@ def _malformed(text: str, column: int) -> Wrong:
 
 
 def _like_a_dash(character: str) -> bool:
-    """A dash or minus as web pages and word processors print one."""
+    """True for a typographic dash or minus, as web pages and word processors insert."""
     return unicodedata.category(character) == "Pd" or character == "\N{MINUS SIGN}"

@@ -53,7 +53,7 @@ def test_an_empty_sentence() -> None:
 
 def test_characters_without_a_shape_are_made_visible_and_keep_their_column() -> None:
     assert picture("GRASP\tX\x1b[31m\u200b") == (
-        "  GRASP X␛[31m�\n         ^\nThe invisible character U+001B here is no text.\nexpected: readable text"
+        "  GRASP X␛[31m�\n         ^\nThe invisible character U+001B is not printable text.\nexpected: readable text"
     )
 
 

@@ -1,6 +1,6 @@
 """What may come next."""
 
-from importlib import resources
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -13,9 +13,7 @@ from rtc.language.parse import default_grammar
 GRAMMAR = default_grammar()
 NAMES = ["macs_old", "MACS-NEW", "BAY-2", "LIFT"]
 HANDS = ["ARM", "BOTH-ARMS", "LEFT-ARM", "LEFT-END-EFF", "RIGHT-ARM", "RIGHT-END-EFF"]
-SAMPLES = [
-    line.split(": ", 1)[1] for line in resources.files("rtc.language").joinpath("samples.txt").read_text().splitlines()
-]
+SAMPLES = [line.split(": ", 1)[1] for line in Path(__file__).with_name("samples.txt").read_text().splitlines()]
 
 
 @pytest.mark.parametrize(

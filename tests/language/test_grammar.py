@@ -71,7 +71,7 @@ def test_two_grammars_do_not_disturb_each_other() -> None:
         (TEXT.replace("-> handoff", ""), "carry"),
         (TEXT.replace('GRASP: "GRASP"', 'GRASP: "Grasp it"'), "capitals"),
         ('sentence: HALT -> command\nHALT: "HALT"\n', "token class NAME"),
-        ("%import nowhere.X\nsentence: X -> command\n", "may not import"),
+        ("%import nowhere.X\nsentence: X -> command\n", "must not use %import"),
         ("(" * 3000, "does not compile"),
     ],
 )

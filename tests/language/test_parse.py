@@ -1,7 +1,7 @@
 """Sentences and their records: the 59 samples, equal records for equal meanings, and what no text can do."""
 
 import math
-from importlib import resources
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -15,9 +15,7 @@ from rtc.language.units import UNITS
 from rtc.outcomes import Refusal, RefusalReason
 
 GRAMMAR = default_grammar()
-SAMPLES = dict(
-    line.split(": ", 1) for line in resources.files("rtc.language").joinpath("samples.txt").read_text().splitlines()
-)
+SAMPLES = dict(line.split(": ", 1) for line in Path(__file__).with_name("samples.txt").read_text().splitlines())
 
 
 def record(sentence: str | bytes) -> ParsedCommand:

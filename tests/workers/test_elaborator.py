@@ -322,7 +322,7 @@ def test_a_field_that_a_script_does_not_use_is_named_as_the_sentence_says_it(ben
 
 
 def test_a_hand_by_an_unknown_name_is_compared_with_hands_too(bench):
-    assert "RIGHT-END-EFF" in refusal_of(bench, "CLOSE RIGHT-HAND").nearest
+    assert "RIGHT-END-EFF" in refusal_of(bench, "CLOSE RIGHT-END-EF").nearest
 
 
 def test_the_names_there_are_stand_in_a_refusal_once(bench):
