@@ -7,19 +7,19 @@ from collections.abc import Mapping
 import msgspec
 
 from rtc.outcomes import Refusal
-from workers.belief import Belief
+from workers.belief import WorldQuery
 
 
-def colliding(refusal: Refusal, belief: Belief, arm: str, clears: Mapping[str, str]) -> Refusal:
+def colliding(refusal: Refusal, query: WorldQuery, arm: str, clears: Mapping[str, str]) -> Refusal:
     """A refusal for a collision of this arm, or of what it holds, with what would clear it. Any other as it is."""
     if refusal.detail.get("cause") != "collision":
         return refusal
     bodies = [str(refusal.detail[name]).split()[0] for name in ("body_a", "body_b")]
-    held = belief.holding(arm)
-    seat = belief.seat(held) or belief.seat_around(held) if held else ""
+    held = query.holding(arm)
+    seat = query.seat(held) or query.seat_around(held) if held else ""
     body = next((name for name in bodies if name not in (arm, held)), bodies[1])
-    row = "way_seated" if seat and held in bodies else _at_goal(refusal, belief, body) or "way"
-    places = [place.name for place in belief.cell.places if arm in place.poses or arm in place.joints_deg]
+    row = "way_seated" if seat and held in bodies else _at_goal(refusal, query, body) or "way"
+    places = [place.name for place in query.cell.places if arm in place.poses or arm in place.joints_deg]
     texts = {"arm": arm, "held": held, "seat": seat, "body": body, "places": ", ".join(places)}
     words = clears.get(row, "")
     for name, text in texts.items():
@@ -27,9 +27,9 @@ def colliding(refusal: Refusal, belief: Belief, arm: str, clears: Mapping[str, s
     return msgspec.structs.replace(refusal, clears=words)
 
 
-def _at_goal(refusal: Refusal, belief: Belief, body: str) -> str:
+def _at_goal(refusal: Refusal, query: WorldQuery, body: str) -> str:
     """The row for a goal that is not free; empty when it is the way that is blocked."""
     if float(refusal.detail.get("fraction", 1.0)) < 1.0:
         return ""
-    movable = {thing.name for thing in belief.cell.objects if not thing.fixed}
+    movable = {thing.name for thing in query.cell.objects if not thing.fixed}
     return "way_goal_movable" if body in movable else "way_goal"

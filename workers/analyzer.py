@@ -19,7 +19,7 @@ from rtc.program_schema import AnalyzerProgram, OutcomeClass
 from rtc.world.model import World
 from rtc.world.spread import even, widened
 from workers import facts, known, reflexes
-from workers.belief import TRUSTED, Belief
+from workers.belief import TRUSTED, WorldQuery
 from workers.cell_model import CellModel
 from workers.effects import EFFECTS, Changes, gone
 
@@ -57,7 +57,7 @@ def run(
     """What to make of an end report."""
     assert cell is not None
     assert world is not None
-    evaluation, belief = data.evaluation, Belief(cell, world)
+    evaluation, query = data.evaluation, WorldQuery(cell, world)
     row = row_of(evaluation.step)
     if row not in compiled.outcomes:
         known = ", ".join(compiled.outcomes)
@@ -66,8 +66,8 @@ def run(
     wrong = _wrong(compiled, data)
     reason = compiled.derived.get(row, {}).get(wrong, data.report.reason)
     if not wrong and data.report.reason in evaluation.step.expect:
-        return _success(compiled, belief, data)
-    return _failure(compiled, belief, data, reason, compiled.classes[compiled.outcomes[row][reason]])
+        return _success(compiled, query, data)
+    return _failure(compiled, query, data, reason, compiled.classes[compiled.outcomes[row][reason]])
 
 
 # --- evaluate ----------------------------------------------------------------------------------------------
@@ -98,10 +98,10 @@ def _off_m(data: AnalyzerInput) -> float:
     return geometry.distance(data.report.tcp_pose, goal) if goal is not None and data.report.tcp_pose else 0.0
 
 
-def _success(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) -> Assessment | Refusal:
+def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Assessment | Refusal:
     step = data.evaluation.step
-    changes = _arm(data.report, belief, data.evaluation.arm)
-    reported = facts.believed(data.report.facts, belief, program.values)
+    changes = _arm(data.report, query, data.evaluation.arm)
+    reported = facts.believed(data.report.facts, query, program.values)
     if isinstance(reported, Refusal):
         return reported
     changes += reported
@@ -110,15 +110,15 @@ def _success(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) -> A
         if effect not in EFFECTS:
             message = f"nothing is registered as effect {effect}; there are {', '.join(EFFECTS)}"
             return Refusal(reason=RefusalReason.PROGRAM, message=message, where=step.label)
-        changes += EFFECTS[effect](belief, data, Validity.VALID)
-    changes += _carried(program, belief, data, changes, suspect=False)
-    changes += _pressed_on(program, belief, data)
+        changes += EFFECTS[effect](query, data, Validity.VALID)
+    changes += _carried(program, query, data, changes, suspect=False)
+    changes += _pressed_on(program, query, data)
     return Assessment(
         verdict="abort" if data.closing else "continue",
         reason=data.report.reason,
         message=step.label,
         keep={name: _kept(source, data.report) for name, source in step.keep.items()},
-        changes=_stated(program, belief, data, _last(changes)),
+        changes=_stated(program, query, data, _last(changes)),
     )
 
 
@@ -132,24 +132,24 @@ def _kept(source: str, report: EndReport) -> Binding:
 
 
 def _failure(
-    program: AnalyzerProgram, belief: Belief, data: AnalyzerInput, reason: StopReason, failure: OutcomeClass
+    program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, reason: StopReason, failure: OutcomeClass
 ) -> Assessment:
     evaluation = data.evaluation
-    changes = _arm(data.report, belief, evaluation.arm)
-    changes += _half_done(program, belief, data)
-    changes += _carried(program, belief, data, changes, suspect="held" in failure.suspect, drops=failure.drops)
-    changes += _suspect(program, belief, data, failure)
+    changes = _arm(data.report, query, evaluation.arm)
+    changes += _half_done(program, query, data)
+    changes += _carried(program, query, data, changes, suspect="held" in failure.suspect, drops=failure.drops)
+    changes += _suspect(program, query, data, failure)
     missed = evaluation.step.args.get("missed")
     if isinstance(missed, str) and missed in EFFECTS and failure.retriable and not data.closing and not data.trims_used:
-        changes += EFFECTS[missed](belief, data, Validity.SUSPECT)
-    changes = _stated(program, belief, data, _last(changes))
+        changes += EFFECTS[missed](query, data, Validity.SUSPECT)
+    changes = _stated(program, query, data, _last(changes))
     if failure.misplaced:
-        changes = _misplaced(program, belief, changes)
+        changes = _misplaced(program, query, changes)
     asked = reflexes.asked_for(evaluation.context.reflexes, data.report)
     words = _words(failure.message, data, reason) if asked is None else _as_asked(asked, data)
     if done := reflexes.done(data.report):
         words = f"{words}; {done}"
-    cures = _cures(program, belief, changes, failure.misplaced)
+    cures = _cures(program, query, changes, failure.misplaced)
     todo = (failure.clears, *cures, failure.again) if asked is None else tuple(cures)
     trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
     return Assessment(
@@ -162,9 +162,9 @@ def _failure(
     )
 
 
-def _cures(program: AnalyzerProgram, belief: Belief, changes: Changes, misplaced: bool) -> list[str]:
+def _cures(program: AnalyzerProgram, query: WorldQuery, changes: Changes, misplaced: bool) -> list[str]:
     """What would make those facts trusted again that are suspect now, each way once."""
-    after = Belief(belief.model, belief.world.overlay(changes))
+    after = WorldQuery(query.model, query.world.overlay(changes))
     suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
     clears = {**program.clears, "grasp": program.clears["misplaced"]} if misplaced else program.clears
     told = [after.cure(key, clears) for key in suspect if key.rpartition(".")[2] in clears]
@@ -186,11 +186,11 @@ def _trim(data: AnalyzerInput, reason: StopReason) -> int:
 # --- what the world is like now ------------------------------------------------------------------------------
 
 
-def _arm(report: EndReport, belief: Belief, arm: str) -> Changes:
+def _arm(report: EndReport, query: WorldQuery, arm: str) -> Changes:
     """Joints and hand as reported. Without a report of them, as they were, and not to be trusted."""
     if not arm:
         return []  # what was told or seen has moved none
-    if len(report.joints) != len(belief.cell.arm(arm).joints):
+    if len(report.joints) != len(query.cell.arm(arm).joints):
         return [
             WorldChange(key=f"{arm}.{attribute}", keep_value=True, validity=Validity.SUSPECT)
             for attribute in ("joints", "hand_width")
@@ -203,7 +203,7 @@ def _arm(report: EndReport, belief: Belief, arm: str) -> Changes:
 
 def _carried(
     program: AnalyzerProgram,
-    belief: Belief,
+    query: WorldQuery,
     data: AnalyzerInput,
     changes: Changes,
     *,
@@ -212,14 +212,14 @@ def _carried(
 ) -> Changes:
     """What is in the hand goes where the hand goes; a hand that has come open has let go of it."""
     arm, thing = data.evaluation.arm, data.evaluation.held
-    grasp = belief.grasp(thing) if thing else None
+    grasp = query.grasp(thing) if thing else None
     if grasp is None or any(change.key == f"{thing}.grasp" for change in changes):
         return []
     if not data.report.tcp_pose:  # nobody knows where the hand is, nor so what it holds
         doubtful = [f"{thing}.frame", f"{thing}.grasp"] if suspect else []
         return [WorldChange(key=key, keep_value=True, validity=Validity.SUSPECT) for key in doubtful]
-    opened = data.report.hand_width_m > belief.hand_width(arm) + program.values["opened_m"]
-    fact = belief.world.get(f"{thing}.grasp")
+    opened = data.report.hand_width_m > query.hand_width(arm) + program.values["opened_m"]
+    fact = query.world.get(f"{thing}.grasp")
     trusted = fact is None or fact.validity in TRUSTED
     frame = geometry.normalise(geometry.compose(data.report.tcp_pose, grasp))
     validity = Validity.SUSPECT if suspect or drops or opened or not trusted else Validity.VALID
@@ -227,20 +227,20 @@ def _carried(
     if drops or opened:
         return [*moved, *gone(arm, thing)]
     moved.append(WorldChange(key=f"{thing}.grasp", keep_value=True, validity=validity))
-    seat = belief.seat(thing)
-    if seat and geometry.distance(frame, belief.seated_pose(seat)) >= belief.cell.seat(seat).depth_m:
+    seat = query.seat(thing)
+    if seat and geometry.distance(frame, query.seated_pose(seat)) >= query.cell.seat(seat).depth_m:
         moved.append(WorldChange(key=f"{thing}.seat", value=""))
     return moved
 
 
-def _stated(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput, changes: Changes) -> Changes:
+def _stated(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, changes: Changes) -> Changes:
     """The changes, of what has been in the hand all the while with how well its place there is known by now."""
     thing, report = data.evaluation.held, data.report
-    fact = belief.world.get(f"{thing}.grasp")
+    fact = query.world.get(f"{thing}.grasp")
     if fact is None or fact.value is None:
         return changes
     held_s = max(report.at_s - fact.at_s, report.duration_s)
-    spread = known.aged(belief.spread(fact.key), held_s, report.peak_force_n, program.values)
+    spread = known.aged(query.spread(fact.key), held_s, report.peak_force_n, program.values)
     keys = {f"{thing}.frame", f"{thing}.grasp"}
     return [
         msgspec.structs.replace(change, spread=spread)
@@ -250,18 +250,18 @@ def _stated(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput, chang
     ]
 
 
-def _misplaced(program: AnalyzerProgram, belief: Belief, changes: Changes) -> Changes:
+def _misplaced(program: AnalyzerProgram, query: WorldQuery, changes: Changes) -> Changes:
     """The changes, of what is in the hand with less known of its place there than was believed."""
     more = even(program.values["misplaced_m"], program.values["misplaced_rad"])
     return [
-        msgspec.structs.replace(change, spread=widened(change.spread or belief.spread(change.key), more))
+        msgspec.structs.replace(change, spread=widened(change.spread or query.spread(change.key), more))
         if change.key.rpartition(".")[2] in ("frame", "grasp") and change.validity is Validity.SUSPECT
         else change
         for change in changes
     ]
 
 
-def _pressed_on(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) -> Changes:
+def _pressed_on(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Changes:
     """A hand that was only to close, and presses on something: whether what is believed to be there goes with the hand,
     nobody knows, so its place is in doubt."""
     evaluation, report = data.evaluation, data.report
@@ -270,29 +270,29 @@ def _pressed_on(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) -
     if report.hand_force_n < program.values["pressing_n"] or report.hand_width_m < THIN_M:
         return []
     near = []
-    for thing in belief.cell.objects:
-        points = [geometry.compose(belief.frame(thing.name), point.frame.pose) for point in thing.grasp_points]
+    for thing in query.cell.objects:
+        points = [geometry.compose(query.frame(thing.name), point.frame.pose) for point in thing.grasp_points]
         if any(geometry.distance(report.tcp_pose, point) < program.values["in_hand_m"] for point in points):
             near.append(thing.name)
     return [WorldChange(key=f"{name}.frame", keep_value=True, validity=Validity.SUSPECT) for name in near]
 
 
-def _half_done(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput) -> Changes:
+def _half_done(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Changes:
     """Fingers that were stopped while they closed, and press on something of the right width, do hold it."""
     evaluation, report = data.evaluation, data.report
     if evaluation.step.args.get("effect") != "taken" or evaluation.width_m is None or not report.tcp_pose:
         return []
     least, most = evaluation.width_m
     pressing = report.hand_force_n >= program.values["pressing_n"]
-    return EFFECTS["taken"](belief, data, Validity.SUSPECT) if pressing and least <= report.hand_width_m <= most else []
+    return EFFECTS["taken"](query, data, Validity.SUSPECT) if pressing and least <= report.hand_width_m <= most else []
 
 
-def _suspect(program: AnalyzerProgram, belief: Belief, data: AnalyzerInput, failure: OutcomeClass) -> Changes:
+def _suspect(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, failure: OutcomeClass) -> Changes:
     """After a failure what was touched is suspect until it is sensed again (R151)."""
     thing = data.evaluation.context.object
     if not thing or thing == data.evaluation.held:
         return []
-    pressed = data.report.peak_force_n > program.values["touched_n"] or not belief.seat(thing)
+    pressed = data.report.peak_force_n > program.values["touched_n"] or not query.seat(thing)
     if "object" in failure.suspect or ("if_touched" in failure.suspect and pressed):
         return [WorldChange(key=f"{thing}.frame", keep_value=True, validity=Validity.SUSPECT)]
     return []

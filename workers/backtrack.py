@@ -22,10 +22,10 @@ from rtc.outcomes import Refusal, RefusalReason
 from rtc.program_schema import PlanLine, ScriptFile, ScriptStep
 from workers import advice, axes, legs, naming
 from workers.legs import Target
-from workers.motion.plan import Setting
+from workers.motion.plan import PlanningRequest
 from workers.motion.timing import Pace
-from workers.situation import Situation
-from workers.starting_points import STARTS, Start
+from workers.situation import TaskCandidate
+from workers.starting_points import ANCHORS, Anchor
 
 MOST_DETOURED = 3  # ways to hold the hand for which detours are tried
 PLAN = "/plan"  # NAME/plan: the pose that the joint values NAME were solved for, to solve them anew
@@ -39,18 +39,18 @@ class Planned:
     chosen: bool  # of several ways to hold the hand
 
 
-def plan(script: ScriptFile, at: Situation) -> Planned | Refusal:
+def plan(script: ScriptFile, candidate: TaskCandidate) -> Planned | Refusal:
     """The bindings of the script in this situation, tried out; or what is in the way."""
-    lines = _lines(script, at)
+    lines = _lines(script, candidate)
     if isinstance(lines, Refusal):
         return lines
-    relies_on = [key for start in lines.values() for key in start.relies_on]
+    relies_on = [key for anchor in lines.values() for key in anchor.relies_on]
     relies_on = list(dict.fromkeys(relies_on))
     for key in relies_on:
-        distrusted = at.belief.distrusted(key, at.program.clears)
+        distrusted = candidate.query.distrusted(key, candidate.program.clears)
         if distrusted is not None:
             return distrusted
-    solved = _search(script, at, lines)
+    solved = _search(script, candidate, lines)
     if isinstance(solved, Refusal):
         return solved
     joints, notes = solved
@@ -61,55 +61,55 @@ def plan(script: ScriptFile, at: Situation) -> Planned | Refusal:
 # --- the poses, backwards from the goal --------------------------------------------------------------------
 
 
-def _lines(script: ScriptFile, at: Situation) -> dict[str, Start] | Refusal:
-    lines: dict[str, Start] = {}
+def _lines(script: ScriptFile, candidate: TaskCandidate) -> dict[str, Anchor] | Refusal:
+    lines: dict[str, Anchor] = {}
     for n, line in enumerate(script.plan):
-        start = lines[line.at] if line.at in lines else _start(line, at)
-        moved = start if isinstance(start, Refusal) else _moved(start, line, at)
+        anchor = lines[line.at] if line.at in lines else _anchor(line, candidate)
+        moved = anchor if isinstance(anchor, Refusal) else _moved(anchor, line, candidate)
         if isinstance(moved, Refusal):
             return _where(moved, f"{script.script}.plan[{n}] ({line.name})")
         lines[line.name] = moved
     return lines
 
 
-def _start(line: PlanLine, at: Situation) -> Start | Refusal:
-    if line.at not in STARTS:
-        return _program(f"a plan cannot start at {line.at}; it can at {', '.join(STARTS)} or an earlier line")
-    return STARTS[line.at](at)
+def _anchor(line: PlanLine, candidate: TaskCandidate) -> Anchor | Refusal:
+    if line.at not in ANCHORS:
+        return _program(f"a plan cannot start at {line.at}; it can at {', '.join(ANCHORS)} or an earlier line")
+    return ANCHORS[line.at](candidate)
 
 
-def _moved(start: Start, line: PlanLine, at: Situation) -> Start | Refusal:
+def _moved(anchor: Anchor, line: PlanLine, candidate: TaskCandidate) -> Anchor | Refusal:
     if not line.along:
-        return start
+        return anchor
     try:
-        by_m = expressions.number(line.by, at.figures)
+        by_m = expressions.number(line.by, candidate.figures)
     except expressions.ExpressionError as error:
         return _program(f"{line.by}: {error}")
-    pose = start.pose or at.belief.model.arms[at.arm.name].fk(start.joints or ()).tolist()
-    frame = at.belief.frame(start.frame) if start.frame else geometry.IDENTITY
+    pose = anchor.pose or candidate.query.model.arms[candidate.arm.name].fk(anchor.joints or ()).tolist()
+    frame = candidate.query.frame(anchor.frame) if anchor.frame else geometry.IDENTITY
     world = geometry.compose(frame, pose)
     if line.along == "WAY-OUT":
-        if at.target is None:
+        if candidate.target is None:
             return _program("WAY-OUT is the way out of a seat, and the sentence names none")
-        out = geometry.rotate(at.belief.seat_frame(at.target.name), at.target.way_out)
+        out = geometry.rotate(candidate.query.seat_frame(candidate.target.name), candidate.target.way_out)
         moved = geometry.translate(world, by_m * out)
     elif line.along in axes.AXES:
         moved = axes.shifted(world, line.along, by_m)
     else:
         return naming.unknown("axis", line.along, [*axes.AXES, "WAY-OUT"])
-    return replace(start, joints=None, pose=geometry.relative(frame, moved).tolist())
+    return replace(anchor, joints=None, pose=geometry.relative(frame, moved).tolist())
 
 
-def _bindings(lines: dict[str, Start], joints: dict[str, list[float]]) -> dict[str, Binding]:
+def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[str, Binding]:
     bindings: dict[str, Binding] = {}
-    for name, start in lines.items():
-        pose = Binding(pose=start.pose, frame=start.frame) if start.pose is not None else None
+    for name, anchor in lines.items():
+        pose = Binding(pose=anchor.pose, frame=anchor.frame) if anchor.pose is not None else None
         if name in joints:
             bindings[name] = Binding(joints=joints[name])
-            if pose is not None and start.frame:
+            if pose is not None and anchor.frame:
                 bindings[name + PLAN] = pose
         else:
-            bindings[name] = pose or Binding(joints=start.joints)
+            bindings[name] = pose or Binding(joints=anchor.joints)
     return bindings
 
 
@@ -119,22 +119,22 @@ def _bindings(lines: dict[str, Start], joints: dict[str, list[float]]) -> dict[s
 Solved = tuple[dict[str, list[float]], list[str]]
 
 
-def _search(script: ScriptFile, at: Situation, lines: dict[str, Start]) -> Solved | Refusal:
-    setting = _setting(script, at)
-    ways = list(_ways(script, at, lines, setting))
+def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor]) -> Solved | Refusal:
+    request = _request(script, candidate)
+    ways = list(_ways(script, candidate, lines, request))
     if not ways:
-        return _unreachable(script, at, lines, setting)
+        return _unreachable(script, candidate, lines, request)
     notes: list[str] = []
     first: Refusal | None = None
     for n, joints, detours in _order(ways):
-        problem = _try(script, at, lines, joints, setting, detours)
+        problem = _try(script, candidate, lines, joints, request, detours)
         what = f"way {n} of {len(ways)}" + (" with detours" if detours else "")
         if problem is None:
             return joints, [*notes, f"generated {what}; tested: free"] if script.plan else []
         notes.append(f"generated {what}; tested: {problem.message}")
         first = first or problem
     assert first is not None
-    first = advice.colliding(first, at.belief, at.arm.name, at.program.clears)
+    first = advice.colliding(first, candidate.query, candidate.arm.name, candidate.program.clears)
     return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))})
 
 
@@ -149,23 +149,23 @@ def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, 
     yield from ((n, way, True) for n, way in head[1:])
 
 
-def _setting(script: ScriptFile, at: Situation) -> Setting:
-    holds = at.belief.holding(at.arm.name)
-    scene = at.belief.scene(
-        at.arm.name,
-        at.limits,
-        touching=at.thing.name if at.thing and not holds else "",
+def _request(script: ScriptFile, candidate: TaskCandidate) -> PlanningRequest:
+    holds = candidate.query.holding(candidate.arm.name)
+    scene = candidate.query.scene(
+        candidate.arm.name,
+        candidate.limits,
+        touching=candidate.thing.name if candidate.thing and not holds else "",
         seated=bool(holds),
         away=script.despite_grasp,
-        opening_m=None if holds else at.figures.get("pre_grasp_m"),
-        near=[at.target.name] if at.target else [],
+        opening_m=None if holds else candidate.figures.get("pre_grasp_m"),
+        near=[candidate.target.name] if candidate.target else [],
     )
-    margin_rad = math.radians(at.figures["joint_margin_deg"])
-    return at.belief.setting(at.arm.name, scene, at.limits, Pace(), margin_rad)
+    margin_rad = math.radians(candidate.figures["joint_margin_deg"])
+    return candidate.query.planning_request(candidate.arm.name, scene, candidate.limits, Pace(), margin_rad)
 
 
 def _ways(
-    script: ScriptFile, at: Situation, lines: dict[str, Start], setting: Setting
+    script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor], request: PlanningRequest
 ) -> Iterator[dict[str, list[float]]]:
     """Every choice of joint values for the lines that want some: all branches of the first, the others near to it."""
     wanted = [line for line in script.plan if line.solve]
@@ -174,53 +174,59 @@ def _ways(
         return
     first, *others = wanted
     given = lines[first.name].joints
-    heads = [given] if given is not None else _branches(at, lines[first.name], setting, setting.start.tolist())
+    heads = [given] if given is not None else _branches(candidate, lines[first.name], request, request.start.tolist())
     for head in heads:
         joints = {first.name: head}
         for line in others:
-            start = lines[line.name]
+            anchor = lines[line.name]
             near = joints.get(line.near, head)
-            found = [start.joints] if start.joints is not None else _branches(at, start, setting, near)[:1]
+            found = [anchor.joints] if anchor.joints is not None else _branches(candidate, anchor, request, near)[:1]
             if found:
                 joints[line.name] = found[0]
         if len(joints) == len(wanted):
             yield joints
 
 
-def _branches(at: Situation, start: Start, setting: Setting, near: list[float]) -> list[list[float]]:
-    return [q.tolist() for q in setting.arm.ik(_world(at, start), near, setting.margin_rad)]
+def _branches(
+    candidate: TaskCandidate, anchor: Anchor, request: PlanningRequest, near: list[float]
+) -> list[list[float]]:
+    return [q.tolist() for q in request.arm.ik(_world(candidate, anchor), near, request.margin_rad)]
 
 
-def _world(at: Situation, start: Start) -> list[float]:
-    assert start.pose is not None
-    frame = at.belief.frame(start.frame) if start.frame else geometry.IDENTITY
-    return geometry.compose(frame, start.pose).tolist()
+def _world(candidate: TaskCandidate, anchor: Anchor) -> list[float]:
+    assert anchor.pose is not None
+    frame = candidate.query.frame(anchor.frame) if anchor.frame else geometry.IDENTITY
+    return geometry.compose(frame, anchor.pose).tolist()
 
 
-def _unreachable(script: ScriptFile, at: Situation, lines: dict[str, Start], setting: Setting) -> Refusal:
+def _unreachable(
+    script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor], request: PlanningRequest
+) -> Refusal:
     for line in script.plan:
         if line.solve and lines[line.name].joints is None:
-            why = setting.arm.why_no_ik(_world(at, lines[line.name]), setting.margin_rad)
+            why = request.arm.why_no_ik(_world(candidate, lines[line.name]), request.margin_rad)
             if why is not None:
                 return _where(why, line.name)
-    return Refusal(reason=RefusalReason.INFEASIBLE, message=f"{at.arm.name} can take none of the postures in one chain")
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE, message=f"{candidate.arm.name} can take none of the postures in one chain"
+    )
 
 
 def _try(
     script: ScriptFile,
-    at: Situation,
-    lines: dict[str, Start],
+    candidate: TaskCandidate,
+    lines: dict[str, Anchor],
     joints: dict[str, list[float]],
-    setting: Setting,
+    request: PlanningRequest,
     detours: bool,
 ) -> Refusal | None:
     """Go through the legs in order; the first that cannot be gone says why."""
-    here = setting.start
+    here = request.start
     for n, step in enumerate(script.steps, 1):
         if not step.to:
             continue
-        now = replace(setting, joints={**setting.joints, at.arm.name: here})
-        target = _target(step, at, lines, joints, now)
+        now = replace(request, joints={**request.joints, candidate.arm.name: here})
+        target = _target(step, candidate, lines, joints, now)
         if isinstance(target, Refusal):
             return _where(target, f"step {n} ({step.to})")
         if step.space not in legs.SPACES:
@@ -233,20 +239,24 @@ def _try(
 
 
 def _target(
-    step: ScriptStep, at: Situation, lines: dict[str, Start], joints: dict[str, list[float]], now: Setting
+    step: ScriptStep,
+    candidate: TaskCandidate,
+    lines: dict[str, Anchor],
+    joints: dict[str, list[float]],
+    now: PlanningRequest,
 ) -> Target | Refusal:
     if step.to in joints:
         return Target(joints=joints[step.to])
     if step.to in lines:
-        start = lines[step.to]
-        return Target(joints=start.joints) if start.joints is not None else Target(pose=_world(at, start))
+        anchor = lines[step.to]
+        return Target(joints=anchor.joints) if anchor.joints is not None else Target(pose=_world(candidate, anchor))
     if step.to != "HERE":
         return _program(f"nothing binds {step.to}")
-    axis = at.say(step.words.get("axis", "TOOL-Z"))
+    axis = candidate.say(step.words.get("axis", "TOOL-Z"))
     if axis not in axes.AXES:
         return naming.unknown("axis", axis, axes.AXES)
     try:
-        by_m, by_rad = (expressions.number(step.args.get(name, 0.0), at.figures) for name in ("by_m", "by_rad"))
+        by_m, by_rad = (expressions.number(step.args.get(name, 0.0), candidate.figures) for name in ("by_m", "by_rad"))
     except expressions.ExpressionError as error:
         return _program(str(error))
     pose = axes.shifted(now.arm.fk(now.start), axis, by_m)

@@ -25,7 +25,7 @@ from rtc.world.spread import EXACT, Spread
 from workers import axes
 from workers.cell_model import CellModel
 from workers.motion.constraints import Rules
-from workers.motion.plan import Setting
+from workers.motion.plan import PlanningRequest
 from workers.motion.timing import Pace
 
 UNKNOWN_RADIUS_M = 0.1  # an object whose inertia nobody has told turns like a ball of this radius
@@ -34,7 +34,7 @@ TRUSTED = (Validity.VALID, Validity.CHANGING)
 
 
 @dataclass(frozen=True)
-class Belief:
+class WorldQuery:
     """One view of the world, of one cell."""
 
     model: CellModel
@@ -217,8 +217,10 @@ class Belief:
             attitude_name=limits.attitude or "",
         )
 
-    def setting(self, arm: str, scene: Scene, limits: Limits, pace: Pace, margin_rad: float) -> Setting:
-        return Setting(
+    def planning_request(
+        self, arm: str, scene: Scene, limits: Limits, pace: Pace, margin_rad: float
+    ) -> PlanningRequest:
+        return PlanningRequest(
             arm=self.model.arms[arm],
             world=self.model.collision,
             joints={a.name: self.joints(a.name) for a in self.cell.arms},

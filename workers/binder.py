@@ -30,7 +30,7 @@ from rtc.program import decode
 from rtc.program_schema import BinderProgram, StopClass
 from rtc.world.model import World
 from workers import advice, axes, enough, impact, legs, naming, procedures, stopping
-from workers.belief import Belief
+from workers.belief import WorldQuery
 from workers.cell_model import CellModel
 from workers.impact import Impact
 from workers.legs import Target
@@ -50,11 +50,11 @@ MOST_TURN_RAD = math.radians(5.0)  # of a line along which a direction in tool a
 
 
 @dataclass(frozen=True)
-class Bind:
+class BindTask:
     """One step to be bound."""
 
     program: BinderProgram
-    belief: Belief
+    query: WorldQuery
     data: BinderInput
 
     @property
@@ -81,7 +81,7 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
     if step.do not in compiled.actions:
         return refused_program(f"nothing is done for {step.do}", f"there are {', '.join(compiled.actions)}")
     try:
-        return ACTIONS[compiled.actions[step.do]](Bind(compiled, Belief(cell, world), data))
+        return ACTIONS[compiled.actions[step.do]](BindTask(compiled, WorldQuery(cell, world), data))
     except expressions.ExpressionError as error:
         return refused_program(
             str(error), "a figure that the step needs must be in the script, the program or the cell"
@@ -91,71 +91,71 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
 # --- a motion of the arm -----------------------------------------------------------------------------------
 
 
-def bind_motion(at: Bind) -> BoundStep | Refusal:
-    step, context, belief = at.data.step, at.data.context, at.belief
-    stop_class = at.stop_class(step.stop)
+def bind_motion(task: BindTask) -> BoundStep | Refusal:
+    step, context, query = task.data.step, task.data.context, task.query
+    stop_class = task.stop_class(step.stop)
     if isinstance(stop_class, Refusal):
         return stop_class
     if step.space not in legs.SPACES:
         return refused_program(f"no space {step.space}", f"there are {', '.join(legs.SPACES)}")
-    lacks = enough.lacking(belief, at.arm, step.args, at.program.clears)
+    lacks = enough.lacking(query, task.arm, step.args, task.program.clears)
     if lacks is not None:
         return lacks
-    target = target_of(at)
+    target = target_of(task)
     if isinstance(target, Refusal):
         return target
-    values = stopping.figures(at.program, stop_class, belief, at.data)
-    held = belief.holding(at.arm)
-    scene = belief.scene(
-        at.arm,
+    values = stopping.figures(task.program, stop_class, query, task.data)
+    held = query.holding(task.arm)
+    scene = query.scene(
+        task.arm,
         context.limits,
         touching=context.object if stop_class.touches and held != context.object else "",
         seated=stop_class.seated,
         away=stop_class.away,
         near=[name for name in (context.object, context.target) if name],
     )
-    hit = impact_of(at, target, values, held)
-    speed_m_s, slowed = pace_of(at, values, hit, step.space == "move_task" or stop_class.touches)
+    hit = impact_of(task, target, values, held)
+    speed_m_s, slowed = pace_of(task, values, hit, step.space == "move_task" or stop_class.touches)
     pace = Pace(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
     margin_rad = math.radians(values["joint_margin_deg"])
-    setting = belief.setting(at.arm, scene, context.limits, pace, margin_rad)
-    motion = legs.timed(setting, step.space, target)
+    request = query.planning_request(task.arm, scene, context.limits, pace, margin_rad)
+    motion = legs.timed(request, step.space, target)
     if isinstance(motion, Refusal):
-        return advice.colliding(motion, belief, at.arm, at.program.clears)
+        return advice.colliding(motion, query, task.arm, task.program.clears)
     evaluation = EvaluationContext(
         context=context,
         step=step,
-        arm=at.arm,
+        arm=task.arm,
         goal_pose=motion.goal_pose.tolist(),
         goal_joints=motion.goal_joints.tolist(),
         held=held,
         predicted_s=motion.timed.duration_s,
         force_n=values.get("force_n"),
         no_contact_is_failure=StopReason.CONTACT in step.expect and StopReason.GOAL not in step.expect,
-        start_joints=setting.start.tolist(),
+        start_joints=request.start.tolist(),
     )
-    against = against_motion(belief.tcp(at.arm).tolist(), motion) if step.space == "move_task" else None
+    against = against_motion(query.tcp(task.arm).tolist(), motion) if step.space == "move_task" else None
     trajectory = motion.timed.trajectory()
-    return primitive(at, stop_class, values, trajectory, evaluation, against, "; ".join((*slowed, *motion.notes)))
+    return primitive(task, stop_class, values, trajectory, evaluation, against, "; ".join((*slowed, *motion.notes)))
 
 
-def impact_of(at: Bind, target: Target, values: Values, held: str) -> Impact | None:
+def impact_of(task: BindTask, target: Target, values: Values, held: str) -> Impact | None:
     """How hard this motion would meet a rigid body; None: the sentence asks for no force."""
-    asked_n = impact.asked_force_n(at.data.context)
+    asked_n = impact.asked_force_n(task.data.context)
     if asked_n is None:
         return None
-    arm, joints = at.belief.model.arms[at.arm], at.belief.joints(at.arm)
+    arm, joints = task.query.model.arms[task.arm], task.query.joints(task.arm)
     goal = target.pose if target.pose is not None else arm.fk(target.joints or joints)
-    way = [there - here for there, here in zip(goal[:3], at.belief.tcp(at.arm)[:3], strict=True)]
-    load = at.belief.load(at.arm) if held else None
+    way = [there - here for there, here in zip(goal[:3], task.query.tcp(task.arm)[:3], strict=True)]
+    load = task.query.load(task.arm) if held else None
     carried_kg = load.mass_kg if load else 0.0
     return impact.impact(arm, joints, way, carried_kg, values["impact_s"], values["speed_m_s"], asked_n)
 
 
-def pace_of(at: Bind, values: Values, hit: Impact | None, touches: bool) -> tuple[float, list[str]]:
+def pace_of(task: BindTask, values: Values, hit: Impact | None, touches: bool) -> tuple[float, list[str]]:
     """The speed (m/s), and a note when the force that was asked for has changed it, or cannot be kept at it. A speed
     that the sentence names is kept; so is that of a way on which no touch is expected."""
-    speed_m_s, limits = values["speed_m_s"], at.data.context.limits
+    speed_m_s, limits = values["speed_m_s"], task.data.context.limits
     if hit is None or hit.felt_n <= hit.asked_n:
         return speed_m_s, []
     felt = (
@@ -168,18 +168,18 @@ def pace_of(at: Bind, values: Values, hit: Impact | None, touches: bool) -> tupl
     return slow_m_s, [f"slowed to {slow_m_s * 1e3:.3g} mm/s: {felt}; MAINTAIN SPEED keeps another speed"]
 
 
-def target_of(at: Bind) -> Target | Refusal:
+def target_of(task: BindTask) -> Target | Refusal:
     """Where the step goes, in world axes: a binding, or the hand's own place, moved if the step says so."""
-    step = at.data.step
+    step = task.data.step
     if step.to == "HERE":
-        pose = at.belief.tcp(at.arm).tolist()
-    elif step.to not in at.data.bindings:
-        return refused_program(f"nothing binds {step.to}", f"there are {', '.join(at.data.bindings)}")
+        pose = task.query.tcp(task.arm).tolist()
+    elif step.to not in task.data.bindings:
+        return refused_program(f"nothing binds {step.to}", f"there are {', '.join(task.data.bindings)}")
     else:
-        binding = at.data.bindings[step.to]
+        binding = task.data.bindings[step.to]
         if binding.joints is not None:
             return Target(joints=binding.joints)
-        found = world_pose(at, binding, step.to)
+        found = world_pose(task, binding, step.to)
         if isinstance(found, Refusal):
             return found
         pose = found
@@ -194,19 +194,19 @@ def target_of(at: Bind) -> Target | Refusal:
     return Target(pose=pose)
 
 
-def world_pose(at: Bind, binding: Binding, name: str) -> list[float] | Refusal:
+def world_pose(task: BindTask, binding: Binding, name: str) -> list[float] | Refusal:
     """A pose binding in world axes; none in the axes of an object whose frame is not to be trusted (R151)."""
     if binding.pose is None:
         return refused_program(f"{name} is no pose", "bind a pose or joint values to it")
     if binding.frame is None:
         return binding.pose
-    if binding.frame not in {thing.name for thing in at.belief.cell.objects}:
-        return naming.unknown("object", binding.frame, [t.name for t in at.belief.cell.objects])
-    command = command_of(at.data.primitive_id)
-    distrusted = at.belief.distrusted(f"{binding.frame}.frame", at.program.clears, own=command)
+    if binding.frame not in {thing.name for thing in task.query.cell.objects}:
+        return naming.unknown("object", binding.frame, [t.name for t in task.query.cell.objects])
+    command = command_of(task.data.primitive_id)
+    distrusted = task.query.distrusted(f"{binding.frame}.frame", task.program.clears, own=command)
     if distrusted is not None:
         return distrusted
-    pose: list[float] = geometry.compose(at.belief.frame(binding.frame), binding.pose).tolist()
+    pose: list[float] = geometry.compose(task.query.frame(binding.frame), binding.pose).tolist()
     return pose
 
 
@@ -227,20 +227,20 @@ def against_motion(start: list[float], motion: Motion) -> Vector | None:
 # --- a motion of the hand ----------------------------------------------------------------------------------
 
 
-def bind_hand(at: Bind) -> BoundStep | Refusal:
-    return hand_motion(at, at.data.step.op)
+def bind_hand(task: BindTask) -> BoundStep | Refusal:
+    return hand_motion(task, task.data.step.op)
 
 
-def hand_motion(at: Bind, op: str) -> BoundStep | Refusal:
+def hand_motion(task: BindTask, op: str) -> BoundStep | Refusal:
     """Open to a width, or close until something is gripped or nothing is between the fingers."""
-    step, context, belief = at.data.step, at.data.context, at.belief
-    if op not in at.program.hand:
-        return refused_program(f"a hand cannot {op}", f"it can {', '.join(at.program.hand)}")
-    stop_class = at.stop_class(at.program.hand[op])
+    step, context, query = task.data.step, task.data.context, task.query
+    if op not in task.program.hand:
+        return refused_program(f"a hand cannot {op}", f"it can {', '.join(task.program.hand)}")
+    stop_class = task.stop_class(task.program.hand[op])
     if isinstance(stop_class, Refusal):
         return stop_class
-    values = stopping.figures(at.program, stop_class, belief, at.data)
-    gripper = belief.cell.arm(at.arm).gripper
+    values = stopping.figures(task.program, stop_class, query, task.data)
+    gripper = query.cell.arm(task.arm).gripper
     width_m = values.get("width_m", 0.0)
     grip_n = context.limits.grip_force_n or values.get("grip_n", values["hand_n"])
     for name, value, most, unit in (
@@ -248,67 +248,67 @@ def hand_motion(at: Bind, op: str) -> BoundStep | Refusal:
         ("grip force", grip_n, gripper.max_force_n, "N"),
     ):
         if not -LEAST_WIDTH_M <= value <= most + LEAST_WIDTH_M:
-            return _beyond_the_hand(at, name, value, most, unit)
-    way_m = abs(belief.hand_width(at.arm) - width_m)
+            return _beyond_the_hand(task, name, value, most, unit)
+    way_m = abs(query.hand_width(task.arm) - width_m)
     evaluation = EvaluationContext(
         context=context,
         step=step,
-        arm=at.arm,
-        goal_pose=belief.tcp(at.arm).tolist(),
-        goal_joints=list(belief.joints(at.arm)),
-        held=belief.holding(at.arm),
+        arm=task.arm,
+        goal_pose=query.tcp(task.arm).tolist(),
+        goal_joints=list(query.joints(task.arm)),
+        held=query.holding(task.arm),
         predicted_s=way_m / gripper.speed_m_s,
         width_m=[values.get("least_m", 0.0), values.get("most_m", gripper.max_opening_m + 0.001)],
         force_n=grip_n,
-        start_joints=list(belief.joints(at.arm)),
+        start_joints=list(query.joints(task.arm)),
     )
     motion = HandMotion(width_m=width_m, force_n=grip_n, speed_m_s=gripper.speed_m_s)
-    return primitive(at, stop_class, values, motion, evaluation, None, "", moves=False)
+    return primitive(task, stop_class, values, motion, evaluation, None, "", moves=False)
 
 
-def _beyond_the_hand(at: Bind, name: str, value: float, most: float, unit: str) -> Refusal:
-    hand = at.belief.cell.arm(at.arm).end_effector
-    now = f"; it is open {in_words(at.belief.hand_width(at.arm), 'm')} now" if unit == "m" else ""
+def _beyond_the_hand(task: BindTask, name: str, value: float, most: float, unit: str) -> Refusal:
+    hand = task.query.cell.arm(task.arm).end_effector
+    now = f"; it is open {in_words(task.query.hand_width(task.arm), 'm')} now" if unit == "m" else ""
     return Refusal(
         reason=RefusalReason.INFEASIBLE,
         message=f"{name} of {hand}: {in_words(value, unit)} is asked for; it can have 0 to {in_words(most, unit)}{now}",
         clears=f"{name} of 0 to {in_words(most, unit)}",
-        detail={"cause": name, f"value_{unit.lower()}": value, f"limit_{unit.lower()}": most, "arm": at.arm},
+        detail={"cause": name, f"value_{unit.lower()}": value, f"limit_{unit.lower()}": most, "arm": task.arm},
     )
 
 
 # --- staying -----------------------------------------------------------------------------------------------
 
 
-def bind_still(at: Bind) -> BoundStep | Refusal:
-    step, belief = at.data.step, at.belief
-    stop_class = at.stop_class(step.stop)
+def bind_still(task: BindTask) -> BoundStep | Refusal:
+    step, query = task.data.step, task.query
+    stop_class = task.stop_class(step.stop)
     if isinstance(stop_class, Refusal):
         return stop_class
-    values = stopping.figures(at.program, stop_class, belief, at.data)
+    values = stopping.figures(task.program, stop_class, query, task.data)
     duration_s = values["duration_s"]
-    if at.data.context.limits.time_s is not None:
-        duration_s = min(duration_s, at.data.context.limits.time_s)
-    known = belief.trusts(f"{at.arm}.joints")  # else it stays wherever that is, and the report tells
+    if task.data.context.limits.time_s is not None:
+        duration_s = min(duration_s, task.data.context.limits.time_s)
+    known = query.trusts(f"{task.arm}.joints")  # else it stays wherever that is, and the report tells
     evaluation = EvaluationContext(
-        context=at.data.context,
+        context=task.data.context,
         step=step,
-        arm=at.arm,
-        goal_pose=belief.tcp(at.arm).tolist() if known else None,
-        goal_joints=list(belief.joints(at.arm)) if known else None,
-        held=belief.holding(at.arm),
+        arm=task.arm,
+        goal_pose=query.tcp(task.arm).tolist() if known else None,
+        goal_joints=list(query.joints(task.arm)) if known else None,
+        held=query.holding(task.arm),
         predicted_s=duration_s,
         force_n=values.get("force_n"),
-        start_joints=list(belief.joints(at.arm)),
+        start_joints=list(query.joints(task.arm)),
     )
-    return primitive(at, stop_class, values, HoldStill(duration_s=duration_s), evaluation, None, "", timed=False)
+    return primitive(task, stop_class, values, HoldStill(duration_s=duration_s), evaluation, None, "", timed=False)
 
 
 # --- the primitive -----------------------------------------------------------------------------------------
 
 
 def primitive(
-    at: Bind,
+    task: BindTask,
     stop_class: StopClass,
     values: Values,
     trajectory: Trajectory,
@@ -321,7 +321,7 @@ def primitive(
 ) -> BoundStep | Refusal:
     """T = (P, M, F, R). `moves`: the arm does, so what it holds is watched; `timed`: it must keep to a time limit."""
     limit_s = values["time_factor"] * evaluation.predicted_s + values["time_margin_s"]
-    most_s = at.data.context.limits.time_s
+    most_s = task.data.context.limits.time_s
     if most_s is not None and timed:
         if evaluation.predicted_s > most_s:
             return Refusal(
@@ -332,24 +332,24 @@ def primitive(
             )
         limit_s = min(limit_s, most_s)
     values = {**values, "time_limit_s": limit_s}
-    rows = [*stop_class.stops, *(at.program.holding if moves and evaluation.held else [])]
+    rows = [*stop_class.stops, *(task.program.holding if moves and evaluation.held else [])]
     stops: list[StopFunction] = stopping.stop_functions(
-        rows, values, against, stopping.said_in_sentence(at.data, at.belief, values)
+        rows, values, against, stopping.from_command(task.data, task.query, values)
     )
-    every_s = at.data.step.args.get("report_every_s")
-    lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > at.belief.hand_width(at.arm)
-    load = None if lets_go else at.belief.load(at.arm)
-    payload_kg = at.belief.cell.arm(at.arm).payload_kg
+    every_s = task.data.step.args.get("report_every_s")
+    lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > task.query.hand_width(task.arm)
+    load = None if lets_go else task.query.load(task.arm)
+    payload_kg = task.query.cell.arm(task.arm).payload_kg
     if load is not None and load.mass_kg > payload_kg:
         return Refusal(
             reason=RefusalReason.INFEASIBLE,
-            message=f"{evaluation.held} weighs {load.mass_kg:g} kg; {at.arm} carries {payload_kg:g} kg at most",
+            message=f"{evaluation.held} weighs {load.mass_kg:g} kg; {task.arm} carries {payload_kg:g} kg at most",
             clears=f"let go of {evaluation.held}; if it is lighter, tell its mass",
-            detail={"cause": "payload", "mass_kg": load.mass_kg, "limit_kg": payload_kg, "arm": at.arm},
+            detail={"cause": "payload", "mass_kg": load.mass_kg, "limit_kg": payload_kg, "arm": task.arm},
         )
     made = Primitive(
-        id=at.data.primitive_id,
-        performer=at.arm,
+        id=task.data.primitive_id,
+        performer=task.arm,
         trajectory=trajectory,
         stop_functions=stops,
         control_law=ControlLaw(
@@ -370,15 +370,15 @@ def primitive(
 # --- steps that move nothing -------------------------------------------------------------------------------
 
 
-def bind_assignment(at: Bind) -> BoundStep | Refusal:
+def bind_assignment(task: BindTask) -> BoundStep | Refusal:
     """GP = 0.5*(GP1 + GP2): a binding from others, measured or planned."""
-    step = at.data.step
+    step = task.data.step
     given: dict[str, float | list[float]] = {}
     for name in expressions.names(step.value):
-        binding = at.data.bindings.get(name)
+        binding = task.data.bindings.get(name)
         if binding is None:
-            return refused_program(f"nothing binds {name}", f"there are {', '.join(at.data.bindings)}")
-        pose = binding.number if binding.number is not None else world_pose(at, binding, name)
+            return refused_program(f"nothing binds {name}", f"there are {', '.join(task.data.bindings)}")
+        pose = binding.number if binding.number is not None else world_pose(task, binding, name)
         if isinstance(pose, Refusal):
             return pose
         given[name] = pose
@@ -395,13 +395,13 @@ def bind_assignment(at: Bind) -> BoundStep | Refusal:
     return BoundStep(bindings={step.name: binding}, note=f"{step.name} = {step.value}")
 
 
-def bind_told(at: Bind) -> BoundStep | Refusal:
+def bind_told(task: BindTask) -> BoundStep | Refusal:
     """What the sentence tells, as the report that it is (A24): an analyzer judges it, and alone writes it."""
-    context = at.data.context
+    context = task.data.context
     if not context.told:
         return refused_program("the sentence tells nothing", "a script for a sentence that tells something")
     told = EndReport(
-        primitive=at.data.primitive_id,
+        primitive=task.data.primitive_id,
         performer=TELLER,
         reason=StopReason.GOAL,
         at_s=0.0,  # nothing moved: it has no time of its own
@@ -413,27 +413,27 @@ def bind_told(at: Bind) -> BoundStep | Refusal:
         hand_force_n=0.0,
         facts=context.told,
     )
-    return BoundStep(told=told, evaluation=EvaluationContext(context=context, step=at.data.step), note="told")
+    return BoundStep(told=told, evaluation=EvaluationContext(context=context, step=task.data.step), note="told")
 
 
-def bind_procedure(at: Bind) -> BoundStep | Refusal:
-    known = at.program.procedures
-    name = at.data.step.name
-    return PROCEDURES[known[name]](at) if name in known else naming.unknown("procedure", name, known)
+def bind_procedure(task: BindTask) -> BoundStep | Refusal:
+    known = task.program.procedures
+    name = task.data.step.name
+    return PROCEDURES[known[name]](task) if name in known else naming.unknown("procedure", name, known)
 
 
-def open_hand(at: Bind) -> BoundStep | Refusal:
+def open_hand(task: BindTask) -> BoundStep | Refusal:
     """Bring the hand, which must be empty, to the width that is wanted before it takes something."""
-    held = at.belief.holding(at.arm)
+    held = task.query.holding(task.arm)
     if held:
-        message = f"{at.arm} already holds {held}"
+        message = f"{task.arm} already holds {held}"
         return Refusal(reason=RefusalReason.STATE, message=message, clears=f"let go of {held}")
-    return hand_motion(at, "open")
+    return hand_motion(task, "open")
 
 
-def lay_down_plan(at: Bind) -> BoundStep | Refusal:
+def lay_down_plan(task: BindTask) -> BoundStep | Refusal:
     """The plan's bindings again; joint values anew where their object is no longer where it was when it was planned."""
-    laid = procedures.replanned(at.belief, at.arm, at.data.bindings)
+    laid = procedures.replanned(task.query, task.arm, task.data.bindings)
     return laid if isinstance(laid, Refusal) else BoundStep(bindings=laid, note="the plan")
 
 
@@ -441,7 +441,7 @@ def refused_program(message: str, clears: str) -> Refusal:
     return Refusal(reason=RefusalReason.PROGRAM, message=message, clears=clears)
 
 
-Action = Callable[[Bind], BoundStep | Refusal]
+Action = Callable[[BindTask], BoundStep | Refusal]
 
 ACTIONS: dict[str, Action] = {
     "motion": bind_motion,

@@ -1,6 +1,6 @@
 """The elaborator: (scripts, parsed command, world) -> the script for it, or a refusal that says why there is none.
 
-It looks a verb up in the decision tree, sees which arm, object and point are meant, ranks the candidates, decides the
+It looks a verb up in the decision tree, sees which arm, object and point are meant, ranks the options, decides the
 bindings of each backwards from the goal until one can be done, and hands out the steps with their trims. Once that is
 executed, the others are not tried (R75). Which verbs there are, and what is done for each, is all in the program.
 """
@@ -23,9 +23,9 @@ from rtc.program_schema import Branch, Check, ElaboratorProgram, Piece, ScriptFi
 from rtc.world.model import World
 from workers import enough, naming, needs, reflexes, sentence, telling
 from workers.backtrack import plan
-from workers.belief import Belief
+from workers.belief import WorldQuery
 from workers.cell_model import CellModel
-from workers.situation import Situation, figures_of
+from workers.situation import TaskCandidate, figures_of
 
 INPUT = ElaboratorInput
 NEEDS_WORLD = True
@@ -42,14 +42,14 @@ class Compiled:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ScriptOption:
     branch: Branch
-    at: Situation
+    candidate: TaskCandidate
 
     @property
     def name(self) -> str:
-        point = self.at.point.name if self.at.point else ""
-        return " ".join(filter(None, (self.branch.script, *self.at.roles.values(), point)))
+        point = self.candidate.point.name if self.candidate.point else ""
+        return " ".join(filter(None, (self.branch.script, *self.candidate.roles.values(), point)))
 
 
 def compile(program: bytes) -> Compiled:
@@ -75,24 +75,26 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
         if problem is not None:
             return problem
     if parsed.kind == "data":
-        return telling.script(program, compiled.scripts[branches[0].script], parsed, Belief(cell, world))
-    situations = _situations(compiled, parsed, limits, Belief(cell, world))
-    if isinstance(situations, Refusal):
-        return situations
-    candidates = _ranked(branches, situations)
+        return telling.script(program, compiled.scripts[branches[0].script], parsed, WorldQuery(cell, world))
+    candidates = _candidates(compiled, parsed, limits, WorldQuery(cell, world))
     if isinstance(candidates, Refusal):
         return candidates
-    if not candidates:
+    options = _ranked(branches, candidates)
+    if isinstance(options, Refusal):
+        return options
+    if not options:
         return _none_fits(parsed, branches)
-    return _first_feasible(compiled, candidates)
+    return _first_feasible(compiled, options)
 
 
 # --- what is meant -----------------------------------------------------------------------------------------
 
 
-def _situations(compiled: Compiled, parsed: ParsedCommand, limits: Limits, belief: Belief) -> list[Situation] | Refusal:
+def _candidates(
+    compiled: Compiled, parsed: ParsedCommand, limits: Limits, query: WorldQuery
+) -> list[TaskCandidate] | Refusal:
     """Every arm and grasp point the sentence leaves open, nearest first."""
-    cell, program = belief.cell, compiled.program
+    cell, program = query.cell, compiled.program
     thing: cells.Object | None = None
     if parsed.object is not None:
         found = _part(cell.objects, parsed.object, "object")
@@ -105,18 +107,18 @@ def _situations(compiled: Compiled, parsed: ParsedCommand, limits: Limits, belie
         if isinstance(seat, Refusal):
             return seat
         target = seat
-    arms = _arms(parsed, belief, thing)
+    arms = _arms(parsed, query, thing)
     points = arms if isinstance(arms, Refusal) else _points(compiled, parsed, thing)
     if isinstance(arms, Refusal) or isinstance(points, Refusal):
         return arms if isinstance(arms, Refusal) else points  # type: ignore[return-value]
-    situations = []
+    candidates = []
     for arm in arms:
         for point in points:
-            figures = figures_of(program, parsed, belief, arm, thing, point, target)
+            figures = figures_of(program, parsed, query, arm, thing, point, target)
             if isinstance(figures, Refusal):
                 return figures
-            situations.append(Situation(belief, program, parsed, limits, arm, thing, point, target, figures))
-    return sorted(situations, key=_far)
+            candidates.append(TaskCandidate(query, program, parsed, limits, arm, thing, point, target, figures))
+    return sorted(candidates, key=_far)
 
 
 def _or_a_hand(unknown: Refusal, compiled: Compiled, parsed: ParsedCommand, cell: cells.Cell) -> Refusal:
@@ -129,25 +131,25 @@ def _or_a_hand(unknown: Refusal, compiled: Compiled, parsed: ParsedCommand, cell
     return naming.unknown("object or hand", parsed.object or "", known)
 
 
-def _far(at: Situation) -> float:
+def _far(candidate: TaskCandidate) -> float:
     """From the arm's base to where its hand shall be: the first guess which arm, and which point, is meant."""
-    if at.thing is None:
+    if candidate.thing is None:
         return 0.0
-    frame = at.belief.frame(at.thing.name)
-    goal = geometry.compose(frame, at.point.frame.pose) if at.point else frame
-    return geometry.distance(at.arm.base.pose, goal)
+    frame = candidate.query.frame(candidate.thing.name)
+    goal = geometry.compose(frame, candidate.point.frame.pose) if candidate.point else frame
+    return geometry.distance(candidate.arm.base.pose, goal)
 
 
-def _arms(parsed: ParsedCommand, belief: Belief, thing: cells.Object | None) -> list[cells.Arm] | Refusal:
+def _arms(parsed: ParsedCommand, query: WorldQuery, thing: cells.Object | None) -> list[cells.Arm] | Refusal:
     """The arm that is named; else the one that holds the object; else all."""
-    cell = belief.cell
+    cell = query.cell
     if parsed.hand is not None:
         if parsed.hand == "BOTH-ARMS":
             message = "two arms in one command are not done yet"
             return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears="name one arm")
         found = _part(cell.arms, parsed.hand, "arm")
         return found if isinstance(found, Refusal) else [found]
-    holder = belief.held_by(thing.name) if thing else ""
+    holder = query.held_by(thing.name) if thing else ""
     return [arm for arm in cell.arms if not holder or arm.name == holder]
 
 
@@ -175,14 +177,14 @@ def _part(parts: list[T], name: str, what: str) -> T | Refusal:
 # --- which script ------------------------------------------------------------------------------------------
 
 
-def _ranked(branches: list[Branch], situations: list[Situation]) -> list[Candidate] | Refusal:
+def _ranked(branches: list[Branch], candidates: list[TaskCandidate]) -> list[ScriptOption] | Refusal:
     """Every branch whose conditions hold, for every situation: the likeliest first, then the nearest."""
-    candidates = []
+    options = []
     for branch in branches:
-        for at in situations:
+        for candidate in candidates:
             try:
-                if all(_holds(check, at) for check in branch.when):
-                    candidates.append(Candidate(branch, at))
+                if all(_holds(check, candidate) for check in branch.when):
+                    options.append(ScriptOption(branch, candidate))
             except expressions.ExpressionError as error:
                 return Refusal(
                     reason=RefusalReason.PROGRAM,
@@ -190,11 +192,11 @@ def _ranked(branches: list[Branch], situations: list[Situation]) -> list[Candida
                     where="decision_tree",
                     clears="LOAD a row of command_object_table that has that figure",
                 )
-    return sorted(candidates, key=lambda c: -c.branch.likelihood)
+    return sorted(options, key=lambda c: -c.branch.likelihood)
 
 
-def _holds(check: Check, at: Situation) -> bool:
-    said = at.parsed
+def _holds(check: Check, candidate: TaskCandidate) -> bool:
+    said = candidate.parsed
     if check.given and sentence.field(said, check.given) is None:
         return False
     if check.missing and sentence.field(said, check.missing) is not None:
@@ -205,34 +207,34 @@ def _holds(check: Check, at: Situation) -> bool:
         return False
     if check.of is None:
         return True
-    value = expressions.number(check.of, at.figures)
-    least = check.at_least is None or value >= expressions.number(check.at_least, at.figures) - 1e-9
-    return least and (check.at_most is None or value <= expressions.number(check.at_most, at.figures) + 1e-9)
+    value = expressions.number(check.of, candidate.figures)
+    least = check.at_least is None or value >= expressions.number(check.at_least, candidate.figures) - 1e-9
+    return least and (check.at_most is None or value <= expressions.number(check.at_most, candidate.figures) + 1e-9)
 
 
-def _first_feasible(compiled: Compiled, candidates: list[Candidate]) -> Script | Refusal:
-    """The best candidate that can be done. None: what is wrong with the best, and how many were tried."""
+def _first_feasible(compiled: Compiled, options: list[ScriptOption]) -> Script | Refusal:
+    """The best option that can be done. None: what is wrong with the best, and how many were tried."""
     first: Refusal | None = None
     notes: list[str] = []
-    for candidate in candidates:
-        made = _script(compiled, candidate, candidates, notes)
+    for option in options:
+        made = _script(compiled, option, options, notes)
         if isinstance(made, Script):
             return made
-        notes.append(f"generated {candidate.name}; tested: {made.message}")
+        notes.append(f"generated {option.name}; tested: {made.message}")
         if first is None or _PRECEDENCE[made.reason] < _PRECEDENCE[first.reason]:
             first = made
     assert first is not None
-    if len(candidates) == 1 or _PRECEDENCE[first.reason] == 0 or first.reason is RefusalReason.NO_SCRIPT:
+    if len(options) == 1 or _PRECEDENCE[first.reason] == 0 or first.reason is RefusalReason.NO_SCRIPT:
         return first
     others = "; ".join(notes[1:4]) if len(notes) > 1 else ""
     return msgspec.structs.replace(
         first,
-        message=f"{first.message} ({len(candidates)} candidates tried)",
-        detail={**first.detail, "candidates": float(len(candidates)), "others": others[:600]},
+        message=f"{first.message} ({len(options)} candidates tried)",
+        detail={**first.detail, "candidates": float(len(options)), "others": others[:600]},
     )
 
 
-#: when several candidates fail, the reason that tells most goes up
+#: when several options fail, the reason that tells most goes up
 _PRECEDENCE = dict.fromkeys(RefusalReason, 1) | {
     RefusalReason.NAME: 0,
     RefusalReason.SUSPECT: 0,
@@ -246,81 +248,84 @@ _PRECEDENCE = dict.fromkeys(RefusalReason, 1) | {
 
 
 def _script(
-    compiled: Compiled, candidate: Candidate, candidates: list[Candidate], notes: list[str]
+    compiled: Compiled, option: ScriptOption, options: list[ScriptOption], notes: list[str]
 ) -> Script | Refusal:
-    at, script = candidate.at, compiled.scripts[candidate.branch.script]
-    problem = sentence.misplaced(at.parsed, script.script, script.uses)
-    problem = problem or sentence.without_effect(at.program, at.parsed, script)
+    candidate, script = option.candidate, compiled.scripts[option.branch.script]
+    problem = sentence.misplaced(candidate.parsed, script.script, script.uses)
+    problem = problem or sentence.without_effect(candidate.program, candidate.parsed, script)
     for need in script.needs:
-        problem = problem or needs.lacking(need, at)
-    problem = problem or _unsure_grasp(script, at)
+        problem = problem or needs.lacking(need, candidate)
+    problem = problem or _unsure_grasp(script, candidate)
     if problem is not None:
         return problem
-    planned = plan(script, at)
+    planned = plan(script, candidate)
     if isinstance(planned, Refusal):
         return planned
     try:
-        trims = _trims(compiled, script, at)
+        trims = _trims(compiled, script, candidate)
         if isinstance(trims, Refusal):
             return trims
         entries, left_out = trims
-        steps = [*_sensed_first(compiled, at), *(_step(step, at, entries, nominal=True) for step in script.steps)]
+        steps = [
+            *_sensed_first(compiled, candidate),
+            *(_step(step, candidate, entries, nominal=True) for step in script.steps),
+        ]
     except expressions.ExpressionError as error:
         return Refusal(reason=RefusalReason.PROGRAM, message=f"{script.script}: {error}", where=script.script)
     for step in steps:
-        lacks = enough.lacking(at.belief, at.arm.name, step.args, at.program.clears)
+        lacks = enough.lacking(candidate.query, candidate.arm.name, step.args, candidate.program.clears)
         if lacks is not None:
             return lacks
-    held = at.belief.holding(at.arm.name)
-    case = script.case if script.case >= FIRST_SKILL else 1 if len(candidates) == 1 and not planned.chosen else 2
+    held = candidate.query.holding(candidate.arm.name)
+    case = script.case if script.case >= FIRST_SKILL else 1 if len(options) == 1 and not planned.chosen else 2
     return Script(
-        context=_context(candidate, at, entries),
+        context=_context(option, candidate, entries),
         case=case,
         steps=steps,
         trims=entries,
         bindings=planned.bindings,
-        resources=_names(script.resources, at, held),
-        writes=_names(script.writes, at, held),
+        resources=_names(script.resources, candidate, held),
+        writes=_names(script.writes, candidate, held),
         reads=[key.rpartition(".")[0] for key in planned.relies_on],
-        candidates=[candidate.name, *(c.name for c in candidates if c is not candidate)],
-        notes=[*notes, *(f"{candidate.name}: {note}" for note in planned.notes), *left_out],
+        candidates=[option.name, *(c.name for c in options if c is not option)],
+        notes=[*notes, *(f"{option.name}: {note}" for note in planned.notes), *left_out],
     )
 
 
-def _context(candidate: Candidate, at: Situation, entries: list[Trim]) -> ScriptContext:
+def _context(option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]) -> ScriptContext:
     return ScriptContext(
-        verb=at.parsed.verb,
-        script=candidate.branch.script,
-        arm=at.arm.name,
-        object=at.thing.name if at.thing else "",
-        grasp_point=at.point.name if at.point else "",
-        target=at.target.name if at.target else "",
-        limits=at.limits,
-        guarded=at.parsed.guarded,
-        reflexes=at.parsed.reflexes,
+        verb=candidate.parsed.verb,
+        script=option.branch.script,
+        arm=candidate.arm.name,
+        object=candidate.thing.name if candidate.thing else "",
+        grasp_point=candidate.point.name if candidate.point else "",
+        target=candidate.target.name if candidate.target else "",
+        limits=candidate.limits,
+        guarded=candidate.parsed.guarded,
+        reflexes=candidate.parsed.reflexes,
         fits={entry.n: entry.fits for entry in entries if entry.fits},
     )
 
 
-def _names(roles: list[str], at: Situation, held: str) -> list[str]:
+def _names(roles: list[str], candidate: TaskCandidate, held: str) -> list[str]:
     """What the roles stand for; what the arm holds goes where the arm goes."""
-    stands_for = {**at.roles, "its_seat": at.belief.seat(at.thing.name) if at.thing else ""}
+    stands_for = {**candidate.roles, "its_seat": candidate.query.seat(candidate.thing.name) if candidate.thing else ""}
     return list(dict.fromkeys(name for name in (*(stands_for.get(role, role) for role in roles), held) if name))
 
 
-def _step(step: ScriptStep, at: Situation, entries: list[Trim], nominal: bool) -> Step:
+def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nominal: bool) -> Step:
     """The step for this situation: its figures worked out, its words filled in."""
     there = {entry.n for entry in entries}
     index, count = step.trim
     asked = [] if not nominal else [n for n in range(index, index + count) if n in there]
     own = [entry.n for entry in entries if nominal and entry.n > MOST_ENTRIES]
-    figures: dict[str, float | str] = {n: expressions.number(e, at.figures) for n, e in step.args.items()}
-    report = at.parsed.report
+    figures: dict[str, float | str] = {n: expressions.number(e, candidate.figures) for n, e in step.args.items()}
+    report = candidate.parsed.report
     if report is not None and report.every_s is not None:
         figures["report_every_s"] = report.every_s
     return Step(
         do=step.do,
-        label=at.say(step.label),
+        label=candidate.say(step.label),
         name=step.name,
         who=step.who,
         to=step.to,
@@ -331,39 +336,41 @@ def _step(step: ScriptStep, at: Situation, entries: list[Trim], nominal: bool) -
         expect=step.expect,
         keep=step.keep,
         trims=[*asked, *own],
-        args={**figures, **{name: at.say(word) for name, word in step.words.items()}},
+        args={**figures, **{name: candidate.say(word) for name, word in step.words.items()}},
     )
 
 
-def _sensed_first(compiled: Compiled, at: Situation) -> list[Step]:
+def _sensed_first(compiled: Compiled, candidate: TaskCandidate) -> list[Step]:
     """What is not known of the arm and can be sensed is, before anything rests on it."""
     senses = compiled.program.senses
-    unknown = [piece for attribute, piece in senses.items() if not at.belief.trusts(f"{at.arm.name}.{attribute}")]
-    return [_step(step, at, [], nominal=False) for piece in unknown for step in compiled.pieces[piece].steps]
+    unknown = [
+        piece for attribute, piece in senses.items() if not candidate.query.trusts(f"{candidate.arm.name}.{attribute}")
+    ]
+    return [_step(step, candidate, [], nominal=False) for piece in unknown for step in compiled.pieces[piece].steps]
 
 
 MOST_ENTRIES = 100  # of a trimming stack; the trims that a sentence itself names (AND TRY) are numbered above
 
 
-def _trims(compiled: Compiled, script: ScriptFile, at: Situation) -> tuple[list[Trim], list[str]] | Refusal:
+def _trims(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> tuple[list[Trim], list[str]] | Refusal:
     """The trimming stack, and notes about entries that were left out because nothing does them yet."""
     entries: list[Trim] = []
     left_out: list[str] = []
     for entry in script.trimming_stack:
         piece = compiled.pieces.get(entry.skill)
-        label = f"{entry.skill} {at.roles.get(entry.who, entry.who)}"
+        label = f"{entry.skill} {candidate.roles.get(entry.who, entry.who)}"
         if piece is None:
             left_out.append(f"trim {entry.n} ({label}) is left out: no piece of script does {entry.skill} yet")
             continue
-        steps = [_step(step, at, [], nominal=False) for step in piece.steps]
+        steps = [_step(step, candidate, [], nominal=False) for step in piece.steps]
         entries.append(Trim(n=entry.n, label=label, steps=steps, then=entry.then, fits=entry.fits))
-    for n, reflex in enumerate((r for r in at.parsed.reflexes if r.trim), MOST_ENTRIES + 1):
+    for n, reflex in enumerate((r for r in candidate.parsed.reflexes if r.trim), MOST_ENTRIES + 1):
         name = (reflex.trim or "").lower()
         piece = compiled.pieces.get(name)
         if piece is None or script.case < FIRST_SKILL:
             return _cannot_try(name.upper(), compiled, script)
         reason = reflexes.reason_of(reflex.condition)
-        steps = [_step(step, at, [], nominal=False) for step in piece.steps]
+        steps = [_step(step, candidate, [], nominal=False) for step in piece.steps]
         entries.append(Trim(n=n, label=f"TRY {name.upper()}", steps=steps, fits=[reason] if reason else []))
     return entries, left_out
 
@@ -412,13 +419,13 @@ def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refusal:
     return naming.unknown("piece of script to TRY", name, [piece.upper() for piece in compiled.pieces])
 
 
-def _unsure_grasp(script: ScriptFile, at: Situation) -> Refusal | None:
+def _unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
     """What the hand holds goes where it goes: no motion is planned round it while it is in doubt how it is held (R151).
     Fingers may press or open, and a script that says so may move: to back off from what was touched, to let go."""
-    held = at.belief.holding(at.arm.name)
+    held = candidate.query.holding(candidate.arm.name)
     if not held or script.despite_grasp or not any(step.to for step in script.steps):
         return None
-    return at.belief.distrusted(f"{held}.grasp", at.program.clears)
+    return candidate.query.distrusted(f"{held}.grasp", candidate.program.clears)
 
 
 def verbs(program: ElaboratorProgram) -> Iterator[str]:

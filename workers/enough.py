@@ -11,19 +11,19 @@ from collections.abc import Mapping
 
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.world.spread import Spread, even, exceeded
-from workers.belief import Belief
+from workers.belief import WorldQuery
 
 Args = Mapping[str, float | str]
 
 
-def lacking(belief: Belief, arm: str, args: Args, clears: Mapping[str, str]) -> Refusal | None:
+def lacking(query: WorldQuery, arm: str, args: Args, clears: Mapping[str, str]) -> Refusal | None:
     """Why the step cannot be done with what the arm holds; None when it can, or when it holds nothing."""
-    held = belief.holding(arm)
-    within = needed(belief, args) if held else None
+    held = query.holding(arm)
+    within = needed(query, args) if held else None
     if within is None:
         return None
     key = f"{held}.grasp"
-    axes = exceeded(belief.spread(key), within)
+    axes = exceeded(query.spread(key), within)
     if not axes:
         return None
     return Refusal(
@@ -35,11 +35,11 @@ def lacking(belief: Belief, arm: str, args: Args, clears: Mapping[str, str]) -> 
     )
 
 
-def needed(belief: Belief, args: Args) -> Spread | None:
+def needed(query: WorldQuery, args: Args) -> Spread | None:
     """The bounds that a step needs; None when it needs none."""
     seat = args.get("needs")
     if isinstance(seat, str) and seat:
-        within = belief.cell.seat(seat).needs_within
+        within = query.cell.seat(seat).needs_within
         return within.spread if within is not None else None
     metres, radians = (args.get(name) for name in ("needs_m", "needs_rad"))
     if not isinstance(metres, float) and not isinstance(radians, float):

@@ -15,13 +15,13 @@ from rtc.messages import Validity, WorldChange
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.world.model import problem
 from rtc.world.spread import even
-from workers.belief import Belief
+from workers.belief import WorldQuery
 
 Changes = list[WorldChange]
 Values = Mapping[str, float]
 
 
-def believed(facts: Mapping[str, Any], belief: Belief, values: Values) -> Changes | Refusal:
+def believed(facts: Mapping[str, Any], query: WorldQuery, values: Values) -> Changes | Refusal:
     """All of the facts, or why one of them cannot be."""
     changes: Changes = []
     for key, value in facts.items():
@@ -30,7 +30,7 @@ def believed(facts: Mapping[str, Any], belief: Belief, values: Values) -> Change
         wrong = problem(change) or PLAUSIBLE.get(attribute, _anything)(key, value, values)
         if wrong:
             return _refused(wrong, key, "say it again as it is, in the unit that is meant")
-        following = FOLLOWS[attribute](thing, value, belief, values) if attribute in FOLLOWS else []
+        following = FOLLOWS[attribute](thing, value, query, values) if attribute in FOLLOWS else []
         if isinstance(following, Refusal):
             return following
         changes += [change, *following]
@@ -69,15 +69,15 @@ TOLD: dict[str, Callable[[Values], list[float]]] = {"frame": lambda values: even
 # --- what follows --------------------------------------------------------------------------------------------
 
 
-def _placed(thing: str, frame: Any, belief: Belief, values: Values) -> Changes | Refusal:
+def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes | Refusal:
     """What holds it follows from where it is: the seat that is there, or the hand that has it. What sits in a seat goes
     with that seat."""
-    if any(seat.name == thing for seat in belief.cell.seats):
-        return _moved_with(thing, frame, belief)
-    if belief.held_by(thing):
-        return _in_hand(thing, frame, belief, values)
-    seat = seat_at(frame, belief, values["seated_m"], values["seated_rad"])
-    inside = [t.name for t in belief.cell.objects if seat and t.name != thing and belief.seat(t.name) == seat]
+    if any(seat.name == thing for seat in query.cell.seats):
+        return _moved_with(thing, frame, query)
+    if query.held_by(thing):
+        return _in_hand(thing, frame, query, values)
+    seat = seat_at(frame, query, values["seated_m"], values["seated_rad"])
+    inside = [t.name for t in query.cell.objects if seat and t.name != thing and query.seat(t.name) == seat]
     if inside:
         return _refused(
             f"{thing}.frame is in {seat}, where {inside[0]} is believed to be",
@@ -90,11 +90,11 @@ def _placed(thing: str, frame: Any, belief: Belief, values: Values) -> Changes |
     ]
 
 
-def _in_hand(thing: str, frame: Any, belief: Belief, values: Values) -> Changes | Refusal:
+def _in_hand(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes | Refusal:
     """How the hand holds it, when it is here; none of its grasp points may be far from between the fingers."""
-    arm = belief.held_by(thing)
-    tcp = belief.tcp(arm)
-    points = [geometry.compose(frame, point.frame.pose) for point in belief.cell.object(thing).grasp_points]
+    arm = query.held_by(thing)
+    tcp = query.tcp(arm)
+    points = [geometry.compose(frame, point.frame.pose) for point in query.cell.object(thing).grasp_points]
     away_m = min((geometry.distance(tcp, point) for point in points), default=math.inf)
     if away_m > values["in_hand_m"]:
         return _refused(
@@ -111,14 +111,14 @@ def _in_hand(thing: str, frame: Any, belief: Belief, values: Values) -> Changes 
     ]
 
 
-def _moved_with(seat: str, frame: Any, belief: Belief) -> Changes:
+def _moved_with(seat: str, frame: Any, query: WorldQuery) -> Changes:
     """What sits in this seat is as far from it as before."""
     changes = []
-    for thing in belief.cell.objects:
-        if belief.seat(thing.name) == seat and not belief.held_by(thing.name):
+    for thing in query.cell.objects:
+        if query.seat(thing.name) == seat and not query.held_by(thing.name):
             key = f"{thing.name}.frame"
-            inside = geometry.relative(belief.seat_frame(seat), belief.frame(thing.name))
-            fact = belief.world.get(key)
+            inside = geometry.relative(query.seat_frame(seat), query.frame(thing.name))
+            fact = query.world.get(key)
             changes.append(
                 WorldChange(
                     key=key,
@@ -130,12 +130,12 @@ def _moved_with(seat: str, frame: Any, belief: Belief) -> Changes:
     return changes
 
 
-def seat_at(frame: Any, belief: Belief, within_m: float, within_rad: float = math.pi) -> str:
+def seat_at(frame: Any, query: WorldQuery, within_m: float, within_rad: float = math.pi) -> str:
     """The seat whose module would be here; empty when none is near enough, or it is turned too far."""
-    places = {seat.name: belief.seated_pose(seat.name) for seat in belief.cell.seats}
+    places = {seat.name: query.seated_pose(seat.name) for seat in query.cell.seats}
     away_m = {name: geometry.distance(frame, place) for name, place in places.items()}
     near = [name for name, at in places.items() if away_m[name] <= within_m and geometry.angle(frame, at) <= within_rad]
     return min(near, key=lambda name: away_m[name], default="")
 
 
-FOLLOWS: dict[str, Callable[[str, Any, Belief, Values], Changes | Refusal]] = {"frame": _placed}
+FOLLOWS: dict[str, Callable[[str, Any, WorldQuery, Values], Changes | Refusal]] = {"frame": _placed}

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from rtc import geometry
 from rtc.outcomes import Refusal, RefusalReason
-from workers.belief import Belief
-from workers.situation import Situation
+from workers.belief import WorldQuery
+from workers.situation import TaskCandidate
 
 IN_SEAT_M = 0.02  # what a hand lets go of this near to its seated place is taken to be in the seat
 
@@ -22,56 +22,60 @@ class Lack(NamedTuple):
     thing: str = ""  # what would have to be let go of, if it is not `held`
 
 
-def seat_of(belief: Belief, thing: str) -> str:
+def seat_of(query: WorldQuery, thing: str) -> str:
     """The seat in which a thing would stay when it is let go; empty when there is none."""
-    at = belief.frame(thing)
-    seats = (seat.name for seat in belief.cell.seats)
-    return next((name for name in seats if geometry.distance(at, belief.seated_pose(name)) < IN_SEAT_M), "")
+    at = query.frame(thing)
+    seats = (seat.name for seat in query.cell.seats)
+    return next((name for name in seats if geometry.distance(at, query.seated_pose(name)) < IN_SEAT_M), "")
 
 
-def _hand_empty(at: Situation) -> Lack | None:
-    held = at.belief.holding(at.arm.name)
-    return Lack(f"{at.arm.name} holds {held}", held) if held else None
+def _hand_empty(candidate: TaskCandidate) -> Lack | None:
+    held = candidate.query.holding(candidate.arm.name)
+    return Lack(f"{candidate.arm.name} holds {held}", held) if held else None
 
 
-def _object_free(at: Situation) -> Lack | None:
-    assert at.thing is not None
-    if at.thing.fixed:
-        return Lack(f"{at.thing.name} is fixed", at.thing.name, "object_fixed")
-    holder = at.belief.held_by(at.thing.name)
-    return Lack(f"{at.thing.name} is held by {holder}", holder, thing=at.thing.name) if holder else None
+def _object_free(candidate: TaskCandidate) -> Lack | None:
+    assert candidate.thing is not None
+    if candidate.thing.fixed:
+        return Lack(f"{candidate.thing.name} is fixed", candidate.thing.name, "object_fixed")
+    holder = candidate.query.held_by(candidate.thing.name)
+    return Lack(f"{candidate.thing.name} is held by {holder}", holder, thing=candidate.thing.name) if holder else None
 
 
-def _object_held(at: Situation) -> Lack | None:
-    assert at.thing is not None
-    holder = at.belief.held_by(at.thing.name)
-    if holder == at.arm.name:
+def _object_held(candidate: TaskCandidate) -> Lack | None:
+    assert candidate.thing is not None
+    holder = candidate.query.held_by(candidate.thing.name)
+    if holder == candidate.arm.name:
         return None
     if holder:
-        message = f"{at.thing.name} is held by {holder}, not by {at.arm.name}"
-        return Lack(message, holder, "held_by_another", at.thing.name)
-    return Lack(f"{at.thing.name} is not held", at.thing.name)
+        message = f"{candidate.thing.name} is held by {holder}, not by {candidate.arm.name}"
+        return Lack(message, holder, "held_by_another", candidate.thing.name)
+    return Lack(f"{candidate.thing.name} is not held", candidate.thing.name)
 
 
-def _object_seated(at: Situation) -> Lack | None:
-    assert at.thing is not None
-    name = at.thing.name
-    return None if seat_of(at.belief, name) else Lack(f"{name} is in no seat, and would drift away", name)
+def _object_seated(candidate: TaskCandidate) -> Lack | None:
+    assert candidate.thing is not None
+    name = candidate.thing.name
+    return None if seat_of(candidate.query, name) else Lack(f"{name} is in no seat, and would drift away", name)
 
 
-def _seat_free(at: Situation) -> Lack | None:
-    assert at.target is not None
-    inside = [t.name for t in at.belief.cell.objects if at.belief.seat(t.name) == at.target.name]
-    others = [name for name in inside if at.thing is None or name != at.thing.name]
-    return Lack(f"{at.target.name} holds {others[0]}", others[0]) if others else None
+def _seat_free(candidate: TaskCandidate) -> Lack | None:
+    assert candidate.target is not None
+    inside = [t.name for t in candidate.query.cell.objects if candidate.query.seat(t.name) == candidate.target.name]
+    others = [name for name in inside if candidate.thing is None or name != candidate.thing.name]
+    return Lack(f"{candidate.target.name} holds {others[0]}", others[0]) if others else None
 
 
-def _width_known(at: Situation) -> Lack | None:
-    known = at.belief.trusts(f"{at.arm.name}.hand_width")
-    return None if known else Lack(f"it is not known how wide the hand of {at.arm.name} is open", at.arm.name)
+def _width_known(candidate: TaskCandidate) -> Lack | None:
+    known = candidate.query.trusts(f"{candidate.arm.name}.hand_width")
+    return (
+        None
+        if known
+        else Lack(f"it is not known how wide the hand of {candidate.arm.name} is open", candidate.arm.name)
+    )
 
 
-NEEDS: dict[str, Callable[[Situation], Lack | None]] = {
+NEEDS: dict[str, Callable[[TaskCandidate], Lack | None]] = {
     "hand_empty": _hand_empty,
     "object_free": _object_free,
     "object_held": _object_held,
@@ -81,25 +85,25 @@ NEEDS: dict[str, Callable[[Situation], Lack | None]] = {
 }
 
 
-def lacking(need: str, at: Situation) -> Refusal | None:
+def lacking(need: str, candidate: TaskCandidate) -> Refusal | None:
     """Why the script cannot be done now; None when what it needs is so."""
-    lack = NEEDS[need](at)
+    lack = NEEDS[need](candidate)
     if lack is None:
         return None
-    rows = at.program.needs
+    rows = candidate.program.needs
     thing = lack.thing or lack.held
-    clears = rows.get(lack.row or need, "").replace("{let_go}", _let_go(rows, at.belief, thing))
-    clears = at.say(clears).replace("{held}", lack.held)
-    doubt = at.belief.distrusted(f"{at.thing.name}.held_by", {}) if at.thing is not None else None
+    clears = rows.get(lack.row or need, "").replace("{let_go}", _let_go(rows, candidate.query, thing))
+    clears = candidate.say(clears).replace("{held}", lack.held)
+    doubt = candidate.query.distrusted(f"{candidate.thing.name}.held_by", {}) if candidate.thing is not None else None
     message = lack.message + (f", but {doubt.message}" if doubt else "")
     return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
 
 
-def _let_go(rows: dict[str, str], belief: Belief, thing: str) -> str:
+def _let_go(rows: dict[str, str], query: WorldQuery, thing: str) -> str:
     """The sentence that empties the hand: where it is, if the thing stays there; else by way of a free seat."""
-    if thing not in {known.name for known in belief.cell.objects} or seat_of(belief, thing):
+    if thing not in {known.name for known in query.cell.objects} or seat_of(query, thing):
         return rows.get("let_go", "").replace("{held}", thing)
-    taken = {belief.seat(known.name) for known in belief.cell.objects if known.name != thing}
-    free = [seat.name for seat in belief.cell.seats if seat.name not in taken]
+    taken = {query.seat(known.name) for known in query.cell.objects if known.name != thing}
+    free = [seat.name for seat in query.cell.seats if seat.name not in taken]
     row = "let_go_in_air" if free else "let_go"
     return rows.get(row, "").replace("{held}", thing).replace("{free}", " or ".join(free))

@@ -8,22 +8,22 @@ from rtc import geometry
 from rtc.messages import Binding
 from rtc.outcomes import Refusal
 from workers.backtrack import PLAN
-from workers.belief import Belief
+from workers.belief import WorldQuery
 
 MOVED_M = 0.0005  # an object that has moved less is where it was
 MOVED_RAD = math.radians(0.2)
 
 
-def replanned(belief: Belief, arm: str, bindings: dict[str, Binding]) -> dict[str, Binding] | Refusal:
+def replanned(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[str, Binding] | Refusal:
     """Joint values solved anew, near to the old ones, where the object they were solved for has moved since."""
-    model = belief.model.arms[arm]
-    margin_rad = math.radians(belief.cell.numbers.joint_margin_deg)
+    model = query.model.arms[arm]
+    margin_rad = math.radians(query.cell.numbers.joint_margin_deg)
     anew: dict[str, Binding] = {}
     for name, planned in bindings.items():
         old = bindings.get(name.removesuffix(PLAN))
         if not name.endswith(PLAN) or planned.pose is None or old is None or old.joints is None:
             continue
-        frame = belief.frame(planned.frame) if planned.frame else geometry.IDENTITY
+        frame = query.frame(planned.frame) if planned.frame else geometry.IDENTITY
         wanted = geometry.compose(frame, planned.pose)
         was = model.fk(old.joints)
         if geometry.distance(wanted, was) < MOVED_M and geometry.angle(wanted, was) < MOVED_RAD:

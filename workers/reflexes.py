@@ -33,7 +33,7 @@ ACTIONS: dict[str, Reflex] = {"stop": Reflex.STOP, "back_off": Reflex.BACK_OFF, 
 
 
 @dataclass(frozen=True)
-class Moment:
+class StepState:
     """What a step is like when its reflexes are made: figures in force, the hand's pose, the goal object's place."""
 
     values: dict[str, float]  # contact_n, joint_margin_rad, time_limit_s, held_width_m, back_off_m
@@ -42,29 +42,29 @@ class Moment:
     object_at: list[float] | None
 
 
-Maker = Callable[[Condition, Moment], list[Predicate]]
+Maker = Callable[[Condition, StepState], list[Predicate]]
 
 
-def _contact(_: Condition, at: Moment) -> list[Predicate]:
-    return [ForceAbove(limit_n=at.values.get("contact_n", at.values["feel_force_n"]))]
+def _contact(_: Condition, state: StepState) -> list[Predicate]:
+    return [ForceAbove(limit_n=state.values.get("contact_n", state.values["feel_force_n"]))]
 
 
-def _slip(_: Condition, at: Moment) -> list[Predicate]:
-    return [GripForceBelow(at.values["slip_n"])] if at.holding else []
+def _slip(_: Condition, state: StepState) -> list[Predicate]:
+    return [GripForceBelow(state.values["slip_n"])] if state.holding else []
 
 
-def _lost(_: Condition, at: Moment) -> list[Predicate]:
-    return [HandWidthBelow(at.values["held_width_m"] - at.values["lost_m"])] if at.holding else []
+def _lost(_: Condition, state: StepState) -> list[Predicate]:
+    return [HandWidthBelow(state.values["held_width_m"] - state.values["lost_m"])] if state.holding else []
 
 
 #: event -> the reason it ends with, and its predicates (none: there is nothing to watch in this step)
 EVENTS: dict[str, tuple[StopReason, Maker]] = {
     "CONTACT": (StopReason.CONTACT, _contact),
-    "COLLISION": (StopReason.COLLISION, lambda c, at: [BodyTouch()]),
+    "COLLISION": (StopReason.COLLISION, lambda c, state: [BodyTouch()]),
     "SLIP": (StopReason.SLIP, _slip),
     "OBJECT-LOST": (StopReason.OBJECT_LOST, _lost),
-    "JOINT-LIMIT": (StopReason.JOINT_LIMIT, lambda c, at: [JointMarginBelow(at.values["joint_margin_rad"])]),
-    "TIMEOUT": (StopReason.TIMEOUT, lambda c, at: [TimeAbove(at.values["time_limit_s"])]),
+    "JOINT-LIMIT": (StopReason.JOINT_LIMIT, lambda c, state: [JointMarginBelow(state.values["joint_margin_rad"])]),
+    "TIMEOUT": (StopReason.TIMEOUT, lambda c, state: [TimeAbove(state.values["time_limit_s"])]),
 }
 
 
@@ -73,27 +73,27 @@ def _figure(condition: Condition) -> float:
     return condition.quantity.value
 
 
-def _both_ways(condition: Condition, at: Moment) -> list[list[float] | None]:
+def _both_ways(condition: Condition, state: StepState) -> list[list[float] | None]:
     if condition.along is None:
         return [None]
-    axis = axes.in_tool(at.hand_pose, condition.along)
+    axis = axes.in_tool(state.hand_pose, condition.along)
     return [axis, [-n for n in axis]]
 
 
-def _force(condition: Condition, at: Moment) -> list[Predicate]:
-    return [ForceAbove(limit_n=_figure(condition), axis=axis) for axis in _both_ways(condition, at)]
+def _force(condition: Condition, state: StepState) -> list[Predicate]:
+    return [ForceAbove(limit_n=_figure(condition), axis=axis) for axis in _both_ways(condition, state)]
 
 
-def _torque(condition: Condition, at: Moment) -> list[Predicate]:
-    return [TorqueAbove(limit_nm=_figure(condition), axis=axis) for axis in _both_ways(condition, at)]
+def _torque(condition: Condition, state: StepState) -> list[Predicate]:
+    return [TorqueAbove(limit_nm=_figure(condition), axis=axis) for axis in _both_ways(condition, state)]
 
 
-def _grip(condition: Condition, at: Moment) -> list[Predicate]:
-    return [GripForceBelow(_figure(condition))] if at.holding else []
+def _grip(condition: Condition, state: StepState) -> list[Predicate]:
+    return [GripForceBelow(_figure(condition))] if state.holding else []
 
 
-def _near(condition: Condition, at: Moment) -> list[Predicate]:
-    return [] if at.object_at is None else [TcpNear(point=at.object_at, distance_m=_figure(condition))]
+def _near(condition: Condition, state: StepState) -> list[Predicate]:
+    return [] if state.object_at is None else [TcpNear(point=state.object_at, distance_m=_figure(condition))]
 
 
 #: (measure, bound) -> the same
@@ -130,7 +130,7 @@ def unrealised(reflex: ReflexItem, about_object: bool) -> Refusal | None:
     return None
 
 
-def stop_functions(reflexes: list[ReflexItem], at: Moment) -> list[StopFunction]:
+def stop_functions(reflexes: list[ReflexItem], state: StepState) -> list[StopFunction]:
     """The stop functions of these reflexes for one step."""
     made = []
     for reflex in reflexes:
@@ -138,11 +138,11 @@ def stop_functions(reflexes: list[ReflexItem], at: Moment) -> list[StopFunction]
         assert row is not None, reflex
         reason, maker = row
         action = ACTIONS[reflex.action]
-        by = reflex.by.value if reflex.by else at.values["back_off_m"]
+        by = reflex.by.value if reflex.by else state.values["back_off_m"]
         back_off_m = by if action is Reflex.BACK_OFF else 0.0
         made += [
             StopFunction(reason=reason, when=when, reflex=action, back_off_m=back_off_m)
-            for when in maker(reflex.condition, at)
+            for when in maker(reflex.condition, state)
         ]
     return made
 

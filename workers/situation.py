@@ -18,15 +18,15 @@ from rtc.messages import Limits
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.program_schema import ElaboratorProgram, TableRow
 from workers import known
-from workers.belief import Belief
+from workers.belief import WorldQuery
 
 #: unit of a quantity -> how a figure's name ends
 SUFFIX = {"m": "_m", "rad": "_rad", "turn": "_turns", "s": "_s", "N": "_n"}
 
 
 @dataclass(frozen=True)
-class Situation:
-    belief: Belief
+class TaskCandidate:
+    query: WorldQuery
     program: ElaboratorProgram
     parsed: ParsedCommand
     limits: Limits
@@ -46,8 +46,8 @@ class Situation:
             "target": self.target.name if self.target else "",
             "axis": (self.parsed.place.along if self.parsed.place else None) or "TOOL-Z",
             "destination": destination_in_words(self.parsed),
-            "way_out": self.belief.way_out_of(self.target.name) if self.target else "",
-            "out": self.belief.way_out(self.thing.name) if self.thing else "",
+            "way_out": self.query.way_out_of(self.target.name) if self.target else "",
+            "out": self.query.way_out(self.thing.name) if self.thing else "",
             "amount": _amount_in_words(self.parsed),
             "time": _time_in_words(self.parsed, self.figures),
         }
@@ -98,26 +98,26 @@ def destination_in_words(parsed: ParsedCommand) -> str:
 def figures_of(
     program: ElaboratorProgram,
     parsed: ParsedCommand,
-    belief: Belief,
+    query: WorldQuery,
     arm: cells.Arm,
     thing: cells.Object | None,
     point: cells.GraspPoint | None,
     target: cells.Seat | None,
 ) -> dict[str, float] | Refusal:
     """Every figure in force, or the refusal that says which cell of the command-object table is missing."""
-    figures: dict[str, float] = dict(msgspec.structs.asdict(belief.cell.numbers))
-    row = _table(program, parsed.verb, thing, belief)
+    figures: dict[str, float] = dict(msgspec.structs.asdict(query.cell.numbers))
+    row = _table(program, parsed.verb, thing, query)
     if isinstance(row, Refusal):
         return row
     figures |= row
-    figures |= {"opening_m": arm.gripper.max_opening_m, "hand_width_m": belief.hand_width(arm.name)}
-    between = point or (belief.point_in_hand(thing.name) if thing and belief.held_by(thing.name) else None)
+    figures |= {"opening_m": arm.gripper.max_opening_m, "hand_width_m": query.hand_width(arm.name)}
+    between = point or (query.point_in_hand(thing.name) if thing and query.held_by(thing.name) else None)
     if between is not None:
         figures["grasp_width_m"] = between.width_m
     if point is not None and thing is not None:
-        figures |= known.figures(belief.spread(f"{thing.name}.frame"), point.frame.pose)
+        figures |= known.figures(query.spread(f"{thing.name}.frame"), point.frame.pose)
     if thing is not None:
-        figures["mass_kg"] = float(belief.world.value(f"{thing.name}.mass") or thing.mass_kg)
+        figures["mass_kg"] = float(query.world.value(f"{thing.name}.mass") or thing.mass_kg)
     if target is not None:
         figures |= {"seat_depth_m": target.depth_m, "detent_n": target.detent_n}
     figures |= _said("amount", parsed.amount)
@@ -132,10 +132,10 @@ def _said(name: str, quantity: Quantity | None) -> dict[str, float]:
     return {} if quantity is None else {name + SUFFIX.get(quantity.unit, f"_{quantity.unit}"): quantity.value}
 
 
-def _not_for(program: ElaboratorProgram, verb: str, thing: cells.Object | None, belief: Belief) -> Refusal:
+def _not_for(program: ElaboratorProgram, verb: str, thing: cells.Object | None, query: WorldQuery) -> Refusal:
     """The table has no row for this verb and thing. A verb without a row at all is a fault of the program."""
     rows = [row for row in program.command_object_table if row.verb == verb]
-    fits = [one.name for one in belief.cell.objects if any(_is_about(row, one) for row in rows)]
+    fits = [one.name for one in query.cell.objects if any(_is_about(row, one) for row in rows)]
     if thing is None or not rows:
         what = f"{thing.name} ({thing.kind})" if thing else "no object"
         return Refusal(
@@ -154,11 +154,11 @@ def _not_for(program: ElaboratorProgram, verb: str, thing: cells.Object | None, 
 
 
 def _table(
-    program: ElaboratorProgram, verb: str, thing: cells.Object | None, belief: Belief
+    program: ElaboratorProgram, verb: str, thing: cells.Object | None, query: WorldQuery
 ) -> dict[str, Any] | Refusal:
     rows = [row for row in program.command_object_table if row.verb == verb and _is_about(row, thing)]
     if not rows:
-        return _not_for(program, verb, thing, belief)
+        return _not_for(program, verb, thing, query)
     rows.sort(key=lambda row: bool(row.name))  # what is known of one by its name goes before what is known of its kind
     return {name: value for row in rows for name, value in row.values.items()}
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from rtc import geometry
 from rtc.outcomes import Refusal, RefusalReason
 from workers import naming
-from workers.situation import Situation
+from workers.situation import TaskCandidate
 
 
 @dataclass(frozen=True)
-class Start:
+class Anchor:
     """Exactly one of joints and pose. `relies_on`: the facts it is made of."""
 
     joints: list[float] | None = None
@@ -25,87 +25,97 @@ class Start:
     relies_on: tuple[str, ...] = ()
 
 
-def grasp_point(at: Situation) -> Start | Refusal:
+def grasp_point(candidate: TaskCandidate) -> Anchor | Refusal:
     """The tcp at the grasp point, in the object's axes."""
-    assert at.thing is not None
-    if at.point is None:
-        return _no_grasp_point(at.thing.name)
-    return Start(pose=at.point.frame.pose.tolist(), frame=at.thing.name, relies_on=(f"{at.thing.name}.frame",))
+    assert candidate.thing is not None
+    if candidate.point is None:
+        return _no_grasp_point(candidate.thing.name)
+    return Anchor(
+        pose=candidate.point.frame.pose.tolist(),
+        frame=candidate.thing.name,
+        relies_on=(f"{candidate.thing.name}.frame",),
+    )
 
 
-def stow(at: Situation) -> Start | Refusal:
-    return Start(joints=at.arm.stow_rad)
+def stow(candidate: TaskCandidate) -> Anchor | Refusal:
+    return Anchor(joints=candidate.arm.stow_rad)
 
 
-def seat(at: Situation) -> Start | Refusal:
+def seat(candidate: TaskCandidate) -> Anchor | Refusal:
     """The tcp where what the hand holds sits in the target seat."""
-    assert at.thing is not None
-    assert at.target is not None
-    grasp = at.belief.grasp(at.thing.name)
+    assert candidate.thing is not None
+    assert candidate.target is not None
+    grasp = candidate.query.grasp(candidate.thing.name)
     if grasp is None:
-        return _state(f"how {at.arm.name} holds {at.thing.name} is not known", "let go of it, and take it again")
-    seated = at.belief.seated_pose(at.target.name)
+        return _state(
+            f"how {candidate.arm.name} holds {candidate.thing.name} is not known", "let go of it, and take it again"
+        )
+    seated = candidate.query.seated_pose(candidate.target.name)
     pose = geometry.compose(seated, geometry.inverse(grasp)).tolist()
-    return Start(pose=pose, relies_on=(f"{at.thing.name}.grasp", f"{at.target.name}.frame"))
+    return Anchor(pose=pose, relies_on=(f"{candidate.thing.name}.grasp", f"{candidate.target.name}.frame"))
 
 
-def destination(at: Situation) -> Start | Refusal:
+def destination(candidate: TaskCandidate) -> Anchor | Refusal:
     """Where MOVE ... TO goes."""
-    place = at.parsed.place
+    place = candidate.parsed.place
     assert place is not None
     if place.joints is not None:
-        wanted = len(at.arm.joints)
+        wanted = len(candidate.arm.joints)
         if len(place.joints) != wanted:
-            return _state(f"{at.arm.name} has {wanted} joints, {len(place.joints)} were given", f"give {wanted} values")
-        return Start(joints=list(place.joints))
+            return _state(
+                f"{candidate.arm.name} has {wanted} joints, {len(place.joints)} were given", f"give {wanted} values"
+            )
+        return Anchor(joints=list(place.joints))
     if place.position is not None:  # the attitude is kept
-        here = at.belief.tcp(at.arm.name)
-        return Start(pose=geometry.make_pose(place.position, here[3:]).tolist())
+        here = candidate.query.tcp(candidate.arm.name)
+        return Anchor(pose=geometry.make_pose(place.position, here[3:]).tolist())
     if place.neighborhood_of is not None or place.grasp_point_of is not None:
-        return _at_object(at, place.neighborhood_of or place.grasp_point_of or "", near=place.grasp_point_of is None)
-    return _named(at, place.name or "")
+        return _at_object(
+            candidate, place.neighborhood_of or place.grasp_point_of or "", near=place.grasp_point_of is None
+        )
+    return _named(candidate, place.name or "")
 
 
-def _named(at: Situation, name: str) -> Start | Refusal:
-    cell = at.belief.cell
+def _named(candidate: TaskCandidate, name: str) -> Anchor | Refusal:
+    cell = candidate.query.cell
     place = next((p for p in cell.places if p.name == name), None)
     if place is None:
         if any(thing.name == name for thing in cell.objects):
             said = f"{name} is an object: a hand goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
             return Refusal(reason=RefusalReason.NAME, message=said, nearest=[name], clears="say which of the two")
         return naming.unknown("place", name, [p.name for p in cell.places])
-    joints = place.joints_rad(at.arm.name)
+    joints = place.joints_rad(candidate.arm.name)
     if joints is not None:
-        return Start(joints=joints)
-    frame = place.poses.get(at.arm.name)
+        return Anchor(joints=joints)
+    frame = place.poses.get(candidate.arm.name)
     if frame is not None:
-        return Start(pose=frame.pose.tolist())
+        return Anchor(pose=frame.pose.tolist())
     able = sorted({*place.poses, *place.joints_deg})
     return Refusal(
         reason=RefusalReason.INFEASIBLE,
-        message=f"{at.arm.name} has no way to stand at {name}; {', '.join(able)} can",
+        message=f"{candidate.arm.name} has no way to stand at {name}; {', '.join(able)} can",
         where=name,
         expected=able,
-        clears=f"another arm, or a place that {at.arm.name} can go to",
-        detail={"cause": "place", "arm": at.arm.name, "place": name},
+        clears=f"another arm, or a place that {candidate.arm.name} can go to",
+        detail={"cause": "place", "arm": candidate.arm.name, "place": name},
     )
 
 
-def _at_object(at: Situation, name: str, near: bool) -> Start | Refusal:
-    cell = at.belief.cell
+def _at_object(candidate: TaskCandidate, name: str, near: bool) -> Anchor | Refusal:
+    cell = candidate.query.cell
     thing = next((t for t in cell.objects if t.name == name), None)
     if thing is None:
         return naming.unknown("object", name, [t.name for t in cell.objects])
     if not thing.grasp_points:
         return _no_grasp_point(name)
-    base = at.arm.base.pose
-    frame = at.belief.frame(name)
+    base = candidate.arm.base.pose
+    frame = candidate.query.frame(name)
     points = [geometry.compose(frame, p.frame.pose) for p in thing.grasp_points]
     nearest = min(range(len(points)), key=lambda n: geometry.distance(base, points[n]))
     pose = thing.grasp_points[nearest].frame.pose
-    back_m = min(at.figures["approach_m"], at.figures["neighborhood_radius_m"]) if near else 0.0
+    back_m = min(candidate.figures["approach_m"], candidate.figures["neighborhood_radius_m"]) if near else 0.0
     start = geometry.compose(pose, (0.0, 0.0, -back_m, 0.0, 0.0, 0.0, 1.0))
-    return Start(pose=start.tolist(), frame=name, relies_on=(f"{name}.frame",))
+    return Anchor(pose=start.tolist(), frame=name, relies_on=(f"{name}.frame",))
 
 
 def _no_grasp_point(thing: str) -> Refusal:
@@ -121,7 +131,7 @@ def _state(message: str, clears: str) -> Refusal:
     return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
 
 
-STARTS: dict[str, Callable[[Situation], Start | Refusal]] = {
+ANCHORS: dict[str, Callable[[TaskCandidate], Anchor | Refusal]] = {
     "grasp_point": grasp_point,
     "destination": destination,
     "stow": stow,

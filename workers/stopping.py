@@ -29,7 +29,7 @@ from rtc.primitive import (
 )
 from rtc.program_schema import BinderProgram, StopClass, StopRow
 from workers import reflexes
-from workers.belief import Belief
+from workers.belief import WorldQuery
 
 #: tag of a predicate -> (limit, axis or None) -> the predicate
 MAKERS: dict[str, Callable[[float, Vector | None], Predicate]] = {
@@ -50,12 +50,12 @@ TIGHTENED = {"speed_m_s": "speed_m_s", "force_n": "force_n", "torque_nm": "torqu
 Values = dict[str, float]
 
 
-def figures(program: BinderProgram, stop_class: StopClass, belief: Belief, data: BinderInput) -> Values:
+def figures(program: BinderProgram, stop_class: StopClass, query: WorldQuery, data: BinderInput) -> Values:
     """Every figure in force for this step. Raises ExpressionError when one names a figure that does not exist."""
     context = data.context
-    values: Values = dict(msgspec.structs.asdict(belief.cell.numbers))
-    if belief.holding(context.arm):
-        values["held_width_m"] = belief.hand_width(context.arm)
+    values: Values = dict(msgspec.structs.asdict(query.cell.numbers))
+    if query.holding(context.arm):
+        values["held_width_m"] = query.hand_width(context.arm)
     for rows in (program.values, stop_class.values):
         for name, expression in rows.items():
             values[name] = expressions.number(expression, values)
@@ -96,13 +96,13 @@ def _limit(row: StopRow, values: Values) -> float | None:
     return expressions.number(row.limit, values)
 
 
-def said_in_sentence(data: BinderInput, belief: Belief, values: Values) -> list[StopFunction]:
+def from_command(data: BinderInput, query: WorldQuery, values: Values) -> list[StopFunction]:
     """UNLESS ... THEN ... of the command, for this step."""
     context = data.context
-    at = reflexes.Moment(
+    state = reflexes.StepState(
         values=values,
-        hand_pose=belief.tcp(context.arm),
-        holding=bool(belief.holding(context.arm)),
-        object_at=belief.frame(context.object)[:3].tolist() if context.object else None,
+        hand_pose=query.tcp(context.arm),
+        holding=bool(query.holding(context.arm)),
+        object_at=query.frame(context.object)[:3].tolist() if context.object else None,
     )
-    return reflexes.stop_functions(context.reflexes, at)
+    return reflexes.stop_functions(context.reflexes, state)

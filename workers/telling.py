@@ -18,22 +18,22 @@ from rtc.messages import Script, ScriptContext, Step
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.program_schema import ElaboratorProgram, ScriptFile, Tellable
 from workers import naming, sentence
-from workers.belief import Belief
+from workers.belief import WorldQuery
 
 Thing = cells.Object | cells.Seat
 
 
-def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, belief: Belief) -> Script | Refusal:
+def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, query: WorldQuery) -> Script | Refusal:
     """The script, with what is told in its context."""
     misplaced = sentence.misplaced(parsed, file.script, file.uses)
     if misplaced is not None:
         return misplaced
-    things: dict[str, Thing] = {thing.name: thing for thing in belief.cell.objects}
-    things |= {seat.name: seat for seat in belief.cell.seats}
+    things: dict[str, Thing] = {thing.name: thing for thing in query.cell.objects}
+    things |= {seat.name: seat for seat in query.cell.seats}
     thing = things.get(parsed.object or "")
     if thing is None:
         return naming.unknown("object or seat", parsed.object or "", things)
-    facts = _facts(program, parsed, thing, belief)
+    facts = _facts(program, parsed, thing, query)
     if isinstance(facts, Refusal):
         return facts
     texts = {
@@ -42,8 +42,8 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
         "value": _shown(parsed),
     }
     inside = [key.rpartition(".")[0] for key in facts]
-    inside += _seated(thing.name, belief) if isinstance(thing, cells.Seat) else []
-    if f"{thing.name}.frame" in facts and (holder := belief.held_by(thing.name)):
+    inside += _seated(thing.name, query) if isinstance(thing, cells.Seat) else []
+    if f"{thing.name}.frame" in facts and (holder := query.held_by(thing.name)):
         inside.append(holder)  # what its hand holds, and how, follows from it
     return Script(
         context=ScriptContext(
@@ -76,9 +76,9 @@ def _names(roles: list[str], active: list[str]) -> list[str]:
     return list(dict.fromkeys(name for role in roles for name in (active if role == "active_object" else [role])))
 
 
-def _seated(seat: str, belief: Belief) -> list[str]:
+def _seated(seat: str, query: WorldQuery) -> list[str]:
     """What sits in a seat goes with it."""
-    return [thing.name for thing in belief.cell.objects if belief.seat(thing.name) == seat]
+    return [thing.name for thing in query.cell.objects if query.seat(thing.name) == seat]
 
 
 def _said(words: str, texts: dict[str, str]) -> str:
@@ -92,7 +92,9 @@ def _attribute(parsed: ParsedCommand) -> str:
     return (parsed.attribute or "").lower().replace("-", "_")
 
 
-def _facts(program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, belief: Belief) -> dict[str, Any] | Refusal:
+def _facts(
+    program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, query: WorldQuery
+) -> dict[str, Any] | Refusal:
     """What is to be believed, in SI, by key; or the refusal that says how it is told."""
     attribute = _attribute(parsed)
     said: list[float | str] = parsed.value or []
@@ -112,9 +114,9 @@ def _facts(program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, beli
             return _misfit(row, parsed, thing)
         make = FACTS.get(attribute)
         if make is not None:
-            return make(program, said, thing, belief)
+            return make(program, said, thing, query)
     else:
-        known = [_word(name) for name in (*program.told, *program.not_told, *_others(thing, belief))]
+        known = [_word(name) for name in (*program.told, *program.not_told, *_others(thing, query))]
         like = naming.nearest(parsed.attribute or "", known)
         if like and parsed.attribute not in known:
             return naming.unknown("attribute", parsed.attribute or "", known, where=parsed.attribute or "")
@@ -130,10 +132,10 @@ def _fits(row: Tellable, parsed: ParsedCommand) -> bool:
     return (unit == row.unit and len(said) == len(row.of)) or (row.attitude and unit == turned)
 
 
-def _others(thing: Thing, belief: Belief) -> list[str]:
+def _others(thing: Thing, query: WorldQuery) -> list[str]:
     """What else is believed of it by now, because it was told before."""
     own = f"{thing.name}."
-    return [key.removeprefix(own) for key in belief.world.facts if key.startswith(own)]
+    return [key.removeprefix(own) for key in query.world.facts if key.startswith(own)]
 
 
 def _word(attribute: str) -> str:
@@ -158,34 +160,34 @@ def _misfit(row: Tellable, parsed: ParsedCommand, thing: Thing) -> Refusal:
 # --- where a thing is ----------------------------------------------------------------------------------------
 
 
-def _frame(program: ElaboratorProgram, said: list[Any], thing: Thing, belief: Belief) -> dict[str, Any] | Refusal:
+def _frame(program: ElaboratorProgram, said: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
     """A place, with its attitude or with the one believed so far."""
     angles = said[3:]
-    attitude = geometry.from_rpy((0, 0, 0), angles)[3:] if angles else _believed(thing, belief)[3:]
+    attitude = geometry.from_rpy((0, 0, 0), angles)[3:] if angles else _believed(thing, query)[3:]
     return _pose(said[:3], attitude, thing)
 
 
-def _attitude(program: ElaboratorProgram, said: list[Any], thing: Thing, belief: Belief) -> dict[str, Any] | Refusal:
+def _attitude(program: ElaboratorProgram, said: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
     """An attitude, at the place believed so far."""
-    return _pose(_believed(thing, belief)[:3], geometry.from_rpy((0, 0, 0), said)[3:], thing)
+    return _pose(_believed(thing, query)[:3], geometry.from_rpy((0, 0, 0), said)[3:], thing)
 
 
-def _seat(program: ElaboratorProgram, said: list[Any], thing: Thing, belief: Belief) -> dict[str, Any] | Refusal:
+def _seat(program: ElaboratorProgram, said: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
     """It is where that seat holds a thing."""
-    seats = [seat.name for seat in belief.cell.seats]
+    seats = [seat.name for seat in query.cell.seats]
     if said[0] not in seats:
         return naming.unknown("seat", said[0], seats, where=said[0])
-    holder = belief.held_by(thing.name)
+    holder = query.held_by(thing.name)
     if holder:
         message = f"{thing.name} is held by {holder}"
         clears = program.needs["object_free"].replace("{object}", thing.name)
         return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
-    seated = belief.seated_pose(said[0])
+    seated = query.seated_pose(said[0])
     return _pose(seated[:3], seated[3:], thing)
 
 
-def _believed(thing: Thing, belief: Belief) -> Array:
-    return belief.seat_frame(thing.name) if isinstance(thing, cells.Seat) else belief.frame(thing.name)
+def _believed(thing: Thing, query: WorldQuery) -> Array:
+    return query.seat_frame(thing.name) if isinstance(thing, cells.Seat) else query.frame(thing.name)
 
 
 def _pose(place: Any, attitude: Any, thing: Thing) -> dict[str, Any] | Refusal:
@@ -195,7 +197,7 @@ def _pose(place: Any, attitude: Any, thing: Thing) -> dict[str, Any] | Refusal:
 
 
 ANGLES = ("roll", "pitch", "yaw")
-FACTS: dict[str, Callable[[ElaboratorProgram, list[Any], Thing, Belief], dict[str, Any] | Refusal]] = {
+FACTS: dict[str, Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any] | Refusal]] = {
     "frame": _frame,
     "attitude": _attitude,
     "seat": _seat,

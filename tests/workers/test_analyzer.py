@@ -53,7 +53,7 @@ def test_the_centring_grasp_from_first_line_to_last(either):
 
 @pytest.mark.parametrize("aside_m", [0.008, -0.008])
 def test_the_grasp_finds_out_where_the_object_really_is(either, aside_m):
-    """The fingers feel both sides: the belief is put right to what is true (R149)."""
+    """The fingers feel both sides: the query is put right to what is true (R149)."""
     either.subsystem.displace("MACS-NEW", [0.0, aside_m, 0.0])
 
     run = either.do(GRASP)

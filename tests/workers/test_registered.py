@@ -14,7 +14,7 @@ from workers import analyzer, axes, binder, effects, legs, needs, situation, sta
     ("told", "there"),
     [
         (registered.NEEDS, needs.NEEDS),
-        (registered.STARTS, starting_points.STARTS),
+        (registered.STARTS, starting_points.ANCHORS),
         (registered.AXES, axes.AXES),
         (registered.SPACES, legs.SPACES),
         (registered.ACTIONS, binder.ACTIONS),

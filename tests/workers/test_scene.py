@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rtc.messages import Limits
-from workers.belief import Belief
+from workers.belief import WorldQuery
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 KEPT = Limits(clearance_m=0.02)
@@ -13,14 +13,14 @@ KEPT = Limits(clearance_m=0.02)
 
 def test_what_is_carried_keeps_its_distance_too_but_not_from_the_seat_it_leaves(bench):
     bench.do(GRASP)
-    assert Belief(bench.model, bench.world).scene("RIGHT-ARM", KEPT).near == ["RACK-1"]
+    assert WorldQuery(bench.model, bench.world).scene("RIGHT-ARM", KEPT).near == ["RACK-1"]
 
     bench.do("LIFT MACS-NEW BY 20 CM")
-    assert Belief(bench.model, bench.world).scene("RIGHT-ARM", KEPT).near == []
+    assert WorldQuery(bench.model, bench.world).scene("RIGHT-ARM", KEPT).near == []
 
 
 def test_what_is_to_be_touched_may_be_near(bench):
-    scene = Belief(bench.model, bench.world).scene("RIGHT-ARM", KEPT, touching="MACS-NEW")
+    scene = WorldQuery(bench.model, bench.world).scene("RIGHT-ARM", KEPT, touching="MACS-NEW")
     assert scene.near == ["MACS-NEW", "RACK-1"]
 
 

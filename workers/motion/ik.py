@@ -6,14 +6,13 @@ refusal tells what is wrong with the nearest, and how many were tried. Pure.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import msgspec
 
 from rtc.geometry import Array, Floats
 from rtc.outcomes import Refusal
 from rtc.robot.kinematics import ArmModel
-from workers.motion import path
 
 Test = Callable[[Array], Refusal | None]
 
@@ -23,19 +22,17 @@ def choose(
     target: Floats,
     near: Floats,
     *,
-    then: Sequence[Floats] = (),
     test: Test | None = None,
     margin_rad: float = 0.0,
 ) -> Array | Refusal:
     """Joints (rad) for the tcp pose `target`, nearest to `near`.
 
-    `then`: poses that the hand will go to from there in straight lines; a branch that cannot follow is not taken.
     `test`: what else must hold, e.g. no collision; it gives the cause when it does not.
     """
     first: Refusal | None = None
     candidates = arm.ik(target, near, margin_rad)
     for joints in candidates:
-        problem = (test(joints) if test is not None else None) or _cannot_follow(arm, joints, then, margin_rad, test)
+        problem = test(joints) if test is not None else None
         if problem is None:
             return joints
         first = first or problem
@@ -44,17 +41,3 @@ def choose(
         assert unreachable is not None, "no solutions, and yet nothing is wrong"
         return unreachable
     return msgspec.structs.replace(first, detail={**first.detail, "branches_tried": float(len(candidates))})
-
-
-def _cannot_follow(
-    arm: ArmModel, joints: Array, then: Sequence[Floats], margin_rad: float, test: Test | None
-) -> Refusal | None:
-    for pose in then:
-        line = path.task_line(arm, joints, pose, margin_rad)
-        if isinstance(line, Refusal):
-            return line
-        joints = line.knots[-1]
-        problem = test(joints) if test is not None else None
-        if problem is not None:
-            return problem
-    return None

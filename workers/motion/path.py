@@ -8,7 +8,7 @@ that cannot be followed is a Refusal that tells how far along it ends, and why.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
@@ -91,13 +91,6 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
         knots.append(q)
     table = np.array(knots)
     return Path("task", fractions * length, table, SplineInterpolator(fractions * length, table))
-
-
-def backwards(path: Path) -> Path:
-    """The same way from its end to its start."""
-    s = path.length - path.s[::-1]
-    knots = path.knots[::-1].copy()
-    return replace(path, s=s, knots=knots, curve=None if path.curve is None else SplineInterpolator(s, knots))
 
 
 def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_rad: float) -> Refusal | None:

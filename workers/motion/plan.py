@@ -32,7 +32,7 @@ BACK_M = (0.10, 0.20)  # how far it is drawn back along its own axis
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class PlanningRequest:
     """Where a motion is planned: whose, among what, from where."""
 
     arm: ArmModel
@@ -62,90 +62,92 @@ class Motion:
     notes: list[str] = field(default_factory=list)
 
 
-def plan_task_motion(at: Setting, goal_pose: Floats) -> Motion | Refusal:
+def plan_task_motion(request: PlanningRequest, goal_pose: Floats) -> Motion | Refusal:
     """The tcp in a straight line to `goal_pose`."""
-    line = paths.task_line(at.arm, at.start, goal_pose, at.way_margin_rad)
+    line = paths.task_line(request.arm, request.start, goal_pose, request.way_margin_rad)
     if isinstance(line, Refusal):
         return line
-    return fault(at, line) or _motion(at, line, ["generated a straight line of the hand; tested: free"])
+    return fault(request, line) or _motion(request, line, ["generated a straight line of the hand; tested: free"])
 
 
-def plan_joint_motion(at: Setting, goal: Floats) -> Motion | Refusal:
+def plan_joint_motion(request: PlanningRequest, goal: Floats) -> Motion | Refusal:
     """To the joint values `goal`, the way being free: with `CLEARANCE_M` to spare if there is such a way."""
     goal = np.asarray(goal, dtype=float)
-    problem = at.arm.why_not_within(goal, at.margin_rad) or free_posture(at)(goal)
+    problem = request.arm.why_not_within(goal, request.margin_rad) or free_posture(request)(goal)
     if problem is not None:
         return problem
-    roomy = replace(at, scene=_with_room(at, goal))
+    roomy = replace(request, scene=_with_room(request, goal))
     found = _generate_and_test(roomy, goal)
-    if isinstance(found, Refusal) and roomy.scene is not at.scene:
-        found = _generate_and_test(at, goal)
+    if isinstance(found, Refusal) and roomy.scene is not request.scene:
+        found = _generate_and_test(request, goal)
     return found
 
 
-def _generate_and_test(at: Setting, goal: Array) -> Motion | Refusal:
-    direct = paths.joint_line(at.start, goal)
-    first = fault(at, direct)
+def _generate_and_test(request: PlanningRequest, goal: Array) -> Motion | Refusal:
+    direct = paths.joint_line(request.start, goal)
+    first = fault(request, direct)
     if first is None:
-        return _motion(at, direct, ["generated a line in joint space; tested: free"])
+        return _motion(request, direct, ["generated a line in joint space; tested: free"])
     notes = [f"generated a line in joint space; tested: {first.message}"]
-    for words, candidate in _modified(at, goal):
-        problem = fault(at, candidate)
+    for words, candidate in _modified(request, goal):
+        problem = fault(request, candidate)
         notes.append(f"modified: {words}; tested: {problem.message if problem else 'free'}")
         if problem is None:
-            return _motion(at, candidate, notes)
+            return _motion(request, candidate, notes)
     return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(notes))})
 
 
-def _with_room(at: Setting, goal: Array) -> Scene:
+def _with_room(request: PlanningRequest, goal: Array) -> Scene:
     """The scene with `CLEARANCE_M` to all but what either end of the way is nearer to. As it is, when the task says
     itself how much is to be kept."""
-    if at.scene.clearance_m > 0.0:
-        return at.scene
-    ours = {at.arm.name, *(name for name, held in at.scene.held.items() if held.arm == at.arm.name)}
-    near = list(at.scene.near)
-    scene = replace(at.scene, clearance_m=CLEARANCE_M, near=near)
-    start = at.start
+    if request.scene.clearance_m > 0.0:
+        return request.scene
+    ours = {request.arm.name, *(name for name, held in request.scene.held.items() if held.arm == request.arm.name)}
+    near = list(request.scene.near)
+    scene = replace(request.scene, clearance_m=CLEARANCE_M, near=near)
+    start = request.start
     for end in (start, goal):
-        while hit := at.world.check({**at.joints, at.arm.name: end}, scene):
+        while hit := request.world.check({**request.joints, request.arm.name: end}, scene):
             name = hit.body_a if hit.body_b.split()[0] in ours else hit.body_b
             if name in near and end is start:
                 break  # touched, not only near: how that is left is for `check_path`
-            if len(near) >= len(list(at.scene.near)) + NEAR_AT_MOST:
-                return at.scene
+            if len(near) >= len(list(request.scene.near)) + NEAR_AT_MOST:
+                return request.scene
             near.append(name)
             scene = replace(scene, near=list(near))
     return scene
 
 
-def free_posture(at: Setting) -> Callable[[Array], Refusal | None]:
+def free_posture(request: PlanningRequest) -> Callable[[Array], Refusal | None]:
     """A test for `ik.choose`: the posture is free of collisions and keeps the rules, the other arms where they are."""
 
     def test(joints: Array) -> Refusal | None:
-        hit = at.world.check({**at.joints, at.arm.name: joints}, at.scene)
-        return hit.refusal() if hit is not None else at.rules.broken_by(at.arm, joints)
+        hit = request.world.check({**request.joints, request.arm.name: joints}, request.scene)
+        return hit.refusal() if hit is not None else request.rules.broken_by(request.arm, joints)
 
     return test
 
 
-def fault(at: Setting, way: Path) -> Refusal | None:
+def fault(request: PlanningRequest, way: Path) -> Refusal | None:
     """The first thing wrong along a way, with how far along it is; None: it can be gone."""
     s, configurations = way.dense()
-    hit = at.world.check_path(at.arm.name, configurations, at.joints, at.scene)
+    hit = request.world.check_path(request.arm.name, configurations, request.joints, request.scene)
     free = configurations if hit is None else configurations[: hit.index]
-    margin = at.way_margin_rad - 1e-9
-    within = len(free) == 0 or at.arm.limit_margin(free) >= margin  # asked of all at once: they nearly always are
+    margin = request.way_margin_rad - 1e-9
+    within = len(free) == 0 or request.arm.limit_margin(free) >= margin  # asked of all at once: they nearly always are
     for n, joints in enumerate(free):
-        problem = (None if within else at.arm.why_not_within(joints, margin)) or at.rules.broken_by(at.arm, joints)
+        problem = (None if within else request.arm.why_not_within(joints, margin)) or request.rules.broken_by(
+            request.arm, joints
+        )
         if problem is not None:
             return _at(problem, float(s[n]) / way.length)
     return None if hit is None else _at(hit.collision.refusal(), float(s[hit.index]) / way.length)
 
 
-def _modified(at: Setting, goal: Array) -> Iterator[tuple[str, Path]]:
+def _modified(request: PlanningRequest, goal: Array) -> Iterator[tuple[str, Path]]:
     """Other ways, the least detour first: straight for the hand; then over way-points above or behind both ends."""
-    start_pose, goal_pose = at.arm.fk(at.start), at.arm.fk(goal)
-    straight = paths.task_line(at.arm, at.start, goal_pose, at.way_margin_rad)
+    start_pose, goal_pose = request.arm.fk(request.start), request.arm.fk(goal)
+    straight = paths.task_line(request.arm, request.start, goal_pose, request.way_margin_rad)
     if not isinstance(straight, Refusal) and np.abs(straight.knots[-1] - goal).max() < 1e-6:
         yield "a straight line of the hand", straight
     for back in (0.0, *BACK_M):
@@ -157,18 +159,18 @@ def _modified(at: Setting, goal: Array) -> Iterator[tuple[str, Path]]:
                 geometry.translate(geometry.compose(p, (0, 0, -back, 0, 0, 0, 1)), (0, 0, up))
                 for p in (start_pose, goal_pose)
             ]
-            corners = [at.arm.follow(moved[0], at.start), at.arm.follow(moved[1], goal)]
-            if any(c is None or at.arm.why_not_within(c, at.margin_rad) is not None for c in corners):
+            corners = [request.arm.follow(moved[0], request.start), request.arm.follow(moved[1], goal)]
+            if any(c is None or request.arm.why_not_within(c, request.margin_rad) is not None for c in corners):
                 continue
             first, second = (np.asarray(c) for c in corners)
-            yield f"by way of both ends {words}", paths.through([at.start, first, second, goal])
-            yield f"by way of the start {words}", paths.through([at.start, first, goal])
-            yield f"by way of the goal {words}", paths.through([at.start, second, goal])
+            yield f"by way of both ends {words}", paths.through([request.start, first, second, goal])
+            yield f"by way of the start {words}", paths.through([request.start, first, goal])
+            yield f"by way of the goal {words}", paths.through([request.start, second, goal])
 
 
-def _motion(at: Setting, way: Path, notes: list[str]) -> Motion:
+def _motion(request: PlanningRequest, way: Path, notes: list[str]) -> Motion:
     goal = way.knots[-1]
-    return Motion(way, time_path(at.arm, way, at.pace), goal, at.arm.fk(goal), notes)
+    return Motion(way, time_path(request.arm, way, request.pace), goal, request.arm.fk(goal), notes)
 
 
 def _at(problem: Refusal, fraction: float) -> Refusal:

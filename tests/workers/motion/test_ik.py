@@ -32,19 +32,6 @@ def test_a_branch_that_fails_the_test_is_passed_over(right, home):
     assert geometry.distance(right.fk(other), target) < 1e-9
 
 
-def test_a_branch_that_cannot_go_on_is_passed_over(right):
-    """At the bay there is a branch with the elbow up; drawing back it ends at a limit."""
-    target, back = level(0.78, -0.085, 0.7), level(0.48, -0.085, 0.7)
-    candidates = right.ik(target, [0] * 6)
-    dead_ends = [q for q in candidates if right.why_not_within(right.follow(back, q)) is not None]
-    assert dead_ends  # or this test shows nothing
-    seed = dead_ends[0]
-    assert np.allclose(choose(right, target, seed), seed)
-    chosen = choose(right, target, seed, then=[back])
-    assert not np.allclose(chosen, seed)
-    assert right.why_not_within(right.follow(back, chosen)) is None
-
-
 def test_when_none_passes_the_nearest_tells_why(right, home):
     no = Refusal(reason=RefusalReason.INFEASIBLE, message="never", detail={"cause": "test"})
     refusal = choose(right, level(0.65, -0.885, 0.6), home["RIGHT-ARM"], test=lambda _: no)

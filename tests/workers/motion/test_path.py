@@ -9,7 +9,7 @@ import pytest
 
 from rtc import geometry
 from rtc.outcomes import Refusal
-from workers.motion.path import backwards, joint_line, task_line, through
+from workers.motion.path import joint_line, task_line, through
 
 
 def level(x, y, z):
@@ -78,13 +78,6 @@ def test_a_curve_goes_through_its_way_points(right, home):
     path = through([a, middle, b])
     assert np.allclose(path.at(path.s)[0], [a, middle, b])
     assert len(through([a, b]).knots) == 2
-
-
-def test_backwards_is_the_same_way(right, home):
-    line = task_line(right, at(right, home, 0.45, -0.885, 0.6), level(0.65, -0.885, 0.6))
-    back = backwards(line)
-    s = np.linspace(0, line.length, 20)
-    assert np.allclose(back.at(s)[0], line.at(line.length - s)[0], atol=1e-9)
 
 
 def test_out_of_reach_on_the_way_tells_where(right, home):

@@ -16,7 +16,7 @@ from rtc.outcomes import Refusal
 from rtc.robot.collision import CollisionWorld, Held, Scene
 from workers.motion.constraints import Rules
 from workers.motion.ik import choose
-from workers.motion.plan import CLEARANCE_M, Setting, free_posture, plan_joint_motion, plan_task_motion
+from workers.motion.plan import CLEARANCE_M, PlanningRequest, free_posture, plan_joint_motion, plan_task_motion
 from workers.motion.timing import Pace
 
 FRONT, HANDLE = (0.45, -0.885, 0.60), (0.65, -0.885, 0.60)
@@ -28,7 +28,7 @@ def level(x, y, z):
 
 @pytest.fixture
 def setting(right, world, home):
-    return Setting(right, world, home)
+    return PlanningRequest(right, world, home)
 
 
 def with_joints(setting, *xyz):
@@ -48,7 +48,7 @@ def holding(cell, right, joints, thing="MACS-NEW"):
 def test_from_home_to_the_rack_and_on_to_the_handle(setting, right, world, home):
     to_front = plan_joint_motion(setting, goal_at(setting, *FRONT))
     assert to_front.notes == ["generated a line in joint space; tested: free"]
-    there = Setting(right, world, {**home, "RIGHT-ARM": to_front.goal_joints}, pace=Pace(0.1))
+    there = PlanningRequest(right, world, {**home, "RIGHT-ARM": to_front.goal_joints}, pace=Pace(0.1))
     to_handle = plan_task_motion(there, level(*HANDLE))
     assert geometry.distance(to_handle.goal_pose, HANDLE) < 1e-6
     assert to_handle.path.space == "task"
@@ -65,7 +65,7 @@ def test_a_blocked_line_is_modified_until_it_is_free(setting, cell, right, world
     """R92. The lifted module goes from its rack to before the bay: the line in joint space cuts the satellite."""
     seated = with_joints(setting, *HANDLE)
     scene = holding(cell, right, seated)
-    lifted = Setting(right, world, with_joints(setting, 0.45, -0.885, 0.75), scene)
+    lifted = PlanningRequest(right, world, with_joints(setting, 0.45, -0.885, 0.75), scene)
     motion = plan_joint_motion(lifted, goal_at(lifted, 0.48, -0.085, 0.70))
     assert re.search("tested: MACS-NEW case .* SATELLITE right-panel", motion.notes[0])
     assert all(note.startswith("modified:") for note in motion.notes[1:])
@@ -79,7 +79,7 @@ def test_a_blocked_line_is_modified_until_it_is_free(setting, cell, right, world
 def test_a_way_of_our_own_choice_has_room_on_both_sides(setting, cell, right, world, home):
     """Held by HANDLE-B, the module passed the satellite at 0 mm, which is none: it was turned in the hand."""
     scene = holding(cell, right, with_joints(setting, 0.65, -0.715, 0.60))
-    lifted = Setting(right, world, with_joints(setting, 0.65, -0.715, 0.85), scene)
+    lifted = PlanningRequest(right, world, with_joints(setting, 0.65, -0.715, 0.85), scene)
     motion = plan_joint_motion(lifted, goal_at(lifted, 0.48, -0.085, 0.70))
     wide = replace(scene, clearance_m=0.9 * CLEARANCE_M)
     assert world.check_path("RIGHT-ARM", motion.path.dense(0.002)[1], home, wide) is None
@@ -88,7 +88,7 @@ def test_a_way_of_our_own_choice_has_room_on_both_sides(setting, cell, right, wo
 def test_where_there_is_no_room_at_an_end_the_way_there_is_found_all_the_same(setting, cell, right, world, home):
     """The open hand, its back to the satellite, nearer than that at its goal."""
     scene = Scene(openings_m={"RIGHT-ARM": 0.08})
-    at = Setting(right, world, with_joints(setting, 0.55, -0.085, 0.90), scene)
+    at = PlanningRequest(right, world, with_joints(setting, 0.55, -0.085, 0.90), scene)
     goal = right.ik(level(0.732, -0.085, 0.90), at.start)[0]
     assert world.check({**home, "RIGHT-ARM": goal}, replace(scene, clearance_m=CLEARANCE_M)) is not None
     assert not isinstance(plan_joint_motion(at, goal), Refusal)
@@ -99,7 +99,7 @@ def test_no_way_round_tells_the_first_obstacle_and_how_many_ways(right, cell, ho
     shape = Box(name="slab", size_m=(1.2, 0.02, 4.0))
     wall = Object(name="WALL", kind="obstacle", fixed=True, frame=Frame(xyz=(0.92, -0.55, 1.0)), shapes=[shape])
     walled = CollisionWorld(msgspec.structs.replace(cell, objects=[*cell.objects, wall]))
-    at = Setting(right, walled, with_joints(setting, *FRONT))
+    at = PlanningRequest(right, walled, with_joints(setting, *FRONT))
     refusal = plan_joint_motion(at, right.ik(level(0.55, 0.05, 0.95), at.start)[0])
     assert isinstance(refusal, Refusal)
     assert refusal.detail["cause"] == "collision"
@@ -109,7 +109,7 @@ def test_no_way_round_tells_the_first_obstacle_and_how_many_ways(right, cell, ho
 
 
 def test_a_straight_line_into_something_is_refused_with_the_pair_and_the_place(setting, right, world):
-    at = Setting(right, world, with_joints(setting, 0.48, -0.085, 0.90))
+    at = PlanningRequest(right, world, with_joints(setting, 0.48, -0.085, 0.90))
     refusal = plan_task_motion(at, level(0.78, -0.085, 0.90))
     assert isinstance(refusal, Refusal)
     assert refusal.detail["cause"] == "collision"
@@ -137,10 +137,10 @@ def test_a_goal_beyond_a_limit_names_the_joint(setting):
 def test_work_range_and_attitude_are_maintained(setting, cell, right, world, home):
     inside = Rules(work_range=cell.region("BAY-2-RANGE"))
     goal = goal_at(setting, *FRONT)
-    refusal = plan_joint_motion(Setting(right, world, home, rules=inside), goal)
+    refusal = plan_joint_motion(PlanningRequest(right, world, home, rules=inside), goal)
     assert refusal.detail["cause"] == "work_range"
     upright = Rules(attitude=cell.attitudes["LEVEL"], attitude_name="LEVEL")
-    motion = plan_joint_motion(Setting(right, world, home, rules=upright), goal)
+    motion = plan_joint_motion(PlanningRequest(right, world, home, rules=upright), goal)
     assert "off LEVEL" in motion.notes[0]  # the line in joint space tips the hand over
     assert motion.path.space == "task"
     assert max(geometry.angle(right.fk(q), level(0, 0, 0)) for q in motion.timed.positions) < math.radians(5)
@@ -149,8 +149,8 @@ def test_work_range_and_attitude_are_maintained(setting, cell, right, world, hom
 def test_an_arm_too_near_a_limit_may_leave_from_there(setting, right, world, home):
     near_limit = np.array(home["RIGHT-ARM"])
     near_limit[4] = right.limits.upper[4] - math.radians(1)
-    at = Setting(right, world, {**home, "RIGHT-ARM": near_limit}, margin_rad=math.radians(5))
+    at = PlanningRequest(right, world, {**home, "RIGHT-ARM": near_limit}, margin_rad=math.radians(5))
     motion = plan_joint_motion(at, home["RIGHT-ARM"])
     assert not isinstance(motion, Refusal)
-    back = plan_joint_motion(Setting(right, world, home, margin_rad=math.radians(5)), near_limit)
+    back = plan_joint_motion(PlanningRequest(right, world, home, margin_rad=math.radians(5)), near_limit)
     assert back.detail["joint"] == "joint_5"
