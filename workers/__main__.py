@@ -25,7 +25,7 @@ from rtc.settings import Settings
 from rtc.world.client import WorldClient
 from workers import imports
 from workers.shell import Shell
-from workers.warm import Warm, warm
+from workers.warm import Preloaded, preload
 
 NICENESS = 5  # the broker and the MCM come first
 
@@ -48,7 +48,7 @@ def main() -> None:
         join(given.key, given.kind, given.node)
     else:
         settings = handed.load(given.run_dir, given.handed).settings
-        work(settings, given.kind, given.node, warm([given.kind], settings.cell))
+        work(settings, given.kind, given.node, preload([given.kind], settings.cell))
 
 
 class Order(msgspec.Struct, frozen=True):
@@ -59,7 +59,7 @@ class Order(msgspec.Struct, frozen=True):
 def serve(settings: Settings) -> None:
     """Be the template: make for all kinds what each needs, then fork as ordered."""
     process.log_to_stderr()
-    prepared = warm(WorkerKind, settings.cell)
+    prepared = preload(WorkerKind, settings.cell)
     read = msgspec.json.Decoder(Order).decode
 
     def be(order: bytes) -> None:
@@ -72,7 +72,7 @@ def serve(settings: Settings) -> None:
 def join(key: Path, kind: WorkerKind, node: int) -> None:
     """Be a worker of a cluster on another machine. Ends with a sentence when that does not want it."""
     try:
-        if not work(KeyFile.load(key), kind, node, warm([kind], cell=None)):
+        if not work(KeyFile.load(key), kind, node, preload([kind], cell=None)):
             raise SystemExit(
                 f"the cluster does not want {kind}@{node}: its own machine, or another key, has this node; "
                 "its log says more (logs/gate.log)"
@@ -81,7 +81,7 @@ def join(key: Path, kind: WorkerKind, node: int) -> None:
         raise SystemExit(str(error)) from None
 
 
-def work(doors: Doors, kind: WorkerKind, node: int, warm: Warm) -> bool:
+def work(doors: Doors, kind: WorkerKind, node: int, prepared: Preloaded) -> bool:
     """Be one worker until told to end; False when the cluster told us and not a signal. `warm` is what has been made
     for it already."""
     name = f"{kind}@{node}"
@@ -95,7 +95,7 @@ def work(doors: Doors, kind: WorkerKind, node: int, warm: Warm) -> bool:
         socket = me.socket(zmq.DEALER, doors.endpoint("workers"), identity=identity, secure=secure)
         world = WorldClient(doors.endpoint("world"), me.context, secure=secure)
         hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid())
-        shell = Shell(me, hello, function, socket, world, _models_of, warm.programs.get(kind, {}), warm.cells)
+        shell = Shell(me, hello, function, socket, world, _models_of, prepared.programs.get(kind, {}), prepared.cells)
         process.freeze_heap()
         gc.set_threshold(50_000, 20, 20)  # jobs leave little behind; a collection in one would only delay it
         me.ready()

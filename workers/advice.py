@@ -10,7 +10,7 @@ from rtc.outcomes import Refusal
 from workers.belief import WorldQuery
 
 
-def colliding(refusal: Refusal, query: WorldQuery, arm: str, clears: Mapping[str, str]) -> Refusal:
+def advise_on_collision(refusal: Refusal, query: WorldQuery, arm: str, clears: Mapping[str, str]) -> Refusal:
     """A refusal for a collision of this arm, or of what it holds, with what would clear it. Any other as it is."""
     if refusal.detail.get("cause") != "collision":
         return refusal

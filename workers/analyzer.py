@@ -100,8 +100,8 @@ def _off_m(data: AnalyzerInput) -> float:
 
 def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Assessment | Refusal:
     step = data.evaluation.step
-    changes = _arm(data.report, query, data.evaluation.arm)
-    reported = facts.believed(data.report.facts, query, program.values)
+    changes = _arm_changes(data.report, query, data.evaluation.arm)
+    reported = facts.changes_from(data.report.facts, query, program.values)
     if isinstance(reported, Refusal):
         return reported
     changes += reported
@@ -111,14 +111,14 @@ def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -
             message = f"nothing is registered as effect {effect}; there are {', '.join(EFFECTS)}"
             return Refusal(reason=RefusalReason.PROGRAM, message=message, where=step.label)
         changes += EFFECTS[effect](query, data, Validity.VALID)
-    changes += _carried(program, query, data, changes, suspect=False)
+    changes += _held_object_changes(program, query, data, changes, suspect=False)
     changes += _pressed_on(program, query, data)
     return Assessment(
         verdict="abort" if data.closing else "continue",
         reason=data.report.reason,
         message=step.label,
         keep={name: _kept(source, data.report) for name, source in step.keep.items()},
-        changes=_stated(program, query, data, _last(changes)),
+        changes=_with_spread(program, query, data, _merged(changes)),
     )
 
 
@@ -135,21 +135,23 @@ def _failure(
     program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, reason: StopReason, failure: OutcomeClass
 ) -> Assessment:
     evaluation = data.evaluation
-    changes = _arm(data.report, query, evaluation.arm)
-    changes += _half_done(program, query, data)
-    changes += _carried(program, query, data, changes, suspect="held" in failure.suspect, drops=failure.drops)
-    changes += _suspect(program, query, data, failure)
+    changes = _arm_changes(data.report, query, evaluation.arm)
+    changes += _interrupted_grasp(program, query, data)
+    changes += _held_object_changes(
+        program, query, data, changes, suspect="held" in failure.suspect, drops=failure.drops
+    )
+    changes += _touched_object_changes(program, query, data, failure)
     missed = evaluation.step.args.get("missed")
     if isinstance(missed, str) and missed in EFFECTS and failure.retriable and not data.closing and not data.trims_used:
         changes += EFFECTS[missed](query, data, Validity.SUSPECT)
-    changes = _stated(program, query, data, _last(changes))
+    changes = _with_spread(program, query, data, _merged(changes))
     if failure.misplaced:
         changes = _misplaced(program, query, changes)
-    asked = reflexes.asked_for(evaluation.context.reflexes, data.report)
-    words = _words(failure.message, data, reason) if asked is None else _as_asked(asked, data)
-    if done := reflexes.done(data.report):
+    asked = reflexes.find_requested(evaluation.context.reflexes, data.report)
+    words = _words(failure.message, data, reason) if asked is None else _stopped_as_requested(asked, data)
+    if done := reflexes.describe_action(data.report):
         words = f"{words}; {done}"
-    cures = _cures(program, query, changes, failure.misplaced)
+    cures = _ways_to_clear(program, query, changes, failure.misplaced)
     todo = (failure.clears, *cures, failure.again) if asked is None else tuple(cures)
     trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
     return Assessment(
@@ -162,7 +164,7 @@ def _failure(
     )
 
 
-def _cures(program: AnalyzerProgram, query: WorldQuery, changes: Changes, misplaced: bool) -> list[str]:
+def _ways_to_clear(program: AnalyzerProgram, query: WorldQuery, changes: Changes, misplaced: bool) -> list[str]:
     """What would make those facts trusted again that are suspect now, each way once."""
     after = WorldQuery(query.model, query.world.overlay(changes))
     suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
@@ -186,7 +188,7 @@ def _trim(data: AnalyzerInput, reason: StopReason) -> int:
 # --- what the world is like now ------------------------------------------------------------------------------
 
 
-def _arm(report: EndReport, query: WorldQuery, arm: str) -> Changes:
+def _arm_changes(report: EndReport, query: WorldQuery, arm: str) -> Changes:
     """Joints and hand as reported. Without a report of them, as they were, and not to be trusted."""
     if not arm:
         return []  # what was told or seen has moved none
@@ -201,7 +203,7 @@ def _arm(report: EndReport, query: WorldQuery, arm: str) -> Changes:
     ]
 
 
-def _carried(
+def _held_object_changes(
     program: AnalyzerProgram,
     query: WorldQuery,
     data: AnalyzerInput,
@@ -233,14 +235,14 @@ def _carried(
     return moved
 
 
-def _stated(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, changes: Changes) -> Changes:
+def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, changes: Changes) -> Changes:
     """The changes, of what has been in the hand all the while with how well its place there is known by now."""
     thing, report = data.evaluation.held, data.report
     fact = query.world.get(f"{thing}.grasp")
     if fact is None or fact.value is None:
         return changes
     held_s = max(report.at_s - fact.at_s, report.duration_s)
-    spread = known.aged(query.spread(fact.key), held_s, report.peak_force_n, program.values)
+    spread = known.aged_spread(query.spread(fact.key), held_s, report.peak_force_n, program.values)
     keys = {f"{thing}.frame", f"{thing}.grasp"}
     return [
         msgspec.structs.replace(change, spread=spread)
@@ -277,7 +279,7 @@ def _pressed_on(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput
     return [WorldChange(key=f"{name}.frame", keep_value=True, validity=Validity.SUSPECT) for name in near]
 
 
-def _half_done(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Changes:
+def _interrupted_grasp(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Changes:
     """Fingers that were stopped while they closed, and press on something of the right width, do hold it."""
     evaluation, report = data.evaluation, data.report
     if evaluation.step.args.get("effect") != "taken" or evaluation.width_m is None or not report.tcp_pose:
@@ -287,7 +289,9 @@ def _half_done(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput)
     return EFFECTS["taken"](query, data, Validity.SUSPECT) if pressing and least <= report.hand_width_m <= most else []
 
 
-def _suspect(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, failure: OutcomeClass) -> Changes:
+def _touched_object_changes(
+    program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, failure: OutcomeClass
+) -> Changes:
     """After a failure what was touched is suspect until it is sensed again (R151)."""
     thing = data.evaluation.context.object
     if not thing or thing == data.evaluation.held:
@@ -298,7 +302,7 @@ def _suspect(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, f
     return []
 
 
-def _last(changes: Changes) -> Changes:
+def _merged(changes: Changes) -> Changes:
     """One change for each fact. A later one that only says "suspect" keeps the value of an earlier one."""
     merged: dict[str, WorldChange] = {}
     for change in changes:
@@ -312,10 +316,10 @@ def _last(changes: Changes) -> Changes:
 # --- words ---------------------------------------------------------------------------------------------------
 
 
-def _as_asked(reflex: ReflexItem, data: AnalyzerInput) -> str:
+def _stopped_as_requested(reflex: ReflexItem, data: AnalyzerInput) -> str:
     """The sentence has foreseen it: the goal is not reached, and nothing has gone wrong."""
     measured = _words(" at {measured} {unit}", data, data.report.reason) if data.report.measured is not None else ""
-    return f"stopped{measured.rstrip()} as asked: {reflexes.said(reflex)}"
+    return f"stopped{measured.rstrip()} as asked: {reflexes.in_words(reflex)}"
 
 
 def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:

@@ -134,7 +134,7 @@ def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Ancho
         notes.append(f"generated {what}; tested: {problem.message}")
         first = first or problem
     assert first is not None
-    first = advice.colliding(first, candidate.query, candidate.arm.name, candidate.program.clears)
+    first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, candidate.program.clears)
     return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))})
 
 
@@ -231,7 +231,7 @@ def _try(
             return _where(target, f"step {n} ({step.to})")
         if step.space not in legs.SPACES:
             return _program(f"step {n}: no space {step.space}; there are {', '.join(legs.SPACES)}")
-        end = legs.tested(now, step.space, target, detours)
+        end = legs.check_segment(now, step.space, target, detours)
         if isinstance(end, Refusal):
             return _where(end, f"step {n} ({step.to})")
         here = end

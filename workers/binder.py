@@ -98,13 +98,13 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         return stop_class
     if step.space not in legs.SPACES:
         return refused_program(f"no space {step.space}", f"there are {', '.join(legs.SPACES)}")
-    lacks = enough.lacking(query, task.arm, step.args, task.program.clears)
+    lacks = enough.refuse_if_uncertain(query, task.arm, step.args, task.program.clears)
     if lacks is not None:
         return lacks
     target = target_of(task)
     if isinstance(target, Refusal):
         return target
-    values = stopping.figures(task.program, stop_class, query, task.data)
+    values = stopping.figures_in_force(task.program, stop_class, query, task.data)
     held = query.holding(task.arm)
     scene = query.scene(
         task.arm,
@@ -119,9 +119,9 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     pace = Pace(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
     margin_rad = math.radians(values["joint_margin_deg"])
     request = query.planning_request(task.arm, scene, context.limits, pace, margin_rad)
-    motion = legs.timed(request, step.space, target)
+    motion = legs.plan_segment(request, step.space, target)
     if isinstance(motion, Refusal):
-        return advice.colliding(motion, query, task.arm, task.program.clears)
+        return advice.advise_on_collision(motion, query, task.arm, task.program.clears)
     evaluation = EvaluationContext(
         context=context,
         step=step,
@@ -239,7 +239,7 @@ def hand_motion(task: BindTask, op: str) -> BoundStep | Refusal:
     stop_class = task.stop_class(task.program.hand[op])
     if isinstance(stop_class, Refusal):
         return stop_class
-    values = stopping.figures(task.program, stop_class, query, task.data)
+    values = stopping.figures_in_force(task.program, stop_class, query, task.data)
     gripper = query.cell.arm(task.arm).gripper
     width_m = values.get("width_m", 0.0)
     grip_n = context.limits.grip_force_n or values.get("grip_n", values["hand_n"])
@@ -248,7 +248,7 @@ def hand_motion(task: BindTask, op: str) -> BoundStep | Refusal:
         ("grip force", grip_n, gripper.max_force_n, "N"),
     ):
         if not -LEAST_WIDTH_M <= value <= most + LEAST_WIDTH_M:
-            return _beyond_the_hand(task, name, value, most, unit)
+            return _refuse_hand_figure(task, name, value, most, unit)
     way_m = abs(query.hand_width(task.arm) - width_m)
     evaluation = EvaluationContext(
         context=context,
@@ -266,7 +266,7 @@ def hand_motion(task: BindTask, op: str) -> BoundStep | Refusal:
     return primitive(task, stop_class, values, motion, evaluation, None, "", moves=False)
 
 
-def _beyond_the_hand(task: BindTask, name: str, value: float, most: float, unit: str) -> Refusal:
+def _refuse_hand_figure(task: BindTask, name: str, value: float, most: float, unit: str) -> Refusal:
     hand = task.query.cell.arm(task.arm).end_effector
     now = f"; it is open {in_words(task.query.hand_width(task.arm), 'm')} now" if unit == "m" else ""
     return Refusal(
@@ -285,7 +285,7 @@ def bind_still(task: BindTask) -> BoundStep | Refusal:
     stop_class = task.stop_class(step.stop)
     if isinstance(stop_class, Refusal):
         return stop_class
-    values = stopping.figures(task.program, stop_class, query, task.data)
+    values = stopping.figures_in_force(task.program, stop_class, query, task.data)
     duration_s = values["duration_s"]
     if task.data.context.limits.time_s is not None:
         duration_s = min(duration_s, task.data.context.limits.time_s)
@@ -395,7 +395,7 @@ def bind_assignment(task: BindTask) -> BoundStep | Refusal:
     return BoundStep(bindings={step.name: binding}, note=f"{step.name} = {step.value}")
 
 
-def bind_told(task: BindTask) -> BoundStep | Refusal:
+def bind_stated_facts(task: BindTask) -> BoundStep | Refusal:
     """What the sentence tells, as the report that it is (A24): an analyzer judges it, and alone writes it."""
     context = task.data.context
     if not context.told:
@@ -431,9 +431,9 @@ def open_hand(task: BindTask) -> BoundStep | Refusal:
     return hand_motion(task, "open")
 
 
-def lay_down_plan(task: BindTask) -> BoundStep | Refusal:
+def restate_plan(task: BindTask) -> BoundStep | Refusal:
     """The plan's bindings again; joint values anew where their object is no longer where it was when it was planned."""
-    laid = procedures.replanned(task.query, task.arm, task.data.bindings)
+    laid = procedures.replan(task.query, task.arm, task.data.bindings)
     return laid if isinstance(laid, Refusal) else BoundStep(bindings=laid, note="the plan")
 
 
@@ -448,7 +448,7 @@ ACTIONS: dict[str, Action] = {
     "hand": bind_hand,
     "still": bind_still,
     "assign": bind_assignment,
-    "told": bind_told,
+    "told": bind_stated_facts,
     "procedure": bind_procedure,
 }
-PROCEDURES: dict[str, Action] = {"open_hand": open_hand, "lay_down_plan": lay_down_plan}
+PROCEDURES: dict[str, Action] = {"open_hand": open_hand, "lay_down_plan": restate_plan}

@@ -67,11 +67,11 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     if not branches:
         return _no_script(program, parsed)
     limits = sentence.limits(program, parsed, cell.cell)
-    problem = sentence.unsaid(program, parsed) or sentence.report(parsed)
+    problem = sentence.refuse_unsupported(program, parsed) or sentence.refuse_report_interval(parsed)
     if isinstance(limits, Refusal) or problem is not None:
         return problem or limits  # type: ignore[return-value]
     for reflex in parsed.reflexes:
-        problem = reflexes.unrealised(reflex, parsed.object is not None)
+        problem = reflexes.refuse_unsupported(reflex, parsed.object is not None)
         if problem is not None:
             return problem
     if parsed.kind == "data":
@@ -251,10 +251,10 @@ def _script(
     compiled: Compiled, option: ScriptOption, options: list[ScriptOption], notes: list[str]
 ) -> Script | Refusal:
     candidate, script = option.candidate, compiled.scripts[option.branch.script]
-    problem = sentence.misplaced(candidate.parsed, script.script, script.uses)
-    problem = problem or sentence.without_effect(candidate.program, candidate.parsed, script)
+    problem = sentence.refuse_unused_field(candidate.parsed, script.script, script.uses)
+    problem = problem or sentence.refuse_without_effect(candidate.program, candidate.parsed, script)
     for need in script.needs:
-        problem = problem or needs.lacking(need, candidate)
+        problem = problem or needs.refuse_if_unmet(need, candidate)
     problem = problem or _unsure_grasp(script, candidate)
     if problem is not None:
         return problem
@@ -273,7 +273,7 @@ def _script(
     except expressions.ExpressionError as error:
         return Refusal(reason=RefusalReason.PROGRAM, message=f"{script.script}: {error}", where=script.script)
     for step in steps:
-        lacks = enough.lacking(candidate.query, candidate.arm.name, step.args, candidate.program.clears)
+        lacks = enough.refuse_if_uncertain(candidate.query, candidate.arm.name, step.args, candidate.program.clears)
         if lacks is not None:
             return lacks
     held = candidate.query.holding(candidate.arm.name)

@@ -16,7 +16,7 @@ from workers.belief import WorldQuery
 Args = Mapping[str, float | str]
 
 
-def lacking(query: WorldQuery, arm: str, args: Args, clears: Mapping[str, str]) -> Refusal | None:
+def refuse_if_uncertain(query: WorldQuery, arm: str, args: Args, clears: Mapping[str, str]) -> Refusal | None:
     """Why the step cannot be done with what the arm holds; None when it can, or when it holds nothing."""
     held = query.holding(arm)
     within = needed(query, args) if held else None

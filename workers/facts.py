@@ -21,7 +21,7 @@ Changes = list[WorldChange]
 Values = Mapping[str, float]
 
 
-def believed(facts: Mapping[str, Any], query: WorldQuery, values: Values) -> Changes | Refusal:
+def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) -> Changes | Refusal:
     """All of the facts, or why one of them cannot be."""
     changes: Changes = []
     for key, value in facts.items():

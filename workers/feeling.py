@@ -39,9 +39,9 @@ def touched(query: WorldQuery, data: AnalyzerInput) -> Found:
     point = _point(query, data)
     along = geometry.rotate(geometry.inverse(geometry.compose(before, point)), way)
     axis = int(np.argmax(np.abs(along)))
-    unsure_rad = known.figures(spread, point)["unsure_rad"]
+    unsure_rad = known.uncertainty_figures(spread, point)["unsure_rad"]
     half_width = _figure(data, "felt_m") + _figure(data, "lever_m") * unsure_rad
-    return after, known.felt(before, after, spread, point, {axis: half_width})
+    return after, known.spread_after_measurement(before, after, spread, point, {axis: half_width})
 
 
 def between_fingers(query: WorldQuery, data: AnalyzerInput) -> Found:
@@ -61,7 +61,7 @@ def between_fingers(query: WorldQuery, data: AnalyzerInput) -> Found:
     aside_m = 0.5 * data.report.wrench[1] / stiffness_n_m if stiffness_n_m > 0.0 else 0.0
     stands = geometry.compose(tcp, geometry.from_rpy([offset[0], aside_m, offset[2]], rpy))
     after = geometry.normalise(geometry.compose(stands, geometry.inverse(point)))
-    spread = known.felt(before, after, spread, point, measured)
+    spread = known.spread_after_measurement(before, after, spread, point, measured)
     return after, spread
 
 
@@ -73,7 +73,7 @@ def seat_of(query: WorldQuery, data: AnalyzerInput, frame: Array, spread: list[f
         return None
     inside = query.cell.seat(seat).module_frame.pose
     place = geometry.normalise(geometry.compose(frame, geometry.inverse(inside)))
-    return place, known.carried(widened(spread, even(play_m, 0.0)), geometry.inverse(inside))
+    return place, known.spread_at(widened(spread, even(play_m, 0.0)), geometry.inverse(inside))
 
 
 def _askew(query: WorldQuery, data: AnalyzerInput, pad_m: float, believed_rad: float) -> tuple[float, float]:
@@ -106,7 +106,7 @@ def beside(query: WorldQuery, data: AnalyzerInput) -> Found | None:
 def _shifted(query: WorldQuery, data: AnalyzerInput, by: Array) -> Found:
     before, spread = _believed(query, data)
     after = geometry.translate(before, by)
-    return after, known.felt(before, after, spread, _point(query, data), {})
+    return after, known.spread_after_measurement(before, after, spread, _point(query, data), {})
 
 
 def _believed(query: WorldQuery, data: AnalyzerInput) -> Found:

@@ -11,7 +11,7 @@ from rtc.geometry import Array, Floats
 from rtc.world.spread import Spread, even, narrowest, widened
 
 
-def carried(spread: Spread, offset: Floats) -> list[float]:
+def spread_at(spread: Spread, offset: Floats) -> list[float]:
     """The spread of a pose `offset` (in the axes of the first) that is rigidly joined to one of this spread."""
     bounds = np.abs(_lever(offset)) @ np.asarray(spread, dtype=float)
     return [float(n) for n in bounds]
@@ -25,25 +25,27 @@ def _lever(offset: Floats) -> Array:
     return np.block([[turn, turn @ arm], [np.zeros((3, 3)), turn]])
 
 
-def felt(before: Floats, after: Floats, spread: Spread, at: Floats, measured: Mapping[int, float]) -> list[float]:
+def spread_after_measurement(
+    before: Floats, after: Floats, spread: Spread, at: Floats, measured: Mapping[int, float]
+) -> list[float]:
     """The spread of a frame that a measurement has put from `before` to `after` (world). Felt was, with these
     half-widths, along or about some axes (0 to 5: x y z roll pitch yaw) of the pose `at`, in the axes of the frame.
     What was not measured is as before."""
     moved = geometry.relative(before, after)
     wider = widened(spread, [*(abs(n) for n in moved[:3].tolist()), *(abs(n) for n in geometry.to_rpy(moved).tolist())])
-    there = carried(wider, at)
+    there = spread_at(wider, at)
     for axis, half_width in measured.items():
         there[axis] = half_width
-    return narrowest(carried(there, geometry.inverse(at)), wider)
+    return narrowest(spread_at(there, geometry.inverse(at)), wider)
 
 
-def figures(spread: Spread, at: Floats) -> dict[str, float]:
+def uncertainty_figures(spread: Spread, at: Floats) -> dict[str, float]:
     """How badly the pose `at` (in the axes of a frame of this spread) is known, as figures of a script."""
-    x, y, z, *angles = carried(spread, at)
+    x, y, z, *angles = spread_at(spread, at)
     return {"unsure_x_m": x, "unsure_y_m": y, "unsure_z_m": z, "unsure_rad": max(angles)}
 
 
-def aged(spread: Spread, seconds: float, peak_force_n: float, values: Mapping[str, float]) -> list[float]:
+def aged_spread(spread: Spread, seconds: float, peak_force_n: float, values: Mapping[str, float]) -> list[float]:
     """The spread of what a hand has held for so long: it creeps in the grip, and what strikes it turns it."""
     for_s = max(0.0, seconds)
     older = widened(spread, even(for_s * values["creep_m_s"], for_s * values["creep_rad_s"]))

@@ -28,12 +28,12 @@ class Target:
     pose: list[float] | None = None
 
 
-def tested(request: PlanningRequest, space: str, target: Target, detours: bool) -> Array | Refusal:
+def check_segment(request: PlanningRequest, space: str, target: Target, detours: bool) -> Array | Refusal:
     """The joints at the end of the leg, if it can be gone."""
     return _TESTS[space](request, target, detours)
 
 
-def timed(request: PlanningRequest, space: str, target: Target) -> Motion | Refusal:
+def plan_segment(request: PlanningRequest, space: str, target: Target) -> Motion | Refusal:
     """The leg as a motion."""
     return SPACES[space](request, target)
 

@@ -85,7 +85,7 @@ NEEDS: dict[str, Callable[[TaskCandidate], Lack | None]] = {
 }
 
 
-def lacking(need: str, candidate: TaskCandidate) -> Refusal | None:
+def refuse_if_unmet(need: str, candidate: TaskCandidate) -> Refusal | None:
     """Why the script cannot be done now; None when what it needs is so."""
     lack = NEEDS[need](candidate)
     if lack is None:

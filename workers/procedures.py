@@ -14,7 +14,7 @@ MOVED_M = 0.0005  # an object that has moved less is where it was
 MOVED_RAD = math.radians(0.2)
 
 
-def replanned(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[str, Binding] | Refusal:
+def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[str, Binding] | Refusal:
     """Joint values solved anew, near to the old ones, where the object they were solved for has moved since."""
     model = query.model.arms[arm]
     margin_rad = math.radians(query.cell.numbers.joint_margin_deg)

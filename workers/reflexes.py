@@ -111,7 +111,7 @@ def reason_of(condition: Condition) -> StopReason | None:
     return None if row is None else row[0]
 
 
-def unrealised(reflex: ReflexItem, about_object: bool) -> Refusal | None:
+def refuse_unsupported(reflex: ReflexItem, about_object: bool) -> Refusal | None:
     """Why this reflex cannot be kept; None when it can. `about_object`: the command names an object."""
     said = _words(reflex.condition)
     if _row(reflex.condition) is None:
@@ -167,7 +167,7 @@ def _no(message: str, expected: list[str], clears: str = "leave it out, or use o
 # --- what was done ---------------------------------------------------------------------------------------------
 
 
-def asked_for(reflexes: list[ReflexItem], report: EndReport) -> ReflexItem | None:
+def find_requested(reflexes: list[ReflexItem], report: EndReport) -> ReflexItem | None:
     """The reflex of the sentence whose condition has ended the primitive, if one has: same reason, same figure."""
     for reflex in reflexes:
         quantity = reflex.condition.quantity
@@ -177,14 +177,14 @@ def asked_for(reflexes: list[ReflexItem], report: EndReport) -> ReflexItem | Non
     return None
 
 
-def said(reflex: ReflexItem) -> str:
+def in_words(reflex: ReflexItem) -> str:
     """The reflex in the words of the sentence."""
     quantity = reflex.condition.quantity
     figure = f" {quantity.value:g} {quantity.unit.upper()}" if quantity else ""
     return f"UNLESS {_words(reflex.condition)}{figure} THEN {reflex.action.upper().replace('_', '-')}"
 
 
-def done(report: EndReport) -> str:
+def describe_action(report: EndReport) -> str:
     """What the arm did after it had stopped; empty when it stopped, and no more."""
     if report.reflex is Reflex.BACK_OFF and report.trip_pose and report.tcp_pose:
         return f"backed off by {100.0 * geometry.distance(report.trip_pose, report.tcp_pose):.1f} cm"

@@ -56,7 +56,7 @@ def in_words(path: str) -> str:
     return _WORDS.get(path, path)
 
 
-def unsaid(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal | None:
+def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal | None:
     """Something this release does not do yet, if the sentence asks for it."""
     checks = [check for branch in program.decision_tree if branch.verb == parsed.verb for check in branch.when]
     chosen_by = {(name, value) for check in checks for name, value in check.equals.items()}
@@ -67,7 +67,7 @@ def unsaid(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal | None:
     return None
 
 
-def misplaced(parsed: ParsedCommand, script: str, uses: list[str]) -> Refusal | None:
+def refuse_unused_field(parsed: ParsedCommand, script: str, uses: list[str]) -> Refusal | None:
     """A field that is set and that the script does not use."""
     for name in parsed.__struct_fields__:
         if name not in EVERYWHERE and name not in uses and field(parsed, name) is not None:
@@ -101,7 +101,7 @@ def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Lim
     return msgspec.convert(figures, Limits)
 
 
-def without_effect(program: ElaboratorProgram, parsed: ParsedCommand, script: ScriptFile) -> Refusal | None:
+def refuse_without_effect(program: ElaboratorProgram, parsed: ParsedCommand, script: ScriptFile) -> Refusal | None:
     """A constraint that acts on no step of this script."""
     for constraint in parsed.constraints:
         wanted = program.acts_on.get(constraint.slot)
@@ -116,7 +116,7 @@ def _is(step: ScriptStep, wanted: ActsOn) -> bool:
     return wanted.do in ("", step.do) and wanted.op in ("", step.op)
 
 
-def report(parsed: ParsedCommand) -> Refusal | None:
+def refuse_report_interval(parsed: ParsedCommand) -> Refusal | None:
     """Why what REPORT asks for cannot be reported; None when it can."""
     every_s = parsed.report.every_s if parsed.report else None
     if every_s is None or every_s >= LEAST_REPORT_S:

@@ -115,20 +115,20 @@ def figures_of(
     if between is not None:
         figures["grasp_width_m"] = between.width_m
     if point is not None and thing is not None:
-        figures |= known.figures(query.spread(f"{thing.name}.frame"), point.frame.pose)
+        figures |= known.uncertainty_figures(query.spread(f"{thing.name}.frame"), point.frame.pose)
     if thing is not None:
         figures["mass_kg"] = float(query.world.value(f"{thing.name}.mass") or thing.mass_kg)
     if target is not None:
         figures |= {"seat_depth_m": target.depth_m, "detent_n": target.detent_n}
-    figures |= _said("amount", parsed.amount)
-    figures |= _said("by", parsed.place.by if parsed.place else None)
-    figures |= _said("to", parsed.to_value)
+    figures |= _figure_of("amount", parsed.amount)
+    figures |= _figure_of("by", parsed.place.by if parsed.place else None)
+    figures |= _figure_of("to", parsed.to_value)
     if parsed.duration_s is not None:
         figures["duration_s"] = parsed.duration_s
     return figures
 
 
-def _said(name: str, quantity: Quantity | None) -> dict[str, float]:
+def _figure_of(name: str, quantity: Quantity | None) -> dict[str, float]:
     return {} if quantity is None else {name + SUFFIX.get(quantity.unit, f"_{quantity.unit}"): quantity.value}
 
 

@@ -50,7 +50,7 @@ TIGHTENED = {"speed_m_s": "speed_m_s", "force_n": "force_n", "torque_nm": "torqu
 Values = dict[str, float]
 
 
-def figures(program: BinderProgram, stop_class: StopClass, query: WorldQuery, data: BinderInput) -> Values:
+def figures_in_force(program: BinderProgram, stop_class: StopClass, query: WorldQuery, data: BinderInput) -> Values:
     """Every figure in force for this step. Raises ExpressionError when one names a figure that does not exist."""
     context = data.context
     values: Values = dict(msgspec.structs.asdict(query.cell.numbers))

@@ -25,7 +25,7 @@ Thing = cells.Object | cells.Seat
 
 def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, query: WorldQuery) -> Script | Refusal:
     """The script, with what is told in its context."""
-    misplaced = sentence.misplaced(parsed, file.script, file.uses)
+    misplaced = sentence.refuse_unused_field(parsed, file.script, file.uses)
     if misplaced is not None:
         return misplaced
     things: dict[str, Thing] = {thing.name: thing for thing in query.cell.objects}
@@ -53,7 +53,7 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
             told=facts,
         ),
         case=file.case,
-        steps=[Step(do=step.do, label=_said(step.label, texts), expect=step.expect) for step in file.steps],
+        steps=[Step(do=step.do, label=_fill_in(step.label, texts), expect=step.expect) for step in file.steps],
         resources=_names(file.resources, [thing.name, *inside]),
         writes=_names(file.writes, [thing.name, *inside]),
         candidates=[f"{file.script} {thing.name}"],
@@ -81,7 +81,7 @@ def _seated(seat: str, query: WorldQuery) -> list[str]:
     return [thing.name for thing in query.cell.objects if query.seat(thing.name) == seat]
 
 
-def _said(words: str, texts: dict[str, str]) -> str:
+def _fill_in(words: str, texts: dict[str, str]) -> str:
     for name, text in texts.items():
         words = words.replace("{" + name + "}", text)
     return words

@@ -21,14 +21,14 @@ from workers import imports
 
 
 @dataclass(frozen=True)
-class Warm:
+class Preloaded:
     """Compiled programs of each kind, and cell models; all by digest."""
 
     programs: Mapping[WorkerKind, Mapping[str, Any]] = field(default_factory=dict)
     cells: Mapping[str, Any] = field(default_factory=dict)
 
 
-def warm(kinds: Iterable[WorkerKind], cell: str | None) -> Warm:
+def preload(kinds: Iterable[WorkerKind], cell: str | None) -> Preloaded:
     """These kinds' own programs compiled, and, for those that need it, the models of the cluster's `cell`, when it is
     known. A program that does not check is left to the broker, who tells what is wrong with it."""
     programs: dict[WorkerKind, dict[str, Any]] = {}
@@ -45,4 +45,4 @@ def warm(kinds: Iterable[WorkerKind], cell: str | None) -> Warm:
             model = imports.load("cell_model").CellModel(Cell.from_bytes(body))
             _ = model.arms, model.collision  # built when first asked for
             cells[digest(body)] = model
-    return Warm(programs, cells)
+    return Preloaded(programs, cells)

@@ -9,7 +9,7 @@ import pytest
 from rtc import geometry
 from rtc.outcomes import Refusal, RefusalReason
 from workers.belief import WorldQuery
-from workers.facts import believed, seat_at
+from workers.facts import changes_from, seat_at
 
 VALUES = {"reach_m": 5.0, "seated_m": 0.05, "seated_rad": 0.2, "in_hand_m": 0.06, "told_m": 0.005, "told_rad": 0.035}
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
@@ -34,7 +34,7 @@ def query(bench) -> WorldQuery:
     ],
 )
 def test_what_cannot_be_is_refused(query, facts):
-    refusal = believed(facts, query, VALUES)
+    refusal = changes_from(facts, query, VALUES)
 
     assert isinstance(refusal, Refusal)
     assert refusal.reason is RefusalReason.INFEASIBLE
@@ -42,14 +42,14 @@ def test_what_cannot_be_is_refused(query, facts):
 
 
 def test_two_things_are_not_in_one_seat(query):
-    refusal = believed({"MACS-NEW.frame": [0.8, 0.8, 0.6, *UPRIGHT]}, query, VALUES)
+    refusal = changes_from({"MACS-NEW.frame": [0.8, 0.8, 0.6, *UPRIGHT]}, query, VALUES)
 
     assert isinstance(refusal, Refusal)
     assert "RACK-2, where MACS-OLD" in refusal.message
 
 
 def test_a_frame_brings_its_seat_and_an_end_of_any_grasp(query):
-    changes = believed({"MACS-NEW.frame": [0.5, 0.0, 0.5, *UPRIGHT]}, query, VALUES)
+    changes = changes_from({"MACS-NEW.frame": [0.5, 0.0, 0.5, *UPRIGHT]}, query, VALUES)
 
     assert [(c.key, c.value) for c in changes] == [
         ("MACS-NEW.frame", [0.5, 0.0, 0.5, *UPRIGHT]),
@@ -62,7 +62,9 @@ def test_what_is_seen_in_a_hand_tells_how_the_hand_holds_it(bench):
     bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
     before = geometry.normalise(bench.world.value("MACS-NEW.grasp"))
 
-    changes = believed({"MACS-NEW.frame": [0.81, -0.8, 0.6, *UPRIGHT]}, WorldQuery(bench.model, bench.world), VALUES)
+    changes = changes_from(
+        {"MACS-NEW.frame": [0.81, -0.8, 0.6, *UPRIGHT]}, WorldQuery(bench.model, bench.world), VALUES
+    )
 
     told = {c.key: c.value for c in changes}
     assert told["MACS-NEW.held_by"] == "RIGHT-ARM"
@@ -73,7 +75,7 @@ def test_what_is_seen_in_a_hand_tells_how_the_hand_holds_it(bench):
 def test_what_is_held_is_not_told_to_be_far_from_the_hand(bench):
     bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
 
-    refusal = believed({"MACS-NEW.frame": [0.5, 0.0, 0.5, *UPRIGHT]}, WorldQuery(bench.model, bench.world), VALUES)
+    refusal = changes_from({"MACS-NEW.frame": [0.5, 0.0, 0.5, *UPRIGHT]}, WorldQuery(bench.model, bench.world), VALUES)
 
     assert "from its fingers" in refusal.message
     assert "open the hand" in refusal.clears
@@ -82,7 +84,7 @@ def test_what_is_held_is_not_told_to_be_far_from_the_hand(bench):
 def test_what_sits_in_a_seat_goes_with_it(query):
     turned = geometry.from_rpy([0.79, -0.81, 0.6], [0.0, 0.0, 0.1])
 
-    changes = {c.key: c.value for c in believed({"RACK-1.frame": turned.tolist()}, query, VALUES)}
+    changes = {c.key: c.value for c in changes_from({"RACK-1.frame": turned.tolist()}, query, VALUES)}
 
     assert changes["RACK-1.frame"] == pytest.approx(turned.tolist())
     assert changes["MACS-NEW.frame"] == pytest.approx(turned.tolist())
@@ -92,7 +94,7 @@ def test_what_sits_in_a_seat_goes_with_it(query):
 def test_what_is_turned_in_a_seat_does_not_sit_in_it(query):
     askew = geometry.from_rpy([0.80, -0.80, 0.60], [0.0, 0.0, 0.9]).tolist()
 
-    changes = {c.key: c.value for c in believed({"MACS-NEW.frame": askew}, query, VALUES)}
+    changes = {c.key: c.value for c in changes_from({"MACS-NEW.frame": askew}, query, VALUES)}
 
     assert changes["MACS-NEW.seat"] == ""
 
@@ -103,4 +105,4 @@ def test_the_nearest_seat_if_it_is_near_enough(query, x_m, seat):
 
 
 def test_facts_that_nobody_reports_change_nothing(query):
-    assert believed({}, query, VALUES) == []
+    assert changes_from({}, query, VALUES) == []

@@ -10,7 +10,7 @@ import pytest
 
 from rtc import geometry
 from rtc.world.spread import even
-from workers.known import aged, carried, felt
+from workers.known import aged_spread, spread_after_measurement, spread_at
 
 VALUES = {
     "creep_m_s": 0.0025 / 60,
@@ -28,7 +28,7 @@ def off_by(pose, error):
 
 
 def test_an_error_of_attitude_moves_what_is_far_from_the_origin():
-    found = carried([0.0, 0.0, 0.0, 0.0, 0.0, 0.1], (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+    found = spread_at([0.0, 0.0, 0.0, 0.0, 0.0, 0.1], (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
     assert found == pytest.approx([0.0, 0.1, 0.0, 0.0, 0.0, 0.1])
 
 
@@ -41,29 +41,33 @@ def test_what_is_carried_along_bounds_every_error_within_the_spread(seed):
     off = geometry.relative(HANDLE, true)
     found = [*off[:3], *geometry.to_rpy(off)]
     slack = 0.001  # small angles
-    assert all(abs(e) <= bound + slack for e, bound in zip(found, carried(spread, HANDLE), strict=True))
+    assert all(abs(e) <= bound + slack for e, bound in zip(found, spread_at(spread, HANDLE), strict=True))
 
 
 def test_a_measurement_of_one_axis_leaves_the_others_as_they_were():
     before = [0.035, 0.035, 0.035, 0.0, 0.0, 0.0]
     seen = geometry.from_rpy([0.0, 0.004, 0.0], [0.0, 0.0, 0.0])
-    assert felt(geometry.IDENTITY, seen, before, HANDLE, {1: 0.001}) == pytest.approx([0.035, 0.001, 0.035, 0, 0, 0])
+    assert spread_after_measurement(geometry.IDENTITY, seen, before, HANDLE, {1: 0.001}) == pytest.approx(
+        [0.035, 0.001, 0.035, 0, 0, 0]
+    )
 
 
 def test_what_the_closing_fingers_felt_is_blurred_by_an_attitude_nobody_measured():
     """The fingers know the handle, not the module's origin, 15 cm behind it."""
     before = [0.035, 0.035, 0.035, 0.0, 0.0, math.radians(5)]
-    found = felt(geometry.IDENTITY, geometry.IDENTITY, before, HANDLE, {1: 0.001})
+    found = spread_after_measurement(geometry.IDENTITY, geometry.IDENTITY, before, HANDLE, {1: 0.001})
     assert found[1] == pytest.approx(0.001 + 0.15 * math.radians(5), abs=1e-4)
     assert found[5] == pytest.approx(math.radians(5))
 
 
 def test_a_thing_that_was_moved_in_belief_along_an_axis_not_measured_is_known_less_there():
     seen = geometry.from_rpy([0.01, 0.0, 0.0], [0.0, 0.0, 0.0])
-    assert felt(geometry.IDENTITY, seen, even(0.002, 0.0), HANDLE, {1: 0.001})[0] == pytest.approx(0.012, abs=1e-6)
+    assert spread_after_measurement(geometry.IDENTITY, seen, even(0.002, 0.0), HANDLE, {1: 0.001})[0] == pytest.approx(
+        0.012, abs=1e-6
+    )
 
 
 def test_what_is_held_creeps_and_what_is_struck_turns():
-    assert aged(even(0.001, 0.0), 60.0, 5.0, VALUES)[0] == pytest.approx(0.0035)
-    assert aged(even(0.001, 0.0), 0.0, 41.0, VALUES) == pytest.approx([0.011] * 3 + [0.1] * 3)
-    assert np.allclose(aged(even(0.001, 0.0), -5.0, 0.0, VALUES), even(0.001, 0.0))
+    assert aged_spread(even(0.001, 0.0), 60.0, 5.0, VALUES)[0] == pytest.approx(0.0035)
+    assert aged_spread(even(0.001, 0.0), 0.0, 41.0, VALUES) == pytest.approx([0.011] * 3 + [0.1] * 3)
+    assert np.allclose(aged_spread(even(0.001, 0.0), -5.0, 0.0, VALUES), even(0.001, 0.0))

@@ -27,11 +27,11 @@ from rtc.messages import (
 )
 from rtc.process import Process, inbox, send
 from rtc.settings import Settings
-from workers.warm import warm
+from workers.warm import preload
 
 
 def test_digests_are_the_brokers(tmp_path):
-    made = warm(WorkerKind, "swapout")
+    made = preload(WorkerKind, "swapout")
     store = ProgramStore(Journal.open(tmp_path / "journal.db", "run", State()))
     for kind in WorkerKind:
         assert list(made.programs[kind]) == [store.keep(program.default(kind))]
@@ -41,10 +41,10 @@ def test_digests_are_the_brokers(tmp_path):
 
 
 def test_a_worker_makes_what_its_kind_needs_and_no_more():
-    parser, binder = warm([WorkerKind.PARSER], "swapout"), warm([WorkerKind.BINDER], "swapout")
+    parser, binder = preload([WorkerKind.PARSER], "swapout"), preload([WorkerKind.BINDER], "swapout")
     assert (list(parser.programs), len(parser.cells)) == ([WorkerKind.PARSER], 0)
     assert (list(binder.programs), len(binder.cells)) == ([WorkerKind.BINDER], 1)
-    assert len(warm([WorkerKind.BINDER], cell=None).cells) == 0  # far away: which cell it is the first job tells
+    assert len(preload([WorkerKind.BINDER], cell=None).cells) == 0  # far away: which cell it is the first job tells
 
 
 @pytest.mark.slow
