@@ -6,7 +6,7 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo setup test fast check bench help clean
+.PHONY: demo setup test fast check bench campaigns help clean
 .DEFAULT_GOAL := help
 
 demo: $(VENV)/.ready ## set up, then show the main job: two arms grasp, lift, are halted, go on, put back
@@ -32,6 +32,10 @@ bench: $(VENV)/.ready ## run all benchmarks; results in benchmarks/results/
 		name=$$(basename $$file .py); \
 		grep -q '__main__' $$file || continue; \
 		echo "== $$name"; $(BIN)/python -m benchmarks.$$name || exit 1; done
+
+campaigns: $(VENV)/.ready ## run the correctness campaigns (about half an hour); results in tests/campaigns/results/
+	@for name in model_check simulation fuzz endurance; do \
+		echo "== $$name"; $(BIN)/python -m tests.campaigns.$$name || exit 1; done
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 16

@@ -66,8 +66,13 @@ def machine() -> dict[str, Any]:
     }
 
 
-def finish(name: str, metrics: dict[str, float | None], rows: Iterable[tuple[str, str]] | None = None) -> None:
-    """Print the table, keep the result, and end with the one line of JSON that tools read."""
+def finish(
+    name: str,
+    metrics: dict[str, float | None],
+    rows: Iterable[tuple[str, str]] | None = None,
+    folder: Path = RESULTS,
+) -> None:
+    """Print the table, write `folder`/NAME.json, and end with one line of JSON for tools."""
     shown = list(rows) if rows is not None else [(key, _figure(value)) for key, value in metrics.items()]
     width = max((len(label) for label, _ in shown), default=0)
     print()
@@ -75,9 +80,9 @@ def finish(name: str, metrics: dict[str, float | None], rows: Iterable[tuple[str
         print(f"  {label:<{width}}  {value}")
     print(f"  {'(stolen by the host)':<{width}}  {_stolen_percent():g} % of the processor time")
     print()
-    RESULTS.mkdir(exist_ok=True)
+    folder.mkdir(exist_ok=True)
     document = {"benchmark": name, "metrics": metrics, "rows": dict(shown), "machine": machine()}
-    (RESULTS / f"{name}.json").write_text(json.dumps(document, indent=2) + "\n")
+    (folder / f"{name}.json").write_text(json.dumps(document, indent=2) + "\n")
     print(json.dumps({"benchmark": name, "metrics": metrics}), flush=True)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from stories import Story, bound, give_up, go_on, mend, record, report, script, told, trim
 
 from broker import effects as do
 from broker import ending
@@ -28,6 +27,7 @@ from rtc import wire
 from rtc.language.record import Report
 from rtc.messages import AnalyzerInput, BoundStep, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, RefusalReason, StopReason
+from tests.broker.stories import Story, bound, give_up, go_on, mend, record, report, script, told, trim
 
 # --- the nominal journey -----------------------------------------------------------------------------
 

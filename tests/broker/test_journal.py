@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from stories import Story, go_on, script
 
 from broker import replay
 from broker.decision_unit import decide
@@ -11,6 +10,7 @@ from broker.effects import ReportEnd
 from broker.journal import Journal
 from broker.state import State
 from rtc import wire
+from tests.broker.stories import Story, go_on, script
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from stories import Story, go_on
 
 from broker import events as heard
 from broker.__main__ import lost_turns
@@ -14,6 +13,7 @@ from rtc.handed import Handed
 from rtc.messages import Accepted
 from rtc.outcomes import OutcomeKind
 from rtc.settings import Settings
+from tests.broker.stories import Story, go_on
 
 LIFE = "bbbb"
 

@@ -1,17 +1,12 @@
 """The model check, to a small bound: every interleaving near the start is good, and a broken rule would be found.
 
-The whole of it: `python -m benchmarks.model_check`.
+The whole of it: `python -m tests.campaigns.model_check`.
 """
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import msgspec
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from broker import decision_unit, ending, journey, untold
 from broker.effects import SendHalt

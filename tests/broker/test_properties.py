@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stories import Story, bound, give_up, go_on, mend, record, script, told, trim
 
 from broker import events as heard
 from broker.decision_unit import decide
@@ -13,6 +12,7 @@ from broker.state import NIL, State
 from rtc import wire
 from rtc.messages import BoundStep, WorkerKind
 from rtc.outcomes import RefusalReason, StopReason
+from tests.broker.stories import Story, bound, give_up, go_on, mend, record, script, told, trim
 
 ARMS = (("RIGHT-ARM",), ("LEFT-ARM",), ("LEFT-ARM", "RIGHT-ARM"), ("RIGHT-ARM", "MODULE"))
 

@@ -18,7 +18,6 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as tries
 from hypothesis import strategies as st
 
-from benchmarks import hostile
 from broker import journal as journals
 from broker.events import HaltCalled, ProgramInstalled
 from broker.invariants import violations
@@ -36,6 +35,7 @@ from rtc.handed import Handed
 from rtc.outcomes import OutcomeKind, RefusalReason
 from rtc.program_check import Asked, Checked
 from rtc.settings import Settings
+from tests.campaigns import hostile
 
 DOORS = ("front", "halt", "workers", "subsystems", "supervisor", "events")
 SETTINGS = Settings(run_dir="/nowhere", run="this")

@@ -1,6 +1,6 @@
 """A real cluster, and somebody at its sockets who means harm: nobody dies, nobody grows, everybody else is served.
 
-`python -m benchmarks.fuzz` does the same for longer, and says how long the others wait.
+`python -m tests.campaigns.fuzz` does the same for longer, and says how long the others wait.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from typing import Any
 import pytest
 import zmq
 
-from benchmarks.fuzz import Others, attacked
-from benchmarks.hostile import DOORS, IMPOSTORS, Attacker, heavy_messages, stream_garbage
 from rtc import messages as m
 from rtc import wire
 from rtc.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.outcomes import OutcomeKind
 from rtc.settings import Settings
+from tests.campaigns.fuzz import Others, attacked
+from tests.campaigns.hostile import ACCEPTED, IMPOSTORS, Attacker, heavy_messages, stream_garbage
 
 pytestmark = pytest.mark.slow
 
 SEED = 7
 MESSAGES = 1500  # at each door
 GROWTH_MB = 150.0
-COUNTED = [name for name in DOORS if name not in ("telemetry", "events")]  # of those two nobody reads a word
+COUNTED = [name for name in ACCEPTED if name not in ("telemetry", "events")]  # of those two nobody reads a word
 LIMIT_S = 60.0
 
 
@@ -51,7 +51,7 @@ def context() -> Iterator[zmq.Context[Any]]:
     context.destroy(linger=0)
 
 
-@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("door", ACCEPTED)
 def test_bad_input_at_a_door_hurts_nobody(run_dir: Path, others: Others, context: zmq.Context[Any], door: str) -> None:
     settings, rng = Settings.load(run_dir), random.Random(SEED)
     before, pids, memory_mb = dropped(others.rtc, door), others.pids(), others.memory_mb()

@@ -21,7 +21,6 @@ from urllib.parse import urlsplit
 import pytest
 import zmq
 
-from benchmarks.fuzz import Others
 from rtc import messages as m
 from rtc import wire
 from rtc.client import Client
@@ -30,6 +29,7 @@ from rtc.keys import KeyFile, KeyRing, door_address
 from rtc.outcomes import ClusterError, NoCluster, OutcomeKind, RefusalReason, RequestDeclined
 from rtc.process_table import processes
 from rtc.roles import TCP_DOORS, Role
+from tests.campaigns.fuzz import Others
 
 pytestmark = pytest.mark.slow
 

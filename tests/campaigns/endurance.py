@@ -1,11 +1,11 @@
 """Do all commands come to a true end, each done once, when a process of the cluster is killed every second?
 
-    python -m benchmarks.endurance [--seconds 600] [--commands 500] [--every 1] [--kill any] [--speed 1]
+    python -m tests.campaigns.endurance [--seconds 600] [--commands 500] [--every 1] [--kill any] [--speed 1]
 
-A real cluster (exact arms, in real time) is given commands, one after the other on each arm: 500 of them take about
-five minutes. Every second one of its processes, any but the supervisor with whom all end, is killed with SIGKILL. It
-ends when all commands have ended, or the time is up; then what every client was told is held against the journal, the
-MCM's log, and where the arms really are.
+A client sends commands to a real cluster (kinematic arms, real time), one after the other for each arm. 500 commands
+take about five minutes. Every second SIGKILL kills one process; the supervisor is excluded, because the cluster ends
+with it. The run ends when all commands have ended or the time is up. Then the results that the client received are
+compared with the journal, the MCM's log and the true positions of the arms.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from rtc.chaos import VICTIMS, Chaos, Strike
 from rtc.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.messages import Validity
+from tests.campaigns import RESULTS
 
 SEED = 20
 FAR_DEG = 50  # a command moves for more than a second
@@ -33,7 +34,9 @@ BACK_LIMIT_S = 30.0
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.endurance", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m tests.campaigns.endurance",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--seconds", type=float, default=600.0, help="at most")
     parser.add_argument("--commands", type=int, default=500)
@@ -109,7 +112,7 @@ def _report(commands: int, took_s: float, strikes: list[Strike], errands: Errand
         ("a command took", spread(held_up_s)),
         ("lost, repeated, told wrongly", f"{metrics['commands_lost']}, {len(verdict.repeated)}, {len(verdict.wrong)}"),
     ]
-    finish("endurance", metrics, rows)
+    finish("endurance", metrics, rows, RESULTS)
     sys.exit(1 if metrics["commands_lost"] or verdict.repeated or verdict.wrong else 0)
 
 

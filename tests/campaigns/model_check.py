@@ -1,10 +1,10 @@
 """Is there any order of events in which two commands break a rule of the Decision Unit, or never end?
 
-Explores all interleavings of small scenarios (tests/simulation/scenarios.py) with halts, dead workers, late and double
-answers, a subsystem that dies, falls silent and comes back, timers, and a broker that is killed anywhere in a turn:
-every way to place so many faults. Tells the shortest way to a violation, and ends with status 1.
+Explores all interleavings of small scenarios (tests/simulation/scenarios.py), with every way to place N faults: halts,
+dead workers, late and repeated answers, timeouts, a subsystem that dies or falls silent and comes back, a broker killed
+at any point of a turn. On a violation it prints the shortest path to it and exits with status 1.
 
-    python -m benchmarks.model_check [--depth N] [--seconds S] [--faults N] [--scenario WORDS]
+    python -m tests.campaigns.model_check [--depth N] [--seconds S] [--faults N] [--scenario WORDS]
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import sys
 import msgspec
 
 from benchmarks.report import finish, question
+from tests.campaigns import RESULTS
 from tests.simulation.explore import Found, explore, tell
 from tests.simulation.scenarios import SCENARIOS
 
@@ -50,6 +51,7 @@ def main() -> int:
             "seconds": round(sum(seen.seconds for seen in found), 1),
         },
         [_row(seen) for seen in found],
+        RESULTS,
     )
     return 1 if any(seen.violation for seen in found) else 0
 

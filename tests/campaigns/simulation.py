@@ -1,10 +1,10 @@
 """Does a cluster lose, repeat or misreport anything when its processes die at the worst moments?
 
-Runs whole clusters on a simulated clock, one seed each (tests/simulation/cluster.py): delays, repeated requests, halts,
-and processes killed, hung and stopped at random, the broker also in the middle of a turn. Every sentence must end once,
-with an outcome that is true of what the simulated MCM did.
+Runs whole clusters on a simulated clock, one seed each (tests/simulation/cluster.py). Delays, repeated requests and
+halts occur at random. Processes are killed, hung and stopped at random; the broker also in the middle of a turn. Every
+sentence must end once, with an outcome that agrees with the actions of the simulated MCM.
 
-    python -m benchmarks.simulation [--seeds N] [--seed FIRST]
+    python -m tests.campaigns.simulation [--seeds N] [--seed FIRST]
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import time
 from collections import Counter
 
 from benchmarks.report import finish, question
+from tests.campaigns import RESULTS
 from tests.simulation.__main__ import run
 
 
@@ -25,7 +26,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="the first")
     asked = parser.parse_args()
     question("simulation", f"what do {asked.seeds} clusters lose, each with its own faults?", seed=asked.seed)
-    gc.freeze()  # all that is imported stays: a quarter of the time is saved
+    gc.freeze()  # imported modules stay alive; this saves a quarter of the time
     gc.set_threshold(50_000, 20, 100)
     faults: Counter[str] = Counter()
     outcomes: Counter[str] = Counter()
@@ -59,6 +60,7 @@ def main() -> int:
             ("killed, hung or stopped", ", ".join(f"{name} {count}" for name, count in faults.most_common())),
             ("time", f"{simulated_s:.0f} s simulated in {took_s:.0f} s"),
         ],
+        RESULTS,
     )
     return 1 if failed else 0
 

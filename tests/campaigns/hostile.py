@@ -1,11 +1,11 @@
-"""Bad input for every socket of a cluster: bytes that are no message, and messages whose values nobody sane would send.
+"""Hostile input for every socket of a cluster: malformed bytes, and well-formed messages with wrong values.
 
     for parts in bad_messages("front", random.Random(1)): ...      # frames, endless, by seed alone
     Attacker(context, settings, "front", rng).say(1000)
 
-A message that decodes is the more dangerous kind, so each type that a door takes is built from its own annotations,
-with the values that break things: not-a-number, numbers beyond 64 bits, names of others, ids of jobs never given out,
-deep nests, long texts. `DOORS` is what each socket takes.
+Messages that decode are the more dangerous kind. Each type that a socket accepts is built from its annotations, with
+hostile values: NaN, integers at the limits of 64 bits, names of other peers, unknown job ids, deep nesting, long texts.
+`ACCEPTED` lists the message types that each socket accepts.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from rtc import messages as m
 from rtc import wire
 from rtc.settings import ENDPOINTS, Settings
 
-#: door -> what it takes (but for Shutdown, which is no attack: whoever may say it means it); nobody is listened to on
-#: the last two
-DOORS: dict[str, Any] = {
+#: Endpoint -> accepted message types. Shutdown is left out: a permitted peer that sends it means it. The last two
+#: endpoints only publish; input there is ignored.
+ACCEPTED: dict[str, Any] = {
     "front": m.ClientHello
     | m.CommandText
     | m.StatusQuery
@@ -56,15 +56,15 @@ INTEGERS = [0, 1, -1, 2, 7, 255, 1 << 31, (1 << 63) - 1, -(1 << 63), (1 << 64) -
 FLOATS = [0.0, -0.0, 1.0, -1.0, 1e-320, 1e9, 1e308, -1e308, math.inf, -math.inf, math.nan]
 IDENTITIES = [b"\xff\xfe", b"a b", b"x" * 255, "é".encode(), b"MCM2", b"parser", b"@", b"broker"]
 IMPOSTORS = {"workers": [b"parser@0", b"analyzer@3"], "subsystems": [b"MCM"], "supervisor": [b"supervisor", b"world"]}
-DEEP = 200_000  # levels of a nest
+DEEP = 200_000  # levels of nesting
 
 
 # --- bytes ---------------------------------------------------------------------------------------------
 
 
-def bad_messages(door: str, rng: random.Random) -> Iterator[list[bytes]]:
-    """Frames for one door, one message after the other; the same for the same seed."""
-    kinds = _types(DOORS[door])
+def bad_messages(endpoint: str, rng: random.Random) -> Iterator[list[bytes]]:
+    """An endless sequence of messages (frames) for one endpoint; equal seeds give equal sequences."""
+    kinds = _types(ACCEPTED[endpoint])
     while True:
         yield rng.choice(FAMILIES)(kinds, rng)
 
@@ -102,11 +102,11 @@ def _frames_too_few(kinds: list[Any], rng: random.Random) -> list[bytes]:
 
 
 def _wrong_type(_: list[Any], rng: random.Random) -> list[bytes]:
-    return _good(_types(DOORS[rng.choice(list(DOORS))]), rng)
+    return _good(_types(ACCEPTED[rng.choice(list(ACCEPTED))]), rng)
 
 
 def _deep_nest(kinds: list[Any], rng: random.Random) -> list[bytes]:
-    """A nest deeper than any stack: by itself, or as a value of a message (known or unknown key)."""
+    """Nesting deeper than any stack: as a whole body, or as one value of a message (known or unknown key)."""
     nest = rng.choice((b"\x91", b"\x81\xa1x", b"\x92\xc0")) * DEEP + b"\xc0"
     if rng.random() < 0.5:
         return [wire.PROTOCOL, nest]
@@ -123,7 +123,7 @@ def _false_lengths(_: list[Any], rng: random.Random) -> list[bytes]:
 
 
 def _wide(_: list[Any], rng: random.Random) -> list[bytes]:
-    """As much as a frame may hold, almost: one text, a list of nothings, a map of keys that nobody knows."""
+    """A body just below the maximum frame size: one long text, or a long list."""
     size = rng.choice((100_000, 1_000_000, wire.MAX_BYTES - 100))
     body = rng.choice(
         (
@@ -137,7 +137,7 @@ def _wide(_: list[Any], rng: random.Random) -> list[bytes]:
 
 
 def _beyond_the_limit(_: list[Any], __: random.Random) -> list[bytes]:
-    """Whoever sends this is cut off."""
+    """A frame above the maximum size: ZeroMQ disconnects the sender."""
     return [wire.PROTOCOL, bytes(wire.MAX_BYTES + 1)]
 
 
@@ -154,7 +154,7 @@ FAMILIES: list[Callable[[list[Any], random.Random], list[bytes]]] = [
     *[_random_bytes, _random_body, _truncated, _flipped, _wrong_protocol] * 2,
     *[_frames_too_many, _frames_too_few, _wrong_type, _deep_nest, _false_lengths],
 ]
-HEAVY = [_wide, _beyond_the_limit, _deep_nest]  # a few at a time: they measure memory, not the codec
+HEAVY = [_wide, _beyond_the_limit, _deep_nest]  # sent a few at a time: they test memory, not the codec
 
 
 def heavy_messages(rng: random.Random) -> Iterator[list[bytes]]:
@@ -166,7 +166,7 @@ def heavy_messages(rng: random.Random) -> Iterator[list[bytes]]:
 
 
 def hostile(kind: Any, rng: random.Random) -> Any:
-    """A value for a type, by its annotations, as a peer that means harm would fill it in."""
+    """A value for a type, by its annotations, filled in by a hostile peer."""
     return _value(msgspec.inspect.type_info(kind), rng, 0)
 
 
@@ -216,28 +216,28 @@ def _types(union: Any) -> list[Any]:
     return list(get_args(union)) or [union]
 
 
-# --- at the door ---------------------------------------------------------------------------------------
+# --- connections ---------------------------------------------------------------------------------------
 
 
 class Attacker:
-    """One connection to one door that never reads an answer. What finds no room in its queue is not sent."""
+    """One connection to one endpoint that never reads an answer. Messages that do not fit its queue are not sent."""
 
     def __init__(
         self,
         context: zmq.Context[Any],
         settings: Settings,
-        door: str,
+        endpoint: str,
         rng: random.Random,
         identities: Sequence[bytes] = IDENTITIES,
     ) -> None:
-        self._address, self._messages = settings.endpoint(door), bad_messages(door, rng)
+        self._address, self._messages = settings.endpoint(endpoint), bad_messages(endpoint, rng)
         self._context, self._rng, self._identities = context, rng, identities
-        self._kind = {"events": zmq.XSUB, "telemetry": zmq.XSUB}.get(door, zmq.DEALER)
+        self._kind = {"events": zmq.XSUB, "telemetry": zmq.XSUB}.get(endpoint, zmq.DEALER)
         self._socket = self._connect()
         self.said = 0
 
     def say(self, many: int, messages: Iterator[list[bytes]] | None = None) -> int:
-        """How many of them went on their way."""
+        """Send up to `many` messages; return how many were queued."""
         sent = 0
         for parts in itertools.islice(messages or self._messages, many):
             with contextlib.suppress(zmq.Again):
@@ -247,7 +247,7 @@ class Attacker:
         return sent
 
     def come_anew(self) -> None:
-        """Another connection, under another name."""
+        """Reconnect under another identity."""
         self._socket.close(linger=0)
         self._socket = self._connect()
 
@@ -263,12 +263,12 @@ class Attacker:
         return made
 
 
-def stream_garbage(settings: Settings, door: str, rng: random.Random) -> None:
-    """Bytes on the bare Unix socket, from somebody who does not even speak ZeroMQ, or stops in the middle of it."""
+def stream_garbage(settings: Settings, endpoint: str, rng: random.Random) -> None:
+    """Raw bytes on the Unix socket: not ZeroMQ, or a ZeroMQ handshake that stops half-way."""
     greeting = b"\xff" + bytes(8) + b"\x7f\x03\x00NULL" + bytes(48)
     ready = b"\x04\x19\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
     endless = b"\x02" + (1 << 62).to_bytes(8, "big") + b"x" * 100  # a frame of 4 EiB begins
-    said = rng.choice(
+    sent = rng.choice(
         (
             rng.randbytes(500),
             greeting[: rng.randrange(64)],
@@ -279,5 +279,5 @@ def stream_garbage(settings: Settings, door: str, rng: random.Random) -> None:
     )
     with unix.socket(unix.AF_UNIX) as line, contextlib.suppress(OSError):
         line.settimeout(0.2)
-        line.connect(str(settings.path / ENDPOINTS[door]))
-        line.sendall(said)
+        line.connect(str(settings.path / ENDPOINTS[endpoint]))
+        line.sendall(sent)

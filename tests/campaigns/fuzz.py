@@ -1,11 +1,12 @@
-"""Does a cluster stay alive, small and quick while somebody feeds its sockets with rubbish?
+"""Does a cluster stay alive, small and quick while its sockets receive malformed and hostile messages?
 
-    python -m benchmarks.fuzz [--seconds 120] [--seed 1]
+    python -m tests.campaigns.fuzz [--seconds 120] [--seed 1]
 
-A cluster (exact arms) is attacked in turn: every socket with bad messages, half connections and messages that decode
-but lie (benchmarks/hostile.py); floods of sentences, questions, halts and frames as large as they may be. Meanwhile
-another client says sentences and a third halts, by both ways and through the broker alone. Asked of each attack: did a
-process die, how much memory did it cost, how long did the others wait? What was dropped must be counted in the status.
+A cluster (kinematic arms) is attacked in turn. Every socket receives malformed messages, incomplete connections and
+well-formed messages with wrong values (tests/campaigns/hostile.py). Then follow floods of sentences, queries, halts and
+frames of the maximum size. Meanwhile a second client sends sentences; a third calls halts at the broker and the MCM, or
+at the broker alone. Three questions for each attack: Did a process die? How much memory did it cost? How long did the
+other clients wait? The status must count every dropped message.
 """
 
 from __future__ import annotations
@@ -24,7 +25,6 @@ from typing import Any
 
 import zmq
 
-from benchmarks import hostile
 from benchmarks.report import finish, percentile, question
 from rtc import messages as m
 from rtc import wire
@@ -33,6 +33,7 @@ from rtc.demos.own_cluster import own_cluster
 from rtc.outcomes import OutcomeKind, RtcError
 from rtc.process_table import processes
 from rtc.settings import Settings
+from tests.campaigns import RESULTS, hostile
 
 WATCHED = ("broker", "world", "MCM")
 SENTENCE = "STOW LEFT-ARM"
@@ -43,8 +44,8 @@ PART = 200  # messages at a time
 # --- attacks: each runs in a process of its own until it is killed ------------------------------------------
 
 
-def door(settings: Settings, rng: random.Random, name: str) -> None:
-    """Everything bad that one socket can be told."""
+def endpoint(settings: Settings, rng: random.Random, name: str) -> None:
+    """All families of bad messages, sent to one socket."""
     context: zmq.Context[Any] = zmq.Context()
     attacker = hostile.Attacker(context, settings, name, rng)
     while True:
@@ -57,12 +58,12 @@ def door(settings: Settings, rng: random.Random, name: str) -> None:
 
 
 def sentences(settings: Settings, _: random.Random) -> None:
-    """Good sentences without end, from one client that never reads what is answered."""
+    """Valid sentences without end, from one client that never reads the answers."""
     _flood(settings, "front", lambda n: m.CommandText(request=str(n), text="STOW RIGHT-ARM", progress=True))
 
 
 def nonsense(settings: Settings, _: random.Random) -> None:
-    """The same, of words that are no sentence: each is done with at once, and makes room for the next."""
+    """Invalid sentences without end: each is refused at once, so the next one is admitted."""
     _flood(settings, "front", lambda n: m.CommandText(request=str(n), text="STOW " + "THE LEFT LEG " * 100))
 
 
@@ -76,17 +77,17 @@ def questions(settings: Settings, _: random.Random) -> None:
 
 
 def reads(settings: Settings, _: random.Random) -> None:
-    """The whole world, again and again, never fetched."""
+    """Reads of the whole world without end; the replies are never read."""
     _flood(settings, "world", lambda n: m.ReadView(request=str(n)))
 
 
 def halts(settings: Settings, _: random.Random) -> None:
-    """Halts at the broker's door, each under a name of its own."""
+    """Halts at the broker's halt socket, each with a new id."""
     _flood(settings, "halt", lambda n: m.HaltOrder(halt=f"H-{n}", scope=("ALL", "RIGHT-ARM", f"C-{n}")[n % 3]))
 
 
 def estops(settings: Settings, _: random.Random) -> None:
-    """The same at the MCM's."""
+    """Halts at the MCM's estop socket, each with a new id."""
     _flood(settings, "estop", lambda n: m.HaltOrder(halt=f"H-{n}", scope=("RIGHT-ARM", f"C-{n}")[n % 2]))
 
 
@@ -95,7 +96,7 @@ def truths(settings: Settings, _: random.Random) -> None:
 
 
 def large(settings: Settings, rng: random.Random) -> None:
-    """Frames as large as the front door takes, and larger."""
+    """Frames of the maximum size, and larger."""
     context: zmq.Context[Any] = zmq.Context()
     attackers = [hostile.Attacker(context, settings, name, rng) for name in ("front", "workers", "world")]
     heavy = hostile.heavy_messages(rng)
@@ -106,7 +107,7 @@ def large(settings: Settings, rng: random.Random) -> None:
 
 
 def subscriptions(settings: Settings, rng: random.Random) -> None:
-    """To topics that nobody else knows."""
+    """Subscriptions to 100,000 unused topics."""
     context: zmq.Context[Any] = zmq.Context()
     socket = context.socket(zmq.XSUB)
     socket.connect(settings.endpoint("events"))
@@ -116,7 +117,7 @@ def subscriptions(settings: Settings, rng: random.Random) -> None:
 
 
 def _flood(settings: Settings, where: str, message: Callable[[int], Any]) -> None:
-    """As fast as the socket takes it; answers are left lying."""
+    """Send as fast as the socket accepts; never read the answers."""
     context: zmq.Context[Any] = zmq.Context()
     socket = context.socket(zmq.DEALER)
     socket.setsockopt(zmq.RCVHWM, 10)
@@ -128,7 +129,7 @@ def _flood(settings: Settings, where: str, message: Callable[[int], Any]) -> Non
 
 
 ATTACKS: dict[str, Callable[..., None]] = {
-    **dict.fromkeys(hostile.DOORS, door),
+    **dict.fromkeys(hostile.ACCEPTED, endpoint),
     **{f.__name__: f for f in (sentences, nonsense, questions, reads, halts, estops, truths, large, subscriptions)},
 }
 
@@ -145,19 +146,19 @@ def attacked(run_dir: Path, name: str, seed: int) -> Iterator[None]:
 
 
 def _attack(run_dir: Path, name: str, seed: int) -> None:
-    given = (name,) if ATTACKS[name] is door else ()
+    given = (name,) if ATTACKS[name] is endpoint else ()
     ATTACKS[name](Settings.load(run_dir), random.Random(seed), *given)
 
 
-# --- what the others notice -------------------------------------------------------------------------------
+# --- what other clients observe -------------------------------------------------------------------------------
 
 
 @dataclass
 class Noticed:
-    """During one attack, by somebody else."""
+    """What other clients observed during one attack."""
 
     commands_s: list[float] = field(default_factory=list)  # how long a command took
-    halts_s: list[float] = field(default_factory=list)  # call -> heard by the MCM, by whichever way was quicker
+    halts_s: list[float] = field(default_factory=list)  # from the call to its receipt at the MCM, by the faster way
     broker_halts_s: list[float] = field(default_factory=list)  # call -> answer, through the broker alone
     wrong: list[str] = field(default_factory=list)
     died: list[str] = field(default_factory=list)
@@ -165,7 +166,7 @@ class Noticed:
 
 
 class Others:
-    """A client that says sentences and one that halts, on a cluster whose processes are watched."""
+    """A client that sends sentences and one that calls halts; watches the processes of the cluster."""
 
     def __init__(self, run_dir: Path) -> None:
         self._run_dir = run_dir
@@ -183,7 +184,7 @@ class Others:
             self._halts(noticed)
             now_mb = self.memory_mb()
             noticed.growth_mb = max(noticed.growth_mb, *(now_mb[name] - memory_mb[name] for name in WATCHED))
-        after = self.pids()  # workers may have come, or gone because there was nothing to do
+        after = self.pids()  # the autoscaler may have started or retired workers
         noticed.died = [name for name in before.keys() & after.keys() if before[name] != after[name]]
         return noticed
 
@@ -195,7 +196,10 @@ class Others:
             noticed.wrong.append(f"a command: {error}")
             return
         noticed.commands_s.append(time.monotonic() - began_s)
-        if ended.outcome.kind not in (OutcomeKind.SUCCEEDED, OutcomeKind.HALTED):  # halted: somebody floods with halts
+        if ended.outcome.kind not in (
+            OutcomeKind.SUCCEEDED,
+            OutcomeKind.HALTED,
+        ):  # HALTED: the attack is a flood of halts
             noticed.wrong.append(f"a command {ended.outcome.kind}: {ended.outcome.message}")
 
     def _halts(self, noticed: Noticed) -> None:
@@ -214,7 +218,7 @@ class Others:
         noticed.wrong.append("a halt through the broker was not answered within 5 s")
 
     def pids(self) -> dict[str, int]:
-        """Of all processes that do the cluster's work."""
+        """Process ids by name, without the fork servers."""
         return {name: row.pid for name, row in processes(self._run_dir).items() if "template" not in name}
 
     def memory_mb(self) -> dict[str, float]:
@@ -231,14 +235,16 @@ class Others:
 
 
 def main() -> int:
-    arguments = argparse.ArgumentParser(prog="python -m benchmarks.fuzz", description=__doc__)
+    arguments = argparse.ArgumentParser(prog="python -m tests.campaigns.fuzz", description=__doc__)
     arguments.add_argument("--seconds", type=float, default=120.0, help="for all attacks together")
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--attack", action="append", choices=[*ATTACKS], help="only this one (may be repeated)")
     given = arguments.parse_args()
     names = given.attack or [*ATTACKS]
     question(
-        "fuzz", "Does a cluster stay alive, small and quick while its sockets are fed with rubbish?", seed=given.seed
+        "fuzz",
+        "Does a cluster stay alive, small and quick while its sockets receive hostile messages?",
+        seed=given.seed,
     )
     rows, all_noticed = [], []
     with own_cluster(mcm="kinematic") as run_dir:
@@ -265,7 +271,7 @@ def main() -> int:
         "growth_mb": max(noticed.growth_mb for noticed in all_noticed),
         "dropped": float(sum(dropped.values())),
     }
-    finish("fuzz", metrics, rows)
+    finish("fuzz", metrics, rows, RESULTS)
     return int(bool(metrics["died"] or metrics["wrong"]))
 
 
