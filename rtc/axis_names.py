@@ -1,8 +1,8 @@
-"""The axes that a sentence may name (`ALONG X`, `ALONG TOOL-Z`): data alone, for the binder and for `rtc names`."""
+"""The axes that a sentence may name (`ALONG X`, `ALONG TOOL-Z`). Pure data."""
 
 from __future__ import annotations
 
-#: name -> (whose axes, unit vector)
+#: name -> (frame: tool or world, unit vector in that frame)
 AXES: dict[str, tuple[str, tuple[float, float, float]]] = {
     "TOOL-X": ("tool", (1.0, 0.0, 0.0)),
     "TOOL-Y": ("tool", (0.0, 1.0, 0.0)),

@@ -1,8 +1,8 @@
-"""The arithmetic that programs may write: `0.5*(GP1 + GP2)`, `0.5*(pre_grasp_m - grasp_width_m) + overrun_m`.
+"""Arithmetic expressions of programs, such as `0.5*(GP1 + GP2)` or `0.5*(pre_grasp_m - grasp_width_m) + overrun_m`.
 
-Numbers and poses, + - * /, brackets, min, max and abs; nothing else, so that a program stays data. Poses may only be
-averaged: a sum of poses whose weights make one is their weighted mean (position: mean, attitude: quaternion mean);
-attitudes that lie more than 5 degrees apart have no sensible mean and are refused (A15). Knows no world and no script.
+Allowed are numbers, poses, + - * /, brackets, min, max and abs only, so that a program stays data. Poses can only be
+averaged: a sum of poses whose weights add up to one is their weighted mean (position: mean, attitude: quaternion mean).
+Attitudes more than 5 degrees apart are refused (A15). Knows neither the world nor scripts.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ import numpy as np
 
 from rtc import geometry
 
-MOST_APART_RAD = math.radians(5.0)  # of attitudes that are averaged (A15)
-LONGEST = 200  # characters
+MOST_APART_RAD = math.radians(5.0)  # maximum angle between averaged attitudes (A15)
+LONGEST = 200  # maximum length in characters
 
 
 class ExpressionError(ValueError):
-    """The text is no expression of ours, names something unknown, or has no value."""
+    """The text is not an expression, contains an unknown name, or has no value."""
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Weighted poses on their way to becoming one."""
+    """An intermediate sum of weighted poses: (weight, pose of seven floats) each."""
 
     parts: tuple[tuple[float, tuple[float, ...]], ...]
 
@@ -39,7 +39,7 @@ FUNCTIONS: dict[str, Callable[..., float]] = {"min": min, "max": max, "abs": abs
 
 
 def evaluate(text: str | float, given: Given) -> float | list[float]:
-    """The number or the pose that an expression stands for. Raises ExpressionError, which tells what is wrong."""
+    """The value of an expression: a number, or a pose of seven floats. Raises ExpressionError with the reason."""
     if isinstance(text, int | float):
         return float(text)
     value = _value(parse(text), given)
@@ -47,15 +47,15 @@ def evaluate(text: str | float, given: Given) -> float | list[float]:
 
 
 def number(text: str | float, given: Given) -> float:
-    """As `evaluate`, for where only a number will do."""
+    """As `evaluate`, but only a number is accepted. Raises ExpressionError for a pose."""
     value = evaluate(text, given)
     if not isinstance(value, float):
-        raise ExpressionError(f"{text} is a pose, a number is wanted")
+        raise ExpressionError(f"{text} is a pose; a number is required")
     return value
 
 
 def names(text: str | float) -> set[str]:
-    """What an expression needs to be given."""
+    """The names in an expression. Raises ExpressionError."""
     if isinstance(text, int | float):
         return set()
     return {node.id for node in ast.walk(parse(text)) if isinstance(node, ast.Name)} - FUNCTIONS.keys()
@@ -65,16 +65,16 @@ def names(text: str | float) -> set[str]:
 def parse(text: str) -> ast.expr:
     """The tree of an expression. Raises ExpressionError on anything but arithmetic."""
     if len(text) > LONGEST:
-        raise ExpressionError(f"an expression of {len(text)} characters; {LONGEST} is the limit")
+        raise ExpressionError(f"the expression has {len(text)} characters; the limit is {LONGEST}")
     try:
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise ExpressionError(f"{text!r} is no expression") from error
+        raise ExpressionError(f"{text!r} is not an expression") from error
     for node in ast.walk(tree):
         if not isinstance(node, _ALLOWED):
             raise ExpressionError(f"{text!r}: only + - * / and brackets, {', '.join(FUNCTIONS)}")
         if isinstance(node, ast.Constant) and type(node.value) not in (int, float):
-            raise ExpressionError(f"{text!r}: {node.value!r} is no number")
+            raise ExpressionError(f"{text!r}: {node.value!r} is not a number")
     return tree
 
 
@@ -87,7 +87,7 @@ _ALLOWED = (
 def _value(node: ast.expr, given: Given) -> Value:
     match node:
         case ast.Constant(value=bool() | str() | bytes()):
-            raise ExpressionError("no number")
+            raise ExpressionError("not a number")
         case ast.Constant(value=int() | float() as n):
             return float(n)
         case ast.Name(id=name):
@@ -98,7 +98,7 @@ def _value(node: ast.expr, given: Given) -> Value:
             return _OPERATORS[type(op)](_value(left, given), _value(right, given))
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS and args:
             return float(FUNCTIONS[name](*(_plain(_value(arg, given)) for arg in args)))
-    raise ExpressionError(f"{ast.unparse(node)} is no arithmetic")
+    raise ExpressionError(f"{ast.unparse(node)} is not arithmetic")
 
 
 def _given(name: str, given: Given) -> Value:
@@ -145,11 +145,13 @@ _OPERATORS: dict[type[ast.operator], Callable[[Value, Value], Value]] = {
 def _mean(poses: Poses) -> list[float]:
     weights = [w for w, _ in poses.parts]
     if min(weights) < 0.0 or abs(sum(weights) - 1.0) > 1e-9:
-        raise ExpressionError(f"weights of poses must make 1, these are {', '.join(f'{w:g}' for w in weights)}")
+        raise ExpressionError(f"weights of poses must add up to 1, these are {', '.join(f'{w:g}' for w in weights)}")
     apart = max(geometry.angle(p, q) for _, p in poses.parts for _, q in poses.parts)
     if apart > MOST_APART_RAD:
         most = math.degrees(MOST_APART_RAD)
-        raise ExpressionError(f"attitudes {math.degrees(apart):.1f} deg apart have no mean; {most:.0f} deg at most")
+        raise ExpressionError(
+            f"attitudes {math.degrees(apart):.1f} deg apart have no mean; the limit is {most:.0f} deg"
+        )
     quaternions = np.array([p[3:] for _, p in poses.parts])
     _, vectors = np.linalg.eigh((quaternions.T * np.array(weights)) @ quaternions)  # q and -q count alike
     position = np.average(np.array([p[:3] for _, p in poses.parts]), axis=0, weights=weights)

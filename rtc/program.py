@@ -1,9 +1,9 @@
-"""Programs of the workers as bytes: put together from files, checked, named by their digest, changed by LOAD.
+"""Worker programs: read from files, checked, merged by LOAD, encoded canonically.
 
-The program of the parser is its grammar, the others are documents of `rtc.program_schema`, kept as YAML files under
-`programs/KIND/`: every file holds sections of the one document, a file in `scripts/` or `pieces/` one item (which may
-bring its own rows of the tables, so that one file can add a skill). The canonical form is JSON with sorted keys, so
-that equal programs have equal digests. Every complaint is a ProgramError that names the place.
+The program of the parser is its grammar. The other programs are documents of `rtc.program_schema`, stored as YAML files
+under `programs/KIND/`. Each file holds sections of one document. A file in `scripts/` or `pieces/` holds one item and
+may add its own table rows, so that one file can add a skill. The canonical form is JSON with sorted keys, so that equal
+programs have equal digests. Each fault raises a ProgramError that names the place.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ SCHEMAS: dict[WorkerKind, type[Program]] = {
     WorkerKind.BINDER: BinderProgram,
     WorkerKind.ANALYZER: AnalyzerProgram,
 }
-#: list section -> the fields by which two items are the same one (LOAD puts the new one in its place)
+#: list section -> the identifying fields; LOAD replaces an item of the same identity
 IDENTITY: dict[str, tuple[str, ...]] = {
     "scripts": ("script",),
     "pieces": ("skill",),
     "decision_tree": ("verb", "script"),
     "command_object_table": ("verb", "kind", "name"),
 }
-#: the field that shows that a document is one item of a section
+#: field that marks a document as a single item -> its section
 ITEMS: dict[str, str] = {"script": "scripts", "skill": "pieces"}
 
-MAX_DEPTH = 30  # of maps and lists in each other; ours have 7
-MAX_NODES = 50_000  # values in a document, each alias counted as what it stands for
+MAX_DEPTH = 30  # maximum nesting of maps and lists; the default programs have 7 levels
+MAX_NODES = 50_000  # maximum number of values in a document, with aliases expanded
 
 _EXPECTED = "a program document is a map of sections, such as " + "; ".join(
     f"for the {kind.value} {', '.join(sorted(schema.__struct_fields__)[:3])}" for kind, schema in SCHEMAS.items()
@@ -55,7 +55,7 @@ P = TypeVar("P", bound=Program)
 
 @lru_cache(maxsize=8)
 def default(kind: WorkerKind | str) -> bytes:
-    """The program of a kind of worker as it comes with the project."""
+    """The default program of a kind of worker, from the files of this package. Raises ProgramError."""
     kind = WorkerKind(kind)
     if kind is WorkerKind.PARSER:
         return GRAMMAR.read_bytes()
@@ -69,8 +69,10 @@ def default(kind: WorkerKind | str) -> bytes:
 def merge(
     kind: WorkerKind | str, program: bytes, name: str, text: bytes, others: Mapping[WorkerKind, bytes] | None = None
 ) -> bytes:
-    """The program with the document `text` (of the file `name`) put into it, in place of items of the same identity.
-    `others`: the programs it will work with; with them it is also seen whether they fit. Complaints tell the line."""
+    """The program with the document `text` of the file `name` merged in; items of the same identity are replaced.
+
+    `others`: the programs of the other kinds; with them, compatibility is checked. Raises ProgramError with the line.
+    """
     kind = WorkerKind(kind)
     if kind is WorkerKind.PARSER:
         return _grammar(text, name)
@@ -91,7 +93,7 @@ def merge(
 
 
 def original(kind: WorkerKind | str, others: Mapping[WorkerKind, bytes]) -> bytes:
-    """The default program of a kind again; complains when it does not fit the `others` that are in use."""
+    """The default program of a kind. Raises ProgramError when it is incompatible with the `others` in use."""
     kind, body = WorkerKind(kind), default(kind)
     if kind is not WorkerKind.PARSER:
         name = f"the default {kind} program"
@@ -100,23 +102,25 @@ def original(kind: WorkerKind | str, others: Mapping[WorkerKind, bytes]) -> byte
 
 
 def changes(kind: WorkerKind | str, before: bytes, after: bytes) -> list[str]:
-    """What `merge` has changed, one line an item: "scripts: grasp-gentle is new". Of a script that no row of the
-    decision tree chooses it tells that too: it checks, and would never be used."""
+    """The changes between two programs, one line per item: "scripts: grasp-gentle is new".
+
+    A changed script without a row in the decision tree gets a further line, because no verb would select it.
+    """
     if WorkerKind(kind) is WorkerKind.PARSER:
-        return [] if before == after else ["the grammar is another"]
+        return [] if before == after else ["the grammar is changed"]
     old, new = _items(_read(before, "the program in use")), _items(_read(after, "the new program"))
-    told = [f"{name} is {'changed' if name in old else 'new'}" for name, item in new.items() if old.get(name) != item]
+    lines = [f"{name} is {'changed' if name in old else 'new'}" for name, item in new.items() if old.get(name) != item]
     chosen = {row["script"] for name, row in new.items() if name.startswith("decision_tree:")}
-    told += [f"{name} is taken away" for name in old if name not in new]
+    lines += [f"{name} is removed" for name in old if name not in new]
     for name, item in new.items():
         if name.startswith("scripts:") and item["script"] not in chosen and old.get(name) != item:
             row = f"decision_tree: [{{verb: VERB, script: {item['script']}}}]"
-            told.append(f"no verb chooses {item['script']}; put into the file: {row}")
-    return told
+            lines.append(f"no verb selects {item['script']}; add to the file: {row}")
+    return lines
 
 
 def _items(document: dict[str, Any]) -> dict[str, Any]:
-    """All that can be changed alone, by its name: "scripts: lift", "stop_classes: move_free"."""
+    """The items that LOAD can replace separately, by name: "scripts: lift", "stop_classes: move_free"."""
     items: dict[str, Any] = {}
     for section, content in document.items():
         if section in IDENTITY:
@@ -132,11 +136,11 @@ def _items(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def decode(program: bytes, schema: type[P]) -> P:
-    """The typed document of a canonical program, checked. Costs some ms; whoever uses it often keeps it by digest."""
+    """The typed document of a canonical program, checked. Takes some ms: cache it by digest. Raises ProgramError."""
     return _checked(_read(program, "the program"), schema, "the program")
 
 
-# --- reading and putting together ------------------------------------------------------------------------
+# --- reading and merging ------------------------------------------------------------------------
 
 
 def _read(text: bytes, source: str) -> dict[str, Any]:
@@ -155,7 +159,7 @@ def _read(text: bytes, source: str) -> dict[str, Any]:
 
 
 def _of_this_kind(kind: WorkerKind, news: dict[str, Any], name: str, text: bytes) -> None:
-    """Raises ProgramError when a file has what no program of this kind has: a script for the binders, say."""
+    """Raises ProgramError for a section that programs of this kind lack, such as a script for the binder."""
     sections = [field.name for field in msgspec.structs.fields(SCHEMAS[kind])]
     item = next((field for field in ITEMS if isinstance(news.get(field), str)), "")
     wrong = item if item and ITEMS[item] not in sections else ""
@@ -171,9 +175,11 @@ def _of_this_kind(kind: WorkerKind, news: dict[str, Any], name: str, text: bytes
 
 
 def _yaml(text: bytes, source: str) -> Any:
-    """The document. Its events are looked at first: a nest that is too deep would overflow the C stack of the loader,
-    and a few aliases of aliases can stand for gigabytes. Raises ProgramError, yaml.YAMLError."""
-    sizes: dict[str, int] = {}  # anchor -> nodes it stands for
+    """The document, after a check of its parse events. Raises ProgramError, yaml.YAMLError.
+
+    Deep nesting would overflow the C stack of the loader; nested aliases can expand to gigabytes.
+    """
+    sizes: dict[str, int] = {}  # anchor -> number of nodes it expands to
     open_nodes = [("", 0)]  # anchor, nodes so far
     for event in yaml.parse(text, yaml.CSafeLoader):
         anchor, nodes = "", 1
@@ -186,7 +192,7 @@ def _yaml(text: bytes, source: str) -> Any:
             sizes[event.anchor or ""] = 1
         elif isinstance(event, yaml.AliasEvent):
             if event.anchor not in sizes:
-                raise ProgramError(f"{source}: nothing is called {event.anchor}, or not yet")
+                raise ProgramError(f"{source}: the alias {event.anchor} has no anchor before it")
             nodes = sizes[event.anchor]
         outer, before = open_nodes[-1]
         open_nodes[-1] = (outer, before + nodes)
@@ -198,7 +204,7 @@ def _yaml(text: bytes, source: str) -> Any:
 
 
 def _put(whole: dict[str, Any], document: dict[str, Any], source: str) -> None:
-    """Put a document's sections into the whole."""
+    """Merges the sections of a document into `whole`, in place. Raises ProgramError."""
     for field, section in ITEMS.items():
         if isinstance(document.get(field), str):
             tables = {key: document[key] for key in IDENTITY if key in document}
@@ -242,7 +248,7 @@ def _grammar(text: bytes, source: str) -> bytes:
 
 
 def _in_file(path: list[str | int], whole: dict[str, Any], news: dict[str, Any]) -> list[str | int] | None:
-    """A place in the whole program as one in the file that was put into it; None when it is not from there."""
+    """The path in the merged file for a path in the whole program; None if the value is not from that file."""
     section, *rest = path or [""]
     if section not in IDENTITY or not rest:
         return path if section in news else None
@@ -254,7 +260,7 @@ def _in_file(path: list[str | int], whole: dict[str, Any], news: dict[str, Any])
     return next(([section, n, *rest[1:]] for n, one in enumerate(mine) if one is item), None)
 
 
-# --- checking what types alone cannot see ----------------------------------------------------------------
+# --- checks beyond the types ----------------------------------------------------------------
 
 
 def _checked(document: dict[str, Any], schema: type[P], source: str) -> P:
@@ -268,16 +274,16 @@ def _checked(document: dict[str, Any], schema: type[P], source: str) -> P:
 
 
 def _owner(document: dict[str, Any], place: str) -> str:
-    """Which script a place like `scripts[3].steps[2]` is in: numbers alone are hard to find."""
+    """The name of the script or piece that contains a place like `scripts[3].steps[2]`, in brackets."""
     found = re.search(r"(scripts|pieces)\[(\d+)\]", place)
     if not found:
         return ""
     item = document[found[1]][int(found[2])]
-    return f" (in {item.get('script') or item.get('skill') or 'a nameless one'})" if isinstance(item, dict) else ""
+    return f" (in {item.get('script') or item.get('skill') or 'unnamed'})" if isinstance(item, dict) else ""
 
 
 def _fits(programs: Mapping[WorkerKind, bytes], kind: WorkerKind, document: dict[str, Any], source: str) -> None:
-    """Raises ProgramError unless those of the three that are there fit together."""
+    """Raises ProgramError unless the given programs are compatible; `programs` may lack some kinds."""
     if kind is WorkerKind.ELABORATOR and (grammar := programs.get(WorkerKind.PARSER)) is not None:
         typed = msgspec.json.decode(programs[kind], type=ElaboratorProgram)
         for place, problem in program_checks.unknown_verbs(typed, grammar.decode()):
@@ -290,7 +296,7 @@ def _fits(programs: Mapping[WorkerKind, bytes], kind: WorkerKind, document: dict
     for place, problem in misfits(elaborator, binder, analyzer):
         if kind is WorkerKind.ELABORATOR:
             raise ProgramError(f"{source}: $.{place}: {problem}{_owner(document, place)}")
-        raise ProgramError(f"{source}: with it the elaborator's program does not work any more: {place}: {problem}")
+        raise ProgramError(f"{source}: it is incompatible with the elaborator's program: {place}: {problem}")
 
 
 def _elaborator_problems(program: ElaboratorProgram) -> Problems:
@@ -318,7 +324,7 @@ def _elaborator_problems(program: ElaboratorProgram) -> Problems:
 
 
 def _figure_problems(program: ElaboratorProgram) -> Problems:
-    """Names in sums that nothing gives a value: neither the cell, nor any row of the table, nor any sentence."""
+    """Names in expressions without a value in the cell, the command-object table or a sentence."""
     known = {*registered.FIGURES, *(name for row in program.command_object_table for name in row.values)}
     sums: dict[str, str | float] = {}
     for n, script in enumerate(program.scripts):
@@ -337,7 +343,7 @@ def _names(expression: str | float) -> set[str]:
     try:
         return set(expressions.names(expression))
     except expressions.ExpressionError:
-        return set()  # told where it is
+        return set()  # reported by the check of that expression
 
 
 def _script_problems(script: ScriptFile, place: str) -> Problems:
@@ -354,7 +360,7 @@ def _script_problems(script: ScriptFile, place: str) -> Problems:
         planned.add(line.name)
     for n, entry in enumerate(script.trimming_stack):
         if entry.n != n + 1:
-            yield f"{place}.trimming_stack[{n}].n", f"entries are numbered from 1 in order; this is number {n + 1}"
+            yield f"{place}.trimming_stack[{n}].n", f"entries are numbered in order from 1; this is number {n + 1}"
     if script.trimming_stack and script.case < 3:
         yield f"{place}.trimming_stack", "actions (cases 1 and 2) cannot be trimmed"
     bindings = planned | {step.name for step in script.steps if step.do == "let"}
@@ -365,9 +371,9 @@ def _script_problems(script: ScriptFile, place: str) -> Problems:
 def _step_problems(step: ScriptStep, place: str, entries: int, bindings: set[str] | None) -> Problems:
     index, count = step.trim
     if (index, count) != (0, 0) and not (index >= 1 and count >= 1 and index + count - 1 <= entries):
-        yield f"{place}.trim", f"[index, count] = [{index}, {count}] leaves the trimming stack of {entries} entries"
+        yield f"{place}.trim", f"[index, count] = [{index}, {count}] is outside the trimming stack of {entries} entries"
     if bindings is not None and step.to and step.to != "HERE" and step.to not in bindings:
-        yield f"{place}.to", f"nothing binds {step.to}; there are {', '.join(sorted(bindings))}"
+        yield f"{place}.to", f"no binding {step.to}; there are {', '.join(sorted(bindings))}"
     yield from _known("performer", step.who, registered.PERFORMERS, f"{place}.who")
     if step.space or step.to:
         yield from _known("space", step.space or "(none)", registered.SPACES, f"{place}.space")
@@ -384,7 +390,7 @@ def _step_problems(step: ScriptStep, place: str, entries: int, bindings: set[str
         yield from _expression(step.value, f"{place}.value")
         unknown = expressions.names(step.value) - bindings if bindings is not None else set()
         if unknown:
-            yield f"{place}.value", f"nothing binds {', '.join(sorted(unknown))}"
+            yield f"{place}.value", f"no binding {', '.join(sorted(unknown))}"
 
 
 def _binder_problems(program: BinderProgram) -> Problems:

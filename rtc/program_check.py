@@ -1,8 +1,8 @@
-"""A program put to the test in a process of its own, under limits of time and memory.
+"""A sandbox for program checks: a child process with limits on time and memory.
 
-A grammar of a few hundred bytes can cost minutes or all the stack to compile: whoever checks it must be nobody that
-others wait for. `check` is the check itself; `Process` is one in a child (`python -m rtc.program_check`), which the
-kernel ends at its limits. What kills its child, or is not done in time, is refused in words.
+A grammar of a few hundred bytes can take minutes or overflow the stack when it is compiled, so the broker must not
+compile it. `check` is the check itself. `Process` runs it in a child (`python -m rtc.program_check`), which the kernel
+kills at its limits. A program that kills the child or exceeds the time is refused with the reason.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from rtc.messages import WorkerKind
 from rtc.outcomes import ProgramError, WireError
 from rtc.process import die_with_parent, now_s
 
-CPU_S = 3  # of processor time; a default program takes a tenth of it, and a parser that takes so long is killed
-WALL_S = 25.0  # on a machine with other things to do
+CPU_S = 3  # limit of processor time; a default program takes 0.3 s
+WALL_S = 25.0  # limit of wall-clock time, generous for a loaded machine
 MEMORY_BYTES = 1 << 30
 
 
 class Asked(msgspec.Struct, frozen=True, kw_only=True):
-    """A file to be put into a program, or to be taken back (`reset`), beside the other programs in use."""
+    """A request: merge a file into a program, or return to the default program (`reset`)."""
 
     kind: WorkerKind
     name: str
     body: bytes
     reset: bool
-    program: bytes  # of this kind, as it is
-    others: dict[WorkerKind, bytes]
+    program: bytes  # of this kind, in use now
+    others: dict[WorkerKind, bytes]  # the programs of the other kinds in use
 
 
 class Checked(msgspec.Struct, frozen=True, kw_only=True):
-    """The whole program and what has changed, in words; or what is wrong."""
+    """The result: the merged program and its changes as text, or the error."""
 
     merged: bytes = b""
     changes: list[str] = []
@@ -49,7 +49,7 @@ _read_asked, _read_checked = wire.decoder(Asked), wire.decoder(Checked)
 
 
 def check(asked: Asked) -> Checked:
-    """The check itself, here and now."""
+    """Checks in this process."""
     from rtc import program  # brings lark, yaml and numpy
 
     try:
@@ -63,14 +63,14 @@ def check(asked: Asked) -> Checked:
 
 
 class Process:
-    """One check in a child."""
+    """One check in a child process."""
 
     def __init__(self, asked: Asked, cpu_s: int = CPU_S) -> None:
         """Raises OSError when no process can be started."""
         self._cpu_s = cpu_s
         self._name, self._limit_s = asked.name, now_s() + WALL_S
         self._answer = os.memfd_create("rtc-checked", os.MFD_CLOEXEC)
-        question = os.memfd_create("rtc-asked", os.MFD_CLOEXEC)  # a pipe would make us wait for the child to read
+        question = os.memfd_create("rtc-asked", os.MFD_CLOEXEC)  # a write to a pipe could block until the child reads
         try:
             os.pwrite(question, wire.encode(asked), 0)
             command = (sys.executable, "-P", "-m", "rtc.program_check", str(os.getpid()), str(cpu_s))
@@ -82,7 +82,7 @@ class Process:
             os.close(question)
 
     def result(self, now: float) -> Checked | None:
-        """What came of it; None as long as it is at work."""
+        """The result; None while the child runs. Never blocks longer than it takes to kill the child."""
         status = self._child.poll()
         if status is None:
             if now < self._limit_s:
@@ -98,14 +98,14 @@ class Process:
 
 def _why(status: int | None, cpu_s: int) -> str:
     if status is None:
-        return f"the check was not done within {WALL_S:g} s; load it again when the machine has less to do"
+        return f"the check did not finish within {WALL_S:g} s; load it again when the machine is less busy"
     if status == -signal.SIGXCPU:
-        return f"it takes more than {cpu_s} s of processor time to compile; say less with ?, ~ and templates"
-    return f"the check of it died (status {status}): it takes too much memory, or is nested too deeply"
+        return f"it takes more than {cpu_s} s of processor time to compile; use ?, ~ and templates less"
+    return f"its check died (status {status}): it takes too much memory or is nested too deeply"
 
 
 def in_a_process(asked: Asked, cpu_s: int = CPU_S) -> Checked:
-    """Check in a child, and wait for it."""
+    """Checks in a child process and waits for the result. Raises OSError when the child cannot start."""
     running = Process(asked, cpu_s)
     while (checked := running.result(now_s())) is None:
         with contextlib.suppress(subprocess.TimeoutExpired):

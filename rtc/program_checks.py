@@ -1,6 +1,4 @@
-"""What can never work in the elaborator's program, beyond what its types say: names that nothing stands for, and
-expressions that have no value whatever they are given. Found when a program is loaded. Pure.
-"""
+"""Checks of programs at load time, beyond their types: unknown names, and expressions that never have a value. Pure."""
 
 from __future__ import annotations
 
@@ -14,12 +12,12 @@ from rtc.program_schema import AnalyzerProgram, ElaboratorProgram, ScriptFile, S
 
 PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 FIELDS = ParsedCommand.__struct_fields__
-#: meanings of the grammar whose production begins with a verb
+#: meanings (rtc.language.meaning) of productions that begin with a verb
 _OPENS = "command|handoff|verify|set_value|cannot"
 
 
 def problems(program: ElaboratorProgram) -> Problems:
-    """All of them, each with its place."""
+    """The problems of an elaborator program, each with its place."""
     for n, branch in enumerate(program.decision_tree):
         for m, check in enumerate(branch.when):
             place = f"decision_tree[{n}].when[{m}]"
@@ -52,7 +50,7 @@ def _step(step: ScriptStep, place: str) -> Problems:
 
 
 def failure_words(program: AnalyzerProgram) -> Problems:
-    """Placeholders in what is said of failures that nothing stands for."""
+    """Unknown placeholders in the messages of failure classes."""
     for name, row in program.classes.items():
         for field, text in (("message", row.message), ("clears", row.clears), ("again", row.again)):
             for word in PLACEHOLDER.findall(text):
@@ -60,7 +58,7 @@ def failure_words(program: AnalyzerProgram) -> Problems:
 
 
 def unknown_verbs(program: ElaboratorProgram, grammar: str) -> Problems:
-    """Rows for a verb that no sentence of this grammar begins with."""
+    """Rows for a verb with which no sentence of this grammar begins."""
     known = verbs(grammar)
     for section in ("decision_tree", "command_object_table"):
         for n, row in enumerate(getattr(program, section)):
@@ -68,13 +66,16 @@ def unknown_verbs(program: ElaboratorProgram, grammar: str) -> Problems:
 
 
 def verbs(grammar: str) -> set[str]:
-    """The verbs of a grammar text, without compiling it, which takes too long for the broker."""
+    """The verbs of a grammar text, found without compiling it, which would take too long for the broker."""
     found = re.findall(rf"[:|]\s*([A-Z_]+)\b[^\n|:]*->\s*(?:{_OPENS})\b", grammar)
     return {verb.replace("_", "-") for verb in found}
 
 
 def valueless(expression: str) -> str:
-    """Why this expression has no value whatever its names stand for; empty when it may have one."""
+    """The reason why an expression has no value for any values of its names; empty when it may have one.
+
+    Two samples are tried. Raises ExpressionError for a text that is not an expression.
+    """
     names = sorted(expressions.names(expression))
     complaint = ""
     for sample in (1.37, 0.61):

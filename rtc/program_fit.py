@@ -1,6 +1,6 @@
-"""Whether the three programs fit together: what a script's step asks of the binder and the analyzer must be there.
+"""Compatibility of the three programs: binder and analyzer must support each step of each script. Pure.
 
-Works on typed documents; complaints name a place in the elaborator's program. Pure.
+Works on typed documents. Each problem names a place in the elaborator's program.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from rtc.cell import Numbers
 from rtc.program_schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, ScriptStep
 from rtc.registered import ARGS, unknown
 
-Problems = Iterator[tuple[str, str]]  # place, what is wrong there
+Problems = Iterator[tuple[str, str]]  # place, problem
 
 
 class Named(Protocol):
@@ -27,12 +27,12 @@ class Named(Protocol):
 
 
 def row_of(step: Named) -> str:
-    """The row of the analyzer's table that a step is judged by: its stop class, or what it does."""
+    """The row of the analyzer's outcome table for a step: its stop class, else its action (`do-op`)."""
     return step.stop or "-".join(filter(None, (step.do, step.op)))
 
 
 def misfits(elaborator: ElaboratorProgram, binder: BinderProgram, analyzer: AnalyzerProgram) -> Problems:
-    """Every step of every script and piece that the binder could not bind, or the analyzer not judge."""
+    """The steps that the binder could not bind or the analyzer could not assess, each with its place."""
     steps = {f"scripts[{n}]": script.steps for n, script in enumerate(elaborator.scripts)}
     steps |= {f"pieces[{n}]": piece.steps for n, piece in enumerate(elaborator.pieces)}
     for item, lines in steps.items():
@@ -41,7 +41,7 @@ def misfits(elaborator: ElaboratorProgram, binder: BinderProgram, analyzer: Anal
 
 
 def _figures(binder: BinderProgram) -> set[str]:
-    """What a step's args may set: what the binder's code reads, and every value of its program and of the cell."""
+    """The names that the args of a step may set: those of the binder's code and program, and of the cell."""
     classes = (name for row in binder.stop_classes.values() for name in row.values)
     return {*ARGS, *Numbers.__struct_fields__, *binder.values, *classes}
 

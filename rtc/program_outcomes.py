@@ -1,6 +1,6 @@
-"""Every way that every step of a script can end, and what follows: the finite table of `rtc outcomes` (R67, R84, R85).
+"""The outcome table of a script for `rtc outcomes`: each stop reason of each step, and the response (R67, R84, R85).
 
-Works on program data alone; knows no world and no arm.
+Uses program data alone. Knows neither the world nor the arms.
 """
 
 from __future__ import annotations
@@ -25,12 +25,14 @@ from rtc.program_schema import (
 class Outcome(NamedTuple):
     step: str  # "5 feel one side of the handle (GP1)"
     reason: StopReason
-    response: str  # continue | trim 2 (grasp), restart_script | fail: what it is told as
+    response: str  # continue | trim 2 (grasp), restart_script | fail: failure class
 
 
 def outcomes(elaborator_program: bytes, binder_program: bytes, analyzer_program: bytes, script: str) -> list[Outcome]:
-    """One row for each (step, stop reason) of a script, by its name or its verb, and of its trims. Raises ProgramError:
-    no such script, or a cell is empty."""
+    """One row per (step, stop reason) of a script and of its trims; `script` is its name or its verb.
+
+    Raises ProgramError: the script does not exist, or the programs are incompatible.
+    """
     elaborator = decode(elaborator_program, ElaboratorProgram)
     binder = decode(binder_program, BinderProgram)
     analyzer = decode(analyzer_program, AnalyzerProgram)
@@ -40,7 +42,7 @@ def outcomes(elaborator_program: bytes, binder_program: bytes, analyzer_program:
     if found is None:
         raise ProgramError(f"no script {script}; there are {', '.join(s.script for s in elaborator.scripts)}")
     for place, problem in misfits(elaborator, binder, analyzer):
-        raise ProgramError(f"the programs do not fit: {place}: {problem}")
+        raise ProgramError(f"the programs are incompatible: {place}: {problem}")
     return list(_rows(found, elaborator, binder, analyzer))
 
 
@@ -63,15 +65,15 @@ def _label(step: ScriptStep) -> str:
 
 
 def _step(
-    told: str, step: ScriptStep, trims: list[TrimEntry], binder: BinderProgram, analyzer: AnalyzerProgram
+    label: str, step: ScriptStep, trims: list[TrimEntry], binder: BinderProgram, analyzer: AnalyzerProgram
 ) -> Iterator[Outcome]:
     if binder.actions[step.do] in binder.computes or binder.procedures.get(step.name) in binder.computes:
-        yield Outcome(told, StopReason.GOAL, "continue: nothing moves")
+        yield Outcome(label, StopReason.GOAL, "continue: nothing moves")
         return
     row = row_of(step)
     cells = analyzer.outcomes[row]
     for reason in StopReason:
-        yield Outcome(told, reason, _response(step, reason, trims, cells, analyzer))
+        yield Outcome(label, reason, _response(step, reason, trims, cells, analyzer))
 
 
 def _response(
@@ -83,10 +85,10 @@ def _response(
 ) -> str:
     derived = analyzer.derived.get(row_of(step), {})
     if reason in step.expect:
-        unless = [f"{what} is {told.value}" for what, told in derived.items() if what != "nothing_felt"]
+        unless = [f"{what} counts as {other.value}" for what, other in derived.items() if what != "nothing_felt"]
         return "continue" + (f" (but {', '.join(unless)})" if unless else "")
     if reason is StopReason.GOAL and StopReason.CONTACT in step.expect and "nothing_felt" in derived:
-        return f"told as {derived['nothing_felt'].value}"
+        return f"counts as {derived['nothing_felt'].value}"
     name = cells[reason]
     failure = analyzer.classes[name]
     fitting = [t for t in trims if failure.retriable and (not t.fits or reason in t.fits)]

@@ -1,7 +1,4 @@
-"""Where in a YAML file a complaint is: the line of `$.scripts[13].steps[2].stop`, which counts in the whole program.
-
-The file holds a part of the program, or one item of it; the item is found by what identifies it.
-"""
+"""Locations in YAML files: the path in an error message (`$.scripts[13].steps[2].stop`), and the line of a path."""
 
 from __future__ import annotations
 
@@ -17,13 +14,13 @@ Path = list[str | int]
 
 
 def path_of(message: str) -> Path:
-    """The first place in a complaint, as keys and indices; empty when it names none."""
+    """The first path in a message, as keys and indices; empty without a path."""
     found = PLACE.search(message)
     return [int(index) if index else key for key, index in PART.findall(found[1])] if found else []
 
 
 def line_of(text: bytes, path: Path) -> int:
-    """The line (from 1) of the value at this path, or of the nearest one round it that is there."""
+    """The line (from 1) of the value at this path, or of the innermost enclosing value that exists."""
     node = yaml.compose(text, yaml.CSafeLoader)
     for part in path:
         inner = _inner(node, part)

@@ -65,7 +65,7 @@ STAY = "case: 1\nuses: [hand]\nsteps: [{do: hold, stop: hold, label: stay, args:
             f"script: mine\n{STAY}",
             [
                 "scripts: mine is new",
-                "no verb chooses mine; put into the file: decision_tree: [{verb: VERB, script: mine}]",
+                "no verb selects mine; add to the file: decision_tree: [{verb: VERB, script: mine}]",
             ],
         ),
         (
@@ -101,7 +101,7 @@ def test_a_value_of_the_binder_is_changed_alone():
         ("script: s\ncase: 3\nsteps: [{do: hold, label: x, trim: [1, 2]}]", r"\$\.scripts\[\d+\]\.steps\[0\]\.trim"),
         (
             "script: s\ncase: 3\nsteps: [{do: move, label: x, to: Q}]",
-            r"\$\.scripts\[\d+\]\.steps\[0\]\.to: nothing binds",
+            r"\$\.scripts\[\d+\]\.steps\[0\]\.to: no binding",
         ),
         ("script: s\ncase: 1\nsteps: [{do: hold, label: x, args: {a: '2 +'}}]", r"steps\[0\]\.args\.a: '2 \+' is no"),
         (
@@ -160,7 +160,7 @@ def test_the_traced_outcomes_of_line_5():
     told = {row.reason: row.response for row in outcomes(*defaults(), "grasp-centering") if row.step.startswith("5 ")}
 
     assert told[StopReason.CONTACT].startswith("continue")
-    assert told[StopReason.GOAL] == "told as no_contact"
+    assert told[StopReason.GOAL] == "counts as no_contact"
     assert told[StopReason.NO_CONTACT].startswith("trim 2 (grasp), restart_script")
     assert told[StopReason.FORCE_LIMIT].startswith("trim 2 (grasp), restart_script")
     for reason in (StopReason.JOINT_LIMIT, StopReason.COLLISION, StopReason.TIMEOUT, StopReason.HALT):
@@ -242,7 +242,7 @@ def test_the_line_is_that_of_the_file_whatever_it_brings():
         ),
         (b"actions: {move: teleport}", "line 1: .*no action teleport; there are assign, hand"),
         (b"procedures: {grasp_init: pray}", "line 1: .*no procedure pray; there are lay_down_plan, open_hand"),
-        (b"actions: {grip: motion}", "with it the elaborator's program does not work any more: .*no stop class"),
+        (b"actions: {grip: motion}", "it is incompatible with the elaborator's program: .*no stop class"),
     ],
 )
 def test_so_with_the_binder(text, said):
@@ -320,7 +320,7 @@ LAUGHS = "a0: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}, *a{n 
         ("[" * 100_000, "nested deeper"),  # would overflow the C stack of the YAML loader
         ("- " * 60_000, "nested deeper"),
         (LAUGHS, "more than"),  # stands for 3^40 values
-        ("values: &a {x: *a}", "nothing is called a"),
+        ("values: &a {x: *a}", "the alias a has no anchor"),
         ('{"a":' * 50_000, "recursion"),
         ("scripts: [{script: [1]}]", "$.scripts[0].script"),
         ("scripts: 3", "$.scripts"),

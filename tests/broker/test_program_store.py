@@ -52,4 +52,4 @@ def test_what_was_loaded_is_taken_away_again(tmp_path):
     reset = ProgramText(request="r", kind=WorkerKind.ELABORATOR, name="default", body=b"", reset=True)
     taken = load(store, reset)
 
-    assert (taken.digest, taken.changes) == (original, ["scripts: mine is taken away"])
+    assert (taken.digest, taken.changes) == (original, ["scripts: mine is removed"])

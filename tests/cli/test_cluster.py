@@ -369,7 +369,7 @@ def test_a_script_is_checked_loaded_listed_and_taken_away(rtc: Run, run_dir: Pat
     assert "carry the object to the target" in rtc("outcomes", "carry").stdout
 
     reset = rtc("load", "--reset", "elaborator")
-    assert "scripts: carry is taken away" in reset.stdout
+    assert "scripts: carry is removed" in reset.stdout
     assert rtc("outcomes", "carry").returncode == 2
     assert rtc("outcomes", "carry", "--file", str(mine)).returncode == 0
 
