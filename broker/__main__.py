@@ -14,7 +14,7 @@ from broker.journal import Journal
 from broker.loads import Loads
 from broker.program_store import ProgramStore
 from broker.replay import replay
-from broker.router import Router
+from broker.router import ALONE_S, Router
 from broker.state import State
 from rtc import damage, handed, process, program_check, template
 from rtc.memory import Guard
@@ -25,6 +25,7 @@ from rtc.world.client import WorldClient
 from rtc.world.lease import DOUBT, sign
 
 RANK, NICENESS = 1, -5  # after the MCM, whose servo ticks every millisecond, and before everybody else
+LAST_S = 1.0  # for a broker without a supervisor to end, once the outcomes are sent
 DOUBT_LIMIT_S = 2.0  # for the world database to mark its facts
 
 
@@ -47,8 +48,7 @@ def live(run_dir: Path, fd: int = -1) -> None:
     settings = given.settings
     with process.start("broker", run_dir) as me:
         priority = process.come_first(RANK, NICENESS)
-        patience = 1.0 / settings.speed if 0 < settings.speed < 1 else 1.0
-        first = State(patience=patience, life=secrets.token_hex(2))
+        first = State(patience=settings.patience, life=secrets.token_hex(2))
         path = run_dir / "journal.db"
         journal, state, ended = damage.open_or_set_aside(path, lambda: _opened(path, settings.run, first), me.note)
         with damage.put_aside_when_damaged(path, me.note):
@@ -75,6 +75,8 @@ def _serve(
     journal.written = lambda turn: given.remember("broker", state.life.encode(), turn, state.accepted)
     router = Router(me, settings, journal, state, store, given)
     router.guard = Guard()
+    if given.fd >= 0:  # started by a supervisor
+        me.end_with_parent(ALONE_S * settings.patience + LAST_S)
     router.loads = Loads(store, program_check.Process)
     restarted = bool(state.programs)
     if restarted:

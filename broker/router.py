@@ -51,6 +51,7 @@ QUESTIONS_PER_S = 100  # of one client: answers are long, and wait in our memory
 LOAD_QUESTIONS = 20  # a program that is loaded counts as so many
 SUBSYSTEM_SILENCE_S = 2.0
 SUBSYSTEM_DEAF_S = 5.0  # one that is lost for so long, and runs, is started anew
+ALONE_S = 1.2  # for the outcomes of all commands when the supervisor has died; at full speed
 CLIENT_SILENCE_S = 5.0  # of one that is watched
 STOOD_STILL_S = 1.0  # between two turns of ours: we were stopped, or the machine was
 LOOK_S = 0.02  # whether a program is checked
@@ -123,7 +124,10 @@ class Router:
     def run(self) -> None:
         while not self.me.stopping:
             self.turn(self.me.wait(self._patience_s()))
-        self.journal.snapshot(self.state)
+        if self.me.orphaned:
+            self._end_alone()
+        else:
+            self.journal.snapshot(self.state)
 
     def _patience_s(self) -> float:
         now = self._clock()
@@ -350,6 +354,32 @@ class Router:
             self._events.append(_halt_called("supervisor", order, now))
         else:
             self._tell_all_ended()
+
+    def _end_alone(self) -> None:
+        """The supervisor has died: halt everything, and send every client its outcomes. The MCM brakes by itself and
+        reports; the workers are dead, so no last analysis is waited for. Nobody goes on with this journal."""
+        limit_s = self._clock() + ALONE_S * self.settings.patience
+        self._end_all(self._clock())
+        self.turn()
+        while self.state.commands and (left_s := limit_s - self._clock()) > 0.0:
+            self._give_up_analyses()
+            self.turn(self.me.wait(0.0 if self._events else min(left_s, self._patience_s())))
+        if self.state.commands:
+            why, now = "it gave no report after the supervisor's death", self._clock()
+            self._events += [heard.SubsystemGone(at_s=now, subsystem=name, why=why) for name in self.state.subsystems]
+            self.turn(())
+            self._give_up_analyses()
+            self.turn(())
+
+    def _give_up_analyses(self) -> None:
+        refusal = Refusal(reason=RefusalReason.TIMEOUT, message="the workers have died with the supervisor")
+        self._events += [
+            heard.JobDeclined(
+                at_s=self._clock(), job=command.job.id, attempt=command.job.attempt, node="broker", refusal=refusal
+            )
+            for command in self.state.commands.values()
+            if command.job is not None
+        ]
 
     def _tell_all_ended(self) -> None:
         if self._ending is not None and not self.state.commands:

@@ -157,7 +157,7 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
                 process.freeze_heap()
                 supervisor.run()
             finally:
-                stopped = supervisor.stop()
+                stopped = supervisor.stop(END_LIMIT_S * settings.patience)
                 if directory.ours():
                     _leave_word(run_dir, stopped.in_words())
                     _remove_traces(run_dir)

@@ -30,7 +30,8 @@ MEMORY: dict[str, tuple[int, struct.Struct]] = {
     "broker": (0, struct.Struct("<8sQQ")),
     "world": (64, struct.Struct("<8sQ")),
 }
-HOLD_S = 3.0  # for the MCM of a cluster whose supervisor was killed a moment ago: it stops its arms before it ends
+#: For broker and MCM of a cluster whose supervisor was killed a moment ago: they stop the arms, and send the outcomes.
+HOLD_S = 3.0  # at full speed; longer than both take then
 TOKEN_BEARERS = ("MCM", "supervisor")  # names whose ZeroMQ identity nobody else can guess
 
 
@@ -84,7 +85,7 @@ class Handed:
         path = self.settings.path / f"{name}.lock"
         try:
             self._lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-            _lock_within(self._lock, HOLD_S if self.fd >= 0 else 0.0)
+            _lock_within(self._lock, HOLD_S * self.settings.patience if self.fd >= 0 else 0.0)
         except BlockingIOError:
             raise SystemExit(f"{self.settings.path} has its {name} already; a second one is not started") from None
         except OSError:  # a full disk, or the directory is gone: the supervisor looks after that

@@ -13,8 +13,8 @@ itself.
 Logs go to stderr, which the supervisor keeps in the run directory; stdout carries `ready`, from then on, every second
 that the loop turns, `alive`, and `note` with what people should know; so the supervisor knows who is there and does
 nothing. That nothing outlives a killed supervisor is the business of the parent, who calls `die_with_parent` in the
-child it forks (SIGKILL: whoever wants an orderly end sends SIGTERM first; a process that has arms to stop calls
-`end_with_parent`). This file knows no message and no kind of process.
+child it forks (SIGKILL: whoever wants an orderly end sends SIGTERM first; a process that has arms to stop or outcomes
+to send calls `Process.end_with_parent`). This file knows no message and no kind of process.
 """
 
 from __future__ import annotations
@@ -49,6 +49,7 @@ RECONNECT_MS, RECONNECT_MAX_MS = 10, 30  # a restarted peer is found again withi
 # As plain numbers, and frame by frame: pyzmq's own multipart calls cost several times as much as what they do.
 AT_ONCE, MORE = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE)
 OPEN_LIMIT_S = 0.2
+ORPHANED = signal.SIGUSR1  # not SIGTERM: the dead parent may keep its pid for a moment, while its threads end
 PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
 Secure = Callable[[zmq.Socket[Any]], None] | None  # what is done to a socket before it binds or connects
 _libc = ctypes.CDLL(None)  # opened here: between fork and exec as little as can be is done
@@ -70,6 +71,7 @@ class Process:
         self.poller = zmq.Poller()
         self.poller.register(self.wake_fd, zmq.POLLIN)
         self._beat = Every(BEAT_S)
+        self.orphaned = False  # the parent has died since `end_with_parent`
         # That we bind -> endpoint, inode of its file, inode of its directory.
         self._doors: dict[zmq.Socket[bytes], tuple[str, int, int]] = {}
         self._watched = zmq.Poller()  # holds our stdout, once somebody is known to listen there
@@ -116,6 +118,8 @@ class Process:
 
         Not in another directory of the same name: it is not ours, and what is left there keeps `rtc up` out of it.
         """
+        if self.stopping:  # the endpoints may be the successor's by now
+            return
         for door, (endpoint, inode, directory) in self._doors.items():
             if door.closed or _inode(endpoint) == inode or _inode(os.path.dirname(endpoint)) != directory:
                 continue
@@ -167,6 +171,17 @@ class Process:
         self.stopping = True
         with contextlib.suppress(OSError):
             self._wake_start.send(b"\0")
+
+    def end_with_parent(self, limit_s: float) -> None:
+        """Stop when the parent dies, instead of being killed, and be ended by the kernel `limit_s` after that: for a
+        process that has arms to stop or outcomes to send first."""
+        signal.signal(ORPHANED, lambda *_: self._stop_orphaned(limit_s))
+        _libc.prctl(PR_SET_PDEATHSIG, ORPHANED, 0, 0, 0)
+
+    def _stop_orphaned(self, limit_s: float) -> None:
+        end_within(limit_s)  # nobody kills an orphan that hangs
+        self.orphaned = True
+        self.stop()
 
     def ready(self) -> None:
         """Tell the supervisor, once, that the sockets are there and work can begin."""
@@ -391,11 +406,6 @@ def die_with_parent(parent: int) -> None:
     _libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:  # it died between fork and prctl
         os._exit(1)
-
-
-def end_with_parent() -> None:
-    """Instead of being killed with its parent, be told to end (SIGTERM): for a process that has arms to stop first."""
-    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
 def end_within(limit_s: float) -> None:

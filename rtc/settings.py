@@ -38,6 +38,11 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
         """Workers of each kind that there are always."""
         return 1 << (self.dim - 2) if self.least_workers is None else self.least_workers
 
+    @property
+    def patience(self) -> float:
+        """Seconds of ours per simulated second, at least 1: the factor of limits on our clock for motions."""
+        return 1.0 / self.speed if 0.0 < self.speed < 1.0 else 1.0
+
     def endpoint(self, name: str) -> str:
         """The ZeroMQ address of one of the cluster's sockets; see ENDPOINTS."""
         assert name in ENDPOINTS, name

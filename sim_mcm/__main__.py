@@ -29,7 +29,8 @@ from sim_mcm.subsystem import BROKER, Said, Subsystem
 NAME = "MCM"
 HEARTBEAT_S = 0.25
 TELEMETRY_S = 0.02
-END_S = 1.0  # longest time that the arms may take to come to rest before the process ends
+END_S = 1.0  # simulated: longest time that the arms may take to come to rest before the process ends
+LAST_S = 1.0  # for the rest of that end
 FARTHEST = 10.0  # m or rad, of a belief error; physics has no answer to 1e300 m
 RANK, NICENESS = 2, -5  # before the broker and the workers, if the system gives leave
 
@@ -69,8 +70,8 @@ class Station:
 
     def _come_to_rest(self) -> None:
         """Told to end, or the supervisor has died: no arm is left moving. Telemetry shows it."""
-        subsystem, limit_s = self._subsystem, process.now_s() + END_S
-        process.end_within(END_S + 1.0)
+        subsystem, limit_s = self._subsystem, process.now_s() + END_S * self._settings.patience
+        process.end_within(END_S * self._settings.patience + LAST_S)
         if not subsystem.at_rest:
             self._me.log.info("braking before the end")
         subsystem.brake()
@@ -198,7 +199,7 @@ def live(run_dir: str, fd: int = -1, simulation: Simulation | None = None) -> No
     given = handed.begin(NAME, Path(run_dir), fd)
     settings = given.settings
     with process.start(NAME, run_dir) as me:
-        process.end_with_parent()
+        me.end_with_parent(END_S * settings.patience + LAST_S)
         station = Station(me, given, simulation or SIMULATIONS[settings.mcm](Cell.load(settings.cell)))
         me.log.info("scheduling: %s", _come_first(settings))
         station.run()

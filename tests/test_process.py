@@ -169,6 +169,43 @@ def test_a_child_dies_with_its_parent(tmp_path):
     os.close(gone)
 
 
+@pytest.mark.slow
+def test_one_that_ends_with_its_parent_is_asked_first_and_killed_when_it_hangs(tmp_path):
+    child_code = textwrap.dedent("""
+        import sys
+        from rtc import process
+        with process.start("me", sys.argv[1]) as me:
+            me.end_with_parent(0.2)
+            assert not me.orphaned
+            print("up", flush=True)
+            while not me.stopping:
+                me.wait(1.0)
+            open(sys.argv[1] + "/asked", "w").write(str(me.orphaned))
+            while True:
+                pass
+    """)
+    parent_code = textwrap.dedent("""
+        import os, signal, subprocess, sys
+        from rtc.process import die_with_parent
+        me = os.getpid()
+        child = subprocess.Popen([sys.executable, "-c", sys.argv[1], sys.argv[2]],
+                                 stdout=subprocess.PIPE, preexec_fn=lambda: die_with_parent(me))
+        child.stdout.readline()
+        print(child.pid, flush=True)
+        signal.pause()
+    """)
+    command = [sys.executable, "-c", parent_code, child_code, str(tmp_path)]
+    parent = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    gone = os.pidfd_open(int(parent.stdout.readline()))
+    parent.kill()
+    parent.wait(10)
+    poller = zmq.Poller()
+    poller.register(gone, zmq.POLLIN)
+    assert poller.poll(10_000), "the child outlived its parent"
+    assert (tmp_path / "asked").read_text() == "True"
+    os.close(gone)
+
+
 def test_nice_never_raises(monkeypatch):
     def refuse(by: int) -> int:
         raise PermissionError

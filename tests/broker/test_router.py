@@ -17,6 +17,7 @@ import zmq
 from hypothesis import HealthCheck, given
 from hypothesis import settings as tries
 from hypothesis import strategies as st
+from stories import Story, script
 
 from broker import journal as journals
 from broker.events import HaltCalled, ProgramInstalled
@@ -25,7 +26,7 @@ from broker.journal import Journal
 from broker.loads import MOST_WAITING, Loads
 from broker.program_store import ProgramStore
 from broker.reporting import MOST_PER_S
-from broker.router import CALLERS_KEPT, HALTS_OF_CALLER, QUESTIONS_PER_S, Router
+from broker.router import ALONE_S, CALLERS_KEPT, HALTS_OF_CALLER, QUESTIONS_PER_S, Router
 from broker.state import ParsedHead, ReportHead, State
 from rtc import messages as m
 from rtc import program, wire
@@ -325,6 +326,42 @@ def test_a_cluster_that_is_stopped_ends_its_commands_and_takes_no_more(working: 
     known = working.say("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
     assert [type(answer) for answer in known] == [m.Accepted, m.CommandEnded]
     assert known[1].outcome.kind is OutcomeKind.HALTED
+
+
+def test_without_its_supervisor_it_sends_every_client_an_outcome_in_time(bench: Bench) -> None:
+    """Given one command whose subsystem is silent, one that waits for its analyzer and one for its parser."""
+    bench.say("subsystems", b"MCM", MCM)
+    story = Story(mcm=False)
+    story.state, story.now = bench.state, bench.now
+    silent = story.executing()
+    done = story.executing(script(resources=("LEFT-ARM",)), hand="LEFT-ARM")
+    story.reports(done)
+    story.says("X")
+    me, began_s = bench.router.me, bench.now
+
+    def wait(timeout_s: float) -> tuple[()]:
+        bench.now += timeout_s
+        return ()
+
+    me.stopping, me.orphaned, me.wait = True, True, wait  # type: ignore[misc, assignment, method-assign]
+    bench.router.run()
+
+    ended = {said.command: said.outcome for said in forwarded(bench) if isinstance(said, m.CommandEnded)}
+    assert [(name, outcome.kind) for name, outcome in ended.items()] == [
+        ("C-3", OutcomeKind.HALTED),
+        (done, OutcomeKind.HALTED),
+        (silent, OutcomeKind.HALT_NOT_CONFIRMED),
+    ]
+    assert "until the world has been told" in ended[done].message
+    assert "no report after the supervisor's death" in ended[silent].message
+    assert bench.now - began_s == pytest.approx(ALONE_S, abs=0.01)
+
+
+def test_a_broker_that_is_ended_alone_leaves_its_commands_to_the_next(working: Bench) -> None:
+    me = working.router.me
+    me.stopping, me.orphaned = True, False  # type: ignore[misc]
+    working.router.run()
+    assert list(working.state.commands) == ["C-1"]
 
 
 def test_callers_are_forgotten_some_time(bench: Bench) -> None:

@@ -191,7 +191,10 @@ def test_a_new_cluster_in_the_directory_does_nothing_of_what_the_old_one_was_tol
     assert deploy("up", "-d", "--mcm", "kinematic", run_dir=run_dir).returncode == 0
     with Client(run_dir) as rtc:
         moving = rtc.submit("MOVE RIGHT-ARM TO RACK-1-FRONT MAINTAIN SPEED 5 CM/S")
-        os.kill(report(run_dir)["pid"], signal.SIGKILL)  # ended in order, it would be told that it was halted
+        supervisor = report(run_dir)["pid"]
+        os.kill(supervisor, signal.SIGSTOP)
+        os.kill(rows(run_dir)["broker"]["pid"], signal.SIGKILL)  # alive, it would send the outcome: halted
+        os.kill(supervisor, signal.SIGKILL)
         gone([row["pid"] for row in rows(run_dir).values()])
         with pytest.raises(NoCluster, match="its supervisor has ended"):
             rtc.submit("STOW LEFT-ARM")

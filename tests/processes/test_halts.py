@@ -7,7 +7,9 @@ client that is not ours is meant.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -76,6 +78,11 @@ class Running:
         assert last is not None
         return fastest(last)
 
+    def processes(self) -> list[int]:
+        """A pidfd of each that the supervisor has started."""
+        rows = json.loads((self.run_dir / cluster.REPORT).read_text())["processes"]
+        return [os.pidfd_open(row["pid"]) for row in rows if row["pid"]]
+
     def moving(self) -> str:
         """Begin a motion that takes seconds; the command, once a joint moves."""
         self._way = -self._way
@@ -91,6 +98,10 @@ class Running:
         self.supervisor.wait(LIMIT_S)
         assert self.supervisor.stdout is not None
         self.supervisor.stdout.close()
+
+
+def all_ended(pidfds: list[int]) -> bool:
+    return set(select.select(pidfds, [], [], 0.0)[0]) == set(pidfds)
 
 
 def fastest(told: dict) -> float:
@@ -210,8 +221,7 @@ def test_rtc_halt_needs_nothing_but_the_two_sockets(running: Running, tmp_path: 
 # --- the end of a cluster ------------------------------------------------------------------------------
 
 ENDS = {
-    "down": lambda running: print(cluster.down(running.run_dir)[1]),
-    "SIGTERM": lambda running: running.supervisor.send_signal(signal.SIGTERM),
+    "down": lambda running: print(cluster.down(running.run_dir)[1]),  # sends SIGTERM
     "SIGINT": lambda running: running.supervisor.send_signal(signal.SIGINT),
     "SIGHUP": lambda running: running.supervisor.send_signal(signal.SIGHUP),
     "SIGKILL": lambda running: running.supervisor.kill(),
@@ -230,16 +240,18 @@ def test_a_cluster_that_ends_brakes_its_arms_and_tells_its_clients(how: str, tmp
             ended.append(running.client.wait(name, 20).outcome.kind)
 
     client = threading.Thread(target=wait, daemon=True)
-    if how != "SIGKILL":
-        client.start()
+    client.start()
+    processes = running.processes()
     ENDS[how](running)
     assert running.last_speed() < REST_RAD_S
-    if how != "SIGKILL":  # with everything else killed there is nobody left to tell
-        client.join(20)
-        assert ended == [OutcomeKind.HALTED] * 2
+    client.join(20)
+    assert ended == [OutcomeKind.HALTED] * 2
     if how == "down":
         assert capsys.readouterr().out == f"halted: {command}, {waiting}; stopped: RIGHT-ARM\n"
     assert running.supervisor.wait(LIMIT_S) == (-signal.SIGKILL if how == "SIGKILL" else 0)
+    assert all_ended(processes)
+    for process in processes:
+        os.close(process)
     running.close()
 
 
