@@ -7,7 +7,6 @@ client that is not ours is meant.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import select
 import signal
@@ -24,6 +23,7 @@ import pytest
 import zmq
 
 from deploy import cluster
+from rtc import process_table
 from rtc.client import Client
 from rtc.outcomes import NoCluster, OutcomeKind
 from rtc.settings import ENDPOINTS
@@ -80,8 +80,7 @@ class Running:
 
     def processes(self) -> list[int]:
         """A pidfd of each that the supervisor has started."""
-        rows = json.loads((self.run_dir / cluster.REPORT).read_text())["processes"]
-        return [os.pidfd_open(row["pid"]) for row in rows if row["pid"]]
+        return [os.pidfd_open(row.pid) for row in process_table.processes(self.run_dir).values() if row.pid]
 
     def moving(self) -> str:
         """Begin a motion that takes seconds; the command, once a joint moves."""
