@@ -21,10 +21,10 @@ from rtc.settings import Settings
 from sim_mcm.arm import Simulation
 from sim_mcm.bullet_arm import BulletCell
 from sim_mcm.clock import Clock
-from sim_mcm.doors import Doors
-from sim_mcm.hardware import Memory
+from sim_mcm.doors import Sockets
+from sim_mcm.hardware import StateFile
 from sim_mcm.kinematic_arm import KinematicCell
-from sim_mcm.subsystem import BROKER, Said, Subsystem
+from sim_mcm.subsystem import BROKER, Outgoing, Subsystem
 
 NAME = "MCM"
 HEARTBEAT_S = 0.25
@@ -45,11 +45,11 @@ class Station:
         self._me, self._settings = me, settings
         self._guard = Guard()
         self._simulation = simulation
-        self._memory = Memory(settings.path, settings.run)
-        if (before := self._memory.last()) is not None:
+        self._state_file = StateFile(settings.path, settings.run)
+        if (before := self._state_file.load()) is not None:
             simulation.restore(before)
         self._subsystem = Subsystem(self._simulation.arms, NAME, os.getpid())
-        self._doors = Doors(me, settings, given.identity(NAME))
+        self._sockets = Sockets(me, settings, given.identity(NAME))
         self._clock = Clock(settings.speed, process.now_s())
         self._heartbeat = process.Every(HEARTBEAT_S)
         self._telemetry = process.Every(TELEMETRY_S)
@@ -57,7 +57,7 @@ class Station:
     def run(self) -> None:
         """Until the process is told to stop."""
         clock, subsystem = self._clock, self._subsystem
-        self._doors.say(subsystem.hello())
+        self._sockets.send(subsystem.hello())
         process.freeze_heap()
         self._me.ready()
         while not self._me.stopping:
@@ -79,53 +79,53 @@ class Station:
             self._clock.begin(now_s)
             self._move()
             if self._telemetry.due(now_s):
-                self._doors.publish(self._look(now_s))
+                self._sockets.publish(self._look(now_s))
             time.sleep(max(0.0, self._clock.left_s(process.now_s(), busy=True)))
-        self._doors.publish(self._look(process.now_s()))
+        self._sockets.publish(self._look(process.now_s()))
 
     def _tick(self, now_s: float) -> None:
-        doors, subsystem = self._doors, self._subsystem
+        sockets, subsystem = self._sockets, self._subsystem
         self._clock.begin(now_s)
-        doors.look()
-        for caller, halt in doors.halts(now_s):
-            doors.say(subsystem.hear(halt, caller, now_s))
-        for order in doors.orders(now_s):
-            answers = subsystem.hear(order, BROKER, now_s)
-            doors.say(answers)
-            self._keep_in_mind(answers)
+        sockets.poll()
+        for caller, halt in sockets.halts(now_s):
+            sockets.send(subsystem.handle(halt, caller, now_s))
+        for order in sockets.orders(now_s):
+            answers = subsystem.handle(order, BROKER, now_s)
+            sockets.send(answers)
+            self._log_started(answers)
         self._move()
         self._between_ticks(now_s)
 
     def _move(self) -> None:
         """One servo tick, and the world's step."""
-        said = self._subsystem.tick(process.now_s())
+        out = self._subsystem.tick(process.now_s())
         self._simulation.step()
-        if any(isinstance(message, m.EndReport) for _, message in said):
-            self._memory.keep(self._simulation.state())  # what has been reported stays so
-        self._doors.say(said)
+        if any(isinstance(message, m.EndReport) for _, message in out):
+            self._state_file.save(self._simulation.state())  # what has been reported stays so
+        self._sockets.send(out)
 
     def _between_ticks(self, now_s: float) -> None:
         """What is not urgent."""
-        doors = self._doors
+        sockets = self._sockets
         self._me.beat(now_s)
-        if doors.newly_connected():
-            doors.say(self._subsystem.hello())
+        if sockets.newly_connected():
+            sockets.send(self._subsystem.hello())
         if self._heartbeat.due(now_s):
-            doors.say([(BROKER, m.Heartbeat(name=NAME))])
-            if doors.dropped:
-                doors.say([(BROKER, m.Dropped(counts=dict(doors.dropped)))])
+            sockets.send([(BROKER, m.Heartbeat(name=NAME))])
+            if sockets.dropped:
+                sockets.send([(BROKER, m.Dropped(counts=dict(sockets.dropped)))])
             if self._guard.alarm(now_s):
                 self._me.log.warning("more than %.0f MB: opening estop and bench anew", self._guard.limit_mb)
-                doors.open_anew(self._settings)
+                sockets.reopen(self._settings)
         if self._telemetry.due(now_s):
-            doors.publish(self._look(now_s))
-            self._memory.keep(self._simulation.state())
-        for caller, question in doors.questions(now_s):
-            doors.answer(caller, self._answer(question))
+            sockets.publish(self._look(now_s))
+            self._state_file.save(self._simulation.state())
+        for caller, question in sockets.questions(now_s):
+            sockets.answer(caller, self._answer(question))
 
-    def _keep_in_mind(self, said: Said) -> None:
+    def _log_started(self, out: Outgoing) -> None:
         """The log says what was begun, whoever dies: whether anything was done twice is seen there."""
-        for _, message in said:
+        for _, message in out:
             if isinstance(message, m.Started):
                 self._me.log.info("begins %s", message.primitive)
 

@@ -23,7 +23,7 @@ from rtc.outcomes import Refusal, RefusalReason, WireError
 from rtc.process import Every, Process, inbox, send
 from rtc.settings import BOUNDS, NO_HANDOVER, Settings
 from rtc.wire import reader
-from sim_mcm.subsystem import BROKER, Said, Unread
+from sim_mcm.subsystem import BROKER, InvalidOrder, Outgoing
 
 # Messages taken from one socket in one tick, so that no sender can stretch it. Callers take turns at a socket, so that
 # one who calls without end delays another by one message.
@@ -37,7 +37,7 @@ _read_broker = reader(m.BrokerToSubsystem)
 _read_bench = reader(m.ToSim)
 
 
-class Doors:
+class Sockets:
     def __init__(self, me: Process, settings: Settings, name: str) -> None:
         self._me, self._log = me, me.log
         self._estop = me.socket(
@@ -58,7 +58,7 @@ class Doors:
 
     # --- in --------------------------------------------------------------------------------------------
 
-    def open_anew(self, settings: Settings) -> None:
+    def reopen(self, settings: Settings) -> None:
         """Somebody has filled our memory: the doors that others come to, with nothing in them."""
         for name in ("estop", "bench"):
             old = getattr(self, f"_{name}")
@@ -67,7 +67,7 @@ class Doors:
             self._poller.register(made, zmq.POLLIN)
             setattr(self, f"_{name}", made)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """See where something lies; once, at the start of a tick."""
         found = self._poller.poll(0)
         self._ready = {socket for socket, _ in found} if found else NONE
@@ -77,7 +77,7 @@ class Doors:
         if self._estop not in self._ready:
             return
         for caller, parts in _from_router(self._estop, HALTS_PER_TICK):
-            order = self._understand(read_order, parts, "estop", now_s)
+            order = self._decode(read_order, parts, "estop", now_s)
             if order is not None:
                 yield caller, order
             else:
@@ -85,25 +85,25 @@ class Doors:
                 refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words)
                 send(self._estop, m.Declined(request="", refusal=refusal), caller)
 
-    def orders(self, now_s: float) -> Iterator[m.Execute | m.HaltOrder | m.ReportAck | Unread]:
+    def orders(self, now_s: float) -> Iterator[m.Execute | m.HaltOrder | m.ReportAck | InvalidOrder]:
         """What the broker has sent. Of a primitive that is none, what can be read, so that it is answered."""
         if self._broker not in self._ready:
             return
         for parts in inbox(self._broker, PER_TICK):
-            order = self._understand(_read_broker, parts, "broker", now_s)
+            order = self._decode(_read_broker, parts, "broker", now_s)
             if isinstance(order, m.Declined):
                 self._log.error("the broker does not take us: %s", order.refusal.message)
             elif order is not None:
                 yield order
-            elif (unread := unread_order(parts)) is not None:
-                yield unread
+            elif (invalid := invalid_order(parts)) is not None:
+                yield invalid
 
     def questions(self, now_s: float) -> Iterator[tuple[bytes, m.SimTruth | m.SimDisplace | m.SimFactors]]:
         """What the test bench asks."""
         if self._bench not in self._ready:
             return
         for caller, parts in _from_router(self._bench, QUESTIONS_PER_TICK):
-            question = self._understand(_read_bench, parts, "bench", now_s)
+            question = self._decode(_read_bench, parts, "bench", now_s)
             if question is not None:
                 yield caller, question
 
@@ -120,11 +120,11 @@ class Doors:
 
     # --- out -------------------------------------------------------------------------------------------
 
-    def say(self, said: Said) -> None:
+    def send(self, out: Outgoing) -> None:
         """To the broker, or to a caller at the estop socket. What cannot be delivered is not kept here."""
-        for door, message in said:
-            if door != BROKER:
-                send(self._estop, message, door)
+        for sender, message in out:
+            if sender != BROKER:
+                send(self._estop, message, sender)
             elif self.connected:
                 send(self._broker, message)
 
@@ -134,9 +134,7 @@ class Doors:
     def publish(self, telemetry: m.Telemetry) -> None:
         send(self._telemetry, telemetry)
 
-    def _understand(
-        self, read: Callable[[Sequence[bytes]], Any], parts: Sequence[bytes], where: str, now_s: float
-    ) -> Any:
+    def _decode(self, read: Callable[[Sequence[bytes]], Any], parts: Sequence[bytes], where: str, now_s: float) -> Any:
         try:
             return read(parts)
         except WireError as error:
@@ -160,7 +158,7 @@ _read_execute = reader(m.Execute)
 _read_head = reader(_ExecuteHead)
 
 
-def unread_order(parts: Sequence[bytes]) -> Unread | None:
+def invalid_order(parts: Sequence[bytes]) -> InvalidOrder | None:
     """An Execute whose primitive does not decode: its id and what is wrong. None: it is no Execute, or has no id."""
     try:
         head = _read_head(parts)
@@ -170,7 +168,7 @@ def unread_order(parts: Sequence[bytes]) -> Unread | None:
         _read_execute(parts)
     except WireError as error:
         why = f"it is not a primitive: {error}"
-        return Unread(head.primitive.id, head.primitive.performer, head.pid, why) if head.primitive.id else None
+        return InvalidOrder(head.primitive.id, head.primitive.performer, head.pid, why) if head.primitive.id else None
     return None
 
 

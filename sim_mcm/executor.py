@@ -74,7 +74,7 @@ PRESSED = 0.95  # share of the commanded force that counts as all of it
 SETTLE_LIMIT_S = 1.0  # of waiting for rest before the end is reported all the same
 RELEASE_LIMIT_S = 3.0
 
-Say = list[m.Started | m.ProgressReport | m.EndReport]
+Reports = list[m.Started | m.ProgressReport | m.EndReport]
 
 
 class Executor:
@@ -102,7 +102,7 @@ class Executor:
         self._report_every: int | None = None
         self._yielded = self._releasing = False
         self._leaning_ticks = 0
-        self._work: dict[State, Callable[[float], Say]] = {
+        self._work: dict[State, Callable[[float], Reports]] = {
             State.HOLDING: lambda now_s: [],
             State.EXECUTING: self._execute,
             State.STOPPING: self._stop,
@@ -138,14 +138,14 @@ class Executor:
         """Of this tick, without the bias of the current or last primitive."""
         return [value - bias for value, bias in zip(self.sample.wrench, self._bias, strict=True)]
 
-    def accept(self, primitive: p.Primitive, now_s: float) -> Say:
+    def accept(self, primitive: p.Primitive, now_s: float) -> Reports:
         """Begin it with the next tick, or refuse it: `Started`, or an end report with the reason REFUSED."""
         why = self._objection(primitive)
         if why:
             pose = self.arm.tcp_pose(self.sample.joints)
             return [not_begun(primitive.id, self.name, why, at_s=now_s, sample=self.sample, tcp_pose=pose)]
         self.primitive = primitive
-        self._happen(Event.ACCEPTED)
+        self._apply(Event.ACCEPTED)
         return [m.Started(primitive=primitive.id, at_s=now_s)]
 
     def halt(self) -> bool:
@@ -156,10 +156,10 @@ class Executor:
         else:
             if self.trip is not None:  # the reason stands; of the reflex only the stop is left
                 self.trip = msgspec.structs.replace(self.trip, reflex=Reflex.STOP)
-            self._happen(Event.HALTED)
+            self._apply(Event.HALTED)
         return was_moving
 
-    def tick(self, now_s: float) -> Say:
+    def tick(self, now_s: float) -> Reports:
         """One servo tick: read, judge, command."""
         sample = self.sample = self.arm.read()
         self._window.append(sample)
@@ -170,14 +170,14 @@ class Executor:
             self._touched_before |= self.arm.touches()
         self._ticks += 1
         self._wrench = self.wrench
-        said = self._work[self.state](now_s)
+        reports = self._work[self.state](now_s)
         self._profile_ticks += 1
         command = self._profile.at(self._profile_ticks * TICK_S)
         if not self._within_limits(command):
             command = self._brake_instead(command)
         self._command = command
         self.arm.follow(command)
-        return said
+        return reports
 
     # --- the states ------------------------------------------------------------------------------------
 
@@ -207,7 +207,7 @@ class Executor:
         if isinstance(trajectory, p.HandMotion):
             self._use_hand(HandCommand(trajectory.width_m, trajectory.force_n, trajectory.speed_m_s))
 
-    def _execute(self, now_s: float) -> Say:
+    def _execute(self, now_s: float) -> Reports:
         moment = self._moment()
         self._peaks.take(moment.force_n, moment.torque_nm)
         found = stop_functions.first(self._stops, moment)
@@ -235,13 +235,13 @@ class Executor:
         if hand_moves or self._releasing:
             self._freeze_hand()
 
-    def _stop(self, now_s: float) -> Say:
+    def _stop(self, now_s: float) -> Reports:
         self._peaks.take(*magnitudes(self._wrench))
         if self._profile_time_s < self._profile.duration_s:
             return []
         assert self.trip is not None
         following = AFTER_STOP[self.trip.reflex]
-        self._happen(Event.DONE, following)
+        self._apply(Event.DONE, following)
         return self._work[following](now_s)
 
     def _begin_retreat(self) -> None:
@@ -253,10 +253,10 @@ class Executor:
         tripped_s = self.trip.at_tick * TICK_S
         self._use(profiles.Retrace(self._follow, tripped_s, joints, self.trip.back_off_m, self.arm.tcp_pose))
 
-    def _retreat(self, now_s: float) -> Say:
+    def _retreat(self, now_s: float) -> Reports:
         if self._profile_time_s < self._profile.duration_s:
             return []
-        self._happen(Event.DONE)
+        self._apply(Event.DONE)
         return self._settle(now_s)
 
     def _begin_release(self) -> None:
@@ -265,17 +265,17 @@ class Executor:
         traits = self.arm.traits
         self._use_hand(HandCommand(traits.max_opening_m, traits.max_grip_n, traits.hand_speed_m_s))
 
-    def _release(self, now_s: float) -> Say:
+    def _release(self, now_s: float) -> Reports:
         opened = sum(self.sample.fingers) >= self.arm.traits.max_opening_m - WIDTH_M
         if not opened and self._profile_time_s < RELEASE_LIMIT_S:
             return []
-        self._happen(Event.DONE)
+        self._apply(Event.DONE)
         return self._settle(now_s)
 
     def _begin_settling(self) -> None:
         self._use(profiles.Stay(self._command[0]))
 
-    def _settle(self, now_s: float) -> Say:
+    def _settle(self, now_s: float) -> Reports:
         assert self.trip is not None
         if self._profile_time_s < self._profile.duration_s:
             return []
@@ -287,7 +287,7 @@ class Executor:
             self._use(profiles.Yield(self._command, self.sample.joints))
             return []
         report = self._end_report(now_s)
-        self._happen(Event.DONE)
+        self._apply(Event.DONE)
         return [report]
 
     def _still(self, leaning: bool) -> bool:
@@ -307,7 +307,7 @@ class Executor:
 
     # --- inside ----------------------------------------------------------------------------------------
 
-    def _happen(self, event: Event, following: State | None = None) -> None:
+    def _apply(self, event: Event, following: State | None = None) -> None:
         """The one door through which the state changes."""
         row = TRANSITIONS[self.state]
         assert event in row, f"{self.name}: {event.value} cannot happen while {self.state.value} ({self.primitive_id})"
@@ -319,7 +319,7 @@ class Executor:
         assert self.trip is None, "a primitive ends for one reason"
         pose = self.arm.tcp_pose(self.sample.joints).tolist()
         self.trip = msgspec.structs.replace(trip, at_tick=self._ticks, pose=pose, wrench=list(self._wrench))
-        self._happen(event)
+        self._apply(event)
 
     def _objection(self, primitive: p.Primitive) -> str:
         if self.primitive is not None:

@@ -17,7 +17,7 @@ from sim_mcm.arm import CellState
 FILE = "hardware.bin"  # in the run directory
 
 
-class Memory:
+class StateFile:
     """One file of one run of the cluster: length, then body, written in one call, so it is whole whoever is killed."""
 
     def __init__(self, run_dir: Path, run: str) -> None:
@@ -25,7 +25,7 @@ class Memory:
         self._fd = os.open(run_dir / FILE, os.O_RDWR | os.O_CREAT, 0o600)
         self._encode = msgspec.msgpack.Encoder().encode
 
-    def last(self) -> CellState | None:
+    def load(self) -> CellState | None:
         """What the process before us left; None when there was none in this run, or what lies there is no state."""
         kept = os.pread(self._fd, os.fstat(self._fd).st_size, 0)
         length = int.from_bytes(kept[:4], "little")
@@ -35,6 +35,6 @@ class Memory:
             return None
         return state if run == self._run else None
 
-    def keep(self, state: CellState) -> None:
+    def save(self, state: CellState) -> None:
         body = self._encode((self._run, state))
         os.pwrite(self._fd, len(body).to_bytes(4, "little") + body, 0)

@@ -175,10 +175,10 @@ class Bench:
         self.now_s = 100.0
         self.heard: list[tuple[bytes, m.Message]] = []
 
-    def hear(
-        self, message: m.Execute | m.HaltOrder | m.ReportAck, door: bytes = BROKER
+    def handle(
+        self, message: m.Execute | m.HaltOrder | m.ReportAck, sender: bytes = BROKER
     ) -> list[tuple[bytes, m.Message]]:
-        said = self.subsystem.hear(message, door, self.now_s)
+        said = self.subsystem.handle(message, sender, self.now_s)
         self.heard += said
         return said
 
@@ -193,11 +193,11 @@ class Bench:
 
     def perform(self, wanted: p.Primitive, limit: int = 60_000, watch: Callable[[], None] | None = None) -> m.EndReport:
         """Execute it, acknowledge its end report, and return that."""
-        said = self.hear(m.Execute(primitive=wanted))
+        said = self.handle(m.Execute(primitive=wanted))
         for _ in range(limit):
             for _, message in said:
                 if isinstance(message, m.EndReport) and message.primitive == wanted.id:
-                    self.hear(m.ReportAck(primitive=wanted.id))
+                    self.handle(m.ReportAck(primitive=wanted.id))
                     return message
             said = self.tick()
             if watch is not None:

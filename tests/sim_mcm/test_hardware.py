@@ -8,7 +8,7 @@ from rtc import geometry
 from rtc import primitive as p
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.bullet_arm import BulletCell
-from sim_mcm.hardware import FILE, Memory
+from sim_mcm.hardware import FILE, StateFile
 from sim_mcm.kinematic_arm import KinematicCell
 
 ARM, MODULE = "RIGHT-ARM", "MACS-NEW"
@@ -17,7 +17,7 @@ SIMULATIONS = [(KinematicCell, 1e-9), pytest.param(BulletCell, 1e-3, marks=pytes
 
 @pytest.fixture
 def memory(tmp_path):
-    return lambda run: Memory(tmp_path, run)
+    return lambda run: StateFile(tmp_path, run)
 
 
 @pytest.mark.parametrize(("simulation", "tolerance_m"), SIMULATIONS)
@@ -41,9 +41,9 @@ def test_a_module_in_the_hand_is_in_the_hand_of_the_next_process_too(cell, make,
     told = bench.simulation.truth()
 
     # When its controller dies, and another process begins with what was kept
-    memory("run 1").keep(bench.simulation.state())
+    memory("run 1").save(bench.simulation.state())
     successor = simulation(cell)
-    successor.restore(memory("run 1").last())
+    successor.restore(memory("run 1").load())
     bench = make.Bench(successor)
     bench.perform(make.primitive(p.HoldStill(duration_s=0.5), id="C-2.1"))
 
@@ -59,19 +59,19 @@ def test_a_module_in_the_hand_is_in_the_hand_of_the_next_process_too(cell, make,
 
 
 def test_a_new_run_begins_anew(cell, memory):
-    memory("run 1").keep(KinematicCell(cell).state())
-    assert memory("run 2").last() is None
+    memory("run 1").save(KinematicCell(cell).state())
+    assert memory("run 2").load() is None
 
 
 def test_a_shorter_state_after_a_longer_one_is_whole(cell, memory):
     state = KinematicCell(cell).state()
-    memory("run 1").keep(state)
+    memory("run 1").save(state)
     state.poses = {}
-    memory("run 1").keep(state)
-    assert memory("run 1").last() == state
+    memory("run 1").save(state)
+    assert memory("run 1").load() == state
 
 
 @pytest.mark.parametrize("left", [b"", b"mine", b"\x02\0\0\0\x92\xa1", b"\x04\0\0\0\x92\xa1a\xc0"])
 def test_what_is_no_state_of_ours_is_nothing(memory, tmp_path, left):
     (tmp_path / FILE).write_bytes(left)
-    assert memory("a").last() is None
+    assert memory("a").load() is None

@@ -10,9 +10,9 @@ from rtc import primitive as p
 from rtc.halt_admission import PER_S
 from rtc.outcomes import StopReason
 from rtc.wire import frames
-from sim_mcm.doors import unread_order
+from sim_mcm.doors import invalid_order
 from sim_mcm.kinematic_arm import KinematicCell
-from sim_mcm.subsystem import BROKER, OPEN_HALTS, REPEAT_S, REST_LIMIT_S, SHADOWS
+from sim_mcm.subsystem import BROKER, MAX_FENCES, OPEN_HALTS, REPEAT_S, REST_LIMIT_S
 
 ARM, OTHER, CALLER, ANOTHER = "RIGHT-ARM", "LEFT-ARM", b"x.estop", b"y.estop"
 
@@ -39,50 +39,50 @@ def kinds(said: list[tuple[bytes, m.Message]], kind: type) -> list[m.Message]:
 
 
 def test_an_end_report_is_said_until_it_is_acknowledged(bench, swing) -> None:
-    bench.hear(m.Execute(primitive=swing()))
+    bench.handle(m.Execute(primitive=swing()))
     said = bench.tick(1100 + int(3.5 * REPEAT_S * 1000))
     reports = kinds(said, m.EndReport)
     assert len(reports) == 4
     assert all(report == reports[0] for report in reports)
     assert bench.subsystem.outstanding == ["C-7.1"]
 
-    bench.hear(m.ReportAck(primitive="C-7.1"))
+    bench.handle(m.ReportAck(primitive="C-7.1"))
     assert kinds(bench.tick(2000), m.EndReport) == []
     assert bench.subsystem.outstanding == []
 
 
 def test_the_same_primitive_is_never_executed_twice(bench, swing) -> None:
     order = m.Execute(primitive=swing())
-    bench.hear(order)
+    bench.handle(order)
     bench.tick(500)
-    assert bench.hear(order) == []  # it is being done
+    assert bench.handle(order) == []  # it is being done
     bench.tick(700)
     report = kinds(bench.heard, m.EndReport)[0]
-    assert bench.hear(order) == [(BROKER, report)]  # it has been done
-    bench.hear(m.ReportAck(primitive="C-7.1"))
-    assert bench.hear(order) == [(BROKER, report)]  # and stays done after the acknowledgement
+    assert bench.handle(order) == [(BROKER, report)]  # it has been done
+    bench.handle(m.ReportAck(primitive="C-7.1"))
+    assert bench.handle(order) == [(BROKER, report)]  # and stays done after the acknowledgement
     assert bench.subsystem.idle
 
 
 @pytest.mark.parametrize("ticks", [500, 1100], ids=["while it is done", "when it is done"])
 def test_another_primitive_of_a_known_id_is_refused_and_not_answered_from_memory(bench, swing, ticks: int) -> None:
-    bench.hear(m.Execute(primitive=swing()))
+    bench.handle(m.Execute(primitive=swing()))
     bench.tick(ticks)
-    (answer,) = kinds(bench.hear(m.Execute(primitive=swing(duration_s=2.0))), m.EndReport)
+    (answer,) = kinds(bench.handle(m.Execute(primitive=swing(duration_s=2.0))), m.EndReport)
     assert answer.reason is StopReason.REFUSED
     assert "another primitive of the id C-7.1" in answer.message
 
 
 def test_two_arms_work_at_the_same_time(bench, swing) -> None:
-    bench.hear(m.Execute(primitive=swing("C-7.1", ARM)))
-    bench.hear(m.Execute(primitive=swing("C-8.1", OTHER)))
+    bench.handle(m.Execute(primitive=swing("C-7.1", ARM)))
+    bench.handle(m.Execute(primitive=swing("C-8.1", OTHER)))
     reports = kinds(bench.tick(1010), m.EndReport)
     assert {report.primitive for report in reports} == {"C-7.1", "C-8.1"}
 
 
 def test_a_busy_arm_refuses_and_goes_on(bench, swing) -> None:
-    bench.hear(m.Execute(primitive=swing("C-7.1")))
-    (answer,) = kinds(bench.hear(m.Execute(primitive=swing("C-8.1"))), m.EndReport)
+    bench.handle(m.Execute(primitive=swing("C-7.1")))
+    (answer,) = kinds(bench.handle(m.Execute(primitive=swing("C-8.1"))), m.EndReport)
     assert answer.reason is StopReason.REFUSED
     assert "busy with C-7.1" in answer.message
     reasons = {report.primitive: report.reason for report in kinds(bench.tick(1010), m.EndReport)}
@@ -91,17 +91,17 @@ def test_a_busy_arm_refuses_and_goes_on(bench, swing) -> None:
 
 def test_an_unknown_performer_is_refused_by_name(bench, swing, make) -> None:
     wanted = make.primitive(p.HoldStill(), performer="THIRD-ARM")
-    (answer,) = kinds(bench.hear(m.Execute(primitive=wanted)), m.EndReport)
+    (answer,) = kinds(bench.handle(m.Execute(primitive=wanted)), m.EndReport)
     assert answer.message == "MCM has no THIRD-ARM; it has RIGHT-ARM, LEFT-ARM"
 
 
 def test_hello_tells_what_is_under_way_and_says_kept_reports_again(bench, swing) -> None:
-    bench.hear(m.Execute(primitive=swing("C-7.1")))
+    bench.handle(m.Execute(primitive=swing("C-7.1")))
     bench.tick(1100)
-    bench.hear(m.Execute(primitive=swing("C-8.1", OTHER)))
+    bench.handle(m.Execute(primitive=swing("C-8.1", OTHER)))
     bench.tick(10)
 
-    (_, hello), *reports = bench.hear(m.ReportAck(primitive=""))  # a broker that does not know us
+    (_, hello), *reports = bench.handle(m.ReportAck(primitive=""))  # a broker that does not know us
 
     assert isinstance(hello, m.SubsystemHello)
     assert hello.performers == [ARM, OTHER]
@@ -114,12 +114,12 @@ def test_hello_tells_what_is_under_way_and_says_kept_reports_again(bench, swing)
 
 
 def test_a_halt_of_all_stops_both_arms_and_tells_when(bench, swing) -> None:
-    bench.hear(m.Execute(primitive=swing("C-7.1", ARM)))
-    bench.hear(m.Execute(primitive=swing("C-8.1", OTHER)))
+    bench.handle(m.Execute(primitive=swing("C-7.1", ARM)))
+    bench.handle(m.Execute(primitive=swing("C-8.1", OTHER)))
     bench.tick(500)
     called = bench.now_s
     halt = m.HaltOrder(halt="H-1")
-    ((door, passed_on),) = bench.hear(halt, CALLER)  # passed on, in case nobody has told the broker
+    ((door, passed_on),) = bench.handle(halt, CALLER)  # passed on, in case nobody has told the broker
     assert (door, msgspec.structs.replace(passed_on, call="")) == (BROKER, halt)
 
     said = bench.tick(300)
@@ -138,10 +138,10 @@ def test_a_halt_of_all_stops_both_arms_and_tells_when(bench, swing) -> None:
     [("ALL", [ARM, OTHER]), (ARM, [ARM]), (OTHER, [OTHER]), ("C-7", [ARM]), ("C-77", [OTHER]), ("C-9", [])],
 )
 def test_a_halt_stops_what_is_in_its_scope_and_nothing_else(bench, swing, scope: str, moving: list[str]) -> None:
-    bench.hear(m.Execute(primitive=swing("C-7.1", ARM)))
-    bench.hear(m.Execute(primitive=swing("C-77.1", OTHER)))
+    bench.handle(m.Execute(primitive=swing("C-7.1", ARM)))
+    bench.handle(m.Execute(primitive=swing("C-77.1", OTHER)))
     bench.tick(500)
-    said = bench.hear(m.HaltOrder(halt="H-1", scope=scope), CALLER) + bench.tick(1500)
+    said = bench.handle(m.HaltOrder(halt="H-1", scope=scope), CALLER) + bench.tick(1500)
 
     assert kinds(said, m.HaltStarted)[0].moving == moving
     halted = [report.performer for report in kinds(said, m.EndReport) if report.reason is StopReason.HALT]
@@ -151,9 +151,9 @@ def test_a_halt_stops_what_is_in_its_scope_and_nothing_else(bench, swing, scope:
 
 
 def test_a_halt_of_an_arm_that_is_not_there_is_not_told_to_be_at_rest(bench, swing) -> None:
-    bench.hear(m.Execute(primitive=swing("C-7.1", ARM)))
+    bench.handle(m.Execute(primitive=swing("C-7.1", ARM)))
     bench.tick(500)
-    ((door, declined),) = bench.hear(m.HaltOrder(halt="H-1", scope="RIGHT-AMR"), CALLER)
+    ((door, declined),) = bench.handle(m.HaltOrder(halt="H-1", scope="RIGHT-AMR"), CALLER)
 
     assert door == CALLER
     assert isinstance(declined, m.Declined)
@@ -161,24 +161,24 @@ def test_a_halt_of_an_arm_that_is_not_there_is_not_told_to_be_at_rest(bench, swi
 
 
 def test_a_halt_of_an_idle_arm_is_answered_at_once(bench) -> None:
-    _, started, rest = (message for _, message in bench.hear(m.HaltOrder(halt="H-1"), CALLER))
+    _, started, rest = (message for _, message in bench.handle(m.HaltOrder(halt="H-1"), CALLER))
     assert isinstance(started, m.HaltStarted)
     assert isinstance(rest, m.HaltAtRest)
     assert (started.moving, rest.at_rest) == ([], True)
 
 
 def test_the_same_halt_from_two_sides_is_one_halt_and_both_are_told(bench, swing) -> None:
-    bench.hear(m.Execute(primitive=swing()))
+    bench.handle(m.Execute(primitive=swing()))
     bench.tick(500)
-    bench.hear(m.HaltOrder(halt="H-1"), CALLER)
+    bench.handle(m.HaltOrder(halt="H-1"), CALLER)
     first = bench.tick(3)
-    (late,) = bench.hear(m.HaltOrder(halt="H-1"), BROKER)
+    (late,) = bench.handle(m.HaltOrder(halt="H-1"), BROKER)
     rest = bench.tick(300)
 
     (started,) = kinds(first, m.HaltStarted)
     assert late == (BROKER, started)
     assert [door for door, message in rest if isinstance(message, m.HaltAtRest)] == [CALLER, BROKER]
-    again = bench.hear(m.HaltOrder(halt="H-1"), ANOTHER)
+    again = bench.handle(m.HaltOrder(halt="H-1"), ANOTHER)
     assert [message for door, message in again if door == ANOTHER] == [started, *kinds(rest, m.HaltAtRest)[:1]]
 
 
@@ -188,17 +188,17 @@ def test_the_same_halt_from_two_sides_is_one_halt_and_both_are_told(bench, swing
 @pytest.mark.parametrize("door", [CALLER, ANOTHER, BROKER])
 @pytest.mark.parametrize("scope_before", ["ALL", ARM, OTHER, "C-7"])
 def test_a_halt_whose_name_was_used_before_stops_what_moves_now(bench, make, door, scope_before) -> None:
-    bench.hear(m.HaltOrder(halt="THE-BUTTON", scope=scope_before), CALLER)
+    bench.handle(m.HaltOrder(halt="THE-BUTTON", scope=scope_before), CALLER)
     bench.tick(10)
     for order in kinds(bench.heard, m.HaltOrder):
-        bench.hear(order, BROKER)
+        bench.handle(order, BROKER)
     for n in (7, 8):  # and so for every press
         here = list(bench.simulation.arms[ARM].joints)
         path = make.joint_path(here, [here[0] + 0.3, *here[1:]], 1.0)
-        bench.hear(m.Execute(primitive=make.primitive(path, id=f"C-{n}.1")))
+        bench.handle(m.Execute(primitive=make.primitive(path, id=f"C-{n}.1")))
         bench.tick(500)
         assert fastest(bench) > 0.1
-        said = bench.hear(m.HaltOrder(halt="THE-BUTTON"), door)
+        said = bench.handle(m.HaltOrder(halt="THE-BUTTON"), door)
         assert kinds(said, m.HaltAtRest) == []  # it moves
         said = bench.tick(400)
         assert fastest(bench) == pytest.approx(0.0, abs=1e-6)
@@ -206,18 +206,18 @@ def test_a_halt_whose_name_was_used_before_stops_what_moves_now(bench, make, doo
         assert (rest.at_rest, rest.performers) == (True, [ARM, OTHER])
         (report,) = {report.primitive: report.reason for report in kinds(said, m.EndReport)}.items()
         assert report == (f"C-{n}.1", StopReason.HALT)
-        bench.hear(m.ReportAck(primitive=f"C-{n}.1"))
+        bench.handle(m.ReportAck(primitive=f"C-{n}.1"))
         for order in kinds(bench.heard, m.HaltOrder):
-            bench.hear(order, BROKER)
+            bench.handle(order, BROKER)
 
 
 def test_a_halt_of_all_under_the_open_name_of_a_halt_of_one_arm_stops_the_other_too(bench, swing) -> None:
-    bench.hear(m.Execute(primitive=swing("C-7.1", ARM)))
-    bench.hear(m.Execute(primitive=swing("C-8.1", OTHER)))
+    bench.handle(m.Execute(primitive=swing("C-7.1", ARM)))
+    bench.handle(m.Execute(primitive=swing("C-8.1", OTHER)))
     bench.tick(500)
-    bench.hear(m.HaltOrder(halt="1", scope=OTHER), CALLER)
+    bench.handle(m.HaltOrder(halt="1", scope=OTHER), CALLER)
     bench.tick(3)
-    bench.hear(m.HaltOrder(halt="1"), ANOTHER)
+    bench.handle(m.HaltOrder(halt="1"), ANOTHER)
     said = bench.tick(400)
     assert fastest(bench) == pytest.approx(0.0, abs=1e-6)
     told = {door: message.performers for door, message in said if isinstance(message, m.HaltAtRest)}
@@ -227,23 +227,23 @@ def test_a_halt_of_all_under_the_open_name_of_a_halt_of_one_arm_stops_the_other_
 def test_the_broker_that_knows_of_one_halt_need_not_know_of_another_of_its_name(bench, swing) -> None:
     """Given a halt that the broker was told of, when another of the same name is called past it, then what the broker
     sent before it knows of that one does not begin."""
-    first = bench.hear(m.HaltOrder(halt="1"), CALLER)
-    second = bench.hear(m.HaltOrder(halt="1"), ANOTHER)
+    first = bench.handle(m.HaltOrder(halt="1"), CALLER)
+    second = bench.handle(m.HaltOrder(halt="1"), ANOTHER)
     for order in kinds(first, m.HaltOrder):
-        bench.hear(order, BROKER)
-    bench.hear(m.HaltOrder(halt="1", call="7-1"), BROKER)  # the broker was told of the first by its caller as well
-    (report,) = kinds(bench.hear(m.Execute(primitive=swing("C-9.1"))), m.EndReport)
+        bench.handle(order, BROKER)
+    bench.handle(m.HaltOrder(halt="1", call="7-1"), BROKER)  # the broker was told of the first by its caller as well
+    (report,) = kinds(bench.handle(m.Execute(primitive=swing("C-9.1"))), m.EndReport)
     assert report.reason is StopReason.HALT
     for order in kinds(second, m.HaltOrder):
-        bench.hear(order, BROKER)
-    assert kinds(bench.hear(m.Execute(primitive=swing("C-9.2"))), m.Started)
+        bench.handle(order, BROKER)
+    assert kinds(bench.handle(m.Execute(primitive=swing("C-9.2"))), m.Started)
 
 
 def test_each_order_is_answered_with_its_number(bench, swing) -> None:
-    bench.hear(m.Execute(primitive=swing()))
+    bench.handle(m.Execute(primitive=swing()))
     bench.tick(500)
-    bench.hear(m.HaltOrder(halt="1", call="7-1"), BROKER)
-    bench.hear(m.HaltOrder(halt="1", call="7-2"), BROKER)
+    bench.handle(m.HaltOrder(halt="1", call="7-1"), BROKER)
+    bench.handle(m.HaltOrder(halt="1", call="7-2"), BROKER)
     said = bench.tick(400)
     for kind in (m.HaltStarted, m.HaltAtRest):
         assert [message.call for message in kinds(said, kind)] == ["7-1", "7-2"]
@@ -254,11 +254,11 @@ def fastest(bench) -> float:
 
 
 def test_a_halt_during_a_stop_waits_for_rest(bench, swing) -> None:
-    bench.hear(m.Execute(primitive=swing()))
+    bench.handle(m.Execute(primitive=swing()))
     bench.tick(500)
-    bench.hear(m.HaltOrder(halt="H-1"), CALLER)
+    bench.handle(m.HaltOrder(halt="H-1"), CALLER)
     bench.tick(10)
-    bench.hear(m.HaltOrder(halt="H-2"), ANOTHER)
+    bench.handle(m.HaltOrder(halt="H-2"), ANOTHER)
     said = bench.tick(300)
     (rest,) = [message for door, message in said if door == ANOTHER and isinstance(message, m.HaltAtRest)]
     assert rest.at_rest
@@ -278,16 +278,16 @@ def test_rest_that_does_not_come_is_told(cell, make) -> None:
 
     bench = make.Bench(Pushed())
     bench.tick(5)
-    bench.hear(m.HaltOrder(halt="H-1"), CALLER)
+    bench.handle(m.HaltOrder(halt="H-1"), CALLER)
     (rest,) = kinds(bench.tick(int(REST_LIMIT_S * 1000) + 10), m.HaltAtRest)
     assert not rest.at_rest
 
 
 @pytest.mark.parametrize("issued_s", [-0.001, 0.5])
 def test_what_was_sent_in_ignorance_of_a_halt_does_not_begin_after_it(bench, swing, issued_s: float) -> None:
-    bench.hear(m.HaltOrder(halt="H-1"), CALLER)
+    bench.handle(m.HaltOrder(halt="H-1"), CALLER)
     blind = m.Execute(primitive=swing("C-7.2"), issued_at_s=bench.now_s + issued_s)
-    (report,) = kinds(bench.hear(blind), m.EndReport)
+    (report,) = kinds(bench.handle(blind), m.EndReport)
     assert report.reason is StopReason.HALT
     assert "sent in ignorance of halt H-1" in report.message
     assert bench.subsystem.idle
@@ -295,48 +295,48 @@ def test_what_was_sent_in_ignorance_of_a_halt_does_not_begin_after_it(bench, swi
 
 def test_a_halt_called_past_the_broker_is_told_with_every_hello_until_the_broker_knows_of_it(bench) -> None:
     halt = m.HaltOrder(halt="H-1", called_at_s=99.0)
-    bench.hear(halt, CALLER)
+    bench.handle(halt, CALLER)
     (told,) = kinds(bench.subsystem.hello(), m.HaltOrder)
     assert msgspec.structs.replace(told, call="") == halt
-    bench.hear(told, BROKER)
+    bench.handle(told, BROKER)
     assert kinds(bench.subsystem.hello(), m.HaltOrder) == []
 
 
 def test_once_the_broker_knows_of_a_halt_a_new_primitive_works_at_once(bench, swing) -> None:
-    bench.hear(m.HaltOrder(halt="H-2"), CALLER)
+    bench.handle(m.HaltOrder(halt="H-2"), CALLER)
     bench.tick(500)
-    bench.hear(m.HaltOrder(halt="H-2"), BROKER)
+    bench.handle(m.HaltOrder(halt="H-2"), BROKER)
     home = list(bench.simulation.arms[ARM].joints)
     hold = p.Primitive(
         id="C-9.1", performer=ARM, trajectory=p.HoldStill(duration_s=0.1), stop_functions=swing().stop_functions
     )
-    assert kinds(bench.hear(m.Execute(primitive=hold, issued_at_s=99.0)), m.Started)
+    assert kinds(bench.handle(m.Execute(primitive=hold, issued_at_s=99.0)), m.Started)
     assert list(bench.simulation.arms[ARM].joints) == home
 
 
 def test_rest_is_confirmed_after_the_end_has_been_reported(bench, swing) -> None:
-    bench.hear(m.Execute(primitive=swing()))
+    bench.handle(m.Execute(primitive=swing()))
     bench.tick(500)
-    bench.hear(m.HaltOrder(halt="H-1"), BROKER)
+    bench.handle(m.HaltOrder(halt="H-1"), BROKER)
     told = [type(message) for _, message in bench.tick(300)]
     assert told.index(m.EndReport) < told.index(m.HaltAtRest)
     home = bench.simulation.arms[ARM].joints
     hold = msgspec.structs.replace(swing("C-8.1"), trajectory=p.HoldStill(duration_s=0.1))
-    assert kinds(bench.hear(m.Execute(primitive=hold)), m.Started)  # it can be given something new at once
+    assert kinds(bench.handle(m.Execute(primitive=hold)), m.Started)  # it can be given something new at once
     assert list(bench.simulation.arms[ARM].joints) == list(home)
 
 
 def test_a_primitive_meant_for_the_process_before_is_passed_over(bench, swing) -> None:
-    said = bench.hear(m.Execute(primitive=swing(), pid=bench.subsystem.pid + 1))
+    said = bench.handle(m.Execute(primitive=swing(), pid=bench.subsystem.pid + 1))
     assert [type(message) for _, message in said] == [m.SubsystemHello]  # whoever sent it does not know us
     assert bench.subsystem.idle
-    assert kinds(bench.hear(m.Execute(primitive=swing(), pid=bench.subsystem.pid)), m.Started)
+    assert kinds(bench.handle(m.Execute(primitive=swing(), pid=bench.subsystem.pid)), m.Started)
 
 
 def test_a_halt_of_one_command_leaves_another_commands_orders_alone(bench, swing) -> None:
-    bench.hear(m.HaltOrder(halt="H-1", scope="C-7"), CALLER)
+    bench.handle(m.HaltOrder(halt="H-1", scope="C-7"), CALLER)
     other = m.Execute(primitive=swing("C-8.1"), issued_at_s=bench.now_s - 0.001)
-    assert kinds(bench.hear(other), m.Started)
+    assert kinds(bench.handle(other), m.Started)
 
 
 # --- callers who mean harm -----------------------------------------------------------------------------------
@@ -345,19 +345,19 @@ def test_a_halt_of_one_command_leaves_another_commands_orders_alone(bench, swing
 def test_a_name_used_up_beforehand_does_not_keep_the_brokers_halt_from_stopping(bench, swing) -> None:
     """Given somebody at the estop socket who said the name of a halt before there was anything to halt."""
     order = m.HaltOrder(halt="stop-C-7", scope="C-7")
-    bench.subsystem.hear(order, CALLER, bench.now_s)
-    bench.hear(order)
-    bench.hear(m.Execute(primitive=swing()))
+    bench.subsystem.handle(order, CALLER, bench.now_s)
+    bench.handle(order)
+    bench.handle(m.Execute(primitive=swing()))
     bench.tick(100)
-    bench.hear(order)
+    bench.handle(order)
     (report,) = kinds(bench.tick(600), m.EndReport)[:1]
     assert report.reason is StopReason.HALT
 
 
 def test_a_caller_with_many_open_halts_is_obeyed_and_told_so(bench, swing) -> None:
-    bench.hear(m.Execute(primitive=swing()))
+    bench.handle(m.Execute(primitive=swing()))
     bench.tick(100)
-    said = [bench.subsystem.hear(m.HaltOrder(halt=f"H-{n}"), CALLER, bench.now_s) for n in range(OPEN_HALTS + 3)]
+    said = [bench.subsystem.handle(m.HaltOrder(halt=f"H-{n}"), CALLER, bench.now_s) for n in range(OPEN_HALTS + 3)]
     declined = [messages for messages in said if kinds(messages, m.Declined)]
     assert len(declined) == 3
     assert all(kinds(messages, m.HaltOrder) for messages in declined)  # the broker hears of each
@@ -367,14 +367,14 @@ def test_a_caller_with_many_open_halts_is_obeyed_and_told_so(bench, swing) -> No
 
 def test_scopes_beyond_number_become_all(bench, swing) -> None:
     """Until the broker has answered nothing begins; afterwards everything does, and nothing was kept for ever."""
-    last = [m.HaltOrder(halt=f"H-{n}", scope=f"C-{n}") for n in range(SHADOWS + 5)]
+    last = [m.HaltOrder(halt=f"H-{n}", scope=f"C-{n}") for n in range(MAX_FENCES + 5)]
     for n, order in enumerate(last):
-        bench.subsystem.hear(order, b"%d" % n, bench.now_s)
-    (report,) = kinds(bench.hear(m.Execute(primitive=swing("C-9999.1"))), m.EndReport)
+        bench.subsystem.handle(order, b"%d" % n, bench.now_s)
+    (report,) = kinds(bench.handle(m.Execute(primitive=swing("C-9999.1"))), m.EndReport)
     assert report.reason is StopReason.HALT
     for order in last:
-        bench.hear(order)
-    bench.hear(m.Execute(primitive=swing("C-9998.1")))
+        bench.handle(order)
+    bench.handle(m.Execute(primitive=swing("C-9998.1")))
     reports = {report.primitive: report.reason for report in kinds(bench.tick(1100), m.EndReport)}
     assert reports["C-9998.1"] is StopReason.GOAL
     assert kinds(bench.subsystem.hello(), m.HaltOrder) == []
@@ -382,17 +382,17 @@ def test_scopes_beyond_number_become_all(bench, swing) -> None:
 
 def test_a_stream_of_halts_stops_at_once_and_reaches_the_broker_as_one(bench, swing) -> None:
     for n in range(PER_S):
-        bench.subsystem.hear(m.HaltOrder(halt=f"H-{n}", scope="C-1"), CALLER, bench.now_s)
-    bench.hear(m.HaltOrder(halt=f"H-{PER_S - 1}", scope="C-1"))
-    bench.hear(m.Execute(primitive=swing()))
+        bench.subsystem.handle(m.HaltOrder(halt=f"H-{n}", scope="C-1"), CALLER, bench.now_s)
+    bench.handle(m.HaltOrder(halt=f"H-{PER_S - 1}", scope="C-1"))
+    bench.handle(m.Execute(primitive=swing()))
     bench.tick(50)
     for n in range(20):
-        said = bench.subsystem.hear(m.HaltOrder(halt=f"H-x{n}"), CALLER, bench.now_s)
+        said = bench.subsystem.handle(m.HaltOrder(halt=f"H-x{n}"), CALLER, bench.now_s)
         assert [(door, type(message)) for door, message in said] == [(CALLER, m.Declined)]
     heard = bench.tick(600)
     assert kinds(heard, m.EndReport)[0].reason is StopReason.HALT
     assert [order.halt for order in kinds(heard, m.HaltOrder)] == ["H-x19"]
-    bench.hear(m.HaltOrder(halt="H-x19"))
+    bench.handle(m.HaltOrder(halt="H-x19"))
     assert kinds(bench.subsystem.hello(), m.HaltOrder) == []
 
 
@@ -428,25 +428,25 @@ LOAD = {"mass_kg": 1e308, "com_m": [float("nan")] * 3, "inertia_kg_m2": [-1.0] *
     ],
 )
 def test_what_does_not_decode_is_refused_with_the_id_that_can_be_read(bench, change, words: str) -> None:
-    order = unread_order(_frames(change))
+    order = invalid_order(_frames(change))
     assert order is not None
-    ((door, report),) = bench.hear(order)
+    ((door, report),) = bench.handle(order)
     assert (door, report.primitive, report.performer, report.reason) == (BROKER, "C-7.1", ARM, StopReason.REFUSED)
     assert words in report.message
     assert len(report.joints) == 6
     assert bench.subsystem.outstanding == ["C-7.1"]  # until it is acknowledged
-    assert bench.hear(order) == [(BROKER, report)]
+    assert bench.handle(order) == [(BROKER, report)]
 
 
 def test_what_decodes_or_has_no_id_is_not_answered_so() -> None:
-    assert unread_order(_frames(lambda body: None)) is None
-    assert unread_order(_frames(lambda body: body.update(id="", stop_functions=[]))) is None
-    assert unread_order(frames(m.Heartbeat(name="broker"))) is None
+    assert invalid_order(_frames(lambda body: None)) is None
+    assert invalid_order(_frames(lambda body: body.update(id="", stop_functions=[]))) is None
+    assert invalid_order(frames(m.Heartbeat(name="broker"))) is None
 
 
 @pytest.mark.parametrize("name", ["X-9.1", "", "C-7", "C-7.1/2", "7.1"])
 def test_an_id_that_no_halt_would_find_is_refused(bench, swing, name: str) -> None:
-    (report,) = kinds(bench.hear(m.Execute(primitive=swing(name))), m.EndReport)
+    (report,) = kinds(bench.handle(m.Execute(primitive=swing(name))), m.EndReport)
     assert report.reason is StopReason.REFUSED
     assert "name of a primitive" in report.message
     assert bench.subsystem.idle

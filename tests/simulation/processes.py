@@ -232,7 +232,7 @@ class Mcm:
         for door, order in waiting:
             if isinstance(order, m.HaltOrder):
                 self.cluster.ledger.halted(self, order, now_s)
-            answers = subsystem.hear(order, door, now_s)
+            answers = subsystem.handle(order, door, now_s)
             if isinstance(order, m.HaltOrder):
                 self.cluster.ledger.obeyed(self, order)
             self._say(answers)
