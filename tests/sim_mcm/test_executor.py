@@ -44,7 +44,7 @@ def test_from_every_state_the_arm_comes_to_hold_again() -> None:
 
 def test_an_impossible_event_is_a_bug_that_names_itself(rig) -> None:
     with pytest.raises(AssertionError, match="RIGHT-ARM: tripped cannot happen while holding"):
-        rig.executor._happen(Event.TRIPPED)
+        rig.executor._apply(Event.TRIPPED)
 
 
 # --- to the goal -----------------------------------------------------------------------------------------
