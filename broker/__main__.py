@@ -11,7 +11,7 @@ from pathlib import Path
 
 from broker.events import BrokerRestarted, JournalLost, ProgramInstalled
 from broker.journal import Journal
-from broker.loads import Loads
+from broker.loads import ProgramLoads
 from broker.program_store import ProgramStore
 from broker.replay import replay
 from broker.router import ALONE_S, Router
@@ -48,7 +48,7 @@ def live(run_dir: Path, fd: int = -1) -> None:
     settings = given.settings
     with process.start("broker", run_dir) as me:
         priority = process.come_first(RANK, NICENESS)
-        first = State(patience=settings.patience, life=secrets.token_hex(2))
+        first = State(timeout_scale=settings.patience, life=secrets.token_hex(2))
         path = run_dir / "journal.db"
         journal, state, ended = damage.open_or_set_aside(path, lambda: _opened(path, settings.run, first), me.note)
         with damage.put_aside_when_damaged(path, me.note):
@@ -77,7 +77,7 @@ def _serve(
     router.guard = Guard()
     if given.fd >= 0:  # started by a supervisor
         me.end_with_parent(ALONE_S * settings.patience + LAST_S)
-    router.loads = Loads(store, program_check.Process)
+    router.loads = ProgramLoads(store, program_check.Process)
     restarted = bool(state.programs)
     if restarted:
         me.log.info("restarted: %d commands live, %d ended in the journal", len(state.commands), len(ended))

@@ -31,13 +31,14 @@ from broker.events import (
     PrimitiveEnded,
     PrimitiveStarted,
     ProgramInstalled,
+    Stimulus,
     SubsystemConnected,
     SubsystemGone,
     TimerFired,
 )
-from broker.state import NIL, Command, Ending, Link, PendingJob, State, Subsystem, Trial, request_key
-from broker.transitions import TABLE, Stimulus
-from broker.turn import Turn
+from broker.state import NIL, Command, Link, PendingJob, PendingOutcome, State, Subsystem, Trial, request_key
+from broker.transitions import TABLE
+from broker.turn import DecisionContext
 from rtc.language.fastpath import halt_scope
 from rtc.messages import Accepted, Declined, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
@@ -51,40 +52,6 @@ HALTS_KEPT = 64
 PROVEN_KEPT = 16  # programs of a kind
 FILES_KEPT = 64  # programs whose file is known, for `rtc status`
 CLIENTS_KEPT = 1024  # whose latest command is known, for AFTER LAST
-
-ACTIONS: dict[str, Callable[[Turn, Command, Any], None]] = {
-    name: getattr(module, name)
-    for name, module in (
-        ("parsed", journey),
-        ("take_up", journey),
-        ("released", journey),
-        ("granted", journey),
-        ("elaborated", journey),
-        ("bound", journey),
-        ("reported", journey),
-        ("assessed", journey),
-        ("pause_later", journey),
-        ("resume_now", journey),
-        ("resume_paused", journey),
-        ("refused", ending),
-        ("undone", ending),
-        ("analyze_later", ending),
-        ("analyze_again", ending),
-        ("again", ending),
-        ("stop", ending),
-        ("stop_subsystem", ending),
-        ("stop_after_analysis", ending),
-        ("overdue", ending),
-        ("rested", ending),
-        ("rest_confirmed", ending),
-        ("unconfirmed", ending),
-        ("lost_subsystem", ending),
-        ("lost_while_halting", ending),
-        ("closed", ending),
-        ("closed_untold", ending),
-    )
-}
-assert {action for action, _ in TABLE.values()} == set(ACTIONS), "every action of the table is here, and no other"
 
 
 class InvalidTransition(AssertionError):
@@ -100,47 +67,46 @@ class InvalidTransition(AssertionError):
 
 def decide(state: State, event: Event) -> list[Effect]:
     """What is to be done about one event. Changes `state`; effects are in the order they must happen."""
-    turn = Turn(state, event.at_s)
-    HEARD[type(event)](turn, event)
-    for name, stimulus, payload in turn.followups:  # to which more are added meanwhile
-        turn.node, turn.took_s = "", 0.0
+    context = DecisionContext(state, event.at_s)
+    HANDLERS[type(event)](context, event)
+    for name, stimulus, payload in context.followups:  # to which more are added meanwhile
+        context.node, context.took_s = "", 0.0
         command = state.commands.get(name)
         if command is not None:
-            stimulate(turn, command, stimulus, payload)
-    return turn.effects
+            stimulate(context, command, stimulus, payload)
+    return context.effects
 
 
-def stimulate(turn: Turn, command: Command, stimulus: Stimulus, payload: Any = None) -> None:
+def stimulate(context: DecisionContext, command: Command, stimulus: Stimulus, payload: Any = None) -> None:
     before = command.phase
     cell = TABLE.get((before, stimulus))
     if cell is None:
-        turn.count("stale")
+        context.count("stale")
         return
-    action, following = cell
-    ACTIONS[action](turn, command, payload)
-    if command.phase not in following:
+    cell.action(context, command, payload)
+    if command.phase not in cell.following:
         raise InvalidTransition(command, before, stimulus)
     if before is Phase.PARSING and command.phase is not Phase.PARSING:
-        turn.read(command)
+        context.leave_intake(command)
 
 
 # --- clients -----------------------------------------------------------------------------------------
 
 
-def on_command(turn: Turn, event: CommandReceived) -> None:
-    state = turn.state
+def on_command(context: DecisionContext, event: CommandReceived) -> None:
+    state = context.state
     key = request_key(event.client, event.request)
     if known := state.requests.get(key):
-        turn.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=known)))
+        context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=known)))
         if known in state.ended:
-            turn.effects.append(TellClient(client=event.client, message=state.ended[known].told))
+            context.effects.append(TellClient(client=event.client, message=state.ended[known].message))
         return
     if lost.is_lost(state, event) and not halt_scope(event.text):
-        lost.end_lost(turn, event)
+        lost.end_lost(context, event)
         return
     live = state.live.get(event.client, 0)
     if live >= LIVE_PER_CLIENT or len(state.commands) >= MAX_COMMANDS:
-        _decline(turn, event, live)
+        _decline(context, event, live)
         return
     command = Command(
         id=lost.new_number(state, event),
@@ -160,44 +126,44 @@ def on_command(turn: Turn, event: CommandReceived) -> None:
     state.commands[command.id] = command
     state.live[event.client] = live + 1
     state.requests[key] = command.id
-    turn.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
+    context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
     if scope := halt_scope(event.text):
-        journey.halt_by_command(turn, command, scope)
+        journey.halt_by_command(context, command, scope)
     elif 0 < event.sent_at_s <= state.halted_at_s.get("ALL", 0.0):
         message = "sent before HALT ALL, so it does not start after it"
-        ending.end(turn, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)
+        ending.end(context, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)
     else:
-        state.unread.setdefault(command.client, {})[command.id] = False
-        turn.give_out(command, WorkerKind.PARSER, {"text": command.text})
-        turn.enter(command, Phase.PARSING)
+        state.intake_order.setdefault(command.client, {})[command.id] = False
+        context.create_job(command, WorkerKind.PARSER, {"text": command.text})
+        context.enter(command, Phase.PARSING)
 
 
-def _decline(turn: Turn, event: CommandReceived, live: int) -> None:
+def _decline(context: DecisionContext, event: CommandReceived, live: int) -> None:
     """Too many are live. A halt is obeyed all the same."""
-    turn.count("declined")
-    message = f"{len(turn.state.commands)} commands are live, {live} of them yours; the limit is " + (
+    context.count("declined")
+    message = f"{len(context.state.commands)} commands are live, {live} of them yours; the limit is " + (
         f"{LIVE_PER_CLIENT} of one client" if live >= LIVE_PER_CLIENT else f"{MAX_COMMANDS} in all"
     )
     if scope := halt_scope(event.text):
-        journey.halt(turn, f"declined-{turn.state.counts['declined']}", scope, turn.now)
+        journey.halt(context, f"declined-{context.state.counts['declined']}", scope, context.now)
         message = f"{scope} is halted, but nobody waits for rest: {message}"
     refusal = Refusal(reason=RefusalReason.OVERLOAD, message=message, clears="wait until some have ended")
-    turn.effects.append(TellClient(client=event.client, message=Declined(request=event.request, refusal=refusal)))
+    context.effects.append(TellClient(client=event.client, message=Declined(request=event.request, refusal=refusal)))
 
 
-def on_halt(turn: Turn, event: HaltCalled) -> None:
+def on_halt(context: DecisionContext, event: HaltCalled) -> None:
     """Stop what is in its scope now. Whether its name was used before does not matter: two callers may count from one,
     and a button may always say the same."""
-    told_by_subsystem = event.client in turn.state.subsystems
-    _count_halt(turn, event)
-    known = journey.halt(turn, event.halt, event.scope, event.called_at_s, call=event.call)
+    told_by_subsystem = event.client in context.state.subsystems
+    _count_halt(context, event)
+    known = journey.halt(context, event.halt, event.scope, event.called_at_s, call=event.call)
     # Of a command that has ended nothing moves, as the subsystems confirm: that is no halt of nobody knows what.
-    if not known and not told_by_subsystem and not journey.has_ended(turn, event.scope):
-        message = journey.no_target(turn, event.scope).message
-        turn.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
-    if told_by_subsystem and not any(type(e) is SendHalt and e.subsystem == event.client for e in turn.effects):
+    if not known and not told_by_subsystem and not journey.has_ended(context, event.scope):
+        message = journey.no_target(context, event.scope).message
+        context.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
+    if told_by_subsystem and not any(type(e) is SendHalt and e.subsystem == event.client for e in context.effects):
         # It begins nothing until it hears that we know.
-        turn.effects.append(
+        context.effects.append(
             SendHalt(
                 subsystem=event.client,
                 halt=event.halt,
@@ -208,87 +174,87 @@ def on_halt(turn: Turn, event: HaltCalled) -> None:
         )
 
 
-def _count_halt(turn: Turn, event: HaltCalled) -> None:
+def _count_halt(context: DecisionContext, event: HaltCalled) -> None:
     """A caller uses both doors, so most halts are received twice: from the caller, and from the subsystem."""
-    halts, key = turn.state.halts, f"{event.halt} {event.scope} {event.called_at_s}"
+    halts, key = context.state.halts, f"{event.halt} {event.scope} {event.called_at_s}"
     if key not in halts:
-        turn.count("halts")
+        context.count("halts")
     halts[key] = event.at_s
     if len(halts) > HALTS_KEPT:
         del halts[next(iter(halts))]
 
 
-def on_client_gone(turn: Turn, event: ClientGone) -> None:
-    gone = Ending(kind=OutcomeKind.HALTED, message="its client went away", stop=StopReason.HALT)
-    for command in turn.state.commands.values():
+def on_client_gone(context: DecisionContext, event: ClientGone) -> None:
+    gone = PendingOutcome(kind=OutcomeKind.HALTED, message="its client went away", stop=StopReason.HALT)
+    for command in context.state.commands.values():
         if command.client == event.client and command.halt_if_lost:
-            turn.follow(command.id, Stimulus.STOP, gone)
+            context.follow(command.id, Stimulus.STOP, gone)
 
 
 # --- workers -----------------------------------------------------------------------------------------
 
 
-def _pending(turn: Turn, job: str, attempt: int) -> tuple[Command, PendingJob] | None:
+def _pending(context: DecisionContext, job: str, attempt: int) -> tuple[Command, PendingJob] | None:
     """The command that waits for just this answer; None (and counted) when the answer is stale."""
-    command = turn.state.commands.get(job.partition("/")[0])
+    command = context.state.commands.get(job.partition("/")[0])
     if command is None or command.job is None or (command.job.id, command.job.attempt) != (job, attempt):
-        turn.count("stale")
+        context.count("stale")
         return None
     return command, command.job
 
 
-def on_job_finished(turn: Turn, event: JobFinished) -> None:
-    if untold.heard(turn, event) or (found := _pending(turn, event.job, event.attempt)) is None:
+def on_job_finished(context: DecisionContext, event: JobFinished) -> None:
+    if untold.handle_answer(context, event) or (found := _pending(context, event.job, event.attempt)) is None:
         return
     command, job = found
-    turn.node, turn.took_s = event.node, event.at_s - job.since_s
+    context.node, context.took_s = event.node, event.at_s - job.since_s
     command.job = None
-    if (trial := turn.state.trials.get(job.kind)) and trial.new == job.program:
-        del turn.state.trials[job.kind]
-        _prove(turn.state, job.kind, job.program)
+    if (trial := context.state.trials.get(job.kind)) and trial.new == job.program:
+        del context.state.trials[job.kind]
+        _prove(context.state, job.kind, job.program)
     try:
-        stimulate(turn, command, Stimulus.PRODUCT, event.product)
+        stimulate(context, command, Stimulus.PRODUCT, event.product)
     except WireError as error:
         message = f"the {job.kind.value} delivered what is no product: {error}"
-        stimulate(turn, command, Stimulus.REFUSAL, Refusal(reason=RefusalReason.PROGRAM, message=message))
+        stimulate(context, command, Stimulus.REFUSAL, Refusal(reason=RefusalReason.PROGRAM, message=message))
 
 
-def on_job_declined(turn: Turn, event: JobDeclined) -> None:
-    if untold.heard(turn, event) or (found := _pending(turn, event.job, event.attempt)) is None:
+def on_job_declined(context: DecisionContext, event: JobDeclined) -> None:
+    if untold.handle_answer(context, event) or (found := _pending(context, event.job, event.attempt)) is None:
         return
     command, job = found
-    turn.node, turn.took_s = event.node, event.at_s - job.since_s
+    context.node, context.took_s = event.node, event.at_s - job.since_s
     if event.refusal.reason is RefusalReason.TIMEOUT:
-        stimulate(turn, command, Stimulus.AWAY, event.refusal)
+        stimulate(context, command, Stimulus.UNAVAILABLE, event.refusal)
         return
     if event.refusal.reason is RefusalReason.PROGRAM and _with_another_program(
-        turn, command, job, event.refusal.message
+        context, command, job, event.refusal.message
     ):
         return
     command.job = None
-    stimulate(turn, command, Stimulus.REFUSAL, event.refusal)
+    stimulate(context, command, Stimulus.REFUSAL, event.refusal)
 
 
-def on_job_lost(turn: Turn, event: JobLost) -> None:
-    if untold.heard(turn, event) or (found := _pending(turn, event.job, event.attempt)) is None:
+def on_job_lost(context: DecisionContext, event: JobLost) -> None:
+    if untold.handle_answer(context, event) or (found := _pending(context, event.job, event.attempt)) is None:
         return
     command, job = found
-    turn.node, turn.took_s = event.node, event.at_s - job.since_s
-    if event.blamed and _with_another_program(turn, command, job, event.evidence):
+    context.node, context.took_s = event.node, event.at_s - job.since_s
+    if event.blamed and _with_another_program(context, command, job, event.evidence):
         return
-    stimulate(turn, command, Stimulus.LOSS, event)
+    stimulate(context, command, Stimulus.WORKER_LOST, event)
 
 
-def _with_another_program(turn: Turn, command: Command, job: PendingJob, why: str) -> bool:
+def _with_another_program(context: DecisionContext, command: Command, job: PendingJob, why: str) -> bool:
     """A job failed with a program. The first job of a new one: back to the old one. It is done again with the program
     that is the current one now; False when that is the one it failed with."""
-    state = turn.state
+    state = context.state
     trial = state.trials.get(job.kind)
     last_words = (why.strip().splitlines() or ["it ended without a word"])[-1]
     if trial is not None and trial.new == job.program:
         del state.trials[job.kind]
         state.programs[job.kind] = trial.old
-        turn.count("programs_rolled_back")
+        context.count("programs_rolled_back")
         told = f"the new {job.kind.value} program {trial.new} failed its first job ({last_words}); back to {trial.old}"
         state.rolled_back[job.kind] = f"{told}. The job was of {command.id}"
     else:
@@ -298,8 +264,8 @@ def _with_another_program(turn: Turn, command: Command, job: PendingJob, why: st
         return False
     job.program = current
     job.attempt += 1
-    turn.note(command, told, warning=True)
-    turn.dispatch(job)
+    context.note(command, told, warning=True)
+    context.dispatch(job)
     return True
 
 
@@ -311,20 +277,20 @@ def _keep_file(state: State, event: ProgramInstalled) -> None:
         del state.program_files[next(iter(state.program_files))]
 
 
-def on_program(turn: Turn, event: ProgramInstalled) -> None:
+def on_program(context: DecisionContext, event: ProgramInstalled) -> None:
     kind = event.kind or "cell"
-    turn.state.began_at_s = turn.state.began_at_s or event.at_s  # it begins with its programs
-    programs = turn.state.programs
+    context.state.began_at_s = context.state.began_at_s or event.at_s  # it begins with its programs
+    programs = context.state.programs
     if event.kind and kind in programs and programs[kind] != event.digest:
-        untried = turn.state.trials.pop(kind, None)  # it is no program to go back to
+        untried = context.state.trials.pop(kind, None)  # it is no program to go back to
         old = untried.old if untried else programs[kind]
-        _prove(turn.state, kind, old)
-        if event.digest not in turn.state.proven[kind]:
-            turn.state.trials[kind] = Trial(new=event.digest, old=old)
-    turn.state.rolled_back.pop(kind, None)
+        _prove(context.state, kind, old)
+        if event.digest not in context.state.proven[kind]:
+            context.state.trials[kind] = Trial(new=event.digest, old=old)
+    context.state.rolled_back.pop(kind, None)
     programs[kind] = event.digest
     if event.file:
-        _keep_file(turn.state, event)
+        _keep_file(context.state, event)
 
 
 def _prove(state: State, kind: str, digest: str) -> None:
@@ -339,17 +305,17 @@ def _prove(state: State, kind: str, digest: str) -> None:
 # --- subsystems --------------------------------------------------------------------------------------
 
 
-def on_started(turn: Turn, event: PrimitiveStarted) -> None:
-    command = turn.state.commands.get(command_of(event.primitive))
+def on_started(context: DecisionContext, event: PrimitiveStarted) -> None:
+    command = context.state.commands.get(command_of(event.primitive))
     awaited = command is not None and (command.primitive, command.subsystem) == (event.primitive, event.subsystem)
     if awaited and command is not None and command.phase is Phase.EXECUTING:
-        turn.node = event.subsystem
-        turn.note(command, "started")
+        context.node = event.subsystem
+        context.note(command, "started")
 
 
-def on_ended(turn: Turn, event: PrimitiveEnded) -> None:
+def on_ended(context: DecisionContext, event: PrimitiveEnded) -> None:
     report = event.report
-    command = turn.state.commands.get(command_of(report.primitive))
+    command = context.state.commands.get(command_of(report.primitive))
     awaited = (
         command is not None
         and command.primitive == report.primitive
@@ -358,35 +324,35 @@ def on_ended(turn: Turn, event: PrimitiveEnded) -> None:
     )
     if not awaited or command is None:
         # Late or double. It is acknowledged, or it would be repeated for ever; and it proves rest.
-        turn.count("stale")
-        turn.effects.append(AcknowledgeReport(subsystem=event.subsystem, primitive=report.primitive))
+        context.count("stale")
+        context.effects.append(AcknowledgeReport(subsystem=event.subsystem, primitive=report.primitive))
         if command is None or command.primitive == report.primitive:
-            turn.confirm_rest(event.subsystem, [], moved=report.primitive)
+            context.confirm_rest(event.subsystem, [], moved=report.primitive)
         return
-    turn.node, turn.took_s = event.subsystem, event.at_s - command.sent_at_s
-    stimulate(turn, command, Stimulus.REPORT, report)
+    context.node, context.took_s = event.subsystem, event.at_s - command.sent_at_s
+    stimulate(context, command, Stimulus.REPORT, report)
 
 
-def on_halt_confirmed(turn: Turn, event: HaltConfirmed) -> None:
+def on_halt_confirmed(context: DecisionContext, event: HaltConfirmed) -> None:
     name = event.halt.removeprefix(ending.STOP)  # a HALT sentence, or the command that was stopped
     if event.at_rest:
-        turn.confirm_rest(event.subsystem, event.performers, name if name != event.halt else "")
-    command = turn.state.commands.get(name)
+        context.confirm_rest(event.subsystem, event.performers, name if name != event.halt else "")
+    command = context.state.commands.get(name)
     if command is not None and command.subsystem in ("", event.subsystem):  # "": of a HALT sentence
-        turn.node = event.subsystem
-        stimulate(turn, command, Stimulus.REST, event.at_rest)
+        context.node = event.subsystem
+        stimulate(context, command, Stimulus.REST, event.at_rest)
 
 
-def on_subsystem(turn: Turn, event: SubsystemConnected) -> None:
+def on_subsystem(context: DecisionContext, event: SubsystemConnected) -> None:
     """Come, or come back. What it does not know any more it never got, or it forgot by dying."""
-    state = turn.state
+    state = context.state
     before = state.subsystems.get(event.subsystem)
     if before is None and len(state.subsystems) >= MAX_SUBSYSTEMS and not _forget_a_subsystem(state):
-        turn.count("subsystems_declined")
+        context.count("subsystems_declined")
         return
     reborn = before is not None and before.pid != event.pid
     if reborn:
-        _gone(turn, event.subsystem, "it was restarted")
+        _lose_subsystem(context, event.subsystem, "it was restarted")
     state.subsystems[event.subsystem] = Subsystem(
         pid=event.pid, performers=event.performers, came_at_rest=event.at_rest
     )
@@ -396,19 +362,19 @@ def on_subsystem(turn: Turn, event: SubsystemConnected) -> None:
         command = state.commands.get(command_id)
         # Of a command that lives, only what was given up may still be executed; the rest are unacknowledged reports.
         if command is None or (command.phase is Phase.CLOSING and not command.at_rest):
-            _order_halt(turn, event.subsystem, f"orphan-{primitive}", command_id)
+            _order_halt(context, event.subsystem, f"orphan-{primitive}", command_id)
     if event.at_rest:
-        turn.confirm_rest(event.subsystem)
+        context.confirm_rest(event.subsystem)
     elif not event.outstanding:
-        _order_halt(turn, event.subsystem, f"rejoin-{event.subsystem}-{turn.now:.6f}", "ALL")
+        _order_halt(context, event.subsystem, f"rejoin-{event.subsystem}-{context.now:.6f}", "ALL")
     if reborn:
         return
     for command in state.commands.values():
         if command.subsystem == event.subsystem and command.primitive_body != NIL:
             if command.phase is Phase.HALTING:
-                ending.order_halt(turn, command)
+                ending.order_halt(context, command)
             elif command.phase is Phase.EXECUTING and command.primitive not in event.outstanding:
-                journey.send(turn, command)
+                journey.send(context, command)
 
 
 def _forget_a_subsystem(state: State) -> bool:
@@ -418,78 +384,80 @@ def _forget_a_subsystem(state: State) -> bool:
     return state.subsystems.pop(next(lost, ""), None) is not None
 
 
-def _order_halt(turn: Turn, subsystem: str, halt: str, scope: str) -> None:
-    turn.effects.append(SendHalt(subsystem=subsystem, halt=halt, scope=scope, called_at_s=turn.now))
+def _order_halt(context: DecisionContext, subsystem: str, halt: str, scope: str) -> None:
+    context.effects.append(SendHalt(subsystem=subsystem, halt=halt, scope=scope, called_at_s=context.now))
 
 
-def on_subsystem_gone(turn: Turn, event: SubsystemGone) -> None:
-    subsystem = turn.state.subsystems.get(event.subsystem)
+def on_subsystem_gone(context: DecisionContext, event: SubsystemGone) -> None:
+    subsystem = context.state.subsystems.get(event.subsystem)
     if subsystem is not None and subsystem.link is not Link.LOST:
         subsystem.link = Link.LOST
         subsystem.came_at_rest = False
-        turn.count("subsystems_lost")
-        _gone(turn, event.subsystem, event.why)
+        context.count("subsystems_lost")
+        _lose_subsystem(context, event.subsystem, event.why)
 
 
-def _gone(turn: Turn, name: str, why: str) -> None:
+def _lose_subsystem(context: DecisionContext, name: str, why: str) -> None:
     """A global error (A30): every command that has worked through this subsystem ends."""
     message = f"{name} was lost: {why}"
-    lost = Ending(
+    lost = PendingOutcome(
         kind=OutcomeKind.LOST_SUBSYSTEM,
         message=message,
         stop=StopReason.SUBSYSTEM_LOST,
         refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=ending.LOOKED_AT_FIRST),
     )
-    for command in turn.state.commands.values():
+    for command in context.state.commands.values():
         if command.subsystem == name:
             moving = command.phase in (Phase.EXECUTING, Phase.HALTING)
-            turn.follow(command.id, Stimulus.GONE if moving else Stimulus.STOP, why if moving else lost)
+            context.follow(command.id, Stimulus.SUBSYSTEM_LOST if moving else Stimulus.STOP, why if moving else lost)
         elif command.phase is Phase.HALTING and not command.primitive:
-            turn.follow(command.id, Stimulus.GONE, why)
+            context.follow(command.id, Stimulus.SUBSYSTEM_LOST, why)
 
 
-def on_listeners(turn: Turn, event: ListenersChanged) -> None:
-    if event.listening and not turn.state.listened:
-        lost.publish(turn)
-    turn.state.listened = event.listening
+def on_listeners(context: DecisionContext, event: ListenersChanged) -> None:
+    if event.listening and not context.state.has_subscribers:
+        lost.publish(context)
+    context.state.has_subscribers = event.listening
 
 
 # --- time and restart --------------------------------------------------------------------------------
 
 
-def on_timer(turn: Turn, event: TimerFired) -> None:
-    if untold.rang(turn, event.timer):
+def on_timer(context: DecisionContext, event: TimerFired) -> None:
+    if untold.handle_timer(context, event.timer):
         return
-    command = turn.state.commands.get(event.timer)
+    command = context.state.commands.get(event.timer)
     if command is None or not 0 < command.due_s <= event.at_s:
-        turn.count("stale")  # stopped or set anew in the turn in which it rang
+        context.count("stale")  # stopped or set anew in the turn in which it rang
         return
     command.due_s = 0.0
-    stimulate(turn, command, Stimulus.OVERDUE)
+    stimulate(context, command, Stimulus.TIMEOUT)
 
 
-def on_restart(turn: Turn, event: BrokerRestarted) -> None:
+def on_restart(context: DecisionContext, event: BrokerRestarted) -> None:
     """Everything that was given out is given out again; subsystems are waited for, they know what they do."""
-    turn.count("broker_restarts")
-    turn.state.listened = False  # who listens subscribes anew
-    for subsystem in turn.state.subsystems.values():
+    context.count("broker_restarts")
+    context.state.has_subscribers = False  # who listens subscribes anew
+    for subsystem in context.state.subsystems.values():
         if subsystem.link is Link.CONNECTED:
             subsystem.link = Link.AWAITED
-    for name in turn.state.untold:
-        untold.again(turn, name)
-    for command in turn.state.commands.values():
+    for name in context.state.deferred_analyses:
+        untold.retry(context, name)
+    for command in context.state.commands.values():
         if command.job is not None:
             command.job.attempt += 1
-            turn.dispatch(command.job)
+            context.dispatch(command.job)
         if command.phase is Phase.ANALYZING:
             command.due_s = 0.0  # it is being tried again
         if command.phase is Phase.EXECUTING:
-            turn.start_timer(command, command.limit_s * turn.state.patience + journey.REPORT_MARGIN_S)
-        elif command.phase in (Phase.HALTING, Phase.CLOSING):
-            turn.start_timer(command, ending.HALT_LIMIT_S + journey.REPORT_MARGIN_S)
+            context.start_timer(command, ending.report_limit_s(context.state, command))
+        elif command.phase is Phase.HALTING:
+            context.start_timer(command, ending.rest_limit_s(context.state, reconnecting=True))
+        elif command.phase is Phase.CLOSING:
+            context.start_timer(command, ending.CLOSING_LIMIT_S)
 
 
-HEARD: dict[type[Event], Callable[[Turn, Any], None]] = {
+HANDLERS: dict[type[Event], Callable[[DecisionContext, Any], None]] = {
     CommandReceived: on_command,
     HaltCalled: on_halt,
     JobFinished: on_job_finished,

@@ -10,18 +10,18 @@ from __future__ import annotations
 from itertools import islice
 from typing import Any
 
-from broker import reporting
-from broker import untold as left
+from broker import reporting, untold
 from broker.effects import AcknowledgeReport, CancelJob, ReportEnd, SendHalt
+from broker.events import Stimulus
 from broker.resources import Quarantine
-from broker.state import NIL, Command, Ending, Result, request_key
-from broker.transitions import Stimulus
-from broker.turn import Turn
+from broker.state import NIL, Command, PendingOutcome, Result, State, request_key
+from broker.turn import DecisionContext
 from rtc import wire
 from rtc.messages import CommandEnded, CommandRecord, EndReport, Phase, WorkerKind
 from rtc.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
 
-HALT_LIMIT_S = 2.0  # for a subsystem to confirm rest
+HALT_LIMIT_S = 2.0  # time limit for a subsystem to confirm rest, at real-time speed
+REPORT_MARGIN_S = 2.0  # added where a late message, or a subsystem that must reconnect, is not yet a fault
 CLOSING_LIMIT_S = 10.0  # for the last analysis; then the command ends without it
 STOP = "stop-"  # with a command's number: the name of the halt that stops its primitive
 ENDED_KEPT = 4096  # results kept, at least, for clients that ask again
@@ -34,50 +34,63 @@ LOOKED_AT_FIRST = "say the sentence again once the subsystem is back: where the 
 UNCONFIRMED = (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM)
 
 
+def rest_limit_s(state: State, *, reconnecting: bool = False) -> float:
+    """Time limit in seconds for a confirmation of rest. It is the same for every kind of halt.
+
+    `reconnecting`: the broker has just restarted, so the subsystem must connect to it first.
+    """
+    return HALT_LIMIT_S * max(1.0, state.timeout_scale) + (REPORT_MARGIN_S if reconnecting else 0.0)
+
+
+def report_limit_s(state: State, command: Command) -> float:
+    """Time limit in seconds for the end report of the command's primitive."""
+    return command.limit_s * state.timeout_scale + REPORT_MARGIN_S
+
+
 def end(
-    turn: Turn,
+    context: DecisionContext,
     command: Command,
     kind: OutcomeKind,
     *,
     message: str = "",
     stop: StopReason | None = None,
     refusal: Refusal | None = None,
-    untold: bool = False,
+    defer_analysis: bool = False,
 ) -> None:
     """The only way to ENDED: free everything, tell everybody. `untold`: but for what its last analysis is to write,
     which goes on without it."""
-    state = turn.state
+    state = context.state
     outcome = Outcome(
         kind=kind,
         message=message,
         stop=stop,
         refusal=refusal,
         step=command.step_words if kind is not OutcomeKind.SUCCEEDED else "",
-        trims=command.trims_told,
+        trims=command.trim_labels,
         steps_done=command.steps_done,
         measured=command.measured,
     )
-    if untold:
-        left.keep(turn, command)
+    if defer_analysis:
+        untold.defer(context, command)
     command.job = None
-    turn.enter(command, Phase.ENDED, f"{kind.value}{': ' + message if message else ''}")
+    context.enter(command, Phase.ENDED, f"{kind.value}{': ' + message if message else ''}")
     in_doubt = Quarantine(command.subsystem, command.primitive) if _in_doubt(command, kind) else None
     granted = state.resources.release(command.id, in_doubt, frozenset(command.performers))
     for waiting in state.awaiting.pop(command.id, ()):
-        turn.follow(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
+        context.follow(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
     for waiting in state.joining.pop(command.id, ()):
-        turn.follow(waiting, Stimulus.RELEASE, False)
-    turn.grant(granted)  # last: what came AFTER it stands before those given later
-    turn.count(kind.value)
+        context.follow(waiting, Stimulus.RELEASE, False)
+    context.grant(granted)  # last: what came AFTER it stands before those given later
+    context.count(kind.value)
     state.seq += 1
     ended = CommandEnded(
         seq=state.seq,
-        at_s=turn.now,
+        at_s=context.now,
         command=command.id,
         request=command.request,
         text=command.text,
         outcome=outcome,
-        took_s=turn.now - command.accepted_at_s,
+        took_s=context.now - command.accepted_at_s,
     )
     record = CommandRecord(
         command=command.id,
@@ -88,23 +101,23 @@ def end(
         phase=Phase.ENDED,
         notes=command.notes,
         outcome=outcome,
-        ended_at_s=turn.now,
+        ended_at_s=context.now,
     )
-    turn.effects.append(ReportEnd(client=command.client, ended=ended, record=record))
+    context.effects.append(ReportEnd(client=command.client, ended=ended, record=record))
     del state.commands[command.id]
     state.live[command.client] -= 1
     if not state.live[command.client]:
         del state.live[command.client]
-    _remember(turn, command, ended)
+    _remember(context, command, ended)
 
 
 def _in_doubt(command: Command, kind: OutcomeKind) -> bool:
     return kind in UNCONFIRMED and not command.at_rest
 
 
-def _remember(turn: Turn, command: Command, ended: CommandEnded) -> None:
+def _remember(context: DecisionContext, command: Command, ended: CommandEnded) -> None:
     """Keep the result for a client that comes back for it; forget the oldest."""
-    state = turn.state
+    state = context.state
     succeeded = ended.outcome.kind is OutcomeKind.SUCCEEDED
     state.ended[command.id] = Result(wire.raw(ended), succeeded, request_key(command.client, command.request))
     if len(state.ended) < ENDED_KEPT + FORGOTTEN_AT_ONCE:
@@ -116,73 +129,69 @@ def _remember(turn: Turn, command: Command, ended: CommandEnded) -> None:
 # --- refused -----------------------------------------------------------------------------------------
 
 
-def refuse(turn: Turn, command: Command, refusal: Refusal) -> None:
+def refuse(context: DecisionContext, command: Command, refusal: Refusal) -> None:
     if command.given_up is not None:
-        end_given_up(turn, command, refusal.message)
+        end_given_up(context, command, refusal.message)
         return
-    end(turn, command, OutcomeKind.REFUSED, message=refusal.message, refusal=refusal)
+    end(context, command, OutcomeKind.REFUSED, message=refusal.message, refusal=refusal)
 
 
-def end_given_up(turn: Turn, command: Command, after: str = "") -> None:
+def end_given_up(context: DecisionContext, command: Command, after: str = "") -> None:
     """It fails of what made it give up, whatever came `after` that."""
     cause = command.given_up
     assert cause is not None
     message = f"{cause.message}; after that: {after}" if after else cause.message
-    end(turn, command, cause.kind, message=message, stop=cause.stop, refusal=cause.refusal)
-
-
-def refused(turn: Turn, command: Command, refusal: Refusal) -> None:
-    refuse(turn, command, refusal)
+    end(context, command, cause.kind, message=message, stop=cause.stop, refusal=cause.refusal)
 
 
 # --- the world away ----------------------------------------------------------------------------------
 
 
-def undone(turn: Turn, command: Command, refusal: Refusal) -> None:
+def fail_unavailable(context: DecisionContext, command: Command, refusal: Refusal) -> None:
     """What is asked for before a motion: nothing is tried then, or nothing more."""
     if command.primitives:
-        end(turn, command, OutcomeKind.FAILED, message=refusal.message, refusal=refusal)
+        end(context, command, OutcomeKind.FAILED, message=refusal.message, refusal=refusal)
     else:
-        refuse(turn, command, refusal)
+        refuse(context, command, refusal)
 
 
-def analyze_later(turn: Turn, command: Command, refusal: Refusal) -> None:
+def schedule_analysis_retry(context: DecisionContext, command: Command, refusal: Refusal) -> None:
     """What has happened must be judged and told to the world; that it is away is no fault of the job."""
     job = command.job
     assert job is not None
     job.attempt += 1  # what the one before may still say is stale
-    if turn.now - job.since_s <= left.LIMIT_S:
-        turn.count("analyses_again")
-        turn.start_timer(command, left.AGAIN_S)
-        turn.note(command, f"{refusal.message}; it is asked again")
+    if context.now - job.since_s <= untold.LIMIT_S:
+        context.count("analyses_again")
+        context.start_timer(command, untold.AGAIN_S)
+        context.note(command, f"{refusal.message}; it is asked again")
         return
-    message = f"what was done could not be judged within {left.LIMIT_S:.0f} s: {refusal.message}; {CLOSED}"
+    message = f"what was done could not be judged within {untold.LIMIT_S:.0f} s: {refusal.message}; {CLOSED}"
     refusal = Refusal(reason=refusal.reason, message=message, clears="wait until the world database is back")
-    end(turn, command, OutcomeKind.FAILED, message=message, refusal=refusal, untold=True)
-    left.later(turn, command.id)
+    end(context, command, OutcomeKind.FAILED, message=message, refusal=refusal, defer_analysis=True)
+    untold.schedule_retry(context, command.id)
 
 
-def analyze_again(turn: Turn, command: Command, _: Any) -> None:
+def retry_analysis(context: DecisionContext, command: Command, _: Any) -> None:
     assert command.job is not None
-    turn.dispatch(command.job)
+    context.dispatch(command.job)
 
 
 # --- a worker lost -----------------------------------------------------------------------------------
 
 
-def again(turn: Turn, command: Command, loss: Any) -> None:
+def retry_job(context: DecisionContext, command: Command, loss: Any) -> None:
     """Give the job out anew: it is stateless. A job that was in hand at three deaths is poison."""
     job = command.job
     assert job is not None
     if loss.blamed:
         job.deaths.append(f"{loss.node}: {loss.evidence}")
-    if len(job.deaths) < left.MAX_DEATHS:
+    if len(job.deaths) < untold.MAX_DEATHS:
         job.attempt += 1
-        turn.count("jobs_again")
-        turn.note(
+        context.count("jobs_again")
+        context.note(
             command, f"{loss.node} lost ({loss.evidence.splitlines()[-1] if loss.evidence else 'gone'}); job again"
         )
-        turn.dispatch(job)
+        context.dispatch(job)
         return
     message = f"the {job.kind.value}'s job {job.id} killed its worker {len(job.deaths)} times"
     refusal = Refusal(
@@ -193,123 +202,127 @@ def again(turn: Turn, command: Command, loss: Any) -> None:
         detail={f"death {n}": evidence[-800:] for n, evidence in enumerate(job.deaths, 1)},
     )
     if command.phase is Phase.CLOSING:
-        closed(turn, command, None)
+        finish_closing(context, command, None)
     elif command.phase is Phase.ANALYZING:
-        end(turn, command, OutcomeKind.FAILED, message=message, refusal=refusal)
+        end(context, command, OutcomeKind.FAILED, message=message, refusal=refusal)
     else:
-        refuse(turn, command, refusal)
+        refuse(context, command, refusal)
 
 
 # --- stopped -----------------------------------------------------------------------------------------
 
 
-def stop(turn: Turn, command: Command, ending: Ending) -> None:
+def stop(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:
     """Nothing moves for it: it ends at once, and an answer still under way will be stale."""
-    cancel(turn, command)
-    end(turn, command, ending.kind, message=ending.message, stop=ending.stop)
+    cancel(context, command)
+    end(context, command, ending.kind, message=ending.message, stop=ending.stop)
 
 
-def cancel(turn: Turn, command: Command) -> None:
+def cancel(context: DecisionContext, command: Command) -> None:
     if command.job is not None:
-        turn.effects.append(CancelJob(job=command.job.id))
+        context.effects.append(CancelJob(job=command.job.id))
         command.job = None
 
 
-def stop_subsystem(turn: Turn, command: Command, ending: Ending) -> None:
+def stop_primitive(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:
     """Its primitive is being executed: stop that, and wait for rest."""
-    command.ending = ending
-    order_halt(turn, command)
-    turn.enter(command, Phase.HALTING, ending.message)
+    command.pending_outcome = ending
+    order_halt(context, command)
+    context.enter(command, Phase.HALTING, ending.message)
 
 
-def order_halt(turn: Turn, command: Command) -> None:
-    turn.effects.append(
-        SendHalt(subsystem=command.subsystem, halt=f"{STOP}{command.id}", scope=command.id, called_at_s=turn.now)
+def order_halt(context: DecisionContext, command: Command) -> None:
+    context.effects.append(
+        SendHalt(subsystem=command.subsystem, halt=f"{STOP}{command.id}", scope=command.id, called_at_s=context.now)
     )
-    turn.start_timer(command, HALT_LIMIT_S * max(1.0, turn.state.patience))
+    context.start_timer(command, rest_limit_s(context.state))
 
 
-def overdue(turn: Turn, command: Command, _: Any) -> None:
+def stop_overdue(context: DecisionContext, command: Command, _: Any) -> None:
     """The subsystem has not reported within the primitive's own limit. F is complete, so this is its fault."""
     message = f"{command.subsystem} gave no end report within {command.limit_s:.1f} s"
-    stop_subsystem(turn, command, Ending(kind=OutcomeKind.FAILED, message=message, stop=StopReason.TIMEOUT))
+    stop_primitive(context, command, PendingOutcome(kind=OutcomeKind.FAILED, message=message, stop=StopReason.TIMEOUT))
 
 
-def rested(turn: Turn, command: Command, report: EndReport) -> None:
+def on_rested(context: DecisionContext, command: Command, report: EndReport) -> None:
     """An end report comes after rest, whatever its reason: the motion may have ended by itself meanwhile."""
-    turn.stop_timer(command)
+    context.stop_timer(command)
     command.measured = reporting.at_end(command, report)
-    turn.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
+    context.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
     command.primitive_body = NIL
     command.at_rest = True
-    close(turn, command, report, f"at rest: {report.reason.value}")
+    close(context, command, report, f"at rest: {report.reason.value}")
 
 
-def rest_confirmed(turn: Turn, command: Command, at_rest: bool) -> None:
+def on_rest_confirmed(context: DecisionContext, command: Command, at_rest: bool) -> None:
     """Of a HALT sentence, which ends when all that were told have confirmed; or of the halt that stops this command's
     primitive. An end report comes before rest is confirmed: if there was none, the subsystem never had the primitive.
     """
-    assert command.ending is not None
+    assert command.pending_outcome is not None
     if command.primitive:
         if at_rest:
             command.at_rest = True
-            close(turn, command, nobody_reports(turn, command, StopReason.HALT), "at rest: it had not begun")
+            close(context, command, missing_report(context, command, StopReason.HALT), "at rest: it had not begun")
         return
-    if turn.node not in command.unconfirmed:
+    if context.node not in command.unconfirmed:
         return  # told twice, or it was not asked
-    command.unconfirmed.remove(turn.node)
+    command.unconfirmed.remove(context.node)
     if not at_rest:
-        turn.stop_timer(command)
-        end(turn, command, OutcomeKind.HALT_NOT_CONFIRMED, message=f"{turn.node} is not at rest")
+        context.stop_timer(command)
+        end(context, command, OutcomeKind.HALT_NOT_CONFIRMED, message=f"{context.node} is not at rest")
     elif not command.unconfirmed:
-        turn.stop_timer(command)
-        end(turn, command, command.ending.kind, message=command.ending.message)
+        context.stop_timer(command)
+        end(context, command, command.pending_outcome.kind, message=command.pending_outcome.message)
 
 
-def unconfirmed(turn: Turn, command: Command, _: Any) -> None:
+def fail_unconfirmed(context: DecisionContext, command: Command, _: Any) -> None:
     who = command.subsystem or ", ".join(command.unconfirmed) or "any subsystem"
-    message = f"halted, but rest was not confirmed by {who} within {HALT_LIMIT_S:.0f} s"
-    command.ending = Ending(kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
+    message = f"halted, but rest was not confirmed by {who} within {rest_limit_s(context.state):.0f} s"
+    command.pending_outcome = PendingOutcome(kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
     if command.primitive:
-        close(turn, command, nobody_reports(turn, command), message)
+        close(context, command, missing_report(context, command), message)
     else:  # a HALT that came as a sentence: it touched nothing
-        end(turn, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
+        end(context, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
 
 
 # --- a subsystem lost --------------------------------------------------------------------------------
 
 
-def lost_subsystem(turn: Turn, command: Command, why: str) -> None:
+def on_subsystem_lost(context: DecisionContext, command: Command, why: str) -> None:
     message = f"{command.subsystem} was lost while executing: {why}"
-    command.ending = Ending(
+    command.pending_outcome = PendingOutcome(
         kind=OutcomeKind.LOST_SUBSYSTEM,
         message=message,
         stop=StopReason.SUBSYSTEM_LOST,
         refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=LOOKED_AT_FIRST),
     )
-    command.at_rest = turn.state.subsystems[command.subsystem].came_at_rest
-    close(turn, command, nobody_reports(turn, command), message)
+    command.at_rest = context.state.subsystems[command.subsystem].came_at_rest
+    close(context, command, missing_report(context, command), message)
 
 
-def lost_while_halting(turn: Turn, command: Command, why: str) -> None:
+def on_lost_while_halting(context: DecisionContext, command: Command, why: str) -> None:
     who = command.subsystem or "a subsystem"
     message = f"{who} was lost before it confirmed rest: {why}"
-    command.ending = Ending(kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST)
+    command.pending_outcome = PendingOutcome(
+        kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST
+    )
     if command.primitive:
-        command.at_rest = turn.state.subsystems[command.subsystem].came_at_rest
-        close(turn, command, nobody_reports(turn, command), message)
+        command.at_rest = context.state.subsystems[command.subsystem].came_at_rest
+        close(context, command, missing_report(context, command), message)
     else:  # a HALT that came as a sentence: it touched nothing
-        turn.stop_timer(command)
-        end(turn, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST)
+        context.stop_timer(command)
+        end(context, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST)
 
 
-def nobody_reports(turn: Turn, command: Command, reason: StopReason = StopReason.SUBSYSTEM_LOST) -> EndReport:
+def missing_report(
+    context: DecisionContext, command: Command, reason: StopReason = StopReason.SUBSYSTEM_LOST
+) -> EndReport:
     """What stands in for the report of a subsystem that is gone: no figures, only the reason."""
     return EndReport(
         primitive=command.primitive,
         performer=command.performers[0],
         reason=reason,
-        at_s=turn.now,
+        at_s=context.now,
         duration_s=0.0,
         joints=[],
         tcp_pose=[],
@@ -322,45 +335,45 @@ def nobody_reports(turn: Turn, command: Command, reason: StopReason = StopReason
 # --- closing -----------------------------------------------------------------------------------------
 
 
-def close(turn: Turn, command: Command, report: EndReport, note: str) -> None:
+def close(context: DecisionContext, command: Command, report: EndReport, note: str) -> None:
     """One last analysis, for the world's sake alone."""
     assert command.script is not None
-    turn.stop_timer(command)
+    context.stop_timer(command)
     command.primitive_body = NIL
     data = {"evaluation": command.evaluation, "report": report, "closing": True}
-    turn.give_out(command, WorkerKind.ANALYZER, data, locations=command.script.writes)
-    turn.start_timer(command, CLOSING_LIMIT_S)
-    turn.enter(command, Phase.CLOSING, note)
+    context.create_job(command, WorkerKind.ANALYZER, data, locations=command.script.writes)
+    context.start_timer(command, CLOSING_LIMIT_S)
+    context.enter(command, Phase.CLOSING, note)
 
 
-def stop_after_analysis(turn: Turn, command: Command, ending: Ending) -> None:
+def stop_after_analysis(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:
     """The report is in the analyzer's hands: let the world have it, ignore the advice (R138)."""
-    command.ending = ending
+    command.pending_outcome = ending
     if command.due_s:  # the world was away, and it was to be tried again
-        analyze_again(turn, command, None)
-    turn.start_timer(command, CLOSING_LIMIT_S)
-    turn.enter(command, Phase.CLOSING, f"{ending.message}; the analysis is let finish, its advice ignored")
+        retry_analysis(context, command, None)
+    context.start_timer(command, CLOSING_LIMIT_S)
+    context.enter(command, Phase.CLOSING, f"{ending.message}; the analysis is let finish, its advice ignored")
 
 
-def closed(turn: Turn, command: Command, product: Any) -> None:
+def finish_closing(context: DecisionContext, command: Command, product: Any) -> None:
     """`product` is the ignored advice; None or a refusal when the world could not be put right."""
-    assert command.ending is not None
-    turn.stop_timer(command)
-    cancel(turn, command)
-    ending = command.ending
-    end(turn, command, ending.kind, message=ending.message, stop=ending.stop, refusal=ending.refusal)
+    assert command.pending_outcome is not None
+    context.stop_timer(command)
+    cancel(context, command)
+    ending = command.pending_outcome
+    end(context, command, ending.kind, message=ending.message, stop=ending.stop, refusal=ending.refusal)
 
 
-def closed_untold(turn: Turn, command: Command, refusal: Refusal | None) -> None:
+def defer_closing_analysis(context: DecisionContext, command: Command, refusal: Refusal | None) -> None:
     """The world is away (a refusal), or the answer takes too long (None): nobody has to wait for that, but what was
     done is not forgotten."""
-    assert command.ending is not None
+    assert command.pending_outcome is not None
     job = command.job
     assert job is not None
-    turn.stop_timer(command)
-    ending = command.ending
+    context.stop_timer(command)
+    ending = command.pending_outcome
     message = f"{ending.message}; {CLOSED}"
-    end(turn, command, ending.kind, message=message, stop=ending.stop, refusal=ending.refusal, untold=True)
+    end(context, command, ending.kind, message=message, stop=ending.stop, refusal=ending.refusal, defer_analysis=True)
     if refusal is not None:
         job.attempt += 1
-        left.later(turn, command.id)
+        untold.schedule_retry(context, command.id)

@@ -5,10 +5,30 @@ The journal holds exactly these, in order: replaying them gives the same decisio
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 import msgspec
 
 from rtc.messages import EndReport, WorkerKind
 from rtc.outcomes import Refusal
+
+
+class Stimulus(StrEnum):
+    """What an event means to one command: a column of the transition table (`broker.transitions`)."""
+
+    PRODUCT = "product"  # the worker returned the product of the job
+    REFUSAL = "refusal"  # the worker refused the job
+    UNAVAILABLE = "unavailable"  # the world database, or every worker of the kind, is unavailable
+    WORKER_LOST = "worker_lost"  # the worker died, hung or raised
+    GRANT = "grant"  # all resources of its claim are free
+    RELEASE = "release"  # the command it waits for has ended or begun, or the earlier ones of its client are parsed
+    REPORT = "report"  # the end report of its primitive
+    STOP = "stop"  # a HALT or ABORT reaches it
+    PAUSE = "pause"
+    RESUME = "resume"
+    REST = "rest"  # a subsystem confirms rest for its halt
+    TIMEOUT = "timeout"  # its timer: the end report, the confirmation of rest or the analysis is late
+    SUBSYSTEM_LOST = "subsystem_lost"  # the subsystem that executes its primitive is lost
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag=True, gc=False):

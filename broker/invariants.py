@@ -34,9 +34,9 @@ def _resources(state: State) -> Iterable[str]:
         if command not in state.commands:
             yield f"{command} has ended and still claims"
     for name, by in r.quarantine.items():
-        if by.subsystem == WORLD and by.primitive not in state.untold:
+        if by.subsystem == WORLD and by.primitive not in state.deferred_analyses:
             yield f"{name} is closed for {by.primitive}, of which nothing is left to tell"
-    for command, left in state.untold.items():
+    for command, left in state.deferred_analyses.items():
         if command in state.commands or any(name not in r.quarantine or name in r.holders for name in left.names):
             yield f"the world has not been told of {command}, and {left.names} are open"
     for name, line in r.lines.items():
@@ -67,15 +67,15 @@ def _commands(state: State) -> Iterable[str]:
     """A command that is waited for by nothing would never end."""
     if state.live != Counter(command.client for command in state.commands.values()):
         yield f"{state.live} is not how many commands each client has live"
-    unread = {command for line in state.unread.values() for command in line}
+    unread = {command for line in state.intake_order.values() for command in line}
     if unread != {command.id for command in state.commands.values() if command.phase is Phase.PARSING}:
         yield f"{unread} are not those being parsed"
-    for client, line in state.unread.items():
+    for client, line in state.intake_order.items():
         if list(line) != sorted(line, key=number) or not line or next(iter(line.values())):
             yield f"{line} of {client} is empty, not in order, or its first is not taken up"
     joined = {c for waiting in [*state.awaiting.values(), *state.joining.values()] for c in waiting}
     for command in state.commands.values():
-        waits_its_turn = state.unread.get(command.client, {}).get(command.id, False)
+        waits_its_turn = state.intake_order.get(command.client, {}).get(command.id, False)
         by_job = command.phase in BY_JOB and not waits_its_turn
         if by_job != (command.job is not None):
             yield f"{command.id} is {command.phase.value} and {'has no' if by_job else 'has a'} job"
@@ -83,7 +83,7 @@ def _commands(state: State) -> Iterable[str]:
             yield f"{command.id} is held and in no line"
         if command.phase is Phase.EXECUTING and (not command.primitive or command.primitive_body == NIL):
             yield f"{command.id} is executing nothing"
-        if command.phase in (Phase.HALTING, Phase.CLOSING) and command.ending is None:
+        if command.phase in (Phase.HALTING, Phase.CLOSING) and command.pending_outcome is None:
             yield f"{command.id} is {command.phase.value} and does not know how it ends"
         if command.phase is Phase.ENDED:
             yield f"{command.id} has ended and is still here"

@@ -13,7 +13,8 @@ import msgspec
 
 from broker import reporting
 from broker.effects import AcknowledgeReport, SendHalt, SendPrimitive
-from broker.ending import HALT_LIMIT_S, close, end, end_given_up, refuse
+from broker.ending import close, end, end_given_up, refuse, report_limit_s, rest_limit_s
+from broker.events import Stimulus
 from broker.resources import Claim, number
 from broker.state import (
     NIL,
@@ -21,13 +22,12 @@ from broker.state import (
     AssessmentHead,
     BoundHead,
     Command,
-    Ending,
     Link,
     ParsedHead,
+    PendingOutcome,
     ScriptHead,
 )
-from broker.transitions import Stimulus
-from broker.turn import Turn, read_step, step_body, step_in_words
+from broker.turn import DecisionContext, read_step, step_body, step_in_words
 from rtc import wire
 from rtc.messages import EndReport, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
@@ -37,7 +37,6 @@ from rtc.primitive_id import belongs_to, primitive_id
 LAST = "LAST"  # in the place of a command's number
 MAX_TRIMS = 6  # of one command (A17)
 MAX_ELABORATIONS = 20  # a command whose needs change each time it gets them
-REPORT_MARGIN_S = 2.0  # beyond the limit of a primitive, before silence is taken for trouble
 
 CONTROLS = {"PAUSE": Stimulus.PAUSE, "RESUME": Stimulus.RESUME, "ABORT": Stimulus.STOP}  # besides HALT
 
@@ -51,19 +50,19 @@ read_assessment = wire.decoder(AssessmentHead)
 # --- parsed ------------------------------------------------------------------------------------------
 
 
-def parsed(turn: Turn, command: Command, product: msgspec.Raw) -> None:
+def on_parsed(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
     command.parsed = product
     command.head = head = _with_last(read_parsed(product), command.previous)
     if head.test:  # first: the test of a HALT halts nothing
         message = "hypothesis tests (TEST ...) are not in this release"
         clears = "rtc parse tells how it is understood; without TEST it moves"
-        refuse(turn, command, Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears=clears))
+        refuse(context, command, Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears=clears))
     elif refusal := _unkept(command, head):
-        refuse(turn, command, refusal)
-    elif turn.is_next(command) or (head.kind == "control" and not _means_those_before(head)):
-        take_up(turn, command)
+        refuse(context, command, refusal)
+    elif context.is_next(command) or (head.kind == "control" and not _means_those_before(head)):
+        take_up(context, command)
     else:
-        turn.state.unread[command.client][command.id] = True
+        context.state.intake_order[command.client][command.id] = True
 
 
 def _with_last(head: ParsedHead, previous: str) -> ParsedHead:
@@ -91,14 +90,14 @@ def _unkept(command: Command, head: ParsedHead) -> Refusal | None:
     return None
 
 
-def take_up(turn: Turn, command: Command, _: Any = None) -> None:
+def take_up(context: DecisionContext, command: Command, _: Any = None) -> None:
     """What one client gives is taken up in the order given, however long each takes to parse: of two commands for the
     same arm the first stands first in line."""
     assert command.head is not None
     if command.head.kind == "control":
-        control(turn, command, command.head)
-    elif not _wait_for_another(turn, command, command.head):
-        plan(turn, command)
+        control(context, command, command.head)
+    elif not _wait_for_another(context, command, command.head):
+        claim_and_elaborate(context, command)
 
 
 def _scope(head: ParsedHead) -> str:
@@ -113,34 +112,34 @@ def _means_those_before(head: ParsedHead) -> bool:
     return head.verb != "HALT" and scope != "ALL" and not scope.startswith("C-")
 
 
-def control(turn: Turn, command: Command, head: ParsedHead) -> None:
+def control(context: DecisionContext, command: Command, head: ParsedHead) -> None:
     """PAUSE, RESUME, ABORT, HALT of a command, of whatever uses an arm, or of all."""
     scope = _scope(head)
     if head.verb == "HALT":
-        halt_by_command(turn, command, scope)
+        halt_by_command(context, command, scope)
         return
     if head.verb not in CONTROLS:
         message = f"the grammar says that {head.verb!r:.80} controls commands, which it does not"
-        refuse(turn, command, Refusal(reason=RefusalReason.PROGRAM, message=message))
+        refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message))
         return
-    targets = [c.id for c in in_scope(turn, scope) if c.id == scope or not _given_after(c, command)]
+    targets = [c.id for c in in_scope(context, scope) if c.id == scope or not _given_after(c, command)]
     if not targets and scope != "ALL":
-        refuse(turn, command, no_target(turn, scope, command.id))
+        refuse(context, command, no_target(context, scope, command.id))
         return
     stimulus = CONTROLS[head.verb]
     words = f"{head.verb} of {', '.join(targets)}" if targets else f"{head.verb} had nothing to act on"
     if answer := PAUSE_ANSWERS.get(stimulus):
-        told = {name: answer(turn.state.commands[name]) for name in targets}
+        told = {name: answer(context.state.commands[name]) for name in targets}
         targets = [name for name, (will, _) in told.items() if will]
         words = "; ".join(f"{name} {what}" for name, (_, what) in told.items()) or words
         if told and not targets:
             clears = f"HALT {scope} stops now, and ends it" if stimulus is Stimulus.PAUSE else ""
-            refuse(turn, command, Refusal(reason=RefusalReason.STATE, message=words, clears=clears))
+            refuse(context, command, Refusal(reason=RefusalReason.STATE, message=words, clears=clears))
             return
-    ending = Ending(kind=OutcomeKind.ABORTED, message=f"aborted by {command.id}")
+    ending = PendingOutcome(kind=OutcomeKind.ABORTED, message=f"aborted by {command.id}")
     for target in targets:
-        turn.follow(target, stimulus, ending if stimulus is Stimulus.STOP else None)
-    end(turn, command, OutcomeKind.SUCCEEDED, message=words)
+        context.follow(target, stimulus, ending if stimulus is Stimulus.STOP else None)
+    end(context, command, OutcomeKind.SUCCEEDED, message=words)
 
 
 def _given_after(other: Command, command: Command) -> bool:
@@ -173,59 +172,63 @@ def _will_resume(command: Command) -> Answer:
 PAUSE_ANSWERS = {Stimulus.PAUSE: _will_pause, Stimulus.RESUME: _will_resume}
 
 
-def halt_by_command(turn: Turn, command: Command, scope: str) -> None:
+def halt_by_command(context: DecisionContext, command: Command, scope: str) -> None:
     """A halt that came as a sentence. It ends when rest is confirmed, and not by its own halt."""
-    if scope != "ALL" and not _subsystem_of(turn, scope) and not in_scope(turn, scope):
-        if has_ended(turn, scope):
-            end(turn, command, OutcomeKind.SUCCEEDED, message=f"{scope} has ended already: nothing of it moves")
+    if scope != "ALL" and not _subsystem_of(context, scope) and not in_scope(context, scope):
+        if has_ended(context, scope):
+            end(context, command, OutcomeKind.SUCCEEDED, message=f"{scope} has ended already: nothing of it moves")
         else:
-            refuse(turn, command, no_target(turn, scope, command.id))
+            refuse(context, command, no_target(context, scope, command.id))
         return
-    target = turn.state.commands.get(scope)
+    target = context.state.commands.get(scope)
     if target is not None and not target.subsystem:
-        turn.follow(scope, Stimulus.STOP, _halted(scope))
-        end(turn, command, OutcomeKind.SUCCEEDED, message=f"{scope} had moved nothing yet")
+        context.follow(scope, Stimulus.STOP, _halted(scope))
+        end(context, command, OutcomeKind.SUCCEEDED, message=f"{scope} had moved nothing yet")
         return
-    command.ending = Ending(kind=OutcomeKind.SUCCEEDED, message=f"{scope} at rest")
-    turn.enter(command, Phase.HALTING, f"halt {scope}")
-    turn.start_timer(command, HALT_LIMIT_S * turn.state.patience)
-    halt(turn, command.id, scope, turn.now, spare=command.id)
-    command.unconfirmed = [e.subsystem for e in turn.effects if type(e) is SendHalt and e.halt == command.id]
+    command.pending_outcome = PendingOutcome(kind=OutcomeKind.SUCCEEDED, message=f"{scope} at rest")
+    context.enter(command, Phase.HALTING, f"halt {scope}")
+    context.start_timer(command, rest_limit_s(context.state))
+    halt(context, command.id, scope, context.now, spare=command.id)
+    command.unconfirmed = [e.subsystem for e in context.effects if type(e) is SendHalt and e.halt == command.id]
 
 
-def halt(turn: Turn, halt_id: str, scope: str, called_at_s: float, spare: str = "", call: str = "") -> bool:
+def halt(
+    context: DecisionContext, halt_id: str, scope: str, called_at_s: float, spare: str = "", call: str = ""
+) -> bool:
     """Stop all in scope: tell the subsystems first, then end the commands. False: nothing is called that."""
-    state = turn.state
-    targets = in_scope(turn, scope)
-    performer = _subsystem_of(turn, scope)
+    state = context.state
+    targets = in_scope(context, scope)
+    performer = _subsystem_of(context, scope)
     if scope != "ALL" and not targets and not performer:
         return False
     if scope not in state.commands:
-        at_s = min(called_at_s or turn.now, turn.now)
+        at_s = min(called_at_s or context.now, context.now)
         state.halted_at_s[scope] = max(at_s, state.halted_at_s.get(scope, 0.0))  # an earlier one may be heard later
     for name, subsystem in state.subsystems.items():
         concerned = scope == "ALL" or name == performer or any(c.subsystem == name for c in targets)
         if concerned and subsystem.link is not Link.LOST:
-            turn.effects.append(SendHalt(subsystem=name, halt=halt_id, scope=scope, called_at_s=called_at_s, call=call))
+            context.effects.append(
+                SendHalt(subsystem=name, halt=halt_id, scope=scope, called_at_s=called_at_s, call=call)
+            )
     for command in targets:
         if command.id != spare:
-            turn.follow(command.id, Stimulus.STOP, _halted(scope))
+            context.follow(command.id, Stimulus.STOP, _halted(scope))
     return True
 
 
-def _halted(scope: str) -> Ending:
-    return Ending(kind=OutcomeKind.HALTED, message=f"halted ({scope})", stop=StopReason.HALT)
+def _halted(scope: str) -> PendingOutcome:
+    return PendingOutcome(kind=OutcomeKind.HALTED, message=f"halted ({scope})", stop=StopReason.HALT)
 
 
-def in_scope(turn: Turn, scope: str) -> list[Command]:
+def in_scope(context: DecisionContext, scope: str) -> list[Command]:
     """The live commands a scope means: all, one by its number, or those that hold, want or name a resource."""
-    state = turn.state
+    state = context.state
     if scope == "ALL":
         return list(state.commands.values())
     if scope in state.commands:
         return [state.commands[scope]]
     claim = {*state.resources.holders.get(scope, ()), *state.resources.lines.get(scope, ())}
-    hands = {scope, "BOTH-ARMS"} if _subsystem_of(turn, scope) else {scope} - {"BOTH-ARMS"}
+    hands = {scope, "BOTH-ARMS"} if _subsystem_of(context, scope) else {scope} - {"BOTH-ARMS"}
     return [c for c in state.commands.values() if c.id in claim or (c.head and _names(c.head, scope, hands))]
 
 
@@ -233,32 +236,32 @@ def _names(head: ParsedHead, scope: str, hands: set[str]) -> bool:
     return head.kind == "task" and (head.object == scope or head.hand in hands or head.to_hand in hands)
 
 
-def _subsystem_of(turn: Turn, performer: str) -> str:
-    return next((n for n, s in turn.state.subsystems.items() if performer in s.performers), "")
+def _subsystem_of(context: DecisionContext, performer: str) -> str:
+    return next((n for n, s in context.state.subsystems.items() if performer in s.performers), "")
 
 
-def has_ended(turn: Turn, scope: str) -> bool:
+def has_ended(context: DecisionContext, scope: str) -> bool:
     """It is the number of a command that was accepted and is not live, however long ago."""
     number = scope.removeprefix("C-")
-    named = scope not in turn.state.commands and scope == f"C-{number}" and number.isascii() and number.isdigit()
-    return named and 0 < int(number[:18]) <= turn.state.accepted
+    named = scope not in context.state.commands and scope == f"C-{number}" and number.isascii() and number.isdigit()
+    return named and 0 < int(number[:18]) <= context.state.accepted
 
 
-def no_target(turn: Turn, scope: str, asker: str = "") -> Refusal:
+def no_target(context: DecisionContext, scope: str, asker: str = "") -> Refusal:
     """Why nothing is in scope; `asker` is the command that wanted it and is no answer itself."""
-    if has_ended(turn, scope):
+    if has_ended(context, scope):
         return Refusal(reason=RefusalReason.STATE, message=f"{scope} has ended already")
-    live = [command for command in turn.state.commands if command != asker]
-    known = [*(p for s in turn.state.subsystems.values() for p in s.performers), *live]
+    live = [command for command in context.state.commands if command != asker]
+    known = [*(p for s in context.state.subsystems.values() for p in s.performers), *live]
     return Refusal(reason=RefusalReason.NAME, message=f"nothing live is called {scope}", expected=["ALL", *known[:20]])
 
 
-def _wait_for_another(turn: Turn, command: Command, head: ParsedHead) -> bool:
+def _wait_for_another(context: DecisionContext, command: Command, head: ParsedHead) -> bool:
     """AFTER and TOGETHER-WITH (R116). True when the command waits, or has been refused."""
     other = head.after or head.together_with
     if other is None:
         return False
-    state = turn.state
+    state = context.state
     target = state.commands.get(other)
     if target is None or target is command:
         done = state.ended[other].succeeded if other in state.ended else None
@@ -275,44 +278,44 @@ def _wait_for_another(turn: Turn, command: Command, head: ParsedHead) -> bool:
         )
         reason = RefusalReason.NAME if target is None and done is None else RefusalReason.STATE
         clears = f"leave out {'AFTER' if head.after else 'TOGETHER-WITH'} {other}"
-        refuse(turn, command, Refusal(reason=reason, message=message, clears=clears))
+        refuse(context, command, Refusal(reason=reason, message=message, clears=clears))
         return True
-    if command.id in _waits_for(turn, target):
+    if command.id in _waits_for(context, target):
         message = f"{command.id} and {other} would wait for each other for ever"
-        refuse(turn, command, Refusal(reason=RefusalReason.STATE, message=message, owner=other))
+        refuse(context, command, Refusal(reason=RefusalReason.STATE, message=message, owner=other))
         return True
     if head.together_with and target.primitives:
         return False
     line = state.awaiting if head.after else state.joining
     line.setdefault(other, []).append(command.id)
-    turn.enter(command, Phase.HELD, f"waits for {other} to {'succeed' if head.after else 'begin'}")
+    context.enter(command, Phase.HELD, f"waits for {other} to {'succeed' if head.after else 'begin'}")
     return True
 
 
-def _waits_for(turn: Turn, command: Command | None) -> Collection[str]:
+def _waits_for(context: DecisionContext, command: Command | None) -> Collection[str]:
     """The chain of commands that this one waits for by AFTER or TOGETHER-WITH, itself first."""
     chain: dict[str, None] = {}
     while command is not None and command.id not in chain:
         chain[command.id] = None
         other = command.head and (command.head.after or command.head.together_with)
-        command = turn.state.commands.get(other) if other else None
+        command = context.state.commands.get(other) if other else None
     return chain
 
 
-def released(turn: Turn, command: Command, begun_or_succeeded: bool) -> None:
+def on_released(context: DecisionContext, command: Command, begun_or_succeeded: bool) -> None:
     if begun_or_succeeded:
-        plan(turn, command)
+        claim_and_elaborate(context, command)
         return
     assert command.head is not None
     other = command.head.after or command.head.together_with
     what = "ended without success" if command.head.after else "ended before it began to move"
-    refuse(turn, command, Refusal(reason=RefusalReason.STATE, message=f"{other} {what}", owner=other or ""))
+    refuse(context, command, Refusal(reason=RefusalReason.STATE, message=f"{other} {what}", owner=other or ""))
 
 
 # --- elaborated, held --------------------------------------------------------------------------------
 
 
-def _named(turn: Turn, head: ParsedHead) -> Claim:
+def _named(context: DecisionContext, head: ParsedHead) -> Claim:
     """What the sentence itself names: hands for itself alone, an object against being changed by others."""
     claim: Claim = {}
     if head.kind == "task":
@@ -320,132 +323,132 @@ def _named(turn: Turn, head: ParsedHead) -> Claim:
             claim[head.object] = False
         for hand in (head.hand, head.to_hand):
             if hand == "BOTH-ARMS":
-                claim.update({p: True for s in turn.state.subsystems.values() for p in s.performers})
+                claim.update({p: True for s in context.state.subsystems.values() for p in s.performers})
             elif hand:
                 claim[hand] = True
     return claim
 
 
-def plan(turn: Turn, command: Command) -> None:
+def claim_and_elaborate(context: DecisionContext, command: Command) -> None:
     """Elaborate with the named resources in hand, so that the plan rests on facts nobody else is changing."""
     assert command.head is not None
-    if claim_or_wait(turn, command, _named(turn, command.head)):
-        elaborate(turn, command)
+    if claim_or_wait(context, command, _named(context, command.head)):
+        elaborate(context, command)
 
 
-def claim_or_wait(turn: Turn, command: Command, claim: Claim) -> bool:
+def claim_or_wait(context: DecisionContext, command: Command, claim: Claim) -> bool:
     """True: it holds the claim. False: it stands in line, or was refused because it said NOW."""
     assert command.head is not None
-    resources = turn.state.resources
+    resources = context.state.resources
     result = resources.take(command.id, claim)
     if isinstance(result, list):
-        turn.grant(result)
+        context.grant(result)
         return True
     name, owner = result
     if command.head.now:
         message = f"{name} is in use by {owner}, and NOW was said"
         clears = f"wait for {owner}, abort it, or leave out NOW"
-        refuse(turn, command, Refusal(reason=RefusalReason.RESOURCE, message=message, owner=owner, clears=clears))
+        refuse(context, command, Refusal(reason=RefusalReason.RESOURCE, message=message, owner=owner, clears=clears))
         return False
-    turn.grant(resources.wait(command.id, claim))
-    turn.enter(command, Phase.HELD, f"{name} is in use by {owner}")
+    context.grant(resources.wait(command.id, claim))
+    context.enter(command, Phase.HELD, f"{name} is in use by {owner}")
     return False
 
 
-def granted(turn: Turn, command: Command, _: Any) -> None:
+def on_granted(context: DecisionContext, command: Command, _: Any) -> None:
     """Its turn has come. The world may have changed while it waited: plan anew, now holding all it claimed."""
-    resources = turn.state.resources
+    resources = context.state.resources
     result = resources.take(command.id, resources.waiting.get(command.id, {}))
     if isinstance(result, list):
-        turn.grant(result)
-        elaborate(turn, command)
+        context.grant(result)
+        elaborate(context, command)
 
 
-def elaborate(turn: Turn, command: Command) -> None:
+def elaborate(context: DecisionContext, command: Command) -> None:
     command.elaborations += 1
     if command.elaborations > MAX_ELABORATIONS:
         message = f"its needs changed {MAX_ELABORATIONS} times while it waited for them"
-        refuse(turn, command, Refusal(reason=RefusalReason.OVERLOAD, message=message))
+        refuse(context, command, Refusal(reason=RefusalReason.OVERLOAD, message=message))
         return
-    turn.give_out(command, WorkerKind.ELABORATOR, {"command": command.id, "parsed": command.parsed})
-    turn.enter(command, Phase.ELABORATING)
+    context.create_job(command, WorkerKind.ELABORATOR, {"command": command.id, "parsed": command.parsed})
+    context.enter(command, Phase.ELABORATING)
 
 
-def elaborated(turn: Turn, command: Command, product: msgspec.Raw) -> None:
+def on_elaborated(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
     command.script = script = read_script(product)
     claim: Claim = dict.fromkeys(script.reads, False)
     claim.update(dict.fromkeys(script.resources, True))
     claim.update(dict.fromkeys(script.writes, True))
-    halted = [r for r in script.resources if turn.state.halted_at_s.get(r, -1.0) > command.given_at_s]
+    halted = [r for r in script.resources if context.state.halted_at_s.get(r, -1.0) > command.given_at_s]
     if halted:
         message = f"{halted[0]} was halted after this command was given"
-        end(turn, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)
+        end(context, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)
         return
-    if not claim_or_wait(turn, command, claim):
+    if not claim_or_wait(context, command, claim):
         return
     command.bindings = dict(script.bindings)
     command.labels = [read_step(step).label for step in script.steps]
     command.stack = [(NOMINAL, index) for index in reversed(range(len(script.steps)))]
     if script.notes:
-        turn.note(command, "; ".join(script.notes))
-    next_step(turn, command)
+        context.note(command, "; ".join(script.notes))
+    next_step(context, command)
 
 
 # --- bound, executing --------------------------------------------------------------------------------
 
 
-def next_step(turn: Turn, command: Command) -> None:
+def next_step(context: DecisionContext, command: Command) -> None:
     """The loop of the paper (L148-167): while the Action_Stack is not empty, bind its top."""
     if not command.stack and command.given_up is not None:
-        end_given_up(turn, command)
+        end_given_up(context, command)
     elif not command.stack:
-        end(turn, command, OutcomeKind.SUCCEEDED)
+        end(context, command, OutcomeKind.SUCCEEDED)
     elif command.pause_wanted:
-        turn.enter(command, Phase.PAUSED, "paused between two steps")
+        context.enter(command, Phase.PAUSED, "paused between two steps")
     else:
         assert command.script is not None
         command.step = command.stack.pop()
         command.step_words = step_in_words(command, command.step)
         data = {
-            "primitive_id": primitive_id(command.id, command.primitives + 1, turn.state.life),
+            "primitive_id": primitive_id(command.id, command.primitives + 1, context.state.life),
             "context": command.script.context,
             "step": step_body(command, command.step),
             "bindings": command.bindings,
         }
-        turn.give_out(command, WorkerKind.BINDER, data)
-        turn.enter(command, Phase.BINDING)
+        context.create_job(command, WorkerKind.BINDER, data)
+        context.enter(command, Phase.BINDING)
 
 
-def bound(turn: Turn, command: Command, product: msgspec.Raw) -> None:
+def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
     result = read_bound(product)
     command.bindings.update(result.bindings)
-    if result.told != NIL:
+    if result.report != NIL:
         command.evaluation = result.evaluation
-        analyze(turn, command, result.told)
-        turn.enter(command, Phase.ANALYZING, result.note)
+        analyze(context, command, result.report)
+        context.enter(command, Phase.ANALYZING, result.note)
         return
     if not result.subsystem or result.primitive == NIL:
         command.steps_done += 1
-        turn.note(command, result.note or "nothing to execute")
-        next_step(turn, command)
+        context.note(command, result.note or "nothing to execute")
+        next_step(context, command)
         return
-    subsystem = turn.state.subsystems.get(result.subsystem)
+    subsystem = context.state.subsystems.get(result.subsystem)
     if subsystem is None or subsystem.link is Link.LOST:
         lost = f"{result.subsystem} is not connected; nothing moved for this step: give it again when it is back"
-        end(turn, command, OutcomeKind.LOST_SUBSYSTEM, message=lost, stop=StopReason.SUBSYSTEM_LOST)
+        end(context, command, OutcomeKind.LOST_SUBSYSTEM, message=lost, stop=StopReason.SUBSYSTEM_LOST)
         return
     primitive = read_primitive(result.primitive)
-    if not turn.state.resources.held.get(command.id, {}).get(primitive.performer):
+    if not context.state.resources.held.get(command.id, {}).get(primitive.performer):
         message = f"the step moves {primitive.performer}, which its script has not claimed"
-        refuse(turn, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
+        refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
         return
-    if not belongs_to(primitive.id, command.id, command.primitives + 1, turn.state.life):
+    if not belongs_to(primitive.id, command.id, command.primitives + 1, context.state.life):
         message = f"the binder made a primitive called {primitive.id[:40]!r}, which is not the next one of {command.id}"
-        refuse(turn, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
+        refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
         return
     if result.evaluation == NIL:
         message = "the binder made a primitive and does not say what is expected of it"
-        refuse(turn, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
+        refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
         return
     command.primitives += 1
     command.primitive = primitive.id
@@ -454,53 +457,55 @@ def bound(turn: Turn, command: Command, product: msgspec.Raw) -> None:
     command.subsystem = result.subsystem
     command.evaluation = result.evaluation
     command.limit_s = result.limit_s
-    send(turn, command)
-    turn.enter(command, Phase.EXECUTING, result.note, expected_s=result.predicted_s * turn.state.patience)
+    send(context, command)
+    context.enter(command, Phase.EXECUTING, result.note, expected_s=result.predicted_s * context.state.timeout_scale)
     if command.primitives == 1:
-        for waiting in turn.state.joining.pop(command.id, ()):
-            turn.follow(waiting, Stimulus.RELEASE, True)
+        for waiting in context.state.joining.pop(command.id, ()):
+            context.follow(waiting, Stimulus.RELEASE, True)
 
 
-def send(turn: Turn, command: Command) -> None:
+def send(context: DecisionContext, command: Command) -> None:
     """The primitive goes to its subsystem, which answers for it from now on (R58). Only silence is watched.
     One that is awaited gets it when it says hello."""
-    command.sent_at_s = turn.now
+    command.sent_at_s = context.now
     command.at_rest = False
-    subsystem = turn.state.subsystems[command.subsystem]
+    subsystem = context.state.subsystems[command.subsystem]
     if subsystem.link is Link.CONNECTED:
-        turn.effects.append(
+        context.effects.append(
             SendPrimitive(
                 subsystem=command.subsystem,
                 id=command.primitive,
                 primitive=command.primitive_body,
-                issued_at_s=turn.now,
+                issued_at_s=context.now,
                 pid=subsystem.pid,
             )
         )
-    turn.start_timer(command, command.limit_s * turn.state.patience + REPORT_MARGIN_S)
+    context.start_timer(command, report_limit_s(context.state, command))
 
 
-def reported(turn: Turn, command: Command, report: EndReport) -> None:
-    turn.stop_timer(command)
-    acknowledge(turn, command)
+def on_reported(context: DecisionContext, command: Command, report: EndReport) -> None:
+    context.stop_timer(command)
+    acknowledge(context, command)
     command.measured = reporting.at_end(command, report)
     note = f"ended: {report.reason.value}" + (f" ({report.message})" if report.message else "")
     if report.reason is StopReason.HALT:
-        command.ending = Ending(kind=OutcomeKind.HALTED, message="halted at its subsystem", stop=StopReason.HALT)
-        close(turn, command, report, note)
+        command.pending_outcome = PendingOutcome(
+            kind=OutcomeKind.HALTED, message="halted at its subsystem", stop=StopReason.HALT
+        )
+        close(context, command, report, note)
         return
-    analyze(turn, command, report)
-    turn.enter(command, Phase.ANALYZING, note, measured=command.measured)
+    analyze(context, command, report)
+    context.enter(command, Phase.ANALYZING, note, measured=command.measured)
 
 
-def acknowledge(turn: Turn, command: Command) -> None:
+def acknowledge(context: DecisionContext, command: Command) -> None:
     """Effects follow the journal, so what is acknowledged is never needed from the subsystem again."""
-    turn.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
+    context.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
     command.primitive_body = NIL
     command.at_rest = True
 
 
-def analyze(turn: Turn, command: Command, report: EndReport | msgspec.Raw) -> None:
+def analyze(context: DecisionContext, command: Command, report: EndReport | msgspec.Raw) -> None:
     assert command.script is not None
     assert command.step is not None
     data = {
@@ -509,7 +514,7 @@ def analyze(turn: Turn, command: Command, report: EndReport | msgspec.Raw) -> No
         "trims_used": command.trims_used.get(_step_key(command), []),
         "closing": False,
     }
-    turn.give_out(command, WorkerKind.ANALYZER, data, locations=command.script.writes)
+    context.create_job(command, WorkerKind.ANALYZER, data, locations=command.script.writes)
 
 
 def _step_key(command: Command) -> str:
@@ -520,42 +525,42 @@ def _step_key(command: Command) -> str:
 # --- analysed ----------------------------------------------------------------------------------------
 
 
-def assessed(turn: Turn, command: Command, product: msgspec.Raw) -> None:
+def on_assessed(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
     assessment = read_assessment(product)
     command.bindings.update(assessment.keep)
     if assessment.verdict == "continue":
         command.steps_done += 1
-        turn.note(command, assessment.message or f"{assessment.reason.value}: as expected")
-        next_step(turn, command)
-    elif assessment.verdict == "trim" and push_trim(turn, command, assessment):
-        next_step(turn, command)
+        context.note(command, assessment.message or f"{assessment.reason.value}: as expected")
+        next_step(context, command)
+    elif assessment.verdict == "trim" and push_trim(context, command, assessment):
+        next_step(context, command)
     elif command.given_up is not None:
-        end_given_up(turn, command, assessment.message)
+        end_given_up(context, command, assessment.message)
     else:
         failed = failure(assessment)
-        end(turn, command, failed.kind, message=failed.message, stop=failed.stop, refusal=failed.refusal)
+        end(context, command, failed.kind, message=failed.message, stop=failed.stop, refusal=failed.refusal)
 
 
-def failure(assessment: AssessmentHead) -> Ending:
+def failure(assessment: AssessmentHead) -> PendingOutcome:
     """How a command ends after a step that nothing mends."""
     message = assessment.message or f"{assessment.reason.value} where it was not expected"
     refusal = None
     if assessment.clears:
         refusal = Refusal(reason=RefusalReason.STATE, message=message, clears=assessment.clears)
-    return Ending(kind=OutcomeKind.FAILED, message=message, stop=assessment.reason, refusal=refusal)
+    return PendingOutcome(kind=OutcomeKind.FAILED, message=message, stop=assessment.reason, refusal=refusal)
 
 
-def push_trim(turn: Turn, command: Command, assessment: AssessmentHead) -> bool:
+def push_trim(context: DecisionContext, command: Command, assessment: AssessmentHead) -> bool:
     """Put a corrective piece of script on the Action_Stack (paper, L163; A16, A17). False: none may be used."""
     assert command.script is not None
     assert command.step is not None
     trim = next((t for t in command.script.trims if t.n == assessment.trim), None)
     used = command.trims_used.setdefault(_step_key(command), [])
-    if trim is None or trim.n in used or (len(command.trims_told) >= MAX_TRIMS and trim.then != "give_up"):
+    if trim is None or trim.n in used or (len(command.trim_labels) >= MAX_TRIMS and trim.then != "give_up"):
         return False
     used.append(trim.n)
-    command.trims_told.append(trim.label)
-    turn.count("trims")
+    command.trim_labels.append(trim.label)
+    context.count("trims")
     if trim.then == "retry_step":
         command.stack.append(command.step)
     elif trim.then == "restart_script":
@@ -567,23 +572,23 @@ def push_trim(turn: Turn, command: Command, assessment: AssessmentHead) -> bool:
         command.stack = []
         command.given_up = failure(assessment)
     command.stack += [(trim.n, index) for index in reversed(range(len(trim.steps)))]
-    turn.note(command, f"{assessment.message or assessment.reason.value}: trim {trim.n}, {trim.label}")
+    context.note(command, f"{assessment.message or assessment.reason.value}: trim {trim.n}, {trim.label}")
     return True
 
 
 # --- pause and resume --------------------------------------------------------------------------------
 
 
-def pause_later(turn: Turn, command: Command, _: Any) -> None:
+def request_pause(context: DecisionContext, command: Command, _: Any) -> None:
     command.pause_wanted = True
-    turn.note(command, "will pause before its next step")
+    context.note(command, "will pause before its next step")
 
 
-def resume_now(turn: Turn, command: Command, _: Any) -> None:
+def withdraw_pause(context: DecisionContext, command: Command, _: Any) -> None:
     command.pause_wanted = False
 
 
-def resume_paused(turn: Turn, command: Command, _: Any) -> None:
+def resume(context: DecisionContext, command: Command, _: Any) -> None:
     command.pause_wanted = False
-    turn.note(command, "resumed")
-    next_step(turn, command)
+    context.note(command, "resumed")
+    next_step(context, command)

@@ -24,7 +24,7 @@ class Check(Protocol):
         """What came of it; None as long as it is at work."""
 
 
-class Here:
+class InProcessCheck:
     """A check without a process; for tests and simulations."""
 
     def __init__(self, asked: Asked) -> None:
@@ -40,10 +40,10 @@ class Done(NamedTuple):
     loaded: Loaded | Refusal
 
 
-class Loads:
+class ProgramLoads:
     """`start` begins a check; it may raise OSError."""
 
-    def __init__(self, store: ProgramStore, start: Callable[[Asked], Check] = Here) -> None:
+    def __init__(self, store: ProgramStore, start: Callable[[Asked], Check] = InProcessCheck) -> None:
         self._store, self._start = store, start
         self._waiting: deque[tuple[bytes, ProgramText]] = deque()
         self._running: Check | None = None  # for the first of them
@@ -62,7 +62,7 @@ class Loads:
         self._waiting.append((peer, text))
         return None
 
-    def look(self, now: float) -> Iterator[Done]:
+    def poll(self, now: float) -> Iterator[Done]:
         """Those that are done. The caller puts each into use before it asks for the next."""
         while self._waiting:
             peer, text = self._waiting[0]

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from broker.effects import PublishNote, TellClient
 from broker.ending import end
-from broker.events import CommandReceived, JournalLost
-from broker.state import Command, Ending, State, request_key
-from broker.transitions import Stimulus
-from broker.turn import Turn
+from broker.events import CommandReceived, JournalLost, Stimulus
+from broker.state import Command, PendingOutcome, State, request_key
+from broker.turn import DecisionContext
 from rtc.messages import Accepted, Phase, ProgressNote
 from rtc.outcomes import OutcomeKind, StopReason
 
@@ -21,15 +20,15 @@ FURTHEST = 1_000_000  # how far above our own numbers a client's number is belie
 CLEARS = "look what was done, then give it again"
 
 
-def on_journal_lost(turn: Turn, event: JournalLost) -> None:
-    state = turn.state
+def on_journal_lost(context: DecisionContext, event: JournalLost) -> None:
+    state = context.state
     state.life, state.lost, state.lost_at_s = event.life, event.why, event.at_s
     state.accepted = max(state.accepted, event.accepted)
-    turn.count("journals_lost")
-    over = Ending(kind=OutcomeKind.FAILED, message=f"{event.why}; {CLEARS}", stop=StopReason.SUBSYSTEM_LOST)
+    context.count("journals_lost")
+    over = PendingOutcome(kind=OutcomeKind.FAILED, message=f"{event.why}; {CLEARS}", stop=StopReason.SUBSYSTEM_LOST)
     for command in state.commands.values():
         command.jobs += JOBS_APART
-        turn.follow(command.id, Stimulus.STOP, over)
+        context.follow(command.id, Stimulus.STOP, over)
 
 
 def is_lost(state: State, event: CommandReceived) -> bool:
@@ -50,9 +49,9 @@ def new_number(state: State, event: CommandReceived) -> str:
     return f"C-{number}"
 
 
-def end_lost(turn: Turn, event: CommandReceived) -> None:
+def end_lost(context: DecisionContext, event: CommandReceived) -> None:
     """A true outcome for who waits for it, under the number that the client knows, if that is free."""
-    state = turn.state
+    state = context.state
     command = Command(
         id=new_number(state, event),
         client=event.client,
@@ -67,15 +66,15 @@ def end_lost(turn: Turn, event: CommandReceived) -> None:
     state.commands[command.id] = command
     state.live[event.client] = state.live.get(event.client, 0) + 1
     state.requests[request_key(event.client, event.request)] = command.id
-    turn.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
+    context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
     why = state.lost or "its outcome is no longer kept"
-    end(turn, command, OutcomeKind.FAILED, message=f"{why}: how far it came is not known; {CLEARS}")
+    end(context, command, OutcomeKind.FAILED, message=f"{why}: how far it came is not known; {CLEARS}")
 
 
-def publish(turn: Turn) -> None:
+def publish(context: DecisionContext) -> None:
     """Tell those who listen to the events."""
-    state = turn.state
+    state = context.state
     if state.lost:
         state.seq += 1
-        note = ProgressNote(seq=state.seq, at_s=turn.now, command="", phase=Phase.ENDED, note=state.lost)
-        turn.effects.append(PublishNote(client="", note=note))
+        note = ProgressNote(seq=state.seq, at_s=context.now, command="", phase=Phase.ENDED, note=state.lost)
+        context.effects.append(PublishNote(client="", note=note))

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from broker.roster import Roster, Worker
+from broker.roster import Worker, WorkerRegistry
 from rtc.messages import RetireWorker, SpawnWorker, WorkerKind
 
 WAIT_S = 0.25  # a job that has waited this long for a worker of its kind shows that there are too few
@@ -22,18 +22,20 @@ COMING = ("starting", "restarting")  # states of a process that will soon be the
 Processes = Sequence[dict[str, Any]]
 
 
-class Pools:
+class Autoscaler:
     """`look` now and then, with what the supervisor last told of its processes. Limits are of each kind."""
 
     def __init__(self, least: int, most: int) -> None:
         self._least, self._most = least, max(least, most, 1)
         self._asked: dict[WorkerKind, tuple[float, int]] = {}  # when a worker was asked for, how many there were then
 
-    def look(self, roster: Roster, processes: Processes, now: float) -> Iterator[SpawnWorker | RetireWorker]:
+    def orders(
+        self, registry: WorkerRegistry, processes: Processes, now: float
+    ) -> Iterator[SpawnWorker | RetireWorker]:
         """What to ask of the supervisor. Who is to retire gets no more jobs from here on."""
         for kind in WorkerKind:
-            workers = [w for w in roster.workers.values() if w.kind is kind and not w.retiring]
-            waiting_s = roster.waiting_s(kind, now)
+            workers = [w for w in registry.workers.values() if w.kind is kind and not w.retiring]
+            waiting_s = registry.waiting_s(kind, now)
             if waiting_s is not None:
                 if not _coming(kind, workers, processes) and self._too_few(kind, len(workers), waiting_s, now):
                     self._asked[kind] = now, len(workers)
@@ -64,5 +66,5 @@ def _coming(kind: WorkerKind, workers: Sequence[Worker], processes: Processes) -
 
 def _idle(workers: Sequence[Worker], now: float) -> Worker | None:
     """One that has had nothing to do for long: the one with the highest address, so that a cube stays whole."""
-    idle = (worker for worker in workers if not worker.held and now - worker.since_s > IDLE_S)
+    idle = (worker for worker in workers if not worker.assigned and now - worker.since_s > IDLE_S)
     return max(idle, key=lambda worker: worker.node, default=None)

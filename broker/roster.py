@@ -74,7 +74,7 @@ class Queue:
         return found
 
 
-class Lost(NamedTuple):
+class LostJob(NamedTuple):
     """A job whose worker is gone. `in_hand`: it was being worked on."""
 
     job: DispatchJob
@@ -82,13 +82,13 @@ class Lost(NamedTuple):
 
 
 class Worker:
-    __slots__ = ("done", "heard_at_s", "held", "kind", "mean_s", "name", "node", "pid", "retiring", "since_s")
+    __slots__ = ("assigned", "done", "kind", "last_seen_s", "mean_s", "name", "node", "pid", "retiring", "since_s")
 
     def __init__(self, name: str, node: int, kind: WorkerKind, pid: int, now: float) -> None:
         self.name, self.node, self.kind, self.pid = name, node, kind, pid
-        self.held: dict[str, DispatchJob] = {}  # in order; the first is in its hands
+        self.assigned: dict[str, DispatchJob] = {}  # in order; the first is in its hands
         self.since_s = now  # since when the first has been in its hands
-        self.heard_at_s = now
+        self.last_seen_s = now
         self.done = 0
         self.mean_s = 1.0  # of a job; unknown is slow, until shown otherwise
         self.retiring = False  # told to end: it gets no more jobs
@@ -102,10 +102,10 @@ class Worker:
         if self.retiring:
             return 0
         most = 1 if self.mean_s > SLOW_S else 2 * self.handful
-        return most - len(self.held)
+        return most - len(self.assigned)
 
 
-class Roster:
+class WorkerRegistry:
     def __init__(self) -> None:
         self.workers: dict[str, Worker] = {}
         self.queues: dict[WorkerKind, Queue] = {kind: Queue() for kind in WorkerKind}
@@ -113,23 +113,23 @@ class Roster:
 
     # --- workers come and go --------------------------------------------------------------------------
 
-    def hello(self, name: str, node: int, kind: WorkerKind, pid: int, now: float) -> list[Lost]:
+    def register(self, name: str, node: int, kind: WorkerKind, pid: int, now: float) -> list[LostJob]:
         """A worker is ready. What its name held before is lost, whether the process is a new one or not."""
-        lost = self.gone(name)
+        lost = self.remove(name)
         self.workers[name] = Worker(name, node, kind, pid, now)
         return lost
 
-    def gone(self, name: str) -> list[Lost]:
+    def remove(self, name: str) -> list[LostJob]:
         worker = self.workers.pop(name, None)
         if worker is None:
             return []
-        return [Lost(job, in_hand=first == 0) for first, job in enumerate(worker.held.values())]
+        return [LostJob(job, in_hand=first == 0) for first, job in enumerate(worker.assigned.values())]
 
-    def heard(self, name: str, now: float) -> bool:
+    def mark_alive(self, name: str, now: float) -> bool:
         """Any sign of life. False: nobody of that name is known, it should say hello."""
         worker = self.workers.get(name)
         if worker is not None:
-            worker.heard_at_s = now
+            worker.last_seen_s = now
         return worker is not None
 
     def answered(self, name: str, job: str, attempt: int, took_s: float, now: float) -> bool:
@@ -137,11 +137,11 @@ class Roster:
         worker = self.workers.get(name)
         if worker is None:
             return False
-        worker.heard_at_s = worker.since_s = self.answered_at_s[worker.kind] = now
-        held = worker.held.get(job)
+        worker.last_seen_s = worker.since_s = self.answered_at_s[worker.kind] = now
+        held = worker.assigned.get(job)
         if held is None or held.attempt != attempt:  # a late answer to an earlier attempt frees nothing
             return False
-        del worker.held[job]
+        del worker.assigned[job]
         worker.done += 1
         worker.mean_s = took_s if worker.done == 1 else 0.8 * worker.mean_s + 0.2 * took_s
         return True
@@ -156,7 +156,7 @@ class Roster:
         """Nobody wants it any more. Returns the worker that holds it and should be told, or an empty name."""
         for queue in self.queues.values():
             queue.drop(job)
-        return next((worker.name for worker in self.workers.values() if job in worker.held), "")
+        return next((worker.name for worker in self.workers.values() if job in worker.assigned), "")
 
     def assign(self, now: float) -> Iterator[tuple[str, list[DispatchJob]]]:
         """Give out what can be given out: (worker, jobs) pairs, the least loaded worker first."""
@@ -165,12 +165,12 @@ class Roster:
                 free = [w for w in self.workers.values() if w.kind is kind and w.room > 0]
                 if not free:
                     break
-                worker = min(free, key=lambda w: len(w.held))
+                worker = min(free, key=lambda w: len(w.assigned))
                 most = min(worker.handful, worker.room, len(queue))
                 jobs = [queue.next() for _ in range(most)]
-                if not worker.held:
+                if not worker.assigned:
                     worker.since_s = now
-                worker.held.update((job.job, job) for job in jobs)
+                worker.assigned.update((job.job, job) for job in jobs)
                 yield worker.name, jobs
 
     def waiting_s(self, kind: WorkerKind, now: float) -> float | None:
@@ -185,14 +185,14 @@ class Roster:
         found = []
         for worker in self.workers.values():
             in_hand_s = now - max(worker.since_s, 0.0)
-            if worker.held and in_hand_s > DEADLINE_S[worker.kind]:
-                job = next(iter(worker.held))
+            if worker.assigned and in_hand_s > DEADLINE_S[worker.kind]:
+                job = next(iter(worker.assigned))
                 found.append((worker, f"hung: job {job} in hand for {in_hand_s:.1f} s"))
-            elif not worker.held and now - worker.heard_at_s > SILENCE_S:
-                found.append((worker, f"hung: silent for {now - worker.heard_at_s:.1f} s"))
+            elif not worker.assigned and now - worker.last_seen_s > SILENCE_S:
+                found.append((worker, f"hung: silent for {now - worker.last_seen_s:.1f} s"))
         return found
 
-    def unheard(self, name: str, ready_since_s: float, now: float) -> bool:
+    def never_registered(self, name: str, ready_since_s: float, now: float) -> bool:
         """Whether a worker process that is ready for so long should have said a word by now, and has not: it hung
         before this broker came. One that is busy for another broker may be silent for the length of a job."""
         kind = name.partition("@")[0]

@@ -24,10 +24,10 @@ from broker import events as heard
 from broker import reporting
 from broker.decision_unit import MAX_TEXT, decide
 from broker.journal import Journal, number
-from broker.loads import Loads
-from broker.pools import Pools
+from broker.loads import ProgramLoads
+from broker.pools import Autoscaler
 from broker.program_store import ProgramStore
-from broker.roster import Lost, Roster
+from broker.roster import LostJob, WorkerRegistry
 from broker.state import Link, State, request_key
 from broker.status import status
 from broker.timers import Timers
@@ -81,9 +81,9 @@ class Router:
         self.me, self.settings, self.journal, self.state = me, settings, journal, state
         self.store, self.given, self.lease_key = store, given, given.lease_key
         self._supervisor_peer = _peer(given.identity("supervisor"))
-        self.loads = Loads(store)
-        self.roster = Roster()
-        self._pools = Pools(settings.least, settings.most_workers)
+        self.loads = ProgramLoads(store)
+        self.registry = WorkerRegistry()
+        self._autoscaler = Autoscaler(settings.least, settings.most_workers)
         self.timers = Timers()
         self.dropped: Counter[str] = Counter()  # messages nobody could read, or from who may not say such; by socket
         self.told_dropped: dict[str, int] = {}  # the same by other processes' sockets, as they tell
@@ -332,9 +332,9 @@ class Router:
         match message:
             case m.ProcessExited():
                 self.me.log.warning("%.80r (pid %d) ended with status %d", message.name, message.pid, message.status)
-                worker = self.roster.workers.get(message.name)
+                worker = self.registry.workers.get(message.name)
                 if worker is not None and worker.pid == message.pid:
-                    self._lose(message.name, self.roster.gone(message.name), f"exit status {message.status}", now)
+                    self._lose(message.name, self.registry.remove(message.name), f"exit status {message.status}", now)
                 subsystem = self.state.subsystems.get(message.name)
                 if subsystem is not None and subsystem.pid == message.pid:
                     why = f"its process ended with status {message.status}"
@@ -393,32 +393,32 @@ class Router:
         name = _name(peer)
         match message:
             case m.ResultBatch():
-                known = self.roster.heard(name, now)
+                known = self.registry.mark_alive(name, now)
                 for result in message.results:
                     # What was not given to this worker, or not any more, is nobody's answer.
-                    if self.roster.answered(name, result.id, result.attempt, getattr(result, "took_s", 0.0), now):
+                    if self.registry.answered(name, result.id, result.attempt, getattr(result, "took_s", 0.0), now):
                         self._events.append(_result(name, result, now))
                     else:
                         self.dropped["results"] += 1
                 if not known:
                     send(self._socket["workers"], m.JobBatch(jobs=[]), peer)
             case m.Heartbeat():
-                if not self.roster.heard(name, now):
+                if not self.registry.mark_alive(name, now):
                     send(self._socket["workers"], m.JobBatch(jobs=[]), peer)  # who are you? say hello
             case m.WorkerHello(name=other) if other != name:
                 raise WireError(f"{name!r:.80} says it is {other!r:.80}")
             case m.WorkerHello():
-                lost = self.roster.hello(name, message.node, message.kind, message.pid, now)
+                lost = self.registry.register(name, message.node, message.kind, message.pid, now)
                 self._lose(name, lost, "its process was replaced", now)
             case m.WorkerGone(name=other) if other != name:
                 raise WireError(f"{name!r:.80} says that {other!r:.80} is gone")
             case m.WorkerGone():
-                self._lose(name, self.roster.gone(name), "its connection was lost", now)
+                self._lose(name, self.registry.remove(name), "its connection was lost", now)
             case m.ProgramWanted():
                 body = self.store.body(message.digest)
                 send(self._socket["workers"], m.ProgramBody(digest=message.digest, body=body), peer)
 
-    def _lose(self, name: str, lost: Iterable[Lost], why: str, now: float) -> None:
+    def _lose(self, name: str, lost: Iterable[LostJob], why: str, now: float) -> None:
         for job, in_hand in lost:
             self._events.append(
                 heard.JobLost(at_s=now, job=job.job, attempt=job.attempt, node=name, evidence=why, blamed=in_hand)
@@ -497,7 +497,7 @@ class Router:
         if (live := self.state.commands.get(command)) is not None:
             text = live.text
         elif (ended := self.state.ended.get(command)) is not None:
-            text = _read_ended(ended.told).text
+            text = _read_ended(ended.message).text
         else:
             return ""
         return command if text != message.text[:MAX_TEXT] else ""
@@ -545,7 +545,7 @@ class Router:
 
     def _put_into_use(self, now: float) -> None:
         """Programs whose check is done. One that checks is decided and journalled before its client is told."""
-        for peer, text, loaded in self.loads.look(now):
+        for peer, text, loaded in self.loads.poll(now):
             answer: m.ProgramLoaded | m.Declined
             if isinstance(loaded, Refusal):
                 answer = m.Declined(request=text.request, refusal=loaded)
@@ -566,17 +566,17 @@ class Router:
         self.journal.tidy()
         if self._snapshots.due(now) and self.journal.events_since_snapshot >= WORTH_A_SNAPSHOT:
             self.journal.snapshot(self.state)
-        for worker, why in self.roster.hung(now):
+        for worker, why in self.registry.hung(now):
             self.me.log.warning("%s (pid %d) %s", worker.name, worker.pid, why)
             send(
                 self._socket["supervisor"],
                 m.KillProcess(name=worker.name, pid=worker.pid, why=why),
                 self._supervisor_peer,
             )
-            self._lose(worker.name, self.roster.gone(worker.name), why, now)
+            self._lose(worker.name, self.registry.remove(worker.name), why, now)
         for process in self.processes:
             ready_since_s = max(self.began_s, process.get("since_s", now))
-            if process.get("state") == "ready" and self.roster.unheard(process["name"], ready_since_s, now):
+            if process.get("state") == "ready" and self.registry.never_registered(process["name"], ready_since_s, now):
                 why = "hung: it has not said a word to this broker"
                 self.me.log.warning("%s (pid %d) %s", process["name"], process["pid"], why)
                 process["state"] = "hung"
@@ -586,10 +586,10 @@ class Router:
                     self._supervisor_peer,
                 )
         if self._supervisor:
-            for order in self._pools.look(self.roster, self.processes, now):
+            for order in self._autoscaler.orders(self.registry, self.processes, now):
                 self.me.log.info("%s", order)
                 send(self._socket["supervisor"], order, self._supervisor_peer)
-        for job in self.roster.waited_too_long(now):
+        for job in self.registry.waited_too_long(now):
             message = f"no {job.kind.value} took the job within the limit; is one alive? see `rtc status`"
             refusal = Refusal(reason=RefusalReason.TIMEOUT, message=message)
             self._events.append(
@@ -632,14 +632,14 @@ class Router:
             self._topics.clear()
             self._tell_listeners(before, now)
         if "workers" in doors:  # jobs may have been on their way
-            for worker in list(self.roster.workers):
-                lost = [Lost(job, in_hand=False) for job, _ in self.roster.gone(worker)]
+            for worker in list(self.registry.workers):
+                lost = [LostJob(job, in_hand=False) for job, _ in self.registry.remove(worker)]
                 self._lose(worker, lost, "its connection was cut", now)
 
     # --- effects into bytes ---------------------------------------------------------------------------
 
     def _give_out(self, now: float) -> None:
-        for worker, jobs in self.roster.assign(now):
+        for worker, jobs in self.registry.assign(now):
             batch = [
                 m.Job(
                     id=job.job,
@@ -652,14 +652,14 @@ class Router:
                 for job in jobs
             ]
             if not send(self._socket["workers"], m.JobBatch(jobs=batch), _peer(worker)):
-                self._lose(worker, self.roster.gone(worker), "its connection is gone", now)
+                self._lose(worker, self.registry.remove(worker), "its connection is gone", now)
 
     def _dispatch(self, effect: do.DispatchJob) -> None:
         command = self.state.commands.get(effect.job.partition("/")[0])
-        self.roster.submit(effect, self._clock(), command.client if command else "")
+        self.registry.submit(effect, self._clock(), command.client if command else "")
 
     def _cancel(self, effect: do.CancelJob) -> None:
-        if worker := self.roster.cancel(effect.job):
+        if worker := self.registry.cancel(effect.job):
             send(self._socket["workers"], m.Drop(jobs=[effect.job]), _peer(worker))
 
     def _send_primitive(self, effect: do.SendPrimitive) -> None:
@@ -697,7 +697,7 @@ class Router:
 
     def _report_end(self, effect: do.ReportEnd) -> None:
         kept = self.state.ended.get(effect.ended.command)
-        encoded = kept.told if kept else effect.ended  # once is enough
+        encoded = kept.message if kept else effect.ended  # once is enough
         send(self._socket["front"], encoded, _peer(effect.client))
         if self._topics:
             send(self._socket["events"], encoded)

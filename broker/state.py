@@ -72,7 +72,7 @@ class ScriptHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
 class BoundHead(msgspec.Struct, frozen=True, kw_only=True, tag="BoundStep", gc=False):
     subsystem: str = ""
     primitive: msgspec.Raw = NIL
-    told: msgspec.Raw = NIL  # a report that needs no subsystem
+    report: msgspec.Raw = msgspec.field(default=NIL, name="told")  # end report of a step without a subsystem
     evaluation: msgspec.Raw = NIL
     bindings: dict[str, msgspec.Raw] = {}
     limit_s: float = 0.0
@@ -102,14 +102,14 @@ class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     deaths: list[str] = []  # evidence of the workers it was in the hands of when they died
 
 
-class Untold(msgspec.Struct, frozen=True):
+class DeferredAnalysis(msgspec.Struct, frozen=True):
     """The last analysis of a command that has ended, and what stays closed until the world has it."""
 
     job: PendingJob
     names: list[str]
 
 
-class Ending(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class PendingOutcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """How a command that cannot end at once (HALTING, CLOSING) will end."""
 
     kind: OutcomeKind
@@ -140,8 +140,8 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     step: StepRef | None = None  # being bound, executed or analysed
     step_words: str = ""  # the same for people: "5 of 9: feel one side"
     trims_used: dict[str, list[int]] = {}  # "trim/index" of a step -> entries used for it
-    trims_told: list[str] = []
-    given_up: Ending | None = None  # how it ends once the steps on the stack are done
+    trim_labels: list[str] = []
+    given_up: PendingOutcome | None = None  # how it ends once the steps on the stack are done
     steps_done: int = 0
     elaborations: int = 0
     primitive: str = ""  # being executed
@@ -155,7 +155,7 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     due_s: float = 0.0  # when its timer rings; 0 = it has none
     at_rest: bool = True  # nothing moves for it: never did, or a report or a halt has told so
     pause_wanted: bool = False  # takes effect between two steps
-    ending: Ending | None = None
+    pending_outcome: PendingOutcome | None = None
     unconfirmed: list[str] = []  # of a HALT sentence: subsystems that were told and have not confirmed rest
     notes: list[ProgressNote] = []
     previous: str = ""  # the command that its client gave before it: AFTER LAST
@@ -185,7 +185,7 @@ class Trial(msgspec.Struct, frozen=True):
 class Result(msgspec.Struct, frozen=True, gc=False):
     """What is kept of a command that has ended."""
 
-    told: msgspec.Raw  # CommandEnded, for a client that asks again
+    message: msgspec.Raw  # CommandEnded, for a client that asks again
     succeeded: bool  # for AFTER
     request: str  # its key in `requests`
 
@@ -197,7 +197,7 @@ def request_key(client: str, request: str) -> str:
 class State(msgspec.Struct, kw_only=True):
     commands: dict[str, Command] = {}  # live ones, by id, in order of acceptance
     live: dict[str, int] = {}  # client -> how many of them are its own
-    unread: dict[str, dict[str, bool]] = {}  # client -> its commands not yet taken up, in order: parsed meanwhile?
+    intake_order: dict[str, dict[str, bool]] = {}  # client -> {command: parsed?}
     accepted: int = 0
     last_given: dict[str, str] = {}  # client -> its latest command; of the clients that gave one last
     life: str = ""  # of the journal: part of the names of primitives; see rtc.primitive_id
@@ -213,12 +213,12 @@ class State(msgspec.Struct, kw_only=True):
     subsystems: dict[str, Subsystem] = {}
     programs: dict[str, str] = {}  # kind (or "cell") -> digest
     program_files: dict[str, tuple[str, float]] = {}  # digest -> file that was loaded last into it, when
-    untold: dict[str, Untold] = {}  # command that has ended -> what the world has not been told of it
+    deferred_analyses: dict[str, DeferredAnalysis] = {}  # ended command -> its analysis
     trials: dict[str, Trial] = {}
     proven: dict[str, list[str]] = {}  # kind -> programs that have done a job well, the latest last
     rolled_back: dict[str, str] = {}  # kind -> why its newest program was taken back, until the next one is loaded
     halted_at_s: dict[str, float] = {}  # scope of a halt -> when: what was sent before it does not start
     halts: dict[str, float] = {}  # the last few -> when: one that came by two doors is counted once, and obeyed twice
-    listened: bool = False  # somebody hears the event stream
-    patience: float = 1.0  # seconds of ours per simulated second: limits of primitives are in simulated time
+    has_subscribers: bool = False  # somebody hears the event stream
+    timeout_scale: float = 1.0  # seconds of ours per simulated second: limits of primitives are in simulated time
     counts: dict[str, int] = {}  # ended by outcome, stale answers, trims, ...

@@ -16,7 +16,7 @@ TEXT_SHOWN = 200  # characters of a sentence
 
 
 def status(router: Router) -> dict[str, Any]:
-    now, state, roster = time.monotonic(), router.state, router.roster
+    now, state, registry = time.monotonic(), router.state, router.registry
     resources = state.resources
     dropped = {**router.dropped, **router.told_dropped}
     names = [*dict.fromkeys([*resources.holders, *resources.lines, *resources.quarantine])]
@@ -36,14 +36,14 @@ def status(router: Router) -> dict[str, Any]:
                 "node": w.node,
                 "kind": w.kind.value,
                 "pid": w.pid,
-                "busy_with": next(iter(w.held), ""),
-                "queued": max(0, len(w.held) - 1),
+                "busy_with": next(iter(w.assigned), ""),
+                "queued": max(0, len(w.assigned) - 1),
                 "done": w.done,
                 "mean_ms": w.mean_s * 1e3 if w.done else None,
             }
-            for w in sorted(roster.workers.values(), key=lambda w: w.node)
+            for w in sorted(registry.workers.values(), key=lambda w: w.node)
         ],
-        "queues": {kind.value: len(queue) for kind, queue in roster.queues.items()},
+        "queues": {kind.value: len(queue) for kind, queue in registry.queues.items()},
         "resources": [
             {
                 "name": name,

@@ -1,147 +1,141 @@
-"""What may follow what: every phase of a command has its row, every stimulus its column. On one screen, on purpose.
+"""The transition table of a command: for each phase and stimulus the action and the phases that may follow.
 
-A cell is `action -> the phases the command may be in afterwards`. An empty cell ("stale") is deliberate too: the
-stimulus is late or doubled, it is counted and changes nothing. `broker.decision_unit` has one small function for
-each action; `docs/decision_unit.md` is drawn from this table.
+A cell holds a reference to the action, a function of `broker.journey` or `broker.ending`, and the phases the command
+may be in afterwards. An empty cell ("stale") is deliberate: the stimulus is late or a duplicate. It is counted and
+changes nothing. `docs/decision_unit.md` is drawn from this table.
 """
 
 from __future__ import annotations
 
-from enum import StrEnum
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
+from broker import ending, journey
+from broker.events import Stimulus
+from broker.state import Command
+from broker.turn import DecisionContext
 from rtc.messages import Phase
 
+Action = Callable[[DecisionContext, Command, Any], None]
 
-class Stimulus(StrEnum):
-    PRODUCT = "product"  # the job's worker delivered
-    REFUSAL = "refusal"  # the job's worker refused
-    AWAY = "away"  # the job could not be done: the world database, or every worker of the kind, is away
-    LOSS = "loss"  # the job's worker died, hung or raised
-    GRANT = "grant"  # all resources in its claim can be had
-    RELEASE = "release"  # the command it was to come after has ended; those given before it are read
-    REPORT = "report"  # the end report of its primitive
-    STOP = "stop"  # HALT or ABORT reaches it
-    PAUSE = "pause"
-    RESUME = "resume"
-    REST = "rest"  # a subsystem confirms rest for its halt
-    OVERDUE = "overdue"  # its timer: no end report, or no confirmation of rest, within the limit
-    GONE = "gone"  # the subsystem that executes for it is lost
+
+class Cell(NamedTuple):
+    """What one stimulus does to a command in one phase."""
+
+    action: Action
+    following: frozenset[Phase]  # the phases that may follow; checked after the action
+
+
+def cell(action: Action, *following: Phase) -> Cell:
+    return Cell(action, frozenset(following))
 
 
 S, P = Stimulus, Phase
-STEP = "BINDING PAUSED ENDED"  # on to the next step, or a pause, or there is none
-PLAN = "ELABORATING HELD ENDED"
+STEP = (P.BINDING, P.PAUSED, P.ENDED)  # the next step is bound, or the command pauses, or no step is left
+PLAN = (P.ELABORATING, P.HELD, P.ENDED)  # the resources are granted, or the command waits, or it is refused
 
-_ROWS: dict[Phase, dict[Stimulus, str]] = {
+_ROWS: dict[Phase, dict[Stimulus, Cell]] = {
     P.PARSING: {
-        S.PRODUCT: f"parsed -> PARSING {PLAN} HALTING",
-        S.RELEASE: f"take_up -> {PLAN}",
-        S.REFUSAL: "refused -> ENDED",
-        S.AWAY: "undone -> ENDED",
-        S.LOSS: "again -> PARSING ENDED",
-        S.STOP: "stop -> ENDED",
-        S.PAUSE: "pause_later -> PARSING",
-        S.RESUME: "resume_now -> PARSING",
+        S.PRODUCT: cell(journey.on_parsed, P.PARSING, *PLAN, P.HALTING),
+        S.RELEASE: cell(journey.take_up, *PLAN),
+        S.REFUSAL: cell(ending.refuse, P.ENDED),
+        S.UNAVAILABLE: cell(ending.fail_unavailable, P.ENDED),
+        S.WORKER_LOST: cell(ending.retry_job, P.PARSING, P.ENDED),
+        S.STOP: cell(ending.stop, P.ENDED),
+        S.PAUSE: cell(journey.request_pause, P.PARSING),
+        S.RESUME: cell(journey.withdraw_pause, P.PARSING),
     },
     P.ELABORATING: {
-        S.PRODUCT: f"elaborated -> HELD {STEP}",
-        S.REFUSAL: "refused -> ENDED",
-        S.AWAY: "undone -> ENDED",
-        S.LOSS: "again -> ELABORATING ENDED",
-        S.STOP: "stop -> ENDED",
-        S.PAUSE: "pause_later -> ELABORATING",
-        S.RESUME: "resume_now -> ELABORATING",
+        S.PRODUCT: cell(journey.on_elaborated, P.HELD, *STEP),
+        S.REFUSAL: cell(ending.refuse, P.ENDED),
+        S.UNAVAILABLE: cell(ending.fail_unavailable, P.ENDED),
+        S.WORKER_LOST: cell(ending.retry_job, P.ELABORATING, P.ENDED),
+        S.STOP: cell(ending.stop, P.ENDED),
+        S.PAUSE: cell(journey.request_pause, P.ELABORATING),
+        S.RESUME: cell(journey.withdraw_pause, P.ELABORATING),
     },
     P.HELD: {
-        S.GRANT: "granted -> ELABORATING HELD ENDED",
-        S.RELEASE: f"released -> {PLAN}",
-        S.STOP: "stop -> ENDED",
-        S.PAUSE: "pause_later -> HELD",
-        S.RESUME: "resume_now -> HELD",
+        S.GRANT: cell(journey.on_granted, P.ELABORATING, P.HELD, P.ENDED),
+        S.RELEASE: cell(journey.on_released, *PLAN),
+        S.STOP: cell(ending.stop, P.ENDED),
+        S.PAUSE: cell(journey.request_pause, P.HELD),
+        S.RESUME: cell(journey.withdraw_pause, P.HELD),
     },
     P.BINDING: {
-        S.PRODUCT: f"bound -> EXECUTING ANALYZING CLOSING {STEP}",
-        S.REFUSAL: "refused -> ENDED",
-        S.AWAY: "undone -> ENDED",
-        S.LOSS: "again -> BINDING ENDED",
-        S.STOP: "stop -> ENDED",
-        S.PAUSE: "pause_later -> BINDING",
-        S.RESUME: "resume_now -> BINDING",
+        S.PRODUCT: cell(journey.on_bound, P.EXECUTING, P.ANALYZING, P.CLOSING, *STEP),
+        S.REFUSAL: cell(ending.refuse, P.ENDED),
+        S.UNAVAILABLE: cell(ending.fail_unavailable, P.ENDED),
+        S.WORKER_LOST: cell(ending.retry_job, P.BINDING, P.ENDED),
+        S.STOP: cell(ending.stop, P.ENDED),
+        S.PAUSE: cell(journey.request_pause, P.BINDING),
+        S.RESUME: cell(journey.withdraw_pause, P.BINDING),
     },
     P.EXECUTING: {
-        S.REPORT: "reported -> ANALYZING CLOSING",
-        S.STOP: "stop_subsystem -> HALTING",
-        S.PAUSE: "pause_later -> EXECUTING",
-        S.RESUME: "resume_now -> EXECUTING",
-        S.OVERDUE: "overdue -> HALTING",
-        S.GONE: "lost_subsystem -> CLOSING",
+        S.REPORT: cell(journey.on_reported, P.ANALYZING, P.CLOSING),
+        S.STOP: cell(ending.stop_primitive, P.HALTING),
+        S.PAUSE: cell(journey.request_pause, P.EXECUTING),
+        S.RESUME: cell(journey.withdraw_pause, P.EXECUTING),
+        S.TIMEOUT: cell(ending.stop_overdue, P.HALTING),
+        S.SUBSYSTEM_LOST: cell(ending.on_subsystem_lost, P.CLOSING),
     },
     P.ANALYZING: {
-        S.PRODUCT: f"assessed -> {STEP}",
-        S.REFUSAL: "refused -> ENDED",
-        S.AWAY: "analyze_later -> ANALYZING ENDED",
-        S.LOSS: "again -> ANALYZING ENDED",
-        S.STOP: "stop_after_analysis -> CLOSING",
-        S.PAUSE: "pause_later -> ANALYZING",
-        S.RESUME: "resume_now -> ANALYZING",
-        S.OVERDUE: "analyze_again -> ANALYZING",
+        S.PRODUCT: cell(journey.on_assessed, *STEP),
+        S.REFUSAL: cell(ending.refuse, P.ENDED),
+        S.UNAVAILABLE: cell(ending.schedule_analysis_retry, P.ANALYZING, P.ENDED),
+        S.WORKER_LOST: cell(ending.retry_job, P.ANALYZING, P.ENDED),
+        S.STOP: cell(ending.stop_after_analysis, P.CLOSING),
+        S.PAUSE: cell(journey.request_pause, P.ANALYZING),
+        S.RESUME: cell(journey.withdraw_pause, P.ANALYZING),
+        S.TIMEOUT: cell(ending.retry_analysis, P.ANALYZING),
     },
     P.PAUSED: {
-        S.STOP: "stop -> ENDED",
-        S.RESUME: "resume_paused -> BINDING ENDED",
+        S.STOP: cell(ending.stop, P.ENDED),
+        S.RESUME: cell(journey.resume, P.BINDING, P.ENDED),
     },
     P.HALTING: {
-        S.REPORT: "rested -> CLOSING",
-        S.REST: "rest_confirmed -> HALTING CLOSING ENDED",
-        S.OVERDUE: "unconfirmed -> CLOSING ENDED",
-        S.GONE: "lost_while_halting -> CLOSING ENDED",
+        S.REPORT: cell(ending.on_rested, P.CLOSING),
+        S.REST: cell(ending.on_rest_confirmed, P.HALTING, P.CLOSING, P.ENDED),
+        S.TIMEOUT: cell(ending.fail_unconfirmed, P.CLOSING, P.ENDED),
+        S.SUBSYSTEM_LOST: cell(ending.on_lost_while_halting, P.CLOSING, P.ENDED),
     },
     P.CLOSING: {
-        S.PRODUCT: "closed -> ENDED",
-        S.REFUSAL: "closed -> ENDED",
-        S.AWAY: "closed_untold -> ENDED",
-        S.LOSS: "again -> CLOSING ENDED",
-        S.OVERDUE: "closed_untold -> ENDED",
+        S.PRODUCT: cell(ending.finish_closing, P.ENDED),
+        S.REFUSAL: cell(ending.finish_closing, P.ENDED),
+        S.UNAVAILABLE: cell(ending.defer_closing_analysis, P.ENDED),
+        S.WORKER_LOST: cell(ending.retry_job, P.CLOSING, P.ENDED),
+        S.TIMEOUT: cell(ending.defer_closing_analysis, P.ENDED),
     },
     P.ENDED: {},
 }
 
 
-class Cell(tuple[str, frozenset[Phase]]):
-    """(action, the phases that may follow)."""
-
-    __slots__ = ()
-
-
-def _cell(text: str) -> Cell:
-    action, _, phases = text.partition(" -> ")
-    return Cell((action, frozenset(Phase[name] for name in phases.split())))
-
-
 TABLE: dict[tuple[Phase, Stimulus], Cell] = {
-    (phase, stimulus): _cell(text) for phase, row in _ROWS.items() for stimulus, text in row.items()
+    (phase, stimulus): cell for phase, row in _ROWS.items() for stimulus, cell in row.items()
 }
 assert set(_ROWS) == set(Phase), "every phase has its row"
 
 
 def as_markdown() -> str:
-    """The table for the docs: one row a phase, one column a stimulus."""
+    """The table for the docs: one row per phase, one column per stimulus."""
     head = "| phase | " + " | ".join(Stimulus) + " |"
     lines = [head, "|" + "---|" * (len(Stimulus) + 1)]
     for phase in Phase:
-        cells = []
-        for stimulus in Stimulus:
-            cell = TABLE.get((phase, stimulus))
-            cells.append(f"{cell[0]} → {', '.join(sorted(p.value for p in cell[1]))}" if cell else "stale")
-        lines.append(f"| **{phase.value}** | " + " | ".join(cells) + " |")
+        words = [_in_words(TABLE.get((phase, stimulus))) for stimulus in Stimulus]
+        lines.append(f"| **{phase.value}** | " + " | ".join(words) + " |")
     return "\n".join(lines)
 
 
+def _in_words(cell: Cell | None) -> str:
+    if cell is None:
+        return "stale"
+    return f"{cell.action.__name__} → {', '.join(sorted(phase.value for phase in cell.following))}"
+
+
 def as_mermaid() -> str:
-    """The same as a state diagram; arrows between the same two phases are drawn once, with all their stimuli."""
+    """The same as a state diagram. Each pair of phases has one arrow, labelled with all its stimuli."""
     arrows: dict[tuple[Phase, Phase], list[str]] = {}
-    for (phase, stimulus), (_, following) in TABLE.items():
-        for after in sorted(following - {phase}):
+    for (phase, stimulus), cell in TABLE.items():
+        for after in sorted(cell.following - {phase}):
             arrows.setdefault((phase, after), []).append(stimulus.value)
     lines = ["stateDiagram-v2", "    [*] --> parsing"]
     lines += [f"    {a.value} --> {b.value}: {', '.join(s)}" for (a, b), s in arrows.items()]
@@ -154,9 +148,9 @@ def as_page() -> str:
 Drawn from `broker/transitions.py` by `python -m broker.transitions > docs/decision_unit.md`; a test compares.
 
 `decide(state, event) -> effects` (`broker/decision_unit.py`) is pure: the time is a field of the event, and the same
-events give the same effects. Every event that concerns a command becomes one of the stimuli below; the cell of the
-command's phase names the action and the phases it may lead to. *stale* is deliberate: the stimulus is late or doubled,
-it is counted and changes nothing.
+events give the same effects. Every event that concerns a command becomes one of the stimuli below. The cell of the
+command's phase names the action and the phases that may follow. *stale* is deliberate: the stimulus is late or a
+duplicate. It is counted and changes nothing.
 
 ```mermaid
 {as_mermaid()}
@@ -166,19 +160,21 @@ it is counted and changes nothing.
 
 | stimulus | meaning |
 |---|---|
-| product, refusal, loss | the answer to the command's one pending job: done, refused, or its worker is gone |
-| grant | all it claims can be had |
-| release | the command it was to come after has ended, or begun; in *parsing*: what its client gave before is read |
-| report | the end report of its primitive; rest: a subsystem confirms rest for its halt |
-| stop | HALT or ABORT reaches it; pause and resume take effect between two steps |
-| away | the job could not be done, and nobody is to blame: the world database, or every worker of the kind, is away |
-| overdue | its timer: no end report, no rest, or no last analysis within the limit; in *analyzing*: time to try again |
-| gone | the subsystem that executes for it is lost |
+| product, refusal, worker_lost | the result of the command's one pending job: done, refused, or its worker is lost |
+| unavailable | the job could not be done: the world database, or every worker of the kind, is unavailable |
+| grant | all resources of its claim are free |
+| release | the command it waits for has ended or begun; in *parsing*: the earlier commands of its client are parsed |
+| report | the end report of its primitive |
+| rest | a subsystem confirms rest for its halt |
+| stop | a HALT or ABORT reaches it |
+| pause, resume | they take effect between two steps |
+| timeout | its time limit for an end report, for rest or for the last analysis; in *analyzing*: time for a retry |
+| subsystem_lost | the subsystem that executes its primitive is lost |
 
-What has happened is never kept from the world. An analysis that finds the world database away is done again after a
-second, for up to a minute; then the command ends *failed*. In *closing* the command ends as it was to end, after ten
-seconds at most. In both cases what it touched stays closed for all (`rtc status`: quarantine: the world database)
-until the world has been told after all (`broker/untold.py`).
+Each change of the world is written in the end. An analysis that finds the world database unavailable is repeated every
+second for up to a minute; then the command ends *failed*. In *closing* the command ends with its pending outcome after
+ten seconds at most. In both cases the analysis is deferred: the touched names stay quarantined (`rtc status`:
+quarantine: the world database) until the world database has the changes (`broker/untold.py`).
 """
 
 

@@ -16,9 +16,9 @@ from broker.effects import (
     StartTimer,
     StopTimer,
 )
+from broker.events import Stimulus
 from broker.resources import WORLD, Quarantine
 from broker.state import NOMINAL, NOTES_KEPT, Command, PendingJob, State, StepHead, StepRef
-from broker.transitions import Stimulus
 from rtc import wire
 from rtc.messages import Phase, ProgressNote, WorkerKind
 from rtc.outcomes import Measured
@@ -26,7 +26,7 @@ from rtc.outcomes import Measured
 read_step = wire.decoder(StepHead)
 
 
-class Turn(msgspec.Struct, gc=False):
+class DecisionContext(msgspec.Struct, gc=False):
     state: State
     now: float
     effects: list[Effect] = []
@@ -40,15 +40,15 @@ class Turn(msgspec.Struct, gc=False):
 
     def is_next(self, command: Command) -> bool:
         """Whether all that its client gave before it has been read."""
-        return next(iter(self.state.unread[command.client])) == command.id
+        return next(iter(self.state.intake_order[command.client])) == command.id
 
-    def read(self, command: Command) -> None:
+    def leave_intake(self, command: Command) -> None:
         """It is parsed and taken up, or has ended before that: the next of its client that is parsed is taken up."""
-        line = self.state.unread[command.client]
+        line = self.state.intake_order[command.client]
         was_next = self.is_next(command)
         del line[command.id]
         if not line:
-            del self.state.unread[command.client]
+            del self.state.intake_order[command.client]
         elif was_next and line[following := next(iter(line))]:
             self.follow(following, Stimulus.RELEASE)
 
@@ -68,12 +68,12 @@ class Turn(msgspec.Struct, gc=False):
                     performers is None or set(performers) >= set(live.performers) or moved in (live.id, live.primitive)
                 )
         opened = self.state.resources.confirm_rest(subsystem, performers, moved)
-        self.close_untold()
+        self.quarantine_deferred()
         self.grant(opened)
 
-    def close_untold(self) -> None:
+    def quarantine_deferred(self) -> None:
         """What the world has not been told of is for nobody, at rest or not (`broker.untold`)."""
-        for command, left in self.state.untold.items():
+        for command, left in self.state.deferred_analyses.items():
             for name in left.names:
                 self.state.resources.quarantine.setdefault(name, Quarantine(WORLD, command))
 
@@ -112,10 +112,10 @@ class Turn(msgspec.Struct, gc=False):
         command.notes.append(note)
         if len(command.notes) > NOTES_KEPT:
             del command.notes[NOTES_KEPT // 2]
-        if command.progress or state.listened:
+        if command.progress or state.has_subscribers:
             self.effects.append(PublishNote(client=command.client if command.progress else "", note=note))
 
-    def give_out(self, command: Command, kind: WorkerKind, data: Any, locations: list[str] | None = None) -> None:
+    def create_job(self, command: Command, kind: WorkerKind, data: Any, locations: list[str] | None = None) -> None:
         """One more job for this command."""
         command.jobs += 1
         command.job = PendingJob(

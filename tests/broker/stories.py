@@ -116,7 +116,7 @@ class Story:
     def tells(self, command: str, how: str = "done") -> list[str]:
         """The worker that has the last analysis of a command that has ended: it is "done", finds the world "away", or
         it "dies"."""
-        job = self.state.untold[command].job
+        job = self.state.deferred_analyses[command].job
         about = {"job": job.id, "attempt": job.attempt, "node": "worker"}
         match how:
             case "away":

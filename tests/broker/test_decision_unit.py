@@ -7,8 +7,9 @@ import pytest
 
 from broker import effects as do
 from broker import ending
-from broker.decision_unit import ACTIONS, CLIENTS_KEPT, InvalidTransition, stimulate
+from broker.decision_unit import CLIENTS_KEPT, InvalidTransition, stimulate
 from broker.effects import PublishNote, SendHalt, SendPrimitive
+from broker.ending import CLOSING_LIMIT_S, REPORT_MARGIN_S
 from broker.events import (
     BrokerRestarted,
     ClientGone,
@@ -16,13 +17,14 @@ from broker.events import (
     HaltConfirmed,
     ListenersChanged,
     ProgramInstalled,
+    Stimulus,
     SubsystemConnected,
     TimerFired,
 )
 from broker.resources import WORLD
 from broker.state import State
-from broker.transitions import TABLE, Stimulus
-from broker.turn import Turn
+from broker.transitions import TABLE
+from broker.turn import DecisionContext
 from rtc import wire
 from rtc.language.record import Report
 from rtc.messages import AnalyzerInput, BoundStep, Phase, WorkerKind
@@ -175,7 +177,7 @@ def test_what_one_client_gives_is_taken_up_in_the_order_given():
     assert s.answers("C-2", record()) == []  # the parser was quicker with it
     assert s.phase("C-2") == "parsing"
     assert s.answers("C-1", record()) == ["job C-1/2 elaborator #1", "note C-1 elaborating", "note C-2 held"]
-    assert s.state.unread == {}
+    assert s.state.intake_order == {}
 
 
 def test_the_commands_of_others_do_not_wait():
@@ -230,7 +232,7 @@ def test_control_does_not_wait_for_its_turn():
     s.parsed(kind="control", verb="ABORT", object="C-1")
     assert s.outcome("C-1").kind is OutcomeKind.ABORTED
     assert s.outcome("C-2").kind is OutcomeKind.SUCCEEDED
-    assert s.state.unread == {}
+    assert s.state.intake_order == {}
 
 
 @pytest.mark.parametrize("verb", ["ABORT", "PAUSE"])
@@ -357,7 +359,7 @@ def test_a_trim_goes_on_the_stack_and_the_step_is_tried_again():
     s.reports("C-1")
     s.answers("C-1", go_on())
     assert s.state.commands["C-1"].step == (0, 0)  # the step itself, once more
-    assert s.state.commands["C-1"].trims_told == ["trim 1"]
+    assert s.state.commands["C-1"].trim_labels == ["trim 1"]
 
 
 @pytest.mark.parametrize(
@@ -870,7 +872,7 @@ def test_periodic_reports_that_nobody_would_get_are_refused():
 
 def test_a_step_says_how_long_it_takes():
     s = Story()
-    s.state.patience = 2.0
+    s.state.timeout_scale = 2.0
     s.elaborated()
     s.answers("C-1", msgspec.structs.replace(bound("C-1.1"), predicted_s=4.2))
     assert s.state.commands["C-1"].notes[-1].expected_s == 8.4
@@ -981,7 +983,7 @@ def test_a_last_analysis_that_never_comes_does_not_keep_the_command_but_what_it_
     s.parsed()
     assert s.phase("C-2") == "held"
     assert s.tells("C-1") == ["job C-2/2 elaborator #1", "note C-2 elaborating"]
-    assert (s.state.untold, s.state.resources.quarantine) == ({}, {})
+    assert (s.state.deferred_analyses, s.state.resources.quarantine) == ({}, {})
 
 
 # --- the world away ----------------------------------------------------------------------------------
@@ -1004,7 +1006,7 @@ def test_between_two_steps_it_is_a_failure():
     s.analyzing(script(steps=2))
     s.answers("C-1", go_on())
     assert away(s) == ["note C-1 ended", "end C-1 failed"]
-    assert s.state.untold == {}  # the step before is written
+    assert s.state.deferred_analyses == {}  # the step before is written
 
 
 def test_an_analysis_that_the_world_did_not_hear_is_done_again_and_nobody_is_blamed():
@@ -1076,7 +1078,7 @@ def test_an_analysis_left_that_kills_its_workers_is_given_up():
     for deaths in (1, 2):
         assert s.tells("C-1", "dies") == [f"job C-1/4 analyzer #{deaths + 1} lease RIGHT-ARM"]
     assert s.tells("C-1", "dies") == []
-    assert (s.state.untold, s.state.resources.quarantine) == ({}, {})
+    assert (s.state.deferred_analyses, s.state.resources.quarantine) == ({}, {})
 
 
 def test_a_restarted_broker_asks_the_world_at_once():
@@ -1425,7 +1427,7 @@ def test_every_empty_cell_counts_and_changes_nothing():
             s.says("X")
             command = s.state.commands["C-1"]
             command.phase = phase
-            turn = Turn(s.state, 1.0)
+            turn = DecisionContext(s.state, 1.0)
             stimulate(turn, command, stimulus)
             assert (turn.effects, command.phase, s.state.counts["stale"]) == ([], phase, 1)
 
@@ -1433,7 +1435,9 @@ def test_every_empty_cell_counts_and_changes_nothing():
 def test_an_action_that_leads_where_it_must_not_tells_the_story(monkeypatch):
     s = Story()
     s.parsed()
-    monkeypatch.setitem(ACTIONS, "elaborated", lambda turn, command, _: turn.enter(command, Phase.CLOSING))
+    cell = (Phase.ELABORATING, Stimulus.PRODUCT)
+    wrong = TABLE[cell]._replace(action=lambda context, command, _: context.enter(command, Phase.CLOSING))
+    monkeypatch.setitem(TABLE, cell, wrong)
     with pytest.raises(
         InvalidTransition, match=r"C-1: product in elaborating led to closing(.|\n)*0\.00\d elaborating"
     ):
@@ -1443,3 +1447,40 @@ def test_an_action_that_leads_where_it_must_not_tells_the_story(monkeypatch):
 def test_reports_of_unknown_primitives_are_acknowledged():
     assert Story().reports("C-9", primitive="C-9.1") == ["ack C-9.1"]
     assert report("C-9.1").reason is StopReason.GOAL
+
+
+# --- time limits -------------------------------------------------------------------------------------
+
+
+def time_left(s: Story, command: str = "C-1") -> float:
+    return s.state.commands[command].due_s - s.now
+
+
+@pytest.mark.parametrize(("timeout_scale", "limit_s"), [(0.5, 2.0), (1.0, 2.0), (3.0, 6.0)])
+def test_every_kind_of_halt_has_the_same_time_limit(timeout_scale, limit_s):
+    by_sentence, by_socket = Story(), Story()
+    for s in (by_sentence, by_socket):
+        s.state.timeout_scale = timeout_scale
+        s.executing()
+    by_sentence.says("HALT ALL")
+    by_socket.halts()
+    assert time_left(by_sentence, "C-2") == time_left(by_sentence) == time_left(by_socket) == pytest.approx(limit_s)
+
+
+def test_after_a_restart_a_halt_has_its_limit_and_time_to_reconnect():
+    s = Story()
+    s.state.timeout_scale = 3.0
+    s.executing()
+    s.says("HALT ALL")
+    s.hear(BrokerRestarted)
+    assert time_left(s) == time_left(s, "C-2") == pytest.approx(6.0 + REPORT_MARGIN_S)
+
+
+def test_after_a_restart_the_last_analysis_has_its_whole_limit():
+    s = Story()
+    s.executing()
+    s.halts()
+    s.reports("C-1", StopReason.HALT)
+    assert s.phase("C-1") == "closing"
+    s.hear(BrokerRestarted)
+    assert time_left(s) == pytest.approx(CLOSING_LIMIT_S)

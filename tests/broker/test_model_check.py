@@ -12,7 +12,7 @@ from broker import decision_unit, ending, journey, untold
 from broker.effects import SendHalt
 from broker.events import HaltCalled, JobLost, JournalLost, SubsystemConnected
 from broker.resources import Resources
-from broker.turn import Turn
+from broker.turn import DecisionContext
 from tests.simulation.explore import explore, tell
 from tests.simulation.scenarios import SCENARIOS
 from tests.simulation.surroundings import Scenario
@@ -56,13 +56,13 @@ def test_a_resource_given_twice_is_found(monkeypatch):
 
 
 def test_a_sentence_taken_up_before_one_given_earlier_is_found(monkeypatch):
-    monkeypatch.setattr(Turn, "is_next", lambda self, command: True)
+    monkeypatch.setattr(DecisionContext, "is_next", lambda self, command: True)
     found = explore(faults(ONE_CLIENT, 0))
     assert "C-1, which was given before it" in found.violation
 
 
 def test_a_command_that_nothing_can_end_is_found(monkeypatch):
-    monkeypatch.setitem(decision_unit.HEARD, JobLost, lambda turn, event: None)
+    monkeypatch.setitem(decision_unit.HANDLERS, JobLost, lambda turn, event: None)
     assert "C-1 is still parsing" in explore(faults(SAME_ARM, 1)).violation
 
 
@@ -75,22 +75,22 @@ def test_a_subsystem_not_asked_what_it_still_does_is_found(monkeypatch):
     def deaf(turn, event):
         decided(turn, msgspec.structs.replace(event, outstanding=[], at_rest=True))
 
-    decided = decision_unit.HEARD[SubsystemConnected]
-    monkeypatch.setitem(decision_unit.HEARD, SubsystemConnected, deaf)
+    decided = decision_unit.HANDLERS[SubsystemConnected]
+    monkeypatch.setitem(decision_unit.HANDLERS, SubsystemConnected, deaf)
     assert "still executes" in explore(faults(SAME_ARM, 1)).violation
 
 
 def test_a_halt_called_past_the_broker_and_not_passed_on_is_found(monkeypatch):
     """The subsystem tells of it; a Decision Unit that will not listen leaves it beginning nothing for ever."""
-    called = decision_unit.HEARD[HaltCalled]
+    called = decision_unit.HANDLERS[HaltCalled]
     monkeypatch.setitem(
-        decision_unit.HEARD, HaltCalled, lambda turn, event: None if event.client == "MCM" else called(turn, event)
+        decision_unit.HANDLERS, HaltCalled, lambda turn, event: None if event.client == "MCM" else called(turn, event)
     )
     assert explore(faults(SAME_ARM, 1)).violation
 
 
 def test_an_arm_that_stays_closed_because_nobody_tells_the_world_is_found(monkeypatch):
-    monkeypatch.setattr(untold, "rang", lambda turn, timer: False)
+    monkeypatch.setattr(untold, "handle_timer", lambda turn, timer: False)
     assert "quarantine is not empty" in explore(faults(SAME_ARM, 1)).violation
 
 
@@ -107,14 +107,14 @@ def test_a_halt_that_is_not_obeyed_because_its_name_was_used_before_is_found(mon
         else:
             called(turn, event)
 
-    called = decision_unit.HEARD[HaltCalled]
-    monkeypatch.setitem(decision_unit.HEARD, HaltCalled, only_once)
+    called = decision_unit.HANDLERS[HaltCalled]
+    monkeypatch.setitem(decision_unit.HANDLERS, HaltCalled, only_once)
     found = explore(faults(SAME_ARM, 2))
     assert found.violation
     assert move in [done[0] for done in found.path]
 
 
 def test_a_journal_that_was_lost_without_a_consequence_is_found(monkeypatch):
-    monkeypatch.setitem(decision_unit.HEARD, JournalLost, lambda turn, event: None)
+    monkeypatch.setitem(decision_unit.HANDLERS, JournalLost, lambda turn, event: None)
     scenario = next(s for s in SCENARIOS if s.name == "a lost journal")
     assert "after its journal was lost" in explore(faults(scenario, 1)).violation

@@ -14,7 +14,7 @@ from broker.events import HaltConfirmed, PrimitiveEnded, SubsystemConnected, Sub
 from broker.invariants import violations
 from broker.journey import _waits_for
 from broker.state import ParsedHead
-from broker.turn import Turn
+from broker.turn import DecisionContext
 from rtc.messages import Declined, Phase
 from tests.broker.stories import Story, bound, go_on, record, report, script
 
@@ -151,5 +151,5 @@ def test_a_chain_of_afters_is_followed_with_few_comparisons_per_command() -> Non
         command.id = CountedId(command.id)
         command.head = ParsedHead(kind="task", verb="X", after=f"C-{k - 1}")
     CountedId.compared = 0
-    assert len(_waits_for(Turn(story.state, 0.0), story.state.commands[f"C-{n}"])) == n
+    assert len(_waits_for(DecisionContext(story.state, 0.0), story.state.commands[f"C-{n}"])) == n
     assert CountedId.compared < 10 * n  # a search in a list would make n * n / 2

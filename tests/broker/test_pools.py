@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from broker.effects import DispatchJob
-from broker.pools import COMING_S, IDLE_S, WAIT_S, Pools
-from broker.roster import Roster
+from broker.pools import COMING_S, IDLE_S, WAIT_S, Autoscaler
+from broker.roster import WorkerRegistry
 from rtc.messages import RetireWorker, SpawnWorker, WorkerKind
 
 BINDER, PARSER = WorkerKind.BINDER, WorkerKind.PARSER
@@ -25,23 +25,23 @@ class Cluster:
     """A roster, its pools, and what the supervisor told."""
 
     def __init__(self, *binders, least=1, most=3):
-        self.roster, self.pools = Roster(), Pools(least, most)
+        self.registry, self.autoscaler = WorkerRegistry(), Autoscaler(least, most)
         self.processes = []
         for address in binders:
             self.hello(address, 0.0)
             self.processes.append(row(f"binder@{address}", "ready"))
 
     def hello(self, address, now):
-        self.roster.hello(f"binder@{address}", address, BINDER, 1, now)
-        list(self.roster.assign(now))
+        self.registry.register(f"binder@{address}", address, BINDER, 1, now)
+        list(self.registry.assign(now))
 
     def submit(self, count, now):
         for n in range(count):
-            self.roster.submit(job(n), now)
-        return [list(jobs) for _, jobs in self.roster.assign(now)]
+            self.registry.submit(job(n), now)
+        return [list(jobs) for _, jobs in self.registry.assign(now)]
 
     def look(self, now):
-        return list(self.pools.look(self.roster, self.processes, now))
+        return list(self.autoscaler.orders(self.registry, self.processes, now))
 
 
 def test_a_kind_that_nobody_is_left_of_gets_a_worker_as_soon_as_a_job_waits():
@@ -97,16 +97,16 @@ def test_surplus_retires_the_highest_address_first_and_gets_no_more_jobs():
     assert it.look(IDLE_S + 1) == [RetireWorker(name="binder@6")]
     assert it.look(IDLE_S + 2) == []  # the cube's own stay
     it.submit(2, IDLE_S + 3)
-    assert (list(it.roster.workers["binder@2"].held), it.roster.workers["binder@6"].held) == (["C-0/1"], {})
+    assert (list(it.registry.workers["binder@2"].assigned), it.registry.workers["binder@6"].assigned) == (["C-0/1"], {})
 
 
 def test_nobody_retires_while_jobs_wait_or_who_is_at_work():
     it = Cluster(2, 6, least=0)
     it.submit(3, 0.0)
     assert it.look(WAIT_S) == []
-    it.roster.cancel("C-2/1")
+    it.registry.cancel("C-2/1")
     assert it.look(2 * IDLE_S) == []
-    it.roster.answered("binder@6", "C-1/1", 1, 0.1, 2 * IDLE_S)
+    it.registry.answered("binder@6", "C-1/1", 1, 0.1, 2 * IDLE_S)
     assert it.look(3 * IDLE_S + 1) == [RetireWorker(name="binder@6")]
 
 

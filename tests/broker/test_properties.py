@@ -132,9 +132,9 @@ class Surroundings(Story):
         """The surroundings come to their senses: everything is answered well. Nothing may be left."""
         self.mcm_hello(self.pid, outstanding=[])
         for _ in range(3000):
-            if not self.state.commands and not self.state.untold:
+            if not self.state.commands and not self.state.deferred_analyses:
                 return
-            for command in list(self.state.untold):  # the world is back: it is told what it does not know yet
+            for command in list(self.state.deferred_analyses):  # the world database is back
                 self.tells(command)
             for command in list(self.state.commands.values()):
                 live = self.state.commands.get(command.id)

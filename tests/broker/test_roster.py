@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from broker.effects import DispatchJob
-from broker.roster import DEADLINE_S, HANDFUL_MAX, QUEUE_LIMIT_S, SILENCE_S, Roster
+from broker.roster import DEADLINE_S, HANDFUL_MAX, QUEUE_LIMIT_S, SILENCE_S, WorkerRegistry
 from rtc.messages import WorkerKind
 
 BINDER = WorkerKind.BINDER
@@ -15,15 +15,15 @@ def job(n: int, kind: WorkerKind = BINDER, attempt: int = 1) -> DispatchJob:
     return DispatchJob(job=f"C-{n}/1", attempt=attempt, kind=kind, program="", cell="", input=msgspec.Raw(b"\xc0"))
 
 
-def roster(*names: str, mean_s: float = 0.1) -> Roster:
-    r = Roster()
+def roster(*names: str, mean_s: float = 0.1) -> WorkerRegistry:
+    r = WorkerRegistry()
     for node, name in enumerate(names):
-        r.hello(name, node, BINDER, 100 + node, now=0.0)
+        r.register(name, node, BINDER, 100 + node, now=0.0)
         r.workers[name].mean_s = mean_s
     return r
 
 
-def given_out(r: Roster, now: float = 0.0) -> dict[str, list[str]]:
+def given_out(r: WorkerRegistry, now: float = 0.0) -> dict[str, list[str]]:
     out: dict[str, list[str]] = {}
     for worker, jobs in r.assign(now):
         out.setdefault(worker, []).extend(j.job for j in jobs)
@@ -60,15 +60,15 @@ def test_of_a_lost_workers_jobs_only_the_first_was_in_its_hands():
         r.submit(job(n), 0.0)
     given_out(r)
     r.answered("a", "C-0/1", 1, 0.0001, 0.01)
-    assert [(lost.job.job, lost.in_hand) for lost in r.gone("a")] == [("C-1/1", True), ("C-2/1", False)]
-    assert r.gone("a") == []
+    assert [(lost.job.job, lost.in_hand) for lost in r.remove("a")] == [("C-1/1", True), ("C-2/1", False)]
+    assert r.remove("a") == []
 
 
 def test_a_worker_that_says_hello_again_has_lost_what_it_held():
     r = roster("a")
     r.submit(job(1), 0.0)
     given_out(r)
-    assert [lost.job.job for lost in r.hello("a", 0, BINDER, 101, now=1.0)] == ["C-1/1"]
+    assert [lost.job.job for lost in r.register("a", 0, BINDER, 101, now=1.0)] == ["C-1/1"]
 
 
 def test_a_cancelled_job_is_never_given_out_and_its_holder_is_told():
@@ -95,7 +95,7 @@ def test_hung_is_a_job_beyond_its_deadline_or_an_idle_worker_that_is_silent():
     r.submit(job(1), 0.0)
     given_out(r)
     assert [w.name for w, _ in r.hung(SILENCE_S + 0.1)] == ["b"]
-    r.heard("b", DEADLINE_S[BINDER])
+    r.mark_alive("b", DEADLINE_S[BINDER])
     assert [(w.name, why) for w, why in r.hung(DEADLINE_S[BINDER] + 0.1)] == [
         ("a", "hung: job C-1/1 in hand for 15.1 s")
     ]
@@ -106,7 +106,7 @@ def test_a_late_answer_to_an_earlier_attempt_frees_nothing():
     r.submit(job(1, attempt=2), 0.0)
     given_out(r)
     r.answered("a", "C-1/1", 1, 0.1, 0.1)
-    assert [(lost.job.attempt, lost.in_hand) for lost in r.gone("a")] == [(2, True)]
+    assert [(lost.job.attempt, lost.in_hand) for lost in r.remove("a")] == [(2, True)]
 
 
 def test_a_job_cancelled_after_its_answer_leaves_no_trace():
@@ -124,14 +124,14 @@ def test_a_job_cancelled_after_its_answer_leaves_no_trace():
 def test_a_worker_that_hung_before_this_broker_came_is_found_by_its_silence():
     r = roster("a")
     limit_s = DEADLINE_S[BINDER]
-    assert not r.unheard("a", 0.0, limit_s + 1)
-    assert not r.unheard("binder@6", 0.0, limit_s - 1)
-    assert r.unheard("binder@6", 0.0, limit_s + 1)
-    assert not r.unheard("MCM", 0.0, 1000.0)
+    assert not r.never_registered("a", 0.0, limit_s + 1)
+    assert not r.never_registered("binder@6", 0.0, limit_s - 1)
+    assert r.never_registered("binder@6", 0.0, limit_s + 1)
+    assert not r.never_registered("MCM", 0.0, 1000.0)
 
 
 def test_a_job_nobody_takes_is_given_back_at_the_limit():
-    r = Roster()
+    r = WorkerRegistry()
     r.submit(job(1), 0.0)
     assert r.waited_too_long(QUEUE_LIMIT_S - 1) == []
     assert [j.job for j in r.waited_too_long(QUEUE_LIMIT_S + 1)] == ["C-1/1"]
@@ -156,7 +156,7 @@ def test_a_line_that_moved_once_is_not_waited_in_for_ever():
     r.submit(job(2), 0.0)
     given_out(r)
     r.answered("a", "C-1/1", 1, 0.4, 30.0)
-    r.gone("a")
+    r.remove("a")
     assert r.waited_too_long(QUEUE_LIMIT_S + 29.0) == []
     assert [j.job for j in r.waited_too_long(QUEUE_LIMIT_S + 31.0)] == ["C-2/1"]
 
@@ -171,8 +171,8 @@ def test_the_answers_of_one_kind_say_nothing_of_another():
 
 
 def test_nobody_of_that_name():
-    r = Roster()
-    assert not r.heard("ghost", 0.0)
+    r = WorkerRegistry()
+    assert not r.mark_alive("ghost", 0.0)
     r.answered("ghost", "C-1/1", 1, 0.1, 0.1)
     assert r.workers == {}
 
@@ -184,7 +184,7 @@ def test_clients_take_turns():
         r.submit(job(n), 0.0, "many")
     for n in (200, 201):
         r.submit(job(n), 1.0, "few")
-    r.hello("a", 0, BINDER, 1, 2.0)
+    r.register("a", 0, BINDER, 1, 2.0)
     order = []
     while given := given_out(r, 2.0):
         order += given["a"]

@@ -23,7 +23,7 @@ from broker import journal as journals
 from broker.events import HaltCalled, ProgramInstalled
 from broker.invariants import violations
 from broker.journal import Journal
-from broker.loads import MOST_WAITING, Loads
+from broker.loads import MOST_WAITING, ProgramLoads
 from broker.program_store import ProgramStore
 from broker.reporting import MOST_PER_S
 from broker.router import ALONE_S, CALLERS_KEPT, HALTS_OF_CALLER, QUESTIONS_PER_S, Router
@@ -137,7 +137,7 @@ def working(bench: Bench) -> Bench:
     bench.say("subsystems", b"MCM", MCM)
     bench.say("workers", b"parser@0", PARSER)
     bench.say("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
-    assert list(bench.router.roster.workers["parser@0"].held) == ["C-1/1"]
+    assert list(bench.router.registry.workers["parser@0"].assigned) == ["C-1/1"]
     return bench
 
 
@@ -251,7 +251,7 @@ def test_nobody_speaks_for_another(working: Bench, door: str, message: Any) -> N
     working.say(door, b"somebody", message)
     assert working.router.dropped[door] == 1
     assert wire.encode(working.state) == before
-    assert list(working.router.roster.workers) == ["parser@0"]
+    assert list(working.router.registry.workers) == ["parser@0"]
 
 
 def test_a_table_that_is_none_is_dropped(bench: Bench) -> None:
@@ -489,7 +489,7 @@ class Slow:
 @pytest.fixture
 def slow(bench: Bench) -> Bench:
     Slow.started = []
-    bench.router.loads = Loads(bench.router.store, Slow)
+    bench.router.loads = ProgramLoads(bench.router.store, Slow)
     return bench
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from broker import transitions
-from broker.transitions import TABLE, Stimulus
+from broker.events import Stimulus
+from broker.transitions import TABLE
 from rtc.messages import Phase
 
 PAGE = Path(__file__).parents[2] / "docs" / "decision_unit.md"

@@ -144,7 +144,7 @@ def _left_over(model: Model) -> list[str]:
     left += [f"{what} is not empty: {it}" for what, it in (
         ("held", r.held), ("waiting", r.waiting), ("holders", r.holders), ("lines", r.lines),
         ("alone", r.alone), ("quarantine", r.quarantine), ("awaiting", du.awaiting), ("joining", du.joining),
-        ("untold", du.untold),
+        ("untold", du.deferred_analyses),
     ) if it]  # fmt: skip
     missing = {f"C-{n}" for n in range(1, du.accepted + 1)} - set(du.ended)
     left += [f"{command} has no outcome" for command in sorted(missing)]

@@ -244,7 +244,7 @@ def at_work(model: Model, command: Command) -> bool:
 
 def untold_at_work(model: Model) -> list[str]:
     """Commands that have ended, of which a worker is telling the world."""
-    return [c for c, left in model.du.untold.items() if model.given.get(left.job.id) == left.job.attempt]
+    return [c for c, left in model.du.deferred_analyses.items() if model.given.get(left.job.id) == left.job.attempt]
 
 
 def products(command: Command, scenario: Scenario) -> list[str]:
@@ -406,7 +406,7 @@ def _about_untold(
     kind: type[heard.JobFinished | heard.JobDeclined | heard.JobLost], **fields: Any
 ) -> Callable[[Model, Scenario, str], heard.Event]:
     def event(model: Model, scenario: Scenario, command: str) -> heard.Event:
-        job = model.du.untold[command].job
+        job = model.du.deferred_analyses[command].job
         del model.given[job.id]
         return kind(at_s=model.now, job=job.id, attempt=job.attempt, node="w", **fields)
 
@@ -552,7 +552,7 @@ def _overtaken(model: Model, effect: do.SendPrimitive) -> Iterator[str]:
     for earlier in du.commands.values():  # in order of acceptance
         if earlier is command:
             return
-        unread = earlier.id in du.unread.get(earlier.client, ())
+        unread = earlier.id in du.intake_order.get(earlier.client, ())
         named = earlier.head is not None and earlier.head.hand == performer and earlier.id in du.resources.waiting
         if earlier.client == command.client and (unread or named):
             yield f"primitive {effect.id} before {earlier.id}, which was given before it"
@@ -598,7 +598,7 @@ def late(model: Model) -> Iterator[heard.Event]:
     and reports told twice, requests repeated, a timer that was set anew. (A halt that is repeated is obeyed again.)"""
     now, body = model.now, wire.raw(go_on())
     old = [(f"{command}/1", 1) for command in model.outcomes]
-    old += [(left.job.id, left.job.attempt - 1) for left in model.du.untold.values()]
+    old += [(left.job.id, left.job.attempt - 1) for left in model.du.deferred_analyses.values()]
     for live in model.du.commands.values():
         old.append((f"{live.id}/{live.jobs if live.job is None else live.jobs - 1}", 1))
         if live.job is not None:
@@ -823,7 +823,7 @@ def _essence(model: Model) -> list[Any]:
     return [
         [_of_command(model, command) for command in du.commands.values()],
         du.resources,
-        [(c, len(left.job.deaths), left.job.id in model.timers) for c, left in du.untold.items()],
+        [(c, len(left.job.deaths), left.job.id in model.timers) for c, left in du.deferred_analyses.items()],
         untold_at_work(model),
         [du.awaiting, du.joining, {c: r.succeeded for c, r in du.ended.items()}],
         [(s.pid, s.link, s.came_at_rest) for s in du.subsystems.values()],
@@ -852,10 +852,10 @@ def _of_command(model: Model, c: Command) -> list[Any]:
     begun = sum(p.partition(".")[0] == c.id for p in model.begun)
     halted = [r for r, at_s in model.du.halted_at_s.items() if at_s > c.given_at_s]
     return [
-        [c.id, c.phase, c.pause_wanted, c.ending, c.elaborations, c.at_rest, c.due_s > 0.0],
+        [c.id, c.phase, c.pause_wanted, c.pending_outcome, c.elaborations, c.at_rest, c.due_s > 0.0],
         c.job
         and [c.job.kind, len(c.job.deaths), c.job.program, at_work(model, c), model.now - c.job.since_s > LIMIT_S],
-        [c.head is not None, c.script is not None, c.stack, c.step, c.trims_used, len(c.trims_told), c.steps_done],
+        [c.head is not None, c.script is not None, c.stack, c.step, c.trims_used, len(c.trim_labels), c.steps_done],
         [bool(c.primitive), min(c.primitives, 2), c.primitive_body != NIL, c.performers],
         [c.primitives - begun, begun - model.goals.get(c.id, 0), c.primitive in model.begun],
         halted,

@@ -6,9 +6,11 @@ from collections import Counter
 from collections.abc import Callable
 
 from broker import decision_unit, ending, router
-from broker.events import BrokerRestarted
+from broker.events import BrokerRestarted, Stimulus
+from broker.transitions import TABLE
 from rtc import messages as m
 from rtc import wire
+from rtc.messages import Phase
 from rtc.outcomes import StopReason
 from sim_mcm.reports import not_begun
 from sim_mcm.subsystem import BROKER, Subsystem
@@ -94,7 +96,7 @@ def test_an_mcm_that_forgets_what_it_has_done_is_found(monkeypatch):
 
 
 def test_a_restart_that_gives_nothing_out_again_is_found(monkeypatch):
-    monkeypatch.setitem(decision_unit.HEARD, BrokerRestarted, lambda turn, event: None)
+    monkeypatch.setitem(decision_unit.HANDLERS, BrokerRestarted, lambda turn, event: None)
     assert first_problem().problem
 
 
@@ -147,5 +149,6 @@ def test_an_mcm_that_tells_from_memory_that_it_rests_is_found(monkeypatch):
 
 
 def test_a_broker_that_forgets_what_happened_while_the_world_was_away_is_found(monkeypatch):
-    monkeypatch.setitem(decision_unit.ACTIONS, "analyze_later", ending.refused)
+    cell = (Phase.ANALYZING, Stimulus.UNAVAILABLE)
+    monkeypatch.setitem(TABLE, cell, TABLE[cell]._replace(action=ending.refuse))
     assert "and the world trusts" in first_problem().problem
