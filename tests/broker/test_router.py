@@ -17,7 +17,6 @@ import zmq
 from hypothesis import HealthCheck, given
 from hypothesis import settings as tries
 from hypothesis import strategies as st
-from stories import Story, script
 
 from broker import journal as journals
 from broker.events import HaltCalled, ProgramInstalled
@@ -36,6 +35,7 @@ from rtc.handed import Handed
 from rtc.outcomes import OutcomeKind, RefusalReason
 from rtc.program_check import Asked, Checked
 from rtc.settings import Settings
+from tests.broker.stories import Story, script
 from tests.campaigns import hostile
 
 DOORS = ("front", "halt", "workers", "subsystems", "supervisor", "events")
