@@ -1,11 +1,11 @@
-"""A work-cell as data: arms, seats, objects, places, regions and the numbers that belong to them.
+"""A work-cell as data: arms, seats, objects, places, regions and numbers.
 
-A cell is a YAML file and the robot models it names. `Cell.load` reads them all and embeds the models' texts, so that
-one `encode()`d document is everything a process needs (no shared files, R51). A cell checks itself when made: whoever
-holds one need not ask again whether a seat exists or a posture has as many joints as the arm.
+A cell is a YAML file and the robot models that it names. `Cell.load` reads them and embeds the texts of the models, so
+that one `encode()`d document is all that a process needs (no shared files, R51). A cell is checked when it is
+constructed: all its references and lengths are valid.
 
-Angles in the file are degrees in fields that end in `_deg`; everything handed out in radians says `_rad` or is a pose
-(seven floats, see `rtc.geometry`). This file knows no kinematics: whether a place can be reached is not its business.
+Fields that end in `_deg` are degrees, as in the file; properties that end in `_rad` are radians. Poses are seven floats
+(see `rtc.geometry`). This module knows no kinematics and does not check reachability.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rtc import cell_models, geometry
 from rtc.digest import digest
 from rtc.outcomes import ProgramError
 
-CELLS = Path(__file__).parent / "cells"  # the cells that come with the project: cells/NAME/cell.yaml
+CELLS = Path(__file__).parent / "cells"  # the cells of the project: cells/NAME/cell.yaml
 
 Name = Annotated[str, Meta(pattern=r"^[A-Z][A-Z0-9]*(-[A-Z0-9]+)*$")]
 Positive = Annotated[float, Meta(gt=0)]
@@ -32,11 +32,11 @@ Vec3 = tuple[float, float, float]
 
 
 class Part(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
-    """Base of all parts of a cell: a misspelt field is an error, not a silence."""
+    """Base of all parts of a cell: an unknown field is an error."""
 
 
 class Frame(Part, frozen=True, kw_only=True):
-    """A pose as a person writes it: position (m), roll pitch yaw (deg) about the fixed axes."""
+    """A pose for people: position (m); roll, pitch, yaw (deg) about the fixed axes x, y, z."""
 
     xyz: Vec3 = (0.0, 0.0, 0.0)
     rpy_deg: Vec3 = (0.0, 0.0, 0.0)
@@ -50,12 +50,12 @@ class Frame(Part, frozen=True, kw_only=True):
 
 
 class Shape(Part, frozen=True, kw_only=True, tag_field="type"):
-    """One convex piece of a body. `name` is what a person reads in a collision: RACK-1 left-wall."""
+    """One convex piece of a body. Collision messages show `name`: RACK-1 left-wall."""
 
     name: str
     frame: Frame = Frame()  # in the axes of the body
-    friction: NotNegative = 1.0  # the simulator multiplies the two bodies' figures
-    spinning_friction: NotNegative = 0.005  # m; without it a bar turns in the fingers
+    friction: NotNegative = 1.0  # coefficient; pybullet multiplies those of the two bodies
+    spinning_friction: NotNegative = 0.005  # m; without it, pybullet lets a bar turn in the fingers
     colour: tuple[float, float, float, float] = (0.7, 0.7, 0.72, 1.0)
 
 
@@ -64,7 +64,7 @@ class Box(Shape, frozen=True, kw_only=True, tag="box"):
 
 
 class Cylinder(Shape, frozen=True, kw_only=True, tag="cylinder"):
-    """Along z. In pybullet a cylinder grips 2 mm too wide: for what is grasped take a box."""
+    """Along z. pybullet grips a cylinder 2 mm too wide: use boxes for parts that are grasped."""
 
     radius_m: Positive
     length_m: Positive
@@ -75,7 +75,7 @@ class Sphere(Shape, frozen=True, kw_only=True, tag="sphere"):
 
 
 class Capsule(Shape, frozen=True, kw_only=True, tag="capsule"):
-    """Along z; the length is that of the cylinder between the two half spheres."""
+    """Along z. The length excludes the two half spheres."""
 
     radius_m: Positive
     length_m: Positive
@@ -84,11 +84,11 @@ class Capsule(Shape, frozen=True, kw_only=True, tag="capsule"):
 AnyShape = Box | Cylinder | Sphere | Capsule
 
 
-# --- what stands in the cell ---------------------------------------------------------------------------
+# --- contents of the cell ------------------------------------------------------------------------------
 
 
 class Gripper(Part, frozen=True, kw_only=True):
-    """A parallel gripper: two finger joints of the arm's URDF, each moving half the opening."""
+    """A parallel gripper: two finger joints of the arm's URDF, each with half the opening."""
 
     max_opening_m: Positive
     max_force_n: Positive
@@ -103,10 +103,10 @@ class Arm(Part, frozen=True, kw_only=True):
     end_effector: Name
     urdf: str  # file, relative to the cell's
     srdf: str
-    base: Frame  # of the URDF's root link, world frame
-    joints: list[str]  # of the URDF, from the base to the hand
+    base: Frame  # pose of the URDF's root link, world frame
+    joints: list[str]  # names in the URDF, from the base to the hand
     tcp_link: str = "tcp"
-    sensor_joint: str = "wrist_ft"  # the fixed joint whose reaction is the wrench
+    sensor_joint: str = "wrist_ft"  # fixed joint; its reaction is the measured wrench
     home_deg: list[float]
     stow_deg: list[float]
     acceleration_deg_s2: list[Positive]  # the URDF has no field for it
@@ -127,50 +127,50 @@ class Arm(Part, frozen=True, kw_only=True):
 
 
 class KnownWithin(Part, frozen=True, kw_only=True):
-    """How far a thing may be from where this file has it: half-widths along and about each axis of its own frame."""
+    """Initial pose spread of an object: half-widths along and about each axis of its own frame."""
 
     xyz_m: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
     rpy_deg: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
 
     @property
     def spread(self) -> list[float]:
-        """[x y z roll pitch yaw], m and rad, as a fact states it."""
+        """[x y z roll pitch yaw], m and rad, as in a fact."""
         return [*self.xyz_m, *(math.radians(n) for n in self.rpy_deg)]
 
 
 class GraspPoint(Part, frozen=True, kw_only=True):
-    """Where a hand takes hold: the pose of the tcp then, in the object's axes (tool z approaches, y closes)."""
+    """A grasp point: the pose of the tcp in the grasp, in the object's axes (tool z approaches, y closes)."""
 
     name: Name
     frame: Frame
-    width_m: Positive  # of what lies between the fingers
+    width_m: Positive  # of the part between the fingers
 
 
 class Seat(Part, frozen=True, kw_only=True):
-    """A fixed place that holds a module: rack, bay. Shapes in the seat's own axes."""
+    """A fixed place for a module, such as a rack or bay. Shapes are in the seat's own axes."""
 
     name: Name
     kind: str
     frame: Frame  # world
-    module_frame: Frame = Frame()  # where the origin of a seated module is, in the seat's axes
-    way_out: Vec3 = (-1.0, 0.0, 0.0)  # direction a module leaves by, seat's axes, unit length
-    depth_m: NotNegative  # how far along it until the module is free
-    detent_n: NotNegative = 0.0  # its catch holds a seated module with this force until it is pulled out
-    needs_within: KnownWithin | None = None  # how well a module's place in the hand must be known to be put in here
+    module_frame: Frame = Frame()  # pose of a seated module, in the seat's axes
+    way_out: Vec3 = (-1.0, 0.0, 0.0)  # direction in which a module leaves; unit vector, seat's axes
+    depth_m: NotNegative  # distance along way_out until the module is free
+    detent_n: NotNegative = 0.0  # holding force of the catch; 0: no catch
+    needs_within: KnownWithin | None = None  # maximum spread of a held module for insertion
     shapes: list[AnyShape] = []
 
 
 class Object(Part, frozen=True, kw_only=True):
-    """A thing that can be grasped, or (fixed) an obstacle. Its frame is the world's, or its seat's module frame."""
+    """An object that can be grasped or, if fixed, an obstacle. `frame`: in the world or in its seat's module frame."""
 
     name: Name
     kind: str
     frame: Frame = Frame()
     seat: Name | None = None
-    known_within: KnownWithin | None = None  # None: it is where the file has it
+    known_within: KnownWithin | None = None  # None: the pose is exact
     fixed: bool = False
     mass_kg: Positive = 1.0
-    inertia_kg_m2: tuple[Positive, Positive, Positive] | None = None  # about the origin's axes; None: from shapes
+    inertia_kg_m2: tuple[Positive, Positive, Positive] | None = None  # about the origin; None: from the shapes
     shapes: list[AnyShape]
     grasp_points: list[GraspPoint] = []
 
@@ -179,8 +179,7 @@ class Object(Part, frozen=True, kw_only=True):
 
 
 class Place(Part, frozen=True, kw_only=True):
-    """A named place, one entry for each arm that can go there: a tcp pose (world), or a posture. `object` is where
-    the frame of something carried there comes to lie."""
+    """A named place, with a tcp pose (world frame) or a posture per arm. `object`: goal pose of a carried object."""
 
     name: Name
     poses: dict[str, Frame] = {}
@@ -193,7 +192,7 @@ class Place(Part, frozen=True, kw_only=True):
 
 
 class Region(Part, frozen=True, kw_only=True):
-    """A box in space: a work range to stay in, or a task region to keep out of."""
+    """A box in space: a safe work range, or a task region to avoid."""
 
     name: Name
     frame: Frame  # centre, world
@@ -205,7 +204,7 @@ class Region(Part, frozen=True, kw_only=True):
 
 
 class Numbers(Part, frozen=True, kw_only=True):
-    """What sentences leave unsaid, for this cell."""
+    """Default parameters of this cell, for values that a sentence does not give."""
 
     neighborhood_radius_m: Positive = 0.15
     approach_m: Positive = 0.10  # the paper's "set distance" before a grasp point
@@ -218,7 +217,7 @@ class Numbers(Part, frozen=True, kw_only=True):
     acceleration_m_s2: Positive = 1.0
     feel_force_n: Positive = 5.0
     guard_force_n: Positive = 20.0
-    joint_margin_deg: NotNegative = 3.0  # solutions nearer to a limit than this are not taken
+    joint_margin_deg: NotNegative = 3.0  # IK solutions nearer to a limit are rejected
 
 
 _T = TypeVar("_T", Arm, Seat, Object, Place, Region, GraspPoint)
@@ -232,7 +231,7 @@ class Cell(Part, frozen=True, kw_only=True):
     objects: list[Object] = []
     places: list[Place] = []
     regions: list[Region] = []
-    attitudes: dict[str, Frame] = {}  # of the tcp, world frame: POSE-DURING-MOTION LEVEL
+    attitudes: dict[str, Frame] = {}  # of the tcp, world frame; for POSE-DURING-MOTION
     numbers: Numbers = Numbers()
     texts: dict[str, str] = {}  # URDF and SRDF by file name; filled by `load`
 
@@ -244,13 +243,13 @@ class Cell(Part, frozen=True, kw_only=True):
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Cell:
-        """The cell of that name (cells/NAME/cell.yaml) or file, models embedded. ProgramError names the place."""
+        """The cell of a name (cells/NAME/cell.yaml) or file, models embedded. Raises ProgramError with the place."""
         path = Path(name_or_path)
         if path.suffix not in (".yaml", ".yml"):
             path = (path if path.is_dir() else CELLS / path) / "cell.yaml"
         if not path.is_file():
             known = ", ".join(sorted(p.parent.name for p in CELLS.glob("*/cell.yaml")))
-            raise ProgramError(f"no cell {name_or_path}: there is no file {path}; cells that come along: {known}")
+            raise ProgramError(f"no cell {name_or_path}: there is no file {path}; cells of the project: {known}")
         bare = _decode(path.read_bytes(), str(path))
         texts = dict(bare.texts)
         for n, arm in enumerate(bare.arms):
@@ -267,7 +266,7 @@ class Cell(Part, frozen=True, kw_only=True):
 
     @classmethod
     def from_bytes(cls, document: bytes) -> Cell:
-        """The cell of an `encode()`d (or any self-contained YAML) document."""
+        """The cell of an `encode()`d document, or of any self-contained YAML document. Raises ProgramError."""
         cell = _decode(document, "cell document")
         for n, arm in enumerate(cell.arms):
             for field, file in (("urdf", arm.urdf), ("srdf", arm.srdf)):
@@ -282,7 +281,7 @@ class Cell(Part, frozen=True, kw_only=True):
     def digest(self) -> str:
         return digest(self.encode())
 
-    # --- asking ----------------------------------------------------------------------------------------
+    # --- look-ups (KeyError for an unknown name) ----------------------------------------------------------------------
 
     def arm(self, name: str) -> Arm:
         return _named(self.arms, name, "arm")
@@ -307,19 +306,19 @@ class Cell(Part, frozen=True, kw_only=True):
         return self.texts[self.arm(arm).srdf]
 
     def seated_pose(self, seat: str) -> geometry.Array:
-        """World pose of a module that sits in `seat`."""
+        """World pose of a module in `seat`."""
         found = self.seat(seat)
         return geometry.compose(found.frame.pose, found.module_frame.pose)
 
     def object_pose(self, name: str) -> geometry.Array:
-        """World pose of an object as the cell begins."""
+        """Initial world pose of an object."""
         found = self.object(name)
         if found.seat is None:
             return found.frame.pose
         return geometry.compose(self.seated_pose(found.seat), found.frame.pose)
 
     def names(self) -> Iterator[str]:
-        """Every name a sentence may use for a thing or place of this cell."""
+        """All names in this cell that a sentence may use."""
         for arm in self.arms:
             yield from (arm.name, arm.end_effector)
         for group in (self.seats, self.objects, self.places, self.regions):
@@ -335,7 +334,7 @@ def _named(parts: Sequence[_T], name: str, what: str) -> _T:
 
 def _decode(document: bytes, source: str) -> Cell:
     try:
-        if document.startswith(b"{"):  # what `encode` makes; 20 times quicker than the YAML reader
+        if document.startswith(b"{"):  # JSON from `encode`; 20 times faster than the YAML reader
             return msgspec.json.decode(document, type=Cell)
         return msgspec.yaml.decode(document, type=Cell)
     except msgspec.MsgspecError as error:
@@ -343,7 +342,7 @@ def _decode(document: bytes, source: str) -> Cell:
 
 
 def _problems(cell: Cell) -> Iterator[tuple[str, str]]:
-    """(place, problem) for what the types alone cannot see."""
+    """(place, problem) for faults that the types do not exclude."""
     yield from _repeated_names(cell)
     seats = {seat.name for seat in cell.seats}
     arms = {arm.name: arm for arm in cell.arms}

@@ -1,6 +1,6 @@
-"""Whether the robot models of a cell fit the cell: the joints, links and fingers that it names, postures, meshes. Pure.
+"""Checks of the robot models of a cell against the cell: joints, links, fingers, postures, meshes. Pure.
 
-A model that does not fit would make an arm run away or a process die with a traceback, far from its cause.
+Without them, a wrong model would cause a runaway arm or a traceback far from the cause.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 MOVING = ("revolute", "continuous", "prismatic")
 WIDTH_SLACK_M = 0.0005
-OPPOSED = 1e-3  # of the sum of two unit vectors
+OPPOSED = 1e-3  # maximum norm of the sum of two opposed unit vectors
 
-Problems = Iterator[tuple[str, str]]  # place in the cell, what is wrong there
+Problems = Iterator[tuple[str, str]]  # place in the cell, problem
 Element = ElementTree.Element
 
 
 def problems(cell: Cell) -> Problems:
-    """All that is found wrong, arm by arm. The models' texts must be embedded."""
+    """All problems, arm by arm. The texts of the models must be embedded."""
     for n, arm in enumerate(cell.arms):
         place = f"arms[{n}]"
         try:
@@ -39,13 +39,13 @@ def problems(cell: Cell) -> Problems:
         try:
             found = list(_arm(arm, _Model(root)))
         except ValueError as error:
-            found = [("urdf", f"a figure is not a number: {error}")]
+            found = [("urdf", f"a value is not a number: {error}")]
         for field, problem in found:
             yield f"{place}.{field}", f"{arm.urdf}: {problem}"
 
 
 class _Model:
-    """A URDF: links, joints, and which joint carries which link."""
+    """A URDF: links, joints, and the joint that carries each link."""
 
     def __init__(self, root: Element) -> None:
         self.links = {str(link.get("name")) for link in root.findall("link")}
@@ -57,7 +57,7 @@ class _Model:
         return str(self.joints[joint].get("type"))
 
     def way_to(self, link: str) -> list[str]:
-        """The joints from the root to a link."""
+        """The joints from the root to a link, in order."""
         way: list[str] = []
         while link in self.carriers and len(way) <= len(self.joints):
             way.append(self.carriers[link])
@@ -65,14 +65,14 @@ class _Model:
         return way[::-1]
 
     def limits(self, joint: str) -> tuple[float, float] | None:
-        """rad or m; None: it has none."""
+        """(lower, upper) in rad or m; None: without limits."""
         limit = self.joints[joint].find("limit")
         if limit is None or self.type(joint) == "continuous":
             return None
         return float(limit.get("lower", "0")), float(limit.get("upper", "0"))
 
     def axis(self, joint: str) -> geometry.Array:
-        """The direction it moves in, unit vector in the axes of its parent link."""
+        """The axis of motion: a unit vector in the axes of the parent link."""
         element = self.joints[joint]
         origin, axis = element.find("origin"), element.find("axis")
         turn = _numbers(origin, "rpy", (0.0, 0.0, 0.0))
@@ -117,11 +117,14 @@ def _chain(arm: Arm, model: _Model) -> Problems:
     others = [joint for joint in model.joints if model.type(joint) in MOVING and joint not in arm.joints]
     loose = [joint for joint in others if joint not in arm.gripper.finger_joints]
     if loose:
-        yield "gripper.finger_joints", f"{', '.join(loose)} can move and is a joint neither of the arm nor of a finger"
+        yield "gripper.finger_joints", f"{', '.join(loose)} can move, but is neither a joint of the arm nor of a finger"
     if model.type(arm.sensor_joint) != "fixed":
-        yield "sensor_joint", f"{arm.sensor_joint} is {model.type(arm.sensor_joint)}; a sensor sits in a fixed joint"
+        yield "sensor_joint", f"{arm.sensor_joint} is {model.type(arm.sensor_joint)}; the sensor needs a fixed joint"
     elif arm.sensor_joint not in model.way_to(arm.gripper.palm_link):
-        yield "sensor_joint", f"{arm.sensor_joint} does not carry {arm.gripper.palm_link}: it would feel nothing"
+        yield (
+            "sensor_joint",
+            f"{arm.sensor_joint} does not carry {arm.gripper.palm_link}: the sensor would measure nothing",
+        )
 
 
 def _postures(arm: Arm, model: _Model) -> Problems:
@@ -138,10 +141,10 @@ def _fingers(arm: Arm, model: _Model) -> Problems:
     for joint, link in zip(arm.gripper.finger_joints, arm.gripper.finger_links, strict=True):
         place = "gripper.finger_joints"
         if model.type(joint) != "prismatic":
-            yield place, f"{joint} is {model.type(joint)}; a finger slides in a prismatic joint"
+            yield place, f"{joint} is {model.type(joint)}; a finger needs a prismatic joint"
             return
         if model.joints[joint].find("mimic") is not None:
-            yield place, f"{joint} mimics another joint; each finger has a motor of its own"
+            yield place, f"{joint} mimics another joint; each finger needs its own motor"
         if _link(model.joints[joint], "child") != link:
             yield "gripper.finger_links", f"{joint} carries {_link(model.joints[joint], 'child')}, not {link}"
         low, high = model.limits(joint) or (0.0, 0.0)
@@ -156,7 +159,7 @@ def _fingers(arm: Arm, model: _Model) -> Problems:
     elif _link(model.joints[a], "parent") == _link(model.joints[b], "parent") and (
         float(np.linalg.norm(model.axis(a) + model.axis(b))) > OPPOSED
     ):
-        yield "gripper.finger_joints", f"{a} and {b} do not move against each other"
+        yield "gripper.finger_joints", f"{a} and {b} do not move in opposite directions"
 
 
 def _link(joint: Element, which: str) -> str:

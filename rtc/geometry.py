@@ -1,8 +1,8 @@
-"""Poses: seven floats [x y z qx qy qz qw] in metres and a unit quaternion, right-handed.
+"""Poses: seven floats [x y z qx qy qz qw], metres and a unit quaternion, right-handed.
 
-Pure arithmetic, in plain `math` where seven numbers are too few to pay for numpy. Every function takes any
-sequence of floats and gives a fresh float64 array (or a float), so that results can be stored, sent and compared.
-`compose(a, b)` reads "b, given in the axes of a, in the axes a is given in". This file knows no robot.
+Pure arithmetic, with `math` where numpy would be slower for seven numbers. Each function takes any sequence of floats
+and returns a new float64 array (or a float), so that results can be stored, sent and compared. `compose(a, b)`: b is
+given in the axes of a; the result is in the frame of a. This module knows no robot.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Floats = Sequence[float] | Array  # what the functions accept
+Floats = Sequence[float] | Array  # type of pose and vector arguments
 
 IDENTITY: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
@@ -23,16 +23,16 @@ LEVEL: tuple[float, ...] = (0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5))
 
 
 def make_pose(position: Floats, quaternion: Floats = (0.0, 0.0, 0.0, 1.0)) -> Array:
-    """A pose of a position (m) and a quaternion (xyzw, made unit here)."""
+    """A pose from a position (m) and a quaternion (xyzw, normalised here)."""
     return normalise((*_floats(position), *_floats(quaternion)))
 
 
 def normalise(pose: Floats) -> Array:
-    """The same pose with a unit quaternion whose w is not negative (one orientation, one spelling)."""
+    """The same pose with a unit quaternion and w >= 0, so that its representation is unique. Raises ValueError."""
     x, y, z, qx, qy, qz, qw = _floats(pose)
     norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
     if norm < 1e-9:
-        raise ValueError(f"a quaternion of length zero is no orientation: {[qx, qy, qz, qw]}")
+        raise ValueError(f"a quaternion of length zero is not an orientation: {[qx, qy, qz, qw]}")
     norm = -norm if qw < 0 else norm
     return np.array((x, y, z, qx / norm, qy / norm, qz / norm, qw / norm))
 
@@ -78,13 +78,13 @@ def translate(pose: Floats, by: Floats) -> Array:
 
 
 def interpolate(a: Floats, b: Floats, s: float) -> Array:
-    """The pose a fraction `s` (0..1) of the straight way from `a` to `b`; attitude by the shorter slerp."""
+    """The pose at the fraction `s` (0..1) of the straight line from `a` to `b`; attitude by the shorter slerp."""
     pa, pb = _floats(a), _floats(b)
     qa, qb = pa[3:], pb[3:]
     cosine = sum(m * n for m, n in zip(qa, qb, strict=True))
-    if cosine < 0:  # the same attitude spelt the other way round is nearer
+    if cosine < 0:  # q and -q are the same attitude; take the nearer one
         qb, cosine = [-n for n in qb], -cosine
-    if cosine > 0.99999:  # the arc is as good as its chord, and sin(angle) is nearly 0
+    if cosine > 0.99999:  # linear interpolation, because sin(angle) is nearly 0
         wa, wb = 1.0 - s, s
     else:
         angle = math.acos(cosine)
@@ -94,9 +94,9 @@ def interpolate(a: Floats, b: Floats, s: float) -> Array:
 
 
 def mean_pose(poses: Sequence[Floats]) -> Array:
-    """The middle of several poses: mean position, and the attitude nearest to all (Markley's quaternion mean)."""
+    """The mean of poses: mean position and Markley's quaternion mean. Raises ValueError for an empty sequence."""
     if not poses:
-        raise ValueError("the mean of no poses")
+        raise ValueError("an empty sequence of poses has no mean")
     table = np.asarray([_floats(p) for p in poses])
     quaternions = table[:, 3:]
     _, vectors = np.linalg.eigh(quaternions.T @ quaternions)  # q and -q count alike in the outer product
@@ -109,7 +109,7 @@ def distance(a: Floats, b: Floats) -> float:
 
 
 def angle(a: Floats, b: Floats) -> float:
-    """Radians (0..pi) of the turn from the attitude of `a` to that of `b`."""
+    """The angle (rad, 0..pi) of the rotation from the attitude of `a` to that of `b`."""
     x, y, z, w = _multiply([-n for n in _floats(a)[3:6]] + [_floats(a)[6]], _floats(b)[3:])
     return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
 
@@ -143,7 +143,7 @@ def from_matrix(matrix: Array) -> Array:
 
 
 def from_rpy(position: Floats, rpy: Floats) -> Array:
-    """The pose of a position and roll, pitch, yaw (rad) about the fixed axes x, y, z, as URDF means it."""
+    """The pose of a position (m) and roll, pitch, yaw (rad) about the fixed axes x, y, z, as in URDF."""
     roll, pitch, yaw = (0.5 * n for n in _floats(rpy))
     cr, sr, cp, sp, cy, sy = (f(n) for n in (roll, pitch, yaw) for f in (math.cos, math.sin))
     quaternion = (
@@ -166,7 +166,7 @@ def to_rpy(pose: Floats) -> Array:
 
 
 def rotation_vector(a: Floats, b: Floats) -> Array:
-    """The turn from `a` to `b` as axis times angle (rad), in the outer frame; length at most pi."""
+    """The rotation from `a` to `b` as axis times angle (rad), in the outer frame; length at most pi."""
     qa = _floats(a)[3:]
     x, y, z, w = _multiply(_floats(b)[3:], [-qa[0], -qa[1], -qa[2], qa[3]])
     if w < 0:
@@ -177,7 +177,7 @@ def rotation_vector(a: Floats, b: Floats) -> Array:
 
 
 def _floats(values: Floats) -> Sequence[float]:
-    return values.tolist() if isinstance(values, np.ndarray) else values  # Python floats: 5x quicker than numpy's
+    return values.tolist() if isinstance(values, np.ndarray) else values  # Python floats: 5x faster than numpy's
 
 
 def _multiply(p: Sequence[float], q: Sequence[float]) -> tuple[float, float, float, float]:

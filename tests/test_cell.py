@@ -170,7 +170,7 @@ MISFITS = {
     "crossed": (hand(finger_links=["finger_b", "finger_a"]), None, r"finger_a_slide carries finger_a, not finger_b"),
     "narrow": (hand(max_opening_m=0.2), None, r"max_opening_m: .*goes from 0 to 0\.04 m"),
     "revolute": (None, (SLIDE_A, SLIDE_A.replace("prismatic", "revolute")), r"finger_a_slide is revolute"),
-    "same way": (None, ('<axis xyz="0 -1 0"/>', '<axis xyz="0 1 0"/>'), "do not move against each other"),
+    "same way": (None, ('<axis xyz="0 -1 0"/>', '<axis xyz="0 1 0"/>'), "do not move in opposite directions"),
     "third": (None, (PALM, PALM.replace("fixed", "continuous")), "palm_mount"),
     "home": (
         lambda arm: arm["home_deg"].__setitem__(4, 120),

@@ -1,7 +1,7 @@
-"""All bodies of a cell as pinocchio geometry: arms on their bases, seats, objects and regions, and the pairs of them.
+"""The collision model of a cell: arms, seats, objects and regions as pinocchio geometry, and their collision pairs.
 
-Building only; asking is `rtc.robot.collision`. Every piece knows its owner (RIGHT-ARM, RACK-1, MACS-OLD, a region)
-and its own name, so that a collision reads "RIGHT-ARM forearm / RACK-1 left-wall".
+This module builds the model; `rtc.robot.collision` queries it. Each piece has an owner (RIGHT-ARM, RACK-1, MACS-OLD, a
+region) and a name, so that a message reads "RIGHT-ARM forearm collides with RACK-1 left-wall".
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _SHAPES = {
 
 @dataclass(frozen=True)
 class Piece:
-    """One convex piece; its index is that of the geometry object."""
+    """One convex piece, at the same index as its geometry object."""
 
     owner: str
     part: str
     kind: str  # "arm", "fixed", "movable", "region"
-    in_owner: pin.SE3  # in the owner's axes (in the parent joint's, for an arm)
+    in_owner: pin.SE3  # in the owner's axes; of an arm: in the axes of the parent joint
 
     @property
     def label(self) -> str:
@@ -40,11 +40,11 @@ class Piece:
 
 @dataclass
 class ArmSlots:
-    """Where an arm's numbers are in the model of the whole cell."""
+    """Indices of one arm in the model of the whole cell."""
 
-    joints: list[int]  # index of each joint's value in the configuration vector
+    joints: list[int]  # indices in the configuration vector, in joint order
     fingers: list[int]
-    hand_joint: int  # the joint that carries the hand
+    hand_joint: int  # id of the joint that carries the hand
     tcp: pin.SE3  # in the axes of that joint
     hand_links: set[str]
 
@@ -59,6 +59,7 @@ class Bodies:
 
 
 def build(cell: cells.Cell) -> Bodies:
+    """The collision model of a cell, objects at their initial poses. Raises ProgramError for a missing joint."""
     model, geometry = pin.Model(), pin.GeometryModel()
     pieces: list[Piece] = []
     slots: dict[str, ArmSlots] = {}
@@ -85,7 +86,7 @@ def build(cell: cells.Cell) -> Bodies:
     pairs = [pair for pair in _candidates(pieces) if not _is_disabled(pieces, pair, disabled)]
     for pair in pairs:
         geometry.addCollisionPair(pin.CollisionPair(*pair))
-    # pinocchio keeps its own order; ours must be the same.
+    # pinocchio reorders the pairs; `pairs` must have its order.
     pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
     return Bodies(model, geometry, pieces, pairs, slots)
 
@@ -106,7 +107,7 @@ def _add(
 
 
 def _candidates(pieces: list[Piece]) -> list[tuple[int, int]]:
-    """Pairs that can ever matter: an arm with anything, a movable object with any other body."""
+    """The relevant pairs: an arm with any body, a movable object with any other body."""
     moving = ("arm", "movable")
     return [
         (i, j)
@@ -141,7 +142,7 @@ def _slots(model: pin.Model, arm: cells.Arm) -> ArmSlots:
 
 
 def _prefixed(urdf: str, name: str) -> str:
-    """The URDF with every link and joint named after the arm, so that two of one kind fit into one model."""
+    """The URDF with the arm's name before each link and joint name, so that names are unique in one model."""
     root = ET.fromstring(urdf)
     for element in root.iter():
         for tag, attribute in (("link", "name"), ("joint", "name"), ("parent", "link"), ("child", "link")):

@@ -1,8 +1,8 @@
-"""Whether anything in the cell touches what it should not: arms, what they hold, and everything that stands there.
+"""Collision checks of arms, held objects and the rest of the cell.
 
-A `Scene` says what the world is like (where things are, what is held, what may touch); a `CollisionWorld` answers
-for joint values in that scene. Keep one scene for many questions: arranging it costs some 0.2 ms, a question 20-40 us.
-The answer names the two bodies. Geometry only: whether a touch is wanted is the asker's business.
+A `Scene` is the state of the world: poses, held objects, permitted contacts. A `CollisionWorld` checks joint values in
+a scene. Reuse one scene for many checks: setting it up takes about 0.2 ms, a check 20-40 us. The result names the two
+bodies. Geometry only: the caller decides which contacts are intended.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rtc.robot import bodies
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """What a hand holds: the object's pose in the axes of that arm's tcp."""
+    """A held object: the arm, and the object's pose in the axes of that arm's tcp."""
 
     arm: str
     pose: Floats
@@ -30,26 +30,26 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What the world is like, for a question. Names are owners (RACK-1), or an owner's part (RACK-1 floor)."""
+    """The state of the world for a check. A name is an owner (RACK-1) or a part of one (RACK-1 floor)."""
 
-    poses: Mapping[str, Floats] = field(default_factory=dict)  # of seats and objects; others are where the cell says
+    poses: Mapping[str, Floats] = field(default_factory=dict)  # of seats and objects, world; others as in the cell
     held: Mapping[str, Held] = field(default_factory=dict)  # by object
-    openings_m: Mapping[str, float] = field(default_factory=dict)  # of the hands, by arm; others are wide open
+    openings_m: Mapping[str, float] = field(default_factory=dict)  # of the hands, by arm; default: fully open
     ignore: Iterable[tuple[str, str]] = ()  # pairs that may touch
-    clearance_m: float = 0.0  # how far arms, and what they hold, keep from all else
-    near: Iterable[str] = ()  # to these they need keep no distance, only not touch
+    clearance_m: float = 0.0  # minimum distance of arms and held objects
+    near: Iterable[str] = ()  # bodies exempt from the clearance, but not from contact
     keep_out: Iterable[str] = ()  # regions that count as solid
-    moving: str = ""  # the arm that is asked about: what touches without it is not its business; empty = all arms
+    moving: str = ""  # the arm to check, pairs without it are ignored; empty: all arms
 
 
 @dataclass(frozen=True)
 class Collision:
-    """Two bodies that touch, or are nearer than the clearance asked for. Distance is negative inside one another."""
+    """Two bodies in contact or nearer than the clearance. A negative distance is the penetration depth."""
 
     body_a: str
     body_b: str
     distance_m: float
-    point: tuple[float, float, float]  # world, between the two
+    point: tuple[float, float, float]  # world frame, midway between the nearest points
 
     def refusal(self, where: str = "") -> Refusal:
         verb = "collides with" if self.distance_m <= 0 else f"comes within {self.distance_m * 1000:.0f} mm of"
@@ -72,24 +72,24 @@ class Collision:
 
 @dataclass(frozen=True)
 class PathCollision:
-    index: int  # of the first configuration that is not free
+    index: int  # of the first configuration in collision
     collision: Collision
 
 
 AS_BUILT = Scene()
-LEAVING_STEPS = 10  # between two configurations, while something has not come apart yet
-DEEPER_M = 0.0002  # less is noise: of the measured joints, and of the depth of boxes in one another
+LEAVING_STEPS = 10  # interpolation steps between configurations while an initial contact lasts
+DEEPER_M = 0.0002  # tolerance for noise of joint values and of penetration depths
 
 
 class CollisionWorld:
-    """The bodies of one cell. Not thread-safe: it keeps the scene it was asked for last."""
+    """The bodies of one cell. Not thread-safe: it keeps the last scene."""
 
     def __init__(self, cell: cells.Cell) -> None:
         self.cell = cell
         self._bodies = bodies.build(cell)
         self._data = self._bodies.model.createData()
         self._geometry_data = self._bodies.geometry.createData()
-        # Of pinocchio's broad phases the naive one is the quickest here (70 boxes: 18 us; tree 49, pair list 300).
+        # The naive one is the fastest of pinocchio's broad phases here (70 boxes: 18 us; tree 49 us, pair list 300 us).
         self._manager = pin.BroadPhaseManager_NaiveCollisionManager(
             self._bodies.model, self._bodies.geometry, self._geometry_data
         )
@@ -102,7 +102,7 @@ class CollisionWorld:
         self._arrange(AS_BUILT)
 
     def check(self, joints: Mapping[str, Floats], scene: Scene = AS_BUILT) -> Collision | None:
-        """The first pair found that is too near, or None. `joints` (rad) of every arm of the cell."""
+        """The first pair found that is too near, or None. `joints`: rad, of all arms. Raises ValueError."""
         self._set(joints, scene)
         return self._ask()
 
@@ -113,17 +113,17 @@ class CollisionWorld:
         others: Mapping[str, Floats],
         scene: Scene = AS_BUILT,
     ) -> PathCollision | None:
-        """The first of an arm's configurations that is not free; `others` are the joints of the arms that rest.
+        """The first configuration of an arm in collision, or None. `others`: joints (rad) of the arms at rest.
 
-        Pairs that are too near at the start may leave: along the way their distance must not get less by more than
-        `DEEPER_M`. Once apart, they are checked like all others. A belief that is wrong by millimetres may therefore
-        begin a way inside something, and never lead one into it.
+        A pair that is too near at the start may separate: along the path its distance must not decrease by more than
+        `DEEPER_M`. After separation it is checked like all others. So a world model with an error of millimetres can
+        start a path in contact, but a path never moves deeper into contact.
         """
         if not len(configurations):
             return None
         self._set({**others, arm: configurations[0]}, scene)
         slots = self._bodies.arms[arm].joints
-        leaving: dict[int, float] = {}  # pair -> the most distance so far
+        leaving: dict[int, float] = {}  # pair -> greatest distance so far
         try:
             for index, configuration in enumerate(configurations):
                 self._q[slots] = configuration
@@ -150,7 +150,7 @@ class CollisionWorld:
         return self._describe(self._callback.collisionPairIndex)
 
     def _let_leave(self) -> dict[int, float]:
-        """The pairs that are too near where the arms are now, with their distances; not checked by `_ask` any more."""
+        """The pairs that are too near at the present configuration, with distances (m); `_ask` skips them."""
         data = self._geometry_data
         pin.computeCollisions(self._bodies.model, self._data, self._bodies.geometry, data, self._q, False)
         active = np.flatnonzero(self._active).tolist()
@@ -162,8 +162,10 @@ class CollisionWorld:
     def _touched_at(
         self, slots: list[int], start: Floats, here: Floats, hit: Collision, leaving: dict[int, float]
     ) -> bool:
-        """Whether the pair that was just found touched at the start too, and may leave: coal misses some pairs of boxes
-        whose faces lie in one plane, and finds them a millimetre further."""
+        """True if the pair just found was in contact at the start too; it may separate then.
+
+        coal misses some pairs of boxes with coplanar faces, and finds them one millimetre later.
+        """
         pair = self._callback.collisionPairIndex
         self._q[slots] = start
         self._place()
@@ -177,12 +179,12 @@ class CollisionWorld:
         return True
 
     def _place(self) -> None:
-        """All pieces where the joints have them now."""
+        """Moves all pieces to the present configuration."""
         bodies, data = self._bodies, self._geometry_data
         pin.updateGeometryPlacements(bodies.model, self._data, bodies.geometry, data, self._q)
 
     def _left(self, slots: list[int], before: Floats, after: Floats, leaving: dict[int, float]) -> Collision | None:
-        """`_nearer_again` from one configuration to the next, in steps so small that no thin bar is passed through."""
+        """`_nearer_again` between two configurations, in steps that are too small to pass through a thin bar."""
         way, together = np.asarray(after, dtype=float) - np.asarray(before, dtype=float), len(leaving)
         for n in range(1, LEAVING_STEPS + 1):
             self._q[slots] = before + n / LEAVING_STEPS * way
@@ -193,12 +195,12 @@ class CollisionWorld:
         return self._ask() if len(leaving) < together else None
 
     def _nearer_again(self, leaving: dict[int, float]) -> Collision | None:
-        """The first of these pairs that is deeper than before; those that have come apart are checked again."""
-        for pair, most_m in list(leaving.items()):
+        """The first of these pairs whose distance has decreased; separated pairs return to the normal check."""
+        for pair, greatest_m in list(leaving.items()):
             found = self._describe(pair)
-            if found.distance_m < most_m - DEEPER_M:
+            if found.distance_m < greatest_m - DEEPER_M:
                 return found
-            leaving[pair] = max(most_m, found.distance_m)
+            leaving[pair] = max(greatest_m, found.distance_m)
             if found.distance_m > max(float(self._margin[pair]), 0.0) + DEEPER_M:
                 del leaving[pair]
                 self._geometry_data.activateCollisionPair(pair)
@@ -222,11 +224,11 @@ class CollisionWorld:
             self._arrange(scene)
         for name, slots in self._bodies.arms.items():
             if name not in joints:
-                raise ValueError(f"where is {name}? A check needs the joints of every arm")
+                raise ValueError(f"joints of {name} are missing: a check needs those of every arm")
             self._q[slots.joints] = joints[name]
 
     def _arrange(self, scene: Scene) -> None:
-        """Put things where the scene has them, and switch each pair on or off."""
+        """Applies a scene: poses, parents and openings; then active pairs and margins."""
         for name, slots in self._bodies.arms.items():
             opening = scene.openings_m.get(name, self.cell.arm(name).gripper.max_opening_m)
             self._q[slots.fingers] = 0.5 * opening
@@ -247,7 +249,7 @@ class CollisionWorld:
 
     def _switch(self, scene: Scene) -> None:
         moving = self._arm_piece.copy()  # pieces that move with an arm
-        carrier = self._owner.copy()  # whom a piece moves with
+        carrier = self._owner.copy()  # number of the owner that moves each piece
         for name, held in scene.held.items():
             moving |= self._owner == self._number[name]
             carrier[self._owner == self._number[name]] = self._number[held.arm]
@@ -263,7 +265,7 @@ class CollisionWorld:
             active &= ~self._between(self._matching(a), self._matching(b))
         margin = np.where(carrier[first] == carrier[second], 0.0, scene.clearance_m)
         margin[self._touches(scene.near)] = 0.0
-        # Handed over as matrices: one by one, 1700 pairs would take 5 ms.
+        # Set as matrices: a loop over 1700 pairs would take 5 ms.
         if not np.array_equal(active, self._active):
             self._geometry_data.setActiveCollisionPairs(self._bodies.geometry, self._as_matrix(active))
         if not np.array_equal(margin, self._margin):
@@ -271,7 +273,7 @@ class CollisionWorld:
         self._active, self._margin = active, margin
 
     def _index(self) -> None:
-        """Arrays over pieces and pairs, so that a scene is arranged by masks."""
+        """Builds arrays over pieces and pairs, so that a scene is applied by masks."""
         pieces = self._bodies.pieces
         owners = list(dict.fromkeys(piece.owner for piece in pieces))
         self._number = {owner: n for n, owner in enumerate(owners)}
@@ -287,7 +289,7 @@ class CollisionWorld:
         self._built_pose |= {region.name: region.frame.pose for region in self.cell.regions}
 
     def _matching(self, name: str) -> np.ndarray:
-        """Mask of the pieces of an owner, or of an owner's part."""
+        """Mask of the pieces of an owner, or of a part of one. Raises ValueError for an unknown owner."""
         owner, _, part = name.partition(" ")
         if owner not in self._number:
             raise ValueError(f"no body {owner} in the cell")
@@ -300,11 +302,11 @@ class CollisionWorld:
         return matrix
 
     def _between(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Mask of the pairs of a piece in `a` with a piece in `b`."""
+        """Mask of the pairs of one piece in `a` and one piece in `b`."""
         return (a[self._first] & b[self._second]) | (b[self._first] & a[self._second])
 
     def _touches(self, names: Iterable[str]) -> np.ndarray:
-        """Mask of the pairs in which any of these bodies is."""
+        """Mask of the pairs that contain any of these bodies."""
         mask = np.zeros(len(self._owner), dtype=bool)
         for name in names:
             mask |= self._matching(name)

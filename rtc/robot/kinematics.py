@@ -1,8 +1,8 @@
-"""One arm's kinematics, from its URDF and where it stands: forward, Jacobian, inverse, and why an inverse fails.
+"""Kinematics of one arm from its URDF and base pose: forward, Jacobian, inverse, and causes of IK failure.
 
-Joint vectors are float64 arrays (rad) in the order of the cell's `joints`; poses are seven floats of the tcp in the
-world frame. The inverse gives every branch: closed form for a PUMA-like arm, seeded numeric search for any other.
-Collisions are not its business (see `rtc.robot.collision`).
+Joint vectors are float64 arrays (rad) in the order of the cell's `joints`. Poses are seven floats of the tcp in the
+world frame. IK returns all branches: in closed form for a PUMA-like arm, by seeded numeric search for any other.
+Collisions are checked in `rtc.robot.collision`, not here.
 """
 
 from __future__ import annotations
@@ -36,7 +36,10 @@ class JointLimits:
 
 
 class ArmModel:
-    """Kinematics of one arm of a cell. Not thread-safe: pinocchio's working memory is reused."""
+    """Kinematics of one arm of a cell. Not thread-safe: pinocchio's data object is reused.
+
+    Raises ProgramError when the URDF lacks joints or the tcp link.
+    """
 
     def __init__(
         self,
@@ -54,10 +57,10 @@ class ArmModel:
         if unknown or not full.existFrame(tcp_link):
             raise ProgramError(f"{name}: the URDF lacks {', '.join(unknown) or tcp_link}")
         others = [i for i in range(1, full.njoints) if full.names[i] not in names]
-        model = pin.buildReducedModel(full, others, pin.neutral(full))  # fingers do not move the tcp
+        model = pin.buildReducedModel(full, others, pin.neutral(full))  # other joints do not move the tcp
         if list(model.names)[1:] != names:
             raise ProgramError(f"{name}: joints {names} are not in the URDF's order {list(model.names)[1:]}")
-        model.gravity.linear[:] = 0  # pinocchio assumes the earth
+        model.gravity.linear[:] = 0  # pinocchio presets the gravity of the earth
         self.name = name
         self.joints = names
         self.model = model
@@ -65,7 +68,7 @@ class ArmModel:
         self._data = model.createData()
         self._tcp = model.getFrameId(tcp_link)
         self._base = pin.SE3(geometry.to_matrix(self.base_pose))
-        self._turn = np.kron(np.eye(2), self._base.rotation)  # of both halves of a Jacobian into world axes
+        self._to_world = np.kron(np.eye(2), self._base.rotation)  # for a Jacobian
         self.limits = JointLimits(
             lower=model.lowerPositionLimit.copy(),
             upper=model.upperPositionLimit.copy(),
@@ -79,7 +82,7 @@ class ArmModel:
         self._tool_inverse = np.linalg.inv(tip.placement.homogeneous)
         self._puma = puma_ik.recognise([model.jointPlacements[i].homogeneous for i in range(1, model.njoints)])
         if tip.parentJoint != model.njoints - 1:
-            raise ProgramError(f"{name}: the {tcp_link} must hang on the last joint")
+            raise ProgramError(f"{name}: {tcp_link} must be fixed to the last joint")
 
     @classmethod
     def of(cls, cell: cells.Cell, arm: str) -> ArmModel:
@@ -95,7 +98,10 @@ class ArmModel:
         )
 
     def laden(self, mass_kg: float, com_m: Floats, inertia_kg_m2: Floats) -> pin.Model:
-        """The dynamics with a body in the hand: centre of mass in tcp axes, inertia about it (xx yy zz xy xz yz)."""
+        """The dynamics with a body in the hand.
+
+        `com_m`: centre of mass in tcp axes; `inertia_kg_m2`: about the centre of mass, xx yy zz xy xz yz.
+        """
         xx, yy, zz, xy, xz, yz = inertia_kg_m2
         about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         model, tip = self.model.copy(), self.model.frames[self._tcp]
@@ -113,11 +119,11 @@ class ArmModel:
         """6 x n: tcp velocity [linear m/s, angular rad/s] in world axes per joint velocity (rad/s)."""
         q = np.asarray(joints, dtype=float)
         local = pin.computeFrameJacobian(self.model, self._data, q, self._tcp, pin.LOCAL_WORLD_ALIGNED)
-        turned: Array = self._turn @ local
+        turned: Array = self._to_world @ local
         return turned
 
     def effective_mass_kg(self, joints: Floats, direction: Floats) -> float:
-        """Of the tcp along a direction (unit vector, world axes), without a load: 1 / (d J M^-1 J' d)."""
+        """Effective mass of the unloaded tcp along a direction (unit vector, world axes): 1 / (d J M^-1 J' d)."""
         q = np.asarray(joints, dtype=float)
         upper = np.triu(pin.crba(self.model, self._data, q))
         mass = upper + np.triu(upper, 1).T
@@ -125,11 +131,11 @@ class ArmModel:
         return 1.0 / max(float(along @ np.linalg.solve(mass, along)), 1e-6)
 
     def sigma_min(self, joints: Floats) -> float:
-        """Least singular value of the Jacobian: 0 in a singularity. Metres and radians are mixed, so compare only."""
+        """Least singular value of the Jacobian, 0 in a singularity. It mixes m and rad: use it for comparison only."""
         return float(np.linalg.svd(self.jacobian(joints), compute_uv=False)[-1])
 
     def limit_margin(self, joints: Floats) -> float:
-        """Distance (rad) of the joint nearest to one of its limits, of one posture or many; negative beyond it."""
+        """Least distance (rad) of any joint from its limits, for one posture or many; negative beyond a limit."""
         q = np.asarray(joints, dtype=float)
         return float(min((q - self.limits.lower).min(), (self.limits.upper - q).min()))
 
@@ -138,15 +144,14 @@ class ArmModel:
     def ik(self, target: Floats, near: Floats | None = None, margin_rad: float = 0.0) -> list[Array]:
         """All joint vectors that bring the tcp to `target`, each at least `margin_rad` from every limit.
 
-        Nearest to `near` first (weighted like the motion times they take); without it nearest to mid-range. Empty when
-        there are none: `why_no_ik` tells why.
+        Sorted by the motion time from `near`, or from mid-range without it. If empty, `why_no_ik` returns the cause.
         """
         reference = np.asarray(near, dtype=float) if near is not None else self.middle
-        within = [q for raw in self._branches(target, reference) for q in self._spellings(raw, margin_rad)]
+        within = [q for raw in self._branches(target, reference) for q in self._turns_within(raw, margin_rad)]
         return sorted(within, key=lambda q: self.travel(reference, q))
 
     def travel(self, a: Floats, b: Floats) -> float:
-        """How long (s) the slowest joint takes from `a` to `b` at full speed: the distance that `ik` sorts by."""
+        """Motion time (s) of the slowest joint from `a` to `b` at full speed; `ik` sorts by it."""
         return float((np.abs(np.asarray(b) - np.asarray(a)) / self.limits.velocity).max())
 
     @property
@@ -154,9 +159,9 @@ class ArmModel:
         return 0.5 * (self.limits.lower + self.limits.upper)
 
     def follow(self, target: Floats, near: Floats) -> Array | None:
-        """The branch nearest to `near`, each angle spelt nearest to it, *regardless of limits*; None out of reach.
+        """The branch nearest to `near`, with turns nearest to it, *regardless of limits*; None: out of reach.
 
-        For going along a line in small steps, where leaving the branch would mean a leap.
+        For small steps along a line, where another branch would cause a jump.
         """
         reference = np.asarray(near, dtype=float)
         raws = self._branches(target, reference)
@@ -169,17 +174,17 @@ class ArmModel:
         return best
 
     def why_no_ik(self, target: Floats, margin_rad: float = 0.0) -> Refusal | None:
-        """The cause in figures: out of reach by how much, or which joint would pass which limit. None: it can."""
+        """The cause of an IK failure: the missing reach, or the exceeded joint limit. None: IK succeeds."""
         raws = self._branches(target, self.middle)
         if not raws:
             return self._out_of_reach(target)
-        if any(self._spellings(raw, margin_rad) for raw in raws):
+        if any(self._turns_within(raw, margin_rad) for raw in raws):
             return None
         least = min((self._worst_joint(raw, margin_rad) for raw in raws), key=lambda worst: worst[0])
         return self._limit_passed(*least[1:], margin_rad)
 
     def why_not_within(self, joints: Floats, margin_rad: float = 0.0) -> Refusal | None:
-        """The joint of this very posture that is farthest beyond its limits; None: all are within."""
+        """The joint of this posture that exceeds its limits most; None: all joints are within them."""
         q = np.asarray(joints, dtype=float)
         below, above = self.limits.lower + margin_rad - q, q - self.limits.upper + margin_rad
         if max(below.max(), above.max()) <= 0:
@@ -201,8 +206,8 @@ class ArmModel:
         goal = pin.SE3(self._base_inverse @ geometry.to_matrix(target))
         return numeric_ik.branches(self.model, self._data, self._tcp, goal, reference)
 
-    def _spellings(self, raw: list[float], margin: float) -> list[Array]:
-        """The same posture with each angle a full turn more or less, as far as the limits allow."""
+    def _turns_within(self, raw: list[float], margin: float) -> list[Array]:
+        """The same posture with each angle shifted by -1, 0 or 1 turn, as far as the limits allow."""
         choices = []
         for angle, lower, upper in zip(raw, self._lower, self._upper, strict=True):
             fits = [a for a in (angle, angle - _TURN, angle + _TURN) if lower + margin <= a <= upper - margin]
@@ -212,7 +217,7 @@ class ArmModel:
         return [np.array(q) for q in itertools.product(*choices)]
 
     def _worst_joint(self, raw: list[float], margin: float) -> tuple[float, int, float, float]:
-        """(excess, joint, value, limit) of the joint farthest beyond its limits, in its best spelling."""
+        """(excess, joint, value, limit) of the joint that exceeds its limits most, each angle at its best turn."""
         worst = (-math.inf, 0, 0.0, 0.0)
         for n, (angle, lower, upper) in enumerate(zip(raw, self._lower, self._upper, strict=True)):
             best = min(
@@ -225,7 +230,7 @@ class ArmModel:
     def _limit_passed(self, joint: int, value: float, limit: float, margin: float) -> Refusal:
         side = "upper" if limit == self._upper[joint] else "lower"
         lowest, highest = (math.degrees(n) for n in (self._lower[joint] + margin, self._upper[joint] - margin))
-        kept = f", and {math.degrees(margin):.1f} deg before it are kept free" if margin else ""
+        kept = f", with a margin of {math.degrees(margin):.1f} deg" if margin else ""
         return Refusal(
             reason=RefusalReason.INFEASIBLE,
             message=(
@@ -260,7 +265,7 @@ class ArmModel:
 
 
 def _revolute(model: pin.Model) -> list[str]:
-    """The joints of an arm when nobody names them: all that turn."""
+    """The default joints of an arm: all revolute ones."""
     return [model.names[i] for i in range(1, model.njoints) if model.joints[i].shortname().startswith("JointModelR")]
 
 

@@ -1,7 +1,7 @@
-"""Inverse kinematics of any arm by search: damped Gauss-Newton (Levenberg-Marquardt) from several starts.
+"""Numeric inverse kinematics of any arm: damped Gauss-Newton (Levenberg-Marquardt) from several starts.
 
-Deterministic: the starts are drawn from a fixed seed. Slower than a closed form (about a millisecond a start), and it
-may miss branches; used only for arms that no closed form knows.
+Deterministic, because the starts have a fixed seed. Slower than the closed form (about 1 ms per start), and it may miss
+branches; used only for arms without a closed form.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import pinocchio as pin
 
 from rtc.geometry import Array
 
-STARTS = 24
-STEPS = 60
-ENOUGH = 1e-9  # m and rad together
-SAME = 1e-3  # rad: two results nearer than this are one
+STARTS = 24  # number of starts
+STEPS = 60  # maximum number of iterations per start
+ENOUGH = 1e-9  # norm of the residual twist (m and rad) for convergence
+SAME = 1e-3  # rad; nearer results count as equal
 
 
 def branches(model: pin.Model, data: pin.Data, frame: int, goal: pin.SE3, reference: Array) -> list[list[float]]:
-    """Joint vectors within the limits that bring `frame` to `goal` (both in the arm's base)."""
+    """Joint vectors (rad) within the limits that bring `frame` to `goal`, given in the arm's base frame."""
     random = np.random.default_rng(560)
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     starts = [reference, *random.uniform(lower, upper, (STARTS - 1, model.nq))]
@@ -52,7 +52,7 @@ def _descend(model: pin.Model, data: pin.Data, frame: int, goal: pin.SE3, start:
 
 
 def _error(model: pin.Model, data: pin.Data, frame: int, goal: pin.SE3, q: Array) -> Array:
-    """Twist (tool axes) from where `frame` is to the goal."""
+    """The twist (tool axes) from the pose of `frame` to the goal."""
     pin.framesForwardKinematics(model, data, q)
     twist: Array = pin.log6(data.oMf[frame].actInv(goal)).vector
     return twist

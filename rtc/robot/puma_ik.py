@@ -2,8 +2,8 @@
 
 The chain: Rz(q1) Tz(d1) Rx(90) | Rz(q2) Tx(a2) | Rz(q3) Tx(a3) Tz(d3) Rx(-90) | Rz(q4) Tz(d4) Rx(90) |
 Rz(q5) Rx(-90) | Rz(q6), from frame 0 at the foot to frame 6 in the wrist.
-Up to eight branches: shoulder left or right, elbow up or down, wrist flipped or not. Plain arithmetic on plain floats;
-joint limits are not its business, and neither are base and tool.
+Up to eight branches: shoulder left or right, elbow up or down, wrist flipped or not. Plain float arithmetic. It ignores
+joint limits, base and tool.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ class PumaGeometry:
 
     @property
     def forearm(self) -> float:
-        """From the elbow's axis to the wrist's centre."""
+        """Distance (m) from the elbow's axis to the wrist's centre."""
         return math.hypot(self.a3, self.d4)
 
 
 def recognise(placements: list[NDArray[np.float64]]) -> PumaGeometry | None:
-    """The lengths, if six 4x4 joint placements (child joint in parent joint) are those of such an arm; else None."""
+    """The lengths, if the six 4x4 joint placements (child joint in parent joint) fit such an arm; else None."""
     if len(placements) != 6:
         return None
     rotations = [np.eye(3), _RX[1], np.eye(3), _RX[-1], _RX[1], _RX[-1]]
@@ -44,14 +44,14 @@ def recognise(placements: list[NDArray[np.float64]]) -> PumaGeometry | None:
         np.allclose(placement[:3, :3], rotation, atol=1e-9) and np.allclose(at, offset, atol=1e-9)
         for placement, rotation, at, offset in zip(placements, rotations, p, offsets, strict=True)
     )
-    lengths = (float(n) for n in (p[1][2], p[2][0], p[3][0], p[3][2], p[4][2]))  # numpy floats would be slow
+    lengths = (float(n) for n in (p[1][2], p[2][0], p[3][0], p[3][2], p[4][2]))  # Python floats are faster
     return PumaGeometry(*lengths) if fits else None
 
 
 def branches(g: PumaGeometry, flange: NDArray[np.float64], wrist_roll: float) -> list[list[float]]:
     """All joint vectors (rad, each angle in -pi..pi) that put frame 6 at the 4x4 `flange`, given in frame 0.
 
-    Where the wrist is straight only joint 4 + joint 6 is determined: joint 4 is then `wrist_roll`.
+    If the wrist is straight, only joint 4 + joint 6 is determined; joint 4 becomes `wrist_roll`.
     """
     (r00, r01, r02, x), (r10, r11, r12, y), (r20, r21, r22, z) = flange[:3].tolist()
     z -= g.d1
@@ -94,10 +94,7 @@ def branches(g: PumaGeometry, flange: NDArray[np.float64], wrist_roll: float) ->
 
 
 def shortfall(g: PumaGeometry, wrist: NDArray[np.float64]) -> tuple[str, float]:
-    """How far (m) the wrist's centre, given in frame 0, is from where links of these lengths could bring it.
-
-    The words say which way; ("", 0.0) when it is within reach.
-    """
+    """(direction, distance in m) by which the wrist's centre, given in frame 0, is out of reach; ("", 0.0) within."""
     x, y, z = wrist.tolist()
     z -= g.d1
     across = math.hypot(x, y)

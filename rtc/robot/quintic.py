@@ -1,7 +1,7 @@
-"""What a trajectory does between its knots: bounds of position, velocity and acceleration of its quintic pieces. Pure.
+"""Bounds of quintic trajectories between their knots: position, velocity and acceleration. Pure.
 
-A polynomial lies between the least and the greatest of its Bernstein control points. Halving a piece moves its control
-points towards the curve, so a piece is inside its limits, or one of its points is outside, after a few halvings.
+A polynomial lies between the least and the greatest of its Bernstein control points. Subdivision moves the control
+points towards the curve, so after a few halvings all points of a piece are inside the limits, or an end is outside.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 
 from rtc.geometry import Array, Floats
 
-HALVINGS = 20  # after these a piece is a millionth of its length
-MOST_OPEN = 20_000  # pieces to be halved at once; a trajectory that needs more of them counts as outside
+HALVINGS = 20  # maximum number of subdivisions, to a millionth of the length
+MOST_OPEN = 20_000  # maximum number of undecided pieces; beyond it the trajectory counts as outside
 
 
 class ControlPoints(NamedTuple):
@@ -26,9 +26,9 @@ class ControlPoints(NamedTuple):
 
 
 class Excess(NamedTuple):
-    """Where a trajectory leaves its limits."""
+    """A violation of the limits by a trajectory."""
 
-    piece: int  # between this knot and the next
+    piece: int  # index of the knot before it
     joint: int
     value: float
 
@@ -36,10 +36,10 @@ class Excess(NamedTuple):
 def control_points(
     time_s: Sequence[float] | Array, positions: object, velocities: object, accelerations: object
 ) -> ControlPoints:
-    """Of the quintic Hermite polynomials that join the knots: [knots][joints] of rad, rad/s, rad/s^2."""
+    """Control points of the quintic Hermite polynomials between knots. [knots][joints], rad, rad/s, rad/s^2."""
     q, v, a = (np.asarray(rows, dtype=float) for rows in (positions, velocities, accelerations))
     t = np.diff(np.asarray(time_s, dtype=float))[:, None]
-    with np.errstate(all="ignore"):  # a figure near 1e300 gives inf or nan, which is inside no limit
+    with np.errstate(all="ignore"):  # values near 1e300 give inf or nan, which count as outside
         fifth_v, tenth_a = t * v[:-1] / 5.0, t * t * a[:-1] / 20.0
         fifth_w, tenth_b = t * v[1:] / 5.0, t * t * a[1:] / 20.0
         begin, end = q[:-1], q[1:]
@@ -50,14 +50,14 @@ def control_points(
         per_s = t[:, None]
         speeds = 5.0 * np.diff(points, axis=1) / per_s
         changes = 4.0 * np.diff(speeds, axis=1) / per_s
-        # The ends exactly as given: differences of positions would round them.
+        # The ends are set exactly; differences of positions would round them.
         speeds[:, 0], speeds[:, -1] = v[:-1], v[1:]
         changes[:, 0], changes[:, -1] = a[:-1], a[1:]
     return ControlPoints(points, speeds, changes)
 
 
 def excess(points: Array, low: Floats, high: Floats) -> Excess | None:
-    """The first joint found to leave [low, high], per joint, in any of these pieces; None: none does anywhere."""
+    """The first violation found of [low, high] (one value per joint) in these pieces; None: all are inside."""
     low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     piece, joint = np.nonzero(~((points >= low) & (points <= high)).all(axis=1))  # nan is outside
     if not piece.size:
@@ -81,7 +81,7 @@ def excess(points: Array, low: Floats, high: Floats) -> Excess | None:
 
 
 def peaks(points: Array, halvings: int = 4) -> Array:
-    """The greatest magnitude of every joint in any of these pieces: never too small, and a per mille too great."""
+    """An upper bound of the magnitude per joint over all pieces, too great by at most about 0.1 %."""
     pieces, count, joints = points.shape
     rows = points.transpose(0, 2, 1).reshape(-1, count)
     for _ in range(halvings):
@@ -91,7 +91,7 @@ def peaks(points: Array, halvings: int = 4) -> Array:
 
 
 def _halves(rows: Array) -> Array:
-    """de Casteljau: the control points of the two halves of each row, one after the other."""
+    """Subdivision by de Casteljau: the control points of the two halves of each row, in order."""
     lefts, rights, now = [rows[:, 0]], [rows[:, -1]], rows
     while now.shape[1] > 1:
         now = 0.5 * (now[:, 1:] + now[:, :-1])

@@ -209,5 +209,5 @@ def test_the_broad_phase_misses_nothing(world, arms):
 
 
 def test_every_arm_must_be_somewhere(world, home):
-    with pytest.raises(ValueError, match="where is LEFT-ARM"):
+    with pytest.raises(ValueError, match="joints of LEFT-ARM are missing"):
         world.check({"RIGHT-ARM": home["RIGHT-ARM"]})
