@@ -17,7 +17,7 @@ from broker.replay import replay
 from broker.router import ALONE_S, Router
 from broker.state import State
 from rtc import damage, handed, process, program_check, template
-from rtc.memory import Guard
+from rtc.memory import MemoryGuard
 from rtc.messages import CommandRecord, WorkerKind
 from rtc.outcomes import RtcError
 from rtc.settings import Settings
@@ -74,7 +74,7 @@ def _serve(
     store = ProgramStore(journal, state.programs)
     journal.written = lambda turn: given.remember("broker", state.life.encode(), turn, state.accepted)
     router = Router(me, settings, journal, state, store, given)
-    router.guard = Guard()
+    router.guard = MemoryGuard()
     if given.fd >= 0:  # started by a supervisor
         me.end_with_parent(ALONE_S * settings.patience + LAST_S)
     router.loads = ProgramLoads(store, program_check.Process)

@@ -29,13 +29,13 @@ from zmq.utils import z85
 from rtc import handed, process, wire
 from rtc import messages as m
 from rtc.halt_admission import read_order
-from rtc.keys import KeyRing, KnownKey, door_address, secure_server
+from rtc.keys import KeyRing, KnownKey, endpoint_address, secure_server
 from rtc.language.parse import default_grammar, parse
 from rtc.language.record import ParsedCommand
-from rtc.memory import Guard
+from rtc.memory import MemoryGuard
 from rtc.outcomes import ClusterError, Refusal, RefusalReason, RtcError, WireError
 from rtc.process import AT_ONCE, MORE, Every, Process, inbox, now_s, send
-from rtc.roles import TCP_DOORS, Role, admits, may_say, no_sentence_for_a_planner
+from rtc.roles import TCP_ENDPOINTS, Role, admits, may_send, refuse_planner
 from rtc.settings import BOUNDS, Settings
 
 PUBLISHED = ("events", "telemetry")
@@ -98,14 +98,14 @@ class Gate:
         self._zap = me.socket(zmq.REP, "inproc://zeromq.zap.01", bind=True)
         self._outside: dict[str, zmq.Socket[bytes]] = {}
         self._inside: dict[str, zmq.Socket[bytes]] = {}  # of what is published
-        for door in TCP_DOORS:
+        for door in TCP_ENDPOINTS:
             self._open(door)
 
     # --- doors ----------------------------------------------------------------------------------------
 
     def _open(self, door: str) -> None:
         """Raises ClusterError when the port cannot be had."""
-        address = door_address(self.settings.listen, door)
+        address = endpoint_address(self.settings.listen, door)
         kind = zmq.XPUB if door in PUBLISHED else zmq.ROUTER
 
         def secure(socket: zmq.Socket[Any]) -> None:
@@ -120,7 +120,7 @@ class Gate:
             why = zmq.strerror(error.errno or 0)
             raise ClusterError(
                 f"cannot listen at {address} (for {door}): {why}; --listen wants an address of this machine, "
-                f"with {len(TCP_DOORS)} free ports from the one that is named"
+                f"with {len(TCP_ENDPOINTS)} free ports from the one that is named"
             ) from None
         if door in PUBLISHED:
             self._inside[door] = self.me.socket(zmq.XSUB, self.settings.endpoint(door))
@@ -146,12 +146,12 @@ class Gate:
     # --- the loop -------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        guard = Guard()
+        guard = MemoryGuard()
         while not self.me.stopping:
             self.turn()
             if guard.alarm(now_s()):
                 self.me.log.warning("more than %.0f MB: cutting all connections", guard.limit_mb)
-                self._open_anew(TCP_DOORS)
+                self._open_anew(TCP_ENDPOINTS)
 
     def turn(self) -> None:
         """Halts first, then who wants to come in, then the rest."""
@@ -167,7 +167,7 @@ class Gate:
         self._offer_halts(now)
         if self._zap in ready:
             self._admit()
-        for door in TCP_DOORS:
+        for door in TCP_ENDPOINTS:
             if door in PUBLISHED:
                 self._publish(door, ready)
             elif door not in HALTS and self._outside[door] in ready:
@@ -209,7 +209,7 @@ class Gate:
         if gone:
             # One connection cannot be cut alone. Where halts come in nobody is cut off for another's sake: what comes
             # with a revoked key is refused there all the same, as each message is looked at.
-            doors = [d for d in TCP_DOORS if d not in HALTS and any(admits(d, key.role) for key in gone.values())]
+            doors = [d for d in TCP_ENDPOINTS if d not in HALTS and any(admits(d, key.role) for key in gone.values())]
             names = ", ".join(key.name for key in gone.values())
             self.me.log.info("not known any more: %s; connections are made anew at %s", names, ", ".join(doors))
             self._open_anew(doors)
@@ -254,7 +254,7 @@ class Gate:
                 words = f"no message of this protocol: {error}"
                 self._refuse(door, session, None, words, RefusalReason.SENTENCE, wire.name_in(parts))
                 continue
-            if not may_say(door, key.role, message):
+            if not may_send(door, key.role, message):
                 self._count("refused", f"{key.name}: {type(message).__name__} at {door}")
                 words = f"not allowed: {key.name} is {_a(key.role)}, who may not say {type(message).__name__}"
                 self._refuse(door, session, message, words)
@@ -373,7 +373,7 @@ class Gate:
         parsed = parse(default_grammar(), message.text)
         if not isinstance(parsed, ParsedCommand):
             return parsed
-        words = no_sentence_for_a_planner(parsed, lambda command: command in self._commands.get(key.public, ()))
+        words = refuse_planner(parsed, lambda command: command in self._commands.get(key.public, ()))
         return Refusal(reason=RefusalReason.NOT_ALLOWED, message=f"not allowed: {words}") if words else None
 
     def _forward(self, link: Link, parts: Sequence[bytes], message: Any) -> None:

@@ -35,7 +35,7 @@ from rtc import messages as m
 from rtc import wire
 from rtc.halt_admission import HaltRateLimiter, read_order
 from rtc.handed import TOKEN_BEARERS, Handed
-from rtc.memory import Guard
+from rtc.memory import MemoryGuard
 from rtc.outcomes import Refusal, RefusalReason, WireError
 from rtc.primitive_id import command_of
 from rtc.process import Every, Process, inbox, send
@@ -109,7 +109,7 @@ class Router:
         self._reports_second = Every(1.0)
         self._audit = Every(0.1)
         self._snapshots = Every(SNAPSHOT_S)
-        self.guard: Guard | None = None  # of this process's memory; none in a simulation
+        self.guard: MemoryGuard | None = None  # of this process's memory; none in a simulation
         self._socket: dict[str, zmq.Socket[bytes]] = {}
         for name in ("halt", "subsystems", "supervisor", "workers", "front"):
             self._socket[name] = me.socket(

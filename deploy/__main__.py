@@ -55,7 +55,6 @@ def settings_of(given: argparse.Namespace, run_dir: Path) -> Settings:
         most_workers=given.most,
         mcm=given.mcm,
         speed=given.speed,
-        seed=given.seed,
         listen=check_address(given.listen) if given.listen else "",
     )
 
@@ -108,7 +107,6 @@ def _parser() -> argparse.ArgumentParser:
     up.add_argument("--most", type=_count, default=4, help="workers of each kind, while jobs wait")
     up.add_argument("--mcm", default="bullet", choices=("bullet", "kinematic"))
     up.add_argument("--speed", type=_speed, default=1.0, help="simulated seconds per second, or max")
-    up.add_argument("--seed", type=int, default=0)
     up.add_argument("--listen", default="", help="tcp://HOST:PORT, where known keys are let in from other machines")
     up.add_argument("-d", "--detach", action="store_true", help="return once it is ready")
     down = what.add_parser("down", help="stop it in order")

@@ -49,7 +49,7 @@ NICENESS = -10  # of the supervisor: it does little, and until it has done it a 
 def specs(settings: Settings, fd: int = -1) -> list[Spec]:
     """The processes of a cluster. `fd`: what is handed to each (rtc.handed)."""
     made = [
-        _spec(TEMPLATE, "workers", settings, "--template", is_template=True, template=TWIN, order=template.TWIN),
+        _spec(TEMPLATE, "workers", settings, "--template", is_template=True, template=TWIN, order=template.STANDBY),
         _spec(
             TWIN,
             "workers",
@@ -57,7 +57,7 @@ def specs(settings: Settings, fd: int = -1) -> list[Spec]:
             "--template",
             is_template=True,
             template=TEMPLATE,
-            order=template.TWIN,
+            order=template.STANDBY,
             later=True,
             awaits_template=True,
         ),

@@ -1,0 +1,62 @@
+"""Run-time control of a telerobot: protocol, client, programs, models and command line; the base of all processes.
+
+    from rtc import Client
+
+The names below are loaded at first use (PEP 562), because workers, broker and MCM import `rtc.*` and must start fast.
+This package must not import broker, workers, sim_mcm or deploy.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rtc.client import Client
+    from rtc.halting import HaltResult
+    from rtc.outcomes import (
+        ClusterError,
+        KeyTrouble,
+        NoCluster,
+        Outcome,
+        OutcomeKind,
+        ProgramError,
+        Refusal,
+        RefusalReason,
+        RequestDeclined,
+        RtcError,
+        StopReason,
+        TimedOut,
+        WireError,
+    )
+
+__all__ = [
+    "Client",
+    "ClusterError",
+    "HaltResult",
+    "KeyTrouble",
+    "NoCluster",
+    "Outcome",
+    "OutcomeKind",
+    "ProgramError",
+    "Refusal",
+    "RefusalReason",
+    "RequestDeclined",
+    "RtcError",
+    "StopReason",
+    "TimedOut",
+    "WireError",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name == "Client":
+        value = import_module("rtc.client").Client
+    elif name == "HaltResult":
+        value = import_module("rtc.halting").HaltResult
+    else:
+        value = getattr(import_module("rtc.outcomes"), name)
+    globals()[name] = value
+    return value

@@ -20,7 +20,7 @@ import msgspec
 import zmq
 
 from rtc import messages as m
-from rtc.keys import Doors
+from rtc.keys import Endpoints
 from rtc.outcomes import NoCluster, Refusal, RefusalReason, RequestDeclined, WireError
 from rtc.settings import BOUNDS
 from rtc.wire import MAX_BYTES, frames, reader
@@ -43,7 +43,7 @@ _read = reader(m.BrokerToClient)
 class FrontDoor:
     """Not thread-safe: one thread sends and hears. `cluster`: the run we mean; "" = the first that welcomes us."""
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], doors: Doors, name: str, cluster: str = "") -> None:
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], doors: Endpoints, name: str, cluster: str = "") -> None:
         self.name = name
         self._address, self._far = doors.endpoint("front"), doors.far
         self._connected = self._unknown = False  # over tcp: somebody listens there; it said that it does not know us

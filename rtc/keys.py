@@ -1,11 +1,11 @@
-"""Keys for a cluster that is reached over tcp: made, listed, revoked on its own machine; used on another one.
+"""CURVE keys for access to a cluster over tcp: made, listed and revoked on its machine, used on another one.
 
-    RUN_DIR/keys/cluster.secret   the cluster's own pair (0600)
-    RUN_DIR/keys/NAME.known       one known key: name, role, public half. No secret: nobody can take it from here
-    NAME.key                      the one file (0600) for the other machine: all it needs to come in
+    RUN_DIR/keys/cluster.secret   the cluster's own key pair (0600)
+    RUN_DIR/keys/NAME.known       one known key: name, role, public half; it holds no secret
+    NAME.key                      key file (0600) for the other machine: all that it needs to connect
 
-The directory outlives the run. A key is known as long as its file is there: the gate looks several times a second.
-Keys are CURVE25519 pairs, Z85 text of 40 characters. Knows no socket but the one it is asked to secure.
+The directory outlives the run. A key is valid while its `.known` file exists: the gateway checks several times a
+second. Keys are CURVE25519 pairs, each half as Z85 text of 40 characters.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ import msgspec
 import zmq
 
 from rtc.outcomes import ClusterError, KeyTrouble
-from rtc.roles import MAY, TCP_DOORS, Role
+from rtc.roles import MAY, TCP_ENDPOINTS, Role
 from rtc.settings import KEYS
 
 CLUSTER, KNOWN = "cluster.secret", ".known"
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}", re.ASCII)
-BYTES = 4096  # of a key file; ours have some hundred
-HANDSHAKE_MS = 5_000  # patience for one
-# So that a line that is cut without a word is noticed: by the kernel, because libzmq 4.3.5 aborts the process when its
-# own heartbeat is due on a line that has failed while its reader was behind (zeromq/libzmq issue 4364).
-KEEPALIVE_IDLE_S, KEEPALIVE_EVERY_S, KEEPALIVES, UNHEARD_MS = 2, 1, 4, 6_000
+BYTES = 4096  # maximum size of a key file; a real one has some hundred
+HANDSHAKE_MS = 5_000  # time limit of a handshake
+# TCP keepalive detects a connection that was cut silently. ZeroMQ's own heartbeat is not used: libzmq 4.3.5 aborts the
+# process if it is due on a failed connection while the reader is behind (zeromq/libzmq issue 4364).
+KEEPALIVE_IDLE_S, KEEPALIVE_EVERY_S, KEEPALIVES, MAX_RETRANSMIT_MS = 2, 1, 4, 6_000
 
 Document = TypeVar("Document")
 
 
-class Doors(Protocol):
-    """Where a cluster's sockets are and how one is secured before it connects: `Settings`, or a `KeyFile`."""
+class Endpoints(Protocol):
+    """Addresses of a cluster's sockets and how to secure one before it connects: `Settings`, or a `KeyFile`."""
 
     def endpoint(self, name: str) -> str: ...
 
@@ -47,11 +47,15 @@ class Doors(Protocol):
 
 
 class Pair(msgspec.Struct, frozen=True, kw_only=True):
+    """A CURVE key pair (Z85 text)."""
+
     public: str
     secret: str
 
 
 class KnownKey(msgspec.Struct, frozen=True, kw_only=True):
+    """The cluster's record of a key that it accepts."""
+
     name: str
     role: Role
     public: str
@@ -63,8 +67,8 @@ class KeyFile(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     role: Role
-    address: str  # tcp://HOST:PORT of the first door
-    cluster: str  # the cluster's public key: nobody else can pass for it
+    address: str  # tcp://HOST:PORT of the first endpoint
+    cluster: str  # the cluster's public key, which authenticates it
     public: str
     secret: str
 
@@ -73,13 +77,13 @@ class KeyFile(msgspec.Struct, frozen=True, kw_only=True):
         return True
 
     def endpoint(self, name: str) -> str:
-        """The address of a door. Raises KeyTrouble for one that this key has nothing to do at."""
+        """The address of an endpoint. Raises KeyTrouble if the role of this key has no access to it."""
         if self.role not in MAY.get(name, {}):
-            raise KeyTrouble(f"{self.name} is a key for the role {self.role}, which has no way to {name!r} over tcp")
-        return door_address(self.address, name)
+            raise KeyTrouble(f"{self.name} is a key for the role {self.role}, which has no access to {name!r} over tcp")
+        return endpoint_address(self.address, name)
 
     def secure(self, socket: zmq.Socket[Any]) -> None:
-        """Before it connects: nothing leaves in the clear, and nothing is taken from anybody but this cluster."""
+        """Set up encryption and authentication of this cluster; call it before `connect`."""
         socket.curve_serverkey = self.cluster.encode()
         socket.curve_publickey = self.public.encode()
         socket.curve_secretkey = self.secret.encode()
@@ -88,7 +92,7 @@ class KeyFile(msgspec.Struct, frozen=True, kw_only=True):
 
     @staticmethod
     def load(path: str | Path) -> KeyFile:
-        """Raises KeyTrouble that says what is wrong with the file."""
+        """Read and check a key file. Raises KeyTrouble with the reason."""
         if not Path(path).is_file():
             raise KeyTrouble(f"there is no key file {path}; one is made where the cluster is: rtc keys new")
         key = _read(Path(path), KeyFile)
@@ -105,13 +109,13 @@ class KeyFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class KeyRing:
-    """The keys of one cluster, on its own machine. Raises KeyTrouble."""
+    """The keys of one cluster, on its own machine. Every method may raise KeyTrouble."""
 
     def __init__(self, run_dir: str | Path) -> None:
         self.path = Path(run_dir) / KEYS
 
     def cluster(self) -> Pair:
-        """The cluster's own pair, made when it is asked for first."""
+        """The cluster's own pair; the first call makes it."""
         path = self.path / CLUSTER
         if not path.exists():
             self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -119,9 +123,11 @@ class KeyRing:
         return _read(path, Pair)
 
     def new(self, name: str, role: Role, address: str, out: Path) -> KeyFile:
-        """Make a key: known here from now on, and whole in `out`. An existing file is not touched."""
+        """Make a key: its public half becomes known here, the whole goes to `out`. Never replaces a file."""
         if not NAME.fullmatch(name):
-            raise KeyTrouble(f"{name!r:.80} is no name for a key: a letter, then letters, digits, - and _; 32 at most")
+            raise KeyTrouble(
+                f"{name!r:.80} is not a name for a key: a letter, then letters, digits, - and _; at most 32"
+            )
         check_address(address)
         pair = _new_pair()
         known = KnownKey(name=name, role=role, public=pair.public, made_at=time.time())
@@ -136,7 +142,7 @@ class KeyRing:
         where = self.path / f"{name}{KNOWN}"
         if where.exists():
             raise KeyTrouble(f"there is a key {name} already; choose another name, or first: rtc keys revoke {name}")
-        _write(out, key)  # first: what cannot be handed over need not be known
+        _write(out, key)  # first: a key that cannot be handed over must not become known
         try:
             _write(where, known)
         except BaseException:
@@ -154,7 +160,7 @@ class KeyRing:
         raise KeyTrouble(f"there is no key {name!r:.80}; known are: {names}")
 
     def known(self) -> list[KnownKey]:
-        """By name. A file that cannot be read is no key: nobody comes in by it."""
+        """All known keys, sorted by name. An unreadable file is skipped: it gives no access."""
         found = []
         for path in sorted(self.path.glob(f"*{KNOWN}")):
             try:
@@ -167,45 +173,49 @@ class KeyRing:
 
 
 def check_address(address: str) -> str:
-    """The address as it was given. Raises KeyTrouble when it is no tcp://HOST:PORT with room for all doors above it."""
+    """The address, checked. Raises KeyTrouble if it is not tcp://HOST:PORT with enough ports above PORT."""
     try:
         parts = urlsplit(address)
         host, port = parts.hostname, parts.port
     except ValueError:
         host = port = None
     if not host or not port or address != f"tcp://{parts.netloc}" or "@" in address:
-        raise KeyTrouble(f"{address!r:.80} is no address: tcp://HOST:PORT is, as tcp://192.168.1.5:5555")
-    if port + len(TCP_DOORS) - 1 > 65535:
-        raise KeyTrouble(f"port {port} leaves no room for {len(TCP_DOORS)} ports, one above the other")
+        raise KeyTrouble(
+            f"{address!r:.80} is not an address; write tcp://HOST:PORT, for example tcp://192.168.1.5:5555"
+        )
+    if port + len(TCP_ENDPOINTS) - 1 > 65535:
+        raise KeyTrouble(f"port {port} is too high: the cluster needs {len(TCP_ENDPOINTS)} consecutive ports")
     return address
 
 
 def is_everywhere(address: str) -> bool:
-    """Whether a cluster listens there on all of its machine's addresses: none that others could connect to."""
+    """True for a wildcard address: a cluster can listen on it, but nothing can connect to it."""
     return urlsplit(address).hostname in ("*", "0.0.0.0", "::")
 
 
-def door_address(address: str, door: str) -> str:
+def endpoint_address(address: str, endpoint: str) -> str:
+    """tcp address of one endpoint: the n-th has the port n above that of `address`."""
     parts = urlsplit(address)
     host = parts.netloc.rpartition(":")[0]
-    return f"tcp://{host}:{(parts.port or 0) + TCP_DOORS.index(door)}"
+    return f"tcp://{host}:{(parts.port or 0) + TCP_ENDPOINTS.index(endpoint)}"
 
 
-def secure_server(socket: zmq.Socket[Any], pair: Pair, door: str, address: str) -> None:
-    """Before it is bound. The ZAP handler hears the door's name as the domain."""
+def secure_server(socket: zmq.Socket[Any], pair: Pair, endpoint: str, address: str) -> None:
+    """Set up a listening socket; call it before `bind`. The ZAP handler receives the endpoint's name as domain."""
     socket.curve_server = True
     socket.curve_secretkey = pair.secret.encode()
-    socket.zap_domain = door.encode()
+    socket.zap_domain = endpoint.encode()
     watch_line(socket)
     _allow_ipv6(socket, address)
 
 
 def watch_line(socket: zmq.Socket[Any]) -> None:
+    """Let the kernel detect a lost tcp connection within some seconds."""
     socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
     socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, KEEPALIVE_IDLE_S)
     socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, KEEPALIVE_EVERY_S)
     socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, KEEPALIVES)
-    socket.setsockopt(zmq.TCP_MAXRT, UNHEARD_MS)
+    socket.setsockopt(zmq.TCP_MAXRT, MAX_RETRANSMIT_MS)
     socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
 
 
@@ -218,7 +228,7 @@ def _new_pair() -> Pair:
     try:
         public, secret = zmq.curve_keypair()
     except zmq.ZMQError:
-        raise ClusterError("this libzmq was built without CURVE: no cluster can be reached over tcp with it") from None
+        raise ClusterError("this libzmq was built without CURVE, which clusters need over tcp") from None
     return Pair(public=public.decode(), secret=secret.decode())
 
 
@@ -229,19 +239,19 @@ def _read(path: Path, kind: type[Document]) -> Document:
     except OSError as error:
         raise KeyTrouble(f"cannot read {path}: {error.strerror}") from None
     except (msgspec.MsgspecError, UnicodeDecodeError, ValueError) as error:
-        raise KeyTrouble(f"{path} is no key file: {error}") from None
+        raise KeyTrouble(f"{path} is not a key file: {error}") from None
 
 
 def _write(path: Path, document: object) -> None:
-    """For its owner alone, whole or not at all as others see it; never over something that is there."""
+    """Write a file of mode 0600 atomically. Raises KeyTrouble if `path` exists."""
     body = msgspec.json.format(msgspec.json.encode(document)) + b"\n"
     aside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with open(os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:
             file.write(body)
-        os.link(aside, path)  # unlike a rename it fails when there is one
+        os.link(aside, path)  # unlike a rename, a link fails if the file exists
     except FileExistsError:
-        raise KeyTrouble(f"{path} is there already; choose another file with --out") from None
+        raise KeyTrouble(f"{path} exists already; choose another file with --out") from None
     except OSError as error:
         raise KeyTrouble(f"cannot write {path}: {error.strerror}") from None
     finally:

@@ -1,54 +1,63 @@
-"""When a process holds far more memory than it should: notice it, and let go of what others have filled.
+"""Memory guard: detects that a process holds far too much memory, and names the sockets to reopen.
 
-ZeroMQ bounds the length of a frame and the number of messages, but not the number of frames in a message that never
-ends; so one who speaks its protocol by hand can have it keep gigabytes. Where that happens cannot be seen. But whoever
-talks to a door of ours repeats what was not answered, so a door may be shut and opened anew: all that strangers have
-put there is gone, and friends come back within milliseconds.
+ZeroMQ limits the length of a frame and the number of messages, but not the number of frames in one message. A peer
+that speaks the protocol by hand can therefore make a process keep gigabytes, and the socket at fault is not visible.
+Peers repeat requests that were not answered. So a socket may be closed and opened again: the memory is freed, and
+well-behaved peers reconnect within milliseconds.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
+from enum import IntEnum
 from pathlib import Path
 
 from rtc.process import Every
 
-LIMIT_MB = 512.0  # resident; every process of ours does with a fraction of it
-LOOK_S = 0.1
-SETTLE_S = 0.5  # until what was let go of can be measured
-IN_VAIN = 1.5  # when it did not help, the limit becomes so many times what was found
+LIMIT_MB = 512.0  # resident memory; each process needs a fraction of it
+LOOK_S = 0.1  # period of the measurement
+SETTLE_S = 0.5  # from reopening sockets until the memory can be measured again
+RAISE_FACTOR = 1.5  # if reopening did not help, the new limit is this factor times the measured memory
 
 _MB_PER_PAGE = os.sysconf("SC_PAGE_SIZE") / 2**20
 _libc = ctypes.CDLL(None)
 
 
 def resident_mb(pid: int | str = "self") -> float:
-    """Resident memory of a process."""
+    """Resident memory of a process (MB)."""
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _MB_PER_PAGE
 
 
-class Guard:
-    """`alarm(now)` says which doors should be opened anew: 0 none, 1 those of strangers, 2 the others, because the
-    first did not help. When that does not help either, nobody else is the cause, and the limit is raised."""
+class Action(IntEnum):
+    """What the owner of the guard must do now."""
+
+    NONE = 0
+    RESET_CLIENT_SOCKETS = 1  # those of outside peers
+    RESET_INTERNAL_SOCKETS = 2  # the others, because the first reset did not help
+
+
+class MemoryGuard:
+    """Compares resident memory with `limit_mb`. If neither reset helps, sockets are not the cause: the limit rises."""
 
     def __init__(self, limit_mb: float = LIMIT_MB) -> None:
         self.limit_mb = limit_mb
         self._look = Every(LOOK_S)
-        self._stage = 0  # what was told last
-        self._settled_s = 0.0  # when the effect of that can be judged
+        self._last = Action.NONE
+        self._settled_s = 0.0  # when the effect of the last action can be measured
 
-    def alarm(self, now_s: float) -> int:
+    def alarm(self, now_s: float) -> Action:
+        """The action that is due at `now_s`; call it in every loop iteration."""
         if now_s < self._settled_s or not self._look.due(now_s):
-            return 0
-        if self._stage:
+            return Action.NONE
+        if self._last:
             _libc.malloc_trim(0)
         found_mb = resident_mb()
         if found_mb <= self.limit_mb:
-            self._stage = 0
-        elif self._stage == 2:
-            self.limit_mb, self._stage = found_mb * IN_VAIN, 0
+            self._last = Action.NONE
+        elif self._last is Action.RESET_INTERNAL_SOCKETS:
+            self.limit_mb, self._last = found_mb * RAISE_FACTOR, Action.NONE
         else:
-            self._stage += 1
+            self._last = Action(self._last + 1)
             self._settled_s = now_s + SETTLE_S
-        return self._stage
+        return self._last

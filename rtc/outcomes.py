@@ -1,20 +1,19 @@
-"""How things end: the closed sets of words for stops, refusals and outcomes (R59, R84).
+"""Closed sets of stop reasons, refusals and outcomes (R59, R84), and the tree of exceptions.
 
-Three kinds of failing are never mixed:
+Three kinds of failure are kept apart:
 
-* a `Refusal` is expected: a value that travels on as a message;
-* an `RtcError` is the outside failing: an exception, its tree is drawn below;
-* a bug is an assertion, and stops the process loudly.
+* a `Refusal` is expected: a value that travels in messages;
+* an `RtcError` is a failure of the environment: an exception, see the tree below;
+* a bug is an AssertionError, which ends the process.
 
     RtcError
-    ├── WireError          bytes that are no message of ours
-    ├── ClusterError       no cluster, or it did not come up / go down
-    │   ├── NoCluster      nothing answers in that run directory
+    ├── WireError          bytes that are not a message of this protocol
+    ├── ClusterError       no cluster, or it did not start or end
+    │   ├── NoCluster      no process answers in that run directory
     │   └── TimedOut       no answer, or no outcome, in time
-    ├── RequestDeclined    the cluster did not take a request; carries the refusal
-    ├── KeyTrouble         a key file or an address for tcp is no good
-    ├── ProgramError       a program, script or cell file does not check
-    └── SubsystemError     a simulator or device did not do what it must
+    ├── RequestDeclined    the cluster did not accept a request; carries the refusal
+    ├── KeyTrouble         a key file or a tcp address is invalid
+    └── ProgramError       a program, script or cell file is invalid
 """
 
 from __future__ import annotations
@@ -25,27 +24,27 @@ import msgspec
 
 
 class RtcError(Exception):
-    """The outside failed. Root of every exception this project raises on purpose."""
+    """Base of every exception that this project raises on purpose: the environment failed, not the code."""
 
 
 class WireError(RtcError):
-    """Bytes that are no message of ours: wrong version, malformed, unknown type."""
+    """Bytes that are not a message of this protocol: wrong version, malformed, unknown type."""
 
 
 class ClusterError(RtcError):
-    """The cluster did not do what it was asked to as a whole."""
+    """The cluster as a whole did not do what was requested."""
 
 
 class NoCluster(ClusterError):
-    """Nothing answers in this run directory."""
+    """No process answers in this run directory."""
 
 
 class TimedOut(ClusterError, TimeoutError):
-    """No answer, or no outcome, within the time the caller gave."""
+    """No answer, or no outcome, within the time limit of the caller."""
 
 
 class RequestDeclined(RtcError):
-    """The cluster did not take a request (unknown command, queue full, bad program); `refusal` says why."""
+    """The cluster did not accept a request (unknown command, queue full, bad program); `refusal` has the reason."""
 
     def __init__(self, refusal: Refusal) -> None:
         super().__init__(refusal.message)
@@ -53,116 +52,112 @@ class RequestDeclined(RtcError):
 
 
 class KeyTrouble(RtcError):
-    """A key, its file or an address for tcp is no good; the text says what to do."""
+    """A key, its file or a tcp address is invalid; the text names the cure."""
 
 
 class ProgramError(RtcError):
-    """A program, script or cell file does not check; the text names the place, as `$.steps[3].trim`."""
-
-
-class SubsystemError(RtcError):
-    """A simulator or device did not do what it must."""
+    """A program, script or cell file is invalid; the text names the place, for example `$.steps[3].trim`."""
 
 
 class StopReason(StrEnum):
     """Why a primitive ended; exactly one per end report (R83, A21). Declared in order of priority:
-    when several conditions hold in the same servo tick, the first of these wins."""
+    if several conditions hold in the same servo tick, the first in this list is reported."""
 
-    HALT = "halt"  # told to stop from outside
-    COLLISION = "collision"  # a body touched another where no touch was planned
+    HALT = "halt"  # a halt from outside
+    COLLISION = "collision"  # unplanned contact of two bodies
     JOINT_LIMIT = "joint_limit"  # a joint came within its margin of a limit
-    COMMAND_LIMIT = "command_limit"  # the next command was beyond the limits of the arm; it was not followed
+    COMMAND_LIMIT = "command_limit"  # the next setpoint was beyond the limits of the arm, and was not executed
     FORCE_LIMIT = "force_limit"  # measured force beyond the guard
     TORQUE_LIMIT = "torque_limit"  # measured torque beyond the guard
-    OVERSPEED = "overspeed"  # a joint was measured faster than it may turn
-    FOLLOWING_ERROR = "following_error"  # a joint was measured too far from where it was commanded to be
-    CONTACT = "contact"  # a touch that the primitive was told to feel for
+    OVERSPEED = "overspeed"  # measured joint speed above its limit
+    FOLLOWING_ERROR = "following_error"  # measured joint position too far from its setpoint
+    CONTACT = "contact"  # the contact that the primitive was to detect
     SLIP = "slip"  # the held object moves in the fingers
-    OBJECT_LOST = "object_lost"  # nothing between the fingers any more
+    OBJECT_LOST = "object_lost"  # nothing is between the fingers any more
     GOAL = "goal"  # the end of the trajectory, or the commanded width and force
     TIMEOUT = "timeout"  # the time limit passed first
-    # The reasons below are never seen by a servo tick; they come from elsewhere.
-    NO_CONTACT = "no_contact"  # derived by the analyzer: goal reached where a touch was expected
-    REFUSED = "refused"  # the subsystem would not start the primitive
-    OPERATOR_DONE = "operator_done"  # the operator says the primitive is done
-    OPERATOR_CANNOT = "operator_cannot"  # the operator says it cannot be done
-    SUBSYSTEM_LOST = "subsystem_lost"  # nobody there to report
+    # The reasons below do not come from a servo tick.
+    NO_CONTACT = "no_contact"  # derived by the analyzer: goal reached although contact was expected
+    REFUSED = "refused"  # the subsystem did not start the primitive
+    OPERATOR_DONE = "operator_done"  # the operator reports the primitive as done
+    OPERATOR_CANNOT = "operator_cannot"  # the operator reports that it cannot be done
+    SUBSYSTEM_LOST = "subsystem_lost"  # the subsystem was lost before its report
 
 
 PRIORITY: dict[StopReason, int] = {reason: n for n, reason in enumerate(StopReason)}
 
 
 class Reflex(StrEnum):
-    """What the MCM does when a stop function comes true (A22)."""
+    """What the MCM does when the condition of a stop function holds (A22)."""
 
     STOP = "stop"  # jerk-limited stop, then hold
-    BACK_OFF = "back_off"  # stop, then retreat along the way it came
-    COMPLY = "comply"  # go limp: forces to zero
+    BACK_OFF = "back_off"  # stop, then retreat along the path it came
+    COMPLY = "comply"  # comply: regulate forces to zero
     RELEASE = "release"  # stop and open the hand
 
 
 class RefusalReason(StrEnum):
-    """Why something was not even tried."""
+    """Why something was not started."""
 
-    SENTENCE = "sentence"  # the words are no sentence of the language
-    NAME = "name"  # a name that nothing known bears
+    SENTENCE = "sentence"  # the words are not a sentence of the language
+    NAME = "name"  # an unknown name
     NO_SCRIPT = "no_script"  # a verb that has no script yet
     INFEASIBLE = "infeasible"  # geometry or load forbids it: limit, reach, collision
-    RESOURCE = "resource"  # a resource is taken, and NOW was said
-    STATE = "state"  # the world or the command is in no state for it (e.g. hand not empty)
-    SUSPECT = "suspect"  # a fact it needs is not to be trusted; sense it again first
+    RESOURCE = "resource"  # a resource is in use, and the sentence has NOW
+    STATE = "state"  # the state of the world or of the command does not allow it (e.g. hand not empty)
+    SUSPECT = "suspect"  # a fact it needs is suspect; sense it again first
     NOT_ALLOWED = "not_allowed"  # this role may not do that
-    OVERLOAD = "overload"  # a queue is at its length
+    OVERLOAD = "overload"  # a queue is full
     POISON = "poison"  # the job killed its worker too often
-    PROGRAM = "program"  # a program does not check, or lacks an entry
-    TIMEOUT = "timeout"  # nobody answered within the limit
+    PROGRAM = "program"  # a program is invalid, or lacks an entry
+    TIMEOUT = "timeout"  # no answer within the limit
 
 
 class OutcomeKind(StrEnum):
     """How a command ended; a closed set, one per command."""
 
     SUCCEEDED = "succeeded"
-    FAILED = "failed"  # executed and ended otherwise than hoped; the cause says how
-    REFUSED = "refused"  # never executed, or not to its end, because a step was refused
-    ABORTED = "aborted"  # ended by ABORT, alone
+    FAILED = "failed"  # executed without success; the cause gives the reason
+    REFUSED = "refused"  # not executed, or not to its end, because a step was refused
+    ABORTED = "aborted"  # ended by ABORT of this command
     HALTED = "halted"  # halted, and rest is confirmed
-    HALT_NOT_CONFIRMED = "halt_not_confirmed"  # halted, and nobody confirmed rest
-    LOST_SUBSYSTEM = "lost_subsystem"  # the subsystem that executed it went away
+    HALT_NOT_CONFIRMED = "halt_not_confirmed"  # halted, but rest was not confirmed
+    LOST_SUBSYSTEM = "lost_subsystem"  # the connection to the executing subsystem was lost
 
 
 class Refusal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """An expected no, as a value. It tells the cause in the words of the task, and what would clear it."""
+    """An expected refusal, as a value: the cause in the words of the task, and what would clear it."""
 
     reason: RefusalReason
     message: str  # one or two sentences: what, where, why
     where: str = ""  # the place: "step 3 (GP1)", "column 12", "$.steps[3].trim"
     column: int | None = None  # first offending character of a sentence, from 0
-    expected: list[str] = []  # what would have been right there
-    nearest: list[str] = []  # the nearest known names
-    owner: str = ""  # who has the resource, e.g. "C-3"
+    expected: list[str] = []  # what is allowed at that place
+    nearest: list[str] = []  # the most similar known names
+    owner: str = ""  # command that holds the resource, e.g. "C-3"
     clears: str = ""  # what would clear it
     detail: dict[str, float | str] = {}  # figures: joint, limit_rad, value_rad, bodies, distance_m ...
 
 
 class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
-    """What a subsystem measured, as far as REPORT asked for it; None = not asked for."""
+    """What a subsystem measured, as far as REPORT requested it; None = not requested."""
 
     arm: str
     tcp_pose: list[float] | None = None  # [x y z qx qy qz qw]: m, world axes
     joints: list[float] | None = None  # rad
     wrench: list[float] | None = None  # [Fx Fy Fz Tx Ty Tz]: N, N.m, tool axes; at rest, or in the tick of a report
-    peak_force_n: float | None = None  # the greatest while the last primitive was executed
+    peak_force_n: float | None = None  # maximum during the last primitive
     peak_torque_nm: float | None = None
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
-    """How one command ended, told to whoever submitted it."""
+    """How one command ended; sent to the client that submitted it."""
 
     kind: OutcomeKind
     message: str = ""  # the cause in words; empty on a plain success
-    stop: StopReason | None = None  # the stop reason that ended it, when a primitive did
-    refusal: Refusal | None = None  # the refusal that ended it, when one did
+    stop: StopReason | None = None  # the stop reason, if the end of a primitive ended it
+    refusal: Refusal | None = None  # the refusal, if one ended it
     step: str = ""  # the step it ended in, e.g. "5 of 9: feel GP1"
     trims: list[str] = []  # the trims used, in order
     steps_done: int = 0
-    measured: Measured | None = None  # at the end of the last primitive, as far as REPORT asked for it
+    measured: Measured | None = None  # at the end of the last primitive, as far as REPORT requested it

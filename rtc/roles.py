@@ -1,8 +1,8 @@
-"""Who may say what from another machine: one table, door x role -> messages. Pure.
+"""Access rights over tcp: one table, endpoint x role -> messages that may be sent. Pure.
 
-The gate (`broker/gate.py`) asks it for every message; the role is that of the key with which the connection was made,
-never something a message says. A role that has no row at a door does not even get through the handshake there. On the
-cluster's own machine there are no roles: whoever can open the run directory is its owner.
+The gateway checks every message against it. The role is that of the key of the connection; a message cannot choose it.
+A role without a row for an endpoint does not pass the handshake there. Processes on the cluster's own machine have no
+role: access to the run directory proves that they belong to its owner.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from rtc.language.record import ParsedCommand
 
 
 class Role(StrEnum):
-    """What the holder of a key is for; one line of meaning each."""
+    """What the holder of a key may do."""
 
-    OBSERVER = "observer"  # looks on: status, traces, events, telemetry, the world
-    PLANNER = "planner"  # a program: sentences, halts, control of its own commands; changes no program
-    OPERATOR = "operator"  # whatever can be done on the cluster's own machine, but the supervisor's and the simulator's
-    WORKER = "worker"  # one of the cube's nodes on another host: takes jobs, reads the world, writes under a lease
+    OBSERVER = "observer"  # reads only: status, traces, events, telemetry, the world
+    PLANNER = "planner"  # a planning program: sentences, halts, control of its own commands; may not load programs
+    OPERATOR = "operator"  # everything, except what the supervisor and the simulator's test bench do
+    WORKER = "worker"  # a worker on another host: takes jobs, reads the world, writes under a lease
     SUBSYSTEM = "subsystem"  # performs primitives; its name is the name of its key
 
 
@@ -35,10 +35,10 @@ PERFORM: Kinds = (
     *(m.HaltStarted, m.HaltAtRest, m.HaltOrder),
 )
 HALT: Kinds = (m.HaltOrder,)
-LISTEN: Kinds = ()  # what is published is there for who has come in
-NOTHING: Kinds = ()  # comes in only to be told that it may not
+LISTEN: Kinds = ()  # subscribers send nothing
+NOTHING: Kinds = ()  # may connect, but every message is declined
 
-#: door -> role -> what it may say. The n-th door is n ports above the first.
+#: endpoint -> role -> messages it may send. The port of the n-th endpoint is n above the first.
 MAY: dict[str, dict[Role, Kinds]] = {
     "front": {Role.OBSERVER: LOOK, Role.PLANNER: PLAN, Role.OPERATOR: OPERATE},
     "halt": {Role.OBSERVER: NOTHING, Role.PLANNER: HALT, Role.OPERATOR: HALT},
@@ -49,25 +49,29 @@ MAY: dict[str, dict[Role, Kinds]] = {
     "workers": {Role.WORKER: JOIN},
     "subsystems": {Role.SUBSYSTEM: PERFORM},
 }
-TCP_DOORS = tuple(MAY)
+TCP_ENDPOINTS = tuple(MAY)
 
 
-def admits(door: str, role: Role) -> bool:
-    """Whether a role has any business at a door."""
-    return role in MAY.get(door, {})
+def admits(endpoint: str, role: Role) -> bool:
+    """Whether a role may connect to an endpoint."""
+    return role in MAY.get(endpoint, {})
 
 
-def may_say(door: str, role: Role, message: object) -> bool:
-    return isinstance(message, MAY.get(door, {}).get(role, NOTHING))
+def may_send(endpoint: str, role: Role, message: object) -> bool:
+    """Whether a role may send this message to an endpoint."""
+    return isinstance(message, MAY.get(endpoint, {}).get(role, NOTHING))
 
 
-def no_sentence_for_a_planner(parsed: ParsedCommand, is_its_own: Callable[[str], bool]) -> str:
-    """Why a planner may not say this sentence; empty when it may. Anybody who can move an arm may halt everything; but
-    what somebody else has paused stays paused, and what the operator is asked the operator answers."""
+def refuse_planner(parsed: ParsedCommand, is_its_own: Callable[[str], bool]) -> str:
+    """Why a planner may not submit this sentence; empty if it may.
+
+    A role that can move an arm may halt everything. But only its owner or the operator resumes a paused command, and
+    only the operator answers a question to the operator. `is_its_own`: whether the planner submitted that command.
+    """
     if parsed.kind == "operator":
-        return f"{parsed.verb} is the operator's to say"
+        return f"{parsed.verb} is reserved for the operator"
     if parsed.verb == "LOAD":
-        return "a planner changes no program"
+        return "a planner may not load programs"
     if parsed.kind == "control" and parsed.verb != "HALT" and not is_its_own(parsed.object or ""):
-        return f"a planner says {parsed.verb} to commands of its own only, by their number (HALT it may say to all)"
+        return f"a planner may send {parsed.verb} only for its own commands, by their number (HALT is allowed for all)"
     return ""

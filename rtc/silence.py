@@ -1,6 +1,6 @@
-"""What a silent broker means: a restarted one is waited for; when all is gone with its supervisor, nobody is.
+"""Liveness of the broker as a client sees it: wait for a restart while the supervisor lives, else raise NoCluster.
 
-Knows the cluster's run directory, and who holds the supervisor's lock in it; no sockets, no messages.
+It knows the cluster's run directory and the supervisor's lock in it. It does not know messages.
 """
 
 from __future__ import annotations
@@ -13,17 +13,19 @@ from pathlib import Path
 from rtc.outcomes import NoCluster
 from rtc.settings import ENDPOINTS, LOCK
 
-TOLD_AFTER = 2  # questions without an answer, two seconds each
+REPORT_AFTER = 2  # unanswered probes, two seconds each, before the user gets a message
 
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 def supervised(run_dir: Path, by_hand: bool = True) -> bool:
-    """False when no supervisor lives here, so that nothing of its cluster does, and nothing will come back. Where there
-    never was one the cluster was started `by_hand`."""
+    """True while a process holds the supervisor lock in `run_dir`.
+
+    Without a lock file the cluster may have been started by hand: then `by_hand` is the answer.
+    """
     try:
         with open(run_dir / LOCK) as lock:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # let go of when the file is closed
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # closing the file releases it
             return False
     except BlockingIOError:
         return True
@@ -31,12 +33,12 @@ def supervised(run_dir: Path, by_hand: bool = True) -> bool:
         return by_hand and run_dir.exists()
 
 
-def somebody_listens(run_dir: Path, doors: Iterable[str]) -> bool:
-    """True when a process holds one of these sockets of a cluster open, or will again: its supervisor lives."""
-    return any(_listens(run_dir / ENDPOINTS[door]) for door in doors) or supervised(run_dir, by_hand=False)
+def is_listening(run_dir: Path, endpoints: Iterable[str]) -> bool:
+    """True if a process listens on one of these sockets of a cluster, or its supervisor lives and will restart it."""
+    return any(_accepts(run_dir / ENDPOINTS[name]) for name in endpoints) or supervised(run_dir, by_hand=False)
 
 
-def _listens(path: Path) -> bool:
+def _accepts(path: Path) -> bool:
     with unix.socket(unix.AF_UNIX) as probe:
         probe.settimeout(0.2)
         try:
@@ -46,42 +48,44 @@ def _listens(path: Path) -> bool:
         return True
 
 
-class Silence:
-    """Of one broker. `tell` hears in words when it begins and ends; `run_dir` None: there is none to look into."""
+class BrokerLiveness:
+    """State of one broker: answering or not. `report` gets a message when that changes.
 
-    def __init__(self, run_dir: Path | None, tell: Tell | None) -> None:
+    `run_dir` is None for a cluster on another machine, whose supervisor lock cannot be read.
+    """
+
+    def __init__(self, run_dir: Path | None, report: Report | None) -> None:
         self._run_dir = run_dir
-        self._tell = tell
-        self._told = False
+        self._report = report
+        self._reported = False  # that the broker does not answer
 
-    def judge(self, unanswered: int, replaced: bool = False) -> None:
-        """`unanswered`: how often we have asked in vain; `replaced`: another cluster has answered.
+    def check(self, unanswered: int, replaced: bool = False) -> None:
+        """Judge the connection. Raises NoCluster if no process is left that could answer.
 
-        Raises NoCluster when nobody is left who could."""
+        `unanswered` is the number of probes without an answer; `replaced`: another cluster has answered.
+        """
         if replaced:
             raise NoCluster(
                 f"the cluster {f'in {self._run_dir} ' if self._run_dir else ''}is gone, and another one is in its "
                 "place; commands that had not ended will not end. "
-                "Connect again, and give them again if they are meant for this cluster"
+                "Connect again, and submit them again if they are meant for this cluster"
             )
         if unanswered and self._run_dir is not None and not supervised(self._run_dir):
             raise NoCluster(
-                f"the cluster in {self._run_dir} is gone: its supervisor has ended, and everything with it; "
+                f"the cluster in {self._run_dir} is gone: its supervisor has ended, and all its processes with it; "
                 "commands that had not ended will not end. Start a new cluster with: rtc up -d"
             )
-        if unanswered >= TOLD_AFTER and not self._told:
-            self._say(
-                "the broker does not answer; waiting for it to come back (what moves goes on; Ctrl-C to stop waiting)"
-            )
-        elif not unanswered and self._told:
-            self._say("the broker answers again")
-        self._told = unanswered >= TOLD_AFTER or (self._told and unanswered > 0)
+        if unanswered >= REPORT_AFTER and not self._reported:
+            self._send("the broker does not answer; waiting for it (motions continue; Ctrl-C stops waiting)")
+        elif not unanswered and self._reported:
+            self._send("the broker answers again")
+        self._reported = unanswered >= REPORT_AFTER or (self._reported and unanswered > 0)
 
     def restarting(self) -> None:
-        """It was not there when we came."""
-        self._say("the broker does not answer yet; waiting for it, its supervisor is there")
-        self._told = True
+        """Report that the broker was absent at the first connection and that its supervisor is there."""
+        self._send("the broker does not answer yet; waiting for it, because its supervisor is running")
+        self._reported = True
 
-    def _say(self, words: str) -> None:
-        if self._tell is not None:
-            self._tell(words)
+    def _send(self, words: str) -> None:
+        if self._report is not None:
+            self._report(words)

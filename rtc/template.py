@@ -1,16 +1,15 @@
-"""A template: one process that has imported and built what a kind of process needs, and forks such processes on demand.
+"""Fork server (zygote): one process that has imported and built what a kind of process needs, and forks it on demand.
 
-Importing libraries and building a cell's models costs seconds of processor time, a fork milliseconds. So a killed
-process is back at once, a cluster of many workers starts as quickly as one of few, and all share the libraries' memory.
-A template holds no socket of the cluster, no thread and no state: losing it costs nothing but time (the supervisor then
-starts processes by themselves). This file does not know what it forks.
+Importing libraries and building a cell's models takes seconds of processor time; a fork takes milliseconds. So a
+killed process is back at once, a large cluster starts as fast as a small one, and all share the libraries' memory.
+A fork server holds neither sockets of the cluster, nor threads, nor state. If it is lost, the supervisor starts
+processes directly, which takes longer. This module does not know what it forks.
 
-Orders come on stdin, a Unix socket of whole messages: bytes for `be`, with the file descriptors of a pipe and of the
-new process's stdout and stderr (and stdin, if it is to have one); the answer is its pid. The process becomes a child of
-whoever started the template, who must be a subreaper: it is forked twice, and the one between ends at once. Then it
-waits for one byte in the pipe: whoever ordered it knows it now, and watches it. When the pipe ends without, because the
-answer came too late or he is dead, it ends too. The order TWIN makes another template: two that are forked from each
-other need never be made anew.
+Protocol: stdin is a Unix SEQPACKET socket. An order is the bytes for `become`, with file descriptors: a pipe, stdout,
+stderr and optionally stdin of the new process. The answer is its pid. A double fork makes the process a child of the
+supervisor, which must be a subreaper. The child then waits for one byte in the pipe, which shows that the supervisor
+knows its pid and watches it. If the pipe closes before that byte (supervisor timed out or died), the child exits.
+The order STANDBY forks another fork server: two fork servers that fork each other need not be built again.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ from typing import NoReturn
 
 from rtc import process
 
-TWIN = b"twin"
+STANDBY = b"standby"  # order: fork another fork server
 
-Be = Callable[[bytes], None]
+Become = Callable[[bytes], None]
 
 
-def serve(be: Be) -> None:
-    """Say ready, then fork as ordered, until the other end is closed: each new process lives by `be(order)`."""
-    process.freeze_heap()  # what is collected later would be copied in every process
+def serve(become: Become) -> None:
+    """Print `ready`, then fork one process per order until the socket closes; each new process runs `become(order)`."""
+    process.freeze_heap()  # a later collection would copy these pages in every child
     print("ready", flush=True)
     supervisor = os.getppid()
     orders = socket.socket(fileno=os.dup(0))
@@ -41,14 +40,14 @@ def serve(be: Be) -> None:
         order, fds, _, _ = socket.recv_fds(orders, 4096, 4)
         if not order:
             return
-        pid = _fork_away(lambda: _become(order, fds, orders, supervisor, be))  # noqa: B023
+        pid = _fork_away(lambda: _become(order, fds, orders, supervisor, become))  # noqa: B023
         for fd in fds:
             os.close(fd)
         orders.send(str(pid).encode())
 
 
 def _fork_away(child: Callable[[], NoReturn]) -> int:
-    """Fork a process that is not our child; its pid. It may be waited for by its new parent when this returns."""
+    """Double fork: a process that is not a child of this one; its pid. On return its new parent may wait for it."""
     read, write = os.pipe()
     between = os.fork()
     if between == 0:
@@ -66,15 +65,15 @@ def _fork_away(child: Callable[[], NoReturn]) -> int:
     return pid
 
 
-def _become(order: bytes, fds: list[int], orders: socket.socket, supervisor: int, be: Be) -> NoReturn:
-    """The life of a process, from the fork to its end."""
+def _become(order: bytes, fds: list[int], orders: socket.socket, supervisor: int, become: Become) -> NoReturn:
+    """Run the new process from the fork to its exit."""
     status = 1
     try:
         orders.close()
         begin, output, log, *more = fds
         if not os.read(begin, 1):
             os._exit(1)
-        process.die_with_parent(supervisor)  # ours by now: it has had the answer that was given after the adoption
+        process.die_with_parent(supervisor)  # the parent by now: it got the pid after the adoption
         os.setsid()
         stdin = more[0] if more else os.open(os.devnull, os.O_RDONLY)
         for mine, standard in ((stdin, 0), (output, 1), (log, 2)):
@@ -83,10 +82,10 @@ def _become(order: bytes, fds: list[int], orders: socket.socket, supervisor: int
         os.close(begin)
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)
-        if order == TWIN:
-            serve(be)
+        if order == STANDBY:
+            serve(become)
         else:
-            be(order)
+            become(order)
         status = 0
     except BaseException:
         traceback.print_exc()
@@ -94,4 +93,4 @@ def _become(order: bytes, fds: list[int], orders: socket.socket, supervisor: int
         with contextlib.suppress(OSError):  # a full disk
             sys.stdout.flush()
             sys.stderr.flush()
-        os._exit(status)  # not the template's clean-up
+        os._exit(status)  # without the fork server's own clean-up

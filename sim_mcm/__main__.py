@@ -16,7 +16,7 @@ from pathlib import Path
 from rtc import handed, process, template
 from rtc import messages as m
 from rtc.cell import Cell
-from rtc.memory import Guard
+from rtc.memory import MemoryGuard
 from rtc.settings import Settings
 from sim_mcm.arm import Simulation
 from sim_mcm.bullet_arm import BulletCell
@@ -43,7 +43,7 @@ class Station:
     def __init__(self, me: process.Process, given: handed.Handed, simulation: Simulation) -> None:
         settings = given.settings
         self._me, self._settings = me, settings
-        self._guard = Guard()
+        self._guard = MemoryGuard()
         self._simulation = simulation
         self._state_file = StateFile(settings.path, settings.run)
         if (before := self._state_file.load()) is not None:

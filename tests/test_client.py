@@ -143,7 +143,7 @@ def test_no_cluster_is_told_within_a_second_with_what_to_do(tmp_path: Path, run_
 
     with pytest.raises(NoCluster, match="rtc up -d"):
         Client(tmp_path / "nowhere")
-    with pytest.raises(NoCluster, match="not running any more; start one with: rtc up -d"):
+    with pytest.raises(NoCluster, match="no longer runs; start one with: rtc up -d"):
         Client(run_dir)
 
     assert time.monotonic() - started_s < 1
@@ -248,7 +248,7 @@ def test_a_command_that_does_not_end_in_time_is_told_and_goes_on(run_dir: Path) 
     broker = SmallBroker(run_dir, accepting)
     with Client(run_dir) as rtc:
         command = rtc.submit("STOW LEFT-ARM 1")
-        with pytest.raises(TimedOut, match="C-1 has not ended; it goes on"):
+        with pytest.raises(TimedOut, match="C-1 has not ended; it continues"):
             rtc.wait(command, timeout_s=0.05)
     broker.stop()
 
@@ -343,14 +343,14 @@ def test_a_wait_ends_in_time_although_the_broker_is_long_away(run_dir: Path, mon
 
 
 def test_what_no_broker_would_take_is_told_at_once(broker: SmallBroker, run_dir: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no source 'planner': sentences come from operator or aip"):
+    with pytest.raises(ValueError, match="invalid source 'planner': it must be operator or aip"):
         Client(run_dir, source="planner")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="199 bytes; it may have 128"):
+    with pytest.raises(ValueError, match="199 bytes; the limit is 128"):
         Client(run_dir, name="x" * 199)
     program = tmp_path / "long.yaml"
     program.write_bytes(b"#" * 150_000)
     with Client(run_dir) as rtc:
-        with pytest.raises(RequestDeclined, match="150,000 bytes; a program may have 131,072"):
+        with pytest.raises(RequestDeclined, match="150,000 bytes; the limit is 131,072"):
             rtc.load("elaborator", program)
         with pytest.raises(RequestDeclined, match=r"300,\d+ bytes, a request may have 262,144"):
             rtc.trace("C" * 300_000)
@@ -384,7 +384,7 @@ def test_a_halt_goes_to_broker_and_mcm_with_one_name(broker: SmallBroker, run_di
 
     assert result.confirmed
     assert result.latency_s == pytest.approx(0.002)
-    assert (result.scope, result.moving, result.told) == ("RIGHT-ARM", ["RIGHT-ARM"], ["estop", "halt"])
+    assert (result.scope, result.moving, result.sent_to) == ("RIGHT-ARM", ["RIGHT-ARM"], ["estop", "halt"])
     assert {door for door, _ in broker.halted} == {"halt", "estop"}
     assert {order.halt for _, order in broker.halted} == {result.halt}
 
@@ -433,7 +433,7 @@ def test_no_number_of_seconds_keeps_a_halt_from_being_sent(
         assert rtc.halt_ready()
         result = rtc.halt("RIGHT-ARM", timeout_s)
         assert rtc.halt().confirmed  # the next one is taken after it
-    assert result.told == ["estop", "halt"]
+    assert result.sent_to == ["estop", "halt"]
     assert result.confirmed == (not timeout_s <= 0)
     assert {order.scope for _, order in broker.halted} == {"RIGHT-ARM", "ALL"}
 

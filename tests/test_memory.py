@@ -6,18 +6,18 @@ import pytest
 import zmq
 
 from rtc import wire
-from rtc.memory import SETTLE_S, Guard, resident_mb
+from rtc.memory import SETTLE_S, MemoryGuard, resident_mb
 from rtc.messages import Heartbeat
 from rtc.process import Process, inbox, send
 
 
 def test_a_process_of_usual_size_is_left_alone() -> None:
-    guard = Guard(limit_mb=resident_mb() * 10)
+    guard = MemoryGuard(limit_mb=resident_mb() * 10)
     assert [guard.alarm(now_s) for now_s in (0.0, 1.0, 2.0)] == [0, 0, 0]
 
 
 def test_doors_are_opened_in_two_stages_and_then_the_limit_is_raised() -> None:
-    guard = Guard(limit_mb=1.0)
+    guard = MemoryGuard(limit_mb=1.0)
     assert guard.alarm(10.0) == 1
     assert guard.alarm(10.0 + SETTLE_S / 2) == 0  # it may still help
     assert guard.alarm(10.0 + SETTLE_S) == 2

@@ -10,7 +10,7 @@ import pytest
 from rtc import messages as m
 from rtc.language.parse import default_grammar, parse
 from rtc.language.record import ParsedCommand
-from rtc.roles import MAY, Role, admits, may_say, no_sentence_for_a_planner
+from rtc.roles import MAY, Role, admits, may_send, refuse_planner
 
 HALT = m.HaltOrder(halt="H-1")
 SENTENCE = m.CommandText(request="r", text="STOW LEFT-ARM")
@@ -35,7 +35,7 @@ COMMIT = m.Commit(request="r", lease=m.Lease(job="j", locations=[], signature=b"
     ],
 )
 def test_who_may_say_what(door: str, message: object, roles: set[Role]) -> None:
-    assert {role for role in Role if may_say(door, role, message)} == roles
+    assert {role for role in Role if may_send(door, role, message)} == roles
 
 
 def test_whoever_may_say_something_is_let_in_and_nobody_else() -> None:
@@ -45,15 +45,15 @@ def test_whoever_may_say_something_is_let_in_and_nobody_else() -> None:
 
 def test_there_is_no_way_to_the_supervisor_and_the_simulator_and_none_by_a_wrong_door() -> None:
     assert not {"supervisor", "bench"} & MAY.keys()
-    assert not may_say("supervisor", Role.OPERATOR, m.Shutdown())
-    assert not may_say("workers", Role.WORKER, SENTENCE)
+    assert not may_send("supervisor", Role.OPERATOR, m.Shutdown())
+    assert not may_send("workers", Role.WORKER, SENTENCE)
 
 
 def test_whoever_can_move_an_arm_can_stop_it() -> None:
     for role in Role:
-        if may_say("front", role, SENTENCE):
-            assert may_say("halt", role, HALT)
-            assert may_say("estop", role, HALT)
+        if may_send("front", role, SENTENCE):
+            assert may_send("halt", role, HALT)
+            assert may_send("estop", role, HALT)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_the_table_allows_only_what_the_door_inside_can_read(door: str, union: o
 def test_a_planner_controls_its_own_commands_and_halts_all(sentence: str, allowed: bool) -> None:
     parsed = parse(default_grammar(), sentence)
     assert isinstance(parsed, ParsedCommand)
-    assert (no_sentence_for_a_planner(parsed, lambda command: command == "C-1") == "") is allowed
+    assert (refuse_planner(parsed, lambda command: command == "C-1") == "") is allowed
 
 
 def test_the_page_on_security_shows_this_table() -> None:

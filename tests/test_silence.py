@@ -12,7 +12,7 @@ from rtc import front_door
 from rtc.client import Client
 from rtc.outcomes import NoCluster, OutcomeKind
 from rtc.settings import LOCK, Settings
-from rtc.silence import Silence, supervised
+from rtc.silence import BrokerLiveness, supervised
 from tests.test_client import SmallBroker, accepting, obliging
 
 
@@ -25,10 +25,10 @@ def run_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_silence_and_its_end_are_told_once(tmp_path: Path) -> None:
     told: list[str] = []
-    silence = Silence(None, told.append)
+    silence = BrokerLiveness(None, told.append)
 
     for unanswered in (0, 1, 2, 3, 1, 2, 0, 0, 1, 0):
-        silence.judge(unanswered)
+        silence.check(unanswered)
 
     assert [words.split(";")[0] for words in told] == ["the broker does not answer", "the broker answers again"]
 

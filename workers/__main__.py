@@ -18,7 +18,7 @@ import zmq
 
 from rtc import handed, process, template
 from rtc.cell import Cell
-from rtc.keys import Doors, KeyFile
+from rtc.keys import Endpoints, KeyFile
 from rtc.messages import WorkerHello, WorkerKind
 from rtc.outcomes import KeyTrouble
 from rtc.settings import Settings
@@ -81,7 +81,7 @@ def join(key: Path, kind: WorkerKind, node: int) -> None:
         raise SystemExit(str(error)) from None
 
 
-def work(doors: Doors, kind: WorkerKind, node: int, prepared: Preloaded) -> bool:
+def work(doors: Endpoints, kind: WorkerKind, node: int, prepared: Preloaded) -> bool:
     """Be one worker until told to end; False when the cluster told us and not a signal. `warm` is what has been made
     for it already."""
     name = f"{kind}@{node}"

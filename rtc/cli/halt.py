@@ -12,13 +12,13 @@ import zmq
 from rich.console import Console
 from rich.text import Text
 
-from rtc.cli.outlet import Unheard
+from rtc.cli.outlet import OutputClosed
 from rtc.cli.output import AsJson, RunDir, With, console, emit_json, errors, exits_with
 from rtc.halting import HALT_ENDPOINTS, HaltLine, HaltResult
-from rtc.keys import Doors, KeyFile
+from rtc.keys import Endpoints, KeyFile
 from rtc.outcomes import NoCluster
 from rtc.settings import Settings, default_run_dir
-from rtc.silence import somebody_listens
+from rtc.silence import is_listening
 
 NOT_CONFIRMED = 3
 SETTLED_S, SETTLED = 0.05, " (but a hand still pressed, or a touch still gave way)"
@@ -57,12 +57,12 @@ def _halt_line(run_dir: Path, key: Path | None) -> Iterator[HaltLine]:
     NoCluster when nobody is behind them."""
     if key is None:
         try:
-            there = somebody_listens(run_dir, HALT_ENDPOINTS)
+            there = is_listening(run_dir, HALT_ENDPOINTS)
         except PermissionError:
             raise NoCluster(f"the cluster in {run_dir} belongs to another user; choose another --run-dir") from None
         if not there:
             raise NoCluster(f"no cluster in {run_dir}; start one with: rtc up -d")
-        doors: Doors = Settings(run_dir=str(run_dir.absolute()))
+        doors: Endpoints = Settings(run_dir=str(run_dir.absolute()))
     else:
         doors = KeyFile.load(key)
     with zmq.Context() as context:
@@ -77,7 +77,7 @@ def print_halt(result: HaltResult, out: Console = console) -> None:
     """What became of a halt must be heard: if not there, on stderr."""
     try:
         _print(result, out)
-    except Unheard:
+    except OutputClosed:
         _print(result, errors)
 
 
@@ -100,7 +100,7 @@ def _print(result: HaltResult, out: Console) -> None:
         else:
             line.append(f"REST NOT CONFIRMED: {result.message}", style="bold white on red")
     out.print(line)
-    if "halt" not in result.told:
+    if "halt" not in result.sent_to:
         out.print(
             Text("the broker did not get this order; the MCM passes it on, and starts nothing until the broker has it")
         )

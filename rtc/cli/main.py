@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from rtc.cli.entry import begun
-from rtc.cli.outlet import Unheard, attach
+from rtc.cli.outlet import OutputClosed, attach
 from rtc.cli.output import LEFT_RUNNING, NO_CLUSTER, errors, trouble
 from rtc.outcomes import KeyTrouble, NoCluster, RequestDeclined, RtcError
 
@@ -111,10 +111,10 @@ def main() -> None:
             _call()
         finally:
             sys.stdout.flush()  # not when Python ends, where nobody could be told
-    except Unheard as unheard:  # of a command that only prints; others say what becomes of their work
-        if unheard.reader_gone:  # `rtc trace C-7 | head`
+    except OutputClosed as closed:  # of a command that only prints; others say what becomes of their work
+        if closed.reader_gone:  # `rtc trace C-7 | head`
             sys.exit(0)
-        errors.print(f"rtc: {unheard}")
+        errors.print(f"rtc: {closed}")
         sys.exit(1)
 
 

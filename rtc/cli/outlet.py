@@ -1,7 +1,7 @@
-"""Stdout and stderr as our commands have them: one that is full, closed or read by nobody any more is told of once.
+"""Standard streams of the command line: a broken stdout raises OutputClosed once, and is then ignored.
 
-Rich and typer each make an exit status of their own out of a reader that has gone, and neither expects a full disk: so
-what is raised here is no OSError, and whoever knows what the command was doing can say what becomes of it.
+Rich and typer turn a closed pipe into exit statuses of their own, and do not expect a full disk. So the exception here
+is not an OSError: the command itself reports what happens to its work.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ import sys
 from typing import Any, TextIO, cast
 
 
-class Unheard(Exception):
-    """What is printed on stdout reaches nobody. Raised for the first that does not; the rest is dropped in silence."""
+class OutputClosed(Exception):
+    """Stdout is closed, full or without a reader. Raised at the first failed write; later writes are dropped."""
 
     def __init__(self, cause: OSError | None) -> None:
-        self.reader_gone = isinstance(cause, BrokenPipeError)  # `| head`: it has all that it wanted
+        self.reader_gone = isinstance(cause, BrokenPipeError)  # as with `| head`, which is not an error
         why = "stdout is closed" if cause is None else cause.strerror or str(cause)
-        super().__init__("nobody reads on" if self.reader_gone else f"cannot print: {why}")
+        super().__init__("the reader of stdout has closed it" if self.reader_gone else f"cannot print: {why}")
 
 
-class Outlet:
-    """A stream for text. `stream` None: it was closed before we began. Not `needed`: nobody is told when it is lost."""
+class OutputStream:
+    """A text stream. `stream` is None if it was closed at the start. Not `needed`: a failure raises nothing."""
 
     def __init__(self, stream: TextIO | None, *, needed: bool = True) -> None:
         self._needed = needed
@@ -50,22 +50,22 @@ class Outlet:
         return getattr(self._stream, name)
 
     def _lose(self, cause: OSError | None) -> None:
-        told, self._lost, self._closed = self._lost, True, False
-        with open(os.devnull, "w") as nowhere:  # what is still in the buffer goes there when Python ends
+        reported, self._lost, self._closed = self._lost, True, False
+        with open(os.devnull, "w") as nowhere:  # Python writes the rest of the buffer there at exit
             os.dup2(nowhere.fileno(), self._stream.fileno())
-        if self._needed and not told:
-            raise Unheard(cause)
+        if self._needed and not reported:
+            raise OutputClosed(cause)
 
 
 def attach() -> None:
-    """From here on stdin, stdout and stderr are there, whatever we were started with."""
+    """Make sure that stdin, stdout and stderr exist, and wrap the last two."""
     sys.stdin = sys.stdin or _nowhere("r")
-    sys.stdout = cast(TextIO, Outlet(sys.stdout))
-    sys.stderr = cast(TextIO, Outlet(sys.stderr, needed=False))
+    sys.stdout = cast(TextIO, OutputStream(sys.stdout))
+    sys.stderr = cast(TextIO, OutputStream(sys.stderr, needed=False))
 
 
 def _nowhere(mode: str) -> TextIO:
-    """It takes the number of the stream that is missing, before a socket does, also for whom we become (`rtc up`)."""
+    """Open /dev/null on the free descriptor 0-2, so that no socket gets it; inheritable, because `rtc up` execs."""
     number = os.open(os.devnull, os.O_RDWR)
     os.set_inheritable(number, True)
     return cast(TextIO, os.fdopen(number, mode))

@@ -21,7 +21,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from rtc.cli.outlet import Unheard
+from rtc.cli.outlet import OutputClosed
 from rtc.language.caret import CUT, show
 from rtc.language.refuse import visible
 from rtc.language.units import in_words
@@ -99,7 +99,7 @@ def trouble(message: str, code: int = 1, **known: Any) -> typer.Exit:
     raise what this returns."""
     errors.print(Text("rtc: ", style="bold red") + Text(message))
     if "--json" in sys.argv:
-        with suppress(Unheard):  # it has been said
+        with suppress(OutputClosed):  # it has been said
             emit_json({"error": message, "exit": code, **known})
     return typer.Exit(code)
 
@@ -109,8 +109,8 @@ def exits_with(code: int) -> Iterator[None]:
     """When nobody hears what is printed inside, that is said on stderr, and the exit status is this one."""
     try:
         yield
-    except Unheard as unheard:
-        errors.print(f"rtc: {unheard}")
+    except OutputClosed as closed:
+        errors.print(f"rtc: {closed}")
         raise typer.Exit(code) from None
 
 

@@ -17,7 +17,7 @@ from rich.text import Text
 from rtc import messages as m
 from rtc.cli.halt import print_halt
 from rtc.cli.long_steps import LongSteps
-from rtc.cli.outlet import Unheard
+from rtc.cli.outlet import OutputClosed
 from rtc.cli.output import (
     LEFT_RUNNING,
     AsJson,
@@ -130,7 +130,7 @@ def _see_through(
     except LeftRunning:
         console.print("left running; `rtc status` shows them, `rtc halt` stops them")
         return LEFT_RUNNING, results
-    except (Unheard, Signalled) as gone:
+    except (OutputClosed, Signalled) as gone:
         return gone_away(gone, board, len(texts)), results
     for text in texts[len(results) :]:
         results.append({"text": text, "kind": "not_sent"})
@@ -141,7 +141,7 @@ def _see_through(
     return exit_code(kinds), results
 
 
-def gone_away(why: Unheard | Signalled, board: Board, sentences: int) -> int:
+def gone_away(why: OutputClosed | Signalled, board: Board, sentences: int) -> int:
     """Nobody waits for the commands any more: print on stderr which of them go on. The exit status."""
     running, others = board.running, sentences - len(board.running) - len(board.kinds)
     parts = [str(why)]
@@ -192,7 +192,7 @@ def _hand_in(rtc: Client, texts: list[str]) -> tuple[int, list[dict[str, Any]]]:
         accepted = Text(f"{command} accepted  {said(text)}")
         try:
             out.print(accepted)
-        except Unheard:
+        except OutputClosed:
             out = errors  # the number must not be lost
             out.print(accepted)
         results.append({"text": text, "kind": "accepted", "command": command})

@@ -24,7 +24,7 @@ from rtc import messages as m
 from rtc.chaos import Chaos, Strike
 from rtc.client import Client
 from rtc.demos.own_cluster import own_cluster
-from rtc.demos.telling import Story
+from rtc.demos.telling import Narrator
 from rtc.outcomes import OutcomeKind
 from rtc.process import die_with_parent
 from rtc.process_table import processes
@@ -36,7 +36,7 @@ FAR = {"RIGHT-ARM": "MOVE RIGHT-ARM TO JOINTS -60 110 -160 0 50 0 DEG JOINT-MOTI
 PAIRS = [FAR["RIGHT-ARM"], FAR["LEFT-ARM"], *STOWS]
 REFUSED = "LIFT MACS-OLD BY 5 CM"  # nobody holds it; parsed and planned all the same
 
-COMMAND_S = 40.0  # no command of this story takes so long
+COMMAND_S = 40.0  # time limit of a command
 BACK_S = 15.0
 JOB_AGAIN_S = 1.0  # until a killed worker's job is done by another; the figure itself is told
 HUNG_S = 6.0  # until a stopped worker is found and replaced
@@ -51,25 +51,27 @@ TRIES = 4  # of each, to catch a worker in the milliseconds of a bind
 
 def tell(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
     """Run it all; True when every check passed. Leaves nothing running."""
-    story = Story(console)
-    story.chapter("A cluster: broker, world database, eight workers (two of each kind), and two arms that move exactly")
+    narrator = Narrator(console)
+    narrator.chapter(
+        "A cluster: broker, world database, eight workers (two of each kind), and two arms that move exactly"
+    )
     with own_cluster(mcm="kinematic", speed=speed, dim=3) as run_dir:
         with Client(run_dir) as rtc, Client(run_dir) as asking:
-            story.line(f"ready, run directory {run_dir}")
-            _Faults(story, rtc, asking, Chaos(run_dir, random.Random(SEED))).tell()
+            narrator.line(f"ready, run directory {run_dir}")
+            _Faults(narrator, rtc, asking, Chaos(run_dir, random.Random(SEED))).run()
         pids = [row.pid for row in processes(run_dir).values() if row.pid]
     left = [pid for pid in pids if Path(f"/proc/{pid}").exists()]
-    story.check(f"the cluster has ended, {len(left)} of its {len(pids)} processes are left", not left)
-    return story.passed()
+    narrator.check(f"the cluster has ended, {len(left)} of its {len(pids)} processes are left", not left)
+    return narrator.passed()
 
 
 class _Faults:
     """`rtc` gives the commands, `asking` looks at the cluster meanwhile."""
 
-    def __init__(self, story: Story, rtc: Client, asking: Client, chaos: Chaos) -> None:
-        self.story, self.rtc, self.asking, self.chaos = story, rtc, asking, chaos
+    def __init__(self, narrator: Narrator, rtc: Client, asking: Client, chaos: Chaos) -> None:
+        self.narrator, self.rtc, self.asking, self.chaos = narrator, rtc, asking, chaos
 
-    def tell(self) -> None:
+    def run(self) -> None:
         self.parallel()
         self.worker_killed()
         self.worker_hung()
@@ -81,60 +83,62 @@ class _Faults:
     # --- the chapters ----------------------------------------------------------------------------------
 
     def parallel(self) -> None:
-        self.story.chapter("Four commands at once: what needs different arms goes on at the same time, the rest waits")
+        self.narrator.chapter(
+            "Four commands at once: what needs different arms goes on at the same time, the rest waits"
+        )
         began_s = time.monotonic()
         ends = self.rtc.run_many([*STOWS, *PAIRS[:2]], timeout_s=COMMAND_S)
         took_s = time.monotonic() - began_s
         alone_s = sum(end.took_s for end in ends[2:])  # each with the one it had to wait for
-        self.story.check("all four succeeded", all(end.outcome.kind is OutcomeKind.SUCCEEDED for end in ends))
-        self.story.check(f"they took {took_s:.1f} s; one after the other {alone_s:.1f} s", took_s < 0.75 * alone_s)
+        self.narrator.check("all four succeeded", all(end.outcome.kind is OutcomeKind.SUCCEEDED for end in ends))
+        self.narrator.check(f"they took {took_s:.1f} s; one after the other {alone_s:.1f} s", took_s < 0.75 * alone_s)
 
     def worker_killed(self) -> None:
-        self.story.chapter("kill -9 of a binder in the middle of a bind")
+        self.narrator.chapter("kill -9 of a binder in the middle of a bind")
         caught = next(filter(None, map(self._strike_in_bind, TRIES * STOWS)), None)
         if caught is None:
-            self.story.check("a binder was met with a job in its hands", False)
+            self.narrator.check("a binder was met with a job in its hands", False)
             return
         strike, end, told, done = caught
-        self.story.line(f"{strike.name} (pid {strike.pid}) killed while it was binding {end.command}")
-        self.story.line(f"{_ms(told.at_s - strike.at_s)} later the broker knew and gave its job to another")
+        self.narrator.line(f"{strike.name} (pid {strike.pid}) killed while it was binding {end.command}")
+        self.narrator.line(f"{_ms(told.at_s - strike.at_s)} later the broker knew and gave its job to another")
         took_s = done.at_s - strike.at_s
-        self.story.check(f"{done.node} had it done {_ms(took_s)} after the kill", took_s < JOB_AGAIN_S)
-        self.story.check(f"{end.command} {end.outcome.kind.value}", end.outcome.kind is OutcomeKind.SUCCEEDED)
+        self.narrator.check(f"{done.node} had it done {_ms(took_s)} after the kill", took_s < JOB_AGAIN_S)
+        self.narrator.check(f"{end.command} {end.outcome.kind.value}", end.outcome.kind is OutcomeKind.SUCCEEDED)
         self._check_back(strike, BACK_S)
 
     def worker_hung(self) -> None:
-        self.story.chapter("A binder hangs: SIGSTOP, alive but doing nothing")
+        self.narrator.chapter("A binder hangs: SIGSTOP, alive but doing nothing")
         stopper = Chaos(self.rtc.run_dir, random.Random(SEED), stop=True)
         strike = stopper.strike("worker", "binder@2")
         if strike is None:
-            self.story.check("there was a binder to be stopped", False)
+            self.narrator.check("there was a binder to be stopped", False)
             return
-        self.story.line(f"{strike.name} (pid {strike.pid}) stopped; now commands that need it")
+        self.narrator.line(f"{strike.name} (pid {strike.pid}) stopped; now commands that need it")
         ends = self.rtc.run_many(PAIRS, timeout_s=COMMAND_S)
-        self.story.check("four commands succeeded", all(end.outcome.kind is OutcomeKind.SUCCEEDED for end in ends))
+        self.narrator.check("four commands succeeded", all(end.outcome.kind is OutcomeKind.SUCCEEDED for end in ends))
         self._check_back(strike, HUNG_S, stopper)
 
     def broker_killed(self) -> None:
-        self.story.chapter("kill -9 of the broker in the middle of a motion")
+        self.narrator.chapter("kill -9 of the broker in the middle of a motion")
         arm = "RIGHT-ARM"
         with _watch(self.rtc, arm) as speeds:
             command = self.rtc.submit(FAR[arm])
             speeds.await_motion()
             strike = self.chaos.strike("broker")
             assert strike is not None
-            self.story.line(f"broker (pid {strike.pid}) killed while {command} moves {arm}")
+            self.narrator.line(f"broker (pid {strike.pid}) killed while {command} moves {arm}")
             end = self.rtc.wait(command, COMMAND_S)
         self._check_back(strike, BROKER_S)
         slowest = judged_speed_rad_s(speeds.samples, strike.at_s, strike.back_s or 0.0)
-        self.story.check(f"the arm went on meanwhile, at {slowest:.2f} rad/s or more", slowest > MOVING_RAD_S)
-        self.story.check(f"the result arrived all the same: {end.command} {end.outcome.kind.value}",
+        self.narrator.check(f"the arm went on meanwhile, at {slowest:.2f} rad/s or more", slowest > MOVING_RAD_S)
+        self.narrator.check(f"the result arrived all the same: {end.command} {end.outcome.kind.value}",
                          end.outcome.kind is OutcomeKind.SUCCEEDED)  # fmt: skip
         notes = [note.note for note in self.asking.trace(command).notes]
-        self.story.check("it was sent to the arm once", sum(note == "started" for note in notes) == 1)
+        self.narrator.check("it was sent to the arm once", sum(note == "started" for note in notes) == 1)
 
     def mcm_killed(self) -> None:
-        self.story.chapter("kill -9 of the MCM itself in the middle of a motion")
+        self.narrator.chapter("kill -9 of the MCM itself in the middle of a motion")
         arm = "RIGHT-ARM"
         with _watch(self.rtc, arm) as speeds:
             command = self.rtc.submit("STOW RIGHT-ARM")
@@ -143,22 +147,24 @@ class _Faults:
             strike = self.chaos.strike("mcm")
             assert strike is not None
             end = self.rtc.wait(command, COMMAND_S)
-        self.story.line(f"MCM (pid {strike.pid}) killed; {command}: {end.outcome.message}")
-        self.story.check(
+        self.narrator.line(f"MCM (pid {strike.pid}) killed; {command}: {end.outcome.message}")
+        self.narrator.check(
             f"{command} is told as {end.outcome.kind.value}", end.outcome.kind is OutcomeKind.LOST_SUBSYSTEM
         )
         fact = self.rtc.world.view(keys=[f"{arm}.joints"]).facts[0]
-        self.story.check(f"where {arm} is, the world calls {fact.validity.value}", fact.validity is m.Validity.SUSPECT)
+        self.narrator.check(
+            f"where {arm} is, the world calls {fact.validity.value}", fact.validity is m.Validity.SUSPECT
+        )
         self._check_back(strike, MCM_S)
         first = self.rtc.run("STOW RIGHT-ARM", timeout_s=COMMAND_S)
         if first.outcome.kind is OutcomeKind.FAILED:
-            self.story.line(f"{first.command}: {first.outcome.message[:100]}... so now it is known")
+            self.narrator.line(f"{first.command}: {first.outcome.message[:100]}... so now it is known")
             first = self.rtc.run("STOW RIGHT-ARM", timeout_s=COMMAND_S)
-        self.story.check(f"the arm can be used again: {first.command} {first.outcome.kind.value}",
+        self.narrator.check(f"the arm can be used again: {first.command} {first.outcome.kind.value}",
                          first.outcome.kind is OutcomeKind.SUCCEEDED)  # fmt: skip
 
     def halt_under_load(self) -> None:
-        self.story.chapter("HALT ALL under full load: both arms move, every core is busy with planning")
+        self.narrator.chapter("HALT ALL under full load: both arms move, every core is busy with planning")
         with _load(self.rtc.run_dir), _watch(self.rtc, "RIGHT-ARM") as speeds:
             commands = [self.rtc.submit(FAR[arm]) for arm in FAR]
             speeds.await_motion()
@@ -167,24 +173,24 @@ class _Faults:
             ends = [self.rtc.wait(command, COMMAND_S) for command in commands]
         latency_s = halted.latency_s if halted.latency_s is not None else float("inf")
         moving = ", ".join(halted.moving) or "nothing"
-        self.story.check(
+        self.narrator.check(
             f"first decelerating tick {_ms(latency_s)} after the call ({moving} moved)", latency_s < HALT_S
         )
         rest_s = max((sub.rest_s or 0.0 for sub in halted.subsystems), default=0.0)
-        self.story.check(f"rest is confirmed, {_ms(rest_s)} after the call", halted.confirmed)
+        self.narrator.check(f"rest is confirmed, {_ms(rest_s)} after the call", halted.confirmed)
         told = {end.outcome.kind for end in ends}
-        self.story.check("the commands are told as halted", told == {OutcomeKind.HALTED})
+        self.narrator.check("the commands are told as halted", told == {OutcomeKind.HALTED})
         end = self.rtc.run("STOW RIGHT-ARM", timeout_s=COMMAND_S)
-        self.story.check(f"a new command works at once: {end.command} {end.outcome.kind.value}",
+        self.narrator.check(f"a new command works at once: {end.command} {end.outcome.kind.value}",
                          end.outcome.kind is OutcomeKind.SUCCEEDED)  # fmt: skip
 
     def restarts(self) -> None:
-        self.story.chapter("What the supervisor did")
+        self.narrator.chapter("What the supervisor did")
         for row in processes(self.rtc.run_dir).values():
             if row.restarts:
-                self.story.line(f"{row.name}: {row.restarts} restart{'s' * (row.restarts > 1)}, {row.state}")
+                self.narrator.line(f"{row.name}: {row.restarts} restart{'s' * (row.restarts > 1)}, {row.state}")
         live = self.asking.status()["commands_live"]
-        self.story.check(f"{live} commands are left without an end", live == 0)
+        self.narrator.check(f"{live} commands are left without an end", live == 0)
 
     # --- inside ----------------------------------------------------------------------------------------
 
@@ -214,10 +220,10 @@ class _Faults:
             chaos.returned()
             time.sleep(0.002)
         if strike.back_s is None:
-            self.story.check(f"{strike.name} is back", False)
+            self.narrator.check(f"{strike.name} is back", False)
         else:
             took = f"{strike.name} was back, as pid {strike.new_pid}, after {_ms(strike.back_s)}"
-            self.story.check(took, strike.back_s < limit_s)
+            self.narrator.check(took, strike.back_s < limit_s)
 
 
 class _Speeds:

@@ -20,7 +20,7 @@ from rtc import messages as m
 from rtc.cell import Cell
 from rtc.client import Client
 from rtc.demos.own_cluster import own_cluster
-from rtc.demos.telling import Story
+from rtc.demos.telling import Narrator
 from rtc.outcomes import OutcomeKind
 
 HELD = {"RIGHT-ARM": "MACS-NEW", "LEFT-ARM": "MACS-OLD"}  # which arm carries what
@@ -37,7 +37,7 @@ LIFTED_M = 0.14  # of the 0.15 that was asked for
 SEATED_M = 0.005  # how far from its seat a module may be in the end
 STOWED_RAD = 0.01
 UNDER_WAY_M = 0.08  # how far the tool has gone when we call the halt
-COMMAND_S = 90.0  # no command of this story takes so long
+COMMAND_S = 90.0  # time limit of a command
 RENDER_S = 60.0
 REST_S = 5.0  # for the arm to come to rest, and say so
 
@@ -46,14 +46,14 @@ REST_S = 5.0  # for the arm to come to rest, and say so
 class Overlap:
     """Hears progress; knows whether two commands were executing at the same time."""
 
-    story: Story
+    narrator: Narrator
     executing: set[str] = field(default_factory=set)
     seen: bool = False
 
     def __call__(self, note: m.ProgressNote) -> None:
         if note.phase is m.Phase.EXECUTING:
             if note.command not in self.executing and note.step:
-                self.story.line(f"{note.command}  {note.step}", "dim")
+                self.narrator.line(f"{note.command}  {note.step}", "dim")
             self.executing.add(note.command)
         else:
             self.executing.discard(note.command)
@@ -62,90 +62,94 @@ class Overlap:
 
 def tell(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
     """Run it all; True when every check passed. Leaves pictures in `out`, and nothing running."""
-    story = Story(console)
-    story.chapter("A cluster: broker, world database, four workers, and two PUMA 560 arms in a physics simulator")
+    narrator = Narrator(console)
+    narrator.chapter("A cluster: broker, world database, four workers, and two PUMA 560 arms in a physics simulator")
     with own_cluster(speed=speed) as run_dir, Client(run_dir) as rtc:
-        story.line(f"ready; {len(rtc.status().get('workers', []))} workers, run directory {run_dir}")
+        narrator.line(f"ready; {len(rtc.status().get('workers', []))} workers, run directory {run_dir}")
         pictures = Pictures(out)
-        _told(story, rtc, pictures)
-    story.line("everything stopped")
-    pictures.check(story)
-    return story.passed()
+        _told(narrator, rtc, pictures)
+    narrator.line("everything stopped")
+    pictures.check(narrator)
+    return narrator.passed()
 
 
-def _told(story: Story, rtc: Client, pictures: Pictures) -> None:
-    story.chapter("Two grasps at once; the cluster finds by itself that they need different arms")
-    if not _all(story, rtc, GRASPS, together=True):
+def _told(narrator: Narrator, rtc: Client, pictures: Pictures) -> None:
+    narrator.chapter("Two grasps at once; the cluster finds by itself that they need different arms")
+    if not _all(narrator, rtc, GRASPS, together=True):
         return
     gripped = rtc.truth()
     pictures.take("1-grasped", gripped)
 
-    story.chapter("Lift both; the modules must follow their hands")
-    if not _all(story, rtc, LIFTS, together=True):
+    narrator.chapter("Lift both; the modules must follow their hands")
+    if not _all(narrator, rtc, LIFTS, together=True):
         return
-    _check_followed(story, gripped, lifted := rtc.truth())
-    _check_belief(story, rtc, lifted)
+    _check_followed(narrator, gripped, lifted := rtc.truth())
+    _check_belief(narrator, rtc, lifted)
     pictures.take("2-lifted", lifted)
 
-    story.chapter(f"{MOVE}, and a halt in the middle of it")
-    _check_halt(story, rtc)
+    narrator.chapter(f"{MOVE}, and a halt in the middle of it")
+    _check_halt(narrator, rtc)
 
-    story.chapter("After a halt what was carried is not trusted: feel whether it is still in the hand, then go on")
-    if not _all(story, rtc, [VERIFY]) or not _all(story, rtc, [MOVE]):
+    narrator.chapter("After a halt what was carried is not trusted: feel whether it is still in the hand, then go on")
+    if not _all(narrator, rtc, [VERIFY]) or not _all(narrator, rtc, [MOVE]):
         return
 
-    story.chapter("Put both back, and stow")
-    if not _all(story, rtc, PLACES, together=True) or not _all(story, rtc, STOWS, together=True):
+    narrator.chapter("Put both back, and stow")
+    if not _all(narrator, rtc, PLACES, together=True) or not _all(narrator, rtc, STOWS, together=True):
         return
     ended = rtc.truth()
-    _check_put_back(story, gripped, ended)
-    _check_stowed(story, rtc, ended)
-    _check_belief(story, rtc, ended)
+    _check_put_back(narrator, gripped, ended)
+    _check_stowed(narrator, rtc, ended)
+    _check_belief(narrator, rtc, ended)
     pictures.take("3-put-back", ended)
 
 
-def _all(story: Story, rtc: Client, texts: list[str], *, together: bool = False) -> bool:
+def _all(narrator: Narrator, rtc: Client, texts: list[str], *, together: bool = False) -> bool:
     """Say these sentences and see them through; False (with the reason told) when one did not succeed."""
-    overlap = Overlap(story)
+    overlap = Overlap(narrator)
 
     def accepted(n: int, command: str) -> None:
-        story.line(f"{command}  said: {texts[n]}")
+        narrator.line(f"{command}  said: {texts[n]}")
 
     def ended(_: int, end: m.CommandEnded) -> None:
-        story.line(f"{end.command}  {end.outcome.kind.value} after {end.took_s:.1f} s  {end.outcome.message}".rstrip())
+        narrator.line(
+            f"{end.command}  {end.outcome.kind.value} after {end.took_s:.1f} s  {end.outcome.message}".rstrip()
+        )
 
     ends = rtc.run_many(texts, on_accept=accepted, on_progress=overlap, on_end=ended, timeout_s=COMMAND_S)
     good = all(end.outcome.kind is OutcomeKind.SUCCEEDED for end in ends)
     if not good:
-        story.check(f"{' and '.join(text.split()[0] for text in texts)} succeeded", False)
+        narrator.check(f"{' and '.join(text.split()[0] for text in texts)} succeeded", False)
     elif together:
-        story.check(f"{texts[0].split()[0]} x {len(texts)}: both arms were in motion at the same time", overlap.seen)
+        narrator.check(f"{texts[0].split()[0]} x {len(texts)}: both arms were in motion at the same time", overlap.seen)
     return good
 
 
-def _check_halt(story: Story, rtc: Client) -> None:
+def _check_halt(narrator: Narrator, rtc: Client) -> None:
     samples = rtc.telemetry(silence_s=5.0)
     start = next(samples).arms["RIGHT-ARM"].tcp_pose
     command = rtc.submit(MOVE)
-    story.line(f"{command}  said: {MOVE}")
+    narrator.line(f"{command}  said: {MOVE}")
     for sample in samples:
         if math.dist(sample.arms["RIGHT-ARM"].tcp_pose[:3], start[:3]) > UNDER_WAY_M:
             break
     result = rtc.halt("RIGHT-ARM", timeout_s=REST_S)
     latency = "never" if result.latency_s is None else f"{result.latency_s * 1e3:.2f} ms"
     moving = ", ".join(result.moving) or "nothing"
-    story.check(f"halt called in motion: {moving} began to decelerate after {latency}", result.moving == ["RIGHT-ARM"])
-    story.check("rest is confirmed", result.confirmed)
+    narrator.check(
+        f"halt called in motion: {moving} began to decelerate after {latency}", result.moving == ["RIGHT-ARM"]
+    )
+    narrator.check("rest is confirmed", result.confirmed)
     ended = rtc.wait(command, timeout_s=COMMAND_S)
-    story.check(f"{command} ended as {ended.outcome.kind.value}", ended.outcome.kind is OutcomeKind.HALTED)
+    narrator.check(f"{command} ended as {ended.outcome.kind.value}", ended.outcome.kind is OutcomeKind.HALTED)
 
 
-def _check_followed(story: Story, before: m.SimTruthReply, after: m.SimTruthReply) -> None:
+def _check_followed(narrator: Narrator, before: m.SimTruthReply, after: m.SimTruthReply) -> None:
     for arm, module in HELD.items():
         slip_m = math.dist(_in_hand(before, arm, module), _in_hand(after, arm, module))
         rise_m = after.poses[module][2] - before.poses[module][2]
-        story.check(f"{module} rose {rise_m * 1e3:.1f} mm with {arm}", rise_m > LIFTED_M)
-        story.check(f"{module} moved {slip_m * 1e3:.2f} mm in the hand (limit {SLIP_M * 1e3:.0f})", slip_m <= SLIP_M)
+        narrator.check(f"{module} rose {rise_m * 1e3:.1f} mm with {arm}", rise_m > LIFTED_M)
+        narrator.check(f"{module} moved {slip_m * 1e3:.2f} mm in the hand (limit {SLIP_M * 1e3:.0f})", slip_m <= SLIP_M)
 
 
 def _in_hand(truth: m.SimTruthReply, arm: str, module: str) -> list[float]:
@@ -153,29 +157,29 @@ def _in_hand(truth: m.SimTruthReply, arm: str, module: str) -> list[float]:
     return geometry.compose(geometry.inverse(truth.tcp[arm]), truth.poses[module])[:3].tolist()
 
 
-def _check_belief(story: Story, rtc: Client, truth: m.SimTruthReply) -> None:
+def _check_belief(narrator: Narrator, rtc: Client, truth: m.SimTruthReply) -> None:
     for module in HELD.values():
         fact = rtc.world.view(keys=[f"{module}.frame"]).facts[0]
         off_m = math.dist(fact.value[:3], truth.poses[module][:3])
         what = f"the world believes {module} {off_m * 1e3:.2f} mm from where it is ({fact.validity.value})"
-        story.check(what, off_m <= BELIEF_M and fact.validity is m.Validity.VALID)
+        narrator.check(what, off_m <= BELIEF_M and fact.validity is m.Validity.VALID)
 
 
-def _check_put_back(story: Story, before: m.SimTruthReply, after: m.SimTruthReply) -> None:
+def _check_put_back(narrator: Narrator, before: m.SimTruthReply, after: m.SimTruthReply) -> None:
     for arm, module in HELD.items():
         off_m = math.dist(before.poses[module][:3], after.poses[module][:3])
-        story.check(f"{module} is {off_m * 1e3:.1f} mm from where it was", off_m <= SEATED_M)
-        story.check(f"{arm} holds nothing", not after.held.get(arm))
+        narrator.check(f"{module} is {off_m * 1e3:.1f} mm from where it was", off_m <= SEATED_M)
+        narrator.check(f"{arm} holds nothing", not after.held.get(arm))
 
 
-def _check_stowed(story: Story, rtc: Client, truth: m.SimTruthReply) -> None:
+def _check_stowed(narrator: Narrator, rtc: Client, truth: m.SimTruthReply) -> None:
     for arm in Cell.load(rtc.settings.cell).arms:
         off_rad = max(abs(a - b) for a, b in zip(truth.joints[arm.name], arm.stow_rad, strict=True))
-        story.check(f"{arm.name} is {off_rad:.4f} rad from its stow posture", off_rad <= STOWED_RAD)
+        narrator.check(f"{arm.name} is {off_rad:.4f} rad from its stow posture", off_rad <= STOWED_RAD)
 
 
 class Pictures:
-    """Drawn by other processes, because drawing needs the simulator's library, and while the story goes on."""
+    """Drawn by other processes, because drawing needs the simulator's library, and while the demo goes on."""
 
     def __init__(self, out: Path) -> None:
         self._out = out
@@ -191,7 +195,7 @@ class Pictures:
         command = ["nice", "-n", "15", sys.executable, "-P", "-m", "sim_mcm.render", "--truth", str(data)]
         self._under_way.append((file, subprocess.Popen([*command, "--out", str(file)], stderr=subprocess.DEVNULL)))
 
-    def check(self, story: Story) -> None:
+    def check(self, narrator: Narrator) -> None:
         """Wait for all of them."""
         for file, drawing in self._under_way:
             try:
@@ -199,4 +203,4 @@ class Pictures:
             except subprocess.TimeoutExpired:
                 drawing.kill()
             file.with_suffix(".json").unlink()
-            story.check(f"picture {file}", drawing.returncode == 0 and file.is_file())
+            narrator.check(f"picture {file}", drawing.returncode == 0 and file.is_file())

@@ -1,4 +1,4 @@
-"""How a demo tells its story: a clock in front of every line, and checks that decide whether it passed."""
+"""Output of a demo: lines with elapsed time, and checks that decide whether it passed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from rich.console import Console
 from rich.text import Text
 
 
-class Story:
+class Narrator:
+    """Prints the course of a demo and collects its checks."""
+
     def __init__(self, console: Console) -> None:
         self._console = console
         self._begun_s = time.monotonic()
@@ -26,20 +28,20 @@ class Story:
         self._print(text, style)
 
     def check(self, what: str, passed: bool) -> bool:
-        """One thing that must be so; `what` carries the figures."""
+        """Record and print one check; `what` describes it, with its figures. Returns `passed`."""
         self._checks.append((what, passed))
         self._print(("PASS  " if passed else "FAIL  ") + what, "green" if passed else "bold red")
         return passed
 
     def passed(self) -> bool:
-        """The last line: whether all checks passed (and there were some)."""
+        """Print the summary; True if there were checks and all passed."""
         failed = [what for what, passed in self._checks if not passed]
         good = bool(self._checks) and not failed
         word = "PASSED" if good else "FAILED"
         self._console.print()
         self._print(f"{word}: {len(self._checks) - len(failed)} of {len(self._checks)} checks", "bold")
         for what in failed:
-            self._print(f"  not so: {what}", "red")
+            self._print(f"  failed: {what}", "red")
         return good
 
     def _print(self, text: str, style: str) -> None:

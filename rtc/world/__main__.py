@@ -14,7 +14,7 @@ from typing import Any
 import zmq
 
 from rtc import damage, handed, process, template, wire
-from rtc.memory import Guard
+from rtc.memory import MemoryGuard
 from rtc.messages import Dropped, ToWorld
 from rtc.outcomes import WireError
 from rtc.process import Every, Process, inbox, now_s, send
@@ -62,7 +62,7 @@ def _live(me: Process, given: handed.Handed, store: Store) -> None:
     store.saved = lambda version: given.remember("world", BORN, version)
     process.freeze_heap()
     me.ready()
-    serve(me, socket, server, lambda dropped: send(broker, Dropped(counts={"world": dropped})), Guard())
+    serve(me, socket, server, lambda dropped: send(broker, Dropped(counts={"world": dropped})), MemoryGuard())
     store.close()
 
 
@@ -99,7 +99,7 @@ def serve(
     socket: zmq.Socket[bytes],
     server: Server,
     tell_dropped: Callable[[int], object] = lambda _: None,
-    guard: Guard | None = None,
+    guard: MemoryGuard | None = None,
 ) -> None:
     """Answer until told to stop. A turn's commits are on disk, in one transaction, before any of its answers go.
     `tell_dropped` hears now and then how many messages could not be read, if any."""

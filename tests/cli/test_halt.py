@@ -17,7 +17,7 @@ def printed(latency_s: float, rest_s: float, moving: list[str]) -> str:
         name="MCM", latency_s=latency_s, moving=moving, performers=["LEFT-ARM"], at_rest=True, rest_s=rest_s
     )
     result = HaltResult(
-        halt="h", scope="ALL", latency_s=latency_s, confirmed=True, told=["halt", "estop"], subsystems=[mcm]
+        halt="h", scope="ALL", latency_s=latency_s, confirmed=True, sent_to=["halt", "estop"], subsystems=[mcm]
     )
     print_halt(result, Console(file=text, soft_wrap=True, color_system=None))
     return text.getvalue().rstrip()

@@ -12,7 +12,7 @@ import pytest
 from rtc import messages as m
 from rtc.cli import sentences
 from rtc.cli.halt import print_halt
-from rtc.cli.outlet import Outlet, Unheard
+from rtc.cli.outlet import OutputClosed, OutputStream
 from rtc.cli.progress import Board
 from rtc.cli.sentences import gone_away
 from rtc.halting import HaltResult
@@ -32,7 +32,7 @@ def to_a_full_disk() -> io.TextIOWrapper:
 
 def test_what_is_heard_is_written() -> None:
     heard = io.StringIO()
-    outlet = Outlet(heard)
+    outlet = OutputStream(heard)
     outlet.write("C-7 SUCCEEDED\n")
     outlet.flush()
     assert heard.getvalue() == "C-7 SUCCEEDED\n"
@@ -41,16 +41,16 @@ def test_what_is_heard_is_written() -> None:
 @pytest.mark.parametrize(
     ("stream", "gone", "words"),
     [
-        (to_nobody, True, "nobody reads on"),
+        (to_nobody, True, "the reader of stdout has closed it"),
         (to_a_full_disk, False, "cannot print: No space left on device"),
         (lambda: None, False, "cannot print: stdout is closed"),
     ],
 )
 def test_a_loss_is_told_once_and_the_rest_is_dropped(stream, gone: bool, words: str) -> None:
-    outlet = Outlet(stream())
-    with pytest.raises(Unheard, match=words) as unheard:
+    outlet = OutputStream(stream())
+    with pytest.raises(OutputClosed, match=words) as closed:
         print("one", file=outlet, flush=True)
-    assert unheard.value.reader_gone == gone
+    assert closed.value.reader_gone == gone
 
     outlet.write("two\n")
     outlet.flush()
@@ -58,7 +58,7 @@ def test_a_loss_is_told_once_and_the_rest_is_dropped(stream, gone: bool, words: 
 
 
 def test_of_a_stream_that_need_not_be_there_nobody_is_told() -> None:
-    outlet = Outlet(to_a_full_disk(), needed=False)
+    outlet = OutputStream(to_a_full_disk(), needed=False)
     outlet.write("one\n")
     outlet.flush()
 
@@ -71,13 +71,13 @@ def ended(command: str) -> m.CommandEnded:
 def test_whose_reader_has_gone_is_told_what_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
     board = Board(["STOW LEFT-ARM", "STOW RIGHT-ARM"], quiet=True)
     board.accepted(0, "C-7")
-    assert gone_away(Unheard(BrokenPipeError()), board, 1) == sentences.LEFT_RUNNING
+    assert gone_away(OutputClosed(BrokenPipeError()), board, 1) == sentences.LEFT_RUNNING
     assert "left running: C-7; rtc halt C-7\n" in capsys.readouterr().err
 
     board.ended(0, ended("C-7"))
-    assert gone_away(Unheard(BrokenPipeError()), board, 1) == 1  # it failed
+    assert gone_away(OutputClosed(BrokenPipeError()), board, 1) == 1  # it failed
     assert "left running" not in capsys.readouterr().err
-    gone_away(Unheard(BrokenPipeError()), board, 2)
+    gone_away(OutputClosed(BrokenPipeError()), board, 2)
     assert "not sent: 1 more" in capsys.readouterr().err
 
 
@@ -89,11 +89,11 @@ def test_a_halt_is_told_on_stderr_when_stdout_is_lost(
         scope="ALL",
         latency_s=None,
         confirmed=False,
-        told=["halt"],
+        sent_to=["halt"],
         subsystems=[],
         message="nobody answered",
     )
-    monkeypatch.setattr(sys, "stdout", Outlet(None))
+    monkeypatch.setattr(sys, "stdout", OutputStream(None))
     print_halt(result)
     assert "nobody answered" in capsys.readouterr().err
 

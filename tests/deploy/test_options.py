@@ -19,7 +19,7 @@ README = Path(__file__).parents[2] / "README.md"
         (["--cell", "moon-base"], "no cell moon-base"),
         (["--cell", "moon-base.yaml"], "there is no file moon-base.yaml"),
         (["--cell", str(README)], "README.md is no cell: a cell is a .yaml file"),
-        (["--listen", "foo"], "'foo' is no address"),
+        (["--listen", "foo"], "'foo' is not an address"),
     ],
 )
 def test_a_wrong_option_is_told_before_anything_is_started(

@@ -30,7 +30,7 @@ from rtc.messages import (
 )
 from rtc.outcomes import ClusterError
 from rtc.process import Process, now_s, send
-from rtc.template import TWIN
+from rtc.template import STANDBY
 
 pytestmark = pytest.mark.slow
 
@@ -415,8 +415,8 @@ def test_a_template_for_later_is_not_waited_for_and_forks_what_is_killed(cluster
 
 
 def test_templates_are_forked_from_each_other_and_from_them_all_else(cluster):
-    one = replace(template(), template="twin", order=TWIN)
-    two = replace(template(later=True), name="twin", template="template", order=TWIN, command=("/no/such/program",))
+    one = replace(template(), template="twin", order=STANDBY)
+    two = replace(template(later=True), name="twin", template="template", order=STANDBY, command=("/no/such/program",))
     it = cluster(one, two, forked("binder@2")).go()
     for n in (1, 2):
         table = it.hear_table(lambda t: all(row["state"] == "ready" for row in t.values()))
@@ -431,7 +431,9 @@ def test_templates_are_forked_from_each_other_and_from_them_all_else(cluster):
 def test_when_all_are_killed_the_workers_and_the_twin_wait_for_the_template(cluster):
     """Each could start by itself; on a slow machine they would then all start for ever."""
     by_itself = ("/no/such/program",)
-    twin = Spec("twin", by_itself, is_template=True, later=True, template="template", order=TWIN, awaits_template=True)
+    twin = Spec(
+        "twin", by_itself, is_template=True, later=True, template="template", order=STANDBY, awaits_template=True
+    )
     names = [f"binder@{address}" for address in (2, 6, 10)]
     it = cluster(template(), twin, *map(forked, names)).go()
     table = it.hear_table(lambda t: all(row["state"] == "ready" for row in t.values()))

@@ -25,10 +25,10 @@ from rtc import messages as m
 from rtc import wire
 from rtc.client import Client
 from rtc.demos.own_cluster import own_cluster
-from rtc.keys import KeyFile, KeyRing, door_address
+from rtc.keys import KeyFile, KeyRing, endpoint_address
 from rtc.outcomes import ClusterError, NoCluster, OutcomeKind, RefusalReason, RequestDeclined
 from rtc.process_table import processes
-from rtc.roles import TCP_DOORS, Role
+from rtc.roles import TCP_ENDPOINTS, Role
 from tests.campaigns.fuzz import Others
 
 pytestmark = pytest.mark.slow
@@ -50,9 +50,9 @@ def run_dir() -> Iterator[Path]:
 
 def free_ports() -> int:
     """The first of as many free ports in a row as there are doors; others may be looking for some too."""
-    for first in random.SystemRandom().sample(range(20_000, 32_000, len(TCP_DOORS)), k=100):
+    for first in random.SystemRandom().sample(range(20_000, 32_000, len(TCP_ENDPOINTS)), k=100):
         with contextlib.ExitStack() as held, contextlib.suppress(OSError):
-            for door in range(len(TCP_DOORS)):
+            for door in range(len(TCP_ENDPOINTS)):
                 held.enter_context(sockets.socket()).bind(("127.0.0.1", first + door))
             return first
     raise AssertionError("no free ports")
@@ -170,7 +170,7 @@ def test_a_halt_over_tcp_stops_a_moving_arm(new_key: Callable[[str], Path], run_
 
         halted = rtc.halt(timeout_s=LIMIT_S)
 
-        assert (halted.confirmed, halted.moving, halted.told) == (True, ["RIGHT-ARM"], ["estop", "halt"])
+        assert (halted.confirmed, halted.moving, halted.sent_to) == (True, ["RIGHT-ARM"], ["estop", "halt"])
         assert rtc.wait(command, LIMIT_S).outcome.kind is OutcomeKind.HALTED
 
 
@@ -246,7 +246,7 @@ class Door:
             self._socket.subscribe(b"")
         if not plain:
             key.secure(self._socket)
-        self._socket.connect(door_address(key.address, door))
+        self._socket.connect(endpoint_address(key.address, door))
 
     def say(self, message: Any) -> None:
         self._socket.send_multipart(wire.frames(message))
@@ -262,7 +262,7 @@ def test_a_stranger_gets_nothing_at_any_door(
     ring = KeyRing(tmp_path)  # of another cluster
     stranger = ring.new("eve", Role.OPERATOR, address_of(run_dir), tmp_path / "eve.key")
     stranger = KeyFile(**{**as_dict(stranger), "cluster": KeyRing(run_dir).cluster().public})
-    doors = {door: Door(context, stranger, door, plain=plain) for door in TCP_DOORS}
+    doors = {door: Door(context, stranger, door, plain=plain) for door in TCP_ENDPOINTS}
     for name in ("front", "halt", "estop"):
         for message in (*FRONT_WORDS, m.HaltOrder(halt="H-eve")):
             doors[name].say(message)
@@ -272,7 +272,7 @@ def test_a_stranger_gets_nothing_at_any_door(
         answers = {name: door.hear() for name, door in doors.items()}
         after = here.status()
 
-    assert answers == dict.fromkeys(TCP_DOORS)
+    assert answers == dict.fromkeys(TCP_ENDPOINTS)
     assert (after["commands_accepted"], after["halts"]) == (before["commands_accepted"], before["halts"])
 
 
@@ -325,8 +325,8 @@ def test_random_bytes_at_every_port_hurt_nobody(run_dir: Path, new_key: Callable
     address = address_of(run_dir)
     with Client(key=new_key("operator")) as rtc:
         for _ in range(5):
-            for door in TCP_DOORS:
-                stream_garbage(door_address(address, door), rng)
+            for door in TCP_ENDPOINTS:
+                stream_garbage(endpoint_address(address, door), rng)
             assert rtc.halt(timeout_s=LIMIT_S).confirmed
 
     assert pids(run_dir) == before

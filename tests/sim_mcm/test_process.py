@@ -109,7 +109,7 @@ def test_without_a_broker_it_finishes_stops_on_halt_and_tells_all_to_the_next(mc
     halt_line = HaltLine(mcm.context, mcm.settings)
     result = halt_line.halt("LEFT-ARM")  # it rests, as the MCM knows: works when the broker is dead
     assert result.confirmed
-    assert result.told == ["estop"]
+    assert result.sent_to == ["estop"]
     assert not halt_line.halt("C-99").confirmed  # whether there is such a command only the broker knows
 
     broker = Broker(mcm.context, mcm.settings)
