@@ -1,7 +1,7 @@
-"""The world database process: `python -m rtc.world --run-dir D`. A socket round `server.Server`; it decides nothing.
+"""The world database process: `python -m rtc.world --run-dir D`. It connects a socket to `server.Server`.
 
-A database found in the run directory is gone on with; otherwise it begins with what the cell says. With --template it
-is the process that the next one is forked from.
+It continues with the database in the run directory, or creates one with the initial facts of the cell. With --template
+it is the fork server of later world database processes.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from rtc.world.server import Packer, Server, doubt_everything
 from rtc.world.store import Store
 
 FILE = "world.db"
-BORN = b"world"  # in the memory of the role: it has begun in this run
-PER_TURN = 256  # requests in one turn of the loop, and so in one transaction
-TELL_S = 0.5  # how often the broker hears of messages that could not be read
+BORN = b"world"  # marker in the role's handover data: the database has begun in this run
+PER_TURN = 256  # maximum number of requests per loop iteration, and so per transaction
+REPORT_DROPPED_S = 0.5  # period of reports to the broker about unreadable messages
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m rtc.world", description="The world database of one cluster.")
     parser.add_argument("--run-dir", required=True, type=Path)
-    parser.add_argument("--template", action="store_true", help="be the one that a database is forked from")
+    parser.add_argument("--template", action="store_true", help="be the fork server of world databases")
     handed.add_option(parser)
     given = parser.parse_args()
     if given.template:
@@ -43,7 +43,7 @@ def main() -> None:
 
 
 def live(run_dir: Path, fd: int = -1) -> None:
-    """Be the world database until told to end. `fd`: what the supervisor hands over (rtc.handed)."""
+    """Runs the world database until it receives SIGTERM. `fd`: the handover file of the supervisor (rtc.handed)."""
     process.show_name("world")
     given = handed.begin("world", run_dir, fd)
     with process.start("world", run_dir) as me:
@@ -67,8 +67,11 @@ def _live(me: Process, given: handed.Handed, store: Store) -> None:
 
 
 def _begin(me: Process, given: handed.Handed, store: Store) -> None:
-    """A new database begins with what the cell says. If it had begun before in this run, or knew more, everything that
-    a motion changes is in doubt; versions go on above the highest that anybody has read."""
+    """Fills a new database from the cell, and detects lost changes.
+
+    If the database of this run is new again or older than its last saved version, all facts that a motion changes
+    become suspect. Versions continue above the highest one that was ever sent.
+    """
     kept = given.remembered("world")
     version = kept[1] if kept else 0
     new = store.version == 0
@@ -77,7 +80,7 @@ def _begin(me: Process, given: handed.Handed, store: Store) -> None:
     why = "the world database began anew" if new else "the world database lost its last changes"
     store.version = max(store.version, version)
     if new:
-        from rtc.cell import Cell  # brings numpy; a restart, which should be quick, does without
+        from rtc.cell import Cell  # imports numpy, which a fast restart avoids
 
         store.write("cell", initial_facts(Cell.load(given.settings.cell)), source="cell", at_s=now_s())
     if version:
@@ -88,7 +91,7 @@ def _begin(me: Process, given: handed.Handed, store: Store) -> None:
 
 
 def _fixed(settings: Settings) -> list[str]:
-    """The things of the cell that nothing moves."""
+    """The names of the fixed objects of the cell."""
     from rtc.cell import Cell
 
     return [thing.name for thing in Cell.load(settings.cell).objects if thing.fixed]
@@ -98,32 +101,34 @@ def serve(
     me: Process,
     socket: zmq.Socket[bytes],
     server: Server,
-    tell_dropped: Callable[[int], object] = lambda _: None,
+    report_dropped: Callable[[int], object] = lambda _: None,
     guard: MemoryGuard | None = None,
 ) -> None:
-    """Answer until told to stop. A turn's commits are on disk, in one transaction, before any of its answers go.
-    `tell_dropped` hears now and then how many messages could not be read, if any."""
+    """Answers requests until `me.stopping`. The commits of one iteration are saved before its answers.
+
+    `report_dropped` is called every REPORT_DROPPED_S with the number of unreadable messages, if there were any.
+    """
     read = wire.reader(ToWorld)
     packer = Packer()
-    dropped, due = 0, Every(TELL_S)
+    dropped, due = 0, Every(REPORT_DROPPED_S)
     while not me.stopping:
-        me.wait(TELL_S)
+        me.wait(REPORT_DROPPED_S)
         if dropped and due.due(now_s()):
-            tell_dropped(dropped)
+            report_dropped(dropped)
         if guard is not None and guard.alarm(now_s()):
-            me.log.warning("more than %.0f MB: opening the door anew", guard.limit_mb)
+            me.log.warning("more than %.0f MB: the socket is closed and opened again", guard.limit_mb)
             socket = me.open_anew(socket, socket.getsockopt_string(zmq.LAST_ENDPOINT), BOUNDS["world"])
         answers: list[tuple[bytes, Any]] = []
-        for who, *parts in inbox(socket, PER_TURN):
+        for sender, *parts in inbox(socket, PER_TURN):
             try:
-                answers.append((who, server.answer(read(parts), now_s())))
+                answers.append((sender, server.answer(read(parts), now_s())))
             except WireError as error:
                 dropped += 1
-                if dropped & (dropped - 1) == 0:  # the 1st, 2nd, 4th, 8th ...: a flood must not fill the log
-                    me.log.warning("dropped message %d, from %r: %s", dropped, who[:40], error)
+                if dropped & (dropped - 1) == 0:  # logs number 1, 2, 4, 8 ...: a flood must not fill the log
+                    me.log.warning("dropped message %d, from %r: %s", dropped, sender[:40], error)
         server.store.save()
-        for who, answer in answers:
-            send(socket, packer.pack(answer), to=who)
+        for sender, answer in answers:
+            send(socket, packer.pack(answer), to=sender)
 
 
 if __name__ == "__main__":

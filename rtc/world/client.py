@@ -1,5 +1,7 @@
-"""Asking the world database, with a limit on every wait. Reads and commits may be repeated without harm, so a request
-that a restarted server never saw is simply sent again."""
+"""The client of the world database, with a limit on each wait.
+
+Reads and commits are idempotent, so a request without an answer is sent again, for example after a server restart.
+"""
 
 from __future__ import annotations
 
@@ -27,14 +29,14 @@ from rtc.messages import (
 from rtc.outcomes import ClusterError, Refusal, RtcError, WireError
 from rtc.process import now_s
 
-FIRST_TRY_S, LONGEST_TRY_S = 0.04, 0.5  # each twice as long as the one before
-LIMIT_S = 5.0  # longer than a restart of the server takes
+FIRST_TRY_S, LONGEST_TRY_S = 0.04, 0.5  # wait per attempt: doubled after each, up to the longest
+LIMIT_S = 5.0  # longer than a restart of the server
 
 _read = wire.reader(FromWorld)
 
 
 class WorldClient:
-    """One asker; one thread. `endpoint` is the cluster's "world"."""
+    """One connection, for one thread. `endpoint` is the endpoint "world" of the cluster."""
 
     def __init__(
         self,
@@ -44,31 +46,31 @@ class WorldClient:
         secure: process.Secure = None,
     ) -> None:
         self._context = context or zmq.Context.instance()
-        name = "" if secure else f"w{os.urandom(8).hex()}"  # over tcp the gate names us
+        name = "" if secure else f"w{os.urandom(8).hex()}"  # over tcp the gateway assigns the identity
         self._socket = process.open_socket(self._context, zmq.DEALER, endpoint, identity=name, secure=secure)
         self._numbers = itertools.count(1)
         self._limit_s = limit_s
 
     def view(self, since: int = 0, keys: Iterable[str] | None = None) -> View:
-        """All facts newer than version `since`, or those of some keys or locations, of one version of the world.
+        """The facts newer than version `since`, all or those of some keys or locations, from one version of the world.
 
-        Raises ClusterError when nobody answers within the limit.
+        Raises ClusterError without an answer within the limit.
         """
         wanted = None if keys is None else list(keys)
         answer = self._ask(ReadView(request=self._request(), keys=wanted, since=since))
         return _expect(answer, View)
 
     def history(self, key: str, limit: int = 100) -> list[Fact]:
-        """What was believed under this key, newest first. Raises ClusterError as `view` does."""
+        """The past and present facts of this key, newest first. Raises ClusterError as `view` does."""
         return _expect(self._ask(WorldHistory(request=self._request(), key=key, limit=limit)), View).facts
 
     def commit(self, lease: Lease, changes: list[WorldChange], source: str) -> Committed | Refusal:
-        """Write under a lease; the same job twice writes once. Raises ClusterError as `view` does."""
+        """Writes under a lease; a job writes once even if sent twice. Raises ClusterError as `view` does."""
         answer = self._ask(Commit(request=self._request(), lease=lease, changes=changes, source=source))
         return answer.refusal if isinstance(answer, WorldRefused) else _expect(answer, Committed)
 
     def doubt(self, lease: Lease, why: str) -> None:
-        """Make everything that a motion changes suspect. Raises ClusterError as `view` does."""
+        """Makes all facts that a motion changes suspect. Raises ClusterError as `view` does."""
         _expect(self._ask(Doubt(request=self._request(), lease=lease, why=why)), Committed)
 
     def close(self) -> None:
@@ -78,23 +80,23 @@ class WorldClient:
         return str(next(self._numbers))
 
     def _ask(self, message: Any) -> Any:
-        end_s, patience_s = now_s() + self._limit_s, FIRST_TRY_S
+        end_s, try_s = now_s() + self._limit_s, FIRST_TRY_S
         while (left_s := end_s - now_s()) > 0:
             process.send(self._socket, message)
-            answer = self._answer_to(message.request, min(patience_s, left_s))
+            answer = self._answer_to(message.request, min(try_s, left_s))
             if answer is not None:
                 return answer
-            patience_s = min(2 * patience_s, LONGEST_TRY_S)
+            try_s = min(2 * try_s, LONGEST_TRY_S)
         raise ClusterError(f"the world database did not answer within {self._limit_s:g} s")
 
-    def _answer_to(self, request: str, patience_s: float) -> Any:
-        end_s = now_s() + patience_s
+    def _answer_to(self, request: str, try_s: float) -> Any:
+        end_s = now_s() + try_s
         while self._socket.poll(max(0, int(1000 * (end_s - now_s()) + 0.999))):
             try:
                 answer = _read(self._socket.recv_multipart(flags=zmq.NOBLOCK))
             except (WireError, zmq.Again):
                 continue
-            if answer.request == request:  # else a late answer to an earlier try
+            if answer.request == request:  # otherwise a late answer to another request
                 return answer
         return None
 
@@ -102,5 +104,5 @@ class WorldClient:
 def _expect(answer: Any, kind: Any) -> Any:
     if isinstance(answer, kind):
         return answer
-    said = answer.refusal.message if isinstance(answer, WorldRefused) else type(answer).__name__
-    raise RtcError(f"the world database answered {said!r} where a {kind.__name__} was due")
+    got = answer.refusal.message if isinstance(answer, WorldRefused) else type(answer).__name__
+    raise RtcError(f"the world database answered {got!r} instead of a {kind.__name__}")

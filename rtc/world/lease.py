@@ -1,7 +1,7 @@
-"""Leave to write: signed by the broker for one job and its locations, checked by the world database (A25). Pure.
+"""Leases: write permissions, signed by the broker for one job and its locations (A25). Pure.
 
-The signature is HMAC-SHA256 over the MessagePack of [job, sorted locations], with the key of the cluster's run
-directory, which its owner alone can read. It keeps mistakes out, not an intruder with the same user id.
+The world database checks them. The signature is HMAC-SHA256 over the MessagePack of [job, sorted locations], with the
+key in the run directory, which only its owner can read. It prevents mistakes, not an intruder with the same user id.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from rtc.messages import Lease
 
 KEY_BYTES = 32
 KEY_FILE = "lease.key"  # in the run directory
-DOUBT = "doubt/"  # begins the job of a lease to doubt everything
+DOUBT = "doubt/"  # prefix of the job of a lease that makes all facts suspect
 
 
 def sign(key: bytes, job: str, locations: Iterable[str]) -> Lease:
-    """A lease for these locations, in one spelling (sorted, each once)."""
+    """A lease for these locations, sorted and without duplicates."""
     places = sorted(set(locations))
     return Lease(job=job, locations=places, signature=_signature(key, job, places))
 
 
 def check(key: bytes, lease: Lease) -> bool:
-    """Whether the broker of this cluster gave it."""
+    """True if the broker of this cluster signed the lease."""
     return hmac.compare_digest(lease.signature, _signature(key, lease.job, sorted(set(lease.locations))))
 
 

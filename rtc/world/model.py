@@ -1,8 +1,8 @@
-"""What is believed about the cell: facts with a value, a validity, a version and a source. Pure.
+"""The world model: facts with a value, a validity, a version and a source. Pure.
 
-A fact's key is LOCATION.attribute (MACS-OLD.frame). A fact that is a pose may state its spread (`rtc.world.spread`).
-`World` is one consistent view of all facts; nothing changes one, a newer view or an overlay makes another. What a value
-may look like is the table `ATTRIBUTES`. This file knows neither the database that keeps facts nor who may write them.
+The key of a fact is LOCATION.attribute (MACS-OLD.frame). A pose fact may have a spread (`rtc.world.spread`). `World` is
+one consistent, immutable view of all facts; a newer view or an overlay makes another. The table `ATTRIBUTES` defines
+the valid values. This module knows neither the database nor the permissions to write.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from typing import TYPE_CHECKING, Any
 from rtc.messages import Fact, Validity, View, WorldChange
 
 if TYPE_CHECKING:
-    from rtc.cell import Cell  # brings numpy, which a restarted world database has no use for
+    from rtc.cell import Cell  # imports numpy, which a restarted world database does not need
 
-#: attributes that a motion may change
+#: attributes that a motion can change
 MOVED = frozenset({"joints", "hand_width", "holding", "frame", "seat", "held_by", "grasp"})
-UNIT_TOLERANCE = 1e-4  # how far from 1 the length of a pose's quaternion may be
-MAX_DEPTH = 8  # of lists in lists, in values of attributes that have no row below
+UNIT_TOLERANCE = 1e-4  # tolerance of the norm of a quaternion
+MAX_DEPTH = 8  # maximum nesting in values of attributes without a row in ATTRIBUTES
 
 
 @dataclass(frozen=True)
 class World:
-    """One consistent view. `version` rises with every commit; `facts` by key, not to be changed."""
+    """One consistent view. `version` increases with each commit; `facts`, by key, must not be modified."""
 
     version: int = 0
     facts: Mapping[str, Fact] = field(default_factory=dict)
@@ -35,12 +35,12 @@ class World:
         return self.facts.get(key)
 
     def value(self, key: str, default: Any = None) -> Any:
-        """The value alone, whatever its validity; `default` when there is no such fact."""
+        """The value alone, of any validity; `default` without such a fact."""
         fact = self.facts.get(key)
         return default if fact is None else fact.value
 
     def updated(self, view: View) -> World:
-        """This world with what a view brought. A view of an older version is of another database: it replaces all."""
+        """This world with the facts of a view. An older version is from another database: it replaces all."""
         if view.version < self.version:
             return World(view.version, {fact.key: fact for fact in view.facts})
         if not view.facts:
@@ -48,7 +48,7 @@ class World:
         return World(view.version, {**self.facts, **{fact.key: fact for fact in view.facts}})
 
     def overlay(self, changes: Iterable[WorldChange], source: str = "overlay", at_s: float = 0.0) -> World:
-        """What the world would be after these changes (hypothesis tests): same version, nothing is written anywhere."""
+        """The world after these changes, for hypothesis tests: same version, nothing is stored."""
         facts = dict(self.facts)
         for change in changes:
             facts[change.key] = changed(facts.get(change.key), change, self.version, source, at_s)
@@ -66,12 +66,12 @@ def changed(old: Fact | None, change: WorldChange, version: int, source: str, at
 
 
 def location(key: str) -> str:
-    """MACS-OLD of MACS-OLD.frame: what leases are given for."""
+    """MACS-OLD of MACS-OLD.frame. Leases are for locations."""
     return key.rpartition(".")[0]
 
 
 def selected(facts: Mapping[str, Fact], keys: Iterable[str] | None, since: int = 0) -> list[Fact]:
-    """The facts newer than version `since`: all, or those of some keys or whole locations."""
+    """The facts newer than version `since`, of all or of some keys or locations."""
     if keys is None:
         found: Iterable[Fact] = facts.values()
     else:
@@ -85,7 +85,7 @@ def selected(facts: Mapping[str, Fact], keys: Iterable[str] | None, since: int =
 
 
 def initial_facts(cell: Cell) -> list[WorldChange]:
-    """What is believed before anything was sensed: arms at home with open, empty hands, objects as in the cell file."""
+    """The initial facts: arms at home with open, empty hands, and objects as in the cell file."""
     changes = []
     for arm in cell.arms:
         changes += [
@@ -108,20 +108,20 @@ def initial_facts(cell: Cell) -> list[WorldChange]:
     return changes
 
 
-# --- what a value may look like ------------------------------------------------------------------------
+# --- validity of values -------------------------------------------------------------------------------
 
 
 def problem(change: WorldChange) -> str:
-    """Why this change cannot be written, in words; empty when it can."""
+    """The reason why this change is invalid; empty when it is valid."""
     place, _, attribute = change.key.rpartition(".")
     if not place or not attribute or len(change.key) > 200:
-        return f"{change.key!r} is no key: LOCATION.attribute is"
+        return f"{change.key!r} is not a key of the form LOCATION.attribute"
     if change.spread is not None and not all(_finite(n) and n >= 0 for n in change.spread):
         return f"the spread of {change.key} must be six finite numbers, none negative, not {_shown(change.spread)}"
     if change.keep_value:
         return ""
     if change.value is None and change.validity != Validity.VALID:
-        return ""  # "not known" needs no value
+        return ""  # an unknown fact has no value
     wrong = ATTRIBUTES.get(attribute, _plain)(change.value)
     return wrong and f"{change.key} {wrong}"
 
@@ -155,7 +155,7 @@ def _text(value: Any) -> str:
 
 
 def _plain(value: Any, depth: int = 0) -> str:
-    """An attribute that others may add: any plain value, as long as it can be compared and shown."""
+    """Problem of a value of an additional attribute: it must be plain, comparable and printable."""
     if value is None or isinstance(value, str | bool) or _finite(value):
         return ""
     if isinstance(value, list | tuple | dict) and depth < MAX_DEPTH:
@@ -165,7 +165,7 @@ def _plain(value: Any, depth: int = 0) -> str:
 
 
 def _shown(value: Any) -> str:
-    """The beginning of a value that may be deep or long."""
+    """The beginning of a value, which may be deep or long."""
     return reprlib.repr(value)[:80]
 
 

@@ -1,7 +1,7 @@
-"""The world database's answers: message in, message out, over a `Store`. No socket here; `__main__` has them.
+"""The server of the world database: from request to answer, over a `Store`. Sockets are in `__main__`.
 
-Reads are grouped and can be limited to what is newer than a version. A commit is written only under a lease of this
-cluster's broker, only in the leased locations, only with sound values, and only once per job.
+A read returns many facts, optionally only those newer than a version. A commit is written only under a lease of this
+cluster's broker, only in the leased locations, only with valid values, and only once per job.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ Answer = View | Committed | WorldRefused
 
 
 class Server:
-    """Give it requests; after a turn's requests call `store.save()`, and only then send the answers."""
+    """Answers requests. The caller must call `store.save()` before it sends the answers."""
 
     def __init__(self, store: Store, key: bytes, fixed: Callable[[], Collection[str]] = tuple) -> None:
-        """`fixed`: the names of things that nothing moves."""
+        """`fixed` returns the names of objects that no motion can change."""
         self.store = store
         self._fixed = fixed
         self._key = key
@@ -58,7 +58,7 @@ class Server:
         version = self.store.version
         if request.since == version:
             return View(request=request.request, version=version, facts=[])
-        since = request.since if request.since < version else 0  # from the future: the reader knew another database
+        since = request.since if request.since < version else 0  # a later version than ours: from another database
         return View(request=request.request, version=version, facts=selected(self.store.facts, request.keys, since))
 
     def _commit(self, request: Commit, at_s: float) -> Committed | WorldRefused:
@@ -74,7 +74,7 @@ class Server:
     def _doubt(self, request: Doubt, at_s: float) -> Committed | WorldRefused:
         lease = request.lease
         if not leases.check(self._key, lease) or not lease.job.startswith(leases.DOUBT):
-            refusal = _not_allowed("only this cluster's broker may doubt everything", lease.job)
+            refusal = _not_allowed("only this cluster's broker may make all facts suspect", lease.job)
             return WorldRefused(request=request.request, refusal=refusal)
         before = self.store.committed(lease.job)
         if before is None:
@@ -84,7 +84,7 @@ class Server:
     def _no(self, request: Commit) -> Refusal | None:
         lease = request.lease
         if not leases.check(self._key, lease):
-            return _not_allowed("the lease was not given by this cluster's broker", lease.job)
+            return _not_allowed("the lease was not signed by this cluster's broker", lease.job)
         for change in request.changes:
             if location(change.key) not in lease.locations:
                 allowed = ", ".join(lease.locations) or "nothing"
@@ -97,14 +97,14 @@ class Server:
 
 
 def doubt_everything(store: Store, job: str, why: str, fixed: Collection[str], at_s: float) -> int:
-    """Make every fact that a motion changes suspect; the version. `why` is the source of the doubt."""
+    """Makes all facts that a motion changes suspect, with `why` as their source; returns the new version."""
     moved = (key for key in store.facts if key.rpartition(".")[2] in MOVED and location(key) not in fixed)
     changes = [WorldChange(key=key, keep_value=True, validity=Validity.SUSPECT) for key in moved]
     return store.write(job, changes, source=why, at_s=at_s)
 
 
 class PackedView(Message, frozen=True, kw_only=True, tag="View"):
-    """A View whose facts are bytes already."""
+    """A View with encoded facts."""
 
     request: str
     version: int
@@ -112,13 +112,13 @@ class PackedView(Message, frozen=True, kw_only=True, tag="View"):
 
 
 class Packer:
-    """Makes views ready for the wire, each fact encoded once in its life: reads outnumber writes by far."""
+    """Encodes views. It encodes each fact only once, because reads are far more frequent than writes."""
 
     def __init__(self) -> None:
         self._known: dict[str, tuple[Fact, msgspec.Raw]] = {}
 
     def pack(self, answer: Answer) -> Any:
-        """The answer, its facts as bytes when it is a View; on the wire it is the same."""
+        """The answer, with encoded facts if it is a View. The encoding of the whole is the same."""
         if not isinstance(answer, View):
             return answer
         return PackedView(request=answer.request, version=answer.version, facts=[self._fact(f) for f in answer.facts])

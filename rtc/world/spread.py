@@ -1,7 +1,7 @@
-"""How well a pose is known: arithmetic on spreads. Pure.
+"""Pose uncertainty: arithmetic on spreads. Pure.
 
-A spread is six half-widths [x y z roll pitch yaw] (m, rad), along and about the axes of the pose's own frame: the true
-pose is within them. They are bounds, not deviations, so they add up and are never averaged. Angles are small.
+A spread is six half-widths [x y z roll pitch yaw] (m, rad), along and about the axes of the pose's own frame. The true
+pose is within them. They are bounds, not standard deviations, so they add up. Angles are small.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ def widened(spread: Spread, by: Spread) -> list[float]:
 
 
 def narrowest(a: Spread, b: Spread) -> list[float]:
-    """What is left of two bounds that both hold."""
+    """The narrower of two bounds that both hold, per axis."""
     return [min(pair) for pair in zip(a, b, strict=True)]
 
 
 def exceeded(spread: Spread | None, within: Spread) -> list[str]:
-    """The axes of which less is known than `within` asks, in words: "x within 35 mm (4 mm are needed)"."""
+    """The axes where a spread exceeds `within`, as text: "x 35 mm (4 mm needed)". None counts as exact."""
     known = spread or EXACT
     rows = zip(AXES, known, within, strict=True)
     return [f"{axis} {shown(n, axis)} ({shown(m, axis)} needed)" for axis, n, m in rows if n > m + 1e-12]
@@ -41,7 +41,7 @@ def shown(half_width: float, axis: str) -> str:
 
 
 def in_words(spread: Spread | None) -> str:
-    """For people: "x 2 y 0.5 z 35 mm, roll 0.5 pitch 0.5 yaw 1 deg", equal ones together; empty when none is stated."""
+    """Text for people: "x 2 y 0.5 z 35 mm, roll 0.5 pitch 0.5 yaw 1 deg"; equal values are merged; None gives ""."""
     if spread is None:
         return ""
     metres = _together(AXES[:3], [f"{1e3 * n:.3g}" for n in spread[:3]])

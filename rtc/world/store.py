@@ -1,11 +1,11 @@
-"""The world on disk: what is believed, all that ever was, and which job wrote it. SQLite, in WAL mode.
+"""The store of the world database: present facts, their history, and the jobs that wrote them. SQLite in WAL mode.
 
-    facts    key, value, validity, version, source, at_s, spread    what is believed now
+    facts    key, value, validity, version, source, at_s, spread    present facts
     history  the same, one row per key and version                  never changed, never deleted
-    commits  job, version                                           so that no job writes twice
+    commits  job, version                                           so that a job writes only once
 
-Values are JSON text, so that any tool can read them. One thread, one connection; whoever writes calls `save` once per
-turn of its loop, and answers only after it: a row that was answered for survives `kill -9`.
+Values are JSON text, readable by any tool. One thread, one connection. The writer calls `save` once per loop iteration
+and answers after it, so that each acknowledged row survives `kill -9`.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ CREATE TABLE IF NOT EXISTS commits (job TEXT PRIMARY KEY, version INTEGER) WITHO
 """
 COLUMNS = "key, value, validity, version, source, at_s, spread"
 ROW = f"({COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?)"
-HISTORY_MAX = 1000  # facts in one answer
+HISTORY_MAX = 1000  # maximum number of facts in one answer
 Row = tuple[str, str, str, int, str, float, str | None]
 
 
 class Store:
-    """`version` and `facts` are what is believed now, in memory; the file always has them or is one `save` behind."""
+    """`version` and `facts` are the present state, in memory. The file is at most one `save` behind."""
 
     def __init__(self, path: Path | str) -> None:
-        self.saved: Callable[[int], object] = lambda version: None  # hears every version that is on disk
-        self._db = sqlite3.connect(path, isolation_level=None)  # we say when a transaction begins
+        self.saved: Callable[[int], object] = lambda version: None  # called with each version that is on disk
+        self._db = sqlite3.connect(path, isolation_level=None)  # transactions are explicit
         self._db.execute("PRAGMA journal_mode=WAL")
-        self._db.execute("PRAGMA synchronous=NORMAL")  # a killed process loses nothing; only a lost power might
+        self._db.execute("PRAGMA synchronous=NORMAL")  # safe against a killed process, not against power loss
         self._db.executescript(SCHEMA)
         for name in ("facts", "history"):
             self._add_missing_column(name, "spread")
@@ -47,17 +47,17 @@ class Store:
         (self.version,) = self._db.execute("SELECT coalesce(max(version), 0) FROM commits").fetchone()
 
     def _add_missing_column(self, name: str, column: str) -> None:
-        """A run directory may hold a database that an earlier release began."""
+        """Upgrades a database of an earlier release."""
         if column not in {row[1] for row in self._db.execute(f"PRAGMA table_info({name})")}:
             self._db.execute(f"ALTER TABLE {name} ADD COLUMN {column} TEXT")
 
     def committed(self, job: str) -> int | None:
-        """The version this job has written; None if it has not."""
+        """The version that this job wrote; None if it wrote none."""
         row = self._db.execute("SELECT version FROM commits WHERE job = ?", (job,)).fetchone()
         return None if row is None else row[0]
 
     def write(self, job: str, changes: Iterable[WorldChange], source: str, at_s: float) -> int:
-        """Make these facts the ones believed, as one new version. On disk after the next `save`."""
+        """Applies changes as one new version, and returns it. On disk after the next `save`."""
         if not self._db.in_transaction:
             self._db.execute("BEGIN")
         self.version += 1
@@ -73,13 +73,13 @@ class Store:
         return self.version
 
     def save(self) -> None:
-        """End the turn's transaction, if it wrote anything."""
+        """Commits the open transaction, if there is one."""
         if self._db.in_transaction:
             self._db.execute("COMMIT")
             self.saved(self.version)
 
     def history(self, key: str, limit: int) -> list[Fact]:
-        """What was believed under this key, newest first; at most HISTORY_MAX facts."""
+        """The past and present facts of this key, newest first; at most HISTORY_MAX."""
         rows = self._db.execute(
             f"SELECT {COLUMNS} FROM history WHERE key = ? ORDER BY version DESC LIMIT ?",
             (key, min(max(0, limit), HISTORY_MAX)),

@@ -99,8 +99,8 @@ def test_sound_changes(change):
         (WorldChange(key="A.seat", value=7), "a name or empty"),
         (WorldChange(key="A.colour", value=[b"bytes"]), "plain"),
         (WorldChange(key="A.colour", value=[[[[[[[[[[1]]]]]]]]]]), "plain"),
-        (WorldChange(key="frame", value=POSE), "no key"),
-        (WorldChange(key=".frame", value=POSE), "no key"),
+        (WorldChange(key="frame", value=POSE), "not a key"),
+        (WorldChange(key=".frame", value=POSE), "not a key"),
     ],
 )
 def test_unsound_changes_are_named(change, said):

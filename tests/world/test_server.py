@@ -58,7 +58,7 @@ def test_the_same_job_again_writes_nothing(server):
 @pytest.mark.parametrize(
     ("request_", "said"),
     [
-        (commit("j", {"A.seat": "X"}, key=b"other" * 7), "not given by this cluster's broker"),
+        (commit("j", {"A.seat": "X"}, key=b"other" * 7), "not signed by this cluster's broker"),
         (commit("j", {"B.seat": "X"}), "B.seat is outside the lease of j, which is for A"),
         (commit("j", {"A.seat": "X", "A.frame": [0.0] * 7}), "unit quaternion"),
     ],
