@@ -404,7 +404,7 @@ def _lose_subsystem(context: DecisionContext, name: str, why: str) -> None:
         kind=OutcomeKind.LOST_SUBSYSTEM,
         message=message,
         stop=StopReason.SUBSYSTEM_LOST,
-        refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=ending.LOOKED_AT_FIRST),
+        refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=ending.RETRY_ADVICE),
     )
     for command in context.state.commands.values():
         if command.subsystem == name:

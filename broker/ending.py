@@ -1,8 +1,8 @@
-"""How commands end: refused, stopped, lost, closed. Each function is one action of `broker.transitions`.
+"""Termination of commands: actions of `broker.transitions` for refusals, losses, halts and the last analysis.
 
-Rule 1: a command that was moving something is not over before its subsystem has come to rest (HALTING), or has
-been given up. Rule 2: what it touched is put right in the world by one last analysis, whose advice is ignored
-(CLOSING, R138, R151). Rule 3: `end` is the only way to ENDED, and nothing is done for a command after it.
+Rule 1: a command that moves a subsystem ends only after that subsystem is at rest (HALTING) or given up. Rule 2: one
+last analysis corrects the world facts the command touched; its verdict is ignored (CLOSING, R138, R151). Rule 3: `end`
+is the only way to ENDED, and a command has no effects after it, except a deferred analysis.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from rtc.outcomes import Outcome, OutcomeKind, Refusal, RefusalReason, StopReaso
 
 HALT_LIMIT_S = 2.0  # time limit for a subsystem to confirm rest, at real-time speed
 REPORT_MARGIN_S = 2.0  # added where a late message, or a subsystem that must reconnect, is not yet a fault
-CLOSING_LIMIT_S = 10.0  # for the last analysis; then the command ends without it
-STOP = "stop-"  # with a command's number: the name of the halt that stops its primitive
-ENDED_KEPT = 4096  # results kept, at least, for clients that ask again
-FORGOTTEN_AT_ONCE = 512  # of them: finding the oldest key of a dict takes the longer the more were deleted before it
+CLOSING_LIMIT_S = 10.0  # time limit for the last analysis; then it is deferred and the command ends
+STOP = "stop-"  # prefix of the halt that stops a command's primitive; the command's number follows
+ENDED_KEPT = 4096  # minimum number of stored results, for clients that ask again
+FORGOTTEN_AT_ONCE = 512  # results deleted together: the search for a dict's oldest key slows down with deletions
 
-CLOSED = "what it touched stays closed until the world has been told"
+QUARANTINED = "the names it touched stay quarantined until the world database is updated"
 
-LOOKED_AT_FIRST = "say the sentence again once the subsystem is back: where the arm stands is looked at first"
+RETRY_ADVICE = "give the sentence again when the subsystem is back: the arm's position is read first"
 
 UNCONFIRMED = (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM)
 
@@ -57,8 +57,10 @@ def end(
     refusal: Refusal | None = None,
     defer_analysis: bool = False,
 ) -> None:
-    """The only way to ENDED: free everything, tell everybody. `untold`: but for what its last analysis is to write,
-    which goes on without it."""
+    """End a command: release its resources and report its outcome. This is the only way to ENDED.
+
+    `defer_analysis`: the last analysis continues after the command has ended; the names it will write stay quarantined.
+    """
     state = context.state
     outcome = Outcome(
         kind=kind,
@@ -80,7 +82,7 @@ def end(
         context.follow(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
     for waiting in state.joining.pop(command.id, ()):
         context.follow(waiting, Stimulus.RELEASE, False)
-    context.grant(granted)  # last: what came AFTER it stands before those given later
+    context.grant(granted)  # last, so that commands that came AFTER it precede those given later
     context.count(kind.value)
     state.seq += 1
     ended = CommandEnded(
@@ -116,7 +118,7 @@ def _in_doubt(command: Command, kind: OutcomeKind) -> bool:
 
 
 def _remember(context: DecisionContext, command: Command, ended: CommandEnded) -> None:
-    """Keep the result for a client that comes back for it; forget the oldest."""
+    """Store the result for a client that asks again, and delete the oldest ones."""
     state = context.state
     succeeded = ended.outcome.kind is OutcomeKind.SUCCEEDED
     state.ended[command.id] = Result(wire.raw(ended), succeeded, request_key(command.client, command.request))
@@ -137,18 +139,18 @@ def refuse(context: DecisionContext, command: Command, refusal: Refusal) -> None
 
 
 def end_given_up(context: DecisionContext, command: Command, after: str = "") -> None:
-    """It fails of what made it give up, whatever came `after` that."""
+    """End with the cause of the give-up. `after`: message of a later failure."""
     cause = command.given_up
     assert cause is not None
     message = f"{cause.message}; after that: {after}" if after else cause.message
     end(context, command, cause.kind, message=message, stop=cause.stop, refusal=cause.refusal)
 
 
-# --- the world away ----------------------------------------------------------------------------------
+# --- the world database unavailable ----------------------------------------------------------------------------------
 
 
 def fail_unavailable(context: DecisionContext, command: Command, refusal: Refusal) -> None:
-    """What is asked for before a motion: nothing is tried then, or nothing more."""
+    """A job before a motion could not be done: refused before the first primitive, failed after it."""
     if command.primitives:
         end(context, command, OutcomeKind.FAILED, message=refusal.message, refusal=refusal)
     else:
@@ -156,16 +158,16 @@ def fail_unavailable(context: DecisionContext, command: Command, refusal: Refusa
 
 
 def schedule_analysis_retry(context: DecisionContext, command: Command, refusal: Refusal) -> None:
-    """What has happened must be judged and told to the world; that it is away is no fault of the job."""
+    """Repeat an analysis while the world database is unavailable; after LIMIT_S defer it and end the command."""
     job = command.job
     assert job is not None
-    job.attempt += 1  # what the one before may still say is stale
+    job.attempt += 1  # a late answer to the previous attempt is stale
     if context.now - job.since_s <= untold.LIMIT_S:
         context.count("analyses_again")
         context.start_timer(command, untold.AGAIN_S)
-        context.note(command, f"{refusal.message}; it is asked again")
+        context.note(command, f"{refusal.message}; the analysis is repeated")
         return
-    message = f"what was done could not be judged within {untold.LIMIT_S:.0f} s: {refusal.message}; {CLOSED}"
+    message = f"the result could not be analysed within {untold.LIMIT_S:.0f} s: {refusal.message}; {QUARANTINED}"
     refusal = Refusal(reason=refusal.reason, message=message, clears="wait until the world database is back")
     end(context, command, OutcomeKind.FAILED, message=message, refusal=refusal, defer_analysis=True)
     untold.schedule_retry(context, command.id)
@@ -180,7 +182,7 @@ def retry_analysis(context: DecisionContext, command: Command, _: Any) -> None:
 
 
 def retry_job(context: DecisionContext, command: Command, loss: Any) -> None:
-    """Give the job out anew: it is stateless. A job that was in hand at three deaths is poison."""
+    """Dispatch the job again: jobs are stateless. A job that was in progress at three worker deaths is poison."""
     job = command.job
     assert job is not None
     if loss.blamed:
@@ -213,7 +215,7 @@ def retry_job(context: DecisionContext, command: Command, loss: Any) -> None:
 
 
 def stop(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:
-    """Nothing moves for it: it ends at once, and an answer still under way will be stale."""
+    """End a command for which nothing moves. A result that is still under way becomes stale."""
     cancel(context, command)
     end(context, command, ending.kind, message=ending.message, stop=ending.stop)
 
@@ -225,7 +227,7 @@ def cancel(context: DecisionContext, command: Command) -> None:
 
 
 def stop_primitive(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:
-    """Its primitive is being executed: stop that, and wait for rest."""
+    """Halt the primitive that is being executed, and wait for rest."""
     command.pending_outcome = ending
     order_halt(context, command)
     context.enter(command, Phase.HALTING, ending.message)
@@ -239,13 +241,13 @@ def order_halt(context: DecisionContext, command: Command) -> None:
 
 
 def stop_overdue(context: DecisionContext, command: Command, _: Any) -> None:
-    """The subsystem has not reported within the primitive's own limit. F is complete, so this is its fault."""
+    """Stop a primitive without an end report in time. F always contains a time limit, so the subsystem is at fault."""
     message = f"{command.subsystem} gave no end report within {command.limit_s:.1f} s"
     stop_primitive(context, command, PendingOutcome(kind=OutcomeKind.FAILED, message=message, stop=StopReason.TIMEOUT))
 
 
 def on_rested(context: DecisionContext, command: Command, report: EndReport) -> None:
-    """An end report comes after rest, whatever its reason: the motion may have ended by itself meanwhile."""
+    """Close after the end report. It proves rest whatever its reason: the motion may have ended by itself."""
     context.stop_timer(command)
     command.measured = reporting.at_end(command, report)
     context.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
@@ -255,8 +257,10 @@ def on_rested(context: DecisionContext, command: Command, report: EndReport) -> 
 
 
 def on_rest_confirmed(context: DecisionContext, command: Command, at_rest: bool) -> None:
-    """Of a HALT sentence, which ends when all that were told have confirmed; or of the halt that stops this command's
-    primitive. An end report comes before rest is confirmed: if there was none, the subsystem never had the primitive.
+    """Handle a confirmation of rest, for a HALT sentence or for the halt of this command's primitive.
+
+    A HALT sentence ends when all subsystems in its scope have confirmed. A subsystem sends the end report before it
+    confirms rest. Without an end report it never received the primitive.
     """
     assert command.pending_outcome is not None
     if command.primitive:
@@ -265,7 +269,7 @@ def on_rest_confirmed(context: DecisionContext, command: Command, at_rest: bool)
             close(context, command, missing_report(context, command, StopReason.HALT), "at rest: it had not begun")
         return
     if context.node not in command.unconfirmed:
-        return  # told twice, or it was not asked
+        return  # a duplicate, or a subsystem outside the scope
     command.unconfirmed.remove(context.node)
     if not at_rest:
         context.stop_timer(command)
@@ -281,7 +285,7 @@ def fail_unconfirmed(context: DecisionContext, command: Command, _: Any) -> None
     command.pending_outcome = PendingOutcome(kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
     if command.primitive:
         close(context, command, missing_report(context, command), message)
-    else:  # a HALT that came as a sentence: it touched nothing
+    else:  # a HALT sentence: it touched nothing
         end(context, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
 
 
@@ -294,7 +298,7 @@ def on_subsystem_lost(context: DecisionContext, command: Command, why: str) -> N
         kind=OutcomeKind.LOST_SUBSYSTEM,
         message=message,
         stop=StopReason.SUBSYSTEM_LOST,
-        refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=LOOKED_AT_FIRST),
+        refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=RETRY_ADVICE),
     )
     command.at_rest = context.state.subsystems[command.subsystem].came_at_rest
     close(context, command, missing_report(context, command), message)
@@ -309,7 +313,7 @@ def on_lost_while_halting(context: DecisionContext, command: Command, why: str) 
     if command.primitive:
         command.at_rest = context.state.subsystems[command.subsystem].came_at_rest
         close(context, command, missing_report(context, command), message)
-    else:  # a HALT that came as a sentence: it touched nothing
+    else:  # a HALT sentence: it touched nothing
         context.stop_timer(command)
         end(context, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST)
 
@@ -317,7 +321,7 @@ def on_lost_while_halting(context: DecisionContext, command: Command, why: str) 
 def missing_report(
     context: DecisionContext, command: Command, reason: StopReason = StopReason.SUBSYSTEM_LOST
 ) -> EndReport:
-    """What stands in for the report of a subsystem that is gone: no figures, only the reason."""
+    """A substitute for the end report of a lost subsystem: it carries the reason and no measurements."""
     return EndReport(
         primitive=command.primitive,
         performer=command.performers[0],
@@ -336,7 +340,7 @@ def missing_report(
 
 
 def close(context: DecisionContext, command: Command, report: EndReport, note: str) -> None:
-    """One last analysis, for the world's sake alone."""
+    """Start the last analysis, which only updates the world facts."""
     assert command.script is not None
     context.stop_timer(command)
     command.primitive_body = NIL
@@ -347,16 +351,16 @@ def close(context: DecisionContext, command: Command, report: EndReport, note: s
 
 
 def stop_after_analysis(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:
-    """The report is in the analyzer's hands: let the world have it, ignore the advice (R138)."""
+    """Let the running analysis update the world facts, and ignore its verdict (R138)."""
     command.pending_outcome = ending
-    if command.due_s:  # the world was away, and it was to be tried again
+    if command.due_s:  # a retry was scheduled, because the world database was unavailable
         retry_analysis(context, command, None)
     context.start_timer(command, CLOSING_LIMIT_S)
-    context.enter(command, Phase.CLOSING, f"{ending.message}; the analysis is let finish, its advice ignored")
+    context.enter(command, Phase.CLOSING, f"{ending.message}; the analysis continues, its verdict is ignored")
 
 
 def finish_closing(context: DecisionContext, command: Command, product: Any) -> None:
-    """`product` is the ignored advice; None or a refusal when the world could not be put right."""
+    """End after the last analysis. `product`: its ignored verdict; None or a refusal if it failed."""
     assert command.pending_outcome is not None
     context.stop_timer(command)
     cancel(context, command)
@@ -365,14 +369,13 @@ def finish_closing(context: DecisionContext, command: Command, product: Any) -> 
 
 
 def defer_closing_analysis(context: DecisionContext, command: Command, refusal: Refusal | None) -> None:
-    """The world is away (a refusal), or the answer takes too long (None): nobody has to wait for that, but what was
-    done is not forgotten."""
+    """Defer the last analysis and end the command. `refusal`: the world database is unavailable; None: time limit."""
     assert command.pending_outcome is not None
     job = command.job
     assert job is not None
     context.stop_timer(command)
     ending = command.pending_outcome
-    message = f"{ending.message}; {CLOSED}"
+    message = f"{ending.message}; {QUARANTINED}"
     end(context, command, ending.kind, message=message, stop=ending.stop, refusal=ending.refusal, defer_analysis=True)
     if refusal is not None:
         job.attempt += 1

@@ -1,8 +1,8 @@
-"""What follows when the journal lacks turns that this run has decided: every promise in them gets a true end.
+"""Loss of journal records: every command accepted in the lost decisions gets a true outcome.
 
-Nobody knows what the lost turns did. So the numbers go on above the highest one that anybody knows, primitives get
-names of another life, what is live ends as failed and leaves its facts suspect, and a client that waits for a command
-of the lost turns is told so. Nothing that was sent before is begun: it may have been done already.
+The effects of the lost decisions are unknown. Command numbers continue above the highest known one, and primitive ids
+get a new life. Live commands end as failed and leave their facts suspect. A client that waits for a lost command gets
+that outcome too. A sentence sent before the loss is not started, because it may have been executed already.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from broker.turn import DecisionContext
 from rtc.messages import Accepted, Phase, ProgressNote
 from rtc.outcomes import OutcomeKind, StopReason
 
-JOBS_APART = 10_000  # a command's jobs after the loss are numbered so much higher: the lost turns gave out some
-FURTHEST = 1_000_000  # how far above our own numbers a client's number is believed
-CLEARS = "look what was done, then give it again"
+JOBS_APART = 10_000  # offset of job numbers after the loss, so that they differ from lost ones
+FURTHEST = 1_000_000  # a client's number is accepted up to this far above the known ones
+CLEARS = "check what was done, then give it again"
 
 
 def on_journal_lost(context: DecisionContext, event: JournalLost) -> None:
@@ -32,13 +32,13 @@ def on_journal_lost(context: DecisionContext, event: JournalLost) -> None:
 
 
 def is_lost(state: State, event: CommandReceived) -> bool:
-    """Whether a request that we do not know was one of a broker before us: its client has its number, or it was sent
-    before the loss."""
+    """True if an unknown request belongs to the lost decisions: its client has a number for it, or sent it before the
+    loss."""
     return bool(event.known_as) or 0 < event.sent_at_s <= state.lost_at_s
 
 
 def new_number(state: State, event: CommandReceived) -> str:
-    """The number that the client knows, if that is free; else the next one."""
+    """The command number known to the client if it is free, otherwise the next one."""
     name, digits = event.known_as, event.known_as.removeprefix("C-")
     number = int(digits[:18]) if digits.isascii() and digits.isdigit() else 0
     taken = name in state.commands or name in state.ended
@@ -50,7 +50,7 @@ def new_number(state: State, event: CommandReceived) -> str:
 
 
 def end_lost(context: DecisionContext, event: CommandReceived) -> None:
-    """A true outcome for who waits for it, under the number that the client knows, if that is free."""
+    """End a lost command as failed, under the number known to the client if it is free."""
     state = context.state
     command = Command(
         id=new_number(state, event),
@@ -72,7 +72,7 @@ def end_lost(context: DecisionContext, event: CommandReceived) -> None:
 
 
 def publish(context: DecisionContext) -> None:
-    """Tell those who listen to the events."""
+    """Publish the loss to the subscribers of the event stream."""
     state = context.state
     if state.lost:
         state.seq += 1

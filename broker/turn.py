@@ -1,6 +1,6 @@
-"""One call of `decide`: the state, the time, the effects so far, and what is to be stimulated next.
+"""The context of one call of `decide`: state, time, effects so far, and the stimuli that follow.
 
-The few things every action needs (give out a job, write a note) are here; what is decided is elsewhere.
+It also has the operations that every action needs, such as creating a job or writing a note. It makes no decisions.
 """
 
 from __future__ import annotations
@@ -27,23 +27,25 @@ read_step = wire.decoder(StepHead)
 
 
 class DecisionContext(msgspec.Struct, gc=False):
+    """State and time of one decision, with the effects collected so far."""
+
     state: State
     now: float
     effects: list[Effect] = []
-    followups: list[tuple[str, Stimulus, Any]] = []  # command, stimulus, what comes with it
-    node: str = ""  # who did the work that is being heard of
-    took_s: float = 0.0
+    followups: list[tuple[str, Stimulus, Any]] = []  # (command, stimulus, payload)
+    node: str = ""  # worker or subsystem that caused the event
+    took_s: float = 0.0  # duration of its work
 
     def follow(self, command: str, stimulus: Stimulus, payload: Any = None) -> None:
-        """Stimulate another command, after this action is done."""
+        """Stimulate another command after this action."""
         self.followups.append((command, stimulus, payload))
 
     def is_next(self, command: Command) -> bool:
-        """Whether all that its client gave before it has been read."""
+        """True if all earlier commands of its client have been taken up."""
         return next(iter(self.state.intake_order[command.client])) == command.id
 
     def leave_intake(self, command: Command) -> None:
-        """It is parsed and taken up, or has ended before that: the next of its client that is parsed is taken up."""
+        """Remove a command that was taken up or has ended. Its client's next command is taken up if it is parsed."""
         line = self.state.intake_order[command.client]
         was_next = self.is_next(command)
         del line[command.id]
@@ -57,8 +59,10 @@ class DecisionContext(msgspec.Struct, gc=False):
             self.followups.append((command, Stimulus.GRANT, None))
 
     def confirm_rest(self, subsystem: str, performers: list[str] | None = None, moved: str = "") -> None:
-        """Known to be at rest: all of a subsystem, or these performers of it and what `moved`, a primitive or whatever
-        is a command's. What was closed for their sake is open again."""
+        """Record confirmed rest and lift the quarantines that waited for it.
+
+        `performers`: the performers at rest, None = all of the subsystem. `moved`: a primitive, or a command for all
+        its primitives, that is known to be at rest as well."""
         found = self.state.subsystems.get(subsystem)
         if found and performers is not None and set(performers) >= set(found.performers):
             performers = None
@@ -72,7 +76,7 @@ class DecisionContext(msgspec.Struct, gc=False):
         self.grant(opened)
 
     def quarantine_deferred(self) -> None:
-        """What the world has not been told of is for nobody, at rest or not (`broker.untold`)."""
+        """Keep the names of deferred analyses quarantined, at rest or not (`broker.untold`)."""
         for command, left in self.state.deferred_analyses.items():
             for name in left.names:
                 self.state.resources.quarantine.setdefault(name, Quarantine(WORLD, command))
@@ -81,7 +85,7 @@ class DecisionContext(msgspec.Struct, gc=False):
         self.state.counts[what] = self.state.counts.get(what, 0) + 1
 
     def enter(self, command: Command, phase: Phase, note: str = "", **more: Any) -> None:
-        """Change the phase, and tell it. `more`: expected_s, measured."""
+        """Change the phase and write a note. `more`: expected_s, measured."""
         command.phase = phase
         self.note(command, note, **more)
 
@@ -116,7 +120,7 @@ class DecisionContext(msgspec.Struct, gc=False):
             self.effects.append(PublishNote(client=command.client if command.progress else "", note=note))
 
     def create_job(self, command: Command, kind: WorkerKind, data: Any, locations: list[str] | None = None) -> None:
-        """One more job for this command."""
+        """Create the next job of this command and dispatch it."""
         command.jobs += 1
         command.job = PendingJob(
             id=f"{command.id}/{command.jobs}",
@@ -152,7 +156,7 @@ class DecisionContext(msgspec.Struct, gc=False):
 
 
 def step_body(command: Command, step: StepRef) -> msgspec.Raw:
-    """The step as the elaborator wrote it."""
+    """The encoded step, as the elaborator made it."""
     trim, index = step
     assert command.script is not None
     if trim == NOMINAL:
@@ -161,7 +165,7 @@ def step_body(command: Command, step: StepRef) -> msgspec.Raw:
 
 
 def step_in_words(command: Command, step: StepRef) -> str:
-    """ "5 of 9: feel one side", or "trim 2, 1 of 1: ..." """
+    """Describe a step: "5 of 9: feel one side", or "trim 2, 1 of 1: ..."."""
     trim, index = step
     assert command.script is not None
     if trim == NOMINAL:

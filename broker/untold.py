@@ -1,8 +1,8 @@
-"""What the world has not been told yet: analyses that outlive their command, because the world database was away.
+"""Deferred analyses: analyses that continue after their command has ended, because the world database is unavailable.
 
-What has happened must reach the world, or the next command plans with facts that are no longer true. So what such a
-command has touched stays closed, and its analysis is done again and again until the world has it. Nobody waits for
-its advice. One that is refused, or kills its workers, is given up: asking again would not help.
+Every change must reach the world database, or the next command plans with wrong facts. The touched names therefore
+stay quarantined, and the analysis is repeated until its changes are written. Its verdict is not used. An analysis that
+is refused, or that kills its workers, is given up, because a retry would fail too.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from broker.state import Command, DeferredAnalysis
 from broker.turn import DecisionContext
 from rtc.outcomes import RefusalReason
 
-AGAIN_S = 1.0  # after one that could not be done; each waits some seconds for the world by itself
-LIMIT_S = 60.0  # a command that waits for its analysis ends after so long; a restart of the world takes seconds
-MAX_DEATHS = 3  # of workers with the same job in hand: it is poison
+AGAIN_S = 1.0  # pause before a retry; the analyzer itself also waits some seconds for the world database
+LIMIT_S = 60.0  # time limit for a command that waits for its analysis; a restart of the world database takes seconds
+MAX_DEATHS = 3  # worker deaths per job; then the job counts as poison
 
 
 def defer(context: DecisionContext, command: Command) -> None:
-    """The command ends, its analysis does not. Called before the resources are released."""
+    """Keep the analysis of a command that ends. Call this before its resources are released."""
     assert command.job is not None
     touched = {*(command.job.locations or ()), *command.performers}
     held = context.state.resources.held.get(command.id, {})
@@ -38,20 +38,20 @@ def schedule_retry(context: DecisionContext, command: str) -> None:
 
 def retry(context: DecisionContext, command: str) -> None:
     job = context.state.deferred_analyses[command].job
-    job.attempt += 1  # what the one before may still say is stale
+    job.attempt += 1  # a late answer to the previous attempt is stale
     job.program = context.state.programs.get(job.kind, job.program)
     context.dispatch(job)
 
 
 def handle_answer(context: DecisionContext, event: JobFinished | JobDeclined | JobLost) -> bool:
-    """An answer to such an analysis. False: it is none."""
-    if not context.state.deferred_analyses:  # most of the time
+    """Handle a job event of a deferred analysis. False: the event belongs to another job."""
+    if not context.state.deferred_analyses:  # the usual case
         return False
     command = event.job.partition("/")[0]
-    left = context.state.deferred_analyses.get(command)
-    if left is None or (left.job.id, left.job.attempt) != (event.job, event.attempt):
+    found = context.state.deferred_analyses.get(command)
+    if found is None or (found.job.id, found.job.attempt) != (event.job, event.attempt):
         return False
-    job = left.job
+    job = found.job
     if isinstance(event, JobDeclined) and event.refusal.reason is RefusalReason.TIMEOUT:
         job.attempt += 1
         schedule_retry(context, command)
@@ -68,10 +68,10 @@ def handle_answer(context: DecisionContext, event: JobFinished | JobDeclined | J
 
 
 def handle_timer(context: DecisionContext, timer: str) -> bool:
-    """Time to do one again. False: the timer is not one of these."""
+    """Retry a deferred analysis when its timer fires. False: the timer belongs to another job."""
     command = timer.partition("/")[0]
-    left = context.state.deferred_analyses.get(command)
-    if left is None or left.job.id != timer:
+    found = context.state.deferred_analyses.get(command)
+    if found is None or found.job.id != timer:
         return False
     retry(context, command)
     return True
