@@ -1,12 +1,12 @@
-"""The Decision Unit: `decide(state, event) -> effects`, the one pure machine that every command passes through.
+"""The Decision Unit: `decide(state, event) -> effects`, the pure state machine that every command passes through.
 
-Rule 1: no clock, socket, log, random number or setting in here; the time is in the event. The same events give the
-same state and effects, so a journal of events is all that a restart needs.
-Rule 2: what may follow what stands in `broker.transitions`, and is checked after every action.
+Rule 1: it uses no clock, socket, log, random number or setting; the time is a field of the event. The same events give
+the same state and effects, so a restart needs only the journal of events.
+Rule 2: `broker.transitions` lists the allowed transitions; they are checked after every action.
 Rule 3: `state` is changed in place, by `decide` alone.
 
-An answer to a job that is no longer wanted, or to an older attempt of it, is stale: counted, nothing else. The
-same holds for every empty cell of the table.
+A result of a cancelled job, or of an older attempt, is stale: it is counted and has no other effect. The same holds for
+every empty cell of the table.
 """
 
 from __future__ import annotations
@@ -44,32 +44,32 @@ from rtc.messages import Accepted, Declined, Phase, WorkerKind
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
 from rtc.primitive_id import command_of, number_of
 
-MAX_COMMANDS = 10_000  # live at once; more are declined
-LIVE_PER_CLIENT = 2_000  # of one client, so that no one client can take the place of all others
-MAX_TEXT = 4_000  # characters kept of a sentence (the parser refuses shorter ones, with the place)
-MAX_SUBSYSTEMS = 32  # known by name, lost ones too
-HALTS_KEPT = 64
-PROVEN_KEPT = 16  # programs of a kind
-FILES_KEPT = 64  # programs whose file is known, for `rtc status`
-CLIENTS_KEPT = 1024  # whose latest command is known, for AFTER LAST
+MAX_COMMANDS = 10_000  # maximum number of live commands; more are declined
+LIVE_PER_CLIENT = 2_000  # maximum per client, so that one client cannot use up MAX_COMMANDS
+MAX_TEXT = 4_000  # characters kept of a sentence; the parser refuses shorter ones already and names the place
+MAX_SUBSYSTEMS = 32  # maximum number of subsystems in the state, lost ones included
+HALTS_KEPT = 64  # latest halts stored, to count each once
+PROVEN_KEPT = 16  # proven programs stored per worker kind
+FILES_KEPT = 64  # programs whose file name is stored, for `rtc status`
+CLIENTS_KEPT = 1024  # clients whose latest command is stored, for AFTER LAST
 
 
 class InvalidTransition(AssertionError):
-    """A bug: an action led where the table does not allow. Tells the story that led there."""
+    """A bug: an action led to a phase that the table does not allow. The message contains the command's trace."""
 
     def __init__(self, command: Command, before: Phase, stimulus: Stimulus) -> None:
-        story = "\n".join(f"  {n.at_s:.3f} {n.phase.value} {n.step} {n.note}" for n in command.notes[-20:])
+        trace = "\n".join(f"  {n.at_s:.3f} {n.phase.value} {n.step} {n.note}" for n in command.notes[-20:])
         super().__init__(
             f"{command.id}: {stimulus.value} in {before.value} led to {command.phase.value}, "
-            f"which the table does not allow\n{story}"
+            f"which the table does not allow\n{trace}"
         )
 
 
 def decide(state: State, event: Event) -> list[Effect]:
-    """What is to be done about one event. Changes `state`; effects are in the order they must happen."""
+    """Handle one event: change `state` and return the effects in the order of execution."""
     context = DecisionContext(state, event.at_s)
     HANDLERS[type(event)](context, event)
-    for name, stimulus, payload in context.followups:  # to which more are added meanwhile
+    for name, stimulus, payload in context.followups:  # actions append to this list during the loop
         context.node, context.took_s = "", 0.0
         command = state.commands.get(name)
         if command is not None:
@@ -78,6 +78,7 @@ def decide(state: State, event: Event) -> list[Effect]:
 
 
 def stimulate(context: DecisionContext, command: Command, stimulus: Stimulus, payload: Any = None) -> None:
+    """Run the action of the table for this stimulus, and check the phase it leads to."""
     before = command.phase
     cell = TABLE.get((before, stimulus))
     if cell is None:
@@ -139,30 +140,30 @@ def on_command(context: DecisionContext, event: CommandReceived) -> None:
 
 
 def _decline(context: DecisionContext, event: CommandReceived, live: int) -> None:
-    """Too many are live. A halt is obeyed all the same."""
+    """Decline a command above the limits. A halt is obeyed nevertheless."""
     context.count("declined")
     message = f"{len(context.state.commands)} commands are live, {live} of them yours; the limit is " + (
         f"{LIVE_PER_CLIENT} of one client" if live >= LIVE_PER_CLIENT else f"{MAX_COMMANDS} in all"
     )
     if scope := halt_scope(event.text):
         journey.halt(context, f"declined-{context.state.counts['declined']}", scope, context.now)
-        message = f"{scope} is halted, but nobody waits for rest: {message}"
+        message = f"{scope} is halted, but rest is not confirmed: {message}"
     refusal = Refusal(reason=RefusalReason.OVERLOAD, message=message, clears="wait until some have ended")
     context.effects.append(TellClient(client=event.client, message=Declined(request=event.request, refusal=refusal)))
 
 
 def on_halt(context: DecisionContext, event: HaltCalled) -> None:
-    """Stop what is in its scope now. Whether its name was used before does not matter: two callers may count from one,
-    and a button may always say the same."""
-    told_by_subsystem = event.client in context.state.subsystems
+    """Stop everything in the scope of a halt. A reused name is obeyed too: two callers may both count from one, and a
+    button may always send the same name."""
+    from_subsystem = event.client in context.state.subsystems
     _count_halt(context, event)
     known = journey.halt(context, event.halt, event.scope, event.called_at_s, call=event.call)
-    # Of a command that has ended nothing moves, as the subsystems confirm: that is no halt of nobody knows what.
-    if not known and not told_by_subsystem and not journey.has_ended(context, event.scope):
+    # A halt of an ended command is valid: the subsystems confirm rest, so it is not declined.
+    if not known and not from_subsystem and not journey.has_ended(context, event.scope):
         message = journey.no_target(context, event.scope).message
         context.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
-    if told_by_subsystem and not any(type(e) is SendHalt and e.subsystem == event.client for e in context.effects):
-        # It begins nothing until it hears that we know.
+    if from_subsystem and not any(type(e) is SendHalt and e.subsystem == event.client for e in context.effects):
+        # The subsystem starts nothing in the scope until it receives this acknowledgement.
         context.effects.append(
             SendHalt(
                 subsystem=event.client,
@@ -175,7 +176,7 @@ def on_halt(context: DecisionContext, event: HaltCalled) -> None:
 
 
 def _count_halt(context: DecisionContext, event: HaltCalled) -> None:
-    """A caller uses both doors, so most halts are received twice: from the caller, and from the subsystem."""
+    """Count each halt once: most come twice, because a caller sends them to the broker and to the subsystem."""
     halts, key = context.state.halts, f"{event.halt} {event.scope} {event.called_at_s}"
     if key not in halts:
         context.count("halts")
@@ -185,7 +186,7 @@ def _count_halt(context: DecisionContext, event: HaltCalled) -> None:
 
 
 def on_client_gone(context: DecisionContext, event: ClientGone) -> None:
-    gone = PendingOutcome(kind=OutcomeKind.HALTED, message="its client went away", stop=StopReason.HALT)
+    gone = PendingOutcome(kind=OutcomeKind.HALTED, message="its client disconnected", stop=StopReason.HALT)
     for command in context.state.commands.values():
         if command.client == event.client and command.halt_if_lost:
             context.follow(command.id, Stimulus.STOP, gone)
@@ -195,7 +196,7 @@ def on_client_gone(context: DecisionContext, event: ClientGone) -> None:
 
 
 def _pending(context: DecisionContext, job: str, attempt: int) -> tuple[Command, PendingJob] | None:
-    """The command that waits for just this answer; None (and counted) when the answer is stale."""
+    """The command that waits for this attempt of the job; None if the answer is stale, which is counted."""
     command = context.state.commands.get(job.partition("/")[0])
     if command is None or command.job is None or (command.job.id, command.job.attempt) != (job, attempt):
         context.count("stale")
@@ -215,7 +216,7 @@ def on_job_finished(context: DecisionContext, event: JobFinished) -> None:
     try:
         stimulate(context, command, Stimulus.PRODUCT, event.product)
     except WireError as error:
-        message = f"the {job.kind.value} delivered what is no product: {error}"
+        message = f"the {job.kind.value} returned an invalid product: {error}"
         stimulate(context, command, Stimulus.REFUSAL, Refusal(reason=RefusalReason.PROGRAM, message=message))
 
 
@@ -246,11 +247,12 @@ def on_job_lost(context: DecisionContext, event: JobLost) -> None:
 
 
 def _with_another_program(context: DecisionContext, command: Command, job: PendingJob, why: str) -> bool:
-    """A job failed with a program. The first job of a new one: back to the old one. It is done again with the program
-    that is the current one now; False when that is the one it failed with."""
+    """Repeat a failed job with another program, if there is one. Returns False if the failed program is still in use.
+
+    If this was the first job of a new program, that program is rolled back. `why`: error text of the failure."""
     state = context.state
     trial = state.trials.get(job.kind)
-    last_words = (why.strip().splitlines() or ["it ended without a word"])[-1]
+    last_words = (why.strip().splitlines() or ["without an error message"])[-1]
     if trial is not None and trial.new == job.program:
         del state.trials[job.kind]
         state.programs[job.kind] = trial.old
@@ -258,7 +260,9 @@ def _with_another_program(context: DecisionContext, command: Command, job: Pendi
         told = f"the new {job.kind.value} program {trial.new} failed its first job ({last_words}); back to {trial.old}"
         state.rolled_back[job.kind] = f"{told}. The job was of {command.id}"
     else:
-        told = f"the {job.kind.value} program {job.program}, which is used no more, failed ({last_words}); job again"
+        told = (
+            f"the {job.kind.value} program {job.program}, which is no longer in use, failed ({last_words}); job again"
+        )
     current = state.programs.get(job.kind, job.program)
     if current == job.program:
         return False
@@ -270,7 +274,7 @@ def _with_another_program(context: DecisionContext, command: Command, job: Pendi
 
 
 def _keep_file(state: State, event: ProgramInstalled) -> None:
-    """For people, who know files and no digests; also after a roll-back, which goes back to an older digest."""
+    """Store the file name of a program for people, who do not know digests. It stays valid after a rollback."""
     state.program_files.pop(event.digest, None)
     state.program_files[event.digest] = (event.file, event.at_s)
     while len(state.program_files) > FILES_KEPT:
@@ -279,10 +283,12 @@ def _keep_file(state: State, event: ProgramInstalled) -> None:
 
 def on_program(context: DecisionContext, event: ProgramInstalled) -> None:
     kind = event.kind or "cell"
-    context.state.began_at_s = context.state.began_at_s or event.at_s  # it begins with its programs
+    context.state.began_at_s = (
+        context.state.began_at_s or event.at_s
+    )  # a cluster starts with the installation of its programs
     programs = context.state.programs
     if event.kind and kind in programs and programs[kind] != event.digest:
-        untried = context.state.trials.pop(kind, None)  # it is no program to go back to
+        untried = context.state.trials.pop(kind, None)  # an untried program is not a rollback target
         old = untried.old if untried else programs[kind]
         _prove(context.state, kind, old)
         if event.digest not in context.state.proven[kind]:
@@ -294,7 +300,7 @@ def on_program(context: DecisionContext, event: ProgramInstalled) -> None:
 
 
 def _prove(state: State, kind: str, digest: str) -> None:
-    """This program works: loaded again after another one, it needs no trial, and is one to go back to."""
+    """Record that a program works: it needs no further trial and is a rollback target."""
     proven = state.proven.setdefault(kind, [])
     if digest in proven:
         proven.remove(digest)
@@ -323,7 +329,7 @@ def on_ended(context: DecisionContext, event: PrimitiveEnded) -> None:
         and command.phase in (Phase.EXECUTING, Phase.HALTING)
     )
     if not awaited or command is None:
-        # Late or double. It is acknowledged, or it would be repeated for ever; and it proves rest.
+        # Late or duplicate. It is acknowledged, or it would be repeated without end. It also proves rest.
         context.count("stale")
         context.effects.append(AcknowledgeReport(subsystem=event.subsystem, primitive=report.primitive))
         if command is None or command.primitive == report.primitive:
@@ -334,17 +340,17 @@ def on_ended(context: DecisionContext, event: PrimitiveEnded) -> None:
 
 
 def on_halt_confirmed(context: DecisionContext, event: HaltConfirmed) -> None:
-    name = event.halt.removeprefix(ending.STOP)  # a HALT sentence, or the command that was stopped
+    name = event.halt.removeprefix(ending.STOP)  # the number of a HALT sentence, or of the command that was stopped
     if event.at_rest:
         context.confirm_rest(event.subsystem, event.performers, name if name != event.halt else "")
     command = context.state.commands.get(name)
-    if command is not None and command.subsystem in ("", event.subsystem):  # "": of a HALT sentence
+    if command is not None and command.subsystem in ("", event.subsystem):  # "": a HALT sentence
         context.node = event.subsystem
         stimulate(context, command, Stimulus.REST, event.at_rest)
 
 
 def on_subsystem(context: DecisionContext, event: SubsystemConnected) -> None:
-    """Come, or come back. What it does not know any more it never got, or it forgot by dying."""
+    """Register a subsystem that connects or reconnects. A primitive it does not list never arrived or died with it."""
     state = context.state
     before = state.subsystems.get(event.subsystem)
     if before is None and len(state.subsystems) >= MAX_SUBSYSTEMS and not _forget_a_subsystem(state):
@@ -357,10 +363,10 @@ def on_subsystem(context: DecisionContext, event: SubsystemConnected) -> None:
         pid=event.pid, performers=event.performers, came_at_rest=event.at_rest
     )
     for primitive in event.outstanding:
-        state.accepted = max(state.accepted, number_of(primitive))  # a journal that was lost may not know it
+        state.accepted = max(state.accepted, number_of(primitive))  # a journal after a loss may lack it
         command_id = command_of(primitive)
         command = state.commands.get(command_id)
-        # Of a command that lives, only what was given up may still be executed; the rest are unacknowledged reports.
+        # A live command may still execute a primitive that was given up; other entries are unacknowledged reports.
         if command is None or (command.phase is Phase.CLOSING and not command.at_rest):
             _order_halt(context, event.subsystem, f"orphan-{primitive}", command_id)
     if event.at_rest:
@@ -378,7 +384,7 @@ def on_subsystem(context: DecisionContext, event: SubsystemConnected) -> None:
 
 
 def _forget_a_subsystem(state: State) -> bool:
-    """One that is lost and that nothing waits for."""
+    """Delete one lost subsystem that nothing waits for. False: there is none."""
     wanted = {c.subsystem for c in state.commands.values()} | {q.subsystem for q in state.resources.quarantine.values()}
     lost = (name for name, s in state.subsystems.items() if s.link is Link.LOST and name not in wanted)
     return state.subsystems.pop(next(lost, ""), None) is not None
@@ -398,7 +404,7 @@ def on_subsystem_gone(context: DecisionContext, event: SubsystemGone) -> None:
 
 
 def _lose_subsystem(context: DecisionContext, name: str, why: str) -> None:
-    """A global error (A30): every command that has worked through this subsystem ends."""
+    """End every command that has used this subsystem: a global error (A30)."""
     message = f"{name} was lost: {why}"
     lost = PendingOutcome(
         kind=OutcomeKind.LOST_SUBSYSTEM,
@@ -428,16 +434,16 @@ def on_timer(context: DecisionContext, event: TimerFired) -> None:
         return
     command = context.state.commands.get(event.timer)
     if command is None or not 0 < command.due_s <= event.at_s:
-        context.count("stale")  # stopped or set anew in the turn in which it rang
+        context.count("stale")  # stopped or restarted in the batch in which it fired
         return
     command.due_s = 0.0
     stimulate(context, command, Stimulus.TIMEOUT)
 
 
 def on_restart(context: DecisionContext, event: BrokerRestarted) -> None:
-    """Everything that was given out is given out again; subsystems are waited for, they know what they do."""
+    """Dispatch all pending jobs again and wait for the subsystems, which continue by themselves."""
     context.count("broker_restarts")
-    context.state.has_subscribers = False  # who listens subscribes anew
+    context.state.has_subscribers = False  # subscribers subscribe again
     for subsystem in context.state.subsystems.values():
         if subsystem.link is Link.CONNECTED:
             subsystem.link = Link.AWAITED
@@ -448,7 +454,7 @@ def on_restart(context: DecisionContext, event: BrokerRestarted) -> None:
             command.job.attempt += 1
             context.dispatch(command.job)
         if command.phase is Phase.ANALYZING:
-            command.due_s = 0.0  # it is being tried again
+            command.due_s = 0.0  # its retry was dispatched above
         if command.phase is Phase.EXECUTING:
             context.start_timer(command, ending.report_limit_s(context.state, command))
         elif command.phase is Phase.HALTING:

@@ -1,7 +1,7 @@
-"""The nominal way of a command, action by action, in the order of the journey (docs/journey.md).
+"""The nominal path of a command: actions of `broker.transitions` in the order of docs/journey.md.
 
-Each function is one row's action in `broker.transitions`. They know phases, resources, steps as opaque bytes, and
-outcomes; they know no skill, no geometry, and no socket.
+It also contains PAUSE, RESUME, ABORT and HALT. The actions know phases, resources, outcomes and steps as opaque bytes.
+They do not know skills, geometry or sockets.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 from rtc.primitive import Primitive
 from rtc.primitive_id import belongs_to, primitive_id
 
-LAST = "LAST"  # in the place of a command's number
-MAX_TRIMS = 6  # of one command (A17)
-MAX_ELABORATIONS = 20  # a command whose needs change each time it gets them
+LAST = "LAST"  # stands for the number of the client's previous command
+MAX_TRIMS = 6  # maximum number of trims per command (A17)
+MAX_ELABORATIONS = 20  # maximum per command, if its claim changes with each elaboration
 
-CONTROLS = {"PAUSE": Stimulus.PAUSE, "RESUME": Stimulus.RESUME, "ABORT": Stimulus.STOP}  # besides HALT
+CONTROLS = {"PAUSE": Stimulus.PAUSE, "RESUME": Stimulus.RESUME, "ABORT": Stimulus.STOP}  # all control verbs except HALT
 
 read_parsed = wire.decoder(ParsedHead)
 read_script = wire.decoder(ScriptHead)
 read_bound = wire.decoder(BoundHead)
-read_primitive = wire.decoder(Primitive)  # whole: a subsystem is sent no bytes that it cannot read
+read_primitive = wire.decoder(Primitive)  # read completely, so that a subsystem never receives an invalid primitive
 read_assessment = wire.decoder(AssessmentHead)
 
 
@@ -53,20 +53,20 @@ read_assessment = wire.decoder(AssessmentHead)
 def on_parsed(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
     command.parsed = product
     command.head = head = _with_last(read_parsed(product), command.previous)
-    if head.test:  # first: the test of a HALT halts nothing
+    if head.test:  # checked first: TEST HALT must not halt
         message = "hypothesis tests (TEST ...) are not in this release"
-        clears = "rtc parse tells how it is understood; without TEST it moves"
+        clears = "`rtc parse` shows how the sentence is read; without TEST it moves"
         refuse(context, command, Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears=clears))
-    elif refusal := _unkept(command, head):
+    elif refusal := _broker_refusal(command, head):
         refuse(context, command, refusal)
-    elif context.is_next(command) or (head.kind == "control" and not _means_those_before(head)):
+    elif context.is_next(command) or (head.kind == "control" and not _concerns_earlier(head)):
         take_up(context, command)
     else:
         context.state.intake_order[command.client][command.id] = True
 
 
 def _with_last(head: ParsedHead, previous: str) -> ParsedHead:
-    """LAST is the command that the same client gave before this one."""
+    """Replace LAST by the number of the client's previous command."""
     if previous and head.after == LAST:
         return msgspec.structs.replace(head, after=previous)
     if previous and head.together_with == LAST:
@@ -74,25 +74,23 @@ def _with_last(head: ParsedHead, previous: str) -> ParsedHead:
     return head
 
 
-def _unkept(command: Command, head: ParsedHead) -> Refusal | None:
-    """What only the broker knows: that there is no LAST, or nobody who would get periodic reports."""
+def _broker_refusal(command: Command, head: ParsedHead) -> Refusal | None:
+    """Refuse what only the broker can check: LAST without a previous command, REPORT EVERY without a reader."""
     if LAST in (head.after, head.together_with):
         word = "AFTER" if head.after else "TOGETHER-WITH"
         message = f"{word} {LAST}: this client has given no command before this one"
         clears = f"give the number: {word} C-n (`rtc log` lists the commands), or leave it out"
         return Refusal(reason=RefusalReason.NAME, message=message, where=LAST, clears=clears)
     if head.report is not None and head.report.every_s is not None and not command.progress:
-        message = "REPORT EVERY: this client does not take progress notes, so nobody would get the reports"
-        clears = (
-            "give it so that somebody waits for it (rtc do without --no-wait; on_progress in Python), or without EVERY"
-        )
+        message = "REPORT EVERY: this client does not take progress notes, so the reports would not be delivered"
+        clears = "wait for the command (rtc do without --no-wait; on_progress in Python), or leave out EVERY"
         return Refusal(reason=RefusalReason.STATE, message=message, where="EVERY", clears=clears)
     return None
 
 
 def take_up(context: DecisionContext, command: Command, _: Any = None) -> None:
-    """What one client gives is taken up in the order given, however long each takes to parse: of two commands for the
-    same arm the first stands first in line."""
+    """Start the command after parsing. The commands of one client are taken up in the order given, however long each
+    takes to parse: the first of two commands for one arm is first in line."""
     assert command.head is not None
     if command.head.kind == "control":
         control(context, command, command.head)
@@ -105,21 +103,21 @@ def _scope(head: ParsedHead) -> str:
     return "ALL" if scope == "BOTH-ARMS" else scope
 
 
-def _means_those_before(head: ParsedHead) -> bool:
-    """PAUSE, RESUME, ABORT of an arm: which of its client's commands use that arm shows when they are parsed. HALT
-    waits for nothing; ALL and a number say whom they mean."""
+def _concerns_earlier(head: ParsedHead) -> bool:
+    """True for PAUSE, RESUME and ABORT of an arm: the client's earlier commands must be parsed to know which use it.
+    HALT does not wait; ALL and a number need no parsed commands."""
     scope = _scope(head)
     return head.verb != "HALT" and scope != "ALL" and not scope.startswith("C-")
 
 
 def control(context: DecisionContext, command: Command, head: ParsedHead) -> None:
-    """PAUSE, RESUME, ABORT, HALT of a command, of whatever uses an arm, or of all."""
+    """Apply PAUSE, RESUME, ABORT or HALT to one command, to the users of a resource, or to all."""
     scope = _scope(head)
     if head.verb == "HALT":
         halt_by_command(context, command, scope)
         return
     if head.verb not in CONTROLS:
-        message = f"the grammar says that {head.verb!r:.80} controls commands, which it does not"
+        message = f"the grammar lists {head.verb!r:.80} as a control verb, which it is not"
         refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message))
         return
     targets = [c.id for c in in_scope(context, scope) if c.id == scope or not _given_after(c, command)]
@@ -129,10 +127,10 @@ def control(context: DecisionContext, command: Command, head: ParsedHead) -> Non
     stimulus = CONTROLS[head.verb]
     words = f"{head.verb} of {', '.join(targets)}" if targets else f"{head.verb} had nothing to act on"
     if answer := PAUSE_ANSWERS.get(stimulus):
-        told = {name: answer(context.state.commands[name]) for name in targets}
-        targets = [name for name, (will, _) in told.items() if will]
-        words = "; ".join(f"{name} {what}" for name, (_, what) in told.items()) or words
-        if told and not targets:
+        answers = {name: answer(context.state.commands[name]) for name in targets}
+        targets = [name for name, (will, _) in answers.items() if will]
+        words = "; ".join(f"{name} {what}" for name, (_, what) in answers.items()) or words
+        if answers and not targets:
             clears = f"HALT {scope} stops now, and ends it" if stimulus is Stimulus.PAUSE else ""
             refuse(context, command, Refusal(reason=RefusalReason.STATE, message=words, clears=clears))
             return
@@ -143,16 +141,15 @@ def control(context: DecisionContext, command: Command, head: ParsedHead) -> Non
 
 
 def _given_after(other: Command, command: Command) -> bool:
-    """What the same client said after a PAUSE is not meant by it, although it may have been parsed before. Nor is the
-    sentence itself."""
+    """True if the same client gave `other` at or after `command`. A PAUSE does not concern it, even if it is parsed."""
     return other.client == command.client and number(other.id) >= number(command.id)
 
 
-Answer = tuple[bool, str]  # will it do so? and what becomes of it, in words
+Answer = tuple[bool, str]  # (is the request accepted?, what the command does, in words)
 
 
 def _will_pause(command: Command) -> Answer:
-    """The safe point to pause at is between two steps (R101): after the last there is none."""
+    """Whether a command can pause. It pauses between two steps only (R101), so not in its last step."""
     if command.phase is Phase.PAUSED:
         return False, "is paused already"
     if command.phase in (Phase.HALTING, Phase.CLOSING):
@@ -173,10 +170,10 @@ PAUSE_ANSWERS = {Stimulus.PAUSE: _will_pause, Stimulus.RESUME: _will_resume}
 
 
 def halt_by_command(context: DecisionContext, command: Command, scope: str) -> None:
-    """A halt that came as a sentence. It ends when rest is confirmed, and not by its own halt."""
+    """Start a HALT sentence. It ends when rest is confirmed; its own halt does not stop it."""
     if scope != "ALL" and not _subsystem_of(context, scope) and not in_scope(context, scope):
         if has_ended(context, scope):
-            end(context, command, OutcomeKind.SUCCEEDED, message=f"{scope} has ended already: nothing of it moves")
+            end(context, command, OutcomeKind.SUCCEEDED, message=f"{scope} has already ended: it moves nothing")
         else:
             refuse(context, command, no_target(context, scope, command.id))
         return
@@ -195,7 +192,7 @@ def halt_by_command(context: DecisionContext, command: Command, scope: str) -> N
 def halt(
     context: DecisionContext, halt_id: str, scope: str, called_at_s: float, spare: str = "", call: str = ""
 ) -> bool:
-    """Stop all in scope: tell the subsystems first, then end the commands. False: nothing is called that."""
+    """Halt the subsystems in scope, then stop the commands. False: the scope is unknown."""
     state = context.state
     targets = in_scope(context, scope)
     performer = _subsystem_of(context, scope)
@@ -203,7 +200,7 @@ def halt(
         return False
     if scope not in state.commands:
         at_s = min(called_at_s or context.now, context.now)
-        state.halted_at_s[scope] = max(at_s, state.halted_at_s.get(scope, 0.0))  # an earlier one may be heard later
+        state.halted_at_s[scope] = max(at_s, state.halted_at_s.get(scope, 0.0))  # an earlier halt may arrive later
     for name, subsystem in state.subsystems.items():
         concerned = scope == "ALL" or name == performer or any(c.subsystem == name for c in targets)
         if concerned and subsystem.link is not Link.LOST:
@@ -221,7 +218,7 @@ def _halted(scope: str) -> PendingOutcome:
 
 
 def in_scope(context: DecisionContext, scope: str) -> list[Command]:
-    """The live commands a scope means: all, one by its number, or those that hold, want or name a resource."""
+    """The live commands in a scope: all, one by its number, or those that hold, want or name a resource."""
     state = context.state
     if scope == "ALL":
         return list(state.commands.values())
@@ -241,23 +238,23 @@ def _subsystem_of(context: DecisionContext, performer: str) -> str:
 
 
 def has_ended(context: DecisionContext, scope: str) -> bool:
-    """It is the number of a command that was accepted and is not live, however long ago."""
+    """True if the scope is the number of an accepted command that is not live, however old."""
     number = scope.removeprefix("C-")
     named = scope not in context.state.commands and scope == f"C-{number}" and number.isascii() and number.isdigit()
     return named and 0 < int(number[:18]) <= context.state.accepted
 
 
 def no_target(context: DecisionContext, scope: str, asker: str = "") -> Refusal:
-    """Why nothing is in scope; `asker` is the command that wanted it and is no answer itself."""
+    """The refusal for an empty scope. `asker`: the command that named it, left out of the suggestions."""
     if has_ended(context, scope):
-        return Refusal(reason=RefusalReason.STATE, message=f"{scope} has ended already")
+        return Refusal(reason=RefusalReason.STATE, message=f"{scope} has already ended")
     live = [command for command in context.state.commands if command != asker]
     known = [*(p for s in context.state.subsystems.values() for p in s.performers), *live]
     return Refusal(reason=RefusalReason.NAME, message=f"nothing live is called {scope}", expected=["ALL", *known[:20]])
 
 
 def _wait_for_another(context: DecisionContext, command: Command, head: ParsedHead) -> bool:
-    """AFTER and TOGETHER-WITH (R116). True when the command waits, or has been refused."""
+    """Handle AFTER and TOGETHER-WITH (R116). True: the command waits, or it was refused."""
     other = head.after or head.together_with
     if other is None:
         return False
@@ -281,7 +278,7 @@ def _wait_for_another(context: DecisionContext, command: Command, head: ParsedHe
         refuse(context, command, Refusal(reason=reason, message=message, clears=clears))
         return True
     if command.id in _waits_for(context, target):
-        message = f"{command.id} and {other} would wait for each other for ever"
+        message = f"{command.id} and {other} would wait for each other without end"
         refuse(context, command, Refusal(reason=RefusalReason.STATE, message=message, owner=other))
         return True
     if head.together_with and target.primitives:
@@ -293,7 +290,7 @@ def _wait_for_another(context: DecisionContext, command: Command, head: ParsedHe
 
 
 def _waits_for(context: DecisionContext, command: Command | None) -> Collection[str]:
-    """The chain of commands that this one waits for by AFTER or TOGETHER-WITH, itself first."""
+    """The commands that this one waits for by AFTER or TOGETHER-WITH, in a chain that starts with itself."""
     chain: dict[str, None] = {}
     while command is not None and command.id not in chain:
         chain[command.id] = None
@@ -316,7 +313,7 @@ def on_released(context: DecisionContext, command: Command, begun_or_succeeded: 
 
 
 def _named(context: DecisionContext, head: ParsedHead) -> Claim:
-    """What the sentence itself names: hands for itself alone, an object against being changed by others."""
+    """The claim of the names in the sentence: hands exclusively, the object shared against changes by others."""
     claim: Claim = {}
     if head.kind == "task":
         if head.object:
@@ -330,14 +327,14 @@ def _named(context: DecisionContext, head: ParsedHead) -> Claim:
 
 
 def claim_and_elaborate(context: DecisionContext, command: Command) -> None:
-    """Elaborate with the named resources in hand, so that the plan rests on facts nobody else is changing."""
+    """Claim the named resources, then elaborate, so that no other command changes the facts of the plan."""
     assert command.head is not None
     if claim_or_wait(context, command, _named(context, command.head)):
         elaborate(context, command)
 
 
 def claim_or_wait(context: DecisionContext, command: Command, claim: Claim) -> bool:
-    """True: it holds the claim. False: it stands in line, or was refused because it said NOW."""
+    """True: the claim is granted. False: the command waits in line, or was refused because of NOW."""
     assert command.head is not None
     resources = context.state.resources
     result = resources.take(command.id, claim)
@@ -346,7 +343,7 @@ def claim_or_wait(context: DecisionContext, command: Command, claim: Claim) -> b
         return True
     name, owner = result
     if command.head.now:
-        message = f"{name} is in use by {owner}, and NOW was said"
+        message = f"{name} is in use by {owner}, and the sentence contains NOW"
         clears = f"wait for {owner}, abort it, or leave out NOW"
         refuse(context, command, Refusal(reason=RefusalReason.RESOURCE, message=message, owner=owner, clears=clears))
         return False
@@ -356,7 +353,7 @@ def claim_or_wait(context: DecisionContext, command: Command, claim: Claim) -> b
 
 
 def on_granted(context: DecisionContext, command: Command, _: Any) -> None:
-    """Its turn has come. The world may have changed while it waited: plan anew, now holding all it claimed."""
+    """Take the granted claim and elaborate again, because the world may have changed during the wait."""
     resources = context.state.resources
     result = resources.take(command.id, resources.waiting.get(command.id, {}))
     if isinstance(result, list):
@@ -367,7 +364,7 @@ def on_granted(context: DecisionContext, command: Command, _: Any) -> None:
 def elaborate(context: DecisionContext, command: Command) -> None:
     command.elaborations += 1
     if command.elaborations > MAX_ELABORATIONS:
-        message = f"its needs changed {MAX_ELABORATIONS} times while it waited for them"
+        message = f"its claim changed {MAX_ELABORATIONS} times while it waited for it"
         refuse(context, command, Refusal(reason=RefusalReason.OVERLOAD, message=message))
         return
     context.create_job(command, WorkerKind.ELABORATOR, {"command": command.id, "parsed": command.parsed})
@@ -398,7 +395,7 @@ def on_elaborated(context: DecisionContext, command: Command, product: msgspec.R
 
 
 def next_step(context: DecisionContext, command: Command) -> None:
-    """The loop of the paper (L148-167): while the Action_Stack is not empty, bind its top."""
+    """Bind the top of the Action_Stack, or end the command if the stack is empty (paper, main loop)."""
     if not command.stack and command.given_up is not None:
         end_given_up(context, command)
     elif not command.stack:
@@ -434,7 +431,7 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
         return
     subsystem = context.state.subsystems.get(result.subsystem)
     if subsystem is None or subsystem.link is Link.LOST:
-        lost = f"{result.subsystem} is not connected; nothing moved for this step: give it again when it is back"
+        lost = f"{result.subsystem} is not connected; this step moved nothing: give the sentence again when it is back"
         end(context, command, OutcomeKind.LOST_SUBSYSTEM, message=lost, stop=StopReason.SUBSYSTEM_LOST)
         return
     primitive = read_primitive(result.primitive)
@@ -447,7 +444,7 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
         refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
         return
     if result.evaluation == NIL:
-        message = "the binder made a primitive and does not say what is expected of it"
+        message = "the binder made a primitive without an evaluation for the analyzer"
         refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
         return
     command.primitives += 1
@@ -465,8 +462,8 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
 
 
 def send(context: DecisionContext, command: Command) -> None:
-    """The primitive goes to its subsystem, which answers for it from now on (R58). Only silence is watched.
-    One that is awaited gets it when it says hello."""
+    """Send the primitive to its subsystem, which is responsible for it from now on (R58); the broker watches the time
+    limit only. An awaited subsystem receives it when it reconnects."""
     command.sent_at_s = context.now
     command.at_rest = False
     subsystem = context.state.subsystems[command.subsystem]
@@ -499,7 +496,7 @@ def on_reported(context: DecisionContext, command: Command, report: EndReport) -
 
 
 def acknowledge(context: DecisionContext, command: Command) -> None:
-    """Effects follow the journal, so what is acknowledged is never needed from the subsystem again."""
+    """Acknowledge the end report. Effects follow the journal, so the report is not needed again."""
     context.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
     command.primitive_body = NIL
     command.at_rest = True
@@ -542,7 +539,7 @@ def on_assessed(context: DecisionContext, command: Command, product: msgspec.Raw
 
 
 def failure(assessment: AssessmentHead) -> PendingOutcome:
-    """How a command ends after a step that nothing mends."""
+    """The outcome after a step without a usable trim."""
     message = assessment.message or f"{assessment.reason.value} where it was not expected"
     refusal = None
     if assessment.clears:
@@ -551,7 +548,7 @@ def failure(assessment: AssessmentHead) -> PendingOutcome:
 
 
 def push_trim(context: DecisionContext, command: Command, assessment: AssessmentHead) -> bool:
-    """Put a corrective piece of script on the Action_Stack (paper, L163; A16, A17). False: none may be used."""
+    """Push the steps of a trim on the Action_Stack (paper, trimming stack; A16, A17). False: no trim is allowed."""
     assert command.script is not None
     assert command.step is not None
     trim = next((t for t in command.script.trims if t.n == assessment.trim), None)

@@ -815,7 +815,7 @@ def test_a_lost_subsystem_says_what_leads_on():
     s.answers("C-1", go_on())
     assert (s.outcome("C-1").kind, s.outcome("C-1").refusal.clears) == (
         OutcomeKind.LOST_SUBSYSTEM,
-        ending.LOOKED_AT_FIRST,
+        ending.RETRY_ADVICE,
     )
 
 

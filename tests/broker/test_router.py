@@ -352,7 +352,7 @@ def test_without_its_supervisor_it_sends_every_client_an_outcome_in_time(bench: 
         (done, OutcomeKind.HALTED),
         (silent, OutcomeKind.HALT_NOT_CONFIRMED),
     ]
-    assert "until the world has been told" in ended[done].message
+    assert "until the world database is updated" in ended[done].message
     assert "no report after the supervisor's death" in ended[silent].message
     assert bench.now - began_s == pytest.approx(ALONE_S, abs=0.01)
 

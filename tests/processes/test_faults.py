@@ -202,7 +202,7 @@ def test_the_commands_of_a_dead_client_are_halted_if_it_wanted_that(rtc: Client,
     assert record is not None
     assert record.outcome is not None
     assert record.outcome.kind is OutcomeKind.HALTED
-    assert any("its client went away" in note.note for note in record.notes)
+    assert any("its client disconnected" in note.note for note in record.notes)
     assert rtc.wait(free, LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED  # nobody else's
 
 

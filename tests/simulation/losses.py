@@ -76,7 +76,7 @@ class LossyCluster(Cluster):
         if self.faults["journal"] and record.outcome.kind is OutcomeKind.FAILED and "journal" in record.outcome.message:
             self.tell(f"    {record.command} ends: {record.outcome.message}")
             self.stories[record.command] = record
-        elif self.faults["journal"] and "nothing moved for this step" in record.outcome.message:
+        elif self.faults["journal"] and "this step moved nothing" in record.outcome.message:
             self.stories[record.command] = record  # a broker that has lost all meets the MCM anew
         else:
             super()._true(record)
