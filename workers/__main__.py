@@ -1,8 +1,10 @@
-"""One worker process: `python -m workers --run-dir D --kind binder --node 2`; or, with --template, the process that
-others are forked from, each by an order: {"kind", "node"}; or, for a cluster on another machine, with a worker's key:
-`python -m workers --kind binder --node 18 --with w.key`.
+"""Entry point of a worker process: `python -m workers --run-dir D --kind binder --node 2`.
 
-Only the module of its own kind is imported, before `ready` is said: a parser never pays for robot models.
+With --template the process is the fork server: it forks one worker per order {"kind", "node"}. With a worker's key it
+joins a cluster on another machine: `python -m workers --kind binder --node 18 --with w.key`.
+
+A worker imports only the module of its own kind, and does so before it signals `ready`. A parser therefore does not
+load robot models.
 """
 
 from __future__ import annotations
@@ -27,15 +29,17 @@ from workers import imports
 from workers.shell import Shell
 from workers.warm import Preloaded, preload
 
-NICENESS = 5  # the broker and the MCM come first
+NICENESS = 5  # lower priority than the broker and the MCM
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m workers", description="One worker of a cluster.")
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--run-dir", type=Path)
-    where.add_argument("--with", dest="key", type=Path, metavar="FILE", help="a worker's key, for a cluster far away")
-    parser.add_argument("--template", action="store_true", help="be the one that workers are forked from")
+    where.add_argument(
+        "--with", dest="key", type=Path, metavar="FILE", help="a worker's key, for a cluster on another machine"
+    )
+    parser.add_argument("--template", action="store_true", help="run as the fork server for workers")
     parser.add_argument("--kind", type=WorkerKind, choices=list(WorkerKind), metavar="KIND")
     parser.add_argument("--node", type=int, help="address in the cube")
     handed.add_option(parser)
@@ -57,7 +61,7 @@ class Order(msgspec.Struct, frozen=True):
 
 
 def serve(settings: Settings) -> None:
-    """Be the template: make for all kinds what each needs, then fork as ordered."""
+    """Run as the fork server: preload programs and models for all kinds, then fork one worker per order."""
     process.log_to_stderr()
     prepared = preload(WorkerKind, settings.cell)
     read = msgspec.json.Decoder(Order).decode
@@ -70,20 +74,22 @@ def serve(settings: Settings) -> None:
 
 
 def join(key: Path, kind: WorkerKind, node: int) -> None:
-    """Be a worker of a cluster on another machine. Ends with a sentence when that does not want it."""
+    """Run as a worker of a cluster on another machine. Raises SystemExit with a message if the cluster rejects it."""
     try:
         if not work(KeyFile.load(key), kind, node, preload([kind], cell=None)):
             raise SystemExit(
-                f"the cluster does not want {kind}@{node}: its own machine, or another key, has this node; "
-                "its log says more (logs/gate.log)"
+                f"the cluster rejects {kind}@{node}: its own machine, or another key, has this node; "
+                "see logs/gate.log of the cluster"
             )
     except KeyTrouble as error:
         raise SystemExit(str(error)) from None
 
 
-def work(doors: Endpoints, kind: WorkerKind, node: int, prepared: Preloaded) -> bool:
-    """Be one worker until told to end; False when the cluster told us and not a signal. `warm` is what has been made
-    for it already."""
+def work(endpoints: Endpoints, kind: WorkerKind, node: int, prepared: Preloaded) -> bool:
+    """Run one worker until it is asked to stop. Returns True if a signal stopped it, False if the cluster did.
+
+    `prepared` holds the programs and cell models that are already compiled.
+    """
     name = f"{kind}@{node}"
     process.show_name(name)
     with process.start(name, ".") as me:
@@ -91,13 +97,15 @@ def work(doors: Endpoints, kind: WorkerKind, node: int, prepared: Preloaded) -> 
         function: Any = imports.load(kind)
         if function.NEEDS_CELL:
             imports.load("cell_model")
-        identity, secure = ("", doors.secure) if doors.far else (name, None)  # over tcp the hello names us
-        socket = me.socket(zmq.DEALER, doors.endpoint("workers"), identity=identity, secure=secure)
-        world = WorldClient(doors.endpoint("world"), me.context, secure=secure)
+        identity, secure = (
+            ("", endpoints.secure) if endpoints.far else (name, None)
+        )  # over tcp the hello carries the name
+        socket = me.socket(zmq.DEALER, endpoints.endpoint("workers"), identity=identity, secure=secure)
+        world = WorldClient(endpoints.endpoint("world"), me.context, secure=secure)
         hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid())
         shell = Shell(me, hello, function, socket, world, _models_of, prepared.programs.get(kind, {}), prepared.cells)
         process.freeze_heap()
-        gc.set_threshold(50_000, 20, 20)  # jobs leave little behind; a collection in one would only delay it
+        gc.set_threshold(50_000, 20, 20)  # jobs leave little garbage; a collection would delay a job
         me.ready()
         shell.run()
         world.close()
@@ -105,7 +113,7 @@ def work(doors: Endpoints, kind: WorkerKind, node: int, prepared: Preloaded) -> 
 
 
 def _models_of(cell: Cell) -> Any:
-    from workers.cell_model import CellModel  # brings pinocchio; only kinds that need a cell come here
+    from workers.cell_model import CellModel  # imports pinocchio; only kinds with NEEDS_CELL call this
 
     return CellModel(cell)
 

@@ -1,4 +1,4 @@
-"""What leads out when a way is blocked, in words: rows of `clears` in the programs; which is true is decided here."""
+"""Advice for blocked motions: selects the row of the program's `clears` that applies and fills it in."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from workers.belief import WorldQuery
 
 
 def advise_on_collision(refusal: Refusal, query: WorldQuery, arm: str, clears: Mapping[str, str]) -> Refusal:
-    """A refusal for a collision of this arm, or of what it holds, with what would clear it. Any other as it is."""
+    """Add advice to the refusal of a colliding motion of this arm; other refusals are returned unchanged."""
     if refusal.detail.get("cause") != "collision":
         return refusal
     bodies = [str(refusal.detail[name]).split()[0] for name in ("body_a", "body_b")]
@@ -28,7 +28,7 @@ def advise_on_collision(refusal: Refusal, query: WorldQuery, arm: str, clears: M
 
 
 def _at_goal(refusal: Refusal, query: WorldQuery, body: str) -> str:
-    """The row for a goal that is not free; empty when it is the way that is blocked."""
+    """The row for a goal in collision; empty if the collision is on the path to it."""
     if float(refusal.detail.get("fraction", 1.0)) < 1.0:
         return ""
     movable = {thing.name for thing in query.cell.objects if not thing.fixed}

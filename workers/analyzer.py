@@ -70,7 +70,7 @@ def run(
     return _failure(compiled, query, data, reason, compiled.classes[compiled.outcomes[row][reason]])
 
 
-# --- evaluate ----------------------------------------------------------------------------------------------
+# --- evaluate --------------------------------------------------------------------------------------------
 
 
 def _wrong(program: AnalyzerProgram, data: AnalyzerInput) -> str:
@@ -173,7 +173,7 @@ def _ways_to_clear(program: AnalyzerProgram, query: WorldQuery, changes: Changes
     return list(dict.fromkeys(told))
 
 
-# --- trim --------------------------------------------------------------------------------------------------
+# --- trim ------------------------------------------------------------------------------------------------
 
 
 def _trim(data: AnalyzerInput, reason: StopReason) -> int:
@@ -185,7 +185,7 @@ def _trim(data: AnalyzerInput, reason: StopReason) -> int:
     return 0
 
 
-# --- what the world is like now ------------------------------------------------------------------------------
+# --- what the world is like now --------------------------------------------------------------------------
 
 
 def _arm_changes(report: EndReport, query: WorldQuery, arm: str) -> Changes:
@@ -313,7 +313,7 @@ def _merged(changes: Changes) -> Changes:
     return list(merged.values())
 
 
-# --- words ---------------------------------------------------------------------------------------------------
+# --- words -----------------------------------------------------------------------------------------------
 
 
 def _stopped_as_requested(reflex: ReflexItem, data: AnalyzerInput) -> str:

@@ -1,4 +1,4 @@
-"""Directions by name, and poses moved along or about them. Pure geometry; knows no robot."""
+"""Named axes, and poses shifted along or turned about them. Pure geometry, independent of the robot."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from rtc.geometry import Array, Floats
 
 
 def name_of(direction: Floats) -> str:
-    """The word for a direction in world axes: UP, BACK, ...; of the six, the one it is nearest to."""
+    """Name of the nearest of the six world directions: UP, BACK and so on."""
     words = ("UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK")
     return max(words, key=lambda word: sum(a * b for a, b in zip(AXES[word][1], direction, strict=True)))
 
 
 def shifted(pose: Floats, axis: str, by_m: float) -> Array:
-    """`pose` (world) moved along an axis of the table. KeyError for another name."""
+    """`pose` (world frame) shifted along a named axis. Raises KeyError for an unknown name."""
     owner, vector = AXES[axis]
     step = [by_m * n for n in vector]
     return geometry.translate(pose, geometry.rotate(pose, step) if owner == "tool" else step)
 
 
 def turned(pose: Floats, axis: str, by_rad: float) -> Array:
-    """`pose` (world) turned on the spot about an axis of the table."""
+    """`pose` (world frame) turned in place about a named axis. Raises KeyError for an unknown name."""
     owner, vector = AXES[axis]
     half = 0.5 * by_rad
     turn = (0.0, 0.0, 0.0, *(math.sin(half) * n for n in vector), math.cos(half))
@@ -34,6 +34,6 @@ def turned(pose: Floats, axis: str, by_rad: float) -> Array:
 
 
 def in_tool(pose: Floats, axis: str) -> list[float]:
-    """The unit vector of an axis, in the tool's axes."""
+    """Unit vector of a named axis in the tool frame of `pose`."""
     owner, vector = AXES[axis]
     return list(vector) if owner == "tool" else geometry.rotate(geometry.inverse(pose), vector).tolist()

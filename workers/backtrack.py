@@ -1,11 +1,11 @@
-"""Decides a script's bindings backwards from its goal, then tries the whole chain forwards (R92, R134). Pure.
+"""Binding search: plans a script's bindings backwards from its goal, then tests the chain forwards (R92, R134). Pure.
 
-generate  every way the arm can hold its hand at the goal, nearest first
-test      each leg of the script in order, from where the arm is: limits, lines, collisions
-modify    the next way when one is blocked; and when all are, ways with detours
+generate  all inverse solutions at the goal, nearest first
+test      each path segment of the script in order, from the arm's position: limits, lines, collisions
+modify    the next solution if one is blocked; if all are blocked, paths with detours
 
-The first that passes is taken; `notes` tell the story. What can only be known when the time comes (a step from where
-the hand is then, a measured pose) is tried as planned.
+The first that passes is taken; `notes` record the attempts. Values known only at execution time (a step relative to the
+current hand pose, a measured pose) are tested with their planned values.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from workers.motion.timing import Pace
 from workers.situation import TaskCandidate
 from workers.starting_points import ANCHORS, Anchor
 
-MOST_DETOURED = 3  # ways to hold the hand for which detours are tried
-PLAN = "/plan"  # NAME/plan: the pose that the joint values NAME were solved for, to solve them anew
+MOST_DETOURED = 3  # maximum number of inverse solutions for which detours are tried
+PLAN = "/plan"  # suffix: NAME/plan is the pose from which the joint values NAME were solved, for `replan`
 
 
 @dataclass(frozen=True)
 class Planned:
     bindings: dict[str, Binding]
-    relies_on: list[str]  # facts
+    relies_on: list[str]  # keys of the facts used
     notes: list[str]
-    chosen: bool  # of several ways to hold the hand
+    chosen: bool  # one of several inverse solutions was chosen
 
 
 def plan(script: ScriptFile, candidate: TaskCandidate) -> Planned | Refusal:
-    """The bindings of the script in this situation, tried out; or what is in the way."""
+    """The tested bindings of the script for this candidate, or the refusal with the obstacle."""
     lines = _lines(script, candidate)
     if isinstance(lines, Refusal):
         return lines
@@ -58,7 +58,7 @@ def plan(script: ScriptFile, candidate: TaskCandidate) -> Planned | Refusal:
     return Planned(_bindings(lines, joints), relies_on, notes, chosen)
 
 
-# --- the poses, backwards from the goal --------------------------------------------------------------------
+# --- the poses, backwards from the goal ------------------------------------------------------------------
 
 
 def _lines(script: ScriptFile, candidate: TaskCandidate) -> dict[str, Anchor] | Refusal:
@@ -74,7 +74,7 @@ def _lines(script: ScriptFile, candidate: TaskCandidate) -> dict[str, Anchor] | 
 
 def _anchor(line: PlanLine, candidate: TaskCandidate) -> Anchor | Refusal:
     if line.at not in ANCHORS:
-        return _program(f"a plan cannot start at {line.at}; it can at {', '.join(ANCHORS)} or an earlier line")
+        return _program(f"unknown plan anchor {line.at}; known are {', '.join(ANCHORS)} or an earlier line")
     return ANCHORS[line.at](candidate)
 
 
@@ -113,7 +113,7 @@ def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[
     return bindings
 
 
-# --- the joints, tried forwards ------------------------------------------------------------------------------
+# --- the joints, tried forwards --------------------------------------------------------------------------
 
 
 Solved = tuple[dict[str, list[float]], list[str]]
@@ -139,8 +139,11 @@ def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Ancho
 
 
 def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, list[float]], bool]]:
-    """(number, way, with detours?): the nearest way with a detour is better than one that turns the arm inside out;
-    but detours are dear to try, so what is direct and near comes before them."""
+    """Attempts in order, as (number, joint values, with detours).
+
+    The nearest solution with a detour is better than a distant solution that turns the arm over. Detours are expensive,
+    so the nearest direct solutions come first.
+    """
     numbered = list(enumerate(ways, 1))
     head, tail = numbered[:MOST_DETOURED], numbered[MOST_DETOURED:]
     yield from ((n, way, False) for n, way in head)
@@ -167,7 +170,7 @@ def _request(script: ScriptFile, candidate: TaskCandidate) -> PlanningRequest:
 def _ways(
     script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor], request: PlanningRequest
 ) -> Iterator[dict[str, list[float]]]:
-    """Every choice of joint values for the lines that want some: all branches of the first, the others near to it."""
+    """Joint values for all lines with `solve`: each branch of the first line, and for the others the nearest branch."""
     wanted = [line for line in script.plan if line.solve]
     if not wanted:
         yield {}
@@ -208,7 +211,8 @@ def _unreachable(
             if why is not None:
                 return _where(why, line.name)
     return Refusal(
-        reason=RefusalReason.INFEASIBLE, message=f"{candidate.arm.name} can take none of the postures in one chain"
+        reason=RefusalReason.INFEASIBLE,
+        message=f"{candidate.arm.name} cannot reach the postures of the plan in one chain",
     )
 
 
@@ -220,7 +224,7 @@ def _try(
     request: PlanningRequest,
     detours: bool,
 ) -> Refusal | None:
-    """Go through the legs in order; the first that cannot be gone says why."""
+    """Test the segments in order; returns the refusal of the first blocked one, or None."""
     here = request.start
     for n, step in enumerate(script.steps, 1):
         if not step.to:
@@ -264,13 +268,13 @@ def _target(
 
 
 def _where(refusal: Refusal, where: str) -> Refusal:
-    """The place is told in words where it helps: a leg that cannot be gone, a program that does not fit."""
+    """Add the place to the refusal; also to its message if a segment is blocked or the program is wrong."""
     place = f"{where}, {refusal.where}" if refusal.where else where
-    told = refusal.reason in (RefusalReason.INFEASIBLE, RefusalReason.PROGRAM)
+    in_message = refusal.reason in (RefusalReason.INFEASIBLE, RefusalReason.PROGRAM)
     return msgspec.structs.replace(
-        refusal, where=place, message=f"{where}: {refusal.message}" if told else refusal.message
+        refusal, where=place, message=f"{where}: {refusal.message}" if in_message else refusal.message
     )
 
 
 def _program(message: str) -> Refusal:
-    return Refusal(reason=RefusalReason.PROGRAM, message=message, clears="LOAD a script that says it otherwise")
+    return Refusal(reason=RefusalReason.PROGRAM, message=message, clears="LOAD a corrected script")

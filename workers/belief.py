@@ -1,8 +1,8 @@
-"""What the world is believed to be, as motions need it: joints, hands, frames, and scenes for collision checks. Pure.
+"""Queries on one view of the world for motion planning: joints, hands, frames and collision scenes. Pure.
 
-Reads facts of one view; decides nothing. A fact that is not to be trusted is told as a Refusal that says what would
-clear it. Joints of arms are taken as they were last reported, whatever their validity: a subsystem refuses a
-trajectory that does not begin where the arm is, and its report then puts the fact right.
+A fact that is not trusted yields a Refusal that states what would clear it. Joints are used as last reported, whatever
+their validity: a subsystem refuses a trajectory that does not start at the arm's position, and its report then
+corrects the fact.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from workers.motion.constraints import Rules
 from workers.motion.plan import PlanningRequest
 from workers.motion.timing import Pace
 
-UNKNOWN_RADIUS_M = 0.1  # an object whose inertia nobody has told turns like a ball of this radius
-BESIDE_M = 0.04  # what is farther than this from the line of a seat's way out is not in its slot
+UNKNOWN_RADIUS_M = 0.1  # an object of unknown inertia is modelled as a solid ball of this radius
+BESIDE_M = 0.04  # maximum distance from the axis of a seat's way out at which an object is in its slot
 TRUSTED = (Validity.VALID, Validity.CHANGING)
 
 
 @dataclass(frozen=True)
 class WorldQuery:
-    """One view of the world, of one cell."""
+    """Queries on one world view of one cell. Poses are [x y z qx qy qz qw] in m, in the world frame unless stated."""
 
     model: CellModel
     world: World
@@ -47,7 +47,7 @@ class WorldQuery:
     # --- facts ---------------------------------------------------------------------------------------------
 
     def joints(self, arm: str) -> list[float]:
-        """As last reported (rad); before any report, at home."""
+        """Joint values as last reported (rad); the home position before any report."""
         return self.world.value(f"{arm}.joints") or self.cell.arm(arm).home_rad
 
     def tcp(self, arm: str) -> Array:
@@ -67,16 +67,19 @@ class WorldQuery:
         return self.world.value(f"{thing}.seat") or ""
 
     def way_out(self, thing: str) -> str:
-        """The word for the direction in which a thing leaves the seat it is in, or half in; UP when it is in none."""
+        """Name of the direction in which an object leaves the seat that it is in or partly in; UP without a seat."""
         seat = self.seat(thing) or self.seat_around(thing)
         return self.way_out_of(seat) if seat else "UP"
 
     def way_out_of(self, seat: str) -> str:
-        """The word for the direction in which a thing leaves this seat."""
+        """Name of the direction in which an object leaves this seat."""
         return axes.name_of(geometry.rotate(self.seat_frame(seat), self.cell.seat(seat).way_out).tolist())
 
     def seat_around(self, thing: str) -> str:
-        """The seat in whose slot a thing is, though it need not sit in it: it was stopped on its way in, or out."""
+        """The seat in whose slot an object is, although it need not be seated; empty if there is none.
+
+        This is the case when a motion into or out of the seat was stopped.
+        """
         for seat in self.cell.seats:
             out = geometry.rotate(self.seat_frame(seat.name), seat.way_out)
             off = self.frame(thing)[:3] - self.seated_pose(seat.name)[:3]
@@ -86,31 +89,31 @@ class WorldQuery:
         return ""
 
     def seat_frame(self, seat: str) -> Array:
-        """Where a seat is believed to be; where the cell has it, unless somebody has told."""
+        """The seat's frame: the fact if there is one, else the pose in the cell description."""
         frame = self.world.value(f"{seat}.frame")
         return self.cell.seat(seat).frame.pose if frame is None else geometry.normalise(frame)
 
     def seated_pose(self, seat: str) -> Array:
-        """Where a thing is that sits in this seat (world)."""
+        """The frame of an object seated in this seat."""
         return geometry.compose(self.seat_frame(seat), self.cell.seat(seat).module_frame.pose)
 
     def frame(self, thing: str) -> Array:
-        """Where an object is believed to be, trusted or not; before anything was told, where the cell has it."""
+        """The object's frame, trusted or not: the fact if there is one, else the pose in the cell description."""
         frame = self.world.value(f"{thing}.frame")
         return self.cell.object_pose(thing) if frame is None else geometry.normalise(frame)
 
     def spread(self, key: str) -> Spread:
-        """How well the pose of this fact is known; exactly, where nobody has stated otherwise."""
+        """Uncertainty of the pose of this fact; EXACT if the fact has none."""
         fact = self.world.get(key)
         return EXACT if fact is None or fact.spread is None else fact.spread
 
     def grasp(self, thing: str) -> Array | None:
-        """The held object's frame in tcp axes."""
+        """The held object's frame in the tcp frame; None if it is not held."""
         grasp = self.world.value(f"{thing}.grasp")
         return None if grasp is None else geometry.normalise(grasp)
 
     def point_in_hand(self, thing: str) -> cells.GraspPoint | None:
-        """The grasp point that is between the fingers, as nearly as the grasp tells."""
+        """The grasp point nearest to the tcp according to the grasp; None without a grasp."""
         grasp = self.grasp(thing)
         if grasp is None:
             return None
@@ -118,7 +121,7 @@ class WorldQuery:
         return min(points, key=lambda p: math.hypot(*geometry.compose(grasp, p.frame.pose)[:3]), default=None)
 
     def load(self, arm: str) -> Load | None:
-        """What the arm's servo should know of what its hand holds."""
+        """Mass, centre of mass and inertia of the held object in the tcp frame; None if the hand is empty."""
         thing = self.holding(arm)
         grasp = self.grasp(thing) if thing else None
         if grasp is None:
@@ -131,12 +134,15 @@ class WorldQuery:
         return Load(mass_kg=mass_kg, com_m=grasp[:3].tolist(), inertia_kg_m2=[xx, yy, zz, xy, xz, yz])
 
     def trusts(self, key: str) -> bool:
-        """Whether this fact can be built upon, whoever asks."""
+        """Whether this fact is trusted."""
         return self.distrusted(key, {}) is None
 
     def distrusted(self, key: str, clears: Mapping[str, str], own: str = "") -> Refusal | None:
-        """Why this fact cannot be built upon; None when it can. A doubt that the command `own` has itself raised is no
-        reason: its script has foreseen it, and is about to mend it."""
+        """The refusal for a fact that is not trusted; None if it is trusted.
+
+        `own`: the id of the running command. A fact that this command itself made suspect is accepted, because its
+        script is about to correct it.
+        """
         fact = self.world.get(key)
         if fact is None or fact.validity in TRUSTED or (own and fact.source.partition("/")[0] == own):
             return None
@@ -150,7 +156,7 @@ class WorldQuery:
         )
 
     def cure(self, key: str, clears: Mapping[str, str]) -> str:
-        """What would make this fact trusted again, in words. Where a held thing is follows from how it is held."""
+        """What would make this fact trusted again. For a held object, clearing the grasp also clears the frame."""
         location, _, attribute = key.rpartition(".")
         holder = self.held_by(location)
         words = clears.get("grasp" if attribute == "frame" and holder else attribute, "sense {location} again")
@@ -173,12 +179,15 @@ class WorldQuery:
         opening_m: float | None = None,
         near: Iterable[str] = (),
     ) -> Scene:
-        """Everything as believed. `touching`: the object that this arm's hand may touch; `seated`: what the hand
-        holds may be in, or come into, a seat; `away`: what is in doubt is no obstacle; `opening_m`: of this arm's hand,
-        if not as it is now; `near`: what it need keep no clearance to."""
+        """The collision scene from the current facts.
+
+        `touching`: the object that this arm's hand may touch. `seated`: the held object may be in, or enter, a seat.
+        `away`: objects with suspect frames are not obstacles. `opening_m`: opening of this arm's hand, if it differs
+        from the current one. `near`: bodies exempt from the clearance.
+        """
         held: dict[str, Held] = {}
-        told = [seat.name for seat in self.cell.seats if self.world.get(f"{seat.name}.frame") is not None]
-        poses: dict[str, Array] = {name: self.seat_frame(name) for name in told}
+        moved_seats = [seat.name for seat in self.cell.seats if self.world.get(f"{seat.name}.frame") is not None]
+        poses: dict[str, Array] = {name: self.seat_frame(name) for name in moved_seats}
         for thing in self.cell.objects:
             holder, grasp = self.held_by(thing.name), self.grasp(thing.name)
             if holder and grasp is not None:
@@ -191,11 +200,11 @@ class WorldQuery:
         ignore: list[tuple[str, str]] = []
         carried = self.holding(arm)
         close = [name for name in dict.fromkeys((touching, *near)) if name]
-        if touching:  # whose seat stands where it stands, if that is not where both are believed to be
+        if touching:  # the hand may touch its seat too: both poses share an error
             hand = self.cell.arm(arm).gripper
             met = filter(None, (touching, self.seat(touching)))
             ignore += [(f"{arm} {link}", name) for name in met for link in (*hand.finger_links, hand.palm_link)]
-        doubtful = [name for name in poses if away and name not in told and not self.trusts(f"{name}.frame")]
+        doubtful = [name for name in poses if away and name not in moved_seats and not self.trusts(f"{name}.frame")]
         ignore += [pair for name in doubtful for pair in ((arm, name), *([(carried, name)] if carried else []))]
         if carried and (seated or (away and not self.trusts(f"{carried}.grasp"))):
             ignore += [(carried, seat.name) for seat in self.cell.seats]
@@ -232,5 +241,5 @@ class WorldQuery:
 
 
 def _figures(values: Array) -> str:
-    """Numbers as a sentence says them: to a hundredth, without a minus before nothing."""
+    """Numbers for a sentence: two decimals, without negative zero."""
     return " ".join(f"{round(float(x), 2) + 0:g}" for x in values)

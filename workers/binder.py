@@ -1,8 +1,8 @@
-"""The binder: (tables, one step, world) -> a primitive and what is expected of it, or why there can be none.
+"""Binder worker function: (program, one step, world) -> a primitive with its expected result, or a refusal.
 
-Invoked once for every step, nominal or corrective (R135), with the bindings as they are by then: a parameter that is
-already fixed is taken as it is, one that was measured a step ago is used like any other (R136). A step that moves
-nothing gives bindings instead. What the words of a script mean here is in the program; this file knows no skill.
+Called once per step, nominal or corrective (R135), with the current bindings. Fixed parameters are used unchanged;
+parameters measured in an earlier step are used in the same way (R136). A step without motion yields bindings instead.
+The program defines the meaning of a script's words; this module knows no skill.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ NEEDS_WORLD = True
 NEEDS_CELL = True
 
 SUBSYSTEM = "MCM"
-TELLER = "OPERATOR"  # whoever spoke the sentence: in a report it stands where otherwise the performer does
-LEAST_WIDTH_M = 1e-6  # by which an opening may be beyond the hand's own: rounding
-LEAST_STEP_M = 0.001  # of a line whose direction means something
-MOST_TURN_RAD = math.radians(5.0)  # of a line along which a direction in tool axes stays the same
+TELLER = "OPERATOR"  # performer in the report of facts that a command states
+LEAST_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
+LEAST_STEP_M = 0.001  # minimum length of a line with a defined direction
+MOST_TURN_RAD = math.radians(5.0)  # maximum rotation along a line with a constant direction in the tool frame
 
 
 @dataclass(frozen=True)
@@ -67,19 +67,19 @@ class BindTask:
 
 
 def compile(program: bytes) -> BinderProgram:
-    """The program, checked. Raises ProgramError."""
+    """Check the program. Raises ProgramError."""
     return decode(program, BinderProgram)
 
 
 def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, data: BinderInput) -> BoundStep | Refusal:
-    """The step, bound to the world as it is now."""
+    """Bind the step to the current world."""
     assert cell is not None
     assert world is not None
     step = data.step
     if step.who != "active_arm":
-        return refused_program(f"a step for {step.who}", "only the active arm performs steps yet")
+        return refused_program(f"a step for {step.who}", "only the active arm can perform steps")
     if step.do not in compiled.actions:
-        return refused_program(f"nothing is done for {step.do}", f"there are {', '.join(compiled.actions)}")
+        return refused_program(f"unknown action {step.do}", f"there are {', '.join(compiled.actions)}")
     try:
         return ACTIONS[compiled.actions[step.do]](BindTask(compiled, WorldQuery(cell, world), data))
     except expressions.ExpressionError as error:
@@ -88,7 +88,7 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
         )
 
 
-# --- a motion of the arm -----------------------------------------------------------------------------------
+# --- a motion of the arm ---------------------------------------------------------------------------------
 
 
 def bind_motion(task: BindTask) -> BoundStep | Refusal:
@@ -140,7 +140,7 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
 
 
 def impact_of(task: BindTask, target: Target, values: Values, held: str) -> Impact | None:
-    """How hard this motion would meet a rigid body; None: the sentence asks for no force."""
+    """Expected impact of this motion on a rigid body; None if the command sets no force limit."""
     asked_n = impact.asked_force_n(task.data.context)
     if asked_n is None:
         return None
@@ -153,8 +153,10 @@ def impact_of(task: BindTask, target: Target, values: Values, held: str) -> Impa
 
 
 def pace_of(task: BindTask, values: Values, hit: Impact | None, touches: bool) -> tuple[float, list[str]]:
-    """The speed (m/s), and a note when the force that was asked for has changed it, or cannot be kept at it. A speed
-    that the sentence names is kept; so is that of a way on which no touch is expected."""
+    """The speed (m/s), with a note if the force limit has reduced it or cannot be kept at it.
+
+    A speed stated in the command is not reduced, nor is the speed of a path without expected contact.
+    """
     speed_m_s, limits = values["speed_m_s"], task.data.context.limits
     if hit is None or hit.felt_n <= hit.asked_n:
         return speed_m_s, []
@@ -169,7 +171,7 @@ def pace_of(task: BindTask, values: Values, hit: Impact | None, touches: bool) -
 
 
 def target_of(task: BindTask) -> Target | Refusal:
-    """Where the step goes, in world axes: a binding, or the hand's own place, moved if the step says so."""
+    """The target of the step (world frame): a binding or the tcp pose, shifted and turned by the step's args."""
     step = task.data.step
     if step.to == "HERE":
         pose = task.query.tcp(task.arm).tolist()
@@ -195,9 +197,9 @@ def target_of(task: BindTask) -> Target | Refusal:
 
 
 def world_pose(task: BindTask, binding: Binding, name: str) -> list[float] | Refusal:
-    """A pose binding in world axes; none in the axes of an object whose frame is not to be trusted (R151)."""
+    """A pose binding in the world frame. Refuses a binding relative to an object whose frame is not trusted (R151)."""
     if binding.pose is None:
-        return refused_program(f"{name} is no pose", "bind a pose or joint values to it")
+        return refused_program(f"{name} is not a pose", "bind a pose or joint values to it")
     if binding.frame is None:
         return binding.pose
     if binding.frame not in {thing.name for thing in task.query.cell.objects}:
@@ -211,7 +213,7 @@ def world_pose(task: BindTask, binding: Binding, name: str) -> list[float] | Ref
 
 
 def against_motion(start: list[float], motion: Motion) -> Vector | None:
-    """The axis, in the tool's own, along which a force on the hand opposes this line; None: no one axis."""
+    """Unit vector (tool frame) of a force that opposes this line; None if it is not constant along the line."""
     if (
         geometry.distance(start, motion.goal_pose) < LEAST_STEP_M
         or geometry.angle(start, motion.goal_pose) > MOST_TURN_RAD
@@ -224,7 +226,7 @@ def against_motion(start: list[float], motion: Motion) -> Vector | None:
     return axis
 
 
-# --- a motion of the hand ----------------------------------------------------------------------------------
+# --- a motion of the hand --------------------------------------------------------------------------------
 
 
 def bind_hand(task: BindTask) -> BoundStep | Refusal:
@@ -232,7 +234,7 @@ def bind_hand(task: BindTask) -> BoundStep | Refusal:
 
 
 def hand_motion(task: BindTask, op: str) -> BoundStep | Refusal:
-    """Open to a width, or close until something is gripped or nothing is between the fingers."""
+    """Open the hand to a width, or close it until it grips an object or is fully closed."""
     step, context, query = task.data.step, task.data.context, task.query
     if op not in task.program.hand:
         return refused_program(f"a hand cannot {op}", f"it can {', '.join(task.program.hand)}")
@@ -277,7 +279,7 @@ def _refuse_hand_figure(task: BindTask, name: str, value: float, most: float, un
     )
 
 
-# --- staying -----------------------------------------------------------------------------------------------
+# --- staying ---------------------------------------------------------------------------------------------
 
 
 def bind_still(task: BindTask) -> BoundStep | Refusal:
@@ -289,7 +291,9 @@ def bind_still(task: BindTask) -> BoundStep | Refusal:
     duration_s = values["duration_s"]
     if task.data.context.limits.time_s is not None:
         duration_s = min(duration_s, task.data.context.limits.time_s)
-    known = query.trusts(f"{task.arm}.joints")  # else it stays wherever that is, and the report tells
+    known = query.trusts(
+        f"{task.arm}.joints"
+    )  # otherwise the arm holds an unknown position, which the report will contain
     evaluation = EvaluationContext(
         context=task.data.context,
         step=step,
@@ -304,7 +308,7 @@ def bind_still(task: BindTask) -> BoundStep | Refusal:
     return primitive(task, stop_class, values, HoldStill(duration_s=duration_s), evaluation, None, "", timed=False)
 
 
-# --- the primitive -----------------------------------------------------------------------------------------
+# --- the primitive ---------------------------------------------------------------------------------------
 
 
 def primitive(
@@ -319,7 +323,10 @@ def primitive(
     moves: bool = True,
     timed: bool = True,
 ) -> BoundStep | Refusal:
-    """T = (P, M, F, R). `moves`: the arm does, so what it holds is watched; `timed`: it must keep to a time limit."""
+    """Assemble T = (P, M, F, R).
+
+    `moves`: the arm moves, so the held object is monitored. `timed`: the command's time limit applies.
+    """
     limit_s = values["time_factor"] * evaluation.predicted_s + values["time_margin_s"]
     most_s = task.data.context.limits.time_s
     if most_s is not None and timed:
@@ -344,7 +351,7 @@ def primitive(
         return Refusal(
             reason=RefusalReason.INFEASIBLE,
             message=f"{evaluation.held} weighs {load.mass_kg:g} kg; {task.arm} carries {payload_kg:g} kg at most",
-            clears=f"let go of {evaluation.held}; if it is lighter, tell its mass",
+            clears=f"let go of {evaluation.held}; if it is lighter, correct its mass",
             detail={"cause": "payload", "mass_kg": load.mass_kg, "limit_kg": payload_kg, "arm": task.arm},
         )
     made = Primitive(
@@ -367,11 +374,11 @@ def primitive(
     )
 
 
-# --- steps that move nothing -------------------------------------------------------------------------------
+# --- steps that move nothing -----------------------------------------------------------------------------
 
 
 def bind_assignment(task: BindTask) -> BoundStep | Refusal:
-    """GP = 0.5*(GP1 + GP2): a binding from others, measured or planned."""
+    """A binding computed from other bindings, measured or planned: GP = 0.5*(GP1 + GP2)."""
     step = task.data.step
     given: dict[str, float | list[float]] = {}
     for name in expressions.names(step.value):
@@ -396,15 +403,15 @@ def bind_assignment(task: BindTask) -> BoundStep | Refusal:
 
 
 def bind_stated_facts(task: BindTask) -> BoundStep | Refusal:
-    """What the sentence tells, as the report that it is (A24): an analyzer judges it, and alone writes it."""
+    """The facts stated by the command, as a report (A24); the analyzer judges and writes them."""
     context = task.data.context
     if not context.told:
-        return refused_program("the sentence tells nothing", "a script for a sentence that tells something")
-    told = EndReport(
+        return refused_program("the command states no facts", "a script for a command that states facts")
+    report = EndReport(
         primitive=task.data.primitive_id,
         performer=TELLER,
         reason=StopReason.GOAL,
-        at_s=0.0,  # nothing moved: it has no time of its own
+        at_s=0.0,  # no motion, so there is no arm time
         duration_s=0.0,
         joints=[],
         tcp_pose=[],
@@ -413,7 +420,7 @@ def bind_stated_facts(task: BindTask) -> BoundStep | Refusal:
         hand_force_n=0.0,
         facts=context.told,
     )
-    return BoundStep(told=told, evaluation=EvaluationContext(context=context, step=task.data.step), note="told")
+    return BoundStep(told=report, evaluation=EvaluationContext(context=context, step=task.data.step), note="told")
 
 
 def bind_procedure(task: BindTask) -> BoundStep | Refusal:
@@ -423,7 +430,7 @@ def bind_procedure(task: BindTask) -> BoundStep | Refusal:
 
 
 def open_hand(task: BindTask) -> BoundStep | Refusal:
-    """Bring the hand, which must be empty, to the width that is wanted before it takes something."""
+    """Open the empty hand to the width required before a grasp."""
     held = task.query.holding(task.arm)
     if held:
         message = f"{task.arm} already holds {held}"
@@ -432,7 +439,7 @@ def open_hand(task: BindTask) -> BoundStep | Refusal:
 
 
 def restate_plan(task: BindTask) -> BoundStep | Refusal:
-    """The plan's bindings again; joint values anew where their object is no longer where it was when it was planned."""
+    """Bindings of the plan, with joint values solved again for objects that have moved since planning."""
     laid = procedures.replan(task.query, task.arm, task.data.bindings)
     return laid if isinstance(laid, Refusal) else BoundStep(bindings=laid, note="the plan")
 

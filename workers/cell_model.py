@@ -1,7 +1,7 @@
-"""The robot models of one cell, built once per cell and worker process, handed to every job that works in that cell.
+"""Robot and collision models of one cell, built once per cell and worker process and shared by its jobs.
 
-They are costly to build (URDF texts become models) and never change, so they are not part of a job's state. Built
-when first asked for: an analyzer that never checks a collision does not pay for the bodies.
+Building them parses URDF and is expensive. They never change, so they are not job state. Each model is built on first
+use: an analyzer that never checks collisions does not build the collision bodies.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from rtc.robot.kinematics import ArmModel
 
 
 class CellModel:
-    """`arms` by name, `collision` of the whole cell, and the `cell` they were built from. For one thread."""
+    """`arms` by name, `collision` of the whole cell, and the `cell` they were built from. Not thread-safe."""
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell

@@ -1,8 +1,8 @@
-"""The elaborator: (scripts, parsed command, world) -> the script for it, or a refusal that says why there is none.
+"""Elaborator worker function: (program, parsed command, world) -> script, or a refusal with the cause.
 
-It looks a verb up in the decision tree, sees which arm, object and point are meant, ranks the options, decides the
-bindings of each backwards from the goal until one can be done, and hands out the steps with their trims. Once that is
-executed, the others are not tried (R75). Which verbs there are, and what is done for each, is all in the program.
+It looks up the verb in the decision tree, resolves arm, object and grasp point, and ranks the options. It plans the
+bindings of each option backwards from the goal until one is feasible, and returns its steps with their trims. The other
+options are not tried once the script is executed (R75). The program alone defines the verbs and their scripts.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ INPUT = ElaboratorInput
 NEEDS_WORLD = True
 NEEDS_CELL = True
 
-FIRST_SKILL = 3  # cases 1 and 2 are actions, 3 and 4 skills (R76)
+FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,13 @@ class ScriptOption:
 
 
 def compile(program: bytes) -> Compiled:
-    """The program, checked. Raises ProgramError."""
+    """Check and index the program. Raises ProgramError."""
     document = decode(program, ElaboratorProgram)
     return Compiled(document, {s.script: s for s in document.scripts}, {p.skill: p for p in document.pieces})
 
 
 def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: ElaboratorInput) -> Script | Refusal:
-    """The script for a command."""
+    """Choose and plan the script for a command."""
     assert cell is not None
     assert world is not None
     program, parsed = compiled.program, data.parsed
@@ -87,13 +87,13 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     return _first_feasible(compiled, options)
 
 
-# --- what is meant -----------------------------------------------------------------------------------------
+# --- resolve arm, object, point and target ---------------------------------------------------------------
 
 
 def _candidates(
     compiled: Compiled, parsed: ParsedCommand, limits: Limits, query: WorldQuery
 ) -> list[TaskCandidate] | Refusal:
-    """Every arm and grasp point the sentence leaves open, nearest first."""
+    """One candidate per arm and grasp point that the sentence allows, nearest first."""
     cell, program = query.cell, compiled.program
     thing: cells.Object | None = None
     if parsed.object is not None:
@@ -122,7 +122,7 @@ def _candidates(
 
 
 def _or_a_hand(unknown: Refusal, compiled: Compiled, parsed: ParsedCommand, cell: cells.Cell) -> Refusal:
-    """No such object; where the verb takes a hand without an object, an arm may have been meant."""
+    """Refusal for an unknown object. If the verb also takes a hand without an object, arms are expected as well."""
     takers = [row for row in compiled.program.decision_tree if row.verb == parsed.verb]
     hands = any(check.missing == "object" for row in takers for check in row.when)
     if parsed.hand is not None or not hands:
@@ -132,7 +132,7 @@ def _or_a_hand(unknown: Refusal, compiled: Compiled, parsed: ParsedCommand, cell
 
 
 def _far(candidate: TaskCandidate) -> float:
-    """From the arm's base to where its hand shall be: the first guess which arm, and which point, is meant."""
+    """Distance (m) from the arm's base to its grasp goal; the order in which candidates are tried."""
     if candidate.thing is None:
         return 0.0
     frame = candidate.query.frame(candidate.thing.name)
@@ -141,11 +141,11 @@ def _far(candidate: TaskCandidate) -> float:
 
 
 def _arms(parsed: ParsedCommand, query: WorldQuery, thing: cells.Object | None) -> list[cells.Arm] | Refusal:
-    """The arm that is named; else the one that holds the object; else all."""
+    """The arm named in the sentence; else the arm that holds the object; else all arms."""
     cell = query.cell
     if parsed.hand is not None:
         if parsed.hand == "BOTH-ARMS":
-            message = "two arms in one command are not done yet"
+            message = "a command for two arms is not supported"
             return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears="name one arm")
         found = _part(cell.arms, parsed.hand, "arm")
         return found if isinstance(found, Refusal) else [found]
@@ -156,7 +156,7 @@ def _arms(parsed: ParsedCommand, query: WorldQuery, thing: cells.Object | None) 
 def _points(
     compiled: Compiled, parsed: ParsedCommand, thing: cells.Object | None
 ) -> list[cells.GraspPoint | None] | Refusal:
-    """The one that is named; else all; none when no script of the verb takes hold anywhere."""
+    """The grasp point named in the sentence; else all; [None] if no script of the verb uses a grasp point."""
     scripts = [compiled.scripts[b.script] for b in compiled.program.decision_tree if b.verb == parsed.verb]
     if thing is None or not any("grasp_point" in script.uses for script in scripts):
         return [None]
@@ -174,11 +174,11 @@ def _part(parts: list[T], name: str, what: str) -> T | Refusal:
     return found or naming.unknown(what, name, [part.name for part in parts])
 
 
-# --- which script ------------------------------------------------------------------------------------------
+# --- choose the script -----------------------------------------------------------------------------------
 
 
 def _ranked(branches: list[Branch], candidates: list[TaskCandidate]) -> list[ScriptOption] | Refusal:
-    """Every branch whose conditions hold, for every situation: the likeliest first, then the nearest."""
+    """All pairs of branch and candidate whose conditions hold: the likeliest first, then the nearest."""
     options = []
     for branch in branches:
         for candidate in candidates:
@@ -196,14 +196,14 @@ def _ranked(branches: list[Branch], candidates: list[TaskCandidate]) -> list[Scr
 
 
 def _holds(check: Check, candidate: TaskCandidate) -> bool:
-    said = candidate.parsed
-    if check.given and sentence.field(said, check.given) is None:
+    parsed = candidate.parsed
+    if check.given and sentence.field(parsed, check.given) is None:
         return False
-    if check.missing and sentence.field(said, check.missing) is not None:
+    if check.missing and sentence.field(parsed, check.missing) is not None:
         return False
-    if any(sentence.field(said, path) != value for path, value in check.equals.items()):
+    if any(sentence.field(parsed, path) != value for path, value in check.equals.items()):
         return False
-    if any(sentence.field(said, path) == value for path, value in check.differs.items()):
+    if any(sentence.field(parsed, path) == value for path, value in check.differs.items()):
         return False
     if check.of is None:
         return True
@@ -213,7 +213,7 @@ def _holds(check: Check, candidate: TaskCandidate) -> bool:
 
 
 def _first_feasible(compiled: Compiled, options: list[ScriptOption]) -> Script | Refusal:
-    """The best option that can be done. None: what is wrong with the best, and how many were tried."""
+    """The script of the first feasible option; else the most informative refusal with the number of options."""
     first: Refusal | None = None
     notes: list[str] = []
     for option in options:
@@ -234,7 +234,7 @@ def _first_feasible(compiled: Compiled, options: list[ScriptOption]) -> Script |
     )
 
 
-#: when several options fail, the reason that tells most goes up
+#: If several options fail, the refusal with the lowest rank is returned.
 _PRECEDENCE = dict.fromkeys(RefusalReason, 1) | {
     RefusalReason.NAME: 0,
     RefusalReason.SUSPECT: 0,
@@ -244,7 +244,7 @@ _PRECEDENCE = dict.fromkeys(RefusalReason, 1) | {
 }
 
 
-# --- the script --------------------------------------------------------------------------------------------
+# --- the script ------------------------------------------------------------------------------------------
 
 
 def _script(
@@ -308,16 +308,16 @@ def _context(option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]
 
 
 def _names(roles: list[str], candidate: TaskCandidate, held: str) -> list[str]:
-    """What the roles stand for; what the arm holds goes where the arm goes."""
+    """The names that the roles stand for; includes the held object, because it moves with the arm."""
     stands_for = {**candidate.roles, "its_seat": candidate.query.seat(candidate.thing.name) if candidate.thing else ""}
     return list(dict.fromkeys(name for name in (*(stands_for.get(role, role) for role in roles), held) if name))
 
 
 def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nominal: bool) -> Step:
-    """The step for this situation: its figures worked out, its words filled in."""
-    there = {entry.n for entry in entries}
+    """The step for this candidate, with evaluated figures and filled-in words."""
+    known = {entry.n for entry in entries}
     index, count = step.trim
-    asked = [] if not nominal else [n for n in range(index, index + count) if n in there]
+    asked = [] if not nominal else [n for n in range(index, index + count) if n in known]
     own = [entry.n for entry in entries if nominal and entry.n > MOST_ENTRIES]
     figures: dict[str, float | str] = {n: expressions.number(e, candidate.figures) for n, e in step.args.items()}
     report = candidate.parsed.report
@@ -341,7 +341,7 @@ def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nomin
 
 
 def _sensed_first(compiled: Compiled, candidate: TaskCandidate) -> list[Step]:
-    """What is not known of the arm and can be sensed is, before anything rests on it."""
+    """Steps that sense untrusted facts of the arm; they precede the steps of the script."""
     senses = compiled.program.senses
     unknown = [
         piece for attribute, piece in senses.items() if not candidate.query.trusts(f"{candidate.arm.name}.{attribute}")
@@ -349,18 +349,18 @@ def _sensed_first(compiled: Compiled, candidate: TaskCandidate) -> list[Step]:
     return [_step(step, candidate, [], nominal=False) for piece in unknown for step in compiled.pieces[piece].steps]
 
 
-MOST_ENTRIES = 100  # of a trimming stack; the trims that a sentence itself names (AND TRY) are numbered above
+MOST_ENTRIES = 100  # maximum size of a trimming stack; trims of the sentence (AND TRY) have higher numbers
 
 
 def _trims(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> tuple[list[Trim], list[str]] | Refusal:
-    """The trimming stack, and notes about entries that were left out because nothing does them yet."""
+    """The trimming stack, and notes about entries without a piece of script, which are left out."""
     entries: list[Trim] = []
     left_out: list[str] = []
     for entry in script.trimming_stack:
         piece = compiled.pieces.get(entry.skill)
         label = f"{entry.skill} {candidate.roles.get(entry.who, entry.who)}"
         if piece is None:
-            left_out.append(f"trim {entry.n} ({label}) is left out: no piece of script does {entry.skill} yet")
+            left_out.append(f"trim {entry.n} ({label}) is left out: there is no piece of script for {entry.skill}")
             continue
         steps = [_step(step, candidate, [], nominal=False) for step in piece.steps]
         entries.append(Trim(n=entry.n, label=label, steps=steps, then=entry.then, fits=entry.fits))
@@ -375,7 +375,7 @@ def _trims(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> 
     return entries, left_out
 
 
-# --- refusals ----------------------------------------------------------------------------------------------
+# --- refusals --------------------------------------------------------------------------------------------
 
 
 def _no_script(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal:
@@ -401,15 +401,15 @@ def _none_fits(parsed: ParsedCommand, branches: list[Branch]) -> Refusal:
 
 
 def _wants(branch: Branch) -> str:
-    """What a branch asks of the sentence, in words."""
+    """The conditions of a branch on the sentence, in words."""
     words = sentence.in_words
-    said = [f"with {words(check.given)}" for check in branch.when if check.given]
-    unsaid = [f"without {words(check.missing)}" for check in branch.when if check.missing]
+    present = [f"with {words(check.given)}" for check in branch.when if check.given]
+    absent = [f"without {words(check.missing)}" for check in branch.when if check.missing]
     values = [f"with {words(path)} {value}" for check in branch.when for path, value in check.equals.items()]
     others = [
         f"with {words(path)} other than {value}" for check in branch.when for path, value in check.differs.items()
     ]
-    return ", ".join([*said, *unsaid, *values, *others]) or "with an object whose figures fit"
+    return ", ".join([*present, *absent, *values, *others]) or "with an object whose figures fit"
 
 
 def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refusal:
@@ -420,8 +420,10 @@ def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refusal:
 
 
 def _unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
-    """What the hand holds goes where it goes: no motion is planned round it while it is in doubt how it is held (R151).
-    Fingers may press or open, and a script that says so may move: to back off from what was touched, to let go."""
+    """Refuse to move a held object whose grasp is suspect (R151).
+
+    Scripts that move only the fingers are allowed, and scripts with `despite_grasp`: backing off and letting go.
+    """
     held = candidate.query.holding(candidate.arm.name)
     if not held or script.despite_grasp or not any(step.to for step in script.steps):
         return None
@@ -429,5 +431,5 @@ def _unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | Non
 
 
 def verbs(program: ElaboratorProgram) -> Iterator[str]:
-    """Every verb that has a script."""
+    """All verbs with a script."""
     yield from dict.fromkeys(branch.verb for branch in program.decision_tree if branch.enabled)

@@ -1,7 +1,8 @@
-"""Whether what a hand holds is known well enough for a step: asked when a script is made, and when its step is bound.
+"""Required certainty of a held object's pose for a step. Pure.
 
-A step says what it needs in its args: `needs_m` and `needs_rad`, the same along and about all axes; or `needs`, a seat
-whose own figures (`needs_within` of the cell) count. Time and blows make what is held known less, so both ask. Pure.
+A step states the requirement in its args: `needs_m` and `needs_rad` for all axes, or `needs`, a seat with its own
+bounds (`needs_within` in the cell). The elaborator and the binder both check it, because uncertainty grows with time
+and with impacts.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ Args = Mapping[str, float | str]
 
 
 def refuse_if_uncertain(query: WorldQuery, arm: str, args: Args, clears: Mapping[str, str]) -> Refusal | None:
-    """Why the step cannot be done with what the arm holds; None when it can, or when it holds nothing."""
+    """Refuse a step if the held object's grasp is too uncertain; None if it is not, or if the hand is empty."""
     held = query.holding(arm)
     within = needed(query, args) if held else None
     if within is None:
@@ -28,7 +29,7 @@ def refuse_if_uncertain(query: WorldQuery, arm: str, args: Args, clears: Mapping
         return None
     return Refusal(
         reason=RefusalReason.SUSPECT,
-        message=f"how {arm} holds {held} is known too badly for this: {', '.join(axes)}",
+        message=f"the grasp of {held} by {arm} is too uncertain for this: {', '.join(axes)}",
         where=key,
         clears=clears.get("spread", "sense {location} again").replace("{location}", held),
         detail={"cause": "spread", "axes": ", ".join(axes)},
@@ -36,7 +37,7 @@ def refuse_if_uncertain(query: WorldQuery, arm: str, args: Args, clears: Mapping
 
 
 def needed(query: WorldQuery, args: Args) -> Spread | None:
-    """The bounds that a step needs; None when it needs none."""
+    """The maximum spread that a step accepts; None if it has no requirement."""
     seat = args.get("needs")
     if isinstance(seat, str) and seat:
         within = query.cell.seat(seat).needs_within

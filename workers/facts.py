@@ -41,7 +41,7 @@ def _refused(message: str, where: str, clears: str) -> Refusal:
     return Refusal(reason=RefusalReason.INFEASIBLE, message=message, where=where, clears=clears)
 
 
-# --- what can be true ----------------------------------------------------------------------------------------
+# --- what can be true ------------------------------------------------------------------------------------
 
 
 def _anything(key: str, value: Any, values: Values) -> str:
@@ -60,13 +60,13 @@ def _heavy(key: str, value: Any, values: Values) -> str:
 PLAUSIBLE: dict[str, Callable[[str, Any, Values], str]] = {"frame": _near, "mass": _heavy}
 
 
-# --- how well it is known ------------------------------------------------------------------------------------
+# --- how well it is known --------------------------------------------------------------------------------
 
 
 TOLD: dict[str, Callable[[Values], list[float]]] = {"frame": lambda values: even(values["told_m"], values["told_rad"])}
 
 
-# --- what follows --------------------------------------------------------------------------------------------
+# --- what follows ----------------------------------------------------------------------------------------
 
 
 def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes | Refusal:

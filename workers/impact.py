@@ -1,7 +1,7 @@
-"""How hard a hand meets a rigid body, and the speed at which a force that was asked for can be kept. Pure.
+"""Impact force of a hand on a rigid body, and the speed at which a force limit can be kept. Pure.
 
-An arm stops in the tick that feels a contact, yet that tick has taken up the momentum of the hand: effective mass times
-speed, within one tick of the servo. No threshold changes that; a lower speed does.
+An arm stops in the servo tick that measures a contact, but within that tick the contact absorbs the hand's momentum:
+effective mass times speed. A lower threshold cannot reduce this force; a lower speed can.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from rtc.robot.kinematics import ArmModel
 
 
 class Impact(NamedTuple):
-    """Of a motion with a force that was asked for."""
+    """Impact of a motion with a force limit."""
 
     asked_n: float
-    felt_n: float  # on a rigid body at the speed of the motion
-    kept_m_s: float  # the speed below which what is felt stays within what was asked
+    felt_n: float  # force (N) on a rigid body at the motion's speed
+    kept_m_s: float  # maximum speed that keeps the force within `asked_n`
 
 
 def asked_force_n(context: ScriptContext) -> float | None:
-    """The least force that the sentence names as a limit: FORCE-LIMIT, UNLESS FORCE EXCEEDS."""
+    """The lowest force limit of the command (N), from FORCE-LIMIT and UNLESS FORCE EXCEEDS; None without one."""
     conditions = [reflex.condition for reflex in context.reflexes]
-    said = [c.quantity.value for c in conditions if c.measure == "FORCE" and c.bound == "above" and c.quantity]
+    limits_n = [c.quantity.value for c in conditions if c.measure == "FORCE" and c.bound == "above" and c.quantity]
     if context.limits.force_n is not None:
-        said.append(context.limits.force_n)
-    return min(said, default=None)
+        limits_n.append(context.limits.force_n)
+    return min(limits_n, default=None)
 
 
 def impact(
     arm: ArmModel, joints: Floats, way_m: Floats, carried_kg: float, impact_s: float, speed_m_s: float, asked_n: float
 ) -> Impact | None:
-    """Of the tcp going along `way_m` (world axes) from `joints`; None: it goes nowhere."""
+    """Impact of the tcp moving by `way_m` (world frame, m) from `joints` (rad); None for a zero displacement."""
     way = np.asarray(way_m, dtype=float)
     length_m = float(np.linalg.norm(way))
     if length_m < 1e-6:

@@ -1,7 +1,7 @@
-"""Importing a worker's module without what no worker uses.
+"""Import a worker's module without matplotlib.
 
-toppra imports matplotlib.pyplot for its plotting methods; that is 0.4 s of processor time in every start, and nobody
-plots in a worker. An empty module stands in for it while the worker's modules are imported, and is gone afterwards.
+toppra imports matplotlib.pyplot for its plotting methods, which takes 0.4 s of processor time at every start. Workers
+do not plot. An empty module replaces matplotlib during the import and is removed afterwards.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from types import ModuleType
 
 
 def load(name: str) -> ModuleType:
-    """The module `workers.NAME`, imported without plotting."""
+    """Import the module `workers.NAME` without matplotlib."""
     with _no_plots():
         return importlib.import_module(f"workers.{name}")
 

@@ -1,7 +1,7 @@
-"""One leg of a script: from where the arm is to a target, in joint space or straight in task space. Pure.
+"""Path segments of a script: from the arm's position to a target, in joint space or straight in task space. Pure.
 
-The words of Figure 4's fourth column are the keys of `SPACES`. The elaborator asks `tested` (is there a way, and where
-does it end), the binder asks `timed` (that way, in time).
+The keys of `SPACES` are the words of the fourth column of the paper's Figure 4. The elaborator calls `check_segment`
+(is there a path, and where does it end); the binder calls `plan_segment` (the timed motion).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from workers.motion import ik
 from workers.motion import path as paths
 from workers.motion.plan import Motion, PlanningRequest, fault, free_posture, plan_joint_motion, plan_task_motion
 
-SAME_RAD = 0.02  # a straight line that was to end in given joint values ends no farther from them
+SAME_RAD = 0.02  # tolerance of the joint values at the end of a straight line
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,15 @@ class Target:
 
 
 def check_segment(request: PlanningRequest, space: str, target: Target, detours: bool) -> Array | Refusal:
-    """The joints at the end of the leg, if it can be gone."""
+    """The joint values (rad) at the end of the segment, or the refusal if it is blocked.
+
+    `detours`: also try paths with way-points if the direct path is blocked.
+    """
     return _TESTS[space](request, target, detours)
 
 
 def plan_segment(request: PlanningRequest, space: str, target: Target) -> Motion | Refusal:
-    """The leg as a motion."""
+    """The segment as a timed motion."""
     return SPACES[space](request, target)
 
 
@@ -96,7 +99,7 @@ def _tested_task(request: PlanningRequest, target: Target, detours: bool) -> Arr
 
 
 def _other_end(request: PlanningRequest, target: Target, end: Array) -> Refusal | None:
-    """A straight line to given joint values ends in another posture of the same pose."""
+    """Refusal if a straight line reaches the pose of the given joint values on another branch; else None."""
     if target.joints is None:
         return None
     off_rad = float(np.abs(end - np.asarray(target.joints)).max())
@@ -110,7 +113,7 @@ def _other_end(request: PlanningRequest, target: Target, end: Array) -> Refusal 
     )
 
 
-#: the fourth column of a script -> how its legs are planned
+#: fourth column of a script -> planner of its segments
 SPACES: dict[str, Callable[[PlanningRequest, Target], Motion | Refusal]] = {
     "move_joint": _timed_joint,
     "move_task": _timed_task,

@@ -1,4 +1,4 @@
-"""What a script may need of the world, by registered name, and what brings it about when it is not so. Pure."""
+"""Preconditions of scripts by registered name, and the advice that establishes an unmet one. Pure."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from rtc.outcomes import Refusal, RefusalReason
 from workers.belief import WorldQuery
 from workers.situation import TaskCandidate
 
-IN_SEAT_M = 0.02  # what a hand lets go of this near to its seated place is taken to be in the seat
+IN_SEAT_M = 0.02  # an object released within this distance of its seated pose stays in the seat
 
 
 class Lack(NamedTuple):
-    """What is not so, the thing or arm that is in the way, and the row of `needs` that clears it (else its own)."""
+    """An unmet precondition, the object or arm that causes it, and the row of `needs` that clears it (else its own)."""
 
     message: str
     held: str
     row: str = ""
-    thing: str = ""  # what would have to be let go of, if it is not `held`
+    thing: str = ""  # the object to let go of, if it is not `held`
 
 
 def seat_of(query: WorldQuery, thing: str) -> str:
-    """The seat in which a thing would stay when it is let go; empty when there is none."""
-    at = query.frame(thing)
+    """The seat in which an object would stay after it is let go; empty if there is none."""
+    frame = query.frame(thing)
     seats = (seat.name for seat in query.cell.seats)
-    return next((name for name in seats if geometry.distance(at, query.seated_pose(name)) < IN_SEAT_M), "")
+    return next((name for name in seats if geometry.distance(frame, query.seated_pose(name)) < IN_SEAT_M), "")
 
 
 def _hand_empty(candidate: TaskCandidate) -> Lack | None:
@@ -56,7 +56,7 @@ def _object_held(candidate: TaskCandidate) -> Lack | None:
 def _object_seated(candidate: TaskCandidate) -> Lack | None:
     assert candidate.thing is not None
     name = candidate.thing.name
-    return None if seat_of(candidate.query, name) else Lack(f"{name} is in no seat, and would drift away", name)
+    return None if seat_of(candidate.query, name) else Lack(f"{name} is not in a seat, and would drift away", name)
 
 
 def _seat_free(candidate: TaskCandidate) -> Lack | None:
@@ -86,7 +86,7 @@ NEEDS: dict[str, Callable[[TaskCandidate], Lack | None]] = {
 
 
 def refuse_if_unmet(need: str, candidate: TaskCandidate) -> Refusal | None:
-    """Why the script cannot be done now; None when what it needs is so."""
+    """The refusal for an unmet precondition; None if it is met."""
     lack = NEEDS[need](candidate)
     if lack is None:
         return None
@@ -100,7 +100,7 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> Refusal | None:
 
 
 def _let_go(rows: dict[str, str], query: WorldQuery, thing: str) -> str:
-    """The sentence that empties the hand: where it is, if the thing stays there; else by way of a free seat."""
+    """The command that empties the hand: in place if the object stays there; else into a free seat."""
     if thing not in {known.name for known in query.cell.objects} or seat_of(query, thing):
         return rows.get("let_go", "").replace("{held}", thing)
     taken = {query.seat(known.name) for known in query.cell.objects if known.name != thing}

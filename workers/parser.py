@@ -1,7 +1,7 @@
-"""The parser: (grammar, sentence) -> record or refusal.
+"""Parser worker function: (grammar, sentence) -> parsed record or refusal.
 
-A pure function: it knows no socket, no world and no other job. The compiled grammar is kept from job to
-job only because compiling costs a fifth of a second; what a job gives never depends on that.
+Pure: it uses no socket, no world and no other job. Compiled grammars are cached because compiling takes 0.2 s; the
+result of a job never depends on the cache.
 """
 
 from __future__ import annotations
@@ -17,33 +17,33 @@ INPUT = ParserInput
 NEEDS_WORLD = False
 NEEDS_CELL = False
 
-KEPT_GRAMMARS = 4  # the live one, the one before it, and two on trial
+KEPT_GRAMMARS = 4  # cached grammars: the live one, its predecessor and two on trial
 
 
 def compile(program: bytes) -> str:
-    """The grammar's text, which compiles. Raises ProgramError."""
+    """Decode and compile the grammar; returns its text. Raises ProgramError if it does not compile."""
     try:
         text = program.decode()
     except UnicodeDecodeError as error:
-        raise ProgramError(f"the grammar is no text: {error}") from error
+        raise ProgramError(f"the grammar is not valid UTF-8 text: {error}") from error
     _compiled(text)
     return text
 
 
 def run(compiled: str, cell: object, world: object, data: ParserInput) -> ParsedCommand | Refusal:
-    """The record of one sentence; needs neither cell nor world."""
+    """Parse one sentence. `cell` and `world` are not used."""
     return parse_job(compiled, data.text)
 
 
 def parse_job(program: str, text: str | bytes) -> ParsedCommand | Refusal:
-    """Parse one sentence by the grammar text `program`. Whatever the two are, nothing is raised."""
+    """Parse one sentence by the grammar text `program`. Never raises: every error becomes a Refusal."""
     try:
         return parse(_compiled(program), text)
     except ProgramError as error:
         return Refusal(reason=RefusalReason.PROGRAM, message=str(error), where="the grammar")
     except (LookupError, TypeError, ValueError, AttributeError) as error:
-        # A loaded grammar may give a meaning to a production that has not the parts this meaning needs.
-        # That shows only when such a sentence comes: the program is at fault, the worker lives on.
+        # A loaded grammar may attach a meaning to a production that lacks the parts this meaning needs.
+        # Only a sentence of that form shows the error: refuse the program and keep the worker.
         message = f"The grammar gives this sentence a meaning that does not fit its words ({error!r})."
         return Refusal(reason=RefusalReason.PROGRAM, message=message, where="the grammar")
 

@@ -1,4 +1,4 @@
-"""What a script's procedures compute when their turn comes. Pure."""
+"""Replanning at execution time: joint values for objects that have moved since planning. Pure."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from rtc.outcomes import Refusal
 from workers.backtrack import PLAN
 from workers.belief import WorldQuery
 
-MOVED_M = 0.0005  # an object that has moved less is where it was
+MOVED_M = 0.0005  # smaller displacements need no replanning
 MOVED_RAD = math.radians(0.2)
 
 
 def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[str, Binding] | Refusal:
-    """Joint values solved anew, near to the old ones, where the object they were solved for has moved since."""
+    """Joint values (rad), nearest to the old ones, for each planned pose whose object has moved; or a refusal."""
     model = query.model.arms[arm]
     margin_rad = math.radians(query.cell.numbers.joint_margin_deg)
     anew: dict[str, Binding] = {}

@@ -1,7 +1,7 @@
-"""UNLESS condition THEN action, as stop functions that run in the motion loop (A8). Pure.
+"""UNLESS condition THEN action, converted to stop functions of the motion loop (A8). Pure.
 
-What no sensor of an arm can feel, or no reflex can do, is told by `unrealised`, before anything moves; `stop_functions`
-may then be asked for every step. A figure along an axis counts in both senses of the axis.
+`refuse_unsupported` rejects conditions that no sensor measures and actions that no reflex performs, before any motion.
+`stop_functions` is valid only for reflexes that it accepted. A limit along an axis applies in both directions.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ACTIONS: dict[str, Reflex] = {"stop": Reflex.STOP, "back_off": Reflex.BACK_OFF, 
 
 @dataclass(frozen=True)
 class StepState:
-    """What a step is like when its reflexes are made: figures in force, the hand's pose, the goal object's place."""
+    """State of a step at binding: figures in force, tcp pose (world), position of the command's object (world, m)."""
 
     values: dict[str, float]  # contact_n, joint_margin_rad, time_limit_s, held_width_m, back_off_m
     hand_pose: Array
@@ -57,7 +57,7 @@ def _lost(_: Condition, state: StepState) -> list[Predicate]:
     return [HandWidthBelow(state.values["held_width_m"] - state.values["lost_m"])] if state.holding else []
 
 
-#: event -> the reason it ends with, and its predicates (none: there is nothing to watch in this step)
+#: event -> stop reason and constructor of its predicates (an empty list: nothing to monitor in this step)
 EVENTS: dict[str, tuple[StopReason, Maker]] = {
     "CONTACT": (StopReason.CONTACT, _contact),
     "COLLISION": (StopReason.COLLISION, lambda c, state: [BodyTouch()]),
@@ -96,7 +96,7 @@ def _near(condition: Condition, state: StepState) -> list[Predicate]:
     return [] if state.object_at is None else [TcpNear(point=state.object_at, distance_m=_figure(condition))]
 
 
-#: (measure, bound) -> the same
+#: (measure, bound) -> stop reason and constructor of its predicates
 MEASURES: dict[tuple[str, str], tuple[StopReason, Maker]] = {
     ("FORCE", "above"): (StopReason.FORCE_LIMIT, _force),
     ("TORQUE", "above"): (StopReason.TORQUE_LIMIT, _torque),
@@ -106,32 +106,32 @@ MEASURES: dict[tuple[str, str], tuple[StopReason, Maker]] = {
 
 
 def reason_of(condition: Condition) -> StopReason | None:
-    """What a primitive that this condition stops ends with; None: nothing in the motion loop can feel it."""
+    """The stop reason of this condition; None if the motion loop cannot measure it."""
     row = _row(condition)
     return None if row is None else row[0]
 
 
 def refuse_unsupported(reflex: ReflexItem, about_object: bool) -> Refusal | None:
-    """Why this reflex cannot be kept; None when it can. `about_object`: the command names an object."""
-    said = _words(reflex.condition)
+    """Refuse a reflex that cannot be performed; None if it can. `about_object`: the command names an object."""
+    words = _words(reflex.condition)
     if _row(reflex.condition) is None:
         known = [*EVENTS, *(f"{measure} {bound}" for measure, bound in MEASURES)]
-        return _no(f"UNLESS {said}: nothing in the motion loop measures that", known)
+        return _no(f"UNLESS {words}: nothing in the motion loop measures that", known)
     if reflex.action not in ACTIONS:
         word = reflex.action.upper().replace("_", "-")
         done = [action.upper().replace("_", "-") for action in ACTIONS]
-        return _no(f"THEN {word} is not done yet", done)
+        return _no(f"THEN {word} is not supported", done)
     if reflex.condition.measure == "DISTANCE" and not about_object:
-        message = f"UNLESS {said} measures to the object of the command, and this command names none"
+        message = f"UNLESS {words} measures the distance to the object of the command, but this command names none"
         return _no(message, [], "leave it out, or use a verb that takes an object")
     along = reflex.condition.along
     if along is not None and along not in axes.AXES:
-        return naming.unknown("axis", along, axes.AXES, where=f"UNLESS {said}")
+        return naming.unknown("axis", along, axes.AXES, where=f"UNLESS {words}")
     return None
 
 
 def stop_functions(reflexes: list[ReflexItem], state: StepState) -> list[StopFunction]:
-    """The stop functions of these reflexes for one step."""
+    """Build the stop functions of these reflexes for one step."""
     made = []
     for reflex in reflexes:
         row = _row(reflex.condition)
@@ -164,11 +164,11 @@ def _no(message: str, expected: list[str], clears: str = "leave it out, or use o
     return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where="UNLESS", expected=expected, clears=clears)
 
 
-# --- what was done ---------------------------------------------------------------------------------------------
+# --- evaluation of a report ------------------------------------------------------------------------------
 
 
 def find_requested(reflexes: list[ReflexItem], report: EndReport) -> ReflexItem | None:
-    """The reflex of the sentence whose condition has ended the primitive, if one has: same reason, same figure."""
+    """The reflex of the command that ended the primitive (same reason, figure and action); None if there is none."""
     for reflex in reflexes:
         quantity = reflex.condition.quantity
         same = quantity is None or (report.limit is not None and math.isclose(quantity.value, report.limit))
@@ -178,14 +178,14 @@ def find_requested(reflexes: list[ReflexItem], report: EndReport) -> ReflexItem 
 
 
 def in_words(reflex: ReflexItem) -> str:
-    """The reflex in the words of the sentence."""
+    """The reflex in the words of a sentence."""
     quantity = reflex.condition.quantity
     figure = f" {quantity.value:g} {quantity.unit.upper()}" if quantity else ""
     return f"UNLESS {_words(reflex.condition)}{figure} THEN {reflex.action.upper().replace('_', '-')}"
 
 
 def describe_action(report: EndReport) -> str:
-    """What the arm did after it had stopped; empty when it stopped, and no more."""
+    """The reflex action after the stop, in words; empty if the arm only stopped."""
     if report.reflex is Reflex.BACK_OFF and report.trip_pose and report.tcp_pose:
         return f"backed off by {100.0 * geometry.distance(report.trip_pose, report.tcp_pose):.1f} cm"
     return f"opened the hand to {1000.0 * report.hand_width_m:.0f} mm" if report.reflex is Reflex.RELEASE else ""

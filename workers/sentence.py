@@ -1,4 +1,7 @@
-"""What a sentence asks for beyond its verb, made into figures, or refused by name: never silently ignored. Pure."""
+"""Fields of a parsed command beyond its verb: converted to figures, or refused by name. Pure.
+
+A field is never silently ignored.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +17,15 @@ from rtc.outcomes import Refusal, RefusalReason
 from rtc.program_schema import ActsOn, ElaboratorProgram, ScriptFile, ScriptStep
 from workers import naming
 
-#: fields of the record that no script has to know: what they mean is done by others, or checked here
+#: Fields of the record that scripts need not list: others act on them, or this module checks them.
 EVERYWHERE = frozenset({"kind", "verb", "test", "constraints", "guarded", "reflexes", "report", "after", "now"}) | {
     "together_with",
     "performer",
 }
 
 
-LEAST_REPORT_S = 0.1  # of REPORT EVERY, in the time of the arms
-#: field of the record -> how the sentence says it; a field that is not here is said by its own name
+LEAST_REPORT_S = 0.1  # minimum interval of REPORT EVERY, in arm time
+#: field of the record -> its words in a sentence; other fields use their own name
 _WORDS = {
     "hand": "a hand",
     "object": "an object",
@@ -42,7 +45,7 @@ _WORDS = {
 
 
 def field(parsed: ParsedCommand, path: str) -> Any:
-    """A field of the record by its path (place.joints); None when it, or what leads to it, is not set."""
+    """A field of the record by its path (place.joints); None if the field or one of its parents is not set."""
     value: Any = parsed
     for name in path.split("."):
         value = getattr(value, name, None)
@@ -52,12 +55,12 @@ def field(parsed: ParsedCommand, path: str) -> Any:
 
 
 def in_words(path: str) -> str:
-    """A field of the record as the sentence says it: amount is BY."""
+    """The words of a sentence for a field of the record: BY for amount."""
     return _WORDS.get(path, path)
 
 
 def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal | None:
-    """Something this release does not do yet, if the sentence asks for it."""
+    """Refuse a field that this release does not support; None if there is none."""
     checks = [check for branch in program.decision_tree if branch.verb == parsed.verb for check in branch.when]
     chosen_by = {(name, value) for check in checks for name, value in check.equals.items()}
     for name, why in program.not_yet.items():
@@ -68,7 +71,7 @@ def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand) -> Ref
 
 
 def refuse_unused_field(parsed: ParsedCommand, script: str, uses: list[str]) -> Refusal | None:
-    """A field that is set and that the script does not use."""
+    """Refuse a field that is set but not used by the script; None if there is none."""
     for name in parsed.__struct_fields__:
         if name not in EVERYWHERE and name not in uses and field(parsed, name) is not None:
             words = in_words(name)
@@ -79,13 +82,13 @@ def refuse_unused_field(parsed: ParsedCommand, script: str, uses: list[str]) -> 
 
 
 def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Limits | Refusal:
-    """MAINTAIN as figures; a constraint that is not kept is refused, and those that are kept are listed."""
+    """Limits from MAINTAIN. An unsupported constraint is refused; the refusal lists the supported ones."""
     figures: dict[str, Any] = {}
     for constraint in parsed.constraints:
         kept = program.constraints.get(constraint.slot)
         if kept is None:
-            message = f"MAINTAIN {constraint.slot} is not kept yet"
-            clears = f"leave out {constraint.slot}; kept are {', '.join(sorted(program.constraints))}"
+            message = f"MAINTAIN {constraint.slot} is not supported"
+            clears = f"leave out {constraint.slot}; supported are {', '.join(sorted(program.constraints))}"
             return _refused(message, constraint.slot, clears)
         unit = "name" if constraint.name else constraint.value.unit if constraint.value else ""
         if unit not in kept:
@@ -102,7 +105,7 @@ def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Lim
 
 
 def refuse_without_effect(program: ElaboratorProgram, parsed: ParsedCommand, script: ScriptFile) -> Refusal | None:
-    """A constraint that acts on no step of this script."""
+    """Refuse a constraint that applies to none of the script's steps; None if each applies to one."""
     for constraint in parsed.constraints:
         wanted = program.acts_on.get(constraint.slot)
         if wanted is None or any(_is(step, wanted) for step in script.steps):
@@ -117,7 +120,7 @@ def _is(step: ScriptStep, wanted: ActsOn) -> bool:
 
 
 def refuse_report_interval(parsed: ParsedCommand) -> Refusal | None:
-    """Why what REPORT asks for cannot be reported; None when it can."""
+    """Refuse a REPORT EVERY interval that is too short; None if it is supported."""
     every_s = parsed.report.every_s if parsed.report else None
     if every_s is None or every_s >= LEAST_REPORT_S:
         return None
@@ -126,7 +129,7 @@ def refuse_report_interval(parsed: ParsedCommand) -> Refusal | None:
 
 
 def _needs(slot: str, kept: dict[str, str], unit: str, cell: Cell) -> Refusal:
-    """A constraint that is given nothing, or something of another kind than is kept."""
+    """Refusal for a constraint without a value, or with a value of the wrong kind."""
     ways = []
     for way, limit in kept.items():
         if way == "name":
@@ -134,9 +137,9 @@ def _needs(slot: str, kept: dict[str, str], unit: str, cell: Cell) -> Refusal:
             ways.append(f"the name of a{'n' * (what == 'attitude')} {what}: {', '.join(_known(limit, cell))}")
         elif way in KINDS:
             ways.append(such_as(way))
-    said = "" if not unit else f", not {KINDS[unit].word if unit in KINDS else f'a {unit}'}"
+    given = "" if not unit else f", not {KINDS[unit].word if unit in KINDS else f'a {unit}'}"
     needed = " or ".join(ways)
-    return _refused(f"{slot} needs {needed}{said}", slot, f"give {slot} {needed}, or leave it out")
+    return _refused(f"{slot} needs {needed}{given}", slot, f"give {slot} {needed}, or leave it out")
 
 
 def _known(limit: str, cell: Cell) -> list[str]:

@@ -1,12 +1,12 @@
-"""The shell round a worker function, the same for all four kinds: jobs in, one call each, results out.
+"""Worker loop, the same for all four kinds: receive jobs, call the worker function once per job, send results.
 
-It fetches what the function needs (its program, the cell's models, one grouped view of the world), commits an
-analyzer's changes before it answers, and turns whatever the function does into a result: a product, a refusal, or the
-evidence of a crash. It decides nothing, and knows neither commands nor scripts.
+The loop fetches the inputs of the function: its program, the cell's models and one grouped view of the world. It
+commits an analyzer's changes before it answers. Every call becomes a result: a product, a refusal or the evidence of a
+crash. The loop makes no decisions and knows neither commands nor scripts.
 
-Jobs are done in order. Results of quick jobs travel together, for at most FLUSH_S; a result never waits for a job that
-may be slow. To a broker that was found again, or that does not know us and sends an empty JobBatch, we say hello anew:
-whatever the one before gave us is void.
+Jobs run in order. Results of quick jobs are sent in one batch after at most FLUSH_S; a result never waits for a job
+that may be slow. After a reconnection, or after an empty JobBatch (the broker does not know this worker), the worker
+sends a new hello and discards all jobs of the previous session.
 """
 
 from __future__ import annotations
@@ -47,38 +47,38 @@ from rtc.world.client import WorldClient
 from rtc.world.model import World
 
 HEARTBEAT_S = 0.5
-HELLO_AGAIN_S = 0.3  # one hello answers several questions; less than a heartbeat: who still does not know us asks again
-FLUSH_S = 0.002  # the longest that a quick job's result waits for company
-QUICK_S = 0.0005  # a worker whose jobs have lately taken less than this is quick
-LISTEN_S = 0.001  # between two jobs the broker is heard, but not after every one that takes microseconds
-FRESH_S = 0.002  # a view of the world is good for jobs that were here when it was read, for so long
-PROGRAM_LIMIT_S = 5.0  # to get a program from the broker; a restart of it fits in
+HELLO_AGAIN_S = 0.3  # one hello answers several empty JobBatches; shorter than a heartbeat, which repeats them
+FLUSH_S = 0.002  # longest delay of a quick job's result for batching
+QUICK_S = 0.0005  # a worker is quick if its recent jobs took less than this
+LISTEN_S = 0.001  # minimum interval between two reads of the socket while jobs are queued
+FRESH_S = 0.002  # longest use of a world view, for jobs that had arrived before it was read
+PROGRAM_LIMIT_S = 5.0  # time limit to fetch a program; long enough for a broker restart
 ASK_AGAIN_S = 0.5
-KEPT = 16  # programs and cells
+KEPT = 16  # maximum number of cached programs, and of cached cells
 EVIDENCE_CHARS = 4000
 
 
 class WorkerFunction(Protocol):
-    """What a worker module offers."""
+    """Interface of a worker module."""
 
     INPUT: Any
     NEEDS_WORLD: bool
     NEEDS_CELL: bool
 
     def compile(self, program: bytes) -> Any:
-        """The program, checked and made quick. Raises ProgramError."""
+        """Check and compile the program. Raises ProgramError."""
 
     def run(self, compiled: Any, cell: Any, world: World | None, data: Any) -> Any:
-        """The product, or a Refusal. Pure."""
+        """Compute the product, or a Refusal. Pure."""
 
 
 class Stopped(Exception):
-    """Told to end in the middle of a job: it is not answered, and will be given to another."""
+    """A stop was requested during a job. The job is not answered; the broker assigns it to another worker."""
 
 
 class Shell:
-    """One worker. `socket` is its DEALER to the broker; `build_cell` makes the models of a cell; `programs` and `cells`
-    are made already, by digest."""
+    """One worker. `socket` is its DEALER to the broker; `build_cell` builds the models of a cell; `programs` and
+    `cells` are preloaded, keyed by digest."""
 
     def __init__(
         self,
@@ -95,11 +95,11 @@ class Shell:
         self._socket = socket
         self._read = wire.reader(BrokerToWorker)
         self._read_input = wire.decoder(function.INPUT)
-        self._queue: deque[tuple[Job, float]] = deque()  # with the time they came
+        self._queue: deque[tuple[Job, float]] = deque()  # job and arrival time (s)
         self._results: list[JobResult] = []
         self._first_result_s = 0.0
-        self._slow_s = 1.0  # how long jobs lately took, at worst; forgets slowly
-        self._wanted = ""  # the digest being waited for, and what has come for it
+        self._slow_s = 1.0  # slowly decaying maximum of recent job durations
+        self._wanted = ""  # the digest being fetched; `_came` collects its bodies
         self._came: list[bytes | None] = []
         self._programs = Kept(function.compile, programs)
         self._cells = Kept(lambda body: build_cell(Cell.from_bytes(body)), cells)
@@ -111,7 +111,7 @@ class Shell:
         self._listened_s = 0.0
 
     def run(self) -> None:
-        """Work until told to stop, or until the last job is done after being told to retire."""
+        """Run until a stop is requested, or until the queue is empty after a Shutdown message."""
         self._say_hello()
         while not self._me.stopping and not (self._retiring and not self._queue):
             if not self._queue:
@@ -145,7 +145,7 @@ class Shell:
     def _hear(self, message: BrokerToWorker) -> None:
         match message:
             case JobBatch(jobs=[]):
-                if now_s() - self._said_hello_s >= HELLO_AGAIN_S:  # else our hello has crossed its question
+                if now_s() - self._said_hello_s >= HELLO_AGAIN_S:  # otherwise the last hello crossed this request
                     self._begin_anew()
             case JobBatch(jobs=jobs):
                 came_s = now_s()
@@ -168,7 +168,7 @@ class Shell:
         self._say(self._hello)
 
     def _drop(self, unwanted: list[str]) -> None:
-        """Jobs not begun are answered without being done, so that the broker sees the room they leave."""
+        """Refuse unwanted jobs that have not started, so that the broker can reuse their places in the queue."""
         entries, self._queue = self._queue, deque()
         for entry in entries:
             job = entry[0]
@@ -179,7 +179,7 @@ class Shell:
                 self._queue.append(entry)
 
     def _flush(self, late: bool) -> None:
-        """Send the results, unless more of them will come very soon."""
+        """Send the results, unless more are expected within FLUSH_S."""
         if not self._results:
             return
         if late or self._slow_s > QUICK_S or now_s() - self._first_result_s > FLUSH_S:
@@ -195,7 +195,7 @@ class Shell:
             product = self._work(job, came_s)
         except Stopped:
             return
-        except ClusterError as error:  # the world is away: whether to ask again, the broker decides
+        except ClusterError as error:  # the world database is unavailable; the broker decides on a retry
             product = Refusal(reason=RefusalReason.TIMEOUT, message=str(error))
         except Exception:
             self._me.log.exception("job %s attempt %d crashed", job.id, job.attempt)
@@ -212,7 +212,7 @@ class Shell:
         )
 
     def _work(self, job: Job, came_s: float) -> msgspec.Raw | Refusal:
-        """The function's product, as bytes; what it wrote is committed."""
+        """Run the function and commit the changes of its product; returns the encoded product."""
         function = self._function
         program = self._made(self._programs, job.program)
         if isinstance(program, Refusal):
@@ -226,7 +226,7 @@ class Shell:
             return product
         if isinstance(product, Assessment) and product.changes:
             if job.lease is None:
-                message = f"it wants to write {product.changes[0].key}, and its script names nothing that is written"
+                message = f"it wants to write {product.changes[0].key}, but its script names nothing that is written"
                 return Refusal(reason=RefusalReason.PROGRAM, message=message)
             refusal = self._view.commit(job.lease, product, source=job.id)
             if refusal is not None:
@@ -239,7 +239,7 @@ class Shell:
         self._results.append(result)
 
     def _made(self, kept: Kept, digest: str) -> Any:
-        """The program or cell of this digest, made from its body once; or the Refusal that says why it cannot be."""
+        """The compiled program or cell of this digest, from the cache or the broker; or a Refusal with the cause."""
         if digest not in kept:
             self._flush(late=True)
             body = self._body(digest)
@@ -249,7 +249,7 @@ class Shell:
         return kept[digest]
 
     def _body(self, digest: str) -> bytes | Refusal:
-        """Ask the broker, and wait for its answer alone; other messages take their usual way meanwhile."""
+        """Fetch a body from the broker and wait for it; other messages are handled as usual meanwhile."""
         self._wanted, self._came = digest, []
         end_s, again = now_s() + PROGRAM_LIMIT_S, Every(ASK_AGAIN_S)
         while not self._came and now_s() < end_s:
@@ -270,7 +270,7 @@ class Shell:
 
 
 class Kept(dict[str, Any]):
-    """What was made from a body, by digest: the last KEPT ones. One that does not check is kept as its Refusal."""
+    """Cache of compiled bodies by digest, at most KEPT entries. A body that fails to compile is kept as a Refusal."""
 
     def __init__(self, maker: Callable[[bytes], Any], made: Mapping[str, Any]) -> None:
         super().__init__(made)
@@ -286,17 +286,20 @@ class Kept(dict[str, Any]):
 
 
 class WorldView:
-    """The worker's copy of the world, brought up to date by one read of what is new."""
+    """The worker's copy of the world, updated by reading only the changes since its version."""
 
     def __init__(self, client: WorldClient) -> None:
         self._client = client
         self._world = World()
         self._read_at_s = -1.0
-        self.version_read = 0  # of the world the job in hand has seen; 0 = none
+        self.version_read = 0  # world version that the current job has read; 0 = none
 
     def at(self, came_s: float) -> World:
-        """The world as it is now. What was committed before a job was sent is in a view read after the job came, so
-        the jobs of one batch share a read while it is fresh. Raises ClusterError when the database is away."""
+        """The current world, for a job that arrived at `came_s`.
+
+        A view read after the job arrived contains all commits made before the job was sent. The jobs of one batch
+        therefore share a view for FRESH_S. Raises ClusterError if the database is unavailable.
+        """
         if came_s > self._read_at_s or now_s() - self._read_at_s > FRESH_S:
             read_at_s = now_s()
             self._world = self._world.updated(self._client.view(since=self._world.version))
@@ -305,6 +308,6 @@ class WorldView:
         return self._world
 
     def commit(self, lease: Lease, assessment: Assessment, source: str) -> Refusal | None:
-        self._read_at_s = -1.0  # a later job of this batch must see it
+        self._read_at_s = -1.0  # the next job of this batch must read this commit
         answer = self._client.commit(lease, assessment.changes, source)
         return answer if isinstance(answer, Refusal) else None

@@ -1,7 +1,7 @@
-"""One candidate for doing a command: who does it, to what, at which point; and every figure a script may use. Pure.
+"""One candidate for performing a command: arm, object, grasp point, target, and the figures for its script. Pure.
 
-`figures` are what expressions of a script are worked out over; later sources go before earlier ones: the numbers of the
-cell, the command-object table, the hand, the object, what the sentence says itself.
+`figures` are the variables of a script's expressions. Sources in order of increasing priority: numbers of the cell, the
+command-object table, the hand, the object, the sentence.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rtc.program_schema import ElaboratorProgram, TableRow
 from workers import known
 from workers.belief import WorldQuery
 
-#: unit of a quantity -> how a figure's name ends
+#: unit of a quantity -> suffix of the figure's name
 SUFFIX = {"m": "_m", "rad": "_rad", "turn": "_turns", "s": "_s", "N": "_n"}
 
 
@@ -38,7 +38,7 @@ class TaskCandidate:
 
     @property
     def texts(self) -> dict[str, str]:
-        """What stands for {arm} and the like in the words of a script."""
+        """Values of {arm} and the other placeholders in the words of a script."""
         return {
             "arm": self.arm.name,
             "object": self.thing.name if self.thing else "",
@@ -53,13 +53,14 @@ class TaskCandidate:
         }
 
     def say(self, words: str) -> str:
+        """Replace the placeholders in `words`."""
         for name, text in self.texts.items():
             words = words.replace("{" + name + "}", text)
         return words
 
     @property
     def roles(self) -> dict[str, str]:
-        """What stands for active_arm and the like in the resources of a script."""
+        """Values of active_arm and the other roles in the resources of a script."""
         return {
             "active_arm": self.arm.name,
             "active_object": self.thing.name if self.thing else "",
@@ -68,12 +69,12 @@ class TaskCandidate:
 
 
 def _amount_in_words(parsed: ParsedCommand) -> str:
-    said = parsed.amount or parsed.to_value
-    return in_words(said.value, said.unit) if said else ""
+    quantity = parsed.amount or parsed.to_value
+    return in_words(quantity.value, quantity.unit) if quantity else ""
 
 
 def _time_in_words(parsed: ParsedCommand, figures: dict[str, float]) -> str:
-    """How long a command without an end of its own takes: for 30 s, or until it is halted, which has a limit too."""
+    """Duration of a command without an end of its own: for 30 s, or until halted, with the maximum."""
     if parsed.duration_s is not None:
         return f"for {in_words(parsed.duration_s, 's')}"
     limit_s = figures.get("duration_s")
@@ -104,7 +105,7 @@ def figures_of(
     point: cells.GraspPoint | None,
     target: cells.Seat | None,
 ) -> dict[str, float] | Refusal:
-    """Every figure in force, or the refusal that says which cell of the command-object table is missing."""
+    """All figures of a candidate, or the refusal if the command-object table has no row for it."""
     figures: dict[str, float] = dict(msgspec.structs.asdict(query.cell.numbers))
     row = _table(program, parsed.verb, thing, query)
     if isinstance(row, Refusal):
@@ -133,7 +134,7 @@ def _figure_of(name: str, quantity: Quantity | None) -> dict[str, float]:
 
 
 def _not_for(program: ElaboratorProgram, verb: str, thing: cells.Object | None, query: WorldQuery) -> Refusal:
-    """The table has no row for this verb and thing. A verb without a row at all is a fault of the program."""
+    """Refusal if the table has no row for this verb and object. A verb without any row is a program error."""
     rows = [row for row in program.command_object_table if row.verb == verb]
     fits = [one.name for one in query.cell.objects if any(_is_about(row, one) for row in rows)]
     if thing is None or not rows:
@@ -159,7 +160,7 @@ def _table(
     rows = [row for row in program.command_object_table if row.verb == verb and _is_about(row, thing)]
     if not rows:
         return _not_for(program, verb, thing, query)
-    rows.sort(key=lambda row: bool(row.name))  # what is known of one by its name goes before what is known of its kind
+    rows.sort(key=lambda row: bool(row.name))  # rows for a name override rows for a kind
     return {name: value for row in rows for name, value in row.values.items()}
 
 

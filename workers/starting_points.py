@@ -1,7 +1,7 @@
-"""Where a script's plan starts from, by registered name: the grasp point, the destination, the stowed posture, a seat.
+"""Plan anchors by registered name: grasp point, destination, stowed posture, seat. Pure.
 
-A start is joint values, or a pose of the tcp, in the axes of an object if it is measured from one (so that it can be
-bound anew when that object turns out to be elsewhere). Pure; a start that does not exist is a Refusal.
+An anchor is joint values or a tcp pose. The pose is in an object's frame if it depends on that object, so that it can
+be bound again after the object was found elsewhere. An anchor that does not exist is a Refusal.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from workers.situation import TaskCandidate
 
 @dataclass(frozen=True)
 class Anchor:
-    """Exactly one of joints and pose. `relies_on`: the facts it is made of."""
+    """Joint values (rad), or a tcp pose in `frame` (an object; None = world). `relies_on`: keys of the facts used."""
 
     joints: list[float] | None = None
     pose: list[float] | None = None
@@ -26,7 +26,7 @@ class Anchor:
 
 
 def grasp_point(candidate: TaskCandidate) -> Anchor | Refusal:
-    """The tcp at the grasp point, in the object's axes."""
+    """The tcp pose at the grasp point, in the object's frame."""
     assert candidate.thing is not None
     if candidate.point is None:
         return _no_grasp_point(candidate.thing.name)
@@ -42,7 +42,7 @@ def stow(candidate: TaskCandidate) -> Anchor | Refusal:
 
 
 def seat(candidate: TaskCandidate) -> Anchor | Refusal:
-    """The tcp where what the hand holds sits in the target seat."""
+    """The tcp pose at which the held object is seated in the target seat."""
     assert candidate.thing is not None
     assert candidate.target is not None
     grasp = candidate.query.grasp(candidate.thing.name)
@@ -56,7 +56,7 @@ def seat(candidate: TaskCandidate) -> Anchor | Refusal:
 
 
 def destination(candidate: TaskCandidate) -> Anchor | Refusal:
-    """Where MOVE ... TO goes."""
+    """The destination of MOVE ... TO."""
     place = candidate.parsed.place
     assert place is not None
     if place.joints is not None:
@@ -81,8 +81,10 @@ def _named(candidate: TaskCandidate, name: str) -> Anchor | Refusal:
     place = next((p for p in cell.places if p.name == name), None)
     if place is None:
         if any(thing.name == name for thing in cell.objects):
-            said = f"{name} is an object: a hand goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
-            return Refusal(reason=RefusalReason.NAME, message=said, nearest=[name], clears="say which of the two")
+            message = f"{name} is an object: a hand goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
+            return Refusal(
+                reason=RefusalReason.NAME, message=message, nearest=[name], clears="use one of the two forms"
+            )
         return naming.unknown("place", name, [p.name for p in cell.places])
     joints = place.joints_rad(candidate.arm.name)
     if joints is not None:
@@ -93,7 +95,7 @@ def _named(candidate: TaskCandidate, name: str) -> Anchor | Refusal:
     able = sorted({*place.poses, *place.joints_deg})
     return Refusal(
         reason=RefusalReason.INFEASIBLE,
-        message=f"{candidate.arm.name} has no way to stand at {name}; {', '.join(able)} can",
+        message=f"{candidate.arm.name} has no posture for {name}; {', '.join(able)} can",
         where=name,
         expected=able,
         clears=f"another arm, or a place that {candidate.arm.name} can go to",

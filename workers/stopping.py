@@ -1,7 +1,7 @@
-"""F: the figures in force for a step, and the stop functions made of them (R66, R82, R83). Pure.
+"""Stop conditions (F): the figures in force for a step and the stop functions built from them (R66, R82, R83). Pure.
 
-Figures come from the cell, the program, the stop class and the step, later ones before earlier ones; GUARDED and
-MAINTAIN can only tighten them. The rows of the program name predicates of `rtc.primitive` by their tags.
+Figures come from the cell, the program, the stop class and the step, in order of increasing priority. GUARDED and
+MAINTAIN can only tighten them. Rows of the program name predicates of the primitive by their tags.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rtc.program_schema import BinderProgram, StopClass, StopRow
 from workers import reflexes
 from workers.belief import WorldQuery
 
-#: tag of a predicate -> (limit, axis or None) -> the predicate
+#: tag of a predicate -> constructor from (limit, axis or None)
 MAKERS: dict[str, Callable[[float, Vector | None], Predicate]] = {
     "goal-reached": lambda limit, axis: GoalReached(),
     "time-above": lambda limit, axis: TimeAbove(limit),
@@ -44,14 +44,14 @@ MAKERS: dict[str, Callable[[float, Vector | None], Predicate]] = {
     "grip-force-below": lambda limit, axis: GripForceBelow(limit),
     "hand-width-below": lambda limit, axis: HandWidthBelow(limit),
 }
-#: limit of MAINTAIN -> the figure it tightens
+#: limit of MAINTAIN -> the figure that it tightens
 TIGHTENED = {"speed_m_s": "speed_m_s", "force_n": "force_n", "torque_nm": "torque_nm"}
 
 Values = dict[str, float]
 
 
 def figures_in_force(program: BinderProgram, stop_class: StopClass, query: WorldQuery, data: BinderInput) -> Values:
-    """Every figure in force for this step. Raises ExpressionError when one names a figure that does not exist."""
+    """All figures in force for this step. Raises ExpressionError if an expression names an unknown figure."""
     context = data.context
     values: Values = dict(msgspec.structs.asdict(query.cell.numbers))
     if query.holding(context.arm):
@@ -73,12 +73,14 @@ def figures_in_force(program: BinderProgram, stop_class: StopClass, query: World
 
 
 def stop_functions(
-    rows: list[StopRow], values: Values, against: Vector | None, said: list[StopFunction]
+    rows: list[StopRow], values: Values, against: Vector | None, requested: list[StopFunction]
 ) -> list[StopFunction]:
-    """F: what the sentence said, then the rows. Of two with the same reason the first that is true wins, so a reflex
-    that was asked for goes before the program's own stop at the same figure, and neither loosens the other.
-    `against`: the axis along which a force opposes the motion."""
-    made = list(said)
+    """Build F: the stop functions of the command, then those of the program's rows.
+
+    Of two with the same reason the first true one wins. A reflex of the command therefore precedes the program's stop
+    at the same figure, and neither loosens the other. `against`: unit vector (tool frame) of an opposing force.
+    """
+    made = list(requested)
     for row in rows:
         limit = _limit(row, values)
         if limit is not None:
@@ -88,7 +90,7 @@ def stop_functions(
 
 
 def _limit(row: StopRow, values: Values) -> float | None:
-    """The limit of a row; 0 for a predicate that has none; None: leave the row out."""
+    """The limit of a row; 0 if its predicate has none; None to omit the row."""
     if row.limit is None:
         return 0.0
     if row.if_known and expressions.names(row.limit) - values.keys():
@@ -97,7 +99,7 @@ def _limit(row: StopRow, values: Values) -> float | None:
 
 
 def from_command(data: BinderInput, query: WorldQuery, values: Values) -> list[StopFunction]:
-    """UNLESS ... THEN ... of the command, for this step."""
+    """Stop functions of the command's UNLESS ... THEN ... for this step."""
     context = data.context
     state = reflexes.StepState(
         values=values,

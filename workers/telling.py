@@ -1,8 +1,7 @@
-"""A sentence that tells something of a thing: (program, sentence, world) -> the script that brings it to an analyzer.
+"""SET commands: (program, parsed command, world) -> a script that submits the stated facts to an analyzer. Pure.
 
-Nobody moves for it, so no arm is meant and nothing is planned. Here is only seen to it that the words fit: a thing that
-exists, an attribute that can be told, as many numbers as it has, in its unit. Whether what they say can be true is for
-the analyzer to judge, and nothing is written here. Pure.
+No arm moves and nothing is planned. This module checks only the form: the object exists, the attribute can be set, and
+the values have its number and unit. The analyzer judges whether the facts are plausible, and it alone writes them.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ Thing = cells.Object | cells.Seat
 
 
 def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, query: WorldQuery) -> Script | Refusal:
-    """The script, with what is told in its context."""
+    """The script for a SET command; its context holds the stated facts."""
     misplaced = sentence.refuse_unused_field(parsed, file.script, file.uses)
     if misplaced is not None:
         return misplaced
@@ -44,7 +43,7 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
     inside = [key.rpartition(".")[0] for key in facts]
     inside += _seated(thing.name, query) if isinstance(thing, cells.Seat) else []
     if f"{thing.name}.frame" in facts and (holder := query.held_by(thing.name)):
-        inside.append(holder)  # what its hand holds, and how, follows from it
+        inside.append(holder)  # the hand's `holding` and the grasp follow from the frame
     return Script(
         context=ScriptContext(
             verb=parsed.verb,
@@ -62,22 +61,22 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
 
 def _shown(parsed: ParsedCommand) -> str:
     """The values with their units, each unit once for the numbers that share it: 0.8 0.77 0.6 m 0 0 0.07 rad."""
-    said = [value if isinstance(value, str) else f"{value:.6g}" for value in parsed.value or []]
+    values = [value if isinstance(value, str) else f"{value:.6g}" for value in parsed.value or []]
     unit = parsed.value_unit or ""
     if " " not in unit:
-        return f"{' '.join(said)} {unit}".strip()
+        return f"{' '.join(values)} {unit}".strip()
     units = unit.split()
     ends = [unit if unit != after else "" for unit, after in zip(units, [*units[1:], ""], strict=True)]
-    return " ".join(word for pair in zip(said, ends, strict=True) for word in pair if word)
+    return " ".join(word for pair in zip(values, ends, strict=True) for word in pair if word)
 
 
 def _names(roles: list[str], active: list[str]) -> list[str]:
-    """What the roles of a script stand for."""
+    """The names that the roles of a script stand for."""
     return list(dict.fromkeys(name for role in roles for name in (active if role == "active_object" else [role])))
 
 
 def _seated(seat: str, query: WorldQuery) -> list[str]:
-    """What sits in a seat goes with it."""
+    """The objects in a seat; they move with it."""
     return [thing.name for thing in query.cell.objects if query.seat(thing.name) == seat]
 
 
@@ -88,23 +87,23 @@ def _fill_in(words: str, texts: dict[str, str]) -> str:
 
 
 def _attribute(parsed: ParsedCommand) -> str:
-    """As it is called in the world: HELD-BY is held_by."""
+    """The attribute's name in the world: held_by for HELD-BY."""
     return (parsed.attribute or "").lower().replace("-", "_")
 
 
 def _facts(
     program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, query: WorldQuery
 ) -> dict[str, Any] | Refusal:
-    """What is to be believed, in SI, by key; or the refusal that says how it is told."""
+    """The stated facts by key, in SI units; or the refusal with the correct form."""
     attribute = _attribute(parsed)
-    said: list[float | str] = parsed.value or []
+    values: list[float | str] = parsed.value or []
     if isinstance(thing, cells.Seat) and attribute not in program.told_of_seats:
-        told = [_word(name) for name in program.told_of_seats]
-        return naming.unknown("attribute of a seat", parsed.attribute or "", told, where=parsed.attribute or "")
+        settable = [_word(name) for name in program.told_of_seats]
+        return naming.unknown("attribute of a seat", parsed.attribute or "", settable, where=parsed.attribute or "")
     if attribute in program.not_told:
         return Refusal(
             reason=RefusalReason.NOT_ALLOWED,
-            message=f"{parsed.attribute} of {thing.name} is not told, it is found out",
+            message=f"{parsed.attribute} of {thing.name} cannot be set; the cluster determines it",
             where=parsed.attribute or "",
             clears=program.not_told[attribute].replace("{object}", thing.name),
         )
@@ -114,26 +113,26 @@ def _facts(
             return _misfit(row, parsed, thing)
         make = FACTS.get(attribute)
         if make is not None:
-            return make(program, said, thing, query)
+            return make(program, values, thing, query)
     else:
         known = [_word(name) for name in (*program.told, *program.not_told, *_others(thing, query))]
         like = naming.nearest(parsed.attribute or "", known)
         if like and parsed.attribute not in known:
             return naming.unknown("attribute", parsed.attribute or "", known, where=parsed.attribute or "")
-    return {f"{thing.name}.{attribute}": said[0] if len(said) == 1 else said}
+    return {f"{thing.name}.{attribute}": values[0] if len(values) == 1 else values}
 
 
 def _fits(row: Tellable, parsed: ParsedCommand) -> bool:
-    """As many numbers as the row has, in its unit; or a name; or both a place and an attitude."""
-    said, unit = parsed.value or [], parsed.value_unit
+    """Whether the values have the row's number and unit, or are a name, or a position with an attitude."""
+    values, unit = parsed.value or [], parsed.value_unit
     if not row.unit:
-        return len(said) == len(row.of) and all(isinstance(word, str) for word in said)
+        return len(values) == len(row.of) and all(isinstance(word, str) for word in values)
     turned = " ".join([row.unit] * len(row.of) + ["rad"] * len(ANGLES))
-    return (unit == row.unit and len(said) == len(row.of)) or (row.attitude and unit == turned)
+    return (unit == row.unit and len(values) == len(row.of)) or (row.attitude and unit == turned)
 
 
 def _others(thing: Thing, query: WorldQuery) -> list[str]:
-    """What else is believed of it by now, because it was told before."""
+    """Attributes of this object or seat that have a fact."""
     own = f"{thing.name}."
     return [key.removeprefix(own) for key in query.world.facts if key.startswith(own)]
 
@@ -143,50 +142,52 @@ def _word(attribute: str) -> str:
 
 
 def _misfit(row: Tellable, parsed: ParsedCommand, thing: Thing) -> Refusal:
-    said = parsed.value or []
-    what = "a name" if any(isinstance(v, str) for v in said) else f"{len(said)} number{'s' * (len(said) != 1)}"
+    values = parsed.value or []
+    what = "a name" if any(isinstance(v, str) for v in values) else f"{len(values)} number{'s' * (len(values) != 1)}"
     unit = f"in {parsed.value_unit}" if parsed.value_unit else "without a unit"
     wanted = f"{' '.join(row.of)} in {row.unit}" if row.unit else "a name"
     wanted += f", and may go on with {' '.join(ANGLES)} in rad" if row.attitude else ""
     return Refusal(
         reason=RefusalReason.SENTENCE,
-        message=f"{parsed.attribute} of {thing.name} is {wanted}; said was {what} {unit}",
+        message=f"{parsed.attribute} of {thing.name} is {wanted}; the sentence has {what} {unit}",
         where=parsed.attribute or "",
         expected=[row.example],
-        clears=f"say it as in {parsed.verb} {thing.name} {parsed.attribute} {row.example}",
+        clears=f"for example: {parsed.verb} {thing.name} {parsed.attribute} {row.example}",
     )
 
 
-# --- where a thing is ----------------------------------------------------------------------------------------
+# --- poses -----------------------------------------------------------------------------------------------
 
 
-def _frame(program: ElaboratorProgram, said: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
-    """A place, with its attitude or with the one believed so far."""
-    angles = said[3:]
-    attitude = geometry.from_rpy((0, 0, 0), angles)[3:] if angles else _believed(thing, query)[3:]
-    return _pose(said[:3], attitude, thing)
+def _frame(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
+    """A position, with the stated attitude or the current one."""
+    angles = values[3:]
+    attitude = geometry.from_rpy((0, 0, 0), angles)[3:] if angles else _current_pose(thing, query)[3:]
+    return _pose(values[:3], attitude, thing)
 
 
-def _attitude(program: ElaboratorProgram, said: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
-    """An attitude, at the place believed so far."""
-    return _pose(_believed(thing, query)[:3], geometry.from_rpy((0, 0, 0), said)[3:], thing)
+def _attitude(
+    program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery
+) -> dict[str, Any] | Refusal:
+    """An attitude, at the current position."""
+    return _pose(_current_pose(thing, query)[:3], geometry.from_rpy((0, 0, 0), values)[3:], thing)
 
 
-def _seat(program: ElaboratorProgram, said: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
-    """It is where that seat holds a thing."""
+def _seat(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
+    """The pose of an object seated in the named seat."""
     seats = [seat.name for seat in query.cell.seats]
-    if said[0] not in seats:
-        return naming.unknown("seat", said[0], seats, where=said[0])
+    if values[0] not in seats:
+        return naming.unknown("seat", values[0], seats, where=values[0])
     holder = query.held_by(thing.name)
     if holder:
         message = f"{thing.name} is held by {holder}"
         clears = program.needs["object_free"].replace("{object}", thing.name)
         return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
-    seated = query.seated_pose(said[0])
+    seated = query.seated_pose(values[0])
     return _pose(seated[:3], seated[3:], thing)
 
 
-def _believed(thing: Thing, query: WorldQuery) -> Array:
+def _current_pose(thing: Thing, query: WorldQuery) -> Array:
     return query.seat_frame(thing.name) if isinstance(thing, cells.Seat) else query.frame(thing.name)
 
 

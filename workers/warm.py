@@ -1,8 +1,8 @@
-"""What a worker has made before its first job, so that this is as quick as any: the programs and the cell that come
-with the project, by digest. On a slow machine the first job would else be too late, three times, and be poison.
+"""Preloading: compile the default programs and build the default cell before a worker's first job.
 
-The broker names programs and cells by the digest of their bytes alone. So whatever is made here from the same bytes
-is the same thing, and whatever is not asked for does no harm: a changed program is fetched as ever.
+Without it, the first job on a slow machine may exceed its deadline three times and count as poisonous. The broker
+identifies programs and cells by the digest of their bytes. A preloaded item is therefore used only if its bytes are the
+same; a changed program is fetched from the broker as usual.
 """
 
 from __future__ import annotations
@@ -22,15 +22,18 @@ from workers import imports
 
 @dataclass(frozen=True)
 class Preloaded:
-    """Compiled programs of each kind, and cell models; all by digest."""
+    """Compiled programs by kind and digest, and cell models by digest."""
 
     programs: Mapping[WorkerKind, Mapping[str, Any]] = field(default_factory=dict)
     cells: Mapping[str, Any] = field(default_factory=dict)
 
 
 def preload(kinds: Iterable[WorkerKind], cell: str | None) -> Preloaded:
-    """These kinds' own programs compiled, and, for those that need it, the models of the cluster's `cell`, when it is
-    known. A program that does not check is left to the broker, who tells what is wrong with it."""
+    """Compile the default programs of `kinds` and, if one of them needs it, build the models of `cell`.
+
+    `cell` is None if the cluster's cell is not known. A program that does not compile is only logged; the broker
+    reports its error.
+    """
     programs: dict[WorkerKind, dict[str, Any]] = {}
     cells: dict[str, Any] = {}
     for kind in kinds:
@@ -43,6 +46,6 @@ def preload(kinds: Iterable[WorkerKind], cell: str | None) -> Preloaded:
         if function.NEEDS_CELL and cell is not None and not cells:
             body = Cell.load(cell).encode()
             model = imports.load("cell_model").CellModel(Cell.from_bytes(body))
-            _ = model.arms, model.collision  # built when first asked for
+            _ = model.arms, model.collision  # build these cached properties now
             cells[digest(body)] = model
     return Preloaded(programs, cells)

@@ -201,7 +201,7 @@ def test_a_killed_worker_from_elsewhere_is_missed_at_once(new_key: Callable[[str
 def test_a_worker_gets_no_node_that_is_taken(new_key: Callable[[str], Path]) -> None:
     with worker(new_key("worker"), 2) as process:
         assert process.wait(LIMIT_S) == 1
-        assert b"does not want binder@2" in process.stderr.read()
+        assert b"rejects binder@2" in process.stderr.read()
 
 
 @contextlib.contextmanager
