@@ -198,10 +198,11 @@ def on_client_gone(context: DecisionContext, event: ClientGone) -> None:
 def _pending(context: DecisionContext, job: str, attempt: int) -> tuple[Command, PendingJob] | None:
     """The command that waits for this attempt of the job; None if the answer is stale, which is counted."""
     command = context.state.commands.get(job.partition("/")[0])
-    if command is None or command.job is None or (command.job.id, command.job.attempt) != (job, attempt):
+    pending = command.job if command is not None else None
+    if command is None or pending is None or pending.attempt != attempt or pending.id != job:
         context.count("stale")
         return None
-    return command, command.job
+    return command, pending
 
 
 def on_job_finished(context: DecisionContext, event: JobFinished) -> None:
@@ -210,7 +211,7 @@ def on_job_finished(context: DecisionContext, event: JobFinished) -> None:
     command, job = found
     context.node, context.took_s = event.node, event.at_s - job.since_s
     command.job = None
-    if (trial := context.state.trials.get(job.kind)) and trial.new == job.program:
+    if context.state.trials and (trial := context.state.trials.get(job.kind)) and trial.new == job.program:
         del context.state.trials[job.kind]
         _prove(context.state, job.kind, job.program)
     try:

@@ -241,7 +241,7 @@ class Gate:
             self._zap.send_multipart([version, number, *answer])
 
     def _hear(self, door: str, now: float) -> None:
-        for session, user, parts in _from_outside(self._outside[door]):
+        for session, user, parts in _each_apart(_from_outside(self._outside[door])):
             key = self._known.get(user)
             if key is None or not admits(door, key.role):
                 self._count("strangers", f"a key that is not known any more, at {door}")
@@ -276,7 +276,7 @@ class Gate:
         link.heard_s = now
         if isinstance(message, m.ClientHello):
             link.behind_s = now - message.at_s if message.at_s > 0 else link.behind_s
-            parts = wire.frames(m.ClientHello(client=link.name))
+            parts = wire.frames(m.ClientHello(client=link.name, arrays=message.arrays))
         elif isinstance(message, m.CommandText):
             if isinstance(refusal := self._no_sentence(key, message), Refusal):
                 self._count("refused", f"{key.name}: {message.text!r:.80}")
@@ -450,7 +450,9 @@ class Gate:
 
     def _remember_commands(self, key: KnownKey, parts: Sequence[bytes]) -> None:
         with contextlib.suppress(WireError):
-            if isinstance(answer := READ_ACCEPTED(parts), m.Accepted):
+            for answer in READ_ANSWERS(parts):
+                if not isinstance(answer, m.Accepted):
+                    continue
                 own = self._commands.setdefault(key.public, OrderedDict())
                 own[answer.command] = None
                 if len(own) > COMMANDS_KEPT:
@@ -543,6 +545,15 @@ def _from_outside(socket: zmq.Socket[bytes]) -> Iterator[tuple[bytes, str, list[
         yield parts[0], user, parts[1:]
 
 
+def _each_apart(
+    messages: Iterator[tuple[bytes, str, list[bytes]]],
+) -> Iterator[tuple[bytes, str, Sequence[bytes]]]:
+    """An array of messages as single ones: each is allowed or refused for itself."""
+    for session, user, parts in messages:
+        for one in wire.apart(parts):
+            yield session, user, one
+
+
 def _push(socket: zmq.Socket[bytes], parts: Sequence[bytes]) -> bool:
     """False: no room."""
     try:
@@ -565,7 +576,7 @@ def _a(role: Role) -> str:
 
 NO_NEWS = wire.frames(m.Drop(jobs=[]))  # harmless; whoever is gone cannot be told it
 HELLOS = (m.ClientHello, m.WorkerHello, m.SubsystemHello)
-READ_ACCEPTED = wire.reader(m.BrokerToClient)
+READ_ANSWERS = wire.reader_of_many(m.BrokerToClient)
 READ_HALT_ANSWER = wire.reader(m.FromHalt)
 #: door -> how its messages are read: all that the inner door takes, so that what is not allowed can be named
 READ: dict[str, Callable[[Sequence[bytes]], Any]] = {

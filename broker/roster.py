@@ -40,16 +40,19 @@ class Queue:
 
     def add(self, job: DispatchJob, client: str, now: float) -> None:
         self._client_of[job.job] = client
-        if client not in self._lanes:
-            self._lanes[client] = OrderedDict()
-        self._lanes[client][job.job] = (now, job)
+        lane = self._lanes.get(client)
+        if lane is None:
+            lane = self._lanes[client] = OrderedDict()
+        lane[job.job] = (now, job)
 
     def next(self) -> DispatchJob:
-        client = next(iter(self._lanes))
-        _, job = self._lanes[client][next(iter(self._lanes[client]))]
-        self.drop(job.job)
-        if client in self._lanes:
+        client, lane = next(iter(self._lanes.items()))
+        name, (_, job) = lane.popitem(last=False)
+        del self._client_of[name]
+        if lane:
             self._lanes.move_to_end(client)
+        else:
+            del self._lanes[client]
         return job
 
     def drop(self, job: str) -> None:

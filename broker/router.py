@@ -25,6 +25,7 @@ from broker import reporting
 from broker.decision_unit import MAX_TEXT, decide
 from broker.journal import Journal, number
 from broker.loads import ProgramLoads
+from broker.outbox import Outbox
 from broker.pools import Autoscaler
 from broker.program_store import ProgramStore
 from broker.roster import LostJob, WorkerRegistry
@@ -116,6 +117,7 @@ class Router:
                 zmq.ROUTER, settings.endpoint(name), bind=True, bounds=BOUNDS[name], handover=name not in NO_HANDOVER
             )
         self._socket["events"] = me.socket(zmq.XPUB, settings.endpoint("events"), bind=True, bounds=BOUNDS["events"])
+        self._outbox = {name: Outbox(partial(self._socket.__getitem__, name)) for name in ("front", "subsystems")}
         self._events: list[heard.Event] = []
         self._perform = {kind: partial(perform, self) for kind, perform in _PERFORM.items()}
 
@@ -178,6 +180,8 @@ class Router:
         perform = self._perform
         for effect in effects:
             perform[type(effect)](effect)
+        for outbox in self._outbox.values():
+            outbox.flush()
         self._give_out(now)
         if self.journal.events_since_snapshot >= SNAPSHOT_EVENTS:
             self.journal.snapshot(self.state)
@@ -188,18 +192,32 @@ class Router:
 
     def _read(self, name: str, now: float) -> bool:
         """What lies on one socket, as far as there is room in this turn. False: there may be more."""
-        read, take = _DOORS[name]
         most = EVENTS_PER_TURN.get(name, MESSAGES_PER_TURN)
         messages, began = 0, self._clock()
         for peer, *parts in inbox(self._socket[name], MESSAGES_PER_TURN):
             messages += 1
-            try:
-                take(self, peer, read(parts), now)
-            except WireError as error:
-                self._drop(name, peer, parts, error)
+            self._take(name, peer, parts, now)
             if len(self._events) >= most or self._clock() - began > READ_S:
                 return False
         return messages < MESSAGES_PER_TURN
+
+    def _take(self, name: str, peer: bytes, parts: Sequence[bytes], now: float) -> None:
+        """One message, or an array of them. A bad one among these is dropped alone."""
+        read, take = _DOORS[name]
+        try:
+            messages = read(parts)
+        except WireError as error:
+            alone = wire.apart(parts)
+            if len(alone) < 2:
+                self._drop(name, peer, parts, error)
+            for one in alone if len(alone) > 1 else ():
+                self._take(name, peer, one, now)
+            return
+        for message in messages:
+            try:
+                take(self, peer, message, now)
+            except WireError as error:
+                self._drop(name, peer, parts, error)
 
     def _drop(self, name: str, peer: bytes, parts: Sequence[bytes], error: WireError) -> None:
         self.dropped[name] += 1
@@ -289,6 +307,7 @@ class Router:
             case m.HaltOrder():
                 self._events.append(_halt_called(name, message, now))
             case m.SubsystemHello():
+                self._outbox["subsystems"].set_arrays(peer, message.arrays)
                 self.me.log.info("%.80r is here, pid %d, %.200s", name, message.pid, message.performers)
                 self._events.append(
                     heard.SubsystemConnected(
@@ -320,7 +339,7 @@ class Router:
         if self._reports[command.client] > reporting.MOST_PER_S:
             self.dropped["reports"] += 1
             return
-        send(self._socket["front"], reporting.periodic(command, report, now), _peer(command.client))
+        self._outbox["front"].send_now(_peer(command.client), reporting.periodic(command, report, now))
 
     def _from_supervisor(self, peer: bytes, message: Any, now: float) -> None:
         if isinstance(message, m.Dropped) and peer in TELL_DROPPED:
@@ -459,6 +478,7 @@ class Router:
                 if name in self._watched_s:
                     self._watched_s[name] = now
             case m.ClientHello():
+                self._outbox["front"].set_arrays(peer, message.arrays)
                 self._welcome(peer)
             case m.StatusQuery():
                 self._answer(peer, m.StatusReply(request=message.request, status=status(self)))
@@ -503,7 +523,7 @@ class Router:
         return command if text != message.text[:MAX_TEXT] else ""
 
     def _welcome(self, peer: bytes) -> None:
-        self._answer(peer, m.Welcome(cluster=self.settings.run, pid=os.getpid()))
+        self._answer(peer, m.Welcome(cluster=self.settings.run, pid=os.getpid(), arrays=True))
 
     def _decline_anothers(self, peer: bytes, message: m.CommandText | m.ProgramText) -> None:
         """What was said to a cluster that was here before us must not move anything now. First who we are, so that
@@ -519,7 +539,7 @@ class Router:
         self._answer(peer, m.Declined(request=message.request, refusal=refusal))
 
     def _answer(self, peer: bytes, message: m.BrokerToClient) -> None:
-        send(self._socket["front"], message, peer)
+        self._outbox["front"].send_now(peer, message)
 
     def _trace(self, query: m.TraceQuery) -> m.TraceReply | m.Declined:
         live = self.state.commands.get(query.command)
@@ -669,16 +689,14 @@ class Router:
             "issued_at_s": effect.issued_at_s,
             "pid": effect.pid,
         }
-        send(self._socket["subsystems"], message, self._subsystem_peer(effect.subsystem))
+        self._outbox["subsystems"].put(self._subsystem_peer(effect.subsystem), message)
 
     def _send_halt(self, effect: do.SendHalt) -> None:
         order = m.HaltOrder(halt=effect.halt, scope=effect.scope, called_at_s=effect.called_at_s, call=effect.call)
-        send(self._socket["subsystems"], order, self._subsystem_peer(effect.subsystem))
+        self._outbox["subsystems"].send_now(self._subsystem_peer(effect.subsystem), order)
 
     def _acknowledge(self, effect: do.AcknowledgeReport) -> None:
-        send(
-            self._socket["subsystems"], m.ReportAck(primitive=effect.primitive), self._subsystem_peer(effect.subsystem)
-        )
+        self._outbox["subsystems"].put(self._subsystem_peer(effect.subsystem), m.ReportAck(primitive=effect.primitive))
 
     def _start_timer(self, effect: do.StartTimer) -> None:
         self.timers.start(effect.timer, effect.at_s)
@@ -687,18 +705,18 @@ class Router:
         self.timers.stop(effect.timer)
 
     def _tell(self, effect: do.TellClient) -> None:
-        send(self._socket["front"], effect.message, _peer(effect.client))
+        self._outbox["front"].put(_peer(effect.client), effect.message)
 
     def _publish(self, effect: do.PublishNote) -> None:
         if effect.client:
-            send(self._socket["front"], effect.note, _peer(effect.client))
+            self._outbox["front"].put(_peer(effect.client), effect.note)
         if self._topics:
             send(self._socket["events"], effect.note)
 
     def _report_end(self, effect: do.ReportEnd) -> None:
         kept = self.state.ended.get(effect.ended.command)
         encoded = kept.message if kept else effect.ended  # once is enough
-        send(self._socket["front"], encoded, _peer(effect.client))
+        self._outbox["front"].put(_peer(effect.client), encoded)
         if self._topics:
             send(self._socket["events"], encoded)
 
@@ -756,11 +774,11 @@ _QUESTIONS = (m.StatusQuery, m.TraceQuery, m.ProgramQuery, m.ProgramText)
 _MEANT_FOR_ONE = (m.CommandText, m.ProgramText)
 #: socket -> how its messages are read, and who takes them
 _DOORS: dict[str, tuple[Callable[[Any], Any], Callable[[Router, bytes, Any, float], None]]] = {
-    "halt": (read_order, Router._from_halt),
-    "subsystems": (wire.reader(m.SubsystemToBroker), Router._from_subsystem),
-    "supervisor": (wire.reader(m.SupervisorToBroker), Router._from_supervisor),
-    "workers": (wire.reader(m.WorkerToBroker), Router._from_worker),
-    "front": (wire.reader(m.ClientToBroker), Router._from_client),
+    "halt": (lambda parts: (read_order(parts),), Router._from_halt),
+    "subsystems": (wire.reader_of_many(m.SubsystemToBroker), Router._from_subsystem),
+    "supervisor": (wire.reader_of_many(m.SupervisorToBroker), Router._from_supervisor),
+    "workers": (wire.reader_of_many(m.WorkerToBroker), Router._from_worker),
+    "front": (wire.reader_of_many(m.ClientToBroker), Router._from_client),
 }
 
 _PERFORM: dict[type[do.Effect], Callable[[Router, Any], None]] = {

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import heapq
 
+DEAD_KEPT = 1_000  # entries of the heap that no longer count, before it is made anew
+
 
 class Timers:
     def __init__(self) -> None:
@@ -13,6 +15,9 @@ class Timers:
     def start(self, name: str, at_s: float) -> None:
         self._at[name] = at_s
         heapq.heappush(self._heap, (at_s, name))
+        if len(self._heap) > DEAD_KEPT + 2 * len(self._at):  # most timers are stopped before they ring
+            self._heap = [(at_s, name) for name, at_s in self._at.items()]
+            heapq.heapify(self._heap)
 
     def stop(self, name: str) -> None:
         self._at.pop(name, None)

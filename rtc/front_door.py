@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import struct
 import time
+from collections import deque
 from collections.abc import Callable
 
 import msgspec
@@ -23,7 +24,7 @@ from rtc import messages as m
 from rtc.keys import Endpoints
 from rtc.outcomes import NoCluster, Refusal, RefusalReason, RequestDeclined, WireError
 from rtc.settings import BOUNDS
-from rtc.wire import MAX_BYTES, frames, reader
+from rtc.wire import MAX_BYTES, frames, reader_of_many, together
 
 HELLO_S, FAR_HELLO_S = 0.8, 3.0  # longest wait for the first Welcome, here and over tcp
 RESTART_S = 10.0  # and for that of a broker whose supervisor lives: it is being restarted
@@ -37,7 +38,7 @@ ACTS = (m.CommandText, m.ProgramText)  # never for another cluster than the one 
 FAILED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 WATCHED = zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED | FAILED
 
-_read = reader(m.BrokerToClient)
+_read = reader_of_many(m.BrokerToClient)
 
 
 class FrontDoor:
@@ -56,6 +57,8 @@ class FrontDoor:
         self.unanswered = 0  # how often we have asked whether anybody is there, and heard nothing since
         self._open: dict[str, m.ClientToBroker] = {}  # request -> message, until its last answer
         self._say_again = False  # all that is open, once we are welcome
+        self._unsent: list[msgspec.Raw] = []  # requests that travel together when we hear next
+        self._came: deque[m.BrokerToClient] = deque()  # of an array: what has not been handed over yet
         self._heard_at_s = time.monotonic()
         self._socket = context.socket(zmq.DEALER)
         if not self._far:
@@ -102,6 +105,8 @@ class FrontDoor:
         parts = self._parts(message)
         if isinstance(message, ACTS) and self.welcome is None and not self._cluster:
             self._say_again = True  # not before we know whom we speak to
+        elif self.welcome is not None and self.welcome.arrays:
+            self._unsent.append(msgspec.Raw(parts[-1]))
         else:
             self._send(parts)
         self._open[request] = message
@@ -114,6 +119,9 @@ class FrontDoor:
         """The next message, or None when there was none in time (or only news of the connection)."""
         if self.replaced:
             return None
+        self._send_unsent()
+        if self._came:
+            return self._hand_over(self._came.popleft())
         ready = dict(self._poller.poll(max(0, math.ceil(min(timeout_s, SILENCE_S) * 1000))))
         if self._monitor in ready:
             self._watch_connection()
@@ -126,10 +134,13 @@ class FrontDoor:
         self._heard_at_s = time.monotonic()
         self.unanswered = 0
         try:
-            message: m.BrokerToClient = _read(self._socket.recv_multipart())
+            self._came.extend(_read(self._socket.recv_multipart()))
         except WireError:
             self.bad_messages += 1
             return None
+        return self._hand_over(self._came.popleft()) if self._came else None
+
+    def _hand_over(self, message: m.BrokerToClient) -> m.BrokerToClient:
         if isinstance(message, m.Welcome):
             self._take_welcome(message)
         if isinstance(message, m.Accepted):
@@ -150,6 +161,7 @@ class FrontDoor:
         return self._why_far() if self._unknown else ""
 
     def close(self) -> None:
+        self._send_unsent()
         self._socket.disable_monitor()
         self._monitor.close(linger=0)
         self._socket.close()
@@ -174,8 +186,13 @@ class FrontDoor:
             return False
         return True
 
+    def _send_unsent(self) -> None:
+        unsent, self._unsent = self._unsent, []
+        for parts in together(unsent):
+            self._send(parts)
+
     def _say_hello(self) -> None:
-        self._send(frames(m.ClientHello(client=self.name, at_s=time.monotonic())))
+        self._send(frames(m.ClientHello(client=self.name, at_s=time.monotonic(), arrays=True)))
 
     def _ask_who_is_there(self) -> None:
         """And say all that is open again, if it is our cluster's broker. A line that is down asks when it is up."""

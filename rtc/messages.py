@@ -81,6 +81,7 @@ class ClientHello(Message, frozen=True, kw_only=True):
 
     client: Name
     at_s: float = 0.0  # the client's clock, so that a gate may tell what its times mean here; 0 = not told
+    arrays: bool = False  # it reads arrays of messages too; else each message travels alone
 
 
 class Shutdown(Message, frozen=True, kw_only=True):
@@ -96,6 +97,7 @@ class Shutdown(Message, frozen=True, kw_only=True):
 class Welcome(Message, frozen=True, kw_only=True):
     cluster: str  # the run's id
     pid: int
+    arrays: bool = False  # the broker reads arrays of messages too
 
 
 class Accepted(Message, frozen=True, kw_only=True):
@@ -314,6 +316,17 @@ class Binding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     name: str | None = None
 
 
+class Way(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A way of an arm that an elaborator has found free. It holds for one question: whoever asks that of the world may
+    take it, and anybody else plans anew (`workers.motion.handed`)."""
+
+    asked: bytes  # digest of the question: joints of all arms, goal, scene, rules
+    space: Literal["joint", "task"]
+    s: list[float]  # parameter of each knot; rises from 0
+    knots: list[list[float]]  # rad
+    notes: list[str] = []  # how it was found
+
+
 class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One line of a script (Figure 4): do, resource, destination, stop class, interpolation space, trims."""
 
@@ -332,6 +345,7 @@ class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     keep: dict[str, str] = {}  # binding to set from the report on success: {"GP1": "report.pose"}
     trims: list[int] = []  # entries of the trimming stack that may mend it, in order (A9)
     args: dict[str, float | str] = {}  # what else the row of the program needs: speeds, thresholds, widths
+    way: Way | None = None  # of the first motion of a script
 
 
 class Trim(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -494,6 +508,7 @@ class SubsystemHello(Message, frozen=True, kw_only=True):
     performers: Annotated[list[Name], msgspec.Meta(max_length=10_000)]  # LEFT-ARM, RIGHT-ARM
     outstanding: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []
     at_rest: bool = True
+    arrays: bool = False  # as in ClientHello
 
 
 class Execute(Message, frozen=True, kw_only=True):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 from typing import Any
 
 import msgspec
@@ -22,7 +23,7 @@ from rtc.halt_admission import read_order
 from rtc.outcomes import Refusal, RefusalReason, WireError
 from rtc.process import Every, Process, inbox, send
 from rtc.settings import BOUNDS, NO_HANDOVER, Settings
-from rtc.wire import reader
+from rtc.wire import apart, reader
 from sim_mcm.subsystem import BROKER, InvalidOrder, Outgoing
 
 # Messages taken from one socket in one tick, so that no sender can stretch it. Callers take turns at a socket, so that
@@ -89,7 +90,7 @@ class Sockets:
         """What the broker has sent. Of a primitive that is none, what can be read, so that it is answered."""
         if self._broker not in self._ready:
             return
-        for parts in inbox(self._broker, PER_TICK):
+        for parts in chain.from_iterable(map(apart, inbox(self._broker, PER_TICK))):
             order = self._decode(_read_broker, parts, "broker", now_s)
             if isinstance(order, m.Declined):
                 self._log.error("the broker does not take us: %s", order.refusal.message)

@@ -129,6 +129,7 @@ class Subsystem:
             performers=list(self.executors),
             outstanding=self.outstanding,
             at_rest=self.at_rest,
+            arrays=True,
         )
         halts = self._fences.values()
         return [

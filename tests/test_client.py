@@ -16,10 +16,10 @@ from rtc import messages as m
 from rtc.client import Client
 from rtc.outcomes import NoCluster, Outcome, OutcomeKind, Refusal, RefusalReason, RequestDeclined, TimedOut
 from rtc.settings import Settings
-from rtc.wire import frames, reader
+from rtc.wire import frames, reader, reader_of_many, together
 
 Answer = Callable[[m.ClientToBroker], list[object]]
-read_client = reader(m.ClientToBroker)
+read_client = reader_of_many(m.ClientToBroker)
 read_halt = reader(m.ToHalt)
 NOBODY = ("C-99", "RIGHT-AMR")  # names of nothing
 ENDED = "C-5"  # of which nothing moves; the broker has nothing to decline
@@ -31,6 +31,7 @@ class SmallBroker(threading.Thread):
     def __init__(self, run_dir: Path, answer: Answer, *, halts: bool = True, front: bool = True) -> None:
         super().__init__(daemon=True)
         self.heard: list[m.ClientToBroker] = []
+        self.parcels: list[int] = []  # messages in each message of a client
         self.halted: list[tuple[str, m.HaltOrder]] = []
         self.at_rest: bool | None = True
         self._answer = answer
@@ -54,9 +55,14 @@ class SmallBroker(threading.Thread):
             for socket in ready:
                 who, *parts = socket.recv_multipart()
                 if self._doors[socket] == "front":
-                    message = read_client(parts)
-                    self.heard.append(message)
-                    answers = self._answer(message)
+                    said = read_client(parts)
+                    self.heard += said
+                    self.parcels.append(len(said))
+                    answers = [answer for message in said for answer in self._answer(message)]
+                    if len(said) > 1:  # it reads arrays, then
+                        (parts,) = together(answers)
+                        socket.send_multipart([who, *parts])
+                        continue
                 else:
                     order = read_halt(parts)
                     self.halted.append((self._doors[socket], order))
@@ -185,6 +191,25 @@ def test_submit_then_wait(broker: SmallBroker, run_dir: Path) -> None:
 
     assert (command, outcome.command) == ("C-7", "C-7")
     assert broker.sentences()[0].source == "aip"
+
+
+def test_sentences_and_answers_travel_together_where_the_broker_reads_arrays(run_dir: Path) -> None:
+    def modern(message: m.ClientToBroker) -> list[object]:
+        if isinstance(message, m.ClientHello):
+            assert message.arrays
+            return [m.Welcome(cluster="test", pid=1, arrays=True)]
+        return obliging(message)
+
+    broker = SmallBroker(run_dir, modern)
+    notes: list[str] = []
+    with Client(run_dir) as rtc:
+        texts = [f"STOW {n}" for n in range(1, 4)]
+        outcomes = rtc.run_many(texts, on_progress=lambda note: notes.append(note.command), timeout_s=5)
+        assert rtc.status() == {"cluster": "test"}
+    broker.stop()
+    assert broker.parcels == [1, 3, 1]
+    assert [outcome.text for outcome in outcomes] == texts
+    assert notes == ["C-1", "C-2", "C-3"]
 
 
 @pytest.mark.parametrize("parallel", [True, False])

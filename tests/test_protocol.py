@@ -106,6 +106,24 @@ def test_the_same_request_again_is_the_same_command(front: Bare) -> None:
     assert len({message["command"] for message in [*first, *again]}) == 1
 
 
+def test_messages_in_one_array(front: Bare) -> None:
+    """Announced by `arrays`, the answers may come in arrays too; each is a message like any other."""
+    front.say(type="ClientHello", client="bare", arrays=True)
+    assert front.hear()["arrays"] is True
+    sentences = [
+        {"type": "CommandText", "request": str(n), "text": "STOW LEFT-LEG", "progress": False} for n in range(1, 4)
+    ]
+    front.socket.send_multipart([b"RTC1", msgpack.packb(sentences)])
+    heard: list[dict[str, Any]] = []
+    while sum(message["type"] == "CommandEnded" for message in heard) < len(sentences):
+        assert front.socket.poll(LIMIT_MS), "nothing was heard"
+        body = msgpack.unpackb(front.socket.recv_multipart()[1])
+        heard += body if isinstance(body, list) else [body]
+
+    for kind in ("Accepted", "CommandEnded"):
+        assert [message["request"] for message in heard if message["type"] == kind] == ["1", "2", "3"]
+
+
 def test_bytes_that_are_no_message_get_a_clear_answer(front: Bare) -> None:
     for parts in ([b"RTC1", b"\xc1"], [b"RTC0", msgpack.packb({"type": "StatusQuery"})], [b"RTC1", msgpack.packb([1])]):
         front.socket.send_multipart(parts)

@@ -36,7 +36,8 @@ class LoadClient:
         self._socket = open_socket(
             self._context, zmq.DEALER, settings.endpoint("front"), identity="load", queue_length=100_000
         )
-        self._read = wire.reader(m.BrokerToClient)
+        self._read = wire.reader_of_many(m.BrokerToClient)
+        self._socket.send_multipart(wire.frames(m.ClientHello(client="load", arrays=True)))
         self._numbers = count(1)
         self._sent_at_s: dict[str, float] = {}
         self.outcomes: Counter[OutcomeKind] = Counter()
@@ -68,7 +69,7 @@ class LoadClient:
         """The broker's status; only when nothing is under way."""
         assert not self._sent_at_s
         self._socket.send_multipart(wire.frames(m.StatusQuery(request="status")))
-        reply = self._read(self._socket.recv_multipart())
+        (reply,) = self._read(self._socket.recv_multipart())
         assert isinstance(reply, m.StatusReply)
         return reply.status
 
@@ -83,12 +84,14 @@ class LoadClient:
 
     def _fill(self, now: float, at_most: int = 1 << 60) -> int:
         new = min(self._window - len(self._sent_at_s), at_most)
+        sentences = []
         for _ in range(new):
             n = next(self._numbers)
             request = str(n)
             self._sent_at_s[request] = now
-            sentence = m.CommandText(request=request, text=self._text(n), progress=False, sent_at_s=now)
-            self._socket.send_multipart(wire.frames(sentence))
+            sentences.append(m.CommandText(request=request, text=self._text(n), progress=False, sent_at_s=now))
+        for parts in wire.together(sentences):
+            self._socket.send_multipart(parts)
         return new
 
     def _hear(self) -> int:
@@ -97,11 +100,11 @@ class LoadClient:
             raise Stuck(f"nothing heard for {SILENCE_S} s, {len(self._sent_at_s)} commands under way")
         now, ended = time.monotonic(), 0
         for parts in inbox(self._socket):
-            message = self._read(parts)
-            if isinstance(message, m.CommandEnded):
-                self.latencies_s.append(now - self._sent_at_s.pop(message.request))
-                self.outcomes[message.outcome.kind] += 1
-                ended += 1
-            elif not isinstance(message, m.Accepted):
-                raise RuntimeError(f"the cluster answers a sentence with {message}")
+            for message in self._read(parts):
+                if isinstance(message, m.CommandEnded):
+                    self.latencies_s.append(now - self._sent_at_s.pop(message.request))
+                    self.outcomes[message.outcome.kind] += 1
+                    ended += 1
+                elif not isinstance(message, (m.Accepted, m.Welcome)):
+                    raise RuntimeError(f"the cluster answers a sentence with {message}")
         return ended

@@ -17,7 +17,7 @@ from benchmarks.load.trivial import PERFORMERS, SUBSYSTEM, performer
 from rtc import messages as m
 from rtc import process, wire
 from rtc.outcomes import StopReason, WireError
-from rtc.process import Every, inbox, now_s, send
+from rtc.process import Every, inbox, now_s
 from rtc.settings import Settings
 
 HEARTBEAT_S = 0.5
@@ -46,7 +46,9 @@ class Instant:
         ]
 
     def hello(self) -> list[m.Message]:
-        hello = m.SubsystemHello(name=SUBSYSTEM, pid=self.pid, performers=self.performers, outstanding=list(self.kept))
+        hello = m.SubsystemHello(
+            name=SUBSYSTEM, pid=self.pid, performers=self.performers, outstanding=list(self.kept), arrays=True
+        )
         return [hello, *(report for report, _ in self.kept.values())]
 
     def again(self, now: float) -> list[m.Message]:
@@ -80,21 +82,22 @@ def main() -> None:
     with process.start(SUBSYSTEM, run_dir) as me:
         process.show_name(SUBSYSTEM)
         socket = me.socket(zmq.DEALER, Settings.load(run_dir).endpoint("subsystems"), identity=SUBSYSTEM)
-        read = wire.reader(m.BrokerToSubsystem)
+        read = wire.reader_of_many(m.BrokerToSubsystem)
         instant, heartbeat = Instant(os.getpid(), given.performers), Every(HEARTBEAT_S)
         process.freeze_heap()
         me.ready()
         said = instant.hello()
         while not me.stopping:
-            for message in said:
-                send(socket, message)
+            for parts in wire.together(said):
+                socket.send_multipart(parts)
             me.wait(heartbeat.left_s(now_s()))
             said = []
             if heartbeat.due(now_s()):
                 said = [m.Heartbeat(name=SUBSYSTEM), *instant.again(now_s())]
             for parts in inbox(socket):
                 try:
-                    said += instant.hear(read(parts), now_s())
+                    for message in read(parts):
+                        said += instant.hear(message, now_s())
                 except WireError as error:
                     me.log.warning("dropped: %s", error)
 

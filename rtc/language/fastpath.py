@@ -29,6 +29,7 @@ _SENTENCE = re.compile(
     r"[ \t,]*(?:\.[ \t,]*)?(?:--.*)?",
     re.IGNORECASE | re.ASCII,
 )
+_FIRST_WORDS = ("HALT", "STOP")
 _COMMAND = re.compile(r"C-\d+", re.ASCII)
 _RESERVED = reserved_words()
 
@@ -39,6 +40,8 @@ def halt_scope(text: str) -> str | None:
     Never raises, for any argument.
     """
     if not isinstance(text, str) or len(text) > MAX_CHARACTERS + len("\r\n"):
+        return None
+    if text.lstrip(" \t,")[:4].upper() not in _FIRST_WORDS:  # most sentences, and far quicker than the pattern
         return None
     text = text.rstrip("\r\n")
     match = _SENTENCE.fullmatch(text)

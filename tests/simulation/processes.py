@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 ARMS = ("LEFT-ARM", "RIGHT-ARM")
 read_worker = wire.reader(m.BrokerToWorker)
-read_mcm = wire.reader(m.BrokerToSubsystem)
-read_client = wire.reader(m.BrokerToClient)
+read_mcm = wire.reader_of_many(m.BrokerToSubsystem)
+read_client = wire.reader_of_many(m.BrokerToClient)
 read_halt = wire.reader(m.FromHalt)
 read_supervisor = wire.reader(m.BrokerToSupervisor)
 
@@ -211,7 +211,8 @@ class Mcm:
         self._say(self.subsystem.hello())
 
     def _from_broker(self, parts: Frames) -> None:
-        self._wait(BROKER, read_mcm(parts))
+        for order in read_mcm(parts):
+            self._wait(BROKER, order)
 
     def _wait(self, door: bytes, order: Any) -> None:
         self._waiting.append((door, order))
@@ -278,7 +279,7 @@ class Client:
         self._met = 0
         self.line = Dealer(cluster.clock, name.encode(), self._hear, self._connected)
         cluster.attach("front", self.line)
-        self._say(m.ClientHello(client=name))
+        self._say(m.ClientHello(client=name, arrays=True))
         cluster.clock.after(self.SILENCE_S, self._look)
 
     def submit(self, text: str) -> None:
@@ -289,9 +290,13 @@ class Client:
 
     def repeat(self) -> None:
         self._heard_at_s = self.cluster.clock.now_s
-        self._say(m.ClientHello(client=self.name))
-        for request, sentence in self.open.items():
-            self._say(msgspec.structs.replace(sentence, known_as=self.command_of.get(request, "")))
+        self._say(m.ClientHello(client=self.name, arrays=True))
+        open_ones = [
+            msgspec.structs.replace(sentence, known_as=self.command_of.get(request, ""))
+            for request, sentence in self.open.items()
+        ]
+        for parts in wire.together(open_ones):
+            self.line.send(parts)
 
     def _say(self, message: m.ClientToBroker) -> None:
         self.line.send(wire.frames(message))
@@ -310,7 +315,10 @@ class Client:
 
     def _hear(self, parts: Frames) -> None:
         self._heard_at_s = self.cluster.clock.now_s
-        message = read_client(parts)
+        for message in read_client(parts):
+            self._take(message)
+
+    def _take(self, message: m.BrokerToClient) -> None:
         match message:
             case m.Accepted():
                 before = self.command_of.setdefault(message.request, message.command)
