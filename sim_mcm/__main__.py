@@ -1,8 +1,8 @@
-"""`python -m sim_mcm --run-dir D`: the simulated MCM, two arms in physics (or exact ones), ticking at 1 kHz.
+"""The process of the simulated MCM: `python -m sim_mcm --run-dir D` runs two arms (pybullet or kinematic) at 1 kHz.
 
-With --template it is the process that the next one is forked from: libraries and cell are there already.
+With --template it is the fork server of the MCM, with libraries and cell already loaded.
 
-Every tick: halts first, then the broker, then one servo tick, then the world's step. A tick never waits for anybody.
+Order in every tick: halts, messages of the broker, one servo tick, one simulation step. A tick never waits.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from sim_mcm.subsystem import BROKER, Outgoing, Subsystem
 NAME = "MCM"
 HEARTBEAT_S = 0.25
 TELEMETRY_S = 0.02
-END_S = 1.0  # simulated: longest time that the arms may take to come to rest before the process ends
+END_S = 1.0  # simulated: maximum time for the arms to come to rest before the process ends
 LAST_S = 1.0  # for the rest of that end
-FARTHEST = 10.0  # m or rad, of a belief error; physics has no answer to 1e300 m
-RANK, NICENESS = 2, -5  # before the broker and the workers, if the system gives leave
+FARTHEST = 10.0  # m or rad, maximum of a belief error; pybullet fails at 1e300 m
+RANK, NICENESS = 2, -5  # above the broker and the workers, if the system permits it
 
 SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": BulletCell, "kinematic": KinematicCell}
 
 
 class Station:
-    """The loop round a simulation: sockets, subsystem, clock."""
+    """The loop around a simulation: sockets, subsystem, clock."""
 
     def __init__(self, me: process.Process, given: handed.Handed, simulation: Simulation) -> None:
         settings = given.settings
@@ -55,7 +55,7 @@ class Station:
         self._telemetry = process.Every(TELEMETRY_S)
 
     def run(self) -> None:
-        """Until the process is told to stop."""
+        """Run until the process receives the order to stop."""
         clock, subsystem = self._clock, self._subsystem
         self._sockets.send(subsystem.hello())
         process.freeze_heap()
@@ -69,7 +69,7 @@ class Station:
         self._me.log.info("%d ticks, %d late", clock.ticks, clock.late_ticks)
 
     def _come_to_rest(self) -> None:
-        """Told to end, or the supervisor has died: no arm is left moving. Telemetry shows it."""
+        """Brake all arms before the process ends, also if the supervisor has died. Telemetry shows the rest."""
         subsystem, limit_s = self._subsystem, process.now_s() + END_S * self._settings.patience
         process.end_within(END_S * self._settings.patience + LAST_S)
         if not subsystem.at_rest:
@@ -97,15 +97,15 @@ class Station:
         self._between_ticks(now_s)
 
     def _move(self) -> None:
-        """One servo tick, and the world's step."""
+        """One servo tick and one simulation step."""
         out = self._subsystem.tick(process.now_s())
         self._simulation.step()
         if any(isinstance(message, m.EndReport) for _, message in out):
-            self._state_file.save(self._simulation.state())  # what has been reported stays so
+            self._state_file.save(self._simulation.state())  # a reported state survives a restart
         self._sockets.send(out)
 
     def _between_ticks(self, now_s: float) -> None:
-        """What is not urgent."""
+        """Work that is not urgent."""
         sockets = self._sockets
         self._me.beat(now_s)
         if sockets.newly_connected():
@@ -124,7 +124,7 @@ class Station:
             sockets.answer(caller, self._answer(question))
 
     def _log_started(self, out: Outgoing) -> None:
-        """The log says what was begun, whoever dies: whether anything was done twice is seen there."""
+        """Log every started primitive: the log shows, over all MCM processes, whether one ran twice."""
         for _, message in out:
             if isinstance(message, m.Started):
                 self._me.log.info("begins %s", message.primitive)
@@ -152,7 +152,7 @@ class Station:
             return m.SimDone(request=question.request, error=error)
         if isinstance(question, m.SimDisplace):
             if len(question.offset) != 6 or not all(abs(part) <= FARTHEST for part in question.offset):
-                words = f"offset: six finite numbers are needed, none beyond {FARTHEST:g} m or rad"
+                words = f"offset: six finite numbers are required, none beyond {FARTHEST:g} m or rad"
                 return m.SimDone(request=question.request, error=words)
             return m.SimDone(
                 request=question.request, error=self._simulation.displace(question.object, question.offset)
@@ -171,17 +171,17 @@ class Station:
 
 
 def _come_first(settings: Settings) -> str:
-    """A servo's tick is short and cannot wait. Not so when running faster than real time, where a tick may follow a
-    tick and nobody else would get the core."""
+    """Request real-time priority, because a servo tick is short and cannot wait. Faster than real time it would keep
+    the core from other processes, so then only the niceness changes."""
     if 0.0 < settings.speed <= 1.0:
         return process.come_first(RANK, NICENESS)
-    return f"niceness {NICENESS}" if process.nice(NICENESS) else "no leave for a better priority"
+    return f"niceness {NICENESS}" if process.nice(NICENESS) else "no permission for a higher priority"
 
 
 def main() -> None:
     arguments = argparse.ArgumentParser(prog="python -m sim_mcm", description=__doc__)
-    arguments.add_argument("--run-dir", required=True, help="of the cluster, with its settings.json")
-    arguments.add_argument("--template", action="store_true", help="be the one that an MCM is forked from")
+    arguments.add_argument("--run-dir", required=True, help="run directory of the cluster (has settings.json)")
+    arguments.add_argument("--template", action="store_true", help="be the fork server of the MCM")
     handed.add_option(arguments)
     given = arguments.parse_args()
     if given.template:
@@ -193,8 +193,8 @@ def main() -> None:
 
 
 def live(run_dir: str, fd: int = -1, simulation: Simulation | None = None) -> None:
-    """Be the MCM until told to end. `fd`: what the supervisor hands over (rtc.handed); `simulation`: one made already,
-    in which nothing has happened."""
+    """Run the MCM until it is stopped. `fd`: handover from the supervisor (rtc.handed); `simulation`: a prepared one
+    in its initial state."""
     process.show_name(NAME)
     given = handed.begin(NAME, Path(run_dir), fd)
     settings = given.settings

@@ -1,7 +1,7 @@
-"""What an arm refuses to begin, and why, in words (R63, R67): a primitive is checked whole before it moves anything.
+"""Acceptance check of a primitive before any motion; a refusal states its reason (R63, R67).
 
-Pure: (primitive, traits of the arm, where it is) -> the first objection, or ''. Whether the arm is busy, and
-whether the control law is known, is asked elsewhere.
+Pure: (primitive, traits of the arm, joint positions) -> the first objection, or ''. The executor checks whether the arm
+is busy and whether the control law is known.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from rtc.outcomes import Reflex
 from rtc.robot import quintic
 from sim_mcm.arm import Traits
 
-START_TOLERANCE_RAD = 0.01  # between where the arm is and where a trajectory begins
+START_TOLERANCE_RAD = 0.01  # maximum distance between the arm and the start of a trajectory
 REST_RAD_S = 1e-6  # a trajectory begins and ends at rest
 LIMIT_SLACK_RAD = 1e-9
-RATE_SLACK = 0.001  # share of the limit of velocity or acceleration that rounding may take
-MOST_KNOTS = 10_000  # checking them takes 20 ms, in which no arm is served
+RATE_SLACK = 0.001  # share of a velocity or acceleration limit allowed for rounding
+MOST_KNOTS = 10_000  # checking this many takes 20 ms, during which no arm is served
 
 
 def objection(primitive: p.Primitive, traits: Traits, joints: Sequence[float]) -> str:
-    """The first thing that is wrong with it, or ''."""
+    """The first objection to the primitive, or ''."""
     for problem in CHECKS[type(primitive.trajectory)](primitive.trajectory, traits, joints):
         return problem
     load = primitive.control_law.load
@@ -58,7 +58,7 @@ def _joints(trajectory: p.JointTrajectory, traits: Traits, joints: Sequence[floa
         if abs(start - here) > START_TOLERANCE_RAD:
             yield (
                 f"the trajectory does not start where {traits.name} is: {name} is at {here:.4f} rad, "
-                f"it begins at {start:.4f}, {start - here:+.4f} away ({START_TOLERANCE_RAD} is allowed)"
+                f"the trajectory starts at {start:.4f}, {start - here:+.4f} away ({START_TOLERANCE_RAD} is allowed)"
             )
     for where, row in (("start", trajectory.velocities[0]), ("end", trajectory.velocities[-1])):
         if max(abs(speed) for speed in row) > REST_RAD_S:
@@ -67,7 +67,7 @@ def _joints(trajectory: p.JointTrajectory, traits: Traits, joints: Sequence[floa
 
 
 def _limits(points: quintic.ControlPoints, traits: Traits) -> Iterator[str]:
-    """Every piece, knots and what is between them, against the limits of the arm. The first joint is named."""
+    """Check every segment, between its knots too, against the limits of the arm. Names the first joint that exceeds."""
     velocity, acceleration = np.asarray(traits.velocity), np.asarray(traits.acceleration)
     low, high = np.asarray(traits.lower), np.asarray(traits.upper)
     for what, unit, rows, least, most, slack in (
@@ -92,7 +92,7 @@ def _hand(trajectory: p.HandMotion, traits: Traits, joints: Sequence[float]) -> 
     )
     for name, value, low, high in figures:
         if not low <= value <= high:  # false for NaN too
-            yield f"hand motion: {name} {value} is outside {low} to {high}, what the hand of {traits.name} can do"
+            yield f"hand motion: {name} {value} is outside {low} to {high}, the range of the hand of {traits.name}"
     if trajectory.force_n <= 0.0:
         yield "hand motion: force_n must be above 0"
 

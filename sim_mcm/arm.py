@@ -1,9 +1,8 @@
-"""What the executor needs of any arm, real or simulated, and nothing else.
+"""The interface between the executor and any arm, real or simulated.
 
-Signs, fixed here for every arm: joints in URDF order (rad); the wrench is [Fx Fy Fz Tx Ty Tz] (N, N.m), what the
-surroundings exert ON the hand, in tool axes, about the tcp, as the sensor reads it (no bias taken off); each finger
-has its own travel from the middle of the hand (m), and presses with a force >= 0 (N). This file must not know how an
-arm moves, nor what a primitive is.
+Conventions for every arm. Joints: URDF order (rad). Wrench: [Fx Fy Fz Tx Ty Tz] (N, N.m) exerted by the environment ON
+the hand, in tool axes, about the tcp, as the sensor reads it (bias included). Fingers: travel of each from the middle
+of the hand (m), pressing force >= 0 (N). This module must not know how an arm moves or what a primitive is.
 """
 
 from __future__ import annotations
@@ -18,13 +17,13 @@ from rtc.geometry import Array
 from rtc.primitive import ControlLaw
 from rtc.robot.kinematics import ArmModel
 
-TICK_S = 0.001  # of the servo, and of the simulated world
+TICK_S = 0.001  # period of the servo and of the simulation
 
 Motion = tuple[list[float], list[float], list[float]]  # joints (rad), velocities, accelerations
 
 
 class Sample(msgspec.Struct, gc=False):
-    """All that is measured of one arm in one tick."""
+    """All measurements of one arm in one tick."""
 
     joints: list[float]
     velocities: list[float]  # rad/s
@@ -35,7 +34,7 @@ class Sample(msgspec.Struct, gc=False):
 
 
 class HandCommand(msgspec.Struct, frozen=True):
-    """Bring the opening to `width_m` at `speed_m_s`, pressing with at most `force_n`; stays in force until the next."""
+    """Bring the opening to `width_m` at `speed_m_s`, with at most `force_n`; valid until the next command."""
 
     width_m: float
     force_n: float
@@ -43,24 +42,24 @@ class HandCommand(msgspec.Struct, frozen=True):
 
 
 class ArmState(msgspec.Struct):
-    """What stays as it is when an arm's controller dies: it is braked, and the hand keeps its grip."""
+    """The state of an arm that survives its controller: brakes hold the joints, the hand keeps its grip."""
 
     joints: list[float]
     fingers: tuple[float, float]
     hand: HandCommand
-    opening_m: float  # where the hand's servo is on its way to that
+    opening_m: float  # present setpoint of the hand servo, on its way to `hand`
 
 
 class CellState(msgspec.Struct):
-    """The same of a whole simulated cell."""
+    """The surviving state of a whole simulated cell."""
 
     arms: dict[str, ArmState]
     poses: dict[str, list[float]]  # of objects and seats, world frame
-    carried: dict[str, tuple[str, list[float]]] = {}  # object -> arm, pose in tcp axes; where holding is no physics
+    carried: dict[str, tuple[str, list[float]]] = {}  # object -> (arm, pose in tcp axes); kinematic arms only
 
 
 class Traits(msgspec.Struct, frozen=True, kw_only=True):
-    """The figures of an arm that do not change: names, limits, hand."""
+    """Constant properties of an arm: names, limits, hand."""
 
     name: str
     joint_names: list[str]
@@ -92,51 +91,51 @@ class Traits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Arm(Protocol):
-    """One arm with its hand. `read` once per tick, then `follow`; what is not commanded anew stays in force."""
+    """One arm with its hand. Call `read` once per tick, then `follow`; a command stays valid until the next."""
 
     traits: Traits
 
     def read(self) -> Sample:
-        """What the sensors say now."""
+        """The present sensor values."""
 
     def follow(self, motion: Motion) -> None:
-        """Where to be now: what this tick's sample should have shown, had it been followed exactly."""
+        """Command the present motion state: the one that an exact arm would have in this tick."""
 
     def use_law(self, law: ControlLaw) -> None:
-        """How to follow from now on. ValueError, in words, when there is no such law or a gain is out of range."""
+        """Set the control law. Raises ValueError if it is unknown or a gain is out of range."""
 
     def command_hand(self, command: HandCommand) -> None: ...
 
     def tcp_pose(self, joints: Sequence[float]) -> Array:
-        """Where the tcp is with these joints, world frame."""
+        """Pose of the tcp at these joint positions (rad), world frame."""
 
     def touches(self) -> Mapping[str, float]:
-        """What links of the arm (not palm, not fingers) touch: "LINK touches BODY" -> force pressed (N)."""
+        """Contacts of the arm's links (without palm and fingers): "LINK touches BODY" -> normal force (N)."""
 
 
 class Simulation(Protocol):
-    """A cell with arms in it, that can be stepped, looked at and tampered with. Only the test bench asks for truth."""
+    """A cell with its arms: can be stepped, observed and disturbed. Only the test bench reads the true state."""
 
     @property
     def arms(self) -> Mapping[str, Arm]: ...
 
     def step(self) -> None:
-        """One tick of the world."""
+        """Advance by one tick."""
 
     def truth(self) -> dict[str, dict[str, list[float]]]:
-        """poses, velocities of every object; tcp, joints, fingers of every arm."""
+        """The true state: poses, velocities of every object; tcp, joints, fingers of every arm."""
 
     def held(self) -> dict[str, list[str]]:
-        """Arm -> objects that both its fingers press on."""
+        """Arm -> objects between its pressing fingers."""
 
     def state(self) -> CellState:
-        """All that stays as it is when the controller dies."""
+        """The state that survives the controller."""
 
     def restore(self, state: CellState) -> None:
-        """Be as it was, at rest."""
+        """Restore a saved state, at rest."""
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
-        """Move an object with the seat it sits in (x y z roll pitch yaw). Returns why not, or ''."""
+        """Move an object and its seat (x y z roll pitch yaw; m, rad). Returns the reason of a refusal, or ''."""
 
     def change_physics(self, mass: float, friction: float) -> str:
-        """Things weigh, and pads rub, so many times what the cell says. Returns why not, or ''."""
+        """Scale masses and pad friction relative to the cell file. Returns the reason of a refusal, or ''."""

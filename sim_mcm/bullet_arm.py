@@ -1,7 +1,7 @@
-"""Arms and cell in physics: torques in, joint angles, wrench and contact out, at 1 kHz.
+"""Arms and cell in pybullet at 1 kHz: torques in; joint angles, wrench and contacts out.
 
-Everything is done by forces: an object is held because the fingers press on it, and for no other reason. What was
-found to be needed for that, with figures, is in docs/physics.md. This file must not know primitives.
+Forces alone move things: friction between pressing fingers holds an object. docs/physics.md gives the reasons and the
+measured values of the parameters. This module must not know primitives.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from sim_mcm.kinematic_arm import displaced
 from sim_mcm.servo import Servo
 
 FINGER_FRICTION = 1.0
-SPINNING_FRICTION = 0.012  # m, of a soft pad; with less a module turns out of the grip about the pads
-SEATED_M = 0.02  # nearer to where a seat holds its module than this: it sits there
+SPINNING_FRICTION = 0.012  # m, of a soft pad; a smaller value lets a module turn between the pads
+SEATED_M = 0.02  # maximum distance from the seated place at which a module counts as seated
 NOTHING: Mapping[str, float] = {}
 BODY_B, LINK_A, NORMAL_FORCE = 2, 3, 9  # fields of a contact point
 
@@ -61,7 +61,7 @@ class BulletArm:
         self._finger_forces = (0.0, 0.0)
         self._sample = self.read()
 
-    # --- what the executor sees ------------------------------------------------------------------------
+    # --- interface to the executor ---------------------------------------------------------------------
 
     def read(self) -> Sample:
         states = pybullet.getJointStates(self.body, self._read_from, physicsClientId=self._client)
@@ -95,10 +95,10 @@ class BulletArm:
                 found[words] = found.get(words, 0.0) + point[NORMAL_FORCE]
         return found
 
-    # --- the world's step ------------------------------------------------------------------------------
+    # --- simulation step --------------------------------------------------------------------------------
 
     def drive(self) -> None:
-        """The motors' torques of this tick; they last for one step only."""
+        """Apply the motor torques of this tick; pybullet keeps them for one step."""
         sample = self._sample
         torques = self._servo.torque(sample.joints, sample.velocities)
         self._finger_forces = self._hand.forces(sample.fingers, sample.finger_speeds)
@@ -111,7 +111,7 @@ class BulletArm:
         )
 
     def pressed_on(self) -> set[int]:
-        """The bodies that both fingers press on."""
+        """Bodies in contact with both fingers."""
         by_finger = []
         for finger in self.fingers:
             points = pybullet.getContactPoints(bodyA=self.body, linkIndexA=finger, physicsClientId=self._client)
@@ -119,7 +119,8 @@ class BulletArm:
         return by_finger[0] & by_finger[1]
 
     def mass_matrix(self, joints: Sequence[float]) -> Array:
-        """As the physics has it, fingers closed and left out. For tests: it must be that of the control law's model."""
+        """Mass matrix of pybullet's model, fingers closed and left out. Tests compare it with the control law's
+        model."""
         full = pybullet.calculateMassMatrix(self.body, [*joints, 0.0, 0.0], physicsClientId=self._client)
         dof = len(self._arm)
         return np.asarray(full)[:dof, :dof]
@@ -134,7 +135,7 @@ class BulletArm:
         self._servo.want((list(state.joints), still, still))
         self._hand = Hand(state.hand, state.opening_m)
 
-    # --- making it -------------------------------------------------------------------------------------
+    # --- construction ----------------------------------------------------------------------------------
 
     def _indices(self, field: int) -> dict[str, int]:
         """Name -> index; field 1 of pybullet's joint info is the joint's name, 12 that of its child link."""
@@ -149,7 +150,7 @@ class BulletArm:
                 self.body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=client
             )
         self.rub(1.0)
-        # A motor that nobody asked for locks every joint until it is switched off.
+        # pybullet's default velocity motor locks every joint until it is disabled.
         pybullet.setJointMotorControlArray(
             self.body, self._all, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._all), physicsClientId=client
         )
@@ -158,7 +159,7 @@ class BulletArm:
         self._put([*spec.home_rad, half, half])
 
     def rub(self, factor: float) -> None:
-        """The pads' friction, as a factor of what they have."""
+        """Scale the friction of the pads."""
         for finger in self.fingers:
             pybullet.changeDynamics(
                 self.body,
@@ -169,13 +170,13 @@ class BulletArm:
             )
 
     def _put(self, values: Sequence[float]) -> None:
-        """Joints and fingers somewhere, at rest."""
+        """Set the positions of joints (rad) and fingers (m), at rest."""
         for joint, value in zip(self._all, values, strict=True):
             pybullet.resetJointState(self.body, joint, value, 0.0, physicsClientId=self._client)
 
 
 class BulletCell:
-    """The whole cell in physics."""
+    """The whole cell in pybullet."""
 
     def __init__(self, cell: cells.Cell) -> None:
         self.cell = cell
@@ -185,7 +186,7 @@ class BulletCell:
         self._settle()
 
     def _settle(self) -> None:
-        """The sensors show some tenths of a newton in the first steps after a reset."""
+        """Take the first steps after a reset, in which the sensors read some tenths of a newton too much."""
         for _ in range(5):
             for arm in self.arms.values():
                 arm.read()
@@ -236,7 +237,7 @@ class BulletCell:
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
         if name not in self.world.objects:
-            return f"no object {name}"
+            return f"unknown object {name}"
         holders = [arm for arm, names in self.held().items() if name in names]
         if holders:
             return f"{name} is held by {', '.join(holders)}"
@@ -267,10 +268,10 @@ class BulletCell:
 
 
 def _wrench_at_tcp(cell: cells.Cell, name: str) -> Callable[[tuple[float, ...]], list[float]]:
-    """From what pybullet's sensor reads to the wrench on the hand, tool axes, about the tcp.
+    """Return the map from pybullet's sensor reading to the wrench on the hand, in tool axes, about the tcp.
 
-    pybullet gives MINUS the force on what is beyond the joint, in the axes of the link beyond it, the torque about
-    that link's centre of mass (which our URDF puts in its origin).
+    pybullet reads MINUS the force on the link beyond the joint, in that link's axes. Its torque is about the link's
+    centre of mass, which our URDF places in the link's origin.
     """
     spec = cell.arm(name)
     model = pin.buildModelFromXML(cell.urdf(name))

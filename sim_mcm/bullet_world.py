@@ -1,7 +1,7 @@
-"""The cell's seats and objects as bodies in a pybullet client. Shared by the physics and the picture of it.
+"""The cell's seats and objects as bodies in a pybullet client; shared by physics and rendering.
 
-A seat or fixed object becomes one body per shape, so that each has its own friction and its own name; an object that
-can be moved is one body, its origin its centre of mass. Knows no arm's control and no time.
+A seat or fixed object becomes one body per shape, so each shape has its own friction and name. A movable object is one
+body; its origin is its centre of mass. This module must not know control or time.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from rtc import geometry
 from rtc.geometry import Array
 
 STEP_S = 0.001
-SOLVER_ITERATIONS = 50  # fewer, and the wrist sensor shows spikes of 20 N while carrying
-# With a larger one the solver gives up after more or fewer iterations from step to step, and what is held chatters.
+SOLVER_ITERATIONS = 50  # with fewer the wrist sensor shows spikes of 20 N while carrying
+# With a larger residual the number of iterations varies from step to step, and a held object chatters.
 SOLVER_RESIDUAL = 1e-7
 
 
 class Body:
-    """One thing of the cell: an object or a seat, made of one or several pybullet bodies."""
+    """An object or a seat of the cell, made of one or several pybullet bodies."""
 
     def __init__(self, name: str, pose: Array, parts: list[tuple[int, Array]]) -> None:
         self.name = name
         self.home = pose
-        self.parts = parts  # pybullet id, pose in the axes of the thing
-        self.id = parts[0][0]  # of an object that can be moved, the only one
+        self.parts = parts  # (pybullet id, pose in the axes of the object or seat)
+        self.id = parts[0][0]  # a movable object has only this one
 
 
 class World:
@@ -40,7 +40,7 @@ class World:
     def __init__(self, cell: cells.Cell, visual: bool = False) -> None:
         self.cell = cell
         self.client: int = pybullet.connect(pybullet.DIRECT)
-        assert self.client >= 0, "pybullet gives no client"
+        assert self.client >= 0, "pybullet could not create a client"
         self._visual = visual
         pybullet.setGravity(*cell.gravity_m_s2, physicsClientId=self.client)
         pybullet.setPhysicsEngineParameter(
@@ -48,10 +48,10 @@ class World:
             numSolverIterations=SOLVER_ITERATIONS,
             solverResidualThreshold=SOLVER_RESIDUAL,
             deterministicOverlappingPairs=1,
-            enableFileCaching=0,  # a second client in this process may bring another URDF of the same name
+            enableFileCaching=0,  # another client in this process may load a different URDF of the same name
             physicsClientId=self.client,
         )
-        self.names: dict[int, str] = {}  # of bodies, as a person knows them
+        self.names: dict[int, str] = {}  # pybullet id -> name for messages
         self.seats = {seat.name: self._fixed(seat, seat.frame.pose) for seat in cell.seats}
         self.objects = {thing.name: self._object(thing) for thing in cell.objects}
         self.free = {thing.name for thing in cell.objects if not thing.fixed}
@@ -63,7 +63,7 @@ class World:
         pybullet.stepSimulation(physicsClientId=self.client)
 
     def load_arm(self, name: str) -> int:
-        """The body of an arm, from its URDF's text."""
+        """Load an arm from its URDF text; returns the pybullet body id."""
         spec = self.cell.arm(name)
         base = spec.base.pose.tolist()
         with tempfile.TemporaryDirectory() as folder:
@@ -81,13 +81,13 @@ class World:
         return body
 
     def pose(self, name: str) -> Array:
-        """Where an object is."""
+        """Pose of an object, world frame."""
         body = self.objects[name]
         position, quaternion = pybullet.getBasePositionAndOrientation(body.id, physicsClientId=self.client)
         return geometry.compose(geometry.make_pose(position, quaternion), geometry.inverse(body.parts[0][1]))
 
     def position(self, name: str) -> Sequence[float]:
-        """Where an object that can be moved is, in a tenth of the time that its pose takes."""
+        """Position (m) of a movable object; ten times as fast as `pose`."""
         position, _ = pybullet.getBasePositionAndOrientation(self.objects[name].id, physicsClientId=self.client)
         found: Sequence[float] = position
         return found
@@ -97,21 +97,21 @@ class World:
         return [*linear, *angular]
 
     def weigh(self, name: str, factor: float) -> None:
-        """Make an object so many times as heavy as the cell says."""
+        """Scale the mass and inertia of an object relative to the cell file."""
         thing, body = self.cell.object(name), self.objects[name].id
         pybullet.changeDynamics(body, -1, mass=factor * thing.mass_kg, physicsClientId=self.client)
-        if thing.inertia_kg_m2 is not None:  # else Bullet works it out of the mass
+        if thing.inertia_kg_m2 is not None:  # else Bullet derives it from the mass
             inertia = [factor * n for n in thing.inertia_kg_m2]
             pybullet.changeDynamics(body, -1, localInertiaDiagonal=inertia, physicsClientId=self.client)
 
     def place(self, body: Body, pose: geometry.Floats) -> None:
-        """Put a thing somewhere, at rest."""
+        """Set the pose of an object or seat, at rest."""
         for part, local in body.parts:
             at = geometry.compose(pose, local).tolist()
             pybullet.resetBasePositionAndOrientation(part, at[:3], at[3:], physicsClientId=self.client)
             pybullet.resetBaseVelocity(part, [0, 0, 0], [0, 0, 0], physicsClientId=self.client)
 
-    # --- making bodies ---------------------------------------------------------------------------------
+    # --- construction ---------------------------------------------------------------------------------
 
     def _fixed(self, thing: cells.Seat | cells.Object, pose: Array) -> Body:
         parts = []
@@ -123,13 +123,13 @@ class World:
                 baseVisualShapeIndex=self._look([shape], placed=False),
                 basePosition=at[:3],
                 baseOrientation=at[3:],
-                useMaximalCoordinates=1,  # a chain of no joints, which is the default, costs 0.5 us in every step
+                useMaximalCoordinates=1,  # the default, a multibody without joints, costs 0.5 us per step
                 physicsClientId=self.client,
             )
             self.names[part] = f"{thing.name} {shape.name}"
             self._rub(part, shape)
             parts.append((part, shape.frame.pose))
-        if not parts:  # a seat may be a bare place
+        if not parts:  # a seat may have no shapes
             return Body(thing.name, pose, [(-1, geometry.make_pose((0, 0, 0)))])
         return Body(thing.name, pose, parts)
 
@@ -147,7 +147,7 @@ class World:
             physicsClientId=self.client,
         )
         self.names[body] = thing.name
-        # One body has one friction: that of its shape with the most, for that is what is made to be gripped.
+        # A body has one friction. Take the greatest of its shapes: that shape is made to be gripped.
         self._rub(body, max(thing.shapes, key=lambda shape: shape.friction))
         if thing.inertia_kg_m2 is not None:
             pybullet.changeDynamics(
@@ -183,7 +183,7 @@ class World:
 
 
 def _embodied(urdf: str) -> str:
-    """The URDF without frames that are no bodies: to every link without inertia Bullet would give one kilogram."""
+    """The URDF without massless frames: Bullet would give one kilogram to every link without inertia."""
     robot = ElementTree.fromstring(urdf)
     children = {joint.find("child").get("link"): joint for joint in robot.findall("joint")}  # type: ignore[union-attr]
     parents = {joint.find("parent").get("link") for joint in robot.findall("joint")}  # type: ignore[union-attr]
@@ -194,16 +194,16 @@ def _embodied(urdf: str) -> str:
         if name in children and name not in parents:
             robot.remove(link)
             robot.remove(children[name])
-        elif name not in children:  # the root stands fast: any figures will do
+        elif name not in children:  # the root is fixed, so any values will do
             inertial = ElementTree.SubElement(link, "inertial")
             ElementTree.SubElement(inertial, "mass", value="1")
             ElementTree.SubElement(inertial, "inertia", ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1")
-    ElementTree.indent(robot)  # Bullet's reader wants lines, not one long one
+    ElementTree.indent(robot)  # Bullet's parser needs line breaks
     return ElementTree.tostring(robot, encoding="unicode")
 
 
 def _columns(shapes: Sequence[cells.AnyShape], placed: bool, prefix: str) -> dict[str, Any]:
-    """What pybullet's shape arrays take: one list per property, one entry per shape."""
+    """Arguments of pybullet's shape arrays: one list per property, one entry per shape."""
     rows = [SHAPES[type(shape)](shape) for shape in shapes]
     poses = [shape.frame.pose.tolist() if placed else list(geometry.IDENTITY) for shape in shapes]
     return {

@@ -1,14 +1,14 @@
-"""When the next tick is due, and whether it came late. Pure: the caller reads the clock and sleeps.
+"""Tick schedule: when the next tick is due, and how many ticks were late. Pure: the caller reads the clock and sleeps.
 
-Simulated time runs `speed` times as fast as the clock on the wall; speed 0 is as fast as the machine can while there is
-something to do, and 1 while there is not, so that an idle simulator leaves the cores to others.
+Simulated time runs `speed` times as fast as wall time. Speed 0 means as fast as possible while a primitive runs, and
+speed 1 otherwise, so that an idle simulator leaves the cores to other processes.
 """
 
 from __future__ import annotations
 
 from sim_mcm.arm import TICK_S
 
-CATCH_UP_S = 0.05  # what is lost beyond this (a stopped process, a stalled machine) is not made up for
+CATCH_UP_S = 0.05  # a longer delay (stopped process, stalled machine) is not caught up
 
 
 class Clock:
@@ -16,7 +16,7 @@ class Clock:
         assert speed >= 0.0, speed
         self.speed = speed
         self.ticks = 0
-        self.late_ticks = 0  # begun more than one period after they were due
+        self.late_ticks = 0  # ticks that began more than one period after they were due
         self._due_s = now_s
         self._free_running = False
 
@@ -25,12 +25,12 @@ class Clock:
         return self.ticks * TICK_S
 
     def left_s(self, now_s: float, busy: bool) -> float:
-        """How long to sleep before the next tick; 0 = begin it."""
+        """Time to sleep before the next tick (s); 0 means to begin it now."""
         self._free_running = self.speed == 0.0 and busy
         return 0.0 if self._free_running else max(0.0, self._due_s - now_s)
 
     def begin(self, now_s: float) -> None:
-        """A tick begins."""
+        """Begin a tick: count it and schedule the next."""
         self.ticks += 1
         if self._free_running:
             self._due_s = now_s

@@ -1,12 +1,12 @@
-"""M: the control laws, by name (paper, L139; R63, R99).
+"""Control laws by name (M in the paper; R63, R99).
 
-A law turns (where to be, where it is) into joint torques. One is here, `position`; others are added by an entry point
-of the group `rtc.control_laws` in any installed package: NAME = module:factory, where
+A law computes joint torques from the wanted and the measured motion. This module has one, `position`. Installed
+packages add others by an entry point of the group `rtc.control_laws`: NAME = module:factory, where
 
-    factory(model: pin.Model, gains: dict[str, float]) -> Law        ValueError, in words, for gains it will not take
+    factory(model: pin.Model, gains: dict[str, float]) -> Law        raises ValueError for unacceptable gains
 
-`model` is the arm without its fingers and without gravity, with its share of the load the primitive names. A law must
-not know sockets, samples or primitives.
+`model` is the arm without fingers and gravity, with a share of the primitive's load. A law must not know sockets,
+samples or primitives.
 """
 
 from __future__ import annotations
@@ -23,9 +23,8 @@ from rtc.robot.kinematics import ArmModel
 from sim_mcm.arm import Motion
 
 GROUP = "rtc.control_laws"
-# Of a load, so much is counted on. Without it the wrist swings with two kilograms for a second after a halt (1.1 s to
-# rest); with this much it rests in 0.45 s; with a quarter the wrist, twenty times lighter than the load and joined to
-# it by friction alone, chatters.
+# Share of the load in the model. With 0 the wrist swings after a halt with two kilograms (1.1 s until rest); with this
+# share it rests in 0.45 s. With 0.25 the wrist chatters: it is twenty times lighter than the load, held by friction.
 LOAD_SHARE = 0.10
 
 
@@ -33,7 +32,7 @@ class Law(Protocol):
     def torque(self, wanted: Motion, q: list[float], v: list[float]) -> list[float]:
         """Joint torques (N.m) that bring an arm at `q` (rad), `v` (rad/s) to the wanted q, v, acceleration.
 
-        Called every millisecond for every arm. Plain lists, since for six numbers they are quicker than arrays.
+        Called every millisecond for every arm. Lists are faster than arrays for six numbers.
         """
 
 
@@ -63,7 +62,7 @@ class ComputedTorque:
 
 
 def known() -> dict[str, Factory]:
-    """All laws that are installed, by name."""
+    """All installed laws by name."""
     laws: dict[str, Factory] = {"position": ComputedTorque}
     for entry in entry_points(group=GROUP):
         laws[entry.name] = entry.load()
@@ -71,7 +70,7 @@ def known() -> dict[str, Factory]:
 
 
 def make(law: ControlLaw, arm: ArmModel, laws: Mapping[str, Factory]) -> Law:
-    """The law a primitive asks for. ValueError, in words, when there is none or its gains will not do."""
+    """The law that a primitive names. Raises ValueError if it is unknown or rejects the gains."""
     if law.name not in laws:
         raise ValueError(f"unknown control law {law.name}; known are {', '.join(sorted(laws))}")
     if not all(np.isfinite(value) for value in law.gains.values()):

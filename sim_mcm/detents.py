@@ -1,8 +1,7 @@
-"""The spring catches of seats: what keeps a seated module where it is in zero gravity, until it is pulled out.
+"""Spring catches of seats: they hold a seated module in zero gravity until an arm pulls it out.
 
-A catch holds a module where it sits, with at most the seat's `detent_n`; moved further than `BREAKS_M` it lets go, and
-it takes hold again of one that has come to rest in the seat. It holds modules in seats, never in hands: the grip is
-contact friction alone.
+A catch holds a module with at most the seat's `detent_n`. It releases a module that has moved by more than `BREAKS_M`,
+and catches a module that rests in the seat. Catches act in seats only; a grip is contact friction alone.
 """
 
 from __future__ import annotations
@@ -14,17 +13,17 @@ import pybullet
 from rtc import geometry
 from sim_mcm.bullet_world import World
 
-BREAKS_M = 0.004  # travel of the catch: further, and it has let go
-CATCHES_M = 0.004  # a module this near to its seated place is caught ...
+BREAKS_M = 0.004  # travel of the catch before it releases
+CATCHES_M = 0.004  # maximum distance from the seated place at which a module is caught ...
 CATCHES_RAD = 0.05
-REST_M_S = 0.002  # ... once it rests
-EVERY = 10  # steps between two looks
+REST_M_S = 0.002  # ... if it is not faster than this
+EVERY = 10  # steps between two checks
 
 
 class Detents:
     def __init__(self, world: World) -> None:
         self._world = world
-        self._caught: dict[str, tuple[int, list[float]]] = {}  # object -> constraint, point where it was caught
+        self._caught: dict[str, tuple[int, list[float]]] = {}  # object -> (constraint id, point where it was caught)
         self._seats = [seat for seat in world.cell.seats if seat.detent_n > 0]
         self._steps = 0
         self.look()
@@ -36,7 +35,7 @@ class Detents:
             self.look()
 
     def look(self) -> None:
-        """Let go of what has been pulled away, take hold of what has come to rest."""
+        """Release modules that were pulled away; catch modules that rest in a seat."""
         for name, (_, at) in list(self._caught.items()):
             if math.dist(self._world.position(name), at) > BREAKS_M:
                 self.let_go(name)
@@ -45,7 +44,7 @@ class Detents:
                 self._catch_in_seat(name)
 
     def _catch_in_seat(self, name: str) -> None:
-        """Take hold of it if it is where a seat wants it."""
+        """Catch the object if it is in the seated place of a seat."""
         pose = self._world.pose(name)
         for seat in self._seats:
             place = geometry.compose(self._world.seats[seat.name].home, seat.module_frame.pose)

@@ -1,11 +1,11 @@
-"""The MCM's sockets: who may say what to it, bytes to messages and back. Decides nothing.
+"""The sockets of the MCM: decodes and encodes messages, limits intake per tick. Makes no decisions.
 
     estop      ROUTER, bound here: halts and nothing else; works when the broker is dead
     broker     DEALER "MCM": primitives, halts, acknowledgements in; reports out
     telemetry  PUB, bound here
-    bench      ROUTER, bound here: truth and belief errors, which only a simulator has
+    bench      ROUTER, bound here: queries of the true state, injected belief errors (simulator only)
 
-What cannot be read is counted, logged now and then, and dropped: it never stops a tick (R51, and invariant 12).
+A message that does not decode is counted, logged (at most once per second) and dropped. It never stops a tick (R51).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from rtc.settings import BOUNDS, NO_HANDOVER, Settings
 from rtc.wire import apart, reader
 from sim_mcm.subsystem import BROKER, InvalidOrder, Outgoing
 
-# Messages taken from one socket in one tick, so that no sender can stretch it. Callers take turns at a socket, so that
-# one who calls without end delays another by one message.
+# Maximum numbers of messages read from one socket per tick; they bound the tick's duration. ZeroMQ serves callers in
+# turn, so a flood by one caller delays another by one message.
 PER_TICK = 20
 HALTS_PER_TICK = 10
 QUESTIONS_PER_TICK = 1
@@ -49,18 +49,18 @@ class Sockets:
         self._broker = me.socket(zmq.DEALER, settings.endpoint("subsystems"), identity=name)
         events = zmq.Event.HANDSHAKE_SUCCEEDED | zmq.Event.DISCONNECTED
         self._monitor = self._broker.get_monitor_socket(events)
-        self._poller = zmq.Poller()  # one look at all four costs no more than one at one of them
+        self._poller = zmq.Poller()  # polling all four costs no more than polling one
         for socket in (self._estop, self._broker, self._bench, self._monitor):
             self._poller.register(socket, zmq.POLLIN)
         self._ready: set[Any] | frozenset[Any] = NONE
-        self.connected = True  # until the monitor says otherwise: what is said first waits for the broker
-        self.dropped: Counter[str] = Counter()  # messages that could not be read, by socket
+        self.connected = True  # assumed until the monitor reports otherwise: first messages are queued for the broker
+        self.dropped: Counter[str] = Counter()  # messages that did not decode, by socket
         self._log_due = Every(LOG_EVERY_S)
 
     # --- in --------------------------------------------------------------------------------------------
 
     def reopen(self, settings: Settings) -> None:
-        """Somebody has filled our memory: the doors that others come to, with nothing in them."""
+        """Replace the bound sockets by empty ones, because their queues have filled the memory."""
         for name in ("estop", "bench"):
             old = getattr(self, f"_{name}")
             self._poller.unregister(old)
@@ -69,12 +69,12 @@ class Sockets:
             setattr(self, f"_{name}", made)
 
     def poll(self) -> None:
-        """See where something lies; once, at the start of a tick."""
+        """Find the sockets that have messages. Call once, at the start of a tick."""
         found = self._poller.poll(0)
         self._ready = {socket for socket, _ in found} if found else NONE
 
     def halts(self, now_s: float) -> Iterator[tuple[bytes, m.HaltOrder]]:
-        """What lies at the estop socket: (caller, order). What is no halt is told so."""
+        """Halts at the estop socket: (caller, order). Any other message gets Declined."""
         if self._estop not in self._ready:
             return
         for caller, parts in _from_router(self._estop, HALTS_PER_TICK):
@@ -82,25 +82,25 @@ class Sockets:
             if order is not None:
                 yield caller, order
             else:
-                words = "the estop socket takes a HaltOrder and nothing else"
+                words = "the estop socket accepts only HaltOrder"
                 refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words)
                 send(self._estop, m.Declined(request="", refusal=refusal), caller)
 
     def orders(self, now_s: float) -> Iterator[m.Execute | m.HaltOrder | m.ReportAck | InvalidOrder]:
-        """What the broker has sent. Of a primitive that is none, what can be read, so that it is answered."""
+        """Messages of the broker. An Execute that does not decode becomes an InvalidOrder, so that it is answered."""
         if self._broker not in self._ready:
             return
         for parts in chain.from_iterable(map(apart, inbox(self._broker, PER_TICK))):
             order = self._decode(_read_broker, parts, "broker", now_s)
             if isinstance(order, m.Declined):
-                self._log.error("the broker does not take us: %s", order.refusal.message)
+                self._log.error("the broker declined this subsystem: %s", order.refusal.message)
             elif order is not None:
                 yield order
             elif (invalid := invalid_order(parts)) is not None:
                 yield invalid
 
     def questions(self, now_s: float) -> Iterator[tuple[bytes, m.SimTruth | m.SimDisplace | m.SimFactors]]:
-        """What the test bench asks."""
+        """Queries and commands of the test bench: (caller, message)."""
         if self._bench not in self._ready:
             return
         for caller, parts in _from_router(self._bench, QUESTIONS_PER_TICK):
@@ -109,20 +109,20 @@ class Sockets:
                 yield caller, question
 
     def newly_connected(self) -> bool:
-        """True once after every time the broker has been found."""
+        """True once after every new connection to the broker."""
         if self._monitor not in self._ready:
             return False
         found = False
         for event_frame, *_ in inbox(self._monitor, PER_TICK):
             event = int.from_bytes(event_frame[:2], "little")
             self.connected = found = event == zmq.Event.HANDSHAKE_SUCCEEDED
-        self._log.info("broker found" if found else "broker gone; going on alone")
+        self._log.info("connected to the broker" if found else "broker disconnected; continuing alone")
         return found
 
     # --- out -------------------------------------------------------------------------------------------
 
     def send(self, out: Outgoing) -> None:
-        """To the broker, or to a caller at the estop socket. What cannot be delivered is not kept here."""
+        """Send to the broker or to a caller at the estop socket. Undeliverable messages are dropped."""
         for sender, message in out:
             if sender != BROKER:
                 send(self._estop, message, sender)
@@ -160,7 +160,7 @@ _read_head = reader(_ExecuteHead)
 
 
 def invalid_order(parts: Sequence[bytes]) -> InvalidOrder | None:
-    """An Execute whose primitive does not decode: its id and what is wrong. None: it is no Execute, or has no id."""
+    """An Execute whose primitive does not decode: its id and the error. None if it is not an Execute or has no id."""
     try:
         head = _read_head(parts)
     except WireError:

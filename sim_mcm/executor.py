@@ -1,10 +1,10 @@
-"""One arm's executor: takes one primitive at a time, carries it out, and ends it for exactly one reason.
+"""The executor of one arm: accepts one primitive at a time, executes it, and ends it for exactly one reason.
 
-    sample -> F, in fixed priority -> reflex -> command          every tick, from the current sample alone (R66)
+    sample -> stop functions, in fixed priority -> reflex -> command every tick, from the current sample alone (R66)
 
-What may follow what is TRANSITIONS; nothing else changes the state. The executor is pure: it knows neither clock nor
-socket; the caller passes the time and sends what `accept` and `tick` return. It does not know the other arm, nor
-objects: an arm that holds something is an arm whose fingers press.
+The table TRANSITIONS lists all state changes. The executor is pure: it has no clock and no socket. The caller passes
+the time and sends the messages that `accept` and `tick` return. It knows neither the other arm nor objects; an arm
+holds something if its fingers press.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from sim_mcm.reports import Peaks, Trip, end_report, magnitudes, not_begun
 
 class State(Enum):
     HOLDING = "holding"  # no primitive; the arm stays where it is, the hand keeps its grip
-    EXECUTING = "executing"  # F is evaluated every tick
+    EXECUTING = "executing"  # stop functions are evaluated every tick
     STOPPING = "stopping"  # the reason is fixed; braking, jerk-limited; thresholds masked
     RETREATING = "retreating"  # reflex BACK_OFF
     RELEASING = "releasing"  # reflex RELEASE
-    SETTLING = "settling"  # commanded to rest; waiting until it is measured, then the end report
+    SETTLING = "settling"  # commanded to rest; waits until rest is measured, then reports the end
 
 
 class Event(Enum):
-    ACCEPTED = "accepted"  # a primitive that was found good
+    ACCEPTED = "accepted"  # a primitive passed its check
     TRIPPED = "tripped"  # a stop function came true
-    HALTED = "halted"  # told to stop from outside
-    DONE = "done"  # what this state does is done
+    HALTED = "halted"  # a halt from outside
+    DONE = "done"  # the work of this state is complete
 
 
 TRANSITIONS: dict[State, dict[Event, State]] = {
     State.HOLDING: {Event.ACCEPTED: State.EXECUTING, Event.HALTED: State.HOLDING},
     State.EXECUTING: {Event.TRIPPED: State.STOPPING, Event.HALTED: State.STOPPING},
-    State.STOPPING: {Event.DONE: State.SETTLING, Event.HALTED: State.STOPPING},  # DONE: or as AFTER_STOP says
+    State.STOPPING: {Event.DONE: State.SETTLING, Event.HALTED: State.STOPPING},  # DONE: the next state is in AFTER_STOP
     State.RETREATING: {Event.DONE: State.SETTLING, Event.HALTED: State.STOPPING},
     State.RELEASING: {Event.DONE: State.SETTLING, Event.HALTED: State.STOPPING},
     State.SETTLING: {Event.DONE: State.HOLDING, Event.HALTED: State.SETTLING},
@@ -54,24 +54,24 @@ AFTER_STOP: dict[Reflex, State] = {
 }
 MOVING = frozenset({State.EXECUTING, State.STOPPING, State.RETREATING, State.RELEASING})
 
-# Reasons after which the arm may lean on something: the command goes to where the thing has stopped it.
+# After these reasons the arm may lean on an obstacle; the command then moves to the measured position.
 TOUCHED = frozenset({StopReason.CONTACT, StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT, StopReason.COLLISION})
 
-# Rest is judged by how far joints and fingers go within a window: a speed alternates from tick to tick where something
-# held is pressed on, though nothing goes anywhere. The same as 0.005 rad/s and 0.002 m/s of an even motion.
+# Rest means that joints and fingers stay within these spreads for a window of ticks. Speeds are not used: they
+# alternate from tick to tick while a held object is pressed. Equal to 0.005 rad/s and 0.002 m/s of uniform motion.
 WINDOW_TICKS = 20
 REST_RAD, REST_M = 0.005 * WINDOW_TICKS * TICK_S, 0.002 * WINDOW_TICKS * TICK_S
-# A command may pass a joint's limit of speed by so much: by taking up a small difference at the start of a path (0.08
-# rad/s), or braking from an acceleration (0.14 rad/s). More is an error in what made the command.
+# Factor by which a command may exceed a joint's speed limit. Reasons: an offset at the start of a path (0.08 rad/s);
+# braking from an acceleration (0.14 rad/s). A greater excess is an error in the profile.
 COMMAND_SLACK = 1.25
-GOAL_RAD = 0.002  # measured joint error that counts as there
-# An arm that rests this long, this near, leans on something and will not come nearer: the report says where it is.
+GOAL_RAD = 0.002  # maximum joint error at the goal
+# An arm at rest for this long, this near the goal, leans on something and ends there; the report has its position.
 LEANING_TICKS, LEANING_RAD = 100, 0.03
-WIDTH_M = 0.0005  # the same for the opening of the hand
-LEAN_N = 20.0  # harder than at the start by this is a new touch
-SQUEEZE_N = 1.0  # less is no squeeze
-PRESSED = 0.95  # share of the commanded force that counts as all of it
-SETTLE_LIMIT_S = 1.0  # of waiting for rest before the end is reported all the same
+WIDTH_M = 0.0005  # maximum error of the hand opening at the goal
+LEAN_N = 20.0  # a contact force that has increased by this since the start is a new touch
+SQUEEZE_N = 1.0  # a smaller finger force does not count as a grip
+PRESSED = 0.95  # share of the commanded force at which the grip is complete
+SETTLE_LIMIT_S = 1.0  # maximum wait for measured rest; then the end is reported anyway
 RELEASE_LIMIT_S = 3.0
 
 Reports = list[m.Started | m.ProgressReport | m.EndReport]
@@ -88,11 +88,11 @@ class Executor:
         self._window = deque([self.sample], WINDOW_TICKS)
         self._most_rad_s = [COMMAND_SLACK * limit for limit in arm.traits.velocity]
         self._most_step_rad = [limit * TICK_S for limit in self._most_rad_s]
-        self._ticks = 0  # of this primitive
+        self._ticks = 0  # since the start of this primitive
         self._profile: profiles.Profile = profiles.Stay(self.sample.joints)
         self._profile_ticks = 0
         self._command: Motion = self._profile.at(0.0)
-        self._follow: profiles.Follow | None = None  # the path of a primitive that has one
+        self._follow: profiles.Follow | None = None  # the path, if the primitive has one
         self._hand = HandCommand(sum(self.sample.fingers), arm.traits.max_grip_n, arm.traits.hand_speed_m_s)
         self._stops: stop_functions.Stops = []
         self._bias = [0.0] * 6
@@ -119,7 +119,7 @@ class Executor:
             State.SETTLING: self._begin_settling,
         }
 
-    # --- what may be asked of it -----------------------------------------------------------------------
+    # --- public interface ---------------------------------------------------------------------------
 
     @property
     def moving(self) -> bool:
@@ -135,11 +135,11 @@ class Executor:
 
     @property
     def wrench(self) -> list[float]:
-        """Of this tick, without the bias of the current or last primitive."""
+        """Wrench of this tick (N, N.m) minus the bias of the current or last primitive."""
         return [value - bias for value, bias in zip(self.sample.wrench, self._bias, strict=True)]
 
     def accept(self, primitive: p.Primitive, now_s: float) -> Reports:
-        """Begin it with the next tick, or refuse it: `Started`, or an end report with the reason REFUSED."""
+        """Start it with the next tick or refuse it: returns `Started` or an end report with the reason REFUSED."""
         why = self._objection(primitive)
         if why:
             pose = self.arm.tcp_pose(self.sample.joints)
@@ -149,21 +149,21 @@ class Executor:
         return [m.Started(primitive=primitive.id, at_s=now_s)]
 
     def halt(self) -> bool:
-        """Brake with the next tick, whatever it does. True: it was in motion."""
+        """Brake with the next tick, in any state. Returns True if the arm was in motion."""
         was_moving = self.moving
         if self.state is State.EXECUTING:
             self._trip(Trip(reason=StopReason.HALT), Event.HALTED)
         else:
-            if self.trip is not None:  # the reason stands; of the reflex only the stop is left
+            if self.trip is not None:  # keep the reason; cancel the rest of the reflex
                 self.trip = msgspec.structs.replace(self.trip, reflex=Reflex.STOP)
             self._apply(Event.HALTED)
         return was_moving
 
     def tick(self, now_s: float) -> Reports:
-        """One servo tick: read, judge, command."""
+        """One servo tick: read the sample, evaluate, command."""
         sample = self.sample = self.arm.read()
         self._window.append(sample)
-        if self.state is State.HOLDING:  # most arms, most of the time
+        if self.state is State.HOLDING:  # the most frequent case
             return []
         if self._ticks == 0:
             self._bias = list(sample.wrench)
@@ -184,7 +184,9 @@ class Executor:
     def _begin_holding(self) -> None:
         self._touched_before = {}
         if self.trip is not None and self.trip.reason is StopReason.COLLISION:
-            self._touched_before[self.trip.message] = 0.0  # it may rattle, and not be felt in every tick
+            self._touched_before[self.trip.message] = (
+                0.0  # contact may be intermittent, so it is not measured in every tick
+            )
         self.primitive = None
         self.trip = None
         self._follow = None
@@ -248,7 +250,7 @@ class Executor:
         assert self.trip is not None
         joints = self._command[0]
         if self._follow is None or self.trip.back_off_m <= 0.0:
-            self._use(profiles.Stay(joints))  # it came no way: there is none back
+            self._use(profiles.Stay(joints))  # no path to retrace
             return
         tripped_s = self.trip.at_tick * TICK_S
         self._use(profiles.Retrace(self._follow, tripped_s, joints, self.trip.back_off_m, self.arm.tcp_pose))
@@ -291,8 +293,8 @@ class Executor:
         return [report]
 
     def _still(self, leaning: bool) -> bool:
-        """At rest, and where the command is: an arm that swings with a load passes both in turn. One that leans on
-        something cannot be where the command is."""
+        """At rest and at the commanded position: an arm that swings with a load satisfies only one at a time. An arm
+        that leans on an obstacle cannot reach the commanded position."""
         return self._joints_rest() and self._fingers_rest() and (leaning or self._off_command() < GOAL_RAD)
 
     def _joints_rest(self) -> bool:
@@ -302,13 +304,13 @@ class Executor:
         return _spread(sample.fingers for sample in self._window) <= REST_M
 
     def _off_command(self) -> float:
-        """The worst joint error, rad."""
+        """The greatest joint error (rad)."""
         return max(abs(a - b) for a, b in zip(self.sample.joints, self._command[0], strict=True))
 
-    # --- inside ----------------------------------------------------------------------------------------
+    # --- internals -------------------------------------------------------------------------------------
 
     def _apply(self, event: Event, following: State | None = None) -> None:
-        """The one door through which the state changes."""
+        """Change the state. Nothing else does."""
         row = TRANSITIONS[self.state]
         assert event in row, f"{self.name}: {event.value} cannot happen while {self.state.value} ({self.primitive_id})"
         before, self.state = self.state, following or row[event]
@@ -332,31 +334,31 @@ class Executor:
             self.arm.use_law(primitive.control_law)
         except ValueError as error:
             return str(error)
-        except Exception as error:  # whatever is in it: the arms of others must not lose their controller to it
+        except Exception as error:  # a bad primitive must not end the process that controls the other arm
             return f"it cannot be checked: {type(error).__name__}: {error}"
         self._stops = stops
         return ""
 
     def _within_limits(self, command: Motion) -> bool:
-        """Whether no joint is commanded farther, or to be faster, than it can turn within a tick."""
+        """Whether every joint can reach the commanded position and speed within one tick."""
         joints, speeds, _ = command
         for q, before, most, speed, fastest in zip(
             joints, self._command[0], self._most_step_rad, speeds, self._most_rad_s, strict=True
         ):
-            if not (-most <= q - before <= most and -fastest <= speed <= fastest):  # nan is no command
+            if not (-most <= q - before <= most and -fastest <= speed <= fastest):  # false for NaN too
                 return False
         return True
 
     def _brake_instead(self, refused: Motion) -> Motion:
-        """Stop, from the last command that was within limits. Returns the command of this tick."""
+        """Brake from the last command within limits. Returns the command of this tick."""
         if self.state is State.EXECUTING:
             far = [abs(q - before) / TICK_S for q, before in zip(refused[0], self._command[0], strict=True)]
             k = max(range(len(far)), key=lambda n: far[n] / self._most_rad_s[n])
-            words = f"{self.arm.traits.joint_names[k]} was to turn at {far[k]:.4g} rad/s"
+            words = f"{self.arm.traits.joint_names[k]} was commanded to turn at {far[k]:.4g} rad/s"
             limit = self._most_rad_s[k]
             trip = Trip(reason=StopReason.COMMAND_LIMIT, measured=far[k], limit=limit, message=words)
             self._trip(trip, Event.TRIPPED)
-        else:  # the reason stands
+        else:  # keep the reason
             self._use(profiles.Brake(self._command))
         self._profile_ticks = 1
         return self._profile.at(TICK_S)
@@ -370,7 +372,7 @@ class Executor:
         self.arm.command_hand(command)
 
     def _freeze_hand(self) -> None:
-        """What squeezes keeps squeezing, as hard as it does now; what moves stops."""
+        """Stop the fingers. A hand that grips keeps its present force."""
         pressed, hand = min(self.sample.finger_forces), self._hand
         if pressed < SQUEEZE_N:
             self._use_hand(HandCommand(sum(self.sample.fingers), hand.force_n, hand.speed_m_s))
@@ -400,8 +402,8 @@ class Executor:
         )
 
     def _touch(self) -> str:
-        """What the arm touches, in words. What it touched when the primitive began does not count while it presses no
-        harder: else an arm could never be moved away from what has stopped it."""
+        """The contact of the arm, as text, or ''. A contact from before the start counts only if its force has grown:
+        otherwise the arm could never move away from an obstacle."""
         before = self._touched_before
         for words, force_n in self.arm.touches().items():
             if force_n > before.get(words, -LEAN_N) + LEAN_N:
@@ -435,7 +437,7 @@ class Executor:
         error = abs(sum(self.sample.fingers) - trajectory.width_m)
         if error <= WIDTH_M:
             return error, WIDTH_M, ""
-        # On a thing beside the middle of the hand one finger presses more, the other as much less.
+        # On an object off the centre of the hand one finger presses more and the other less by the same amount.
         pressed, less = 0.5 * sum(self.sample.finger_forces), min(self.sample.finger_forces)
         closing = sum(self.sample.fingers) > trajectory.width_m
         if closing and pressed >= PRESSED * trajectory.force_n and less >= 0.5 * trajectory.force_n:

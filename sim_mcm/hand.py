@@ -1,9 +1,9 @@
 """The servo of a parallel hand: finger forces from opening, speed and the command. Pure; one tick at a time.
 
-The wanted opening runs towards the commanded width at the commanded speed and pulls the fingers along like a spring
-whose force is limited to the commanded one. If something is in between, the spring is drawn on until that force is
-reached, and so it is held from then on, with no further command. A second spring keeps the fingers in the middle of
-the hand: it is what centres the hand over what it grips (figures measured: docs/physics.md).
+The setpoint of the opening moves to the commanded width at the commanded speed. A virtual spring, limited to the
+commanded force, pulls the fingers towards it. With an object between the fingers the spring stretches until that force
+is reached, and then holds it. A second spring keeps the fingers in the middle of the hand, so it centres the hand over
+the object (measured values: docs/physics.md).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Hand:
         self.wanted_m = width_m
 
     def forces(self, fingers: tuple[float, float], speeds: tuple[float, float]) -> tuple[float, float]:
-        """Of the two finger motors (N, opening is positive) in this tick."""
+        """Forces of the two finger motors in this tick (N, opening is positive)."""
         width = fingers[0] + fingers[1]
         limit = self.command.force_n
         self._run(width, limit)
@@ -36,12 +36,12 @@ class Hand:
         target = self.command.width_m
         missing = target - width
         if abs(missing) > THERE_M:
-            # Beyond the target as far as the spring needs to give its whole force, should something be in the way.
+            # Move the setpoint beyond the target, so that the spring reaches its full force on an obstacle.
             stretch = 2.0 * limit_n / OPENING_N_M
             target = min(target, width - stretch) if missing < 0.0 else max(target, width + stretch)
         self.wanted_m += max(-most, min(most, target - self.wanted_m))
 
 
 def pressed(forces: tuple[float, float]) -> tuple[float, float]:
-    """What each finger presses with, as its motor current tells (N, never negative)."""
+    """Pressing force of each finger, derived from its motor force (N, never negative)."""
     return max(0.0, -forces[0]), max(0.0, -forces[1])

@@ -1,8 +1,8 @@
-"""What outlives its controller: where arms, fingers and things are, kept so that a new MCM process finds them there.
+"""The state file: positions of arms, fingers and objects, so that a new MCM process continues from them.
 
-A real arm whose computer dies stands braked where it was, and its hand keeps its grip. A simulated one would be back in
-its first posture, with everything in its first seat, and the world database would believe what was never undone. So the
-simulator writes its state down, between ticks and before every end report, and its successor begins with it, at rest.
+If a real arm's computer fails, brakes hold the arm and the hand keeps its grip. A simulated arm would return to its
+initial posture and every object to its initial seat, so the world database would be wrong. Therefore the simulator
+saves its state between ticks and before every end report. The next process restores it, at rest.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FILE = "hardware.bin"  # in the run directory
 
 
 class StateFile:
-    """One file of one run of the cluster: length, then body, written in one call, so it is whole whoever is killed."""
+    """The state file of one run of the cluster: length, then body, written in one call, so a kill cannot split it."""
 
     def __init__(self, run_dir: Path, run: str) -> None:
         self._run = run
@@ -26,12 +26,12 @@ class StateFile:
         self._encode = msgspec.msgpack.Encoder().encode
 
     def load(self) -> CellState | None:
-        """What the process before us left; None when there was none in this run, or what lies there is no state."""
+        """The state that the previous process saved; None if this run has none or the file does not decode."""
         kept = os.pread(self._fd, os.fstat(self._fd).st_size, 0)
         length = int.from_bytes(kept[:4], "little")
         try:
             run, state = msgspec.msgpack.decode(kept[4 : 4 + length], type=tuple[str, CellState])
-        except msgspec.DecodeError:  # ours is always whole: it is of another version, or of nobody we know
+        except msgspec.DecodeError:  # our own writes are whole: the file is of another version or origin
             return None
         return state if run == self._run else None
 

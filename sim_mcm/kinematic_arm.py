@@ -1,12 +1,11 @@
-"""Arms that follow their command exactly, in a cell of shapes that do not give way: the MCM without physics.
+"""Kinematic arms: they follow their command exactly, among rigid shapes, without physics.
 
-What it is good for: everything but dynamics, in microseconds. What is honest in it: joints, frames, and touch. Where
-the command would put palm or fingers into a shape of an object or seat, the arm stays where it was free, and the
-wrist feels the command's depth as a stiff spring: guarded moves find what is there. Fingers stop on what lies between
-them, press with their force, and carry it from then on. What is carried feels the bottom and the catch of a seat
-(`kinematic_seats`). What it leaves out: inertia, friction, slip, an object that gives way, and any other touch by the
-arm's other links or by what is held.
-"""
+Fast (microseconds per tick) and exact for all except dynamics: joints, frames and contacts of the hand. If a command
+would move palm or fingers into an object or seat, the arm keeps its last free position. The wrist sensor then shows the
+depth of the command as the force of a stiff spring, so guarded moves find contact. Fingers stop on an object between
+them, press with the commanded force, and carry it. A carried object meets the bottom and the catch of a seat
+(`kinematic_seats`). Left out: inertia, friction, slip, objects that give way, contacts of other links or of a held
+object."""
 
 from __future__ import annotations
 
@@ -28,19 +27,19 @@ from sim_mcm.arm import TICK_S, ArmState, CellState, HandCommand, Motion, Sample
 from sim_mcm.hand import CENTRE_N_M
 from sim_mcm.kinematic_seats import Seats
 
-SPRING_N_M = 50_000.0  # a millimetre of depth would be 50 N; at 20 mm/s a tick adds 1 N
-REACH_M = 0.16  # from the tcp: no part of the hand is farther away
+SPRING_N_M = 50_000.0  # 1 mm of depth gives 50 N; at 20 mm/s each tick adds 1 N
+REACH_M = 0.16  # greatest distance of a part of the hand from the tcp
 
 
 class Piece(msgspec.Struct):
     """One convex shape of an object or seat."""
 
-    owner: str  # of an object or seat
+    owner: str  # name of the object or seat
     geometry: Any
     local: Array  # 4 x 4, in the axes of its owner
     radius_m: float
     placed: Any = None  # coal.Transform3s, world
-    row: int = 0  # of the table of all pieces' centres
+    row: int = 0  # index in the table of all centres
 
 
 class Touch(msgspec.Struct, frozen=True):
@@ -50,7 +49,7 @@ class Touch(msgspec.Struct, frozen=True):
 
 
 class KinematicCell:
-    """The cell's objects and seats as boxes in space, and the arms among them."""
+    """The cell's objects and seats as rigid shapes, with the arms."""
 
     def __init__(self, cell: cells.Cell) -> None:
         self.cell = cell
@@ -80,7 +79,7 @@ class KinematicCell:
             self._place(name)
 
     def near(self, point: Array, arm: str, margin_m: float = 0.0) -> list[Piece]:
-        """The pieces a hand at `point` could touch, or come as near; not of what that arm carries."""
+        """Pieces within reach (plus margin) of a hand at `point` (m, world), without those that `arm` carries."""
         away = np.sqrt(((self._centres - point) ** 2).sum(axis=1)) - self._radii
         carried = {name for name, (by, _) in self.carried.items() if by == arm}
         found = (self._all[n] for n in np.flatnonzero(away < REACH_M + margin_m))
@@ -116,7 +115,7 @@ class KinematicCell:
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
         if name not in self.poses or name not in {thing.name for thing in self.cell.objects}:
-            return f"no object {name}"
+            return f"unknown object {name}"
         if name in self.carried:
             return f"{name} is held by {self.carried[name][0]}"
         before = self.poses[name]
@@ -130,7 +129,7 @@ class KinematicCell:
         return ""
 
     def change_physics(self, mass: float, friction: float) -> str:
-        return "exact arms know neither mass nor friction"
+        return "kinematic arms have neither mass nor friction"
 
     def _place(self, owner: str) -> None:
         at = geometry.to_matrix(self.poses[owner])
@@ -141,7 +140,7 @@ class KinematicCell:
 
 
 def displaced(pose: Array, offset: Sequence[float]) -> Array:
-    """`pose` moved by x y z and turned by roll pitch yaw, world axes, about its own origin."""
+    """`pose` moved by x y z (m) and turned by roll pitch yaw (rad), in world axes, about its own origin."""
     turned = geometry.compose(geometry.from_rpy((0, 0, 0), offset[3:]), (0.0, 0.0, 0.0, *pose[3:].tolist()))
     return geometry.make_pose(pose[:3] + np.asarray(offset[:3]), turned[3:])
 
@@ -162,12 +161,12 @@ class KinematicArm:
         self._hand = HandCommand(2 * half, spec.gripper.max_force_n, spec.gripper.speed_m_s)
         self._pressed_n = [0.0, 0.0]
         self._parts = _hand_parts(world.cell, name)
-        self._pose: Array | None = None  # of the tcp; worked out when somebody asks
-        self._hand_busy = True  # its command is not yet fulfilled
-        self._clear_m = 0.0  # the hand may move that far before it can touch anything
+        self._pose: Array | None = None  # of the tcp; computed on demand
+        self._hand_busy = True  # its command is not yet complete
+        self._clear_m = 0.0  # distance that the hand can move without touching anything
         self._wrench = [0.0] * 6
 
-    # --- what the executor sees ------------------------------------------------------------------------
+    # --- interface to the executor ---------------------------------------------------------------------
 
     def read(self) -> Sample:
         return Sample(
@@ -183,7 +182,7 @@ class KinematicArm:
         self._wanted = motion[:2]
 
     def use_law(self, law: ControlLaw) -> None:
-        control_laws.make(law, self._model, self._laws)  # checked, then not needed: this arm is exact
+        control_laws.make(law, self._model, self._laws)  # only checked: this arm is exact
 
     def command_hand(self, command: HandCommand) -> None:
         self._hand = command
@@ -193,11 +192,11 @@ class KinematicArm:
         return self._model.fk(joints)
 
     def touches(self) -> Mapping[str, float]:
-        return {}  # see the head of this file
+        return {}  # left out, see the module docstring
 
     @property
     def pose(self) -> Array:
-        """Of the tcp, now."""
+        """Present pose of the tcp, world frame."""
         if self._pose is None:
             self._pose = self._model.fk(self.joints)
         return self._pose
@@ -213,7 +212,7 @@ class KinematicArm:
         self.command_hand(state.hand)
         self.forget_clearance()
 
-    # --- the world's step ------------------------------------------------------------------------------
+    # --- simulation step --------------------------------------------------------------------------------
 
     def step(self) -> None:
         joints, velocities = self._wanted
@@ -225,7 +224,7 @@ class KinematicArm:
         wanted = self._model.fk(joints)
         touches = list(self._touches(wanted))
         seats, blocked = self._seats(wanted, joints == self.joints)
-        if touches or blocked:  # something is in the way: it stays where it was free
+        if touches or blocked:  # blocked: keep the last free position
             self._velocities = [0.0] * len(joints)
         else:
             self.joints, self._velocities, self._pose = joints, velocities, wanted
@@ -234,12 +233,12 @@ class KinematicArm:
         self._wrench = [a + b for a, b in zip(self._feel(wanted, touches), seats, strict=True)]
 
     def _held(self, tcp: Array) -> dict[str, Array]:
-        """Where what this arm carries is with the tcp at `tcp`."""
+        """Poses of the objects that this arm carries, for the tcp pose `tcp`."""
         mine = {name: grasp for name, (arm, grasp) in self._world.carried.items() if arm == self.traits.name}
         return {name: geometry.compose(tcp, grasp) for name, grasp in mine.items()}
 
     def _seats(self, tcp: Array, still: bool) -> tuple[list[float], bool]:
-        """(wrench on the hand through what it carries, tool axes; whether a seat's bottom is in the way)."""
+        """(wrench on the hand from seats, through carried objects, in tool axes; whether a seat's bottom blocks)."""
         force, torque, blocked = np.zeros(3), np.zeros(3), False
         for name, pose in self._held(tcp).items():
             for felt in self._world.seats.feel(name, pose, still):
@@ -252,13 +251,13 @@ class KinematicArm:
         return [*(turn @ force).tolist(), *(turn @ torque).tolist()], blocked
 
     def forget_clearance(self) -> None:
-        """Things have moved."""
+        """Objects have moved: compute the clearance again."""
         self._clear_m = 0.0
 
     def _stays_clear(self, joints: Sequence[float]) -> bool:
-        """True: with these joints the hand can touch nothing, whatever way each joint turns it; and the hand rests."""
+        """Whether the hand cannot touch anything on the way to these joints, and its fingers rest."""
         if self._hand_busy or any(arm != self.traits.name for arm, _ in self._world.carried.values()):
-            return False  # fingers move, or something is being carried about
+            return False  # fingers move, or another arm carries an object
         self._clear_m -= LEVER_M * sum(abs(a - b) for a, b in zip(joints, self.joints, strict=True))
         return self._clear_m > 0.0
 
@@ -315,7 +314,7 @@ class KinematicArm:
             self._world.carried[name] = (self.traits.name, grasp)
 
     def _touches(self, pose: Array, only: str = "", travel: float | None = None) -> Iterator[Touch]:
-        """What palm and fingers (or one finger, at another travel) would touch with the tcp at `pose`."""
+        """Contacts of palm and fingers (or of one finger at another travel) for the tcp pose `pose`."""
         near = self._world.near(pose[:3], self.traits.name)
         if not near:
             return
@@ -329,13 +328,13 @@ class KinematicArm:
             for piece in near:
                 result = coal.CollisionResult()
                 if coal.collide(shape, at, piece.geometry, piece.placed, REQUEST, result):
-                    contact = result.getContact(0)  # its normal points from the first shape to the second
+                    contact = result.getContact(0)  # the normal points from the first shape to the second
                     force = -SPRING_N_M * abs(contact.penetration_depth) * contact.normal
                     yield Touch(piece.owner, contact.pos, force)
 
     def _feel(self, pose: Array, touches: list[Touch]) -> list[float]:
         pressing = self._pressed_n[0] > 0.0 or self._pressed_n[1] > 0.0
-        if pressing:  # fingers that are not in the middle push the hand aside
+        if pressing:  # off-centre fingers push the hand sideways
             return [0.0, CENTRE_N_M * (self.fingers[0] - self.fingers[1]), 0.0, 0.0, 0.0, 0.0]
         if not touches:
             return [0.0] * 6
@@ -348,8 +347,8 @@ class KinematicArm:
 
 
 FINGERS = ("finger-a", "finger-b")
-LEVER_M = 1.2  # no joint has any part of the hand farther from its axis
-CLEAR_M = 0.10  # beyond this it is not worked out how far away things are
+LEVER_M = 1.2  # greatest distance of a part of the hand from a joint axis
+CLEAR_M = 0.10  # greater clearances are not computed
 DISTANCE = coal.DistanceRequest()
 REQUEST = coal.CollisionRequest()
 REQUEST.enable_contact = True
@@ -357,7 +356,7 @@ REQUEST.num_max_contacts = 1
 
 
 def _hand_parts(cell: cells.Cell, arm: str) -> list[tuple[str, Any, Callable[[float], Array]]]:
-    """(name, coal shape, finger travel -> 4 x 4 in tcp axes) of palm and fingers, as the URDF's collision boxes are."""
+    """(name, coal shape, finger travel -> 4 x 4 in tcp axes) of palm and fingers, from the URDF's collision boxes."""
     spec = cell.arm(arm)
     model = pin.buildModelFromXML(cell.urdf(arm))
     shapes = pin.buildGeomFromUrdfString(model, cell.urdf(arm), pin.GeometryType.COLLISION)

@@ -1,8 +1,7 @@
-"""What a hand feels through the thing it carries, where that sits in a seat: the seat's bottom, and its catch.
+"""Forces of a seat on a carried object: bottom and catch (the kinematic counterpart of `detents`).
 
-The exact counterpart of `detents`. A thing within `CATCHES_M` of its seated place is caught when it rests there; pulled
-out along the seat's way, it pulls with the seat's `detent_n` for `BREAKS_M`. Pressed in beyond its place, it meets the
-bottom. The walls to the sides are left out.
+An object that rests within `CATCHES_M` of its seated place is caught. Pulled out along the seat's axis, it resists with
+the seat's `detent_n` for `BREAKS_M`. Pressed beyond its place, it meets the bottom. Side walls are left out.
 """
 
 from __future__ import annotations
@@ -18,30 +17,30 @@ from rtc import geometry
 from rtc.geometry import Array
 
 BREAKS_M = CATCHES_M = 0.004
-BOTTOM_M = 0.001  # play behind a thing that sits in its seat
+BOTTOM_M = 0.001  # play between a seated object and the bottom
 NEAR_RAD = 0.05
-PULLED_M = 1e-5  # less is no pull
+PULLED_M = 1e-5  # a smaller displacement does not count as a pull
 
 
 class Felt(NamedTuple):
-    force: Array  # on the thing, world, N, of the catch; of the bottom its direction alone
-    depth_m: float  # into the bottom; 0 = it is free to move
+    force: Array  # on the object, world; catch: N; bottom: unit direction only
+    depth_m: float  # depth in the bottom; 0 means free to move
 
 
 class Seats:
     def __init__(self, cell: cells.Cell, poses: dict[str, Array]) -> None:
-        self._poses = poses  # of all objects and seats, world; changed by their owner
+        self._poses = poses  # of all objects and seats, world; updated by KinematicCell
         self._seats = [seat for seat in cell.seats if seat.detent_n > 0.0]
         self._inside = {seat.name: seat.module_frame.pose for seat in self._seats}
-        self._caught: dict[str, Array] = {}  # thing -> the point where it was caught
+        self._caught: dict[str, Array] = {}  # object -> point where it was caught
 
     def away_m(self, pose: Array) -> float:
-        """How far a thing at this pose may move before any seat matters to it."""
+        """Distance (m) that an object at this pose can move without an effect of any seat."""
         places = [self._place(seat) for seat in self._seats]
         return min((geometry.distance(pose, place) for place in places), default=math.inf) - 2 * CATCHES_M
 
     def feel(self, thing: str, pose: Array, still: bool) -> Iterator[Felt]:
-        """What acts on the thing at this pose; `still`: it rests there, and is caught."""
+        """Forces on the object at this pose; if `still`, it rests there and is caught."""
         at = self._caught.get(thing)
         if at is not None and math.dist(pose[:3], at) > BREAKS_M:
             del self._caught[thing]

@@ -1,6 +1,6 @@
-"""From photographs of the cell to one picture: panels side by side, titles, labels, outlines and a caption.
+"""Composes rendered images into one picture: panels side by side, titles, labels, outlines and a caption.
 
-Knows pixels and words; the photographs come from `sim_mcm.render`.
+It knows pixels and text only; the images come from `sim_mcm.render`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 
 def outline(mask: Mask, width: int = OUTLINE_PX) -> Mask:
-    """The pixels just outside of what the mask covers."""
+    """The pixels just outside the mask."""
     grown = mask.copy()
     for _ in range(width):
         near = grown.copy()
@@ -40,7 +40,7 @@ def outline(mask: Mask, width: int = OUTLINE_PX) -> Mask:
 
 
 def painted(pixels: Pixels, masks: Sequence[Mask]) -> Pixels:
-    """A copy with the outlines of these masks drawn over it."""
+    """A copy of the image with the outlines of the masks."""
     done = pixels.copy()
     for mask in masks:
         done[outline(mask)] = OUTLINE
@@ -48,7 +48,7 @@ def painted(pixels: Pixels, masks: Sequence[Mask]) -> Pixels:
 
 
 def labelled(pixels: Pixels, labels: Mapping[str, tuple[str, Point]], doubtful: Sequence[str]) -> Image.Image:
-    """`labels`: name -> (words, the pixel they are about). Words that would cover others move down."""
+    """The image with labels. `labels`: name -> (text, its pixel). A text that would cover another moves down."""
     picture = Image.fromarray(pixels)
     pen = ImageDraw.Draw(picture)
     letters = font(16)
@@ -88,7 +88,7 @@ def composed(panels: Sequence[tuple[str, Image.Image]], caption: Sequence[str]) 
 
 
 def save(picture: Image.Image, file: Path) -> None:
-    """Written beside and moved into place: whoever looks at the file never sees half of it. Raises OSError."""
+    """Write a temporary file and rename it, so that a reader never sees a part of it. Raises OSError."""
     beside = file.with_name(f".{file.name}.new")
     try:
         picture.save(beside, format="PNG")

@@ -1,8 +1,8 @@
-"""Commanded motion over time: following knots, stopping, retracing, staying.
+"""Motion profiles: commanded motion over time, for following knots, braking, yielding, retracing and staying.
 
-A profile is a function of its own time (s, from 0) that gives joints, velocities, accelerations; the caller owns the
-clock. Every profile takes over from wherever the command is and is smooth from there on, so that no command ever
-jumps. Ruckig is used from state to state only. This file knows no arm, no sample and no reason.
+A profile maps its own time (s, from 0) to joints, velocities and accelerations; the caller owns the clock. Every
+profile starts from the present command and is smooth, so a command never jumps. Ruckig solves state-to-state motions
+only. This module must not know arms, samples or stop reasons.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from rtc.geometry import Array
 from rtc.primitive import JointTrajectory
 from sim_mcm.arm import TICK_S, Motion
 
-# How hard a stop brakes: from 0.25 m/s in about 60 ms, with the torques well inside the motors'. The jerk is high, so
-# that a slow guarded move stands within 3 ms and does not lean on what it has found.
+# Limits while braking: 0.25 m/s takes about 60 ms, with torques well below the motor limits. The jerk is high, so that
+# a slow guarded move stops within 3 ms and does not press on the obstacle.
 STOP_ACCELERATION_RAD_S2 = 12.0
 STOP_JERK_RAD_S3 = 20_000.0
-# With something in the hand: a harder stop turns two kilograms, 150 mm before the fingers, out of their grip.
+# With an object in the hand: harder braking turns two kilograms, 150 mm before the fingers, out of the grip.
 LADEN_ACCELERATION_RAD_S2 = 4.0
 LADEN_JERK_RAD_S3 = 400.0
-# How softly the command goes to where contact has stopped the arm, so that it presses no more.
+# Limits while the command moves to the position where contact has stopped the arm, to relieve the pressure.
 YIELD_VELOCITY_RAD_S, YIELD_ACCELERATION_RAD_S2, YIELD_JERK_RAD_S3 = 0.2, 2.0, 200.0
-BLOCK = 64  # ticks of a path that are worked out at once
-BLEND_S = 0.25  # over which a small difference between command and path is worked off
-RETREAT_SPEED_M_S = 0.05  # of the tcp, at most, in a reflex
+BLOCK = 64  # number of ticks of a path computed at once
+BLEND_S = 0.25  # time in which an initial offset between command and path fades out
+RETREAT_SPEED_M_S = 0.05  # maximum tcp speed in a reflex
 RETREAT_LEAST_S = 0.2
 
 
 class Profile(Protocol):
-    duration_s: float  # after it, `at` stays at the end
+    duration_s: float  # after this time `at` returns the end state
 
     def at(self, time_s: float) -> Motion: ...
 
@@ -52,8 +52,8 @@ class Stay:
 
 
 class Follow:
-    """Quintic Hermite polynomials through the knots, taken up from `start`, which may differ a little from the first
-    of them. Worked out for BLOCK ticks at once, which costs a tenth of doing it for each."""
+    """Quintic Hermite polynomials through the knots, from `start`, which may differ slightly from the first knot.
+    Computed for BLOCK ticks at once, which takes a tenth of the time of single ticks."""
 
     def __init__(self, trajectory: JointTrajectory, start: Sequence[float]) -> None:
         self._length_s = trajectory.duration_s
@@ -63,7 +63,7 @@ class Follow:
         self._blend = bool(np.abs(self._offset).max() > 1e-9)
         self.duration_s = max(self._length_s, BLEND_S) if self._blend else self._length_s
         self._end = Stay(trajectory.positions[-1]).at(0.0)
-        self._block: list[list[list[float]]] = []  # of the ticks from _first on
+        self._block: list[list[list[float]]] = []  # motions of the ticks from _first on
         self._first = 0
 
     def at(self, time_s: float) -> Motion:
@@ -85,7 +85,7 @@ class Follow:
         """k x 3 x n: joints, velocities, accelerations of the path itself at k times."""
         t = np.clip(times_s, 0.0, self._length_s)
         piece = np.clip(np.searchsorted(self._knots_s, t, side="right") - 1, 0, len(self._pieces) - 1)
-        u = (t - self._knots_s[piece])[:, None] ** np.arange(6)  # its powers
+        u = (t - self._knots_s[piece])[:, None] ** np.arange(6)  # powers of the time since the knot
         coefficients = self._pieces[piece]  # k x 6 x n
         motion = np.empty((len(t), 3, coefficients.shape[2]))
         for order, derivative in enumerate(DERIVATIVES):
@@ -94,7 +94,7 @@ class Follow:
         return motion
 
     def _worked_off(self, times_s: Array) -> Array:
-        """What is left of the difference at the start."""
+        """The remaining part of the initial offset."""
         rows = []
         for t in times_s.tolist():
             fade, slope, bend = _smooth(t / BLEND_S)
@@ -102,7 +102,7 @@ class Follow:
         return np.asarray(rows)[:, :, None] * self._offset
 
 
-# Of a polynomial's terms: the factors and the powers of u that the value, slope and second derivative take.
+# Factors and powers of u in the value, first and second derivative of a quintic polynomial.
 DERIVATIVES: tuple[tuple[Array, list[int]], ...] = (
     (np.ones(6), [0, 1, 2, 3, 4, 5]),
     (np.array((1.0, 2.0, 3.0, 4.0, 5.0)), [0, 1, 2, 3, 4]),
@@ -111,7 +111,7 @@ DERIVATIVES: tuple[tuple[Array, list[int]], ...] = (
 
 
 class Brake:
-    """From any state of motion to rest, straight on, with limited acceleration and jerk."""
+    """From any motion state to rest along the same direction, with limited acceleration and jerk."""
 
     def __init__(self, now: Motion, *, laden: bool = False) -> None:
         limits = (
@@ -119,7 +119,7 @@ class Brake:
         )
         wanted = _state(now, *limits)
         wanted.control_interface = ruckig.ControlInterface.Velocity
-        wanted.synchronization = ruckig.Synchronization.Phase  # all joints together: the tcp keeps its line
+        wanted.synchronization = ruckig.Synchronization.Phase  # joints synchronized, so the tcp keeps its line
         wanted.target_velocity = [0.0] * len(now[0])
         self._way = _solve(wanted)
         self.duration_s: float = self._way.duration
@@ -129,7 +129,7 @@ class Brake:
 
 
 class Yield:
-    """From rest to the joints that contact has left the arm with: the command no longer leans on the thing."""
+    """From rest to the measured joints after a contact, so that the command no longer presses on the obstacle."""
 
     def __init__(self, now: Motion, measured: Sequence[float]) -> None:
         wanted = _state(now, YIELD_ACCELERATION_RAD_S2, YIELD_JERK_RAD_S3)
@@ -143,7 +143,7 @@ class Yield:
 
 
 class Retrace:
-    """Back along the way it came, `back_m` of the tcp's path (or to the start of it), from `start` at rest."""
+    """Back along the followed path by `back_m` of tcp travel (at most to its start), from `start` at rest."""
 
     def __init__(
         self,
@@ -157,7 +157,7 @@ class Retrace:
         self._from_s = min(tripped_s, came.duration_s)
         self._to_s, length_m = _time_before(came, self._from_s, back_m, tcp)
         span_s = self._from_s - self._to_s
-        # 1.875 is the greatest slope of the smooth step: with it the way back is nowhere quicker than the way there.
+        # 1.875 is the greatest slope of the smooth step; with this factor the return is nowhere faster than the path.
         self.duration_s = max(1.875 * span_s, 1.875 * length_m / RETREAT_SPEED_M_S, RETREAT_LEAST_S)
         self._offset = np.asarray(start) - came.path(np.array([self._from_s]))[0, 0]
         self._end = Stay(came.path(np.array([self._to_s]))[0, 0].tolist()).at(0.0)
@@ -178,13 +178,13 @@ class Retrace:
 
 
 def _smooth(x: float) -> tuple[float, float, float]:
-    """The quintic step from 0 to 1 that begins and ends at rest: value, slope, second derivative."""
+    """Quintic step from 0 to 1 with rest at both ends: value, slope, second derivative."""
     x = min(max(x, 0.0), 1.0)
     return x**3 * (10 + x * (6 * x - 15)), 30 * (x * (x - 1)) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
 
 
 def _hermite(trajectory: JointTrajectory) -> Array:
-    """Per piece the 6 x n coefficients of the quintic with both knots' position, velocity and acceleration."""
+    """Per segment the 6 x n coefficients of the quintic through position, velocity and acceleration of both knots."""
     q, v, a = (np.asarray(rows) for rows in (trajectory.positions, trajectory.velocities, trajectory.accelerations))
     pieces = []
     for k, (begin_s, end_s) in enumerate(zip(trajectory.time_s, trajectory.time_s[1:], strict=False)):
@@ -213,16 +213,17 @@ def _state(now: Motion, acceleration: float, jerk: float) -> ruckig.InputParamet
     wanted.current_position, wanted.current_velocity = list(joints), list(velocities)
     wanted.current_acceleration = list(accelerations)
     wanted.target_velocity = [0.0] * len(joints)
-    wanted.max_velocity = [10.0] * len(joints)  # of no effect while braking
-    # A path may accelerate harder than we brake: then that is the limit, for ruckig takes no state beyond it.
+    wanted.max_velocity = [10.0] * len(joints)  # without effect while braking
+    # A path may accelerate harder than these limits. Then its acceleration is the limit: ruckig rejects states above
+    # it.
     wanted.max_acceleration = [max(acceleration, abs(a)) for a in accelerations]
     wanted.max_jerk = [jerk] * len(joints)
     return wanted
 
 
 def _solve(wanted: ruckig.InputParameter) -> ruckig.Trajectory:
-    """A stop must always be found. Ruckig's solver loses rare states to rounding; other limits, a per mille harder, or
-    joints that stop each in its own time, are found instead."""
+    """Solve, retrying until a stop is found. Rounding makes ruckig fail for rare states; slightly higher limits, or
+    joints without synchronization, then succeed."""
     dof = wanted.degrees_of_freedom
     for harder in (1.0, 1.001, 1.003, 1.01, 1.03, 1.1):
         wanted.max_acceleration = [a * harder for a in wanted.max_acceleration]
@@ -236,7 +237,7 @@ def _solve(wanted: ruckig.InputParameter) -> ruckig.Trajectory:
                 continue
             if result in (ruckig.Result.Working, ruckig.Result.Finished):
                 return way
-    raise AssertionError(f"ruckig finds no way to rest from {wanted}")
+    raise AssertionError(f"ruckig found no trajectory to rest from {wanted}")
 
 
 def _rest_after(way: ruckig.Trajectory, time_s: float) -> Motion:
@@ -250,7 +251,7 @@ def _rest_after(way: ruckig.Trajectory, time_s: float) -> Motion:
 def _time_before(
     came: Follow, from_s: float, back_m: float, tcp: Callable[[Sequence[float]], Array], steps: int = 100
 ) -> tuple[float, float]:
-    """The moment at which the tcp had `back_m` less of its path behind it, and the length really found (m)."""
+    """(path time (s) at which the tcp is `back_m` before its position at `from_s`, length found (m))."""
     if back_m <= 0.0:
         return from_s, 0.0
     times_s = np.linspace(from_s, 0.0, steps + 1)

@@ -1,9 +1,10 @@
-"""`python -m sim_mcm.render --truth FILE.json --out scene.png`: a picture of the cell as the simulator saw it.
-With --serve: a picture for every `rtc.scene.Picture` that comes as a line of JSON on stdin.
+"""Renders the cell: `python -m sim_mcm.render --truth FILE.json --out scene.png`.
 
-Drawn by a process of its own, because pybullet holds the interpreter while it draws, and a tick must not wait for that.
-It rebuilds the cell in a client without physics, puts everything where the scene says, and uses the software renderer:
-no display is needed.
+With --serve it renders one picture per line of JSON (`rtc.scene.Picture`) on stdin.
+
+Rendering runs in its own process, because pybullet holds the interpreter lock while it draws, and a tick must not wait.
+The process builds the cell in a client without physics, sets all poses from the scene and uses the software renderer,
+which needs no display.
 """
 
 from __future__ import annotations
@@ -32,17 +33,17 @@ from sim_mcm.bullet_world import World
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
 
-SUPERSAMPLING = 2  # drawn twice as large and averaged: the renderer does not smooth edges
+SUPERSAMPLING = 2  # rendered at this scale and averaged, because the renderer does not antialias
 FIELD_OF_VIEW_DEG = 37.0
 NEAR_M, FAR_M = 0.1, 12.0
-LIGHT = (-1.2, -0.5, 1.1)  # direction towards it
+LIGHT = (-1.2, -0.5, 1.1)  # direction to the light
 FLOOR_TILE_M, FLOOR_TILES = 0.4, 10
 FLOOR_COLOURS = ((0.86, 0.87, 0.89, 1.0), (0.80, 0.82, 0.85, 1.0))
 SKY = (232, 238, 246)
 PANEL = (760, 600)  # pixels, of two side by side
 ALONE = (960, 720)
-CLOSE_M = 1.0  # from the eye to the thing that a close view is of
-#: view -> direction from the middle of the cell to the eye, and how many times its radius away
+CLOSE_M = 1.0  # distance from the eye to the target of a close view
+#: view -> (direction from the cell's centre to the eye, distance in radii of the cell)
 DIRECTIONS = {
     "overview": ((-2.0, -0.95, 1.6), 2.6),  # from above and behind the arms, a little to the right
     "behind": ((-2.6, 0.0, 0.9), 2.45),
@@ -55,13 +56,13 @@ CLOSE = (-1.0, -1.0, 0.75)  # direction of a close view
 
 
 class Camera(NamedTuple):
-    """Column-major 4x4 matrices, as pybullet has them."""
+    """Column-major 4 x 4 matrices of pybullet."""
 
     view: Sequence[float]
     lens: Sequence[float]
 
     def pixel(self, point: geometry.Floats, size: tuple[int, int]) -> tuple[float, float]:
-        """Where a point (m, world frame) is in a picture of this size; far outside when it is behind the eye."""
+        """Pixel of a point (m, world frame) in a picture of this size; far outside if it is behind the eye."""
         view, lens = (np.array(matrix).reshape(4, 4).T for matrix in self)
         x, y, _, w = (lens @ view @ np.array([*list(point)[:3], 1.0])).tolist()
         return (-1e9, -1e9) if w <= 0 else (0.5 * (1 + x / w) * size[0], 0.5 * (1 - y / w) * size[1])
@@ -69,11 +70,11 @@ class Camera(NamedTuple):
 
 class Photograph(NamedTuple):
     pixels: Image  # height x width x 3
-    bodies: NDArray[np.int64]  # pybullet's number of the body at each pixel; below 0: none
+    bodies: NDArray[np.int64]  # pybullet body id at each pixel; negative: background
 
 
 class Studio:
-    """The cell in a client without physics, to be posed and photographed, again and again."""
+    """The cell in a client without physics; it can be posed and rendered repeatedly."""
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
@@ -92,7 +93,7 @@ class Studio:
         self.world.close()
 
     def pose(self, scene: Scene) -> None:
-        """Put everything where the scene has it, the rest where the cell begins."""
+        """Set all poses from the scene; anything not in it takes its initial pose."""
         for name, body in self.world.objects.items():
             self.world.place(body, scene.poses.get(name, self.cell.object_pose(name).tolist()))
         for arm in self.cell.arms:
@@ -106,7 +107,7 @@ class Studio:
                     )
 
     def camera(self, name: str, scene: Scene, aspect: float) -> Camera:
-        """One of VIEWS, or a close view of the arm's hand, object, seat or place of that name."""
+        """The camera of one of VIEWS, or a close view of the named arm's hand, object, seat or place."""
         middle, radius = self._extent()
         direction, far = DIRECTIONS.get(name, (CLOSE, 0.0))
         target = middle if name in DIRECTIONS else self._target(name, scene)
@@ -118,14 +119,18 @@ class Studio:
         )
 
     def _extent(self) -> tuple[Array, float]:
-        """The middle of what stands in the cell, and how far it reaches."""
+        """Centre (m) and radius (m) of the cell's content."""
         points: list[tuple[float, ...]] = [arm.base.xyz for arm in self.cell.arms]
         points += [tuple(seat.frame.xyz) for seat in self.cell.seats]
         points += [frame.xyz for place in self.cell.places for frame in place.poses.values()]
         points += [tuple(self.cell.object_pose(thing.name)[:3].tolist()) for thing in self.cell.objects]
         low, high = np.min(points, axis=0), np.max(points, axis=0)
         radius = max(0.5, 0.5 * float(np.linalg.norm(high - low)))
-        return 0.5 * (low + high) + [0.0, 0.0, 0.12 * radius], radius  # arms reach up, and below is only floor
+        return 0.5 * (low + high) + [
+            0.0,
+            0.0,
+            0.12 * radius,
+        ], radius  # raised, because arms reach up and only the floor is below
 
     def _target(self, name: str, scene: Scene) -> Array:
         cell = self.cell
@@ -137,11 +142,11 @@ class Studio:
         found = [seat.frame.xyz for seat in cell.seats if seat.name == name]
         found += [frame.xyz for place in cell.places if place.name == name for frame in place.poses.values()]
         if not found:
-            raise RtcError(f"the camera can look from {', '.join(VIEWS)}, or at a thing of the cell; not at {name}")
+            raise RtcError(f"unknown camera {name}; use {', '.join(VIEWS)}, or the name of a thing of the cell")
         return np.array(found[0])
 
     def hand(self, arm: str) -> Array:
-        """Where the palm of an arm is now (m)."""
+        """Position of an arm's palm (m, world frame)."""
         joint = self.joints[arm][self.cell.arm(arm).gripper.finger_joints[0]]
         state = pybullet.getLinkState(
             self.arms[arm], joint, computeForwardKinematics=1, physicsClientId=self.world.client
@@ -174,13 +179,13 @@ class Studio:
         return Photograph(averaged, bodies[::times, ::times])
 
     def mask(self, photograph: Photograph, name: str) -> sheet.Mask:
-        """The pixels where an object is seen."""
+        """The pixels that show an object."""
         seen: sheet.Mask = np.isin(photograph.bodies, [part for part, _ in self.world.objects[name].parts])
         return seen
 
 
 def draw(cell: Cell, scene: Scene, width: int = 960, height: int = 720) -> Image:
-    """One scene without words, height x width x 3."""
+    """One scene without text, height x width x 3."""
     studio = Studio(cell)
     try:
         studio.pose(scene)
@@ -190,7 +195,7 @@ def draw(cell: Cell, scene: Scene, width: int = 960, height: int = 720) -> Image
 
 
 def compose(studio: Studio, wanted: Picture) -> sheet.Image.Image:
-    """The panels of a picture, all from the same place, with their words."""
+    """The panels of a picture with their text, all from the same camera."""
     size = ALONE if len(wanted.panels) == 1 else PANEL
     camera, first = None, None
     done = []
@@ -206,7 +211,7 @@ def compose(studio: Studio, wanted: Picture) -> sheet.Image.Image:
 
 
 def _anchors(studio: Studio, panel: Panel) -> list[tuple[str, str, Array]]:
-    """Name, words and the point (m) that each label of a panel is about."""
+    """(name, text, point (m, world frame)) of each label of a panel."""
     return [
         (name, words, studio.hand(name) if name in studio.arms else np.array(panel.scene.poses[name][:3]))
         for name, words in panel.labels.items()
@@ -215,7 +220,7 @@ def _anchors(studio: Studio, panel: Panel) -> list[tuple[str, str, Array]]:
 
 
 def _floor(world: World) -> None:
-    """A chequered floor: without it nobody sees where things stand."""
+    """Add a chequered floor, which makes positions visible."""
     half = [0.5 * FLOOR_TILE_M, 0.5 * FLOOR_TILE_M, 0.005]
     shapes = [
         pybullet.createVisualShape(
@@ -233,7 +238,7 @@ def _floor(world: World) -> None:
 
 
 def serve() -> None:
-    """A `Drawn` on stdout for every `Picture` on stdin, until stdin ends. The cell is built once."""
+    """Write one `Drawn` to stdout per `Picture` on stdin, until stdin ends. The cell is built once."""
     read = msgspec.json.Decoder(Picture)
     studio, built = None, ""
     for line in sys.stdin:
@@ -249,7 +254,7 @@ def serve() -> None:
 
 
 def write_png(image: Image, file: Path) -> None:
-    """PNG by hand: a header, one deflated block, an end. Spares a library."""
+    """Write a PNG without a library: header, one deflated block, end."""
     height, width, _ = image.shape
     rows = b"".join(b"\0" + row.tobytes() for row in image)
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
@@ -264,17 +269,17 @@ def _size(text: str) -> tuple[int, int]:
     width, _, height = text.partition("x")
     size = int(width), int(height)
     if not all(16 <= n <= 4096 for n in size):
-        raise argparse.ArgumentTypeError("a size is WIDTHxHEIGHT, each 16 to 4096")
+        raise argparse.ArgumentTypeError("a size is WIDTHxHEIGHT, each from 16 to 4096")
     return size
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     words = argparse.ArgumentParser(prog="python -m sim_mcm.render", description=__doc__)
-    words.add_argument("--truth", type=Path, help="SimTruthReply as JSON; without it the cell as it begins")
+    words.add_argument("--truth", type=Path, help="SimTruthReply as JSON; default: the initial state of the cell")
     words.add_argument("--out", type=Path, help="the PNG to write")
     words.add_argument("--cell", default="swapout", help="name or file of the cell")
     words.add_argument("--size", type=_size, default=(960, 720), help="WIDTHxHEIGHT")
-    words.add_argument("--serve", action="store_true", help="draw what is asked for on stdin")
+    words.add_argument("--serve", action="store_true", help="render the pictures requested on stdin")
     given = words.parse_args(arguments)
     if given.serve:
         return serve()

@@ -1,4 +1,4 @@
-"""R: what the MCM tells about one primitive (paper, L140; R65, R140). Plain functions from figures to messages."""
+"""Reports about one primitive (R in the paper; R65, R140): plain functions from measurements to messages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim_mcm.arm import Sample
 
 
 class Trip(msgspec.Struct, frozen=True, kw_only=True):
-    """Why a primitive is being ended: settled in one tick, never changed after it."""
+    """Why a primitive ends: decided in one tick; the reason never changes afterwards."""
 
     reason: StopReason
     reflex: Reflex = Reflex.STOP
@@ -91,7 +91,7 @@ def not_begun(
     sample: Sample | None = None,
     tcp_pose: Array | None = None,
 ) -> m.EndReport:
-    """The end of a primitive that was never started. Without a sample: there is no such performer."""
+    """The end report of a primitive that was never started. Pass no sample if the performer does not exist."""
     return m.EndReport(
         primitive=primitive,
         performer=performer,

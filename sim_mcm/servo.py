@@ -1,6 +1,6 @@
-"""One arm's servo: from the motion wanted, through the law in use, to torques within the motors' limits.
+"""The servo of one arm: computes torques within the motor limits from the wanted motion and the control law.
 
-Pure: it holds what was last wanted and the law, nothing else. Torque in the fingers is the hand's (see `hand`).
+Pure: its state is the last wanted motion and the law. The module `hand` computes the finger forces.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Servo:
         self._wanted: Motion = (list(joints), still, still)
 
     def use_law(self, law: ControlLaw) -> None:
-        """ValueError, in words, when there is no such law or its gains will not do; the old one then stays."""
+        """Change the law. Raises ValueError if it is unknown or rejects the gains; the old law stays."""
         if law != self._name:
             self._law = control_laws.make(law, self._arm, self._laws)
             self._name = law
@@ -33,7 +33,7 @@ class Servo:
         self._wanted = motion
 
     def torque(self, joints: list[float], velocities: list[float]) -> list[float]:
-        """For this tick, clipped to what the motors can (N.m)."""
+        """Torques of this tick, clipped to the motor limits (N.m)."""
         torques = self._law.torque(self._wanted, joints, velocities)
         return [
             torque if -most < torque < most else (most if torque > 0.0 else -most)

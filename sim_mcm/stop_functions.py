@@ -1,8 +1,7 @@
-"""F: the conditions of a primitive, made into checks that see one moment only (paper, L103; R66, A21).
+"""Stop functions: the stop conditions of a primitive, compiled to memoryless checks (F in the paper; R66, A21).
 
-`compile_stops` gives the checks in their fixed priority; `first` returns the one that wins: the first that is true, and
-no more than one (R83). A check is memoryless: it sees the current `Moment` and nothing before it. What follows from
-a trip (stop, retreat) is the executor's business.
+`compile_stops` returns the checks in their fixed priority; `first` returns the first one that is true, and only that
+one (R83). A check sees the current `Moment` only. The executor carries out the reflex (stop, retreat).
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ Finding = tuple[float | None, float | None, str]  # measured, limit, words
 
 
 class Moment(msgspec.Struct):
-    """What a check may see: the sample of this tick, the bias taken off the wrench, and what follows from it."""
+    """The input of a check: the sample of this tick with the bias subtracted from the wrench, and derived values."""
 
     elapsed_s: float
     joints: list[float]
@@ -31,28 +30,28 @@ class Moment(msgspec.Struct):
     force_n: float  # magnitudes
     torque_nm: float
     width_m: float
-    grip_n: float  # of the finger that presses less
-    arrived: Finding | None  # worst remaining error and its tolerance, once the goal is reached
-    tcp: Callable[[], Array]  # asked for when needed: they cost more than all the rest
+    grip_n: float  # force of the finger that presses less
+    arrived: Finding | None  # (greatest error, tolerance, '') once the goal is reached
+    tcp: Callable[[], Array]  # called on demand: tcp and touch cost more than the other values
     touch: Callable[[], str]
-    commanded: list[float]  # joints that this sample should show
+    commanded: list[float]  # commanded joints of this tick (rad)
 
 
 Check = Callable[[Moment], Finding | None]
 Stops = list[tuple[p.StopFunction, Check]]
 
-# Watched in every primitive, whatever its F says: then it is not the task that has gone wrong but the machine, or its
-# model. Measured in physics: at most 0.6 of a limit of speed, and 6 mrad of following error, setting a module down.
+# Checked in every primitive, in addition to its own: they detect a fault of the machine or of its model, not of the
+# task. Greatest values measured in pybullet: 0.6 of a speed limit; 6 mrad of following error, placing a module.
 ALWAYS = (
     p.StopFunction(reason=StopReason.OVERSPEED, when=p.SpeedAbove(1.5)),
     p.StopFunction(reason=StopReason.FOLLOWING_ERROR, when=p.FollowingErrorAbove(0.1)),
 )
-# After these nothing but a stop is safe.
+# After these reasons only the reflex STOP is safe.
 STOP_ONLY = frozenset({StopReason.HALT, StopReason.COMMAND_LIMIT, StopReason.OVERSPEED, StopReason.FOLLOWING_ERROR})
 
 
 def compile_stops(primitive: p.Primitive, traits: Traits) -> Stops:
-    """The checks of a primitive, by priority. Raises ValueError, in words, for a condition that cannot be checked."""
+    """The checks of a primitive by priority. Raises ValueError for a condition that cannot be checked."""
     stops: Stops = []
     for stop in p.in_priority([*primitive.stop_functions, *ALWAYS]):
         for problem in _problems(stop):
@@ -62,7 +61,7 @@ def compile_stops(primitive: p.Primitive, traits: Traits) -> Stops:
 
 
 def first(stops: Stops, moment: Moment) -> tuple[p.StopFunction, Finding] | None:
-    """The stop function that ends the primitive in this moment, if any."""
+    """The stop function that ends the primitive now, with its finding, or None."""
     for stop, check in stops:
         finding = check(moment)
         if finding is not None:
@@ -71,8 +70,8 @@ def first(stops: Stops, moment: Moment) -> tuple[p.StopFunction, Finding] | None
 
 
 def _with_reflex(stop: p.StopFunction, stops: Stops, moment: Moment) -> p.StopFunction:
-    """The one that gives the reason, with the reflex of the first that is true and wants more than a stop: a reflex
-    that was asked for does not depend on which of two limits is named."""
+    """`stop` with the reflex of the first true condition whose reflex is more than STOP. So a requested reflex does
+    not depend on which of two exceeded limits is reported."""
     if stop.reflex is not Reflex.STOP or stop.reason in STOP_ONLY:
         return stop
     for other, check in stops:
@@ -81,7 +80,7 @@ def _with_reflex(stop: p.StopFunction, stops: Stops, moment: Moment) -> p.StopFu
     return stop
 
 
-# --- one maker per kind of predicate -------------------------------------------------------------------
+# --- one factory per type of condition ------------------------------------------------------------------
 
 
 def _goal(when: p.GoalReached, traits: Traits) -> Check:
@@ -198,7 +197,7 @@ CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
 
 
 def _problems(stop: p.StopFunction) -> Iterator[str]:
-    """What the types cannot see."""
+    """Errors that the types do not exclude."""
     kind = type(stop.when).__name__
     for field, value in msgspec.structs.asdict(stop.when).items():
         if isinstance(value, list) and len(value) != 3:

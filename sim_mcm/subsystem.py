@@ -1,16 +1,16 @@
-"""The MCM as one subsystem: several arms, one broker to report to, and whoever calls a halt. Pure.
+"""The MCM as one subsystem: several arms, one broker, several callers of halts. Pure.
 
-    hear(message, sender, now_s) -> [(sender, message), ...]      tick(now_s) -> [(sender, message), ...]
+    handle(message, sender, now_s) -> [(receiver, message), ...]      tick(now_s) -> [(receiver, message), ...]
 
-A sender is who said it and who is answered: BROKER, or the identity of a caller at the estop socket. Trusted soldier
-(R58): between a primitive and its end report nothing is needed from the broker; reports are kept, and said again,
-until they are acknowledged. No primitive is executed twice (its id is remembered).
+Sender and receiver are BROKER or the identity of a caller at the estop socket. The MCM works without the broker between
+the start of a primitive and its end report (trusted soldier, R58). It keeps each end report and repeats it until the
+broker acknowledges it. It remembers primitive ids, so it executes no primitive twice.
 
-Every halt brakes what is in its scope first, and is answered afterwards. Earlier halts are remembered for one purpose:
-a halt that is received twice (from the caller and from the broker) is answered with the same figures, as long as
-nothing in its scope has moved in between. A halt that was called past the broker is passed on to it under a number of
-its own, and said again with every hello; until the broker has answered that number, nothing in its scope begins, so a
-broker that was dead or blind meanwhile cannot start what was halted.
+Every halt first brakes the arms in its scope; the answer follows. The same halt may arrive from the caller and from the
+broker. Both get the same figures if nothing in scope has moved in between; earlier halts are remembered only for this.
+A halt from the estop socket is forwarded to the broker with a call number, and repeated with every hello. It is a
+fence: nothing in its scope starts until the broker has sent that number back. So a broker that was down during the halt
+cannot start what was halted.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from sim_mcm.arm import Arm
 from sim_mcm.executor import Executor
 from sim_mcm.reports import not_begun
 
-BROKER = b""  # no caller at the estop socket has this identity
-REPEAT_S = 0.5  # an end report is said again until it is acknowledged
-REMEMBERED = 2_000  # ended primitives, and halts
-# Halts that wait for rest: of one caller at the estop socket, and of the broker, who has many. Each costs time in every
-# tick, and answers. One more is obeyed like any other, and declined in words.
+BROKER = b""  # not a possible identity of a caller at the estop socket
+REPEAT_S = 0.5  # period of repeating an end report that is not acknowledged
+REMEMBERED = 2_000  # maximum number of remembered ended primitives; also of halts
+# Maximum numbers of halts that wait for rest: per caller at the estop socket; of the broker, which has many clients.
+# Each costs time in every tick. Above the maximum arms still stop, but the caller gets Declined, not a confirmation.
 OPEN_HALTS = 8
 OPEN_HALTS_OF_BROKER = 64
-CALLERS_OF_A_HALT = 16  # that are answered with the same figures; one more gets an answer of its own
-MAX_FENCES = 64  # scopes; with more of them, nothing at all begins until the broker has answered
-REST_LIMIT_S = 2.0  # after a halt: no rest by then is told as such
+CALLERS_OF_A_HALT = 16  # maximum number that share one set of figures; a further caller gets its own
+MAX_FENCES = 64  # maximum number of fenced scopes; above it one fence covers ALL
+REST_LIMIT_S = 2.0  # an arm not at rest this long after a halt is reported as not at rest
 
 COMMAND = re.compile(r"C-\d+", re.ASCII)
 
@@ -47,7 +47,7 @@ Outgoing = list[tuple[bytes, m.Message]]
 
 
 class InvalidOrder(msgspec.Struct, frozen=True):
-    """An order to execute something that is not a primitive, with what can be read of it."""
+    """An Execute whose primitive does not decode, with the fields that could be read."""
 
     primitive: str  # its id
     performer: str
@@ -56,14 +56,14 @@ class InvalidOrder(msgspec.Struct, frozen=True):
 
 
 class Halt(msgspec.Struct):
-    """One halt that was called, and who wants to hear of it."""
+    """One halt and the callers that wait for its answers."""
 
     order: m.HaltOrder
     received_at_s: float
     performers: list[str]
     moving: list[str]
-    begun: list[int]  # primitives that each performer had begun when it was called
-    callers: list[tuple[bytes, str]]  # sender, and the number of the order there
+    begun: list[int]  # number of primitives that each performer had started at the time of the call
+    callers: list[tuple[bytes, str]]  # identity, and the call number of its order
     started: m.HaltStarted | None = None
     ended: m.HaltAtRest | None = None
 
@@ -76,17 +76,19 @@ class Subsystem:
         self.name = name
         self.pid = pid
         self.executors = {arm: Executor(part) for arm, part in arms.items()}
-        self._kept: dict[str, tuple[m.EndReport, float]] = {}  # not acknowledged; when to say it again
-        self._ended: OrderedDict[str, m.EndReport] = OrderedDict()  # all, for repeated orders
-        self._content_hashes: dict[str, int] = {}  # primitive -> hash of the whole primitive that bore this id
-        self._begun: Counter[str] = Counter()  # primitives, by performer
+        self._kept: dict[
+            str, tuple[m.EndReport, float]
+        ] = {}  # unacknowledged end reports: primitive -> (report, time of the next repetition)
+        self._ended: OrderedDict[str, m.EndReport] = OrderedDict()  # the last end reports; they answer repeated orders
+        self._content_hashes: dict[str, int] = {}  # primitive id -> hash of the whole primitive
+        self._begun: Counter[str] = Counter()  # number of started primitives, by performer
         self._halts: OrderedDict[tuple[str, str], Halt] = OrderedDict()  # by name and scope
-        self._calls = 0  # halts passed on to the broker so far
+        self._calls = 0  # number of halts forwarded to the broker
         self._open_halts: list[Halt] = []
         self._halt_limiter = HaltRateLimiter()
-        self._fences: dict[str, m.HaltOrder] = {}  # scope -> halt that the broker has not shown to know of
+        self._fences: dict[str, m.HaltOrder] = {}  # halt scope -> order that the broker has not acknowledged
 
-    # --- what is asked of it ---------------------------------------------------------------------------
+    # --- public interface -------------------------------------------------------------------------------
 
     @property
     def outstanding(self) -> list[str]:
@@ -107,7 +109,7 @@ class Subsystem:
         if isinstance(message, m.HaltOrder):
             return self._halt(message, sender, now_s)
         if isinstance(message, m.ReportAck):
-            if not message.primitive:  # of nothing: a broker that does not know us asks who we are
+            if not message.primitive:  # without an id: the broker asks for a hello
                 return self.hello()
             self._kept.pop(message.primitive, None)
             return []
@@ -116,13 +118,13 @@ class Subsystem:
         return self._execute(message, now_s)
 
     def brake(self) -> None:
-        """Stop everything, for nobody in particular: the process is to end."""
+        """Stop every arm without a halt to answer: the process ends."""
         for executor in self.executors.values():
             executor.halt()
 
     def hello(self) -> Outgoing:
-        """To a broker that has just been found: who we are, what is under way, and what it has not acknowledged:
-        end reports, and halts that were called past it."""
+        """To a newly connected broker: name, arms and outstanding primitives, then all unacknowledged end reports and
+        halts."""
         hello = m.SubsystemHello(
             name=self.name,
             pid=self.pid,
@@ -159,25 +161,25 @@ class Subsystem:
 
     def _execute(self, order: m.Execute, now_s: float) -> Outgoing:
         primitive = order.primitive
-        if order.pid not in (0, self.pid):  # meant for the process before us, or for somebody who took our name
+        if order.pid not in (0, self.pid):  # addressed to another process with this name, such as our predecessor
             return self.hello()
         whole = hash(wire.encode(primitive))
         if self._content_hashes.setdefault(primitive.id, whole) != whole:
-            why = f"{self.name} knows another primitive of the id {primitive.id}; not begun"
+            why = f"{self.name} already knows a different primitive with the id {primitive.id}; not started"
             return [(BROKER, not_begun(primitive.id, primitive.performer, why, at_s=now_s))]
         if (ended := self._ended.get(primitive.id)) is not None:
             return [(BROKER, ended)]
-        if not is_name(primitive.id):  # a halt of its command would not find it
-            why = "its id is not the name of a primitive, such as C-3.1"
+        if not is_name(primitive.id):  # a halt of its command could not match it
+            why = "its id is not a valid primitive name; a valid one is, for example, C-3.1"
             return self._end(not_begun(primitive.id[:LONGEST], primitive.performer, why, at_s=now_s), now_s)
         executor = self.executors.get(primitive.performer)
         if executor is None:
             why = f"{self.name} has no {primitive.performer}; it has {', '.join(self.executors)}"
             return self._end(not_begun(primitive.id, primitive.performer, why, at_s=now_s), now_s)
         if executor.primitive_id == primitive.id:
-            return []  # it is being done
+            return []  # it is being executed
         if (halt := self._halted_before(order)) is not None:
-            why = f"sent in ignorance of halt {halt}; not begun"
+            why = f"the broker had not yet acknowledged halt {halt} when it sent this; not started"
             pose = executor.arm.tcp_pose(executor.sample.joints)
             report = not_begun(
                 primitive.id,
@@ -196,7 +198,7 @@ class Subsystem:
         return out
 
     def _refuse(self, order: InvalidOrder, now_s: float) -> Outgoing:
-        """The broker waits for an answer, whatever it has sent."""
+        """Answer an invalid order with an end report, because the broker waits for one."""
         if order.pid not in (0, self.pid):
             return self.hello()
         if (ended := self._ended.get(order.primitive)) is not None:
@@ -223,7 +225,8 @@ class Subsystem:
         return [(BROKER, report) for report in due]
 
     def _halted_before(self, order: m.Execute) -> str | None:
-        """The halt, called past the broker, that the broker had not heard of when it sent this."""
+        """The fence that stops this order: a halt in scope that the broker had not acknowledged when it sent the
+        order."""
         for scope, halt in self._fences.items():
             if _in_scope(scope, order.primitive.performer, order.primitive.id):
                 return halt.halt
@@ -232,35 +235,35 @@ class Subsystem:
     # --- halts -----------------------------------------------------------------------------------------
 
     def _halt(self, order: m.HaltOrder, sender: bytes, now_s: float) -> Outgoing:
-        """Brake now what is in scope, whatever the halt is called and whoever calls it; then answer."""
+        """Brake the arms in scope at once, for any caller and any halt id; then answer."""
         if sender != BROKER and not self._knows_scope(order.scope):
-            words = f"nothing here is called {order.scope}; there are ALL, {', '.join(self.executors)}"
+            words = f"unknown scope {order.scope}; known scopes are ALL, {', '.join(self.executors)}"
             refusal = Refusal(reason=RefusalReason.NAME, message=words, expected=["ALL", *self.executors])
             return [(sender, m.Declined(request=order.halt, refusal=refusal))]
         reached = [e for e in self.executors.values() if _in_scope(order.scope, e.name, e.primitive_id)]
         moving = [e.name for e in reached if e.halt()]
-        if sender == BROKER:  # what comes on this socket from here on, the broker has sent knowing of the halt
+        if sender == BROKER:  # the broker knows this halt in every later message on this socket
             self._fences = {scope: seen for scope, seen in self._fences.items() if not _acknowledges(order, seen)}
             return self._answer(order, sender, reached, moving, now_s)
         passed_on = self._numbered(order)
         if self._halt_limiter.exceeds(sender, now_s):
             merged = self._halt_limiter.merge(passed_on)
-            if merged.scope == "ALL":  # in place of those that have been merged into it
+            if merged.scope == "ALL":  # it replaces the fences that have been merged into it
                 self._fences.clear()
             self._fence(merged)
-            return [(sender, _overload(order, "you call too often"))]
+            return [(sender, _overload(order, "too many calls in a short time"))]
         self._fence(passed_on)
         return [(BROKER, passed_on), *self._answer(order, sender, reached, moving, now_s)]
 
     def _numbered(self, order: m.HaltOrder) -> m.HaltOrder:
-        """As it is passed on: two halts may have one name, and the broker may know of only one of them."""
+        """The order with a unique call number: two halts may share an id, and the broker may know only one of them."""
         self._calls += 1
         return msgspec.structs.replace(order, call=f"{self.pid}-{self._calls}")
 
     def _answer(
         self, order: m.HaltOrder, sender: bytes, reached: list[Executor], moving: list[str], now_s: float
     ) -> Outgoing:
-        """What became of a halt that has been obeyed: at once, or when all in its scope rest."""
+        """Answer a halt that has been obeyed, at once or when all arms in its scope rest."""
         halt, caller = self._halts.get((order.halt, order.scope)), (sender, order.call)
         if halt is not None and self._is_still_true(halt, reached):
             if caller not in halt.callers:
@@ -271,17 +274,21 @@ class Subsystem:
         halt = Halt(order, now_s, performers, moving, self._begun_by(performers), [caller])
         open_halts = sum(other.callers[0][0] == sender for other in self._open_halts)
         if open_halts >= (OPEN_HALTS_OF_BROKER if sender == BROKER else OPEN_HALTS):
-            return [] if sender == BROKER else [(sender, _overload(order, "earlier ones still wait for rest"))]
+            return (
+                []
+                if sender == BROKER
+                else [(sender, _overload(order, "earlier halts of this caller still wait for rest"))]
+            )
         self._halts[order.halt, order.scope] = halt
         self._halts.move_to_end((order.halt, order.scope))
         if len(self._halts) > REMEMBERED:
             self._halts.popitem(last=False)
         self._open_halts.append(halt)
-        return [] if moving else self._follow_halts(now_s)  # nothing moves: no tick need pass
+        return [] if moving else self._follow_halts(now_s)  # nothing moves, so the answer needs no tick
 
     def _is_still_true(self, halt: Halt, reached: list[Executor]) -> bool:
-        """Whether an earlier halt says of those `reached` now what is so now: none of them has begun anything since,
-        and if it said that they rest, they do."""
+        """Whether the answers to an earlier halt still hold: no arm in `reached` has started a primitive since, and
+        arms reported at rest are at rest."""
         if len(halt.callers) >= CALLERS_OF_A_HALT or not {e.name for e in reached} <= set(halt.performers):
             return False
         if halt.begun != self._begun_by(halt.performers):
@@ -292,18 +299,18 @@ class Subsystem:
         return [self._begun[name] for name in performers]
 
     def _knows_scope(self, scope: str) -> bool:
-        """Whether a scope is one of ours, or a command, of which only the broker knows whether it is there."""
+        """Whether a scope is ALL, one of our arms, or a command id (only the broker knows which commands exist)."""
         return scope == "ALL" or scope in self.executors or COMMAND.fullmatch(scope) is not None
 
     def _fence(self, order: m.HaltOrder) -> None:
-        """Until the broker has answered with this halt, nothing in its scope begins."""
+        """Let nothing in the scope start until the broker has acknowledged this halt."""
         if len(self._fences) >= MAX_FENCES:
             self._fences = {"ALL": order}
         else:
             self._fences[order.scope] = order
 
     def _follow_halts(self, now_s: float) -> Outgoing:
-        """Called in the tick whose command brakes, and every tick until rest."""
+        """Answer open halts: HaltStarted in the first braking tick, HaltAtRest later. Runs in every tick until then."""
         out: Outgoing = []
         resting = {name for name, executor in self.executors.items() if _rests(executor)}
         for halt in list(self._open_halts):
@@ -331,18 +338,18 @@ class Subsystem:
 
 
 def _rests(executor: Executor) -> bool:
-    """It stands still and has said how its primitive ended: whoever hears of rest has heard the report before, and
-    can give it something new at once."""
+    """The arm stands still and its end report is out. So the report arrives before the confirmation of rest, and the
+    arm is free for the next primitive."""
     return executor.at_rest and executor.primitive is None
 
 
 def _acknowledges(order: m.HaltOrder, seen: m.HaltOrder) -> bool:
-    """Whether the broker has sent this order knowing of that halt."""
+    """Whether this order of the broker acknowledges that fence."""
     return order.call == seen.call if order.call else order.halt == seen.halt
 
 
 def _overload(order: m.HaltOrder, why: str) -> m.Declined:
-    message = f"obeyed; but rest is not told: {why}"
+    message = f"the halt was obeyed, but rest will not be confirmed: {why}"
     return m.Declined(request=order.halt, refusal=Refusal(reason=RefusalReason.OVERLOAD, message=message))
 
 

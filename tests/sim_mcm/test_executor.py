@@ -165,7 +165,7 @@ def _bad(rig, make, kind: str) -> p.Primitive:
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ("elsewhere", r"joint_1 is at 0\.\d+ rad, it begins at 0\.\d+, \+0\.2000 away"),
+        ("elsewhere", r"joint_1 is at 0\.\d+ rad, the trajectory starts at 0\.\d+, \+0\.2000 away"),
         ("beyond", r"position of joint_5 reaches 2 rad; its limits are -1\.7453 and 1\.7453"),
         ("joints", "5 joints, RIGHT-ARM has 6"),
         ("nan", "not finite"),

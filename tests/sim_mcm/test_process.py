@@ -165,7 +165,7 @@ def test_no_bytes_stop_it(mcm, swing) -> None:
     assert "six finite numbers" in reader(m.FromSim)(bench.recv_multipart()).error
     bench.send_multipart(frames(m.SimFactors(request="3", mass=1.5)))
     assert bench.poll(LIMIT_S * 1000)
-    assert reader(m.FromSim)(bench.recv_multipart()).error in ("", "exact arms know neither mass nor friction")
+    assert reader(m.FromSim)(bench.recv_multipart()).error in ("", "kinematic arms have neither mass nor friction")
     broker.say(m.Execute(primitive=swing("C-1.1", 0.8)))
     assert broker.hear(m.EndReport).reason is StopReason.GOAL
 

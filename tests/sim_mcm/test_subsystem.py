@@ -70,7 +70,7 @@ def test_another_primitive_of_a_known_id_is_refused_and_not_answered_from_memory
     bench.tick(ticks)
     (answer,) = kinds(bench.handle(m.Execute(primitive=swing(duration_s=2.0))), m.EndReport)
     assert answer.reason is StopReason.REFUSED
-    assert "another primitive of the id C-7.1" in answer.message
+    assert "a different primitive with the id C-7.1" in answer.message
 
 
 def test_two_arms_work_at_the_same_time(bench, swing) -> None:
@@ -289,7 +289,7 @@ def test_what_was_sent_in_ignorance_of_a_halt_does_not_begin_after_it(bench, swi
     blind = m.Execute(primitive=swing("C-7.2"), issued_at_s=bench.now_s + issued_s)
     (report,) = kinds(bench.handle(blind), m.EndReport)
     assert report.reason is StopReason.HALT
-    assert "sent in ignorance of halt H-1" in report.message
+    assert "not yet acknowledged halt H-1" in report.message
     assert bench.subsystem.idle
 
 
@@ -448,5 +448,5 @@ def test_what_decodes_or_has_no_id_is_not_answered_so() -> None:
 def test_an_id_that_no_halt_would_find_is_refused(bench, swing, name: str) -> None:
     (report,) = kinds(bench.handle(m.Execute(primitive=swing(name))), m.EndReport)
     assert report.reason is StopReason.REFUSED
-    assert "name of a primitive" in report.message
+    assert "valid primitive name" in report.message
     assert bench.subsystem.idle
