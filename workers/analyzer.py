@@ -1,8 +1,8 @@
-"""The analyzer: (tables, what was expected, end report) -> go on, mend or give up; and what the world is like now.
+"""Analyzer worker function: (program, expected result, end report) -> continue, trim or abort, with world changes.
 
-Evaluate, then trim (Figure 3). A good end is one that the step expects and whose post-conditions hold; every other is
-a failure of a class that the program's table names. It may be mended by the first of the step's trims that fits and
-has not been used for this step. Memoryless: it knows this report and its context, nothing of other commands (R139).
+Evaluate, then trim (paper, Figure 3). A step succeeds if it expects the stop reason and its post-conditions hold. Any
+other end is a failure of the class that the program's table names. The first applicable trim that this step has not
+used may correct it. Memoryless: it uses only this report and its context, no other command (R139).
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ INPUT = AnalyzerInput
 NEEDS_WORLD = True
 NEEDS_CELL = True
 
-#: what `keep` of a step may ask for
+#: measured values that `keep` of a step may name
 SOURCES = {"report.trip_pose", "report.pose", "report.hand_width"}
 UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE_LIMIT: "N.m", StopReason.TIMEOUT: "s"}
 
 
-THIN_M = 0.002  # fingers nearer to one another than this have nothing between them
+THIN_M = 0.002  # fingers closer together than this hold nothing
 
-#: figures that its program must have
+#: figures that the program must define
 VALUES = (
     *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m", "told_m", "told_rad"),
     *("seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
@@ -43,7 +43,7 @@ VALUES = (
 
 
 def compile(program: bytes) -> AnalyzerProgram:
-    """The program, checked. Raises ProgramError."""
+    """Check the program. Raises ProgramError."""
     document = decode(program, AnalyzerProgram)
     for name in VALUES:
         if name not in document.values:
@@ -54,7 +54,7 @@ def compile(program: bytes) -> AnalyzerProgram:
 def run(
     compiled: AnalyzerProgram, cell: CellModel | None, world: World | None, data: AnalyzerInput
 ) -> Assessment | Refusal:
-    """What to make of an end report."""
+    """Evaluate an end report."""
     assert cell is not None
     assert world is not None
     evaluation, query = data.evaluation, WorldQuery(cell, world)
@@ -74,7 +74,7 @@ def run(
 
 
 def _wrong(program: AnalyzerProgram, data: AnalyzerInput) -> str:
-    """What is wrong with an end that would be good by its reason alone; empty when nothing is."""
+    """The violated post-condition of an end with an expected stop reason; empty if there is none."""
     evaluation, report = data.evaluation, data.report
     if report.reason is StopReason.GOAL and evaluation.no_contact_is_failure:
         return "nothing_felt"
@@ -108,7 +108,7 @@ def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -
     effect = step.args.get("effect")
     if isinstance(effect, str) and effect:
         if effect not in EFFECTS:
-            message = f"nothing is registered as effect {effect}; there are {', '.join(EFFECTS)}"
+            message = f"unknown effect {effect}; there are {', '.join(EFFECTS)}"
             return Refusal(reason=RefusalReason.PROGRAM, message=message, where=step.label)
         changes += EFFECTS[effect](query, data, Validity.VALID)
     changes += _held_object_changes(program, query, data, changes, suspect=False)
@@ -123,7 +123,7 @@ def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -
 
 
 def _kept(source: str, report: EndReport) -> Binding:
-    """A measured value. Poses are kept in world axes: they are where something was felt, whatever is believed."""
+    """A measured value as a binding. Poses are in the world frame: a contact position does not depend on facts."""
     if source == "report.hand_width":
         return Binding(number=report.hand_width_m)
     assert source in SOURCES, source
@@ -165,19 +165,19 @@ def _failure(
 
 
 def _ways_to_clear(program: AnalyzerProgram, query: WorldQuery, changes: Changes, misplaced: bool) -> list[str]:
-    """What would make those facts trusted again that are suspect now, each way once."""
+    """The advice that clears the facts made suspect by these changes, without duplicates."""
     after = WorldQuery(query.model, query.world.overlay(changes))
     suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
     clears = {**program.clears, "grasp": program.clears["misplaced"]} if misplaced else program.clears
-    told = [after.cure(key, clears) for key in suspect if key.rpartition(".")[2] in clears]
-    return list(dict.fromkeys(told))
+    advice = [after.cure(key, clears) for key in suspect if key.rpartition(".")[2] in clears]
+    return list(dict.fromkeys(advice))
 
 
 # --- trim ------------------------------------------------------------------------------------------------
 
 
 def _trim(data: AnalyzerInput, reason: StopReason) -> int:
-    """The first entry that the step may use, that fits, and that it has not used yet; 0 = none."""
+    """The first of the step's trims that fits the stop reason and is not yet used; 0 = none."""
     fits = data.evaluation.context.fits
     for entry in data.evaluation.step.trims:
         if entry not in data.trims_used and reason in fits.get(entry, [reason]):
@@ -185,13 +185,13 @@ def _trim(data: AnalyzerInput, reason: StopReason) -> int:
     return 0
 
 
-# --- what the world is like now --------------------------------------------------------------------------
+# --- world changes ---------------------------------------------------------------------------------------
 
 
 def _arm_changes(report: EndReport, query: WorldQuery, arm: str) -> Changes:
-    """Joints and hand as reported. Without a report of them, as they were, and not to be trusted."""
+    """Joints and hand width as reported; suspect and unchanged if the report has no joints."""
     if not arm:
-        return []  # what was told or seen has moved none
+        return []  # a stated or observed fact moves no arm
     if len(report.joints) != len(query.cell.arm(arm).joints):
         return [
             WorldChange(key=f"{arm}.{attribute}", keep_value=True, validity=Validity.SUSPECT)
@@ -212,12 +212,12 @@ def _held_object_changes(
     suspect: bool,
     drops: bool = False,
 ) -> Changes:
-    """What is in the hand goes where the hand goes; a hand that has come open has let go of it."""
+    """Frame and grasp of the held object after the motion; an opened hand no longer holds it."""
     arm, thing = data.evaluation.arm, data.evaluation.held
     grasp = query.grasp(thing) if thing else None
     if grasp is None or any(change.key == f"{thing}.grasp" for change in changes):
         return []
-    if not data.report.tcp_pose:  # nobody knows where the hand is, nor so what it holds
+    if not data.report.tcp_pose:  # hand position unknown, so the held object's too
         doubtful = [f"{thing}.frame", f"{thing}.grasp"] if suspect else []
         return [WorldChange(key=key, keep_value=True, validity=Validity.SUSPECT) for key in doubtful]
     opened = data.report.hand_width_m > query.hand_width(arm) + program.values["opened_m"]
@@ -236,7 +236,7 @@ def _held_object_changes(
 
 
 def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, changes: Changes) -> Changes:
-    """The changes, of what has been in the hand all the while with how well its place there is known by now."""
+    """The changes, with the current uncertainty of an object held during the whole step."""
     thing, report = data.evaluation.held, data.report
     fact = query.world.get(f"{thing}.grasp")
     if fact is None or fact.value is None:
@@ -253,7 +253,7 @@ def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInpu
 
 
 def _misplaced(program: AnalyzerProgram, query: WorldQuery, changes: Changes) -> Changes:
-    """The changes, of what is in the hand with less known of its place there than was believed."""
+    """The changes, with increased uncertainty of a held object that is misplaced in the hand."""
     more = even(program.values["misplaced_m"], program.values["misplaced_rad"])
     return [
         msgspec.structs.replace(change, spread=widened(change.spread or query.spread(change.key), more))
@@ -264,8 +264,10 @@ def _misplaced(program: AnalyzerProgram, query: WorldQuery, changes: Changes) ->
 
 
 def _pressed_on(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Changes:
-    """A hand that was only to close, and presses on something: whether what is believed to be there goes with the hand,
-    nobody knows, so its place is in doubt."""
+    """A close step without an object that presses on something: objects near the hand become suspect.
+
+    They may move with the hand, so their frames are not trusted.
+    """
     evaluation, report = data.evaluation, data.report
     if evaluation.step.op != "close" or evaluation.context.object or evaluation.held:
         return []
@@ -280,7 +282,7 @@ def _pressed_on(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput
 
 
 def _interrupted_grasp(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Changes:
-    """Fingers that were stopped while they closed, and press on something of the right width, do hold it."""
+    """A grasp stopped during closing: fingers that press at the expected width hold the object (suspect)."""
     evaluation, report = data.evaluation, data.report
     if evaluation.step.args.get("effect") != "taken" or evaluation.width_m is None or not report.tcp_pose:
         return []
@@ -292,7 +294,7 @@ def _interrupted_grasp(program: AnalyzerProgram, query: WorldQuery, data: Analyz
 def _touched_object_changes(
     program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, failure: OutcomeClass
 ) -> Changes:
-    """After a failure what was touched is suspect until it is sensed again (R151)."""
+    """After a failure the touched object is suspect until it is sensed again (R151)."""
     thing = data.evaluation.context.object
     if not thing or thing == data.evaluation.held:
         return []
@@ -303,7 +305,7 @@ def _touched_object_changes(
 
 
 def _merged(changes: Changes) -> Changes:
-    """One change for each fact. A later one that only says "suspect" keeps the value of an earlier one."""
+    """One change per fact. A later change that only sets the validity keeps the value of an earlier one."""
     merged: dict[str, WorldChange] = {}
     for change in changes:
         earlier = merged.get(change.key)
@@ -317,7 +319,7 @@ def _merged(changes: Changes) -> Changes:
 
 
 def _stopped_as_requested(reflex: ReflexItem, data: AnalyzerInput) -> str:
-    """The sentence has foreseen it: the goal is not reached, and nothing has gone wrong."""
+    """Message for a stop by a reflex of the command: the goal is not reached, but there is no fault."""
     measured = _words(" at {measured} {unit}", data, data.report.reason) if data.report.measured is not None else ""
     return f"stopped{measured.rstrip()} as asked: {reflexes.in_words(reflex)}"
 

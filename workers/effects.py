@@ -1,6 +1,6 @@
-"""What a step that succeeded has changed, beyond where the arm is: something was taken, or let go. Pure.
+"""World changes of a successful step beyond the arm's position: objects taken, released or located. Pure.
 
-Registered by the name a script gives (`effect: taken`). An effect that a halt cut short is written as suspect.
+Registered under the name used in scripts (`effect: taken`). Changes of a step that a halt interrupted are suspect.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from workers.belief import WorldQuery
 
 Changes = list[WorldChange]
 
-CATCHES_M = 0.005  # further from its seated place than this, no catch takes hold of a thing that is let go
+CATCHES_M = 0.005  # maximum distance from the seated pose at which a catch holds a released object
 
 
 def taken(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
-    """The hand has the object between its fingers. Where it was believed to be is corrected by what the fingers have
-    measured: along the axis they close on, the grasp point is in the middle between them (R149). Of the other axes
-    no more is known than before."""
+    """The hand holds the object; the finger measurement corrects its frame.
+
+    Along the closing axis the grasp point is centred between the fingers (R149). The other axes keep their uncertainty.
+    """
     context = data.evaluation.context
     thing, arm = context.object, context.arm
     frame, spread = feeling.between_fingers(query, data)
@@ -43,22 +44,22 @@ def _its_seat(query: WorldQuery, data: AnalyzerInput, found: feeling.Found | Non
 
 
 def felt(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
-    """The hand came upon the object sooner or later than expected: so much nearer or farther is the object."""
+    """The hand touched the object earlier or later than expected: its frame shifts along the search direction."""
     return _seen(data, feeling.touched(query, data), validity)
 
 
 def pinched(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
-    """The fingers have pressed on the object for a moment, and do not hold it: they tell where and how it stands."""
+    """The fingers pressed on the object without holding it: the measurement corrects its position and attitude."""
     return _seen(data, feeling.between_fingers(query, data), validity)
 
 
 def passed(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
-    """A search felt nothing all along its way: what it looked for may lie beyond."""
+    """A search ended without contact: the object may be beyond its end."""
     return _seen(data, feeling.beyond(query, data), validity)
 
 
 def landed(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
-    """A finger stands on what was to come between the fingers: it lies to that finger's side."""
+    """One finger touched the object from the front: the object is displaced to that finger's side."""
     found = feeling.beside(query, data)
     return [] if found is None else _seen(data, found, validity)
 
@@ -70,7 +71,7 @@ def _seen(data: AnalyzerInput, found: feeling.Found, validity: Validity) -> Chan
 
 
 def let_go(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
-    """The fingers are open; the object stays where it was, in its seat if it has been brought into one."""
+    """The fingers are open; the object stays in place, in its seat if the step placed it there."""
     context = data.evaluation.context
     changes = gone(context.arm, context.object)
     seat = data.evaluation.step.args.get("seat")
@@ -82,7 +83,7 @@ def let_go(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Change
 
 
 def let_drift(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
-    """The fingers are open, and nothing holds the object: where it is now, nobody knows."""
+    """The fingers are open and nothing holds the object: its frame is suspect."""
     context = data.evaluation.context
     return [
         *gone(context.arm, context.object),
@@ -92,13 +93,13 @@ def let_drift(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Cha
 
 
 def _off_m(query: WorldQuery, thing: str) -> float:
-    """How far a thing is from the nearest place where a seat would hold it."""
+    """Distance (m) of an object from the nearest seated pose."""
     places = (query.seated_pose(seat.name) for seat in query.cell.seats)
     return min((geometry.distance(query.frame(thing), place) for place in places), default=math.inf)
 
 
 def gone(arm: str, thing: str) -> Changes:
-    """The hand holds nothing any more."""
+    """The hand no longer holds the object."""
     return [
         WorldChange(key=f"{arm}.holding", value=""),
         WorldChange(key=f"{thing}.held_by", value=""),
@@ -111,7 +112,7 @@ def still_held(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Ch
 
 
 def verified(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
-    """The fingers press, and stand as wide as the thing is: it is held as it was believed to be."""
+    """The fingers press at the object's width: the previous grasp is confirmed."""
     thing, arm = data.evaluation.context.object, data.evaluation.context.arm
     grasp = query.grasp(thing)
     if grasp is None:

@@ -1,7 +1,7 @@
-"""What a report says of a thing that nobody touched: told by somebody, or seen. Judged, then made into changes. Pure.
+"""Reported facts of objects that no arm touched (stated or observed): checked, then converted to world changes. Pure.
 
-What cannot be true is refused, and nothing of it is believed; what can be is believed as it was said, with what follows
-from it: a thing that is where a seat holds one sits in that seat, and one that is in no hand has no grasp.
+If one fact is implausible, all are refused. Plausible facts are accepted as reported, with their consequences: an
+object at a seated pose is in that seat, and an object that is not in a hand has no grasp.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Values = Mapping[str, float]
 
 
 def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) -> Changes | Refusal:
-    """All of the facts, or why one of them cannot be."""
+    """World changes for all facts, or the refusal of an implausible one."""
     changes: Changes = []
     for key, value in facts.items():
         thing, _, attribute = key.rpartition(".")
-        change = WorldChange(key=key, value=value, spread=TOLD[attribute](values) if attribute in TOLD else None)
+        change = WorldChange(key=key, value=value, spread=SPREADS[attribute](values) if attribute in SPREADS else None)
         wrong = problem(change) or PLAUSIBLE.get(attribute, _anything)(key, value, values)
         if wrong:
-            return _refused(wrong, key, "say it again as it is, in the unit that is meant")
+            return _refused(wrong, key, "repeat it with the correct value and unit")
         following = FOLLOWS[attribute](thing, value, query, values) if attribute in FOLLOWS else []
         if isinstance(following, Refusal):
             return following
@@ -41,7 +41,7 @@ def _refused(message: str, where: str, clears: str) -> Refusal:
     return Refusal(reason=RefusalReason.INFEASIBLE, message=message, where=where, clears=clears)
 
 
-# --- what can be true ------------------------------------------------------------------------------------
+# --- plausibility ----------------------------------------------------------------------------------------
 
 
 def _anything(key: str, value: Any, values: Values) -> str:
@@ -60,18 +60,19 @@ def _heavy(key: str, value: Any, values: Values) -> str:
 PLAUSIBLE: dict[str, Callable[[str, Any, Values], str]] = {"frame": _near, "mass": _heavy}
 
 
-# --- how well it is known --------------------------------------------------------------------------------
+# --- uncertainty -----------------------------------------------------------------------------------------
 
 
-TOLD: dict[str, Callable[[Values], list[float]]] = {"frame": lambda values: even(values["told_m"], values["told_rad"])}
+SPREADS: dict[str, Callable[[Values], list[float]]] = {
+    "frame": lambda values: even(values["told_m"], values["told_rad"])
+}
 
 
-# --- what follows ----------------------------------------------------------------------------------------
+# --- consequences ----------------------------------------------------------------------------------------
 
 
 def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes | Refusal:
-    """What holds it follows from where it is: the seat that is there, or the hand that has it. What sits in a seat goes
-    with that seat."""
+    """Changes of seat, grasp or seated objects that follow from a new frame."""
     if any(seat.name == thing for seat in query.cell.seats):
         return _moved_with(thing, frame, query)
     if query.held_by(thing):
@@ -82,7 +83,7 @@ def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Change
         return _refused(
             f"{thing}.frame is in {seat}, where {inside[0]} is believed to be",
             f"{thing}.frame",
-            f"tell first where {inside[0]} is",
+            f"first state where {inside[0]} is",
         )
     return [
         WorldChange(key=f"{thing}.seat", value=seat),
@@ -91,7 +92,7 @@ def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Change
 
 
 def _in_hand(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes | Refusal:
-    """How the hand holds it, when it is here; none of its grasp points may be far from between the fingers."""
+    """Grasp of a held object at this frame; refused if all its grasp points are too far from the tcp."""
     arm = query.held_by(thing)
     tcp = query.tcp(arm)
     points = [geometry.compose(frame, point.frame.pose) for point in query.cell.object(thing).grasp_points]
@@ -101,18 +102,18 @@ def _in_hand(thing: str, frame: Any, query: WorldQuery, values: Values) -> Chang
             f"{thing} is held by {arm}, and would be {away_m * 1000:.0f} mm from its fingers; "
             f"{values['in_hand_m'] * 1000:.0f} mm is the most",
             f"{thing}.frame",
-            "say where it is in the hand; open the hand first if it is not in it",
+            "state its frame in the hand; open the hand first if it is not in it",
         )
     grasp = geometry.normalise(geometry.relative(tcp, frame)).tolist()
     return [
         WorldChange(key=f"{arm}.holding", value=thing),
         WorldChange(key=f"{thing}.held_by", value=arm),
-        WorldChange(key=f"{thing}.grasp", value=grasp, spread=TOLD["frame"](values)),
+        WorldChange(key=f"{thing}.grasp", value=grasp, spread=SPREADS["frame"](values)),
     ]
 
 
 def _moved_with(seat: str, frame: Any, query: WorldQuery) -> Changes:
-    """What sits in this seat is as far from it as before."""
+    """Frames of the objects in this seat, which move with it."""
     changes = []
     for thing in query.cell.objects:
         if query.seat(thing.name) == seat and not query.held_by(thing.name):
@@ -131,7 +132,7 @@ def _moved_with(seat: str, frame: Any, query: WorldQuery) -> Changes:
 
 
 def seat_at(frame: Any, query: WorldQuery, within_m: float, within_rad: float = math.pi) -> str:
-    """The seat whose module would be here; empty when none is near enough, or it is turned too far."""
+    """The seat whose seated pose is nearest within both tolerances; empty if there is none."""
     places = {seat.name: query.seated_pose(seat.name) for seat in query.cell.seats}
     away_m = {name: geometry.distance(frame, place) for name, place in places.items()}
     near = [name for name, at in places.items() if away_m[name] <= within_m and geometry.angle(frame, at) <= within_rad]

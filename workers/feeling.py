@@ -1,7 +1,7 @@
-"""Where a thing is, by what a hand has felt of it: the report of one step, and what was expected. Pure.
+"""Object localization by touch, from the report of one step and its expected result. Pure.
 
-Each function gives the frame of the step's object (world) and its spread. What a step cannot feel stays as it was
-believed. Figures of the feeling (how exact it is, how long the pads are) are args of the step: they are the script's.
+Each function returns the frame of the step's object (world) and its spread. Axes that a step cannot measure keep their
+value. Figures of the measurement (accuracy, pad length) are args of the step, so the script defines them.
 """
 
 from __future__ import annotations
@@ -19,22 +19,25 @@ from workers.belief import WorldQuery
 
 Found = tuple[Array, list[float]]  # frame, spread
 
-# Axes of a grasp point: fingers close along y, z approaches. A bar that is held can stand askew about x and z.
+# Axes of a grasp point: y = closing direction, z = approach. A held bar can be tilted about x and z.
 CLOSING, ABOUT_BAR, ABOUT_APPROACH = 1, 3, 5
-CENTRED_M = 0.001  # how well the middle between two fingers is known
-ASKEW_RAD = 0.012  # how well the width of a hand tells how a bar stands in it
-STRAIGHT_RAD = 0.005  # less shows no side
-TWIST = 0.25  # of the torque that a bar askew gives, to be sure of its sign
+CENTRED_M = 0.001  # uncertainty of the centre between two fingers
+ASKEW_RAD = 0.012  # uncertainty of a bar's tilt derived from the hand width
+STRAIGHT_RAD = 0.005  # the sign of a smaller tilt cannot be measured
+TWIST = 0.25  # minimum fraction of a tilted bar's torque that determines the sign
 NO_TORQUE_NM = 0.02
 
 
 def touched(query: WorldQuery, data: AnalyzerInput) -> Found:
-    """A straight search was stopped by a touch, which was expected `beyond_m` before its end. `felt_m`: how exact that
-    is; `lever_m`: how far from the grasp point the touch may have been, where attitude counts."""
+    """A contact stopped a straight search; it was expected `beyond_m` before the end.
+
+    `felt_m`: accuracy of the contact. `lever_m`: maximum distance of the contact from the grasp point, which multiplies
+    the attitude uncertainty.
+    """
     trip = data.report.trip_pose or data.report.tcp_pose
     end, way = _search(query, data)
     later_m = float(np.dot(trip[:3] - end, way)) + _figure(data, "beyond_m")
-    before, spread = _believed(query, data)
+    before, spread = _current(query, data)
     after = geometry.translate(before, later_m * way)
     point = _point(query, data)
     along = geometry.rotate(geometry.inverse(geometry.compose(before, point)), way)
@@ -45,10 +48,12 @@ def touched(query: WorldQuery, data: AnalyzerInput) -> Found:
 
 
 def between_fingers(query: WorldQuery, data: AnalyzerInput) -> Found:
-    """The fingers press on the grasp point's bar: it is in the middle between them, or as far beside it as it pushes
-    the hand aside (`centre_n_m`: how stiffly the fingers keep to the middle). If it stood askew, they would stand wider
-    apart (over a pad of `pad_m`), and the bar would twist the hand to one side."""
-    before, spread = _believed(query, data)
+    """The fingers press on the bar of the grasp point.
+
+    The bar is centred between the fingers, displaced by its lateral force divided by the stiffness `centre_n_m`. A
+    tilted bar widens the opening over the pad length `pad_m` and twists the hand to one side.
+    """
+    before, spread = _current(query, data)
     point, tcp = _point(query, data), data.report.tcp_pose
     offset = geometry.relative(tcp, geometry.compose(before, point))
     rpy = geometry.to_rpy(offset)
@@ -66,8 +71,10 @@ def between_fingers(query: WorldQuery, data: AnalyzerInput) -> Found:
 
 
 def seat_of(query: WorldQuery, data: AnalyzerInput, frame: Array, spread: list[float]) -> Found | None:
-    """Where the seat is that the thing sits in: it was as far off as the thing, but for the play of `play_m` in it.
-    None: the thing sits in none, or the step does not say what play there is."""
+    """The frame of the seat that holds the object, up to the play `play_m`.
+
+    None if the object is not seated or the step does not state the play.
+    """
     seat, play_m = query.seat(data.evaluation.context.object), _figure(data, "play_m")
     if not seat or play_m <= 0.0:
         return None
@@ -77,7 +84,7 @@ def seat_of(query: WorldQuery, data: AnalyzerInput, frame: Array, spread: list[f
 
 
 def _askew(query: WorldQuery, data: AnalyzerInput, pad_m: float, believed_rad: float) -> tuple[float, float]:
-    """How the bar is turned about the tool's x axis against the pads (rad), and how well that is known."""
+    """Tilt of the bar against the pads about the tool's x axis, and its uncertainty (rad)."""
     report = data.report
     width_m = query.cell.object(data.evaluation.context.object).grasp_point(data.evaluation.context.grasp_point).width_m
     most_rad = max(0.0, report.hand_width_m - width_m) / pad_m
@@ -89,27 +96,27 @@ def _askew(query: WorldQuery, data: AnalyzerInput, pad_m: float, believed_rad: f
 
 
 def beyond(query: WorldQuery, data: AnalyzerInput) -> Found:
-    """Nothing was felt up to the end of a search: the thing is believed `aside_m` farther on."""
+    """A search ended without contact: the object is assumed `aside_m` farther along it."""
     _, way = _search(query, data)
     return _shifted(query, data, _figure(data, "aside_m") * way)
 
 
 def beside(query: WorldQuery, data: AnalyzerInput) -> Found | None:
-    """A touch in front of one finger: the thing is believed `aside_m` to that side. None: in front of neither."""
+    """A contact in front of one finger: the object is assumed `aside_m` to that side. None if neither finger."""
     wrench, trip = data.report.trip_wrench, data.report.trip_pose
     if not wrench or not trip or abs(wrench[3]) < NO_TORQUE_NM:
         return None
-    side = -math.copysign(_figure(data, "aside_m"), wrench[3])  # a push on the finger at +y turns about -x
+    side = -math.copysign(_figure(data, "aside_m"), wrench[3])  # a force on the finger at +y causes a torque about -x
     return _shifted(query, data, geometry.rotate(trip, [0.0, side, 0.0]))
 
 
 def _shifted(query: WorldQuery, data: AnalyzerInput, by: Array) -> Found:
-    before, spread = _believed(query, data)
+    before, spread = _current(query, data)
     after = geometry.translate(before, by)
     return after, known.spread_after_measurement(before, after, spread, _point(query, data), {})
 
 
-def _believed(query: WorldQuery, data: AnalyzerInput) -> Found:
+def _current(query: WorldQuery, data: AnalyzerInput) -> Found:
     thing = data.evaluation.context.object
     return query.frame(thing), list(query.spread(f"{thing}.frame"))
 
@@ -120,7 +127,7 @@ def _point(query: WorldQuery, data: AnalyzerInput) -> Array:
 
 
 def _search(query: WorldQuery, data: AnalyzerInput) -> tuple[Array, Array]:
-    """The end of the step's straight way (m, world), and its direction."""
+    """End point of the step's straight path (m, world) and its unit direction."""
     evaluation = data.evaluation
     assert evaluation.goal_pose is not None
     assert evaluation.start_joints is not None
@@ -131,6 +138,6 @@ def _search(query: WorldQuery, data: AnalyzerInput) -> tuple[Array, Array]:
 
 
 def _figure(data: AnalyzerInput, name: str) -> float:
-    """A number of the step's args; 0 when it is not there."""
+    """A number of the step's args; 0 if it is absent."""
     value = data.evaluation.step.args.get(name, 0.0)
     return 0.0 if isinstance(value, str) else value

@@ -1,6 +1,6 @@
-"""What a hand has to maintain all along a way: a range it stays in, an attitude it keeps (MAINTAIN ...).
+"""Path constraints of a hand (MAINTAIN): a work range that contains it and an attitude that it keeps.
 
-Regions to keep out of and distances to neighbours are matters of bodies, so they stand in the collision `Scene`.
+Keep-out regions and clearances concern bodies; they belong to the collision `Scene`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rtc.robot.kinematics import ArmModel
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """Each None = no such rule."""
+    """Path constraints; None = not constrained."""
 
     work_range: cells.Region | None = None
     attitude: cells.Frame | None = None  # of the tcp, world frame
@@ -25,7 +25,7 @@ class Rules:
     attitude_tolerance_rad: float = math.radians(5.0)
 
     def broken_by(self, arm: ArmModel, joints: Array) -> Refusal | None:
-        """The first rule that this posture breaks."""
+        """The refusal for the first constraint that this posture (rad) violates; None if it violates none."""
         if self.work_range is None and self.attitude is None:
             return None
         pose = arm.fk(joints)

@@ -1,7 +1,6 @@
-"""Which of the arm's ways to hold its hand there: the nearest that is free and goes on where the task goes on.
+"""Choice among the inverse kinematics branches of a pose: the nearest one that passes a test. Pure.
 
-`choose` generates the branches nearest first, tests each, and takes the first that passes; when none does, the
-refusal tells what is wrong with the nearest, and how many were tried. Pure.
+If no branch passes, the refusal states the problem of the nearest branch and the number of branches tried.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ def choose(
     test: Test | None = None,
     margin_rad: float = 0.0,
 ) -> Array | Refusal:
-    """Joints (rad) for the tcp pose `target`, nearest to `near`.
+    """Joint values (rad) for the tcp pose `target` (world), nearest to `near` (rad).
 
-    `test`: what else must hold, e.g. no collision; it gives the cause when it does not.
+    `test`: further condition, such as no collision; returns the refusal if it fails.
     """
     first: Refusal | None = None
     candidates = arm.ik(target, near, margin_rad)

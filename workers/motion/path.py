@@ -1,8 +1,8 @@
-"""Where a motion goes, without regard to time: lines in joint space, lines in task space, curves through way-points.
+"""Geometric paths without timing: joint-space lines, task-space lines and curves through way-points. Pure.
 
-A `Path` gives joint values over a parameter s from 0 to `length`. Along a task line s counts metres of the tcp, or
-`METRES_PER_RAD` for each radian where it turns more than it moves; along a joint path it has no unit. Pure: a line
-that cannot be followed is a Refusal that tells how far along it ends, and why.
+A `Path` maps a parameter s from 0 to `length` to joint values. Along a task line s is in metres of the tcp, or
+`METRES_PER_RAD` per radian if rotation dominates; along a joint path it has no unit. A line that cannot be followed is
+a Refusal with the place and the cause.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from rtc.geometry import Array, Floats
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.robot.kinematics import ArmModel
 
-KNOT_M = 0.025  # between inverse solutions: a cubic through them is straight to some micrometres
+KNOT_M = 0.025  # distance between inverse solutions; a cubic through them is straight to some micrometres
 KNOT_RAD = 0.10
-LEAP_RAD = 0.60  # more than this in one knot is no following any more: a singularity, or another branch
+LEAP_RAD = 0.60  # a larger joint step between knots means a singularity or another branch
 METRES_PER_RAD = 0.25  # so that 0.25 m/s means 1 rad/s where the hand only turns
-CHECK_RAD = 0.025  # between collision checks, weighted below: some 2 cm at the hand
+CHECK_RAD = 0.025  # joint step between collision checks, weighted below; some 2 cm at the hand
 
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Joint values (rad) over s. `knots[k]` at `s[k]`; straight between two knots, a cubic spline through more."""
+    """Joint values (rad) over s: `knots[k]` at `s[k]`. Two knots define a line, more a cubic spline."""
 
     space: Literal["joint", "task"]
     s: Array  # rises from 0 to `length`
@@ -48,8 +48,10 @@ class Path:
         return self.knots[0] + np.outer(s, slope), np.tile(slope, (len(s), 1)), np.zeros((len(s), len(slope)))
 
     def dense(self, step_rad: float = CHECK_RAD) -> tuple[Array, Array]:
-        """(s, joints) so close together that nothing can slip between: no joint moves more than `step_rad` from one
-        to the next, the three of the wrist, which move little mass, three times that."""
+        """(s, joints) at a spacing for collision checks.
+
+        The first three joints move at most `step_rad` between neighbours, the wrist joints three times as much.
+        """
         weights = np.where(np.arange(self.knots.shape[1]) < 3, 1.0, 1.0 / 3.0)
         turned = (np.abs(np.diff(self.knots, axis=0)) * weights).max(axis=1)
         pieces = np.maximum(1, np.ceil(turned / step_rad)).astype(int)
@@ -59,12 +61,12 @@ class Path:
 
 
 def joint_line(start: Floats, goal: Floats) -> Path:
-    """All joints in proportion, from `start` to `goal`."""
+    """Straight line in joint space from `start` to `goal` (rad)."""
     return Path("joint", np.array((0.0, 1.0)), np.array((start, goal), dtype=float), None)
 
 
 def through(waypoints: list[Floats]) -> Path:
-    """A smooth curve through joint way-points, evenly paced by the joint that moves farthest."""
+    """Smooth curve through joint way-points (rad); s is proportional to the largest joint displacement."""
     knots = np.array(waypoints, dtype=float)
     if len(knots) == 2:
         return joint_line(knots[0], knots[1])
@@ -74,7 +76,7 @@ def through(waypoints: list[Floats]) -> Path:
 
 
 def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float = 0.0) -> Path | Refusal:
-    """The tcp straight from where `start` has it to `goal_pose`, turning evenly, on one branch of the inverse."""
+    """Straight tcp line with uniform rotation from the pose of `start` (rad) to `goal_pose` (world), on one branch."""
     start_pose = arm.fk(start)
     metres, turn = geometry.distance(start_pose, goal_pose), geometry.angle(start_pose, goal_pose)
     length = max(metres, METRES_PER_RAD * turn, 1e-9)

@@ -1,8 +1,8 @@
-"""A whole motion: a way that is free and keeps the rules, in time; or the cause why there is none.
+"""Motion planning: a timed, collision-free path that satisfies the constraints, or a refusal with the cause. Pure.
 
-`plan_task_motion` goes straight, or refuses. `plan_joint_motion` is free in the way it takes and follows the paper's
-"generate, test and modify" (R92): the direct way first, then the same with the hand raised, drawn back, or both, in
-the order of `_modified`; the first that passes is taken, and `notes` tell the story. Pure and repeatable.
+`plan_task_motion` plans a straight line or refuses. `plan_joint_motion` may choose its path by the paper's "generate,
+test and modify" (R92): the direct line first, then detours with the hand raised, drawn back, or both, in the order of
+`_modified`. The first that passes is taken; `notes` record the attempts. Deterministic.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from workers.motion.constraints import FREE, Rules
 from workers.motion.path import Path
 from workers.motion.timing import FREE_PACE, Pace, Timed, time_path
 
-# What a way of our own choice keeps from all that it need not go near: a way that only just does not touch is none,
-# since the hand follows within tenths of a millimetre, and what it holds is where it is believed within a few.
+# Clearance of a freely chosen path from all bodies that it need not approach. The hand tracks a path to tenths of a
+# millimetre, and the pose of a held object is known to a few millimetres: a path without clearance may collide.
 CLEARANCE_M = 0.005
-NEAR_AT_MOST = 12  # bodies that either end of a way may be nearer to than that
-RAISE_M = (0.15, 0.30)  # how far the hand is raised
-BACK_M = (0.10, 0.20)  # how far it is drawn back along its own axis
+NEAR_AT_MOST = 12  # maximum number of bodies closer than the clearance at either end of a path
+RAISE_M = (0.15, 0.30)  # heights by which a detour raises the hand
+BACK_M = (0.10, 0.20)  # distances by which a detour draws the hand back along its own axis
 
 
 @dataclass(frozen=True, eq=False)
 class PlanningRequest:
-    """Where a motion is planned: whose, among what, from where."""
+    """A planning problem without its goal: arm, collision world, start joints, scene, constraints and pace."""
 
     arm: ArmModel
     world: CollisionWorld
-    joints: Mapping[str, Floats]  # of every arm of the cell, now; the planned one starts there
+    joints: Mapping[str, Floats]  # current values (rad) of every arm; the planned arm starts there
     scene: Scene = AS_BUILT
     rules: Rules = FREE
     pace: Pace = FREE_PACE
-    margin_rad: float = 0.0  # kept from every joint limit
+    margin_rad: float = 0.0  # minimum distance from every joint limit
 
     @property
     def start(self) -> Array:
@@ -49,7 +49,7 @@ class PlanningRequest:
 
     @property
     def way_margin_rad(self) -> float:
-        """Along the way: an arm that stands nearer to a limit than the margin may leave from there."""
+        """Margin along the path (rad): reduced if the arm starts closer to a limit than `margin_rad`."""
         return max(0.0, min(self.margin_rad, self.arm.limit_margin(self.start)))
 
 
@@ -63,7 +63,7 @@ class Motion:
 
 
 def plan_task_motion(request: PlanningRequest, goal_pose: Floats) -> Motion | Refusal:
-    """The tcp in a straight line to `goal_pose`."""
+    """Plan a straight tcp line to `goal_pose` (world)."""
     line = paths.task_line(request.arm, request.start, goal_pose, request.way_margin_rad)
     if isinstance(line, Refusal):
         return line
@@ -71,7 +71,7 @@ def plan_task_motion(request: PlanningRequest, goal_pose: Floats) -> Motion | Re
 
 
 def plan_joint_motion(request: PlanningRequest, goal: Floats) -> Motion | Refusal:
-    """To the joint values `goal`, the way being free: with `CLEARANCE_M` to spare if there is such a way."""
+    """Plan a motion to the joint values `goal` (rad) on any path, with `CLEARANCE_M` if such a path exists."""
     goal = np.asarray(goal, dtype=float)
     problem = request.arm.why_not_within(goal, request.margin_rad) or free_posture(request)(goal)
     if problem is not None:
@@ -98,8 +98,10 @@ def _generate_and_test(request: PlanningRequest, goal: Array) -> Motion | Refusa
 
 
 def _with_room(request: PlanningRequest, goal: Array) -> Scene:
-    """The scene with `CLEARANCE_M` to all but what either end of the way is nearer to. As it is, when the task says
-    itself how much is to be kept."""
+    """The scene with `CLEARANCE_M`, except for bodies that are closer at either end of the path.
+
+    Returns the scene unchanged if the command states a clearance, or if more than NEAR_AT_MOST bodies are close.
+    """
     if request.scene.clearance_m > 0.0:
         return request.scene
     ours = {request.arm.name, *(name for name, held in request.scene.held.items() if held.arm == request.arm.name)}
@@ -110,7 +112,7 @@ def _with_room(request: PlanningRequest, goal: Array) -> Scene:
         while hit := request.world.check({**request.joints, request.arm.name: end}, scene):
             name = hit.body_a if hit.body_b.split()[0] in ours else hit.body_b
             if name in near and end is start:
-                break  # touched, not only near: how that is left is for `check_path`
+                break  # in contact, not only close: `check_path` decides how to leave it
             if len(near) >= len(list(request.scene.near)) + NEAR_AT_MOST:
                 return request.scene
             near.append(name)
@@ -119,7 +121,7 @@ def _with_room(request: PlanningRequest, goal: Array) -> Scene:
 
 
 def free_posture(request: PlanningRequest) -> Callable[[Array], Refusal | None]:
-    """A test for `ik.choose`: the posture is free of collisions and keeps the rules, the other arms where they are."""
+    """A test for `ik.choose`: the posture is collision-free and satisfies the constraints; other arms stand still."""
 
     def test(joints: Array) -> Refusal | None:
         hit = request.world.check({**request.joints, request.arm.name: joints}, request.scene)
@@ -129,12 +131,12 @@ def free_posture(request: PlanningRequest) -> Callable[[Array], Refusal | None]:
 
 
 def fault(request: PlanningRequest, way: Path) -> Refusal | None:
-    """The first thing wrong along a way, with how far along it is; None: it can be gone."""
+    """The first problem along a path, with its position; None if the path is free."""
     s, configurations = way.dense()
     hit = request.world.check_path(request.arm.name, configurations, request.joints, request.scene)
     free = configurations if hit is None else configurations[: hit.index]
     margin = request.way_margin_rad - 1e-9
-    within = len(free) == 0 or request.arm.limit_margin(free) >= margin  # asked of all at once: they nearly always are
+    within = len(free) == 0 or request.arm.limit_margin(free) >= margin  # one vectorized check; usually true
     for n, joints in enumerate(free):
         problem = (None if within else request.arm.why_not_within(joints, margin)) or request.rules.broken_by(
             request.arm, joints
@@ -145,7 +147,7 @@ def fault(request: PlanningRequest, way: Path) -> Refusal | None:
 
 
 def _modified(request: PlanningRequest, goal: Array) -> Iterator[tuple[str, Path]]:
-    """Other ways, the least detour first: straight for the hand; then over way-points above or behind both ends."""
+    """Alternative paths: a straight tcp line, then detours over way-points above or behind both ends."""
     start_pose, goal_pose = request.arm.fk(request.start), request.arm.fk(goal)
     straight = paths.task_line(request.arm, request.start, goal_pose, request.way_margin_rad)
     if not isinstance(straight, Refusal) and np.abs(straight.knots[-1] - goal).max() < 1e-6:

@@ -1,7 +1,7 @@
-"""One length from rest to rest, as quick as limits of speed, acceleration and jerk allow: in closed form.
+"""Time-optimal jerk-limited profile for one length from rest to rest, in closed form.
 
-Seven pieces of constant jerk: up, even, down; cruise; and the same back. Knows no arm and no path. A solver that
-searches (ruckig) loses just the round figures people say, such as 10 mm at 0.5 m/s^2, where two of its cases meet.
+Seven pieces of constant jerk: ramp up, constant acceleration, ramp down, cruise, and the reverse. Independent of arm
+and path. A searching solver (ruckig) fails at round figures, such as 10 mm at 0.5 m/s^2, where two of its cases meet.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from rtc.geometry import Array
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Pieces of constant jerk: when each begins, with what place, speed and acceleration. Any unit of length."""
+    """Pieces of constant jerk with start time (s) and initial position, speed and acceleration. Any unit of length."""
 
     duration_s: float
     since_s: Array
-    begins: Array  # [pieces][place, speed, acceleration, jerk]
+    begins: Array  # [pieces][position, speed, acceleration, jerk]
 
     def at(self, time_s: Array) -> tuple[Array, Array, Array]:
-        """Place, speed and acceleration at each time."""
+        """Position, speed and acceleration at each time."""
         piece = np.clip(np.searchsorted(self.since_s, time_s, side="right") - 1, 0, len(self.since_s) - 1)
         t = time_s - self.since_s[piece]
         place, speed, acceleration, jerk = self.begins[piece].T
@@ -35,7 +35,7 @@ class Profile:
 
 
 def rest_to_rest(length: float, speed: float, acceleration: float, jerk: float) -> Profile:
-    """The quickest way along `length`; all four are more than nothing."""
+    """The time-optimal profile over `length`; all four arguments must be positive."""
     assert min(length, speed, acceleration, jerk) > 0.0, (length, speed, acceleration, jerk)
     peak = min(speed, _highest_peak(length, acceleration, jerk))
     ramp_s = min(acceleration / jerk, math.sqrt(peak / jerk))
@@ -52,7 +52,7 @@ def rest_to_rest(length: float, speed: float, acceleration: float, jerk: float) 
 
 
 def _highest_peak(length: float, acceleration: float, jerk: float) -> float:
-    """The speed in the middle of a way with no cruise, which is half of it speeding up and half slowing down."""
+    """Peak speed of a profile without cruise: half acceleration, half deceleration."""
     ramp_s = acceleration / jerk
     without_even = (length / 2) ** (2 / 3) * jerk ** (1 / 3)
     if without_even <= acceleration * ramp_s:

@@ -1,8 +1,8 @@
-"""When a motion is where: a path becomes knots in time, at rest at both ends, within every limit.
+"""Time parametrization: converts a path to timed knots, at rest at both ends, within all limits.
 
-A line gets a jerk-limited profile along its own parameter (from rest to rest, in closed form); a curve through
-way-points the quickest one that the joints allow (toppra: some 10 ms), because there one pace for the whole would be
-that of the sharpest bend. Joint limits of speed and acceleration are kept everywhere; the tcp's speed limit too.
+A line gets a closed-form jerk-limited profile along its parameter. A curve through way-points gets the time-optimal
+profile within the joint limits (toppra, some 10 ms): a single pace would be limited by the sharpest bend. Joint limits
+of speed and acceleration and the tcp's speed limit hold everywhere.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from rtc.robot.kinematics import ArmModel
 from workers.motion.path import Path
 from workers.motion.rest_to_rest import rest_to_rest
 
-KNOT_S = 0.03  # quintic Hermite between knots this far apart is off by some micrometres
-KNOT_M = 0.0075  # at an even pace knots need be no closer than this along the way: slow motions get few
-RAMP_S = 0.1  # from no acceleration to the full one
-CURVE_RAMP_S = 0.5  # of a curve: at each end knots are close together for this long
-GRID = 61  # points of a curve between which its pace is found
-SAMPLES = 33  # of the path, where limits are looked at
+KNOT_S = 0.03  # knot spacing; the quintic Hermite error is some micrometres
+KNOT_M = 0.0075  # minimum knot distance at constant speed, so that slow motions have few knots
+RAMP_S = 0.1  # time from zero to full acceleration
+CURVE_RAMP_S = 0.5  # duration of dense knots at each end of a curve
+GRID = 61  # grid points of the curve solver
+SAMPLES = 33  # path samples at which limits are evaluated
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast: the tcp's speed and acceleration, and what part of the joints' own limits may be used."""
+    """Speed and acceleration limits of the tcp, and the usable fraction of the joint limits."""
 
     speed_m_s: float = 0.25
     acceleration_m_s2: float = 1.0
@@ -68,7 +68,7 @@ class Timed:
 
 
 def time_path(arm: ArmModel, path: Path, pace: Pace = FREE_PACE) -> Timed:
-    """The path in time. A path of no length is a motion of one knot spacing that stays."""
+    """Time the path. A path of zero length becomes a hold of one knot spacing."""
     if np.abs(path.knots - path.knots[0]).max() < 1e-9:
         return _staying(path)
     curved = path.space == "joint" and len(path.knots) > 2
@@ -81,7 +81,7 @@ def _time_line(arm: ArmModel, path: Path, pace: Pace) -> Timed:
     rate = 1.0 if path.space == "task" else float(_tcp_rate(arm, q, slope).max())
     velocity, acceleration = arm.limits.velocity * pace.ratio, arm.limits.acceleration * pace.ratio
     slope, bend = np.abs(slope) + 1e-12, np.abs(bend) + 1e-12
-    # Half of a joint's acceleration may go into following the bend at full pace; the rest is for changing the pace.
+    # Up to half of a joint's acceleration serves the curvature at full pace; the rest serves changes of pace.
     pace_limit = min(
         pace.speed_m_s / max(rate, 1e-9),
         float((velocity / slope).min()),
@@ -107,13 +107,13 @@ def _time_curve(arm: ArmModel, path: Path, pace: Pace) -> Timed:
     acceleration = np.minimum(acceleration, pace.acceleration_m_s2 / np.maximum(levers, 0.05))
     rate = np.maximum(_tcp_rate(arm, q, slope), 1e-6)
     grid = np.linspace(0.0, path.length, GRID)
-    # Joints keep to their own speed, and to what keeps the tcp below its speed (2 % for the samples).
+    # Joint speeds are limited by the joints and by the tcp speed (2 % reserve between samples).
     tcp = np.abs(path.curve(grid, 1)) * 0.98 * pace.speed_m_s / np.interp(grid, s, rate)[:, None] + 1e-6
     most = np.minimum(velocity, tcp)
     speed_limits = np.stack((-most, most), axis=2)  # [grid][joints][least, most]
 
     constraints = [
-        # It asks at the points of the grid only.
+        # toppra evaluates this limit only at the grid points.
         toppra.constraint.JointVelocityConstraintVarying(lambda at: speed_limits[np.searchsorted(grid, at)]),
         toppra.constraint.JointAccelerationConstraint(
             np.stack((-acceleration, acceleration), axis=1),
@@ -122,7 +122,7 @@ def _time_curve(arm: ArmModel, path: Path, pace: Pace) -> Timed:
     ]
     solver = toppra.algorithm.TOPPRA(constraints, path.curve, gridpoints=grid)
     curve = solver.compute_trajectory(0.0, 0.0)
-    assert curve is not None, "from rest to rest within limits there is always a way: slowly"
+    assert curve is not None, "a rest-to-rest profile always exists at a low speed"
     time_s = _knot_times(curve.duration, CURVE_RAMP_S, pace.speed_m_s)
     return _at_rest(Timed(path.space, time_s, curve(time_s), curve(time_s, 1), curve(time_s, 2)), path)
 
@@ -133,7 +133,7 @@ def _tcp_rate(arm: ArmModel, q: Array, slope: Array) -> Array:
 
 
 def _knot_times(duration_s: float, ramp_s: float, speed_m_s: float) -> Array:
-    """Close together in both ramps, where the pace changes; as far apart as the way allows between them."""
+    """Knot times: dense in both ramps, where the pace changes, and sparse in between."""
     ramp_s = min(ramp_s, 0.5 * duration_s)
     n = max(2, math.ceil(ramp_s / KNOT_S))
     cruise_s = duration_s - 2 * ramp_s
@@ -144,14 +144,14 @@ def _knot_times(duration_s: float, ramp_s: float, speed_m_s: float) -> Array:
 
 
 def _at_rest(timed: Timed, path: Path) -> Timed:
-    """Rounding removed from both ends: exactly where the path begins and ends, exactly still."""
+    """Remove rounding errors at both ends: exact positions and zero velocity."""
     timed.positions[0], timed.positions[-1] = path.knots[0], path.knots[-1]
     timed.velocities[[0, -1]] = 0.0
     return timed
 
 
 def _slowed(arm: ArmModel, timed: Timed) -> Timed:
-    """The same way, slow enough for the arm's limits between the knots too: an arm refuses what passes them there."""
+    """The motion slowed to satisfy the arm's limits between the knots too; the arm refuses violations."""
     points = quintic.control_points(timed.time_s, timed.positions, timed.velocities, timed.accelerations)
     faster = float((quintic.peaks(points.velocities) / arm.limits.velocity).max())
     harder = float((quintic.peaks(points.accelerations) / arm.limits.acceleration).max())
