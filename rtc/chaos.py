@@ -1,6 +1,6 @@
-"""Trouble made on purpose: kill or stop processes of a running cluster, and see when each is back.
+"""Fault injection: kill or stop processes of a running cluster, and measure when each is ready again.
 
-It looks where the supervisor writes what it runs, and asks nobody: it works, and tells the truth, whoever is dead.
+It reads the supervisor's process table and sends no messages, so it works whichever process is dead.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import msgspec
 from rtc.process import now_s
 from rtc.process_table import Row, processes
 
-VICTIMS: dict[str, Callable[[Row], bool]] = {  # the words of `rtc chaos --kill`
+VICTIMS: dict[str, Callable[[Row], bool]] = {  # the values of `rtc chaos --kill`
     "worker": lambda row: row.node is not None,
     "broker": lambda row: row.name == "broker",
     "world": lambda row: row.name == "world",
@@ -28,7 +28,7 @@ VICTIMS: dict[str, Callable[[Row], bool]] = {  # the words of `rtc chaos --kill`
 
 
 class Strike(msgspec.Struct):
-    """One process that was hit."""
+    """One killed or stopped process."""
 
     name: str
     pid: int
@@ -38,7 +38,7 @@ class Strike(msgspec.Struct):
 
 
 class Chaos:
-    """`strike` now and then, and ask `returned` in between."""
+    """Call `strike` now and then, and `returned` in between."""
 
     def __init__(self, run_dir: Path, rng: random.Random, stop: bool = False) -> None:
         self._run_dir, self._rng = run_dir, rng
@@ -47,11 +47,11 @@ class Chaos:
 
     @property
     def missing(self) -> list[Strike]:
-        """Whoever is not back yet."""
+        """Strikes whose process is not ready again."""
         return [strike for strike in self.strikes if strike.back_s is None]
 
     def strike(self, kind: str, name: str = "") -> Strike | None:
-        """Hit one process of this kind that is at work (or the one of this name); None when there is none."""
+        """Kill one ready process of this kind (or the one called `name`); None if there is none."""
         struck = {strike.pid for strike in self.missing}
         able = [
             row
@@ -68,7 +68,7 @@ class Chaos:
         return self.strikes[-1]
 
     def _hit(self, row: Row) -> bool:
-        """False when it has ended meanwhile: its number may be somebody else's by now."""
+        """False if it has ended meanwhile: its pid may belong to another process."""
         with contextlib.suppress(ProcessLookupError):
             fd = os.pidfd_open(row.pid)
             try:
@@ -81,7 +81,7 @@ class Chaos:
         return False
 
     def returned(self) -> list[Strike]:
-        """Those that are back, each told once."""
+        """Strikes whose process is ready again, each reported once."""
         rows = processes(self._run_dir)
         found = []
         for strike in self.missing:

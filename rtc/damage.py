@@ -1,6 +1,6 @@
-"""A database whose file is damaged: put aside, so that its process can begin anew and say so.
+"""Damaged database files: rename such a file, so that its process can start with an empty one and report it.
 
-A full disk or a failing read is not damage: it may pass, and what lies there is whole.
+A full disk or a failing read is not damage: it may be temporary, and the file is intact.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from typing import TypeVar
 from rtc.outcomes import WireError
 
 DAMAGE = {11, 26}  # SQLITE_CORRUPT, SQLITE_NOTADB
-STARTS = 2  # so many failed, and the file is put aside
+STARTS = 2  # failed attempts before the file is set aside
 SIDE_FILES = ("-wal", "-shm")
 
 Opened = TypeVar("Opened")
 
 
 def damaged(error: BaseException) -> bool:
-    """Whether this error tells of a file that no later try can read."""
+    """Whether this error means a file that can never be read again."""
     if isinstance(error, sqlite3.DatabaseError):
         return getattr(error, "sqlite_errorcode", 0) & 0xFF in DAMAGE
-    return isinstance(error, WireError)  # a row of another shape
+    return isinstance(error, WireError)  # a row of an unknown format
 
 
 def set_aside(path: Path) -> Path:
@@ -38,8 +38,10 @@ def set_aside(path: Path) -> Path:
 
 
 def open_or_set_aside(path: Path, open_it: Callable[[], Opened], note: Callable[[str], object]) -> Opened:
-    """What `open_it` makes of the file at `path`; of a damaged file, what it makes of none. `note` gets the reason in
-    words. Raises what `open_it` raises otherwise."""
+    """The result of `open_it`; if the file at `path` is damaged, set it aside and open an empty one.
+
+    `note` receives the reason in words. Other errors of `open_it` are raised.
+    """
     for _ in range(STARTS):
         try:
             return open_it()
@@ -53,7 +55,7 @@ def open_or_set_aside(path: Path, open_it: Callable[[], Opened], note: Callable[
 
 @contextlib.contextmanager
 def put_aside_when_damaged(path: Path, note: Callable[[str], object]) -> Iterator[None]:
-    """For the time after the start: a file found damaged then is put aside before the process ends."""
+    """Set the file aside if it is found damaged inside the block; the error is raised again."""
     try:
         yield
     except sqlite3.DatabaseError as error:

@@ -1,7 +1,7 @@
-"""The name of a program or of a cell: what it says, in 16 hex digits.
+"""Content digest of a program or cell: its name on the wire, 16 hex digits.
 
-A file of its own, because a broker that restarts needs this and nothing else of `rtc.program`, which brings lark, yaml
-and numpy: a second or more on a busy machine.
+It is apart from `rtc.program` so that a restarting broker need not import lark, yaml and numpy, which takes a second
+or more on a busy machine.
 """
 
 from __future__ import annotations
@@ -10,5 +10,5 @@ import hashlib
 
 
 def digest(body: bytes) -> str:
-    """16 hex digits; equal bytes, equal name."""
+    """The first 16 hex digits of SHA-256."""
     return hashlib.sha256(body).hexdigest()[:16]

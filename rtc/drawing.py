@@ -1,4 +1,4 @@
-"""The renderer, as a process of its own: `rtc` knows no physics library, and a motion must not wait for a picture."""
+"""Client of the renderer process, which is separate because drawing needs the physics library and takes long."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""What the supervisor hands to the processes of its cluster, and the lock that makes each of them the only one.
+"""Handover from the supervisor to its processes (settings, key, token), and the lock that admits one process per name.
 
-The supervisor keeps settings, lease key and a token in a file without a name (a memfd), which every process inherits by
-its number (`--handed FD`). Nothing that a process needs for its start lies in the run directory, where it may be
-deleted. A few bytes of that file are one role's own memory across its lives, such as the last turn in the journal.
+The supervisor keeps these data in an anonymous file (memfd), whose descriptor every process inherits (`--handed FD`).
+So no process depends on files of the run directory, which a user may delete. Some bytes of that file belong to one role
+and survive its restarts, for example the number of the last batch in the journal.
 
-A process that is started by hand has no such file: it reads the run directory, and gives way to a cluster that runs.
+A process that was started by hand has no such file: it reads the run directory, and ends if a cluster runs there.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from rtc.silence import supervised
 
 LEASE_KEY = "lease.key"  # in the run directory; rtc.world.lease says what it is for
 OPTION = "--handed"
-MEMORY_BYTES = 4096  # before the body
-#: role -> where its memory lies, and how: life and last turn of the journal, commands accepted; version of the world
+MEMORY_BYTES = 4096  # size of the roles' memory, in front of the body
+#: role -> offset and format of its memory. broker: journal life, last batch, accepted commands
 MEMORY: dict[str, tuple[int, struct.Struct]] = {
     "broker": (0, struct.Struct("<8sQQ")),
     "world": (64, struct.Struct("<8sQ")),
 }
 #: For broker and MCM of a cluster whose supervisor was killed a moment ago: they stop the arms, and send the outcomes.
 HOLD_S = 3.0  # at full speed; longer than both take then
-TOKEN_BEARERS = ("MCM", "supervisor")  # names whose ZeroMQ identity nobody else can guess
+TOKEN_BEARERS = ("MCM", "supervisor")  # names whose ZeroMQ identity contains the token and cannot be guessed
 
 
 class _Body(msgspec.Struct, frozen=True):
@@ -50,29 +50,29 @@ class Handed:
 
     @staticmethod
     def make(settings: Settings, lease_key: bytes, token: str) -> Handed:
-        """The supervisor's. Its `fd` is for the children."""
+        """Make the file, in the supervisor. The children inherit its `fd`."""
         fd = os.memfd_create("rtc-handed", os.MFD_CLOEXEC)
         os.pwrite(fd, msgspec.msgpack.encode(_Body(settings, lease_key, token)), MEMORY_BYTES)
         return Handed(settings, lease_key, token, fd)
 
     @staticmethod
     def read(fd: int) -> Handed:
-        """A child's."""
+        """Read the file, in a child."""
         body = msgspec.msgpack.decode(os.pread(fd, os.fstat(fd).st_size - MEMORY_BYTES, MEMORY_BYTES), type=_Body)
         return Handed(body.settings, body.lease_key, body.token, fd)
 
     def identity(self, name: str) -> str:
-        """What a process of this name is called on its line to the broker."""
+        """ZeroMQ identity of the process `name` at the broker."""
         return f"{name}@{self.token}" if self.token and name in TOKEN_BEARERS else name
 
     def remember(self, role: str, *values: bytes | int) -> None:
-        """Keep these for the next life of this role. A role that was started by hand keeps nothing."""
+        """Keep these values for the next process of this role. A process started by hand keeps nothing."""
         if self.fd >= 0:
             at, form = MEMORY[role]
             os.pwrite(self.fd, form.pack(*values), at)
 
     def remembered(self, role: str) -> tuple[bytes, int, int] | None:
-        """What an earlier life kept, the missing numbers 0; None: this is the first life."""
+        """The values that an earlier process kept, missing numbers as 0; None for the first process."""
         if self.fd < 0:
             return None
         at, form = MEMORY[role]
@@ -81,7 +81,7 @@ class Handed:
         return (life.rstrip(b"\0"), first, second) if life.rstrip(b"\0") else None
 
     def hold(self, name: str) -> None:
-        """Be the only process of this name in the run directory, until this process dies. Ends with a sentence."""
+        """Lock `name` in the run directory until this process ends. Raises SystemExit if another process has it."""
         path = self.settings.path / f"{name}.lock"
         try:
             self._lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -111,7 +111,7 @@ def add_option(parser: argparse.ArgumentParser) -> None:
 
 
 def load(run_dir: Path, fd: int) -> Handed:
-    """What was handed over; of a process started by hand, what lies in the run directory. Ends with a sentence."""
+    """The handed data; for a process started by hand, those of the run directory. Raises SystemExit."""
     if fd >= 0:
         return Handed.read(fd)
     try:
@@ -127,7 +127,7 @@ def load(run_dir: Path, fd: int) -> Handed:
 
 
 def begin(name: str, run_dir: Path, fd: int) -> Handed:
-    """Be the one process of this name in this run directory, or end with a sentence before any socket is touched."""
+    """Load the handed data and lock `name`. Raises SystemExit if another process has it, before a socket opens."""
     handed = load(run_dir, fd)
     if fd < 0 and supervised(run_dir, by_hand=False):
         raise SystemExit(f"a cluster runs in {run_dir}, and has its own {name}; a second one is not started")

@@ -1,12 +1,12 @@
-"""All that processes say to each other, in the order of a command's journey.
+"""All messages between processes, in the order of a command's journey: read this file first.
 
-Reading this file from top to bottom is reading the system. Every message is a frozen struct, on the wire a
-MessagePack map whose key "type" holds the name of the class (see `rtc.wire`, which alone knows how it
-becomes bytes). Unknown keys are ignored, missing keys take their defaults: that is how versions meet (R42).
+Every message is a frozen struct, on the wire a MessagePack map whose key "type" holds the name of the class (see
+`rtc.wire`, the only module that encodes). Unknown keys are ignored and missing keys take their defaults, so that
+different versions can communicate (R42).
 
 Times that end in `_at_s` are CLOCK_MONOTONIC seconds of the machine they were taken on, comparable between
 the processes of one host; `_s` is a duration. Poses are [x y z qx qy qz qw] (m, unit quaternion), in world
-axes unless a `frame` says otherwise. A wrench is [Fx Fy Fz Tx Ty Tz] (N, N.m) that the surroundings exert on
+axes unless a `frame` says otherwise. A wrench is [Fx Fy Fz Tx Ty Tz] (N, N.m) that the environment exerts on
 the hand, in tool axes at the tcp. Names are upper case.
 """
 
@@ -23,16 +23,15 @@ from rtc.primitive import Primitive
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag=True, gc=False):
-    """Base of all: map on the wire, tagged with the name of the class. None refers back to itself, so the garbage
-    collector need not look at them."""
+    """Base of all messages. They contain no reference cycles, so the garbage collector does not track them."""
 
 
-# What others choose and we keep has a length; longer ones are no message.
-PROGRAM_BYTES = 128 << 10  # of a program file; the longest of ours has 7 kB
+# Limits of what a peer chooses and the receiver keeps; a message above them is not decoded.
+PROGRAM_BYTES = 128 << 10  # maximum size of a program file; the longest default program has 7 kB
 Name = Annotated[str, msgspec.Meta(max_length=200)]  # characters
 
 
-# --- 1. client -> broker (front door) -----------------------------------------------------------------
+# --- 1. client -> broker (front) -----------------------------------------------------------------
 
 
 class CommandText(Message, frozen=True, kw_only=True):
@@ -40,13 +39,13 @@ class CommandText(Message, frozen=True, kw_only=True):
 
     request: Name  # chosen by the client, unique for it
     text: str
-    source: Literal["operator", "aip"] = "operator"  # told apart in records only (R133)
+    source: Literal["operator", "aip"] = "operator"  # appears in records only (R133)
     progress: bool = True  # send ProgressNotes too, not only the end
-    halt_if_lost: bool = False  # halt this command when the client goes away: it says Heartbeat every second
-    # A sentence sent before a HALT ALL does not start after it; 0 = not told.
+    halt_if_lost: bool = False  # halt this command if the client is lost; the client sends Heartbeat every second
+    # A sentence sent before a HALT ALL does not start after it; 0 = unknown.
     sent_at_s: Annotated[float, msgspec.Meta(ge=0)] = 0.0
-    cluster: Name = ""  # the run it is meant for, as in Welcome: another one declines it; empty = whoever hears it
-    known_as: Name = ""  # C-n, when it is sent again after it was accepted
+    cluster: Name = ""  # the run it is for, as in Welcome; another run declines it; empty = any
+    known_as: Name = ""  # C-n, if it is sent again after it was accepted
 
 
 class StatusQuery(Message, frozen=True, kw_only=True):
@@ -59,34 +58,34 @@ class TraceQuery(Message, frozen=True, kw_only=True):
 
 
 class ProgramText(Message, frozen=True, kw_only=True):
-    """LOAD: put this program document in place of, or into, the one of a kind of worker."""
+    """LOAD: replace the program of a kind of worker by this document, or merge it into it."""
 
     request: Name
     kind: WorkerKind
     name: Name  # of the file, for messages
     body: Annotated[bytes, msgspec.Meta(max_length=PROGRAM_BYTES)]  # YAML
-    reset: bool = False  # back to the default program of this kind instead; `body` is not read
-    cluster: Name = ""  # as of a CommandText
+    reset: bool = False  # restore the default program of this kind; `body` is ignored
+    cluster: Name = ""  # as in CommandText
 
 
 class ProgramQuery(Message, frozen=True, kw_only=True):
-    """Which program a kind of worker has. Answered with ProgramReply."""
+    """Query the program of a kind of worker. The answer is ProgramReply."""
 
     request: Name
     kind: WorkerKind
 
 
 class ClientHello(Message, frozen=True, kw_only=True):
-    """First word of a client; its `client` name survives reconnects. Answered with Welcome."""
+    """First message of a client; its name `client` survives reconnects. The answer is Welcome."""
 
     client: Name
-    at_s: float = 0.0  # the client's clock, so that a gate may tell what its times mean here; 0 = not told
-    arrays: bool = False  # it reads arrays of messages too; else each message travels alone
+    at_s: float = 0.0  # the client's clock, from which a gateway computes the offset; 0 = unknown
+    arrays: bool = False  # it also reads arrays of messages; else each message travels alone
 
 
 class Shutdown(Message, frozen=True, kw_only=True):
-    """Ask the cluster to end itself in order (from a client, or to a worker that retires). From the supervisor to the
-    broker: halt everything, take no more commands, and answer AllEnded."""
+    """End in order: the cluster (from a client) or a retiring worker. From the supervisor to the broker: halt
+    everything, accept no more commands, and answer AllEnded."""
 
     request: Name = ""
 
@@ -106,41 +105,41 @@ class Accepted(Message, frozen=True, kw_only=True):
 
 
 class Declined(Message, frozen=True, kw_only=True):
-    """The request itself was no good (not a command's outcome): unknown command, queue full, bad message."""
+    """The request was not accepted (not a command's outcome): unknown command, queue full, bad message."""
 
     request: str
     refusal: Refusal
 
 
 class Phase(StrEnum):
-    """Where a command is. ENDED is final; HALTING and CLOSING lead only there."""
+    """Phase of a command. ENDED is final; HALTING and CLOSING lead only to ENDED."""
 
     PARSING = "parsing"
     ELABORATING = "elaborating"
-    HELD = "held"  # in line for its resources
+    HELD = "held"  # waits for its resources
     BINDING = "binding"
     EXECUTING = "executing"
     ANALYZING = "analyzing"
     PAUSED = "paused"  # between two steps
-    HALTING = "halting"  # told to stop; waiting for rest to be confirmed
-    CLOSING = "closing"  # a last analysis, whose advice is ignored: what was touched becomes suspect
+    HALTING = "halting"  # halted; waits until rest is confirmed
+    CLOSING = "closing"  # a last analysis, whose advice is ignored; facts about what was touched become suspect
     ENDED = "ended"
 
 
 class ProgressNote(Message, frozen=True, kw_only=True):
-    """One step of one command's way, as it happens; also the line of a trace."""
+    """One event in the journey of a command; also one line of a trace."""
 
-    seq: int  # of the broker's event stream, rises by one; 0: a report of REPORT EVERY, which is not of that stream
+    seq: int  # number in the broker's event stream; 0: a report of REPORT EVERY, outside that stream
     at_s: float
     command: str
     phase: Phase  # the phase it is in now
     step: str = ""  # "5 of 9: feel GP1"
-    node: str = ""  # who did the work that just ended: "binder@2", "MCM"
-    took_s: float = 0.0  # how long that work took, from dispatch to answer
-    note: str = ""  # what came of it, in words
-    expected_s: float = 0.0  # how long the step that is being executed takes, as planned; 0 = not known
-    measured: Measured | None = None  # what REPORT asks for
-    warning: bool = False  # the note is worth a person's attention although the command goes on
+    node: str = ""  # process that did the work that just ended: "binder@2", "MCM"
+    took_s: float = 0.0  # duration of that work, from dispatch to answer
+    note: str = ""  # its result, in words
+    expected_s: float = 0.0  # planned duration of the current step; 0 = unknown
+    measured: Measured | None = None  # what REPORT requests
+    warning: bool = False  # needs a person's attention although the command continues
 
 
 class CommandEnded(Message, frozen=True, kw_only=True):
@@ -159,7 +158,7 @@ class StatusReply(Message, frozen=True, kw_only=True):
 
 
 class CommandRecord(Message, frozen=True, kw_only=True):
-    """A command's whole story: live or archived."""
+    """The whole record of a command, live or archived."""
 
     command: str
     text: str
@@ -181,7 +180,7 @@ class ProgramLoaded(Message, frozen=True, kw_only=True):
     request: str
     kind: WorkerKind
     digest: str  # of the whole program
-    changes: list[str] = []  # in words, one item of the program each; none: it was so before
+    changes: list[str] = []  # in words, one for each changed item; empty: nothing changed
 
 
 class ProgramReply(Message, frozen=True, kw_only=True):
@@ -195,7 +194,7 @@ class ProgramReply(Message, frozen=True, kw_only=True):
 
 
 class WorkerKind(StrEnum):
-    """The four phases; the value's place is the two low bits of a node's address in the cube."""
+    """The four kinds of worker; the position of a kind gives the two low bits of a node's cube address."""
 
     PARSER = "parser"
     ELABORATOR = "elaborator"
@@ -204,7 +203,7 @@ class WorkerKind(StrEnum):
 
 
 class Lease(msgspec.Struct, frozen=True, kw_only=True):
-    """Leave to write these locations, for this job. Signed by the broker, checked by the world database (A25)."""
+    """Permission to write these locations, for this job. The broker signs it, the world database checks it (A25)."""
 
     job: str
     locations: list[str]
@@ -212,12 +211,12 @@ class Lease(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Job(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
-    """One stateless piece of work. Its bytes and the world version it read are enough to do it again (R10)."""
+    """One stateless job. Its bytes and the world version it read suffice to repeat it (R10)."""
 
     id: str  # "C-7/12": command and a number
-    attempt: int  # 1, 2, 3: an answer to an older attempt is stale
+    attempt: int  # from 1; an answer to an older attempt is stale
     program: str  # digest
-    cell: str = ""  # digest of the cell; empty = this kind of worker needs none
+    cell: str = ""  # digest of the cell; empty = not needed by this kind
     input: msgspec.Raw  # ParserInput | ElaboratorInput | BinderInput | AnalyzerInput
     lease: Lease | None = None  # analyzers only
 
@@ -227,14 +226,14 @@ class JobBatch(Message, frozen=True, kw_only=True):
 
 
 class Drop(Message, frozen=True, kw_only=True):
-    """These jobs are no longer wanted; one not begun need not be done."""
+    """Cancel these jobs, as far as they have not begun."""
 
     jobs: list[str]
 
 
 class ProgramBody(Message, frozen=True, kw_only=True):
     digest: str
-    body: bytes | None  # None: no such program
+    body: bytes | None  # None: unknown program
 
 
 class WorkerHello(Message, frozen=True, kw_only=True):
@@ -247,7 +246,7 @@ class WorkerHello(Message, frozen=True, kw_only=True):
 
 
 class Heartbeat(Message, frozen=True, kw_only=True):
-    """Alive, and this is the job in hand, if any. From a worker, a subsystem, or a client that is watched."""
+    """Sign of life, with the current job, if any. From a worker, a subsystem, or a client with `halt_if_lost`."""
 
     name: Name
     job: Name = ""
@@ -258,7 +257,7 @@ class JobDone(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag
     attempt: int
     product: msgspec.Raw  # ParsedCommand | Script | BoundStep | Assessment
     took_s: float = 0.0
-    world_version: int = 0  # the version of the world the job has read; 0 = none
+    world_version: int = 0  # version of the world that the job has read; 0 = none
 
 
 class JobRefused(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="refused"):
@@ -270,7 +269,7 @@ class JobRefused(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, 
 
 
 class JobCrashed(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="crashed"):
-    """The worker function raised: a bug, told with its evidence. Counts like a death of the worker."""
+    """The worker function raised an exception: a bug, with its evidence. Counts like a death of the worker."""
 
     id: str
     attempt: int
@@ -281,7 +280,7 @@ JobResult = JobDone | JobRefused | JobCrashed
 
 
 class Dropped(Message, frozen=True, kw_only=True):
-    """How many messages could not be read, by socket, since the process began: for `rtc status`. Told now and then by
+    """Number of unreadable messages by socket since the start of the process, for `rtc status`. Sent now and then by
     the processes that have sockets of their own (MCM, world database)."""
 
     counts: Annotated[dict[Name, int], msgspec.Meta(max_length=10)]
@@ -293,7 +292,7 @@ class ResultBatch(Message, frozen=True, kw_only=True):
 
 
 class WorkerGone(Message, frozen=True, kw_only=True):
-    """Said for a worker on another machine, in its place, by the gate: its connection is lost."""
+    """From the gateway: the connection of a worker on another machine is lost."""
 
     name: Name
 
@@ -307,7 +306,7 @@ class ProgramWanted(Message, frozen=True, kw_only=True):
 
 class Binding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A named parameter of a script: joints, a pose (in the axes of the object `frame`, if one is named), a
-    number, or a name. Exactly one is set."""
+    number, or a name. Exactly one of `joints`, `pose`, `number` and `name` is set."""
 
     joints: list[float] | None = None  # rad
     pose: list[float] | None = None  # of the tcp
@@ -343,8 +342,8 @@ class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         default_factory=lambda: [StopReason.GOAL]
     )  # the stop reasons that count as success (A13)
     keep: dict[str, str] = {}  # binding to set from the report on success: {"GP1": "report.pose"}
-    trims: list[int] = []  # entries of the trimming stack that may mend it, in order (A9)
-    args: dict[str, float | str] = {}  # what else the row of the program needs: speeds, thresholds, widths
+    trims: list[int] = []  # entries of the trimming stack that may correct it, in order (A9)
+    args: dict[str, float | str] = {}  # other parameters of the program's row: speeds, thresholds, widths
     way: Way | None = None  # of the first motion of a script
 
 
@@ -355,7 +354,7 @@ class Trim(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     label: str
     steps: list[Step]
     then: Literal["retry_step", "restart_script", "skip", "replace_rest", "give_up"] = "retry_step"
-    fits: list[StopReason] = []  # the failures it may mend; empty = any
+    fits: list[StopReason] = []  # the failures it may correct; empty = any
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -385,8 +384,8 @@ class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     limits: Limits = Limits()
     guarded: bool = False
     reflexes: list[ReflexItem] = []
-    fits: dict[int, list[StopReason]] = {}  # entry of the trimming stack -> the failures it may mend; none = any
-    told: dict[str, Any] = {}  # facts that the sentence itself tells, by key, SI
+    fits: dict[int, list[StopReason]] = {}  # entry of the trimming stack -> failures it may correct; empty = any
+    told: dict[str, Any] = {}  # facts stated by the sentence itself, by key, SI
 
 
 class Script(Message, frozen=True, kw_only=True):
@@ -398,15 +397,15 @@ class Script(Message, frozen=True, kw_only=True):
     trims: list[Trim] = []
     bindings: dict[str, Binding] = {}  # decided backwards from the goal (R134)
     resources: list[str] = []  # non-sharable, all or none
-    queues: list[str] = []  # queue resources: one at a time, in line
+    queues: list[str] = []  # queue resources: one command at a time, in order
     writes: list[str] = []  # locations of the world that analyzers of this command may write
     reads: list[str] = []  # further locations that its plan relies on
     candidates: list[str] = []  # what was ranked, the chosen one first (R75)
-    notes: list[str] = []  # the story of the planning, for people: generated, tested, modified (R92)
+    notes: list[str] = []  # log of the planning, for people: generated, tested, modified (R92)
 
 
 class EvaluationContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What the binder expects of a primitive; the analyzer judges the report by it (paper, L152). Opaque to the
+    """What the binder expects of a primitive; the analyzer judges the report by it. Opaque to the
     Decision Unit and never sent to a subsystem."""
 
     context: ScriptContext
@@ -439,7 +438,7 @@ class BinderInput(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AnalyzerInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """`closing`: the command is being ended, so no advice is wanted; only the world is put right (R151)."""
+    """`closing`: the command is ending, so only the world is updated and advice is ignored (R151)."""
 
     evaluation: EvaluationContext
     report: EndReport
@@ -448,16 +447,16 @@ class AnalyzerInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
 
 
 class BoundStep(Message, frozen=True, kw_only=True):
-    """Product of a binder: a primitive with what is expected of it; or, for a step that moves nothing, bindings; or
-    what somebody has told, which is a report already and needs no subsystem, but an analyzer like any other."""
+    """Product of a binder: a primitive and what is expected of it; or bindings, for a step without motion; or `told`,
+    a report made of facts that the operator stated, which needs no subsystem but an analyzer."""
 
     subsystem: str = ""  # "MCM"; empty = nothing to execute
     primitive: Primitive | None = None
     told: EndReport | None = None
     evaluation: EvaluationContext | None = None
     bindings: dict[str, Binding] = {}
-    limit_s: float = 0.0  # longest time until an end report, with the arm's own limit well inside
-    predicted_s: float = 0.0  # how long the primitive takes when nothing happens
+    limit_s: float = 0.0  # time limit of the end report, above the time limit of the primitive itself
+    predicted_s: float = 0.0  # planned duration of the primitive
     note: str = ""
 
 
@@ -486,22 +485,22 @@ class WorldChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 
 
 class Assessment(Message, frozen=True, kw_only=True):
-    """Product of an analyzer (R122): go on, mend, or give up; and what the world is like now."""
+    """Product of an analyzer (R122): continue, trim or abort; and the changes of the world."""
 
     verdict: Literal["continue", "trim", "abort"]
     reason: StopReason  # after derivation: NO_CONTACT where goal was reached and a touch expected
     message: str = ""
-    trim: int = 0  # the entry to push
+    trim: int = 0  # entry of the trimming stack to push
     keep: dict[str, Binding] = {}  # measured values for later steps
     changes: list[WorldChange] = []
-    clears: str = ""  # what would clear the trouble
+    clears: str = ""  # what would clear the failure
 
 
 # --- 4. broker <-> subsystems -------------------------------------------------------------------------
 
 
 class SubsystemHello(Message, frozen=True, kw_only=True):
-    """A subsystem is there. `outstanding` are the primitives it executes or has an unacknowledged report of."""
+    """A subsystem is ready. `outstanding`: primitives it executes or whose report is not acknowledged."""
 
     name: Name  # MCM
     pid: int
@@ -512,29 +511,29 @@ class SubsystemHello(Message, frozen=True, kw_only=True):
 
 
 class Execute(Message, frozen=True, kw_only=True):
-    """Perform this. The same primitive twice is executed once; one the broker sent before it knew of a halt is not
+    """Execute a primitive. A repeated one is executed once. One that the broker sent before it knew of a halt is not
     begun after that halt."""
 
     primitive: Primitive
     issued_at_s: float = 0.0
-    pid: int = 0  # of the process it is meant for, as told in its hello; another passes it over; 0 = any
+    pid: int = 0  # of the process it is for, as in its hello; another one ignores it; 0 = any
 
 
 class HaltOrder(Message, frozen=True, kw_only=True):
     """Stop now. `scope`: ALL, a performer, or a command number, which stops the primitives that begin with it.
 
-    It is obeyed whenever it is received, also when its name was used before. From a subsystem to the broker: a halt
-    that was called past the broker. Nothing in its scope begins until the broker has answered with the same order; it
-    is said again with every hello until then."""
+    It is obeyed whenever it is received, also if its name was used before. From a subsystem to the broker: a halt that
+    bypassed the broker. Nothing in its scope begins until the broker has answered with the same order; the subsystem
+    repeats it with every hello until then."""
 
     halt: Name
     scope: Name = "ALL"
     called_at_s: float = 0.0  # when the operator called
-    call: Name = ""  # the sender's own number for this order; answers to it repeat it
+    call: Name = ""  # the sender's number of this order; answers repeat it
 
 
 class ReportAck(Message, frozen=True, kw_only=True):
-    """The end report of this primitive is journalled; it need not be kept any longer."""
+    """The broker has journalled the end report of this primitive; the subsystem may forget it."""
 
     primitive: str
 
@@ -545,7 +544,7 @@ class Started(Message, frozen=True, kw_only=True):
 
 
 class ProgressReport(Message, frozen=True, kw_only=True):
-    """A report while moving, at the period that R asks for."""
+    """A report during a motion, at the period requested in R."""
 
     primitive: str
     at_s: float
@@ -571,11 +570,11 @@ class EndReport(Message, frozen=True, kw_only=True):
     peak_torque_nm: float = 0.0
     trip_pose: list[float] | None = None  # of the tcp, in the tick that tripped
     trip_wrench: list[float] | None = None
-    measured: float | None = None  # the figure that tripped, and
-    limit: float | None = None  # the limit it passed
+    measured: float | None = None  # the value that tripped
+    limit: float | None = None  # the limit it exceeded
     message: str = ""  # for REFUSED: why; for COLLISION: the bodies' link names
     reflex: Reflex = Reflex.STOP  # what was done after the stop: BACK_OFF, RELEASE
-    facts: dict[str, Any] = {}  # what was told or seen, by key (MACS-OLD.frame), SI; an analyzer judges and writes it
+    facts: dict[str, Any] = {}  # stated or sensed, by key (MACS-OLD.frame), SI; an analyzer writes them
 
 
 class HaltStarted(Message, frozen=True, kw_only=True):
@@ -608,13 +607,13 @@ class Fact(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     value: Any
     validity: Validity
     version: int  # of the world when it was written
-    source: str  # who told: "cell", "C-7/12", ...
+    source: str  # origin: "cell", "C-7/12", ...
     at_s: float
-    spread: Spread | None = None  # of a pose; None = nobody has stated any
+    spread: Spread | None = None  # of a pose; None = not stated
 
 
 class ReadView(Message, frozen=True, kw_only=True):
-    """One grouped read (R147): all facts, or those of some keys or locations; only what is newer than `since`."""
+    """One grouped read (R147): all facts, or those of some keys or locations; only facts newer than `since`."""
 
     request: Name
     keys: Annotated[list[Name], msgspec.Meta(max_length=10_000)] | None = None
@@ -637,8 +636,8 @@ class Commit(Message, frozen=True, kw_only=True):
 
 
 class Doubt(Message, frozen=True, kw_only=True):
-    """From the broker alone, by a lease for no location: nobody knows what was done. Every fact that a motion changes
-    becomes suspect; the same lease again changes nothing."""
+    """From the broker alone, by a lease without locations: it is unknown what was executed. Every fact that a motion
+    changes becomes suspect; the same lease again changes nothing."""
 
     request: Name
     lease: Lease
@@ -654,7 +653,7 @@ class Committed(Message, frozen=True, kw_only=True):
 class WorldHistory(Message, frozen=True, kw_only=True):
     request: Name
     key: Name
-    limit: int = 100  # at most 1000 are told
+    limit: int = 100  # at most 1000 are sent
 
 
 class WorldRefused(Message, frozen=True, kw_only=True):
@@ -670,7 +669,7 @@ class SupervisorHello(Message, frozen=True, kw_only=True):
 
 
 class ProcessExited(Message, frozen=True, kw_only=True):
-    """A process of the cluster has ended; the supervisor saw it first."""
+    """A process of the cluster has ended."""
 
     name: Name  # "binder@2", "MCM", "world"
     pid: int
@@ -679,19 +678,19 @@ class ProcessExited(Message, frozen=True, kw_only=True):
 
 
 class ProcessRow(TypedDict):
-    """A process as the supervisor sees it; a plain map, because `rtc status` shows it as it is."""
+    """A process as the supervisor knows it; a plain map, because `rtc status` passes it on unchanged."""
 
     name: Name
     pid: int
     state: Name
     since_s: float  # CLOCK_MONOTONIC
     restarts: NotRequired[int]
-    notes: NotRequired[list[str]]  # what people should know of it: a database put aside, a crash loop's last words
+    notes: NotRequired[list[str]]  # warnings: a database set aside, the last output of a crash loop
     node: NotRequired[int | None]  # a worker's address
 
 
 class ProcessTable(Message, frozen=True, kw_only=True):
-    """What runs: for `rtc status`."""
+    """All processes of the cluster, for `rtc status`."""
 
     processes: Annotated[list[ProcessRow], msgspec.Meta(max_length=10_000)]
 
@@ -707,8 +706,8 @@ class KillProcess(Message, frozen=True, kw_only=True):
 class AllEnded(Message, frozen=True, kw_only=True):
     """Answer to the supervisor's Shutdown: every command has ended, and its client has been sent the outcome."""
 
-    commands: list[str]  # that were live when the cluster was told to end
-    arms: list[str] = []  # that were in motion then
+    commands: list[str]  # that were live at the Shutdown
+    arms: list[str] = []  # that were in motion at the Shutdown
 
 
 class SpawnWorker(Message, frozen=True, kw_only=True):
@@ -719,7 +718,7 @@ class RetireWorker(Message, frozen=True, kw_only=True):
     name: str
 
 
-# --- 7. subsystem -> anybody: telemetry (PUB) ---------------------------------------------------------
+# --- 7. subsystem -> subscribers: telemetry (PUB) ---------------------------------------------------------
 
 
 class ArmSample(msgspec.Struct, frozen=True, kw_only=True):
@@ -740,7 +739,7 @@ class Telemetry(Message, frozen=True, kw_only=True):
     arms: dict[str, ArmSample]
 
 
-# --- 8. test bench <-> simulator: what no real subsystem would tell -----------------------------------
+# --- 8. test bench <-> simulator: not available from real subsystems -----------------------------------
 
 
 class SimTruth(Message, frozen=True, kw_only=True):
@@ -759,7 +758,7 @@ class SimTruthReply(Message, frozen=True, kw_only=True):
 
 
 class SimDisplace(Message, frozen=True, kw_only=True):
-    """Move an object, with the seat it sits in, without telling the RTC: a belief error."""
+    """Move an object and its seat in the simulator only: this makes a belief error."""
 
     request: Name
     object: Name
@@ -767,8 +766,8 @@ class SimDisplace(Message, frozen=True, kw_only=True):
 
 
 class SimFactors(Message, frozen=True, kw_only=True):
-    """Make all things that can be moved heavier, and the pads of all hands rub less, than the cell says: what the RTC
-    counts on is not so. Factors of the cell's figures; the last ones count."""
+    """Scale the mass of all movable objects and the friction of all finger pads in the simulator only. Factors of the
+    cell's values; the last message counts."""
 
     request: Name
     mass: Annotated[float, msgspec.Meta(gt=0, le=10)] = 1.0
@@ -780,7 +779,7 @@ class SimDone(Message, frozen=True, kw_only=True):
     error: str = ""
 
 
-# --- who may say what: one union per socket and direction ----------------------------------------------
+# --- messages by direction: one union per socket and direction ----------------------------------------------
 
 ClientToBroker = (
     ClientHello | CommandText | StatusQuery | TraceQuery | ProgramQuery | ProgramText | Shutdown | Heartbeat
@@ -801,7 +800,7 @@ BrokerToWorker = JobBatch | Drop | ProgramBody | Shutdown
 SubsystemToBroker = (
     SubsystemHello | Heartbeat | Started | ProgressReport | EndReport | HaltStarted | HaltAtRest | HaltOrder | Dropped
 )
-BrokerToSubsystem = Execute | HaltOrder | ReportAck | Declined  # Declined: the name is another's
+BrokerToSubsystem = Execute | HaltOrder | ReportAck | Declined  # Declined: the name is in use
 ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined
 ToWorld = ReadView | Commit | WorldHistory | Doubt

@@ -29,7 +29,7 @@ _read = wire.decoder(CommandRecord)
 
 @dataclass(frozen=True)
 class Past:
-    """The commands of one run that has ended. `ended_at` is a Unix time: the last change of the journal."""
+    """The commands of one ended run. `ended_at`: Unix time of the last change of the journal (s)."""
 
     journal: Path
     ended_at: float
@@ -47,7 +47,7 @@ class Past:
         return f"of the run that ended at {clock_time(self.ended_at)}"
 
     def wall_s(self, at_s: float) -> float | None:
-        """The Unix time of a monotonic time in a record; None when the machine has been started anew since."""
+        """The Unix time of a monotonic time in a record; None if the machine was restarted since."""
         boot = time.time() - time.monotonic()
         return boot + at_s if self.ended_at >= boot else None
 
@@ -60,7 +60,7 @@ class Past:
 
 
 def runs(run_dir: Path) -> Iterator[Past]:
-    """What journals lie in a run directory, the newest first; the first may be that of a cluster that runs."""
+    """The journals in a run directory, newest first; the first may belong to a running cluster."""
     for name in (".", PREVIOUS, *OLDER):
         with contextlib.suppress(OSError):
             journal = run_dir / name / JOURNAL
@@ -70,7 +70,7 @@ def runs(run_dir: Path) -> Iterator[Past]:
 
 
 def _log_of(journal: Path) -> Path:
-    """The write-ahead log, where the last changes are when the broker was killed."""
+    """The write-ahead log, which holds the last changes if the broker was killed."""
     return journal.with_name(f"{journal.name}-wal")
 
 

@@ -1,4 +1,4 @@
-"""The primitive T = (P, M, F, R): the one thing the RTC may send to a subsystem (paper, section 4; R60-R67).
+"""The primitive T = (P, M, F, R): the only order for motion to a subsystem (paper, section 4; R60-R67).
 
     P  trajectory      what to do: positions over time, or what the hand shall do
     M  control_law     how the servo follows it

@@ -1,4 +1,4 @@
-"""What every process of a cluster shares: how it starts, listens, waits, says it is ready, and ends.
+"""Base of every process of a cluster: start, sockets, event loop, readiness, end.
 
     with process.start("world", run_dir) as me:
         requests = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True)

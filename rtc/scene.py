@@ -1,4 +1,4 @@
-"""What the cell looks like now: as it is believed, and (on a bench) as the simulator has it; the request to draw it.
+"""The current scene as believed and (with a simulator) as true, and the request to draw it.
 
 Believed: objects from the world's facts, arms as measured last, a held object where its hand is. Poses are
 `[x y z qx qy qz qw]` (m, world frame), joints rad, fingers m. Knows no socket and no renderer.

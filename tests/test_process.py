@@ -249,7 +249,7 @@ def test_a_directory_with_other_things_in_it_does_not_become_a_run_directory(tmp
     """A cluster clears away what lies in its directory: that must be another cluster's."""
     (tmp_path / "logs").mkdir()
     (tmp_path / "thesis.db").write_text("mine")
-    with pytest.raises(ClusterError, match=r"holds logs, thesis\.db; choose a --run-dir that is new or empty"):
+    with pytest.raises(ClusterError, match=r"has logs, thesis\.db; choose a new or empty --run-dir"):
         prepare_run_dir(tmp_path)
     (tmp_path / "supervisor.lock").touch()  # a cluster was here
     assert prepare_run_dir(tmp_path) == tmp_path

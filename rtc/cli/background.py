@@ -1,4 +1,4 @@
-"""What was sent with `&` in the shell: a thread that reports how each command ends, whenever that is.
+"""Commands sent with `&` in the shell: a thread reports how each of them ends.
 
 It has a client of its own, because a client belongs to one thread, and asks the broker instead of listening to it: so
 nothing is missed while a broker is restarted.
@@ -36,7 +36,7 @@ class Background:
             self._changed.notify()
 
     def close(self) -> list[str]:
-        """Report once more, then stop; the commands that go on."""
+        """Report once more, then stop; returns the commands still in progress."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -50,7 +50,7 @@ class Background:
                 while self._awaited():
                     self._ask(rtc)
                 self._ask(rtc)
-        except NoCluster:  # the shell hears of that by itself
+        except NoCluster:  # the shell detects that itself
             with self._changed:
                 self._waiting.clear()
 
@@ -77,4 +77,4 @@ class Background:
         except NoCluster:
             raise
         except RtcError:
-            pass  # a broker that is silent is replaced; ask again
+            pass  # an unresponsive broker is replaced; ask again

@@ -1,4 +1,4 @@
-"""rtc chaos: kill or stop processes of the running cluster, to see what becomes of the work."""
+"""rtc chaos: kill or stop processes of the running cluster, to test that work survives it."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from rtc.cli.output import AsJson, RunDir, console, duration_s, emit_json, exits
 from rtc.process_table import processes
 from rtc.settings import default_run_dir
 
-BACK_LIMIT_S = 30.0  # for the last one struck to come back
+BACK_LIMIT_S = 30.0  # for the last killed process to be ready again
 LOOK_S = 0.01
 
 
 def chaos(
-    kill: Annotated[str, typer.Option(help=f"Whom: {', '.join(VICTIMS)}.")] = "any",
+    kill: Annotated[str, typer.Option(help=f"Which: {', '.join(VICTIMS)}.")] = "any",
     every: Annotated[str, typer.Option(help="How often: 2s, 500ms.")] = "2s",
     for_: Annotated[str, typer.Option("--for", help="How long: 60s, 5m.")] = "60s",
     stop: Annotated[
-        bool, typer.Option("--stop", help="SIGSTOP instead of SIGKILL: it hangs, and must be found.")
+        bool, typer.Option("--stop", help="SIGSTOP instead of SIGKILL: the process hangs and must be detected.")
     ] = False,
-    seed: Annotated[int, typer.Option(help="Of the choice of victims.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the random choice.")] = 0,
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
-    """Kill processes of the running cluster at random, tell which and when each was back.
+    """Kill random processes of the running cluster; report each and the time until its successor is ready.
 
-    Commands should not notice, but for those that the MCM was moving when it is killed: they end LOST SUBSYSTEM.
+    Commands continue, except those in motion when the MCM is killed: they end LOST SUBSYSTEM.
 
-    Exit status 0 when every one came back.
+    Exit status 0 if every process was restarted.
 
     Example:  rtc chaos --kill worker --every 2s --for 60s
     """
@@ -52,7 +52,7 @@ def chaos(
         try:
             _run(maker, kill, word, begun_s, every_s, for_s)
         except KeyboardInterrupt:
-            console.print("no more; waiting for those that are away")
+            console.print("finished; waiting for restarting processes")
         _await(maker, begun_s)
         _summary(maker)
         if json:

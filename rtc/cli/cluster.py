@@ -27,7 +27,7 @@ from rtc.cli.output import (
     console,
     duration_s,
     emit_json,
-    said,
+    quoted,
     seconds,
     table,
     trouble,
@@ -41,8 +41,8 @@ SILENT = (
     "the broker does not answer; one that hangs or has died is replaced within seconds: ask again "
     "(its log is logs/broker.log in the run directory; rtc halt works meanwhile)"
 )
-SUPERVISOR_SILENT_S = 3.0  # it tells its table every second
-SAME_AGE_S = 1.0  # a broker that is younger than its cluster by more has been restarted
+SUPERVISOR_SILENT_S = 3.0  # without a table, which it sends every second
+SAME_AGE_S = 1.0  # a broker that is younger than its cluster by more was restarted
 
 
 def up(
@@ -55,7 +55,7 @@ def up(
     mcm: Annotated[str, typer.Option(help="bullet (physics) or kinematic (exact, no physics).")] = "bullet",
     speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = "1",
     listen: Annotated[
-        str, typer.Option(help="tcp://HOST:PORT: let in who has a key (rtc keys) from other machines.")
+        str, typer.Option(help="tcp://HOST:PORT: admit holders of a key (rtc keys) from other machines.")
     ] = "",
     run_dir: RunDir = None,
     detach: Annotated[bool, typer.Option("-d", "--detach", help="Return once it is ready.")] = False,
@@ -92,7 +92,7 @@ def status(
 ) -> None:
     """What runs: processes and their cube addresses, queues, resources and owners, commands, programs, counters.
 
-    Exit status 4 when the broker does not answer; then it shows what the supervisor knows.
+    Exit status 4 when the broker does not answer; then it shows the supervisor's process table.
 
     Example:  rtc status
     Example:  rtc status --watch
@@ -102,40 +102,40 @@ def status(
         with suppress(KeyboardInterrupt):
             _watch(run_dir, key, every_s, for_s)
         return
-    said, silent = _status(run_dir, key)
+    report, silent = _status(run_dir, key)
     if silent:
         if not json:
-            show_status(said)
-        raise trouble(SILENT, NO_CLUSTER, **said) from None
+            show_status(report)
+        raise trouble(SILENT, NO_CLUSTER, **report) from None
     if json:
-        emit_json(said)
+        emit_json(report)
     else:
-        show_status(said)
+        show_status(report)
 
 
 def _status(run_dir: Path | None, key: Path | None) -> tuple[dict[str, Any], bool]:
-    """What the broker says; True with what the supervisor knows when the broker does not answer. Raises NoCluster."""
+    """The broker's status and False; if it does not answer, the supervisor's table and True. Raises NoCluster."""
     try:
         with Client(run_dir, key=key) as rtc:
-            said = rtc.status()
+            report = rtc.status()
     except (NoCluster, TimedOut):
         if key or not (known := as_supervised(run_dir or default_run_dir())):
             raise
         return known, True
-    if not key and not said.get("processes"):  # a new broker has not heard of them yet
-        said |= {"processes": (as_supervised(run_dir or default_run_dir()) or {}).get("processes", [])}
-    return said, False
+    if not key and not report.get("processes"):  # a new broker has not received the table yet
+        report |= {"processes": (as_supervised(run_dir or default_run_dir()) or {}).get("processes", [])}
+    return report, False
 
 
 def _watch(run_dir: Path | None, key: Path | None, every_s: float, for_s: float) -> None:
-    """On a terminal in one place, elsewhere one below the other. Raises NoCluster when the cluster is gone."""
+    """Show the status repeatedly: on a terminal in place, else one below the other. Raises NoCluster."""
     until_s = time.monotonic() + for_s
-    # a console of its own: what is captured below must not be taken for something printed above the live view
+    # a console of its own: the live view must not treat the captured text below as printed above it
     with Live(console=Console(), auto_refresh=False) if console.is_terminal else nullcontext() as live:
         while True:
-            said, silent = _status(run_dir, key)
+            report, silent = _status(run_dir, key)
             with console.capture() as shown:
-                show_status(said)
+                show_status(report)
                 if silent:
                     console.print(Text(SILENT, style="bold yellow"))
             if live is not None:
@@ -149,7 +149,7 @@ def _watch(run_dir: Path | None, key: Path | None, every_s: float, for_s: float)
 
 
 def as_supervised(run_dir: Path) -> dict[str, Any] | None:
-    """What the supervisor has written of the cluster, as `show_status` takes it; None when there is no supervisor."""
+    """The supervisor's process table in the form of a status; None if no supervisor runs."""
     found = process_table.Table.load(run_dir)
     if found is None or not supervised(run_dir):
         return None
@@ -161,38 +161,38 @@ def as_supervised(run_dir: Path) -> dict[str, Any] | None:
     }
 
 
-def show_status(said: dict[str, Any]) -> None:
-    """Print the layout that docs/protocol.md describes; what is absent is left out."""
-    up_s, where = said.get("uptime_s", 0.0), said.get("run_dir", "?")
-    broker_s = said.get("broker_uptime_s", up_s)
+def show_status(report: dict[str, Any]) -> None:
+    """Print a status (layout: docs/protocol.md); absent parts are left out."""
+    up_s, where = report.get("uptime_s", 0.0), report.get("run_dir", "?")
+    broker_s = report.get("broker_uptime_s", up_s)
     since = f" (its broker {seconds(broker_s)}, after a restart)" if up_s - broker_s > SAME_AGE_S else ""
-    console.print(Text(f"cluster {said.get('cluster', '?')} in {where}, up {seconds(up_s)}{since}", style="bold"))
-    for why in said.get("rolled_back", {}).values():
+    console.print(Text(f"cluster {report.get('cluster', '?')} in {where}, up {seconds(up_s)}{since}", style="bold"))
+    for why in report.get("rolled_back", {}).values():
         console.print(Text("program taken back: ", style="bold red") + Text(why))
-    if (silent_s := said.get("supervisor_silent_s", 0.0)) > SUPERVISOR_SILENT_S:
+    if (silent_s := report.get("supervisor_silent_s", 0.0)) > SUPERVISOR_SILENT_S:
         words = f"silent for {seconds(silent_s)}: nothing that dies is started again, and the table below is as old"
         console.print(Text("supervisor: ", style="bold red") + Text(words))
-    for row in said.get("processes") or []:
+    for row in report.get("processes") or []:
         for note in row.get("notes") or []:
             console.print(Text(f"{row['name']}: ", style="bold red") + Text(note))
-    _workers_and_processes(said)
-    if "commands" in said:
-        _commands(said["commands"])
-    _resources(said.get("resources", []))
-    _subsystems(said.get("subsystems", []))
-    if "programs" in said:
-        console.print(Text("programs: ", style="bold") + Text(programs_in_words(said)))
+    _workers_and_processes(report)
+    if "commands" in report:
+        _commands(report["commands"])
+    _resources(report.get("resources", []))
+    _subsystems(report.get("subsystems", []))
+    if "programs" in report:
+        console.print(Text("programs: ", style="bold") + Text(programs_in_words(report)))
     for name in ("queues", "halts", "counters"):
-        figures = {key: value for key, value in said.get(name, {}).items() if value not in (0, None, "", [], {})}
+        figures = {key: value for key, value in report.get(name, {}).items() if value not in (0, None, "", [], {})}
         if figures:
             console.print(
                 Text(f"{name}: ", style="bold") + Text(", ".join(f"{k} {_plain(v)}" for k, v in figures.items()))
             )
 
 
-def programs_in_words(said: dict[str, Any]) -> str:
-    """Which file each kind of worker was given last, and when."""
-    files = said.get("program_files", {})
+def programs_in_words(report: dict[str, Any]) -> str:
+    """The file that each kind of worker loaded last, and its age."""
+    files = report.get("program_files", {})
     words = [f"{kind} {one['file']} (loaded {age(one['age_s'])} ago)" for kind, one in files.items()]
     rest = "all as they come with rtc" if not words else "the others as they come with rtc"
     return ", ".join([*words, rest])
@@ -204,7 +204,7 @@ def age(value_s: float) -> str:
 
 
 def folded(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The processes, but the templates that others are forked from as one row; those that are not ready by name."""
+    """The processes, with all ready fork servers as one row."""
     templates = [row for row in rows if row["name"].endswith("template") and row.get("state") == "ready"]
     if len(templates) < 2:
         return rows
@@ -213,11 +213,11 @@ def folded(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [*(row for row in rows if row not in templates), one]
 
 
-def _workers_and_processes(said: dict[str, Any]) -> None:
-    workers = {worker["name"]: worker for worker in said.get("workers", [])}
-    rows = folded(said.get("processes") or [])
+def _workers_and_processes(report: dict[str, Any]) -> None:
+    workers = {worker["name"]: worker for worker in report.get("workers", [])}
+    rows = folded(report.get("processes") or [])
     here = {row["name"] for row in rows}
-    elsewhere = {"state": "ready, elsewhere"} if here else {}  # our supervisor knows only its own
+    elsewhere = {"state": "ready, elsewhere"} if here else {}  # the supervisor knows only local processes
     rows = [*rows, *({**worker, **elsewhere} for name, worker in workers.items() if name not in here)]
     if not rows:
         return
@@ -241,7 +241,7 @@ def _workers_and_processes(said: dict[str, Any]) -> None:
 
 def _commands(commands: list[dict[str, Any]]) -> None:
     if not commands:
-        console.print("no command under way")
+        console.print("no command in progress")
         return
     out = table("command", "phase", "step", "age>", "holds", "sentence")
     for row in commands:
@@ -251,7 +251,7 @@ def _commands(commands: list[dict[str, Any]]) -> None:
             str(row.get("step", "")),
             seconds(row.get("age_s", 0.0)),
             ", ".join(row.get("resources", [])),
-            Text(said(row.get("text", ""))),
+            Text(quoted(row.get("text", ""))),
         )
     console.print(out)
 
@@ -283,7 +283,7 @@ def _plain(value: Any) -> str:
 
 
 def check_speed(speed: str) -> None:
-    """Raises typer.Exit, with the reason said, for what is no speed of simulated time."""
+    """Raises typer.Exit, with the reason printed, if it is not a speed of simulated time."""
     try:
         good = speed == "max" or 0 < float(speed) < math.inf
     except ValueError:
@@ -295,6 +295,6 @@ def check_speed(speed: str) -> None:
 def _deploy(arguments: list[str], run_dir: Path | None) -> None:
     """Become the supervisor's command line: same terminal, same Ctrl-C, same exit status."""
     sys.stdout.flush()
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # until it is ready to be interrupted
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the supervisor unblocks it when it can handle it
     where = str(run_dir if run_dir is not None else default_run_dir())
     os.execv(sys.executable, [sys.executable, "-P", "-m", "deploy", *arguments, "--run-dir", where])

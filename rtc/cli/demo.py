@@ -1,4 +1,4 @@
-"""rtc demo: a scenario with its own cluster, told as it happens. Each scenario is a file in rtc/demos/."""
+"""rtc demo: runs a scenario on its own cluster. Each scenario is a file in rtc/demos/."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ DEMOS = ["grasp", "faults"]  # modules of rtc.demos, each with `tell(console, sp
 def demo(
     name: Annotated[str, typer.Argument(help=f"One of: {', '.join(DEMOS)}.", autocompletion=lambda: DEMOS)] = "grasp",
     speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = "1",
-    out: Annotated[Path, typer.Option(help="Where the pictures go.")] = Path("out"),
+    out: Annotated[Path, typer.Option(help="Directory of the pictures.")] = Path("out"),
 ) -> None:
-    """Bring up a cluster, run a scenario, tell the story, check it against the simulator, stop everything.
+    """Start a cluster, run a scenario with a commentary, check it against the simulator, stop everything.
 
-    Exit status 0 only when every check passed.
+    Exit status 0 only if every check passed.
 
     Example:  rtc demo grasp
     """

@@ -1,4 +1,4 @@
-"""The entry point of `rtc`. Importing the rest takes a moment; Ctrl-C meanwhile is one line, not a traceback."""
+"""Entry point of `rtc`: Ctrl-C during the slow imports prints one line instead of a traceback."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ INTERRUPTED = 130  # exit status, as shells have it
 
 
 def main() -> None:
+    """Import and run the command line."""
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as it is for `rtc do ... &` in a script
         signal.signal(signal.SIGINT, leave)
     import_module("rtc.cli.main").main()
 
 
 def leave(*_: object) -> NoReturn:
-    """SIGINT until a command begins."""
+    """Handler of SIGINT until a command begins."""
     os.write(2, b"rtc: interrupted\n")
-    os._exit(INTERRUPTED)  # nothing has begun that would have to be ended
+    os._exit(INTERRUPTED)  # nothing has started that would need an orderly end
 
 
 def begun() -> None:

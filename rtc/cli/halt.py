@@ -1,4 +1,4 @@
-"""rtc halt: the fast path, from the shell. Imports little, because whoever types it is in a hurry."""
+"""rtc halt: stop motion from the shell. It imports little, so that it starts fast."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from rtc.silence import is_listening
 
 NOT_CONFIRMED = 3
 SETTLED_S, SETTLED = 0.05, " (but a hand still pressed, or a touch still gave way)"
-LATE_S = 0.2  # who hears of it so late may be the successor of one that was hung, and know of no motion
+LATE_S = 0.2  # an MCM that answers later may have been restarted, and not know of a motion
 
 
 def halt(
@@ -35,7 +35,7 @@ def halt(
     """Stop motion now, past every queue; works with a dead broker too. Exit status 0 only when rest is confirmed.
 
     The latency it prints is from this order to the first decelerating tick of a joint (with a cluster on another
-    machine: until the news of that was here).
+    machine: until its report arrived).
 
     Example:  rtc halt
     Example:  rtc halt RIGHT-ARM
@@ -53,8 +53,10 @@ def halt(
 
 @contextmanager
 def _halt_line(run_dir: Path, key: Path | None) -> Iterator[HaltLine]:
-    """Of a cluster here it needs the two sockets and no file: whatever was deleted, what moves can be stopped. Raises
-    NoCluster when nobody is behind them."""
+    """A halt line. For a local cluster it needs the two sockets and no file, so deleted files cannot prevent a halt.
+
+    Raises NoCluster if no process listens.
+    """
     if key is None:
         try:
             there = is_listening(run_dir, HALT_ENDPOINTS)
@@ -62,11 +64,11 @@ def _halt_line(run_dir: Path, key: Path | None) -> Iterator[HaltLine]:
             raise NoCluster(f"the cluster in {run_dir} belongs to another user; choose another --run-dir") from None
         if not there:
             raise NoCluster(f"no cluster in {run_dir}; start one with: rtc up -d")
-        doors: Endpoints = Settings(run_dir=str(run_dir.absolute()))
+        endpoints: Endpoints = Settings(run_dir=str(run_dir.absolute()))
     else:
-        doors = KeyFile.load(key)
+        endpoints = KeyFile.load(key)
     with zmq.Context() as context:
-        line = HaltLine(context, doors)
+        line = HaltLine(context, endpoints)
         try:
             yield line
         finally:
@@ -74,7 +76,7 @@ def _halt_line(run_dir: Path, key: Path | None) -> Iterator[HaltLine]:
 
 
 def print_halt(result: HaltResult, out: Console = console) -> None:
-    """What became of a halt must be heard: if not there, on stderr."""
+    """Print the result of a halt; on stderr if `out` is broken."""
     try:
         _print(result, out)
     except OutputClosed:
@@ -89,7 +91,7 @@ def _print(result: HaltResult, out: Console) -> None:
         line.append(f"REST NOT CONFIRMED: {result.message}", style="bold white on red")
     else:
         nothing = f"nothing of {result.scope} moves: it has ended, or not begun"
-        late = "nothing moves; whether something did when it was called is not known"
+        late = "nothing moves; it is not known whether something moved at the call"
         rest = max((sub.rest_s for sub in result.subsystems if sub.rest_s is not None), default=None)
         resting = "no joint was moving" + (SETTLED if (rest or 0.0) > SETTLED_S else "")
         still = nothing if not result.reached else late if result.latency_s > LATE_S else resting

@@ -62,7 +62,7 @@ def interpret(run_dir: Path | None, key: Path | None = None) -> None:
 
 
 def obey_lines(lines: Iterable[str], run_dir: Path | None, key: Path | None = None) -> None:
-    """Obey lines that nobody types (`rtc shell < file`), without a prompt; comments begin with #. Raises NoCluster."""
+    """Execute lines from a file (`rtc shell < file`), without a prompt; comments begin with #. Raises NoCluster."""
     with Client(run_dir, on_silence=say_silence, key=key) as rtc, _background(run_dir, key) as background:
         for line in map(str.strip, lines):
             if line.lower() in LEAVE:
@@ -126,7 +126,7 @@ def _read(session: PromptSession[str]) -> str | None:
 
 
 def _obey(rtc: Client, background: Background, line: str) -> None:
-    """One line of the operator. Troubles are told and the shell goes on."""
+    """One line of the operator. Errors are printed, and the shell continues."""
     try:
         if (word := _own_word(line)) is not None:
             _, *rest = shlex.split(line)
@@ -198,7 +198,7 @@ def _help(_: Client, __: list[str]) -> None:
 
 
 def _unknown(_: Client, __: list[str]) -> None:
-    console.print("no such word; :help lists them")
+    console.print("unknown word; :help lists the words")
 
 
 def _command(rtc: Client, words: list[str]) -> str:
@@ -212,7 +212,7 @@ def _command(rtc: Client, words: list[str]) -> str:
 
 
 def _cell(rtc: Client) -> str:
-    """The cell of the cluster. Raises KeyTrouble over tcp, where nobody tells it."""
+    """The cell of the cluster. Raises KeyTrouble over tcp, where it is not available."""
     return rtc.settings.cell
 
 

@@ -1,4 +1,4 @@
-"""rtc keys: who may come in from another machine, and as what. Used where the cluster is; needs no running cluster."""
+"""rtc keys: keys for access from other machines. Used on the cluster's machine; the cluster need not run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ app = typer.Typer(
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="Of the key: whose it is.")],
+    name: Annotated[str, typer.Argument(help="Name of the key, for example of its holder.")],
     role: Annotated[str, typer.Option(help=f"One of: {ROLES}.")],
     out: Annotated[Path | None, typer.Option(help="The file to write.", show_default="NAME.key")] = None,
     at: Annotated[
@@ -37,13 +37,13 @@ def new(
 ) -> None:
     """Make a key: one file for the other machine, with all it needs. Hand it over as you would a password.
 
-    Known at once, also to a cluster that runs.
+    It is valid at once, also for a running cluster.
 
     Example:  rtc keys new alice --role operator
     Example:  rtc keys new w1 --role worker --at tcp://lab:5555
     """
     if role not in list(Role):
-        raise trouble(f"{role} is no role; one of {ROLES} is", 2)
+        raise trouble(f"{role} is not a role; the roles are {ROLES}", 2)
     where = prepare_run_dir(run_dir or default_run_dir())
     file = out or Path(f"{name}.key")
     key = KeyRing(where).new(name, Role(role), at or _address(where), file)
@@ -60,7 +60,7 @@ def new(
 
 @app.command("list")
 def list_keys(run_dir: RunDir = None, json: AsJson = False) -> None:
-    """All keys that are known.
+    """List the known keys.
 
     Example:  rtc keys list
     """
@@ -69,7 +69,7 @@ def list_keys(run_dir: RunDir = None, json: AsJson = False) -> None:
         emit_json({"keys": [msgspec.to_builtins(key) for key in known]})
         return
     if not known:
-        console.print("no key is known: nobody comes in from another machine")
+        console.print("no keys are known: there is no access from other machines")
         return
     out = table("name", "role", "made", "public half")
     for key in known:
@@ -79,12 +79,12 @@ def list_keys(run_dir: RunDir = None, json: AsJson = False) -> None:
 
 @app.command()
 def revoke(name: Annotated[str, typer.Argument(help="Of the key.")], run_dir: RunDir = None) -> None:
-    """Forget a key. Who uses it is cut off within a second; what was begun with it goes on (halt it, if it must not).
+    """Revoke a key. Its connections close within a second; commands in progress continue (halt them if needed).
 
     Example:  rtc keys revoke alice
     """
     key = KeyRing(run_dir or default_run_dir()).revoke(name)
-    console.print(Text(f"{key.name} ({key.role}) is not known any more"))
+    console.print(Text(f"{key.name} ({key.role}) is revoked"))
 
 
 def _address(run_dir: Path) -> str:
@@ -94,7 +94,7 @@ def _address(run_dir: Path) -> str:
     except FileNotFoundError:
         listen = ""
     if not listen:
-        raise trouble("where will the cluster listen? Say --at tcp://HOST:PORT, or first: rtc up --listen …", 2)
+        raise trouble("where will the cluster listen? Give --at tcp://HOST:PORT, or first: rtc up --listen …", 2)
     if is_everywhere(listen):
-        raise trouble(f"the cluster listens everywhere ({listen}); by which name do others reach it? Say --at", 2)
+        raise trouble(f"the cluster listens everywhere ({listen}); by which name do others reach it? Give --at", 2)
     return listen

@@ -103,10 +103,10 @@ def grammar(
 
 def understood(record: ParsedCommand) -> str:
     """The record as lines `field: value`, only what the sentence said (SI units)."""
-    said = msgspec.to_builtins(record)
-    lines = [f"{said.pop('verb')} ({said.pop('kind')})"]
-    said.pop("type", None)
-    for field, value in said.items():
+    fields = msgspec.to_builtins(record)
+    lines = [f"{fields.pop('verb')} ({fields.pop('kind')})"]
+    fields.pop("type", None)
+    for field, value in fields.items():
         shown = value if isinstance(value, list) else [value]
         for item in shown:
             lines.append(f"  {field:<14} {_in_words(item)}")

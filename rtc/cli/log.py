@@ -1,4 +1,4 @@
-"""rtc log: the commands that were given, newest last, with what became of them."""
+"""rtc log: lists the commands, newest last, with their outcomes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import typer
 from rich.text import Text
 
 from rtc import messages as m
-from rtc.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, said, seconds, table
+from rtc.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, quoted, seconds, table
 from rtc.cli.story import Previous, print_run, run_as_json
 from rtc.client import Client
 from rtc.outcomes import NoCluster, RequestDeclined
@@ -22,7 +22,7 @@ MOST = 1000
 
 
 def log(
-    last: Annotated[int, typer.Option("-n", "--last", min=1, max=MOST, help="At most so many, the newest.")] = 20,
+    last: Annotated[int, typer.Option("-n", "--last", min=1, max=MOST, help="Number of commands, the newest.")] = 20,
     previous: Previous = False,
     json: AsJson = False,
     run_dir: RunDir = None,
@@ -52,7 +52,7 @@ def print_log(records: list[m.CommandRecord], run: Past | None, *, far: bool = F
         row = as_row(record, run, far=far)
         at = row["at"] and clock_time(datetime.fromisoformat(row["at"]).timestamp())
         outcome = Text(row["outcome"], style=COLOUR[record.outcome.kind] if record.outcome else "cyan")
-        out.add_row(record.command, at or "-", seconds(row["took_s"]), outcome, Text(said(record.text)))
+        out.add_row(record.command, at or "-", seconds(row["took_s"]), outcome, Text(quoted(record.text)))
     console.print(out)
 
 
@@ -78,7 +78,7 @@ def from_cluster(rtc: Client, last: int) -> list[m.CommandRecord]:
         try:
             records.append(rtc.trace(f"C-{number}"))
         except RequestDeclined:
-            continue  # so old that its story is not kept any more
+            continue  # so old that its record was deleted
     return records
 
 

@@ -1,4 +1,4 @@
-"""Asks, on a terminal, whether a step that takes longer than a minute is to go on. Unanswered, it goes on.
+"""Question on a terminal whether a step of more than a minute may continue; without an answer it continues.
 
 The step runs meanwhile, so the question is watched by a thread of its own, which halts by the client's halt line: that
 one may be used from any thread.
@@ -41,7 +41,7 @@ class LongSteps:
         self._thread.start()
 
     def drop(self) -> None:
-        """Nobody needs an answer any more, or somebody else reads from the terminal now."""
+        """Withdraw the question: it is obsolete, or another reader needs the terminal."""
         self._over.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(2 * LOOK_S)

@@ -1,4 +1,4 @@
-"""rtc look: a picture and a short table of the scene now, believed beside true."""
+"""rtc look: a picture and a table of the current scene, believed and true."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rtc.scene import VIEWS, ArmRow, Believed, ObjectRow, Panel, Picture, believ
 
 MEASURED_S = 1.0  # longest wait for a sample of the arms; there are 50 in a second
 SEEN_M, SEEN_RAD = 0.002, math.radians(1.0)  # a difference that is worth an outline
-TOLD_M = 0.0005  # a difference that is worth words
+REPORTED_M = 0.0005  # a difference that is worth words
 
 
 def look(
@@ -54,7 +54,7 @@ def look(
     if (folder := out.absolute().parent) and not folder.is_dir():
         raise trouble(f"there is no directory {folder} for the picture", 2)
     with Client(run_dir, need_broker=False, key=key) as rtc:
-        # over tcp nobody tells which cell it is: the one that comes with rtc
+        # over tcp the cell is not known; use the default one
         name = "swapout" if key else rtc.settings.cell
         cell = Cell.load(name)
         view = _camera(cell, camera)
@@ -159,18 +159,18 @@ def differs(row: ObjectRow) -> bool:
 
 def in_words(scene: Believed) -> list[str]:
     """What is worth a word: what moves, what is held, what is in doubt, what is elsewhere than believed."""
-    said = []
+    phrases = []
     for arm in scene.arms:
         parts = [f"moves ({arm.moving})"] if arm.moving else []
         parts += [f"holds {arm.holding}"] if arm.holding else []
         if arm.truly_holding is not None and arm.truly_holding != [arm.holding][: len(arm.holding)]:
             parts.append(f"truly holds {', '.join(arm.truly_holding) or 'nothing'}")
-        said += [f"{arm.name} {', '.join(parts)}"] if parts else []
+        phrases += [f"{arm.name} {', '.join(parts)}"] if parts else []
     for row in scene.objects:
         words = [_doubt(row).strip()] if _doubt(row) else []
-        words += [_off(row)] if (row.off_m or 0.0) > TOLD_M or differs(row) else []
-        said += [f"{row.name} {', '.join(words)}"] if words else []
-    return said or ["nothing moves" + ("; everything is where it is believed to be" if _known(scene) else "")]
+        words += [_off(row)] if (row.off_m or 0.0) > REPORTED_M or differs(row) else []
+        phrases += [f"{row.name} {', '.join(words)}"] if words else []
+    return phrases or ["nothing moves" + ("; everything is where it is believed to be" if _known(scene) else "")]
 
 
 def _known(scene: Believed) -> bool:

@@ -1,6 +1,6 @@
-"""`rtc`: the app and its commands. An expected trouble becomes one sentence and an exit status, never a traceback.
+"""The app `rtc` and its commands; an expected error becomes one message and an exit status, never a traceback.
 
-A command's module is imported only when the command is called (or all are listed): `rtc halt` must not wait for numpy.
+A command's module is imported only if the command is called or all are listed: `rtc halt` must not wait for numpy.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rtc.cli.outlet import OutputClosed, attach
 from rtc.cli.output import LEFT_RUNNING, NO_CLUSTER, errors, trouble
 from rtc.outcomes import KeyTrouble, NoCluster, RequestDeclined, RtcError
 
-#: command -> module of this package that has a function (or, for a group, an app) for it; in the order of the help
+#: command -> module of this package with its function (for a group: its app); in the order of the help
 COMMANDS = {
     "up": "cluster",
     "down": "cluster",
@@ -50,7 +50,7 @@ def build(names: list[str]) -> typer.Typer:
     """The app with these commands."""
     app = typer.Typer(
         name="rtc",
-        help="Run-time control of a telerobot: say what is to be done, see it done, stop it at any time.",
+        help="Run-time control of a telerobot: submit commands, watch their progress, stop them at any time.",
         epilog=EPILOG,
         no_args_is_help=True,
         add_completion=True,
@@ -58,7 +58,7 @@ def build(names: list[str]) -> typer.Typer:
         rich_markup_mode="rich",
         context_settings={"help_option_names": ["-h", "--help"]},
     )
-    app.callback()(_options)  # also with one command it is `rtc COMMAND`
+    app.callback()(_options)  # keeps the form `rtc COMMAND` if there is only one command
     for name in names:
         module: Any = import_module(f"rtc.cli.{COMMANDS[name]}")
         if hasattr(module, "app"):
@@ -70,7 +70,7 @@ def build(names: list[str]) -> typer.Typer:
 
 
 def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
-    """Ctrl-C in a command that has no use for it is one line. Typer would exit without a word."""
+    """Ctrl-C in a command that does not handle it prints one line; Typer would exit silently."""
 
     @wraps(command)
     def called(*given: Any, **options: Any) -> None:
@@ -98,7 +98,7 @@ def _options(
 
 
 def as_option(words: list[str]) -> list[str]:
-    """The words of the command line, with `help` and `help COMMAND` as the option they stand for."""
+    """The arguments, with `help` and `help COMMAND` replaced by the option --help."""
     return [*words[1:2], "--help"] if words[:1] == ["help"] else words
 
 
@@ -110,8 +110,8 @@ def main() -> None:
         try:
             _call()
         finally:
-            sys.stdout.flush()  # not when Python ends, where nobody could be told
-    except OutputClosed as closed:  # of a command that only prints; others say what becomes of their work
+            sys.stdout.flush()  # before Python's own flush at exit, whose errors cannot be reported
+    except OutputClosed as closed:  # of a command that only prints; others report the state of their work
         if closed.reader_gone:  # `rtc trace C-7 | head`
             sys.exit(0)
         errors.print(f"rtc: {closed}")
@@ -131,8 +131,8 @@ def _call() -> None:
         sys.exit(trouble(str(error), 2).exit_code)
     except RtcError as error:
         sys.exit(trouble(str(error), 1).exit_code)
-    except UnicodeEncodeError as error:  # bytes that are no text, where a sentence would be refused at its place
-        sys.exit(trouble(f"this is no text: {error.object!a}", 2).exit_code)
+    except UnicodeEncodeError as error:  # undecodable bytes; in a sentence the parser refuses them at their place
+        sys.exit(trouble(f"this is not text: {error.object!a}", 2).exit_code)
     except KeyboardInterrupt:
         sys.exit(trouble("interrupted", LEFT_RUNNING).exit_code)
 

@@ -1,4 +1,4 @@
-"""rtc names: every name that a sentence may use in a cell, by kind. Read from the cell; asks no cluster."""
+"""rtc names: every name that a sentence may use in a cell, by kind. It reads the cell and needs no cluster."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
 from rtc.language.alike import nearest_words
 from rtc.settings import Settings, default_run_dir
 
-CELL = "swapout"  # of a cluster that is not told otherwise
+CELL = "swapout"  # default cell of a cluster
 OTHER_WORDS = {"axis": "axes", "hand": "arms", "hands": "arms", "end-effector": "arms", "end-effectors": "arms"}
 
 

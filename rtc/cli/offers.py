@@ -52,10 +52,10 @@ class CellNames:
         }
 
     def __call__(self, words: list[str]) -> list[str]:
-        said = [word for word in words if word != "TEST"]
-        if len(said) < 1:
+        given = [word for word in words if word != "TEST"]
+        if len(given) < 1:
             return self._kinds["all"]
-        verb, last = said[0], said[-1]
+        verb, last = given[0], given[-1]
         if last in BEHIND:
             return self._kinds[BEHIND[last]]
         if last == "TO":
@@ -63,9 +63,9 @@ class CellNames:
         if last in self._points:  # an object: what may follow is one of its grasp points
             return self._points[last]
         if last == "AT":
-            return self._points.get(said[-2], []) if verb != "VERIFY" else self._kinds["arms"] + self._kinds["seats"]
-        if verb in HANDLING and (len(said) == 1 or last in HANDS):
+            return self._points.get(given[-2], []) if verb != "VERIFY" else self._kinds["arms"] + self._kinds["seats"]
+        if verb in HANDLING and (len(given) == 1 or last in HANDS):
             return self._kinds["graspable"]
-        if len(said) == 1 and verb in ("LOCATE", "TRACK", "VERIFY"):
+        if len(given) == 1 and verb in ("LOCATE", "TRACK", "VERIFY"):
             return self._kinds["objects"]
         return self._kinds["all"]

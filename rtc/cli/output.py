@@ -1,6 +1,6 @@
-"""How the command line speaks: the console, exit codes, the JSON line, and what a refusal looks like on a screen.
+"""Output of the command line: console, exit codes, JSON line, and the layout of refusals.
 
-Knows outcomes and refusals, no sockets. Text that came from outside is never read as markup.
+It knows outcomes and refusals, but not sockets. Text from outside is never interpreted as markup.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from rtc.language.units import in_words
 from rtc.outcomes import OutcomeKind, Refusal
 
 NO_CLUSTER = 4
-LEFT_RUNNING = 130  # Ctrl-C, as shells say it
-EXIT = {  # the worst of several decides: the first of these that is there
+LEFT_RUNNING = 130  # exit status after Ctrl-C, as in shells
+EXIT = {  # of several outcomes the first in this order decides
     OutcomeKind.HALT_NOT_CONFIRMED: 3,
     OutcomeKind.HALTED: 3,
     OutcomeKind.LOST_SUBSYSTEM: 1,
@@ -48,13 +48,13 @@ COLOUR = {
     OutcomeKind.LOST_SUBSYSTEM: "bold white on red",
 }
 
-DURATION_UNITS = {"ms": 1e-3, "s": 1.0, "m": 60.0, "": 1.0}  # of a duration that is typed
-MOST_SAID = 200  # characters of a sentence that are repeated
-PIPED_WIDTH = 160  # columns of a table that no terminal bounds
+DURATION_UNITS = {"ms": 1e-3, "s": 1.0, "m": 60.0, "": 1.0}  # seconds per unit of a duration in an option
+MOST_QUOTED = 200  # characters of a quoted sentence
+PIPED_WIDTH = 160  # columns of a table without a terminal
 
 
 class Screen(Console):
-    """A console on which no text does anything but stand there: names, labels and arguments came from somebody."""
+    """A console that shows control characters instead of obeying them, because names and labels come from outside."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         for segment in super().render(renderable, options):
@@ -80,8 +80,7 @@ def exit_code(kinds: Iterable[OutcomeKind]) -> int:
 
 
 def emit_json(value: Any) -> None:
-    """The result, on one line of its own on stdout. What a terminal may obey (C1, text direction) is escaped; JSON
-    itself leaves it as it is."""
+    """Print the result as one line of JSON on stdout; characters that a terminal interprets are escaped."""
     line = msgspec.json.encode(value).decode()
     if not line.isprintable():
         line = "".join(c if c.isprintable() else _escaped(c) for c in line)
@@ -90,23 +89,22 @@ def emit_json(value: Any) -> None:
 
 
 def _escaped(character: str) -> str:
-    """In a JSON string; json.dumps leaves DEL as it is."""
+    """Escape for a JSON string; json.dumps does not escape DEL."""
     return "\\u007f" if character == "\x7f" else json.dumps(character)[1:-1]
 
 
 def trouble(message: str, code: int = 1, **known: Any) -> typer.Exit:
-    """Say an expected trouble in a sentence (and as JSON when that was asked for, with what is `known` all the same);
-    raise what this returns."""
+    """Print an expected error (with --json also as JSON, with the fields `known`); raise the result of this call."""
     errors.print(Text("rtc: ", style="bold red") + Text(message))
     if "--json" in sys.argv:
-        with suppress(OutputClosed):  # it has been said
+        with suppress(OutputClosed):  # the error is on stderr already
             emit_json({"error": message, "exit": code, **known})
     return typer.Exit(code)
 
 
 @contextmanager
 def exits_with(code: int) -> Iterator[None]:
-    """When nobody hears what is printed inside, that is said on stderr, and the exit status is this one."""
+    """If stdout is broken inside the block, report that on stderr and exit with `code`."""
     try:
         yield
     except OutputClosed as closed:
@@ -115,7 +113,7 @@ def exits_with(code: int) -> Iterator[None]:
 
 
 def refusal_lines(refusal: Refusal, text: str = "") -> list[str]:
-    """A refusal for people: where, why, what would be right, what would clear it."""
+    """A refusal for people: place, reason, what is allowed, what would clear it."""
     lines = show(text, refusal if text else msgspec.structs.replace(refusal, column=None)).splitlines()
     if refusal.where and refusal.column is None:
         lines.append(f"where: {refusal.where}")
@@ -128,18 +126,18 @@ def refusal_lines(refusal: Refusal, text: str = "") -> list[str]:
     return lines
 
 
-def said(text: str, most: int = MOST_SAID) -> str:
-    """A sentence as it is repeated: one line that does nothing to the screen, and no longer than is read."""
+def quoted(text: str, most: int = MOST_QUOTED) -> str:
+    """A sentence for output: one printable line, at most `most` characters."""
     text = visible(text)
     return text if len(text) <= most else text[: most - len(CUT)] + CUT
 
 
-#: how the name of a figure ends -> its unit, in SI
+#: suffix of a figure's name -> SI unit
 UNITS = {"_rad_s": "rad/s", "_m_s": "m/s", "_nm": "N.m", "_rad": "rad", "_m": "m", "_n": "N", "_s": "s"}
 
 
 def with_unit(key: str, value: float | str) -> str:
-    """A figure of a refusal as people read it: value_rad 0.5 is "value 28.6 deg"."""
+    """A figure of a refusal for people: value_rad 0.5 is "value 28.6 deg"."""
     ending = next((ending for ending in UNITS if key.endswith(ending)), "")
     if not ending or isinstance(value, str):
         return f"{key} {figure(value)}"
@@ -152,14 +150,14 @@ def figure(value: float | str) -> str:
 
 
 def seconds(value: float) -> str:
-    """A duration as people read it: 0.4 ms, 37 ms, 2.15 s."""
+    """A duration for people: 0.4 ms, 37 ms, 2.15 s."""
     if value < 0.01:
         return f"{value * 1e3:.2f} ms"
     return f"{value * 1e3:.0f} ms" if value < 1 else f"{value:.2f} s"
 
 
 def duration_s(text: str, option: str) -> float:
-    """Seconds of 2s, 500ms or 5m. Raises typer.Exit, with the reason printed, for what is no duration."""
+    """Seconds of 2s, 500ms or 5m. Raises typer.Exit, with the reason printed, if it is not a duration."""
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(ms|s|m|)", text.strip())
     if found is None or not 0 < float(found[1]) < math.inf:
         raise trouble(f"{option} is a duration such as 2s, 500ms or 5m; not {text}", 2)

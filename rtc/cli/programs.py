@@ -72,8 +72,8 @@ def _readable(file: Path) -> Path:
 
 def _loaded(loaded: ProgramLoaded, name: str, json: bool) -> None:
     if json:
-        told = {"kind": loaded.kind.value, "digest": loaded.digest, "file": name, "changes": loaded.changes}
-        emit_json(told)
+        diffs = {"kind": loaded.kind.value, "digest": loaded.digest, "file": name, "changes": loaded.changes}
+        emit_json(diffs)
         return
     console.print(Text(f"{name} is in the {loaded.kind.value}s' program, which is now {loaded.digest}"))
     for change in loaded.changes or ["nothing has changed: all of it was there"]:
@@ -113,18 +113,18 @@ def _list(json: bool, run_dir: Path | None, key: Path | None) -> None:
     with Client(run_dir, key=key) as rtc:
         found = {kind: rtc.program(kind) for kind in WorkerKind}
         rolled_back = rtc.status()["rolled_back"]
-    told = {kind: changes(kind, default(kind), reply.body) for kind, reply in found.items()}
+    diffs = {kind: changes(kind, default(kind), reply.body) for kind, reply in found.items()}
     if json:
-        rows = {kind: {"digest": found[kind].digest, "changes": told[kind]} for kind in found}
+        rows = {kind: {"digest": found[kind].digest, "changes": diffs[kind]} for kind in found}
         emit_json({"programs": rows, "rolled_back": rolled_back})
         return
     for kind, reply in found.items():
-        console.print(Text(f"{kind.value:<11} {reply.digest}  {'' if told[kind] else 'the default program'}".rstrip()))
-        for change in told[kind]:
+        console.print(Text(f"{kind.value:<11} {reply.digest}  {'' if diffs[kind] else 'the default program'}".rstrip()))
+        for change in diffs[kind]:
             console.print(Text(f"  {change}"))
         if why := rolled_back.get(kind.value):
             errors.print(Text(f"  {why}", style="yellow"))
-    if any(told.values()):
+    if any(diffs.values()):
         console.print(Text("rtc load --reset KIND takes it away again", style="dim"))
 
 

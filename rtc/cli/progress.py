@@ -1,6 +1,6 @@
-"""Commands on the way, as they go: a live board on a terminal, one plain line per change elsewhere.
+"""Progress of commands: a live board on a terminal, elsewhere one plain line per change.
 
-Fed by a client's callbacks; asks nobody anything.
+A client's callbacks feed it; it sends no messages.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rich.text import Text
 
 from rtc import messages as m
 from rtc.cli.measured import duration, in_words
-from rtc.cli.output import COLOUR, console, refusal_lines, said, seconds, table
+from rtc.cli.output import COLOUR, console, quoted, refusal_lines, seconds, table
 from rtc.outcomes import Measured, Outcome, OutcomeKind
 
 #: phases too short to be a line of their own (`rtc trace` has them); ENDED has its result line
@@ -46,7 +46,7 @@ class Board:
         self._row_of: dict[str, Row] = {}
         self.reports: dict[str, deque[tuple[float, Measured]]] = {}  # command -> (at_s, what REPORT EVERY gave)
         self.on_long: Callable[[m.ProgressNote], None] | None = None  # gets every note; asks when a step takes long
-        self.kinds: list[OutcomeKind] = []  # of those that have ended, told or not
+        self.kinds: list[OutcomeKind] = []  # outcomes of all ended commands
         self.quiet = quiet
         self._out = out
         self._live: Live | None = None
@@ -63,7 +63,7 @@ class Board:
         self.pause()
 
     def pause(self) -> None:
-        """Leave the screen to somebody else, for a question."""
+        """Stop drawing, for a question to the operator."""
         if self._live:
             self._live.stop()
 
@@ -78,14 +78,14 @@ class Board:
 
     @property
     def running(self) -> list[str]:
-        """Numbers of the commands that have not ended, as far as was heard."""
+        """Numbers of the commands that have not ended, as far as is known."""
         return list(self._row_of)
 
     def accepted(self, n: int, command: str) -> None:
         row = self._rows[n]
         row.command, row.phase, row.started_s = command, "accepted", time.monotonic()
         self._row_of[command] = row
-        self._line(f"{command}  accepted  {said(row.text)}")
+        self._line(f"{command}  accepted  {quoted(row.text)}")
 
     def progress(self, note: m.ProgressNote) -> None:
         if (row := self._row_of.get(note.command)) is None:
@@ -140,7 +140,7 @@ class Board:
         for row in self._row_of.values():
             age = seconds(time.monotonic() - row.started_s)
             out.add_row(
-                row.command, row.phase, Text(row.step), row.node, age, Text(said(row.text), overflow="ellipsis")
+                row.command, row.phase, Text(row.step), row.node, age, Text(quoted(row.text), overflow="ellipsis")
             )
         return out
 
@@ -150,7 +150,7 @@ def print_result(ended: m.CommandEnded, text: str, out: Console = console) -> No
     kind = ended.outcome.kind
     head = Text(f"{ended.command or '(not taken)'} ", style="bold")
     head.append(kind.value.upper().replace("_", " "), style=COLOUR[kind])
-    head.append(f"  {said(text)}  ").append(f"({_figures(ended)})", style="dim")
+    head.append(f"  {quoted(text)}  ").append(f"({_figures(ended)})", style="dim")
     out.print(head)
     for line in explain(ended, text):
         out.print(Text("    " + line))

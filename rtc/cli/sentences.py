@@ -1,4 +1,4 @@
-"""rtc do: sentences to the cluster, their progress, one result for each; and what Ctrl-C means meanwhile."""
+"""rtc do: submits sentences, shows their progress and one result for each, and handles Ctrl-C."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from rtc.cli.output import (
     errors,
     exit_code,
     exits_with,
+    quoted,
     refusal_lines,
-    said,
     trouble,
 )
 from rtc.cli.progress import Board
@@ -42,11 +42,11 @@ LABEL = re.compile(r"[A-Z]+\d+:\s+")  # "C12: GRASP ..." as in lists of sentence
 
 
 class LeftRunning(Exception):
-    """The operator went away from running commands on purpose."""
+    """The operator chose to leave commands running."""
 
 
 class Signalled(Exception):
-    """SIGTERM or SIGHUP: this process ends, its commands go on."""
+    """SIGTERM or SIGHUP: this process ends, its commands continue."""
 
     def __init__(self, number: int) -> None:
         self.exit_code = 128 + number  # as shells have it
@@ -59,24 +59,24 @@ def do(
     parallel: Annotated[bool, typer.Option("--parallel", help="Send all at once.")] = False,
     keep_going: Annotated[bool, typer.Option("--keep-going", "-k", help="Go on after one that fails.")] = False,
     no_wait: Annotated[bool, typer.Option("--no-wait", help="Return once they are accepted.")] = False,
-    source: Annotated[str, typer.Option("--as", help="operator, or aip (told apart in records).")] = "operator",
+    source: Annotated[str, typer.Option("--as", help="operator, or aip (differs in records only).")] = "operator",
     json: AsJson = False,
     run_dir: RunDir = None,
     key: With = None,
 ) -> None:
     """Submit sentences, show their progress and one result for each.
 
-    One after the other, ending at the first that does not succeed (-k goes on); with --parallel all at once: the
-    cluster finds out itself what may move at the same time. Exit status: 0 all succeeded, 1 a failure, 2 a refusal,
-    3 halted, 4 no cluster, 130 left running. Ctrl-C asks: leave them running, or halt. When nobody reads on (`| head`),
-    stdout is full, or this process gets SIGTERM (exit status 143) or SIGHUP (129), they are left running, and stderr
-    names them.
+    They run one after the other, until one does not succeed (-k continues). With --parallel all are sent at once, and
+    the cluster decides which can run at the same time. Exit status: 0 all succeeded, 1 a failure, 2 a refusal,
+    3 halted, 4 no cluster, 130 left running. Ctrl-C asks: leave them running, or halt. If stdout is closed (`| head`)
+    or full, or this process gets SIGTERM (exit status 143) or SIGHUP (129), they are left running, and stderr names
+    them.
 
     Example:  rtc do "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A" "LIFT MACS-NEW BY 5 CM"
     """
     texts = [as_text(text) for text in (*(sentences or []), *(_lines(file) if file else []))]
     if not texts:
-        raise trouble('no sentence; say one in quotes: rtc do "STOW LEFT-ARM"', 2)
+        raise trouble('no sentence; give one in quotes: rtc do "STOW LEFT-ARM"', 2)
     if source not in ("operator", "aip"):
         raise trouble(f"--as is operator or aip, not {source}", 2)
     halts = [halt_scope(text) for text in texts]
@@ -99,7 +99,7 @@ def quotes_forgotten(texts: list[str], results: list[dict[str, Any]]) -> str:
     words = [text for text in texts if len(text.split()) == 1]
     if len(words) < 2 or all(one["kind"] != "refused" or one["text"] not in words for one in results):
         return ""
-    return f'each argument is a sentence; one of several words is said in quotes: rtc do "{said(" ".join(words))}"'
+    return f'each argument is a sentence; put one of several words in quotes: rtc do "{quoted(" ".join(words))}"'
 
 
 def _see_through(
@@ -136,19 +136,19 @@ def _see_through(
         results.append({"text": text, "kind": "not_sent"})
         if not json:
             console.print(
-                Text("NOT SENT", style="bold") + Text(f"  {said(text)}  ") + Text("(use -k to go on)", style="dim")
+                Text("NOT SENT", style="bold") + Text(f"  {quoted(text)}  ") + Text("(use -k to go on)", style="dim")
             )
     return exit_code(kinds), results
 
 
 def gone_away(why: OutputClosed | Signalled, board: Board, sentences: int) -> int:
-    """Nobody waits for the commands any more: print on stderr which of them go on. The exit status."""
+    """This process ends before its commands: print on stderr which continue. Returns the exit status."""
     running, others = board.running, sentences - len(board.running) - len(board.kinds)
     parts = [str(why)]
     if running:
         parts.append(f"left running: {', '.join(running)}; rtc halt {running[0] if len(running) == 1 else ''}".rstrip())
     if others:
-        parts.append(f"not heard of, or not sent: {others} more; rtc status")
+        parts.append(f"not known, or not sent: {others} more; rtc status")
     errors.print(Text(f"rtc: {'; '.join(parts)}"))
     if isinstance(why, Signalled):
         return why.exit_code
@@ -189,7 +189,7 @@ def _hand_in(rtc: Client, texts: list[str]) -> tuple[int, list[dict[str, Any]]]:
                 errors.print(Text(line))
             results.append({"text": text, "kind": "refused", "refusal": msgspec.to_builtins(declined.refusal)})
             return 2, results
-        accepted = Text(f"{command} accepted  {said(text)}")
+        accepted = Text(f"{command} accepted  {quoted(text)}")
         try:
             out.print(accepted)
         except OutputClosed:

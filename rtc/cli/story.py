@@ -1,4 +1,4 @@
-"""rtc trace, why: what became of a command, as a table of every phase, and as a chain of causes in words."""
+"""rtc trace, rtc why: the record of a command as a list of phases, and as a chain of causes in words."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rich.text import Text
 
 from rtc import messages as m
 from rtc.cli.measured import duration, in_words
-from rtc.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, refusal_lines, said, seconds, trouble
+from rtc.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, quoted, refusal_lines, seconds, trouble
 from rtc.cli.progress import mended
 from rtc.client import Client
 from rtc.outcomes import NoCluster, OutcomeKind, RequestDeclined
@@ -33,7 +33,7 @@ Previous = Annotated[bool, typer.Option("--previous", help="Of the run before th
 def trace(
     command: Command = "", previous: Previous = False, json: AsJson = False, run_dir: RunDir = None, key: With = None
 ) -> None:
-    """Every phase of a command: when, who did it (and where in the cube), how long it took, what came of it.
+    """Every phase of a command: time, process (with its cube address), duration, result.
 
     Without a number: of the last command. After `rtc down` it reads the journal of the run that has ended.
 
@@ -110,20 +110,20 @@ def run_as_json(run: Past | None) -> dict[str, Any]:
 def number(command: str) -> str:
     """C-7 for C-7, c-7 or 7. Raises typer.Exit, with the reason printed, for anything else."""
     if (found := NUMBER.fullmatch(command.strip())) is None:
-        raise trouble(f"{said(command)!r} is not the number of a command, such as C-7 or 7; rtc log lists them", 2)
+        raise trouble(f"{quoted(command)!r} is not the number of a command, such as C-7 or 7; rtc log lists them", 2)
     return f"C-{int(found[1])}"
 
 
 def print_trace(record: m.CommandRecord) -> None:
     """Lines, not a table: what came of a phase may be long. A step's phases stand below its name."""
     console.print(
-        Text(f"{record.command}  {said(record.text)}  ", style="bold") + Text(f"({record.source})", style="dim")
+        Text(f"{record.command}  {quoted(record.text)}  ", style="bold") + Text(f"({record.source})", style="dim")
     )
     console.print(Text(f"{'since':>9}  {'took':>8}  {'done by':<13} {'at':<4} now", style="bold"))
     step, node = "", ""
     for note in record.notes:
         if note.node and note.node == node and not note.note:
-            continue  # says again who did it
+            continue  # repeats the process
         node = note.node
         if note.step and note.step != step and note.phase != m.Phase.ENDED:
             step = note.step
@@ -174,17 +174,17 @@ def address(node: str) -> str:
 
 def as_json(record: m.CommandRecord) -> dict[str, Any]:
     """The record, its notes with times since acceptance and addresses."""
-    said: dict[str, Any] = msgspec.to_builtins(record)
-    said.setdefault("outcome", None)
-    for note, source in zip(said.get("notes", []), record.notes, strict=True):
+    shown: dict[str, Any] = msgspec.to_builtins(record)
+    shown.setdefault("outcome", None)
+    for note, source in zip(shown.get("notes", []), record.notes, strict=True):
         note["since_accept_s"] = round(source.at_s - record.accepted_at_s, 6)
         note["address"] = address(source.node)
-    return said
+    return shown
 
 
 def chain(record: m.CommandRecord) -> list[str]:
-    """The story in words: one line for each step that went well, every link for the one it ended in."""
-    lines = [f"{record.command} was given by the {record.source}: {said(record.text)}"]
+    """The record in words: one line for each step that went well, every link for the one it ended in."""
+    lines = [f"{record.command} was given by the {record.source}: {quoted(record.text)}"]
     steps = [(step, list(notes)) for step, notes in groupby(_by_step(record.notes), key=lambda pair: pair[0])]
     last = len(steps) - 1
     ended_well = record.outcome is not None and record.outcome.kind == OutcomeKind.SUCCEEDED
@@ -209,8 +209,8 @@ def link(note: m.ProgressNote) -> str:
 
 
 def _by_step(notes: list[m.ProgressNote]) -> list[tuple[str, m.ProgressNote]]:
-    """Each note with the step it is about: a note that tells of finished work may already bear the step that follows.
-    What only says again who did it is left out."""
+    """Each note with its step: a note about finished work may already carry the next step.
+    Notes that only repeat the process are left out."""
     pairs: list[tuple[str, m.ProgressNote]] = []
     step, node = "", ""
     for note in notes:
@@ -225,10 +225,10 @@ def _by_step(notes: list[m.ProgressNote]) -> list[tuple[str, m.ProgressNote]]:
 def _in_short(notes: list[m.ProgressNote]) -> str:
     """How a step went: what its subsystem reported."""
     reports = [note for note in notes if note.node and "@" not in note.node and note.note != "started"]
-    said = reports or [note for note in notes if note.note]
-    if not said:
+    shown = reports or [note for note in notes if note.note]
+    if not shown:
         return "done"
-    note = said[-1]
+    note = shown[-1]
     return f"{note.node} {note.note} after {seconds(note.took_s)}" if reports else link(note)
 
 

@@ -1,4 +1,4 @@
-"""rtc world: what the cluster believes, since when, from whom, and whether it is to be trusted. Reads only."""
+"""rtc world: shows the facts of the world database with age, source and validity. Reads only."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ app = typer.Typer(
 
 @app.command("list")
 def list_facts(json: AsJson = False, run_dir: RunDir = None, key_file: With = None) -> None:
-    """All facts.
+    """Print all facts.
 
     Example:  rtc world list
     """
@@ -44,7 +44,7 @@ def list_facts(json: AsJson = False, run_dir: RunDir = None, key_file: With = No
 
 @app.command()
 def get(key: Key, json: AsJson = False, run_dir: RunDir = None, key_file: With = None) -> None:
-    """One fact, or all of a location. Exit status 2 when there is none.
+    """Print one fact, or all of a location. Exit status 2 if there is none.
 
     Example:  rtc world get MACS-NEW.frame
     """
@@ -93,7 +93,7 @@ def history(
     run_dir: RunDir = None,
     key_file: With = None,
 ) -> None:
-    """What was believed, newest first, and who said so.
+    """Print the history of a fact, newest first, with sources.
 
     Example:  rtc world history MACS-NEW.frame
     """
@@ -113,7 +113,7 @@ def at(
     run_dir: RunDir = None,
     key_file: With = None,
 ) -> None:
-    """What was believed at an earlier version of the world.
+    """Print the facts at an earlier version of the world.
 
     Example:  rtc world at 42 MACS-NEW
     """

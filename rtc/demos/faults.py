@@ -1,8 +1,7 @@
-"""What happens when things die: workers killed and hung, the broker and the MCM killed in the middle of motions, and a
-halt under full load. Every chapter does its damage to the running cluster, and checks that the work did not notice, or
-was told truly what became of it.
+"""Demo of faults: workers, broker and MCM are killed during motions, and a halt is sent under full load.
 
-Talks to the cluster as any user does, through `rtc.client`; damage is done by `rtc.chaos`, from outside.
+Every chapter checks that the commands continue, or that their outcomes are true. The demo uses `rtc.client` as any user
+does; `rtc.chaos` kills processes from outside.
 """
 
 from __future__ import annotations

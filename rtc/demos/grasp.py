@@ -1,7 +1,7 @@
-"""The main job: two arms grasp a module each at the same time, lift, are halted in the middle of a move, go on at once,
-put everything back and stow. What the cluster says is checked against what the simulator knows.
+"""Demo of the main task: two arms grasp and lift a module each, are halted in motion, continue, put back and stow.
 
-Talks to the cluster as any user does, through `rtc.client`; only the checks ask the simulator for the truth.
+The results are checked against the simulator's true poses. The demo uses `rtc.client` as any user does; only the checks
+query the simulator.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A cluster of one's own, in a directory of its own, that is gone when the `with` is left, however it is left."""
+"""Context manager that runs a temporary cluster in its own directory and always removes it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DOWN_S = 20.0
 def own_cluster(
     *, cell: str = "swapout", mcm: str = "bullet", speed: str = "1", dim: int = 2, listen: str = ""
 ) -> Iterator[Path]:
-    """The run directory of a new cluster. Raises ClusterError, with its last words, when it does not come up.
+    """The run directory of a new cluster. Raises ClusterError, with its last output, if it does not start.
 
     SIGTERM to this process ends the cluster too.
     """

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rtc.cli.cluster import as_supervised, show_status
-from rtc.cli.output import EXIT, Screen, emit_json, exit_code, refusal_lines, said, seconds
+from rtc.cli.output import EXIT, Screen, emit_json, exit_code, quoted, refusal_lines, seconds
 from rtc.language.parse import default_grammar, parse
 from rtc.outcomes import OutcomeKind, Refusal, RefusalReason
 
@@ -65,8 +65,8 @@ def test_a_refusal_names_the_owner_and_what_would_clear_it() -> None:
 
 
 def test_a_sentence_is_repeated_in_one_short_line_that_does_nothing_to_the_screen() -> None:
-    assert said("GRASP \x1b[31mMACS-NEW\nSTOW \udcff") == "GRASP \u241b[31mMACS-NEW\u240aSTOW \ufffd"
-    assert len(said("A" * 10_000)) <= 200
+    assert quoted("GRASP \x1b[31mMACS-NEW\nSTOW \udcff") == "GRASP \u241b[31mMACS-NEW\u240aSTOW \ufffd"
+    assert len(quoted("A" * 10_000)) <= 200
 
 
 @pytest.mark.parametrize(
