@@ -18,7 +18,7 @@ def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[st
     """Joint values (rad), nearest to the old ones, for each planned pose whose object has moved; or a refusal."""
     model = query.model.arms[arm]
     margin_rad = math.radians(query.cell.numbers.joint_margin_deg)
-    anew: dict[str, Binding] = {}
+    replanned: dict[str, Binding] = {}
     for name, planned in bindings.items():
         old = bindings.get(name.removesuffix(PLAN))
         if not name.endswith(PLAN) or planned.pose is None or old is None or old.joints is None:
@@ -33,5 +33,5 @@ def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[st
             why = model.why_no_ik(wanted, margin_rad)
             assert why is not None
             return why
-        anew[name.removesuffix(PLAN)] = Binding(joints=found[0].tolist())
-    return anew
+        replanned[name.removesuffix(PLAN)] = Binding(joints=found[0].tolist())
+    return replanned
