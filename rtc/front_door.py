@@ -1,12 +1,13 @@
-"""A client's end of the front door: a DEALER that says hello, repeats what was not answered, survives a lost broker.
+"""Client's connection to the broker: a DEALER that repeats unanswered requests and survives the loss of a broker.
 
-Over tcp the hello names us to the gate, so it comes first on every new line and after a long silence.
+Over tcp the hello identifies the client to the gateway, so it is sent first on every new connection and after a long
+pause. The module knows requests and their answers, but not their meaning.
 
-It knows requests and their answers, not what they mean. Rule 1: a request is forgotten only when its last answer has
-been heard (for a sentence that is the `CommandEnded`), so that everything open can be said again to a new broker.
-Rule 2: repeating is harmless, because the broker knows a request by (client, request). Rule 3: it is said again only
-to a broker of the same cluster, as its Welcome tells; and what acts bears the cluster's name, because ZeroMQ may hand
-over what was meant for one broker to the next. Rule 4: nothing waits for room to send.
+Rule 1: a request is forgotten only after its last answer (for a sentence: `CommandEnded`), so that all open requests
+can be sent again to a new broker. Rule 2: repeating is harmless, because the broker identifies a request by (client,
+request). Rule 3: requests are repeated only to a broker of the same cluster, according to its Welcome. Requests that
+act carry the cluster's name, because ZeroMQ may deliver a message for one broker to the next. Rule 4: sending never
+blocks.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ from rtc.outcomes import NoCluster, Refusal, RefusalReason, RequestDeclined, Wir
 from rtc.settings import BOUNDS
 from rtc.wire import MAX_BYTES, frames, reader_of_many, together
 
-HELLO_S, FAR_HELLO_S = 0.8, 3.0  # longest wait for the first Welcome, here and over tcp
-RESTART_S = 10.0  # and for that of a broker whose supervisor lives: it is being restarted
-LOOK_S = 0.2  # whether the supervisor still lives
-FAR_IDLE_S = 60.0  # a gate forgets who has said nothing for long: then we say hello again
-LAST_WORDS_MS = 200  # how long a sentence may take to leave us when we close
-SILENCE_S = 2.0  # nothing heard for so long: ask whether anybody is there
+HELLO_S, FAR_HELLO_S = 0.8, 3.0  # time limit of the first Welcome, local and over tcp
+RESTART_S = 10.0  # the same for a broker that is being restarted: its supervisor lives
+LOOK_S = 0.2  # period of checking that the supervisor lives
+FAR_IDLE_S = 60.0  # after this pause the hello is repeated, because a gateway forgets idle clients
+LAST_WORDS_MS = 200  # time limit for sending the rest at close
+SILENCE_S = 2.0  # without a message for this long, the broker is probed
 LAST_ANSWERS = (m.Declined, m.CommandEnded, m.StatusReply, m.TraceReply, m.ProgramLoaded, m.ProgramReply)
-ACTS = (m.CommandText, m.ProgramText)  # never for another cluster than the one it was said to
+ACTS = (m.CommandText, m.ProgramText)  # only for the cluster that they were submitted to
 
 FAILED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 WATCHED = zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED | FAILED
@@ -54,9 +55,9 @@ class FrontDoor:
         self.welcome: m.Welcome | None = None
         self.replaced = False  # another cluster is where ours was: it is never spoken to
         self.bad_messages = 0
-        self.unanswered = 0  # how often we have asked whether anybody is there, and heard nothing since
+        self.unanswered = 0  # number of probes without an answer
         self._open: dict[str, m.ClientToBroker] = {}  # request -> message, until its last answer
-        self._say_again = False  # all that is open, once we are welcome
+        self._say_again = False  # send all open requests again after the next Welcome
         self._unsent: list[msgspec.Raw] = []  # requests that travel together when we hear next
         self._came: deque[m.BrokerToClient] = deque()  # of an array: what has not been handed over yet
         self._heard_at_s = time.monotonic()
@@ -112,11 +113,11 @@ class FrontDoor:
         self._open[request] = message
 
     def forget(self, request: str) -> None:
-        """Nobody waits for this answer any more."""
+        """Stop waiting for the answer to this request."""
         self._open.pop(request, None)
 
     def hear(self, timeout_s: float) -> m.BrokerToClient | None:
-        """The next message, or None when there was none in time (or only news of the connection)."""
+        """The next message; None if there was none in time, or only a change of the connection."""
         if self.replaced:
             return None
         self._send_unsent()
