@@ -14,8 +14,8 @@ from broker.events import HaltCalled, JobLost, JournalLost, SubsystemConnected
 from broker.resources import Resources
 from broker.turn import DecisionContext
 from tests.simulation.explore import explore, tell
+from tests.simulation.model import Scenario
 from tests.simulation.scenarios import SCENARIOS
-from tests.simulation.surroundings import Scenario
 
 SAME_ARM, ONE_CLIENT = (next(s for s in SCENARIOS if s.name == name) for name in ("same arm", "same arm, one client"))
 

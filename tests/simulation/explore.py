@@ -14,20 +14,10 @@ import msgspec
 
 from broker.decision_unit import decide
 from broker.effects import AcknowledgeReport, TellClient
-from tests.simulation.surroundings import (
-    Model,
-    Move,
-    Scenario,
-    Violation,
-    decode,
-    encode,
-    fair,
-    first,
-    happen,
-    key,
-    late,
-    moves,
-)
+from tests.simulation.environment import first, happen, late
+from tests.simulation.model import Model, Move, Scenario, Violation, decode, encode
+from tests.simulation.moves import fair, moves
+from tests.simulation.state_key import key
 
 SETTLE_LIMIT = 400  # fair moves until everything must have ended
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.simulation.surroundings import Scenario, Sentence
+from tests.simulation.model import Scenario, Sentence
 
 LEFT, RIGHT, BOTH = ("LEFT-ARM",), ("RIGHT-ARM",), ("LEFT-ARM", "RIGHT-ARM")
 ONE = Sentence()

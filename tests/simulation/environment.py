@@ -1,18 +1,16 @@
-"""The Decision Unit among its surroundings, as a model small enough to explore: every move that could come next.
+"""The environment model of the model check: carries out one move around the real Decision Unit.
 
-The real `decide` on a real `State`; round it, honest but adverse: workers that may answer, refuse or die; a subsystem
-that executes, brakes, rests, dies, falls silent and comes back; timers; a halt on either of its two ways; and a broker
-that is killed before an event is journalled, or after that and before any one of its effects is out. Messages of the
-subsystem travel in order and wait as long as they like. What goes to it arrives with the turn: whether it acts before
-or after is a move of its own, so nothing the Decision Unit could see is left out.
+The real `decide` runs on a real `State`. Around it are modelled, adverse but within the rules: workers that answer,
+refuse or die; a subsystem that executes, brakes, rests, dies, falls silent and comes back; timers; a halt on either of
+its two ways; a broker that is killed before an event is journalled, or after that and before any one of its effects is
+out. Messages of the subsystem arrive in order, with any delay. Messages to it arrive with the turn: whether it acts
+before or after is a move of its own, so the Decision Unit sees every order. Times never matter: any timer may fire.
 
-`moves` lists what may happen, `happen` does one of them and checks what must always hold, `key` names a state without
-what only grows. Times never matter: a timer that runs may ring.
+`happen` carries out one move and checks the rules (`oracle`). `moves` lists the moves; `state_key` identifies a state.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
@@ -23,99 +21,28 @@ from broker import effects as do
 from broker import events as heard
 from broker.decision_unit import decide
 from broker.invariants import forbidden, violations
-from broker.state import NIL, Command, Link, State
+from broker.state import State
 from broker.untold import LIMIT_S
 from rtc import wire
-from rtc.messages import BoundStep, CommandEnded, EndReport, Phase, WorkerKind
-from rtc.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
+from rtc.messages import BoundStep, EndReport, Phase, WorkerKind
+from rtc.outcomes import Refusal, RefusalReason, StopReason
 from tests.broker.stories import bound, give_up, go_on, mend, record, report, script, trim
+from tests.simulation.model import (
+    ARMS,
+    CLIENTS,
+    NEVER_EXHAUSTED,
+    Halt,
+    Mcm,
+    Model,
+    Move,
+    OpenHalt,
+    Scenario,
+    Sentence,
+    Violation,
+    sentence_of,
+)
+from tests.simulation.oracle import contradictions, stopped_by
 
-ARMS = ("LEFT-ARM", "RIGHT-ARM")
-CLIENTS = ("ann", "bob", "eve")
-
-Move = tuple[Any, ...]  # its name, then what it is about
-
-
-class Violation(AssertionError):
-    """Something that must always hold does not. `after`: the fair moves that led there, if any did."""
-
-    def __init__(self, what: str) -> None:
-        super().__init__(what)
-        self.after: list[Move] = []
-
-
-class Sentence(msgspec.Struct, frozen=True, kw_only=True):
-    """One command of a scenario: what its workers make of it."""
-
-    text: str = "X"
-    parsed: tuple[tuple[str, Any], ...] = ()  # fields of its record
-    steps: int = 1  # with a primitive each
-    empty_steps: int = 0  # before them, without one
-    told: bool = False  # its steps are reports of somebody who tells: no subsystem is asked
-    arms: tuple[str, ...] = ("RIGHT-ARM",)
-    trims: int = 0
-    halt_if_lost: bool = False
-
-
-class Scenario(msgspec.Struct, frozen=True, kw_only=True):
-    name: str
-    sentences: tuple[Sentence, ...]
-    one_client: bool = False  # gives them all, so they go in order; otherwise each is another's
-    halts: tuple[str, ...] = ("ALL",)  # scopes that may be called, each once
-    faults: int = 2  # of all kinds together
-    caps: dict[str, int] = {}  # of one kind, where not 1
-    losses: bool = False  # the journal may lose turns, which the next broker notices
-
-
-class Halt(msgspec.Struct):
-    """A halt that is called: through which of its two doors it has come, and who still brakes for it."""
-
-    scope: str
-    handed_in: int  # commands that were there when it was called
-    at_broker: bool = False
-    at_estop: bool = False
-    estops: int = 0  # how often it was called past the broker
-
-
-class OpenHalt(msgspec.Struct):
-    id: str
-    performers: list[str]
-
-
-class Mcm(msgspec.Struct):
-    """The subsystem. Arms: performer -> the primitive it executes, or nothing."""
-
-    pid: int = 1
-    alive: bool = True
-    exit_told: bool = True
-    arms: dict[str, str] = {}
-    braking: list[str] = []
-    kept: dict[str, StopReason] = {}  # ended, not acknowledged
-    ended: dict[str, StopReason] = {}
-    open: list[OpenHalt] = []  # that the broker has ordered
-    shadows: dict[str, str] = {}  # scope -> call of a halt past the broker, which has not shown to know of it
-    said: list[heard.AnyEvent] = []  # to the broker, on its way
-
-
-class Model(msgspec.Struct):
-    du: State
-    mcm: Mcm
-    budget: dict[str, int]
-    faults: int
-    handed_in: int = 0
-    given: dict[str, int] = {}  # jobs that workers have: job -> attempt
-    timers: dict[str, float] = {}
-    halts: dict[str, Halt] = {}
-    begun: dict[str, str] = {}  # primitive -> performer, by whatever process
-    goals: dict[str, int] = {}  # command -> primitives that reached their goal
-    stopped: list[str] = []  # commands that a halt has stopped, as the broker has heard it
-    estopped: list[str] = []  # the same, as the process that is the subsystem now has heard it
-    outcomes: dict[str, str] = {}
-    now: float = 0.0
-
-
-encode = msgspec.msgpack.Encoder().encode
-decode = msgspec.msgpack.Decoder(Model).decode
 _encode_state, _decode_state = wire.encode, wire.decoder(State)
 
 
@@ -126,171 +53,6 @@ def first(scenario: Scenario) -> Model:
         _hear(model, heard.ProgramInstalled(at_s=0.0, kind=kind, digest="old"))
     _hear(model, _hello(model))
     return model
-
-
-# --- what may happen ---------------------------------------------------------------------------------
-
-NEVER_EXHAUSTED = frozenset({"hand in", "work", "world told", "said", "goal", "rest", "born", "hello"})
-
-
-def moves(model: Model, scenario: Scenario) -> list[Move]:
-    """All that may happen next."""
-    return [move for move in _moves(model, scenario) if move[0] in NEVER_EXHAUSTED or _left(model, move[0]) > 0]
-
-
-def _left(model: Model, fault: str) -> int:
-    return min(model.faults, model.budget.get(fault, 1))
-
-
-def _moves(model: Model, scenario: Scenario) -> Iterator[Move]:
-    mcm, du = model.mcm, model.du
-    if model.handed_in < len(scenario.sentences):
-        yield "hand in", model.handed_in
-    for command in du.commands.values():
-        if at_work(model, command):
-            for product in products(command, scenario):
-                yield "work", command.id, product
-            for fault in (
-                "refuse",
-                "nonsense",
-                "worker dies",
-                "job lost in a queue",
-                "world away",
-                "world away for long",
-            ):
-                yield fault, command.id
-    for command in untold_at_work(model):
-        yield "world told", command
-        for fault in ("told badly", "teller dies", "world still away"):
-            yield fault, command
-    if mcm.said:
-        yield ("said",)
-    for arm, primitive in mcm.arms.items():
-        if not primitive:
-            continue
-        yield ("rest" if arm in mcm.braking else "goal"), arm
-    if mcm.alive:
-        yield ("mcm dies",)
-        if du.subsystems["MCM"].link is not Link.LOST and not mcm.said:
-            yield ("mcm silent",)
-        if du.subsystems["MCM"].link is not Link.CONNECTED and not any(
-            type(said) is heard.SubsystemConnected for said in mcm.said
-        ):
-            yield ("hello",)
-        for primitive in mcm.kept:
-            yield "say again", primitive
-    else:
-        yield ("born",)
-        if not mcm.exit_told:
-            yield ("exit told",)
-    if not mcm.said:  # limits are long: what is said arrives within them
-        for timer in model.timers:
-            yield "timer", timer
-    for scope in scenario.halts:
-        halt = model.halts.get(f"h-{scope}")
-        if halt is None or not halt.at_broker:
-            yield "halt", scope
-        if mcm.alive and (halt is None or not halt.at_estop):
-            yield "estop", scope
-        if halt is not None and halt.at_broker:
-            yield "halt again", scope
-        if mcm.alive and halt is not None and halt.at_estop:
-            yield "estop again", scope
-    yield ("broker restarts",)
-    if scenario.losses:
-        yield ("journal lost",)
-    if _left(model, "broker dies") > 0:
-        yield from _deaths(model, scenario)
-    if any(s.halt_if_lost for s in scenario.sentences):
-        yield ("client gone",)
-    if du.programs[WorkerKind.PARSER] == "old":
-        yield ("program installed",)
-
-
-def _deaths(model: Model, scenario: Scenario) -> Iterator[Move]:
-    """The broker is killed while it hears something: before the journal has it (None), or with so many effects out."""
-    for move in _moves_of_broker(model, scenario):
-        yield "broker dies", None, move
-        trial = decode(encode(model))
-        out = 0
-        for effect in decide(trial.du, _event(trial, scenario, move)):
-            if isinstance(effect, do.SendPrimitive | do.SendHalt | do.AcknowledgeReport | do.ReportEnd):
-                yield "broker dies", out, move
-                out += 1
-
-
-def _moves_of_broker(model: Model, scenario: Scenario) -> Iterator[Move]:
-    """Moves that are one event of the Decision Unit."""
-    if model.handed_in < len(scenario.sentences):
-        yield "hand in", model.handed_in
-    for command in model.du.commands.values():
-        if at_work(model, command):
-            for product in products(command, scenario):
-                yield "work", command.id, product
-    for command in untold_at_work(model):
-        yield "world told", command
-    if model.mcm.said:
-        yield ("said",)
-    for scope in scenario.halts:
-        halt = model.halts.get(f"h-{scope}")
-        yield ("halt again" if halt is not None and halt.at_broker else "halt"), scope
-
-
-def at_work(model: Model, command: Command) -> bool:
-    """A worker has the very job the command waits for."""
-    job = command.job
-    return job is not None and model.given.get(job.id) == job.attempt
-
-
-def untold_at_work(model: Model) -> list[str]:
-    """Commands that have ended, of which a worker is telling the world."""
-    return [c for c, left in model.du.deferred_analyses.items() if model.given.get(left.job.id) == left.job.attempt]
-
-
-def products(command: Command, scenario: Scenario) -> list[str]:
-    """What a good worker may make of the job in hand."""
-    assert command.job is not None
-    if command.job.kind is WorkerKind.ANALYZER and command.phase is Phase.ANALYZING:
-        trims = sentence_of(command.id, scenario).trims
-        return ["go on", "give up", *(f"trim {n}" for n in range(1, trims + 1))]
-    return ["go on"]
-
-
-def sentence_of(command: str, scenario: Scenario) -> Sentence:
-    """Sentences are handed in in order, so their numbers tell."""
-    return scenario.sentences[int(command[2:]) - 1]
-
-
-def fair(model: Model, scenario: Scenario) -> Move | None:
-    """What happens next when nothing goes wrong any more; a timer rings only when nothing else would happen."""
-    mcm = model.mcm
-    if not mcm.alive:
-        return ("born",) if mcm.exit_told else ("exit told",)
-    if mcm.said:
-        return ("said",)
-    if model.du.subsystems["MCM"].link is not Link.CONNECTED:
-        return ("hello",)
-    for arm, primitive in mcm.arms.items():
-        if primitive:
-            return ("rest" if arm in mcm.braking else "goal"), arm
-    for command in model.du.commands.values():
-        if at_work(model, command):
-            return "work", command.id, "go on"
-    for name in untold_at_work(model):
-        return "world told", name
-    if mcm.kept:
-        return "say again", next(iter(mcm.kept))
-    if model.handed_in < len(scenario.sentences):
-        return "hand in", model.handed_in
-    for timer in model.timers:
-        return "timer", timer
-    for command in model.du.commands.values():
-        if command.phase is Phase.PAUSED:
-            return "resume", command.id
-    return None
-
-
-# --- doing it ----------------------------------------------------------------------------------------
 
 
 def happen(model: Model, scenario: Scenario, move: Move, *, paid: bool = True) -> list[do.Effect]:
@@ -308,13 +70,13 @@ def happen(model: Model, scenario: Scenario, move: Move, *, paid: bool = True) -
         if out is None:
             _lose(model, inner)
         else:
-            _hear(model, _event(model, scenario, inner), out=out)
+            _hear(model, event_of(model, scenario, inner), out=out)
         return _restart(model)
     if name == "broker restarts":
         return _restart(model)
     if name == "journal lost":
         return _lose_turns(model)
-    return _hear(model, _event(model, scenario, move))
+    return _hear(model, event_of(model, scenario, move))
 
 
 def _lose_turns(model: Model) -> list[do.Effect]:
@@ -328,7 +90,7 @@ def _lose_turns(model: Model) -> list[do.Effect]:
     return done
 
 
-def _event(model: Model, scenario: Scenario, move: Move) -> heard.Event:
+def event_of(model: Model, scenario: Scenario, move: Move) -> heard.Event:
     return EVENTS[move[0]](model, scenario, *move[1:])
 
 
@@ -466,7 +228,11 @@ def _resume(model: Model, scenario: Scenario, command: str) -> heard.Event:
 
 
 NO = Refusal(reason=RefusalReason.INFEASIBLE, message="no")
+
+
 AWAY = Refusal(reason=RefusalReason.TIMEOUT, message="the world does not answer")
+
+
 EVENTS: dict[str, Callable[..., heard.Event]] = {
     "hand in": _hand_in,
     "work": _work,
@@ -503,9 +269,9 @@ def _hear(model: Model, event: heard.Event, out: int | None = None) -> list[do.E
     du.counts.clear()
     wrong = [*violations(du), *forbidden(du, live, effects, halt_all=halted == "ALL")]
     if halted:
-        model.stopped += [c for c in _stopped_by(model, live, halted) if c not in model.stopped]
+        model.stopped += [c for c in stopped_by(model, live, halted) if c not in model.stopped]
     for effect in effects:
-        wrong += _untrue(model, effect)
+        wrong += contradictions(model, effect)
     if wrong:
         raise Violation("; ".join(wrong))
     for effect in effects:
@@ -517,60 +283,6 @@ def _hear(model: Model, event: heard.Event, out: int | None = None) -> list[do.E
         if carry := CARRIED_OUT.get(type(effect)):
             carry(model, effect)
     return effects
-
-
-def _stopped_by(model: Model, live: set[str], scope: str) -> list[str]:
-    """Of a halt: the commands that must not go on. Those that hold, want or name an arm are the Decision Unit's own
-    business; here the ones that hold it count, which is what an onlooker can see."""
-    du = model.du
-    if scope == "ALL":
-        return [c for c in live if c not in du.commands or not du.commands[c].text.startswith("HALT")]
-    if scope in live:
-        return [scope]
-    return [c for c in live if scope in du.resources.held.get(c, ())]
-
-
-def _untrue(model: Model, effect: do.Effect) -> Iterator[str]:
-    """What an effect must not be, seen from outside."""
-    match effect:
-        case do.DispatchJob() if effect.kind is not WorkerKind.ANALYZER:
-            command = effect.job.partition("/")[0]
-            if command in model.stopped:
-                yield f"a job for {command}, which was halted"
-        case do.SendPrimitive() if effect.id.partition(".")[0] in model.stopped:
-            yield f"primitive {effect.id} for a command that was halted"
-        case do.SendPrimitive():
-            yield from _overtaken(model, effect)
-        case do.ReportEnd():
-            yield from _untrue_end(model, effect.ended)
-
-
-def _overtaken(model: Model, effect: do.SendPrimitive) -> Iterator[str]:
-    """What one client gave is begun in the order given, as far as the sentences name the same arm."""
-    du, command = model.du, model.du.commands[effect.id.partition(".")[0]]
-    performer = msgspec.msgpack.decode(effect.primitive)["performer"]
-    for earlier in du.commands.values():  # in order of acceptance
-        if earlier is command:
-            return
-        unread = earlier.id in du.intake_order.get(earlier.client, ())
-        named = earlier.head is not None and earlier.head.hand == performer and earlier.id in du.resources.waiting
-        if earlier.client == command.client and (unread or named):
-            yield f"primitive {effect.id} before {earlier.id}, which was given before it"
-
-
-def _untrue_end(model: Model, ended: CommandEnded) -> Iterator[str]:
-    command, kind = ended.command, ended.outcome.kind
-    begun = [primitive for primitive in model.begun if primitive.partition(".")[0] == command]
-    moving = [p for a, p in model.mcm.arms.items() if p in begun]
-    if command in model.outcomes:
-        yield f"{command} ended twice: {model.outcomes[command]}, {kind.value}"
-    if kind is OutcomeKind.SUCCEEDED:
-        if command in model.stopped:
-            yield f"{command} was halted, and succeeded"
-        if begun and model.goals.get(command, 0) != len(begun):
-            yield f"{command} succeeded with {model.goals.get(command, 0)} of {len(begun)} primitives at their goal"
-    if moving and kind not in (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM):
-        yield f"{command} ended {kind.value}, and {moving[0]} still moves"
 
 
 def _restart(model: Model) -> list[do.Effect]:
@@ -614,9 +326,6 @@ def late(model: Model) -> Iterator[heard.Event]:
     for key in model.du.requests:
         client, _, request = key.partition(" ")
         yield heard.CommandReceived(at_s=now, client=client, request=request, text="X")
-
-
-# --- the subsystem -----------------------------------------------------------------------------------
 
 
 def _say(model: Model, event: heard.AnyEvent) -> None:
@@ -764,9 +473,6 @@ OF_MCM: dict[str, Callable[..., None]] = {
 }
 
 
-# --- effects -----------------------------------------------------------------------------------------
-
-
 def _order_halt(model: Model, effect: do.SendHalt) -> None:
     _halt(model, effect.halt, effect.scope, call=effect.call)
 
@@ -805,77 +511,3 @@ CARRIED_OUT: dict[type[do.Effect], Callable[[Model, Any], None]] = {
     do.StopTimer: _stop_timer,
     do.ReportEnd: _ended,
 }
-
-
-# --- the name of a state -----------------------------------------------------------------------------
-
-
-def key(model: Model) -> tuple[bytes, bytes]:
-    """(what the state is, that and which faults may still happen), each as a digest. Left out is what only grows and
-    changes nothing that can follow: times, counters in names, stories, what is remembered of the ended."""
-    core = encode(_essence(model))
-    faults = encode([model.faults, sorted(model.budget.items())])
-    return hashlib.blake2b(core, digest_size=16).digest(), hashlib.blake2b(core + faults, digest_size=16).digest()
-
-
-def _essence(model: Model) -> list[Any]:
-    du, mcm = model.du, model.mcm
-    return [
-        [_of_command(model, command) for command in du.commands.values()],
-        du.resources,
-        [(c, len(left.job.deaths), left.job.id in model.timers) for c, left in du.deferred_analyses.items()],
-        untold_at_work(model),
-        [du.awaiting, du.joining, {c: r.succeeded for c, r in du.ended.items()}],
-        [(s.pid, s.link, s.came_at_rest) for s in du.subsystems.values()],
-        [du.programs, list(du.trials)],
-        [model.handed_in, sorted(model.timers), model.stopped, model.estopped],
-        [
-            (id_, halt.handed_in, halt.at_broker, halt.at_estop, halt.estops)
-            for id_, halt in sorted(model.halts.items())
-        ],
-        [
-            mcm.pid,
-            mcm.alive,
-            mcm.exit_told,
-            [_name(model, p) for p in mcm.arms.values()],
-            mcm.braking,
-            [_name(model, p) for p in mcm.kept],
-            [(c.id, mcm.ended.get(c.primitive)) for c in du.commands.values()],
-            mcm.open,
-            mcm.shadows,
-            [_of_said(model, said) for said in mcm.said],
-        ],
-    ]
-
-
-def _of_command(model: Model, c: Command) -> list[Any]:
-    begun = sum(p.partition(".")[0] == c.id for p in model.begun)
-    halted = [r for r, at_s in model.du.halted_at_s.items() if at_s > c.given_at_s]
-    return [
-        [c.id, c.phase, c.pause_wanted, c.pending_outcome, c.elaborations, c.at_rest, c.due_s > 0.0],
-        c.job
-        and [c.job.kind, len(c.job.deaths), c.job.program, at_work(model, c), model.now - c.job.since_s > LIMIT_S],
-        [c.head is not None, c.script is not None, c.stack, c.step, c.trims_used, len(c.trim_labels), c.steps_done],
-        [bool(c.primitive), min(c.primitives, 2), c.primitive_body != NIL, c.performers],
-        [c.primitives - begun, begun - model.goals.get(c.id, 0), c.primitive in model.begun],
-        halted,
-    ]
-
-
-def _name(model: Model, primitive: str) -> str:
-    """Its number only matters as being the current one of its command, or not."""
-    command = model.du.commands.get(primitive.partition(".")[0])
-    return primitive if command is None or command.primitive != primitive else f"{command.id} now"
-
-
-def _of_said(model: Model, said: heard.AnyEvent) -> list[Any]:
-    match said:
-        case heard.PrimitiveEnded():
-            return ["end", _name(model, said.report.primitive), said.report.reason]
-        case heard.SubsystemConnected():
-            return ["hello", said.pid, [_name(model, p) for p in said.outstanding], said.at_rest]
-        case heard.HaltConfirmed():
-            return ["rest", said.halt, said.performers]
-        case heard.HaltCalled():
-            return ["halt", said.call]
-    raise AssertionError(said)

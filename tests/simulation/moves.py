@@ -1,0 +1,164 @@
+"""The move generator of the model check: every move that may come next, and the fair one when nothing goes wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from broker import effects as do
+from broker import events as heard
+from broker.decision_unit import decide
+from broker.state import Command, Link
+from rtc.messages import Phase, WorkerKind
+from tests.simulation.environment import event_of
+from tests.simulation.model import (
+    NEVER_EXHAUSTED,
+    Model,
+    Move,
+    Scenario,
+    at_work,
+    decode,
+    encode,
+    sentence_of,
+    untold_at_work,
+)
+
+
+def moves(model: Model, scenario: Scenario) -> list[Move]:
+    """All that may happen next."""
+    return [move for move in _moves(model, scenario) if move[0] in NEVER_EXHAUSTED or _left(model, move[0]) > 0]
+
+
+def _left(model: Model, fault: str) -> int:
+    return min(model.faults, model.budget.get(fault, 1))
+
+
+def _moves(model: Model, scenario: Scenario) -> Iterator[Move]:
+    mcm, du = model.mcm, model.du
+    if model.handed_in < len(scenario.sentences):
+        yield "hand in", model.handed_in
+    for command in du.commands.values():
+        if at_work(model, command):
+            for product in products(command, scenario):
+                yield "work", command.id, product
+            for fault in (
+                "refuse",
+                "nonsense",
+                "worker dies",
+                "job lost in a queue",
+                "world away",
+                "world away for long",
+            ):
+                yield fault, command.id
+    for command in untold_at_work(model):
+        yield "world told", command
+        for fault in ("told badly", "teller dies", "world still away"):
+            yield fault, command
+    if mcm.said:
+        yield ("said",)
+    for arm, primitive in mcm.arms.items():
+        if not primitive:
+            continue
+        yield ("rest" if arm in mcm.braking else "goal"), arm
+    if mcm.alive:
+        yield ("mcm dies",)
+        if du.subsystems["MCM"].link is not Link.LOST and not mcm.said:
+            yield ("mcm silent",)
+        if du.subsystems["MCM"].link is not Link.CONNECTED and not any(
+            type(said) is heard.SubsystemConnected for said in mcm.said
+        ):
+            yield ("hello",)
+        for primitive in mcm.kept:
+            yield "say again", primitive
+    else:
+        yield ("born",)
+        if not mcm.exit_told:
+            yield ("exit told",)
+    if not mcm.said:  # limits are long: what is said arrives within them
+        for timer in model.timers:
+            yield "timer", timer
+    for scope in scenario.halts:
+        halt = model.halts.get(f"h-{scope}")
+        if halt is None or not halt.at_broker:
+            yield "halt", scope
+        if mcm.alive and (halt is None or not halt.at_estop):
+            yield "estop", scope
+        if halt is not None and halt.at_broker:
+            yield "halt again", scope
+        if mcm.alive and halt is not None and halt.at_estop:
+            yield "estop again", scope
+    yield ("broker restarts",)
+    if scenario.losses:
+        yield ("journal lost",)
+    if _left(model, "broker dies") > 0:
+        yield from _deaths(model, scenario)
+    if any(s.halt_if_lost for s in scenario.sentences):
+        yield ("client gone",)
+    if du.programs[WorkerKind.PARSER] == "old":
+        yield ("program installed",)
+
+
+def _deaths(model: Model, scenario: Scenario) -> Iterator[Move]:
+    """The broker is killed while it hears something: before the journal has it (None), or with so many effects out."""
+    for move in _moves_of_broker(model, scenario):
+        yield "broker dies", None, move
+        trial = decode(encode(model))
+        out = 0
+        for effect in decide(trial.du, event_of(trial, scenario, move)):
+            if isinstance(effect, do.SendPrimitive | do.SendHalt | do.AcknowledgeReport | do.ReportEnd):
+                yield "broker dies", out, move
+                out += 1
+
+
+def _moves_of_broker(model: Model, scenario: Scenario) -> Iterator[Move]:
+    """Moves that are one event of the Decision Unit."""
+    if model.handed_in < len(scenario.sentences):
+        yield "hand in", model.handed_in
+    for command in model.du.commands.values():
+        if at_work(model, command):
+            for product in products(command, scenario):
+                yield "work", command.id, product
+    for command in untold_at_work(model):
+        yield "world told", command
+    if model.mcm.said:
+        yield ("said",)
+    for scope in scenario.halts:
+        halt = model.halts.get(f"h-{scope}")
+        yield ("halt again" if halt is not None and halt.at_broker else "halt"), scope
+
+
+def products(command: Command, scenario: Scenario) -> list[str]:
+    """What a good worker may make of the job in hand."""
+    assert command.job is not None
+    if command.job.kind is WorkerKind.ANALYZER and command.phase is Phase.ANALYZING:
+        trims = sentence_of(command.id, scenario).trims
+        return ["go on", "give up", *(f"trim {n}" for n in range(1, trims + 1))]
+    return ["go on"]
+
+
+def fair(model: Model, scenario: Scenario) -> Move | None:
+    """What happens next when nothing goes wrong any more; a timer rings only when nothing else would happen."""
+    mcm = model.mcm
+    if not mcm.alive:
+        return ("born",) if mcm.exit_told else ("exit told",)
+    if mcm.said:
+        return ("said",)
+    if model.du.subsystems["MCM"].link is not Link.CONNECTED:
+        return ("hello",)
+    for arm, primitive in mcm.arms.items():
+        if primitive:
+            return ("rest" if arm in mcm.braking else "goal"), arm
+    for command in model.du.commands.values():
+        if at_work(model, command):
+            return "work", command.id, "go on"
+    for name in untold_at_work(model):
+        return "world told", name
+    if mcm.kept:
+        return "say again", next(iter(mcm.kept))
+    if model.handed_in < len(scenario.sentences):
+        return "hand in", model.handed_in
+    for timer in model.timers:
+        return "timer", timer
+    for command in model.du.commands.values():
+        if command.phase is Phase.PAUSED:
+            return "resume", command.id
+    return None

@@ -1,0 +1,82 @@
+"""The identity of a state of the model check: a digest without values that only grow."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+from broker import events as heard
+from broker.state import NIL, Command
+from broker.untold import LIMIT_S
+from tests.simulation.model import Model, at_work, encode, untold_at_work
+
+
+def key(model: Model) -> tuple[bytes, bytes]:
+    """(what the state is, that and which faults may still happen), each as a digest. Left out is what only grows and
+    changes nothing that can follow: times, counters in names, stories, what is remembered of the ended."""
+    core = encode(_essence(model))
+    faults = encode([model.faults, sorted(model.budget.items())])
+    return hashlib.blake2b(core, digest_size=16).digest(), hashlib.blake2b(core + faults, digest_size=16).digest()
+
+
+def _essence(model: Model) -> list[Any]:
+    du, mcm = model.du, model.mcm
+    return [
+        [_of_command(model, command) for command in du.commands.values()],
+        du.resources,
+        [(c, len(left.job.deaths), left.job.id in model.timers) for c, left in du.deferred_analyses.items()],
+        untold_at_work(model),
+        [du.awaiting, du.joining, {c: r.succeeded for c, r in du.ended.items()}],
+        [(s.pid, s.link, s.came_at_rest) for s in du.subsystems.values()],
+        [du.programs, list(du.trials)],
+        [model.handed_in, sorted(model.timers), model.stopped, model.estopped],
+        [
+            (id_, halt.handed_in, halt.at_broker, halt.at_estop, halt.estops)
+            for id_, halt in sorted(model.halts.items())
+        ],
+        [
+            mcm.pid,
+            mcm.alive,
+            mcm.exit_told,
+            [_name(model, p) for p in mcm.arms.values()],
+            mcm.braking,
+            [_name(model, p) for p in mcm.kept],
+            [(c.id, mcm.ended.get(c.primitive)) for c in du.commands.values()],
+            mcm.open,
+            mcm.shadows,
+            [_of_said(model, said) for said in mcm.said],
+        ],
+    ]
+
+
+def _of_command(model: Model, c: Command) -> list[Any]:
+    begun = sum(p.partition(".")[0] == c.id for p in model.begun)
+    halted = [r for r, at_s in model.du.halted_at_s.items() if at_s > c.given_at_s]
+    return [
+        [c.id, c.phase, c.pause_wanted, c.pending_outcome, c.elaborations, c.at_rest, c.due_s > 0.0],
+        c.job
+        and [c.job.kind, len(c.job.deaths), c.job.program, at_work(model, c), model.now - c.job.since_s > LIMIT_S],
+        [c.head is not None, c.script is not None, c.stack, c.step, c.trims_used, len(c.trim_labels), c.steps_done],
+        [bool(c.primitive), min(c.primitives, 2), c.primitive_body != NIL, c.performers],
+        [c.primitives - begun, begun - model.goals.get(c.id, 0), c.primitive in model.begun],
+        halted,
+    ]
+
+
+def _name(model: Model, primitive: str) -> str:
+    """Its number only matters as being the current one of its command, or not."""
+    command = model.du.commands.get(primitive.partition(".")[0])
+    return primitive if command is None or command.primitive != primitive else f"{command.id} now"
+
+
+def _of_said(model: Model, said: heard.AnyEvent) -> list[Any]:
+    match said:
+        case heard.PrimitiveEnded():
+            return ["end", _name(model, said.report.primitive), said.report.reason]
+        case heard.SubsystemConnected():
+            return ["hello", said.pid, [_name(model, p) for p in said.outstanding], said.at_rest]
+        case heard.HaltConfirmed():
+            return ["rest", said.halt, said.performers]
+        case heard.HaltCalled():
+            return ["halt", said.call]
+    raise AssertionError(said)
