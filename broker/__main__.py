@@ -1,5 +1,7 @@
-"""`python -m broker --run-dir DIR`: the broker process of one cluster, new or restarted; with --template, the process
-that the next broker is forked from."""
+"""The broker process of one cluster, new or restarted: `python -m broker --run-dir DIR`.
+
+With --template it is the fork server of the next broker.
+"""
 
 from __future__ import annotations
 
@@ -24,15 +26,15 @@ from rtc.settings import Settings
 from rtc.world.client import WorldClient
 from rtc.world.lease import DOUBT, sign
 
-RANK, NICENESS = 1, -5  # after the MCM, whose servo ticks every millisecond, and before everybody else
+RANK, NICENESS = 1, -5  # below the MCM with its servo tick of 1 ms, above all other processes
 LAST_S = 1.0  # for a broker without a supervisor to end, once the outcomes are sent
-DOUBT_LIMIT_S = 2.0  # for the world database to mark its facts
+DOUBT_LIMIT_S = 2.0  # time limit for the world database to mark its facts
 
 
 def main() -> None:
     arguments = argparse.ArgumentParser(prog="python -m broker", description=__doc__)
     arguments.add_argument("--run-dir", required=True, type=Path, help="of the cluster, as made by `rtc up`")
-    arguments.add_argument("--template", action="store_true", help="be the one that a broker is forked from")
+    arguments.add_argument("--template", action="store_true", help="run as the fork server of the next broker")
     handed.add_option(arguments)
     given = arguments.parse_args()
     if given.template:
@@ -42,7 +44,7 @@ def main() -> None:
 
 
 def live(run_dir: Path, fd: int = -1) -> None:
-    """Be the broker until told to end. `fd`: what the supervisor hands over (rtc.handed)."""
+    """Run the broker until it is ordered to end. `fd`: descriptor handed over by the supervisor (rtc.handed)."""
     process.show_name("broker")
     given = handed.begin("broker", run_dir, fd)
     settings = given.settings
@@ -68,7 +70,7 @@ def _serve(
     ended: dict[str, CommandRecord],
     priority: str,
 ) -> None:
-    """Go on from the replayed state."""
+    """Continue from the replayed state."""
     settings, now = given.settings, time.monotonic()
     lost = lost_turns(journal, state, given, now, secrets.token_hex(2))
     store = ProgramStore(journal, state.programs)
@@ -94,14 +96,14 @@ def _serve(
     process.freeze_heap()
     me.log.info("priority: %s", priority)
     me.ready()
-    if restarted:  # whoever is killed again and again has not ever more to replay
+    if restarted:  # so that repeated restarts do not replay ever more events
         journal.snapshot(state)
     router.run()
     journal.close()
 
 
 def lost_turns(journal: Journal, state: State, given: handed.Handed, now: float, life: str) -> JournalLost | None:
-    """Whether brokers of this run decided turns that this journal lacks. `life`: of the journal from then on."""
+    """The event of a journal that lacks decisions of this run; None if it is complete. `life`: its new id."""
     kept = given.remembered("broker")
     if kept is None:
         return None
@@ -115,7 +117,7 @@ def lost_turns(journal: Journal, state: State, given: handed.Handed, now: float,
 
 
 def _doubt_the_world(me: process.Process, given: handed.Handed, lost: JournalLost) -> None:
-    """Before anything is planned with facts that lost turns may have changed."""
+    """Mark world facts as suspect before a plan uses them: lost decisions may have changed them."""
     world = WorldClient(given.settings.endpoint("world"), me.context, limit_s=DOUBT_LIMIT_S)
     try:
         world.doubt(sign(given.lease_key, f"{DOUBT}{lost.life}", []), lost.why)
@@ -125,8 +127,8 @@ def _doubt_the_world(me: process.Process, given: handed.Handed, lost: JournalLos
 
 
 def _first_programs(settings: Settings, store: ProgramStore, now: float) -> Iterator[ProgramInstalled]:
-    """Of a new cluster: the programs that come with the project, and its cell."""
-    from rtc import program  # these two bring lark, yaml and numpy; a restart, which should be quick, does without
+    """Install the default programs and the cell of a new cluster."""
+    from rtc import program  # these import lark, yaml and numpy, which a fast restart avoids
     from rtc.cell import Cell
 
     for kind in WorkerKind:

@@ -1,4 +1,7 @@
-"""What the Decision Unit wants done. Imperative; the router carries them out in order, after the journal has them."""
+"""Effects: the output of the Decision Unit, in the imperative. The router executes them after the journal write.
+
+They are executed in order.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ class Effect(msgspec.Struct, frozen=True, kw_only=True, gc=False):
 
 
 class DispatchJob(Effect, frozen=True, kw_only=True, gc=False):
-    """Have one worker of this kind do this; the roster picks which."""
+    """Assign a job to one worker of this kind; the worker registry selects it."""
 
     job: str
     attempt: int
@@ -20,7 +23,7 @@ class DispatchJob(Effect, frozen=True, kw_only=True, gc=False):
     program: str
     cell: str
     input: msgspec.Raw
-    locations: list[str] | None = None  # a lease over these goes with it
+    locations: list[str] | None = None  # names in the lease that is sent with the job
 
 
 class CancelJob(Effect, frozen=True, kw_only=True, gc=False):
@@ -32,7 +35,7 @@ class SendPrimitive(Effect, frozen=True, kw_only=True, gc=False):
     id: str
     primitive: msgspec.Raw
     issued_at_s: float
-    pid: int  # of the process it is meant for: a later one would have to be told what came before
+    pid: int  # process id of the addressee: a restarted subsystem must not receive it
 
 
 class SendHalt(Effect, frozen=True, kw_only=True, gc=False):
@@ -40,7 +43,7 @@ class SendHalt(Effect, frozen=True, kw_only=True, gc=False):
     halt: str
     scope: str
     called_at_s: float
-    call: str = ""  # the number of the order that this passes on, or answers
+    call: str = ""  # number of the order that this forwards or acknowledges
 
 
 class AcknowledgeReport(Effect, frozen=True, kw_only=True, gc=False):
@@ -61,18 +64,18 @@ class StopTimer(Effect, frozen=True, kw_only=True, gc=False):
 
 class TellClient(Effect, frozen=True, kw_only=True, gc=False):
     client: str
-    message: BrokerToClient | msgspec.Raw  # or one that is encoded already
+    message: BrokerToClient | msgspec.Raw  # Raw: already encoded
 
 
 class PublishNote(Effect, frozen=True, kw_only=True, gc=False):
-    """Progress, to whoever listens, and to the client when it asked for it (else client is empty)."""
+    """Publish a progress note, and send it to the client if it wants notes (otherwise `client` is empty)."""
 
     client: str
     note: ProgressNote
 
 
 class ReportEnd(Effect, frozen=True, kw_only=True, gc=False):
-    """A command has ended: tell its client, tell the listeners, archive its story."""
+    """Report the end of a command to its client and to subscribers, and archive its record."""
 
     client: str
     ended: CommandEnded
@@ -80,7 +83,7 @@ class ReportEnd(Effect, frozen=True, kw_only=True, gc=False):
 
 
 class DeclineHalt(Effect, frozen=True, kw_only=True, gc=False):
-    """A halt whose scope is nothing known: say so to the caller."""
+    """Reply to the caller of a halt that its scope is unknown."""
 
     client: str
     halt: str

@@ -1,6 +1,6 @@
-"""What the Decision Unit hears. Past tense; each carries the time it was heard (`at_s`, CLOCK_MONOTONIC).
+"""Events: the input of the Decision Unit, in the past tense, each with its time (`at_s`, CLOCK_MONOTONIC, seconds).
 
-The journal holds exactly these, in order: replaying them gives the same decisions. Nothing here knows sockets.
+The journal holds exactly these events, in order; replaying them gives the same decisions. They do not know sockets.
 """
 
 from __future__ import annotations
@@ -43,17 +43,17 @@ class CommandReceived(Event, frozen=True, kw_only=True, gc=False):
     progress: bool = True
     halt_if_lost: bool = False
     sent_at_s: float = 0.0
-    known_as: str = ""  # C-n, as a broker before us accepted it
+    known_as: str = ""  # C-n, if an earlier broker accepted the request
 
 
 class HaltCalled(Event, frozen=True, kw_only=True, gc=False):
-    """By a client, or told by a subsystem at whose own door it was called."""
+    """A halt from a client, or from a subsystem that received it at its own halt socket."""
 
     client: str
     halt: str
     scope: str
     called_at_s: float = 0.0
-    call: str = ""  # the number of this order, for those who answer it
+    call: str = ""  # number of this order, repeated in the answers
 
 
 class JobFinished(Event, frozen=True, kw_only=True, gc=False):
@@ -65,7 +65,7 @@ class JobFinished(Event, frozen=True, kw_only=True, gc=False):
 
 
 class JobDeclined(Event, frozen=True, kw_only=True, gc=False):
-    """A worker refused: an answer, not a failure of the worker."""
+    """A worker refused the job: a result, not a failure of the worker."""
 
     job: str
     attempt: int
@@ -74,7 +74,7 @@ class JobDeclined(Event, frozen=True, kw_only=True, gc=False):
 
 
 class JobLost(Event, frozen=True, kw_only=True, gc=False):
-    """The worker is gone, hung or raised. `blamed`: it had this very job in hand, so the job may be the cause."""
+    """The worker died, hung or raised. `blamed`: it was processing this job, so the job may be the cause."""
 
     job: str
     attempt: int
@@ -94,8 +94,8 @@ class PrimitiveEnded(Event, frozen=True, kw_only=True, gc=False):
 
 
 class HaltConfirmed(Event, frozen=True, kw_only=True, gc=False):
-    """A subsystem says that all in the scope of a halt is at rest, or that it is not. `performers`: those in the
-    scope; None = all it has."""
+    """A subsystem reports whether everything in the scope of a halt is at rest. `performers`: those in the scope;
+    None = all of the subsystem."""
 
     subsystem: str
     halt: str
@@ -104,7 +104,7 @@ class HaltConfirmed(Event, frozen=True, kw_only=True, gc=False):
 
 
 class SubsystemConnected(Event, frozen=True, kw_only=True, gc=False):
-    """A subsystem said hello. A new `pid` has forgotten all primitives but those it names."""
+    """A subsystem connected. With a new `pid` it knows only the primitives it lists as outstanding."""
 
     subsystem: str
     pid: int
@@ -123,7 +123,7 @@ class ClientGone(Event, frozen=True, kw_only=True, gc=False):
 
 
 class TimerFired(Event, frozen=True, kw_only=True, gc=False):
-    timer: str  # as asked for by StartTimer
+    timer: str  # name given in StartTimer
 
 
 class ProgramInstalled(Event, frozen=True, kw_only=True, gc=False):
@@ -131,26 +131,26 @@ class ProgramInstalled(Event, frozen=True, kw_only=True, gc=False):
 
     kind: WorkerKind | None
     digest: str
-    file: str = ""  # that was loaded; empty: it comes with the project
+    file: str = ""  # name of the loaded file; empty: a default program
 
 
 class ListenersChanged(Event, frozen=True, kw_only=True, gc=False):
-    """The event stream has listeners now, or none any more: notes that nobody asked for are published or not."""
+    """The event stream gained its first subscriber or lost its last: notes are published only for subscribers."""
 
     listening: bool
 
 
 class JournalLost(Event, frozen=True, kw_only=True, gc=False):
-    """The journal lacks turns that a broker of this run has decided: it is new, or older than it was. `accepted`: the
-    highest number that is known to be given out."""
+    """The journal lacks decisions of this run: it is new, or older than before. `accepted`: the highest command number
+    known to be in use."""
 
     why: str
-    life: str  # of the journal from now on
+    life: str  # id of the journal from now on
     accepted: int
 
 
 class BrokerRestarted(Event, frozen=True, kw_only=True, gc=False):
-    """The broker came up with a replayed journal: nobody has the jobs it gave out any more."""
+    """The broker started with a replayed journal: all jobs dispatched before are lost."""
 
 
 AnyEvent = (

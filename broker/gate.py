@@ -1,14 +1,13 @@
-"""The gate: the one process that other machines can reach. `python -m broker.gate --run-dir D`, when `rtc up --listen`
-was said.
+"""The gateway: the only process that other machines can reach, started by `rtc up --listen`.
 
-It binds one tcp port for each door, with CURVE; a ZAP handler in its own loop says who is known, and for what role.
-What `rtc.roles` lets through goes on by the cluster's own ipc sockets, on a DEALER for each remote peer, so broker,
-world database and MCM see clients and workers like any others and know nothing of tcp. Handshakes, floods, unreadable
-bytes and oversized frames end here; a gate that dies costs its peers a reconnection and the others nothing.
+It binds one tcp port per endpoint, with CURVE. A ZAP handler in its own loop accepts known keys by role. It forwards
+what `rtc.roles` allows to the cluster's ipc sockets, on one DEALER per remote peer. Broker, world database and MCM see
+remote peers like local ones and do not know tcp. Handshakes, floods, unreadable bytes and oversized frames end here. If
+the gateway dies, its peers reconnect; local processes are not affected.
 
-Rule 1: who somebody is, the connection's key says ("User-Id" of each frame, looked up for each message), never the
-message. Rule 2: a peer's name inside is made of its key's name, so nobody can take another's place, answers or
-commands. Rule 3: clocks of other machines mean nothing here: times are translated, or replaced by ours.
+Rule 1: the connection's key identifies a peer ("User-Id" of each frame, checked for each message), never the message.
+Rule 2: a peer's internal name contains its key's name, so a peer cannot take another's place, answers or commands.
+Rule 3: clocks of other machines are not comparable: their times are translated, or replaced by local times.
 """
 
 from __future__ import annotations
@@ -40,33 +39,33 @@ from rtc.settings import BOUNDS, Settings
 
 PUBLISHED = ("events", "telemetry")
 HALTS = ("halt", "estop")
-NAMED = ("front", "workers", "subsystems")  # doors where the first word is a hello that names the peer
-PER_TURN = 16  # messages of one door, and of one peer's answers, so that the next halt is soon seen
+NAMED = ("front", "workers", "subsystems")  # endpoints whose peers introduce themselves with a hello message
+PER_TURN = 16  # messages read per socket and loop iteration, so that the next halt is read soon
 HANDSHAKES_PER_TURN = 10
-PEERS_OF_KEY = 32  # at one door; the one that has been silent longest gives way
-UNSENT = 1_000  # messages of one peer that wait for the cluster
-IDLE_S = 600.0  # who has said nothing for so long is forgotten; it says hello again
-HALT_AGAIN_S, HALT_KEPT_S = 0.02, 1.0  # a halt whose door is shut is offered again for so long: a broker restarts
-HALTS_KEPT = 2_000  # names and numbers of halts whose answers are delivered
+PEERS_OF_KEY = 32  # maximum per endpoint; the one silent for longest is disconnected
+UNSENT = 1_000  # maximum queued messages of one peer to the cluster
+IDLE_S = 600.0  # a peer silent for so long is removed; it must send its hello again
+HALT_AGAIN_S, HALT_KEPT_S = 0.02, 1.0  # retry period and time limit of a halt while its receiver restarts
+HALTS_KEPT = 2_000  # maximum number of halts whose callers are stored
 NOBODY = (b"", "")
-COMMANDS_KEPT = 10_000  # of one planner, that it may control
-LOOK_S, LOOKS = 0.2, 10  # at the keys; and so often between, when somebody comes who is not known
-TELL_S, TIDY_S, PROBE_S = 0.5, 1.0, 0.2  # what was counted, to the broker; who is silent; whether workers are there
+COMMANDS_KEPT = 10_000  # latest commands of one planner that it may control
+LOOK_S, LOOKS = 0.2, 10  # period of key reloads, and extra reloads per period for unknown keys
+TELL_S, TIDY_S, PROBE_S = 0.5, 1.0, 0.2  # periods: counters to the broker; removal of silent peers; worker probes
 OWN_SUBSYSTEM = "MCM"
 
 
 class Link:
-    """One remote peer's way into the cluster."""
+    """Connection of one remote peer into the cluster."""
 
     def __init__(self, door: str, name: str, key: KnownKey, session: bytes, socket: zmq.Socket[bytes]) -> None:
         self.door, self.name, self.key, self.socket = door, name, key, socket
-        self.session = session  # by which its tcp connection is known
-        self.heard_s = now_s()
-        self.behind_s = float("inf")  # our clock minus the peer's, at most: as small as was ever seen
+        self.session = session  # identity of its tcp connection
+        self.last_seen_s = now_s()
+        self.behind_s = float("inf")  # upper bound of local clock minus peer clock: the smallest difference seen
 
 
 class Waiting(NamedTuple):
-    """A halt that its door did not take yet."""
+    """A halt that its receiver has not accepted yet."""
 
     key: KnownKey
     door: str
@@ -75,18 +74,18 @@ class Waiting(NamedTuple):
     until_s: float
 
 
-class Gate:
+class Gateway:
     def __init__(self, me: Process, settings: Settings, ring: KeyRing) -> None:
         self.me, self.settings, self._ring = me, settings, ring
         self._pair = ring.cluster()
         self._known = {key.public: key for key in ring.known()}
-        self._links: dict[tuple[str, bytes], Link] = {}  # by door and session
-        self._named: dict[tuple[str, str], Link] = {}  # by door and name inside, at the doors in NAMED
+        self._links: dict[tuple[str, bytes], Link] = {}  # by endpoint and session
+        self._named: dict[tuple[str, str], Link] = {}  # by endpoint and internal name, for NAMED
         self._by_socket: dict[Any, Link] = {}
-        self._halt_lines: dict[tuple[str, str], zmq.Socket[bytes]] = {}  # by door and key: connected in advance
-        self._halt_lines_of: dict[Any, str] = {}  # the door of each
+        self._halt_lines: dict[tuple[str, str], zmq.Socket[bytes]] = {}  # by endpoint and key: connected in advance
+        self._halt_lines_of: dict[Any, str] = {}  # socket -> endpoint
         self._halts_called = 0
-        # Door and number of a halt, or its name for answers that bear no number -> session, and the caller's number.
+        # (endpoint, number of a halt, or its name for answers without number) -> (session, the caller's number)
         self._callers: OrderedDict[tuple[str, str], tuple[bytes, str]] = OrderedDict()
         self._waiting: deque[Waiting] = deque(maxlen=HALTS_KEPT)
         self._commands: dict[str, OrderedDict[str, None]] = {}  # public key of a planner -> its own C-n
@@ -97,22 +96,24 @@ class Gate:
         self._broker = me.socket(zmq.DEALER, settings.endpoint("supervisor"), identity="gate", poll=False)
         self._zap = me.socket(zmq.REP, "inproc://zeromq.zap.01", bind=True)
         self._outside: dict[str, zmq.Socket[bytes]] = {}
-        self._inside: dict[str, zmq.Socket[bytes]] = {}  # of what is published
+        self._inside: dict[str, zmq.Socket[bytes]] = {}  # for published messages
         for door in TCP_ENDPOINTS:
             self._open(door)
 
-    # --- doors ----------------------------------------------------------------------------------------
+    # --- endpoints ----------------------------------------------------------------------------------------
 
     def _open(self, door: str) -> None:
-        """Raises ClusterError when the port cannot be had."""
+        """Bind one endpoint. Raises ClusterError if the port is not available."""
         address = endpoint_address(self.settings.listen, door)
         kind = zmq.XPUB if door in PUBLISHED else zmq.ROUTER
 
         def secure(socket: zmq.Socket[Any]) -> None:
             secure_server(socket, self._pair, door, address)
             if kind == zmq.ROUTER:
-                socket.setsockopt(zmq.ROUTER_HANDOVER, 0)  # a name is no proof: nobody takes another's connection over
-                socket.setsockopt(zmq.ROUTER_MANDATORY, 1)  # so that we learn who is gone
+                socket.setsockopt(
+                    zmq.ROUTER_HANDOVER, 0
+                )  # an identity is not a proof: a peer cannot take over a connection
+                socket.setsockopt(zmq.ROUTER_MANDATORY, 1)  # so that a send to a lost peer fails
 
         try:
             self._outside[door] = self.me.socket(kind, address, bind=True, bounds=BOUNDS[door], secure=secure)
@@ -126,7 +127,7 @@ class Gate:
             self._inside[door] = self.me.socket(zmq.XSUB, self.settings.endpoint(door))
 
     def _open_anew(self, doors: Sequence[str]) -> None:
-        """Cut all connections to these doors. Those who belong here come back by themselves."""
+        """Cut all connections to these endpoints. Legitimate peers reconnect by themselves."""
         for link in [link for link in self._links.values() if link.door in doors]:
             self._forget(link)
         for door in doors:
@@ -138,7 +139,7 @@ class Gate:
             while door not in self._outside:
                 try:
                     self._open(door)
-                except ClusterError:  # the port is let go of by a thread of its own
+                except ClusterError:  # a background thread releases the port
                     if now_s() > end_s:
                         raise
                     time.sleep(0.0005)
@@ -154,13 +155,13 @@ class Gate:
                 self._open_anew(TCP_ENDPOINTS)
 
     def turn(self) -> None:
-        """Halts first, then who wants to come in, then the rest."""
+        """One loop iteration: halts first, then handshakes, then the rest."""
         readable = self.me.wait(HALT_AGAIN_S if self._waiting else min(LOOK_S, PROBE_S))
         now = now_s()
         ready = set(readable)
         for door in HALTS:
             if self._outside[door] in ready:
-                self._hear(door, now)
+                self._receive(door, now)
         for socket in readable:
             if socket in self._halt_lines_of:
                 self._answer_halts(self._halt_lines_of[socket], socket)
@@ -171,7 +172,7 @@ class Gate:
             if door in PUBLISHED:
                 self._publish(door, ready)
             elif door not in HALTS and self._outside[door] in ready:
-                self._hear(door, now)
+                self._receive(door, now)
         for socket in readable:
             if (link := self._by_socket.get(socket)) is not None:
                 self._answer(link)
@@ -189,11 +190,11 @@ class Gate:
                 if not self._send_out("workers", link.session, NO_NEWS):
                     self._lose(link)
         if self._tidy.due(now):
-            for link in [link for link in self._links.values() if now - link.heard_s > IDLE_S]:
+            for link in [link for link in self._links.values() if now - link.last_seen_s > IDLE_S]:
                 self._forget(link)
 
     def _look_at_keys(self) -> None:
-        """Who is known now. A key that is not known any more loses all it has here."""
+        """Reload the keys. A removed key loses all its connections."""
         known = {key.public: key for key in self._ring.known()}
         if known == self._known:
             return
@@ -207,22 +208,22 @@ class Gate:
         for public in gone:
             self._commands.pop(public, None)
         if gone:
-            # One connection cannot be cut alone. Where halts come in nobody is cut off for another's sake: what comes
-            # with a revoked key is refused there all the same, as each message is looked at.
+            # A single connection cannot be cut. Halt endpoints stay open for the other peers: messages with a revoked
+            # key are refused there, because the key of each message is checked.
             doors = [d for d in TCP_ENDPOINTS if d not in HALTS and any(admits(d, key.role) for key in gone.values())]
             names = ", ".join(key.name for key in gone.values())
-            self.me.log.info("not known any more: %s; connections are made anew at %s", names, ", ".join(doors))
+            self.me.log.info("removed keys: %s; all connections are renewed at %s", names, ", ".join(doors))
             self._open_anew(doors)
 
-    # --- who comes in ---------------------------------------------------------------------------------
+    # --- admission ---------------------------------------------------------------------------------
 
     def _admit(self) -> None:
-        """ZAP (rfc.zeromq.org/spec/27): one question for each handshake."""
+        """Answer ZAP requests (rfc.zeromq.org/spec/27), one per handshake."""
         for parts in inbox(self._zap, HANDSHAKES_PER_TURN):
             version, number, door, where, _, mechanism, *credentials = parts
             public = z85.encode(credentials[0]).decode() if mechanism == b"CURVE" and credentials else ""
             key = self._known.get(public)
-            if key is None and self._looks_left > 0:  # it may have been made a moment ago; a refusal is final
+            if key is None and self._looks_left > 0:  # the key may be new; a refusal is final
                 self._looks_left -= 1
                 self._look_at_keys()
                 key = self._known.get(public)
@@ -240,7 +241,7 @@ class Gate:
                 answer = [b"400", text, b"", b""]
             self._zap.send_multipart([version, number, *answer])
 
-    def _hear(self, door: str, now: float) -> None:
+    def _receive(self, door: str, now: float) -> None:
         for session, user, parts in _each_apart(_from_outside(self._outside[door])):
             key = self._known.get(user)
             if key is None or not admits(door, key.role):
@@ -273,7 +274,7 @@ class Gate:
         link = self._link(door, key, session, message)
         if link is None:
             return
-        link.heard_s = now
+        link.last_seen_s = now
         if isinstance(message, m.ClientHello):
             link.behind_s = now - message.at_s if message.at_s > 0 else link.behind_s
             parts = wire.frames(m.ClientHello(client=link.name, arrays=message.arrays))
@@ -286,9 +287,9 @@ class Gate:
         self._forward(link, parts, message)
 
     def _link(self, door: str, key: KnownKey, session: bytes, message: Any) -> Link | None:
-        """The peer's way in; made when it says hello, or, where nobody has a name, when it speaks first."""
+        """The peer's link. It is created by its hello, or by its first message at an endpoint without names."""
         link = self._links.get((door, session))
-        if link is not None and link.key.public != key.public:  # somebody else, who has chosen the same identity
+        if link is not None and link.key.public != key.public:  # another peer that chose the same identity
             self._forget(link)
             link = None
         if link is not None and not isinstance(message, HELLOS):
@@ -316,7 +317,7 @@ class Gate:
         return before
 
     def _no_name(self, door: str, key: KnownKey, name: str, hello: Any) -> str:
-        """Why a peer may not be called so; empty when it may."""
+        """The reason why a peer must not have this name; empty if it may."""
         if door == "subsystems" and (name != key.name or name == OWN_SUBSYSTEM):
             return f"a subsystem is called as its key is, {key.name}, and not {OWN_SUBSYSTEM}"
         if door == "workers":
@@ -330,18 +331,18 @@ class Gate:
         return ""
 
     def _ask_for_hello(self, door: str, session: bytes) -> None:
-        """As the broker does itself."""
+        """Request a hello message, as the broker does."""
         asks = {"workers": m.JobBatch(jobs=[]), "subsystems": m.ReportAck(primitive="")}
         if (question := asks.get(door)) is not None:
             self._send_out(door, session, wire.frames(question))
         else:
             self._count("nameless", "something before a ClientHello")
-            self._refuse(door, session, None, "over tcp say ClientHello first", RefusalReason.STATE)
+            self._refuse(door, session, None, "over tcp send ClientHello first", RefusalReason.STATE)
 
     def _connect(self, door: str, name: str, key: KnownKey, session: bytes) -> Link | None:
         mine = [link for link in self._links.values() if link.door == door and link.key.public == key.public]
         if len(mine) >= PEERS_OF_KEY:
-            self._forget(min(mine, key=lambda link: link.heard_s))
+            self._forget(min(mine, key=lambda link: link.last_seen_s))
         try:
             socket = self.me.socket(
                 zmq.DEALER, self.settings.endpoint(door), identity=name, queue_length=max(UNSENT, BOUNDS[door].unsent)
@@ -366,8 +367,8 @@ class Gate:
         socket.close(linger=linger_ms)
 
     def _no_sentence(self, key: KnownKey, message: m.CommandText) -> Refusal | None:
-        """Why a planner may not say this. It is read by the language as it comes with the project: what cannot be read
-        here might mean anything to a grammar that was loaded since."""
+        """The refusal of a sentence that a planner may not give. It is parsed with the default grammar: a sentence that
+        this grammar does not accept could have any meaning in a grammar loaded later."""
         if key.role is not Role.PLANNER:
             return None
         parsed = parse(default_grammar(), message.text)
@@ -379,13 +380,13 @@ class Gate:
     def _forward(self, link: Link, parts: Sequence[bytes], message: Any) -> None:
         if not _push(link.socket, parts):
             self._count("unsent", f"of {link.key.name} at {link.door}")
-            words = "the cluster takes no more from you just now"
+            words = "the cluster accepts no more messages from this peer now"
             self._refuse(link.door, link.session, message, words, RefusalReason.OVERLOAD)
 
     # --- halts ----------------------------------------------------------------------------------------
 
     def _halt_line(self, door: str, key: KnownKey) -> zmq.Socket[bytes]:
-        """A halt is never kept in a queue for a broker that comes back later: these are connected in advance."""
+        """The halt socket of a key, connected in advance: a halt must never wait in a queue for a restarted broker."""
         line = self._halt_lines.get((door, key.public))
         if line is None:
 
@@ -398,7 +399,7 @@ class Gate:
         return line
 
     def _halt(self, door: str, key: KnownKey, session: bytes, order: m.HaltOrder, now: float) -> None:
-        self._halts_called += 1  # each order has a number of its own: two callers may use one name
+        self._halts_called += 1  # each order gets a unique number, because two callers may use one name
         call = f"gate {self._halts_called}"
         self._callers[door, call] = self._callers[door, order.halt] = session, order.call
         while len(self._callers) > HALTS_KEPT:
@@ -417,7 +418,7 @@ class Gate:
             else:
                 who = "the broker" if halt.door == "halt" else "the MCM"
                 self._count("unsent", f"a halt of {halt.key.name}, to {who}")
-                self._refuse(halt.door, halt.session, halt.order, f"{who} is away", RefusalReason.TIMEOUT)
+                self._refuse(halt.door, halt.session, halt.order, f"{who} is unavailable", RefusalReason.TIMEOUT)
 
     def _answer_halts(self, door: str, line: zmq.Socket[bytes]) -> None:
         for parts in inbox(line, PER_TURN):
@@ -431,7 +432,7 @@ class Gate:
                 if session:
                     self._send_out(door, session, parts)
 
-    # --- what goes out --------------------------------------------------------------------------------
+    # --- egress --------------------------------------------------------------------------------
 
     def _answer(self, link: Link) -> None:
         for parts in inbox(link.socket, PER_TURN):
@@ -442,7 +443,7 @@ class Gate:
                 return
 
     def _lose(self, link: Link) -> None:
-        """Nobody is at the other end. A worker's jobs need not wait until somebody misses them."""
+        """Remove a lost peer. For a worker, report the loss at once, so that its jobs do not wait for a time limit."""
         if link.door == "workers":
             self.me.log.info("%s is gone", link.name)
             _push(link.socket, wire.frames(m.WorkerGone(name=link.name)))
@@ -459,7 +460,7 @@ class Gate:
                     own.popitem(last=False)
 
     def _publish(self, door: str, ready: set[Any]) -> None:
-        """What is published goes out; all that comes in are subscriptions."""
+        """Forward published messages outwards and subscriptions inwards."""
         outside, inside = self._outside[door], self._inside[door]
         if outside in ready:
             for frame, *more in inbox(outside, PER_TURN):
@@ -472,7 +473,7 @@ class Gate:
                 _push(outside, parts)
 
     def _send_out(self, door: str, session: bytes, parts: Sequence[bytes]) -> bool:
-        """False: nobody is there any more. Who does not read loses what it is told, as inside."""
+        """False: the peer is lost. A peer that does not read loses messages, as inside the cluster."""
         try:
             _send_all(self._outside[door], [session, *parts])
         except zmq.ZMQError as error:
@@ -492,7 +493,7 @@ class Gate:
         reason: RefusalReason = RefusalReason.NOT_ALLOWED,
         request: str = "",
     ) -> None:
-        """Tell it, where the protocol has a word for it."""
+        """Send a refusal, if the protocol has a message for it at this endpoint."""
         refusal = Refusal(reason=reason, message=words)
         request = request or getattr(message, "request", "") or getattr(message, "halt", "")
         if door in ("front", *HALTS):
@@ -501,24 +502,24 @@ class Gate:
             self._send_out(door, session, wire.frames(m.WorldRefused(request=request, refusal=refusal)))
 
     def _count(self, what: str, words: str) -> None:
-        """For `rtc status`; the log hears of the 1st, 2nd, 4th, 8th ..."""
+        """Count for `rtc status`; log the 1st, 2nd, 4th, 8th ... occurrence."""
         self.counts[what] += 1
         if (n := self.counts[what]) & (n - 1) == 0:
             self.me.log.warning("%s (%d so far): %s", what, n, words)
 
 
 def first_far_node(settings: Settings) -> int:
-    """The lowest address that this machine's own workers never take."""
+    """The lowest node address that local workers never use."""
     return max(1 << settings.dim, len(m.WorkerKind) * max(settings.most_workers, settings.least))
 
 
 def _name_inside(key: KnownKey, hello: Any) -> str:
-    """A worker or subsystem keeps its name; a client's begins with its key's, which says whose commands they are."""
+    """The internal name: a worker or subsystem keeps its name, a client's name is prefixed with its key's."""
     return f"{key.name}/{hello.client}" if isinstance(hello, m.ClientHello) else str(hello.name)
 
 
 def _translated(link: Link, message: m.CommandText, now: float) -> m.CommandText:
-    """With our time, and a source that the role tells."""
+    """The command with local times, and with the source that its role implies."""
     sent_at_s = 0.0
     if 0.0 < message.sent_at_s < float("inf"):
         link.behind_s = min(link.behind_s, now - message.sent_at_s)
@@ -528,7 +529,7 @@ def _translated(link: Link, message: m.CommandText, now: float) -> m.CommandText
 
 
 def _from_outside(socket: zmq.Socket[bytes]) -> Iterator[tuple[bytes, str, list[bytes]]]:
-    """(session, user-id, frames) of what lies ready. The user-id is what `_admit` said at the handshake."""
+    """Yield (session, user-id, frames) of queued messages. `_admit` set the user-id at the handshake."""
     for _ in range(PER_TURN):
         try:
             part = socket.recv(AT_ONCE, copy=False)
@@ -548,14 +549,14 @@ def _from_outside(socket: zmq.Socket[bytes]) -> Iterator[tuple[bytes, str, list[
 def _each_apart(
     messages: Iterator[tuple[bytes, str, list[bytes]]],
 ) -> Iterator[tuple[bytes, str, Sequence[bytes]]]:
-    """An array of messages as single ones: each is allowed or refused for itself."""
+    """Split arrays of messages: each message is allowed or refused separately."""
     for session, user, parts in messages:
         for one in wire.apart(parts):
             yield session, user, one
 
 
 def _push(socket: zmq.Socket[bytes], parts: Sequence[bytes]) -> bool:
-    """False: no room."""
+    """False: the queue is full."""
     try:
         _send_all(socket, parts)
     except zmq.Again:
@@ -574,11 +575,11 @@ def _a(role: Role) -> str:
     return f"an {role}" if role[0] in "aeiou" else f"a {role}"
 
 
-NO_NEWS = wire.frames(m.Drop(jobs=[]))  # harmless; whoever is gone cannot be told it
+NO_NEWS = wire.frames(m.Drop(jobs=[]))  # a probe without effect: the send fails if the peer is lost
 HELLOS = (m.ClientHello, m.WorkerHello, m.SubsystemHello)
 READ_ANSWERS = wire.reader_of_many(m.BrokerToClient)
 READ_HALT_ANSWER = wire.reader(m.FromHalt)
-#: door -> how its messages are read: all that the inner door takes, so that what is not allowed can be named
+#: endpoint -> reader of its messages. It reads all internal messages, so that a refusal can name the type
 READ: dict[str, Callable[[Sequence[bytes]], Any]] = {
     "front": wire.reader(m.ClientToBroker),
     "halt": read_order,
@@ -590,7 +591,7 @@ READ: dict[str, Callable[[Sequence[bytes]], Any]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m broker.gate", description="The gate of a cluster for tcp.")
+    parser = argparse.ArgumentParser(prog="python -m broker.gate", description="The tcp gateway of a cluster.")
     parser.add_argument("--run-dir", required=True, type=Path)
     handed.add_option(parser)
     given = parser.parse_args()
@@ -598,16 +599,16 @@ def main() -> None:
 
 
 def live(run_dir: Path, fd: int = -1) -> None:
-    """Be the gate until told to end."""
+    """Run the gateway until it is ordered to end."""
     process.show_name("gate")
     settings = handed.begin("gate", run_dir, fd).settings
     with process.start("gate", run_dir) as me:
-        process.nice(-5)  # no real time: what strangers send shall not take the processor from arms and broker
+        process.nice(-5)  # not real-time: foreign messages must not delay arms and broker
         _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # strangers' connections shall not use them up
-        default_grammar()  # made now: later it would hold up a halt
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # foreign connections must not exhaust the descriptors
+        default_grammar()  # built now, because it would delay a halt later
         try:
-            gate = Gate(me, settings, KeyRing(run_dir))
+            gate = Gateway(me, settings, KeyRing(run_dir))
         except RtcError as error:
             raise SystemExit(str(error)) from None
         process.freeze_heap()

@@ -1,5 +1,7 @@
-"""What must hold in every state of the Decision Unit, whatever happened before. Pure; used by the property tests, the
-model check and the cluster simulation, never in production."""
+"""Invariants of the Decision Unit that hold in every reachable state. Pure.
+
+The property tests, the model check and the cluster simulation use them; production does not.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +15,11 @@ from rtc.messages import Phase, WorkerKind
 from rtc.primitive_id import command_of
 
 MOVING = (Phase.EXECUTING, Phase.HALTING)
-BY_JOB = (Phase.PARSING, Phase.ELABORATING, Phase.BINDING, Phase.ANALYZING, Phase.CLOSING)  # a worker is at it
+BY_JOB = (Phase.PARSING, Phase.ELABORATING, Phase.BINDING, Phase.ANALYZING, Phase.CLOSING)  # a worker has its job
 
 
 def violations(state: State) -> list[str]:
-    """Everything that is wrong with a state; an empty list is a good state."""
+    """The violated invariants in words; an empty list means a valid state."""
     return [*_resources(state), *_motions(state), *_commands(state)]
 
 
@@ -64,7 +66,7 @@ def _motions(state: State) -> Iterable[str]:
 
 
 def _commands(state: State) -> Iterable[str]:
-    """A command that is waited for by nothing would never end."""
+    """A command that waits for nothing would never end."""
     if state.live != Counter(command.client for command in state.commands.values()):
         yield f"{state.live} is not how many commands each client has live"
     unread = {command for line in state.intake_order.values() for command in line}

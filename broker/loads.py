@@ -1,6 +1,6 @@
-"""Programs that are being checked before they are in use: one after the other, each in a process of its own.
+"""Queue of programs to load: each is checked in a process of its own before it is used.
 
-One at a time, because each is put into the program that the one before has made. The broker waits for none of them.
+Checks run one at a time, because each file is merged into the result of the previous one. The broker does not block.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from rtc.messages import ProgramText
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.program_check import Asked, Checked, check
 
-MOST_WAITING = 8
+MOST_WAITING = 8  # maximum number of queued loads
 
 
 class Check(Protocol):
-    """One check at work."""
+    """A running check."""
 
     def result(self, now: float) -> Checked | None:
-        """What came of it; None as long as it is at work."""
+        """The result; None while the check runs."""
 
 
 class InProcessCheck:
-    """A check without a process; for tests and simulations."""
+    """A check in the calling process, for tests and simulations."""
 
     def __init__(self, asked: Asked) -> None:
         self._checked = check(asked)
@@ -41,19 +41,19 @@ class Done(NamedTuple):
 
 
 class ProgramLoads:
-    """`start` begins a check; it may raise OSError."""
+    """`start` starts a check; it may raise OSError."""
 
     def __init__(self, store: ProgramStore, start: Callable[[Asked], Check] = InProcessCheck) -> None:
         self._store, self._start = store, start
         self._waiting: deque[tuple[bytes, ProgramText]] = deque()
-        self._running: Check | None = None  # for the first of them
+        self._running: Check | None = None  # check of the first one
 
     @property
     def busy(self) -> bool:
         return bool(self._waiting)
 
     def add(self, peer: bytes, text: ProgramText) -> Refusal | None:
-        """Check this in its turn. The same request again is the same check. A refusal: too many wait."""
+        """Queue a load. A repeated request is ignored. Returns a refusal if the queue is full."""
         if any((peer, text.request) == (other, known.request) for other, known in self._waiting):
             return None
         if len(self._waiting) >= MOST_WAITING:
@@ -63,7 +63,7 @@ class ProgramLoads:
         return None
 
     def poll(self, now: float) -> Iterator[Done]:
-        """Those that are done. The caller puts each into use before it asks for the next."""
+        """Yield finished loads. The caller must install each before it takes the next."""
         while self._waiting:
             peer, text = self._waiting[0]
             if self._running is None:

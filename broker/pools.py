@@ -1,9 +1,8 @@
-"""How many workers of each kind there should be: pool sizes follow the queues, within limits (R50, R124). Pure.
+"""Autoscaler: the number of workers per kind follows the length of their queues, within limits (R50, R124).
 
-A kind whose jobs wait gets one worker more, again and again, up to a most; a worker that has had nothing to do for long
-retires, down to a least. A kind that nobody is left of gets one as soon as a job waits for it. Who starts and ends
-processes is the supervisor; while one is on its way, or was asked for and is not seen, no other of that kind is asked
-for: when nothing but time is short (all were killed, the machine is slow), more of them would only come later.
+Pure. A kind with waiting jobs gets one more worker at a time, up to a maximum. A worker that is idle for long retires,
+down to a minimum. A kind without workers gets one as soon as a job waits. The supervisor starts and ends the processes.
+While a worker of a kind starts, no further one is ordered: on a slow machine more processes would only start later.
 """
 
 from __future__ import annotations
@@ -14,16 +13,16 @@ from typing import Any
 from broker.roster import Worker, WorkerRegistry
 from rtc.messages import RetireWorker, SpawnWorker, WorkerKind
 
-WAIT_S = 0.25  # a job that has waited this long for a worker of its kind shows that there are too few
-COMING_S = 5.0  # to start one; then the supervisor is asked again
-IDLE_S = 20.0  # without a job: there are too many
-COMING = ("starting", "restarting")  # states of a process that will soon be there
+WAIT_S = 0.25  # waiting time of a job that shows a shortage of workers
+COMING_S = 5.0  # time limit for the start of a worker; then it is ordered again
+IDLE_S = 20.0  # time without a job after which a worker may retire
+COMING = ("starting", "restarting")  # states of a process that is about to be ready
 
 Processes = Sequence[dict[str, Any]]
 
 
 class Autoscaler:
-    """`look` now and then, with what the supervisor last told of its processes. Limits are of each kind."""
+    """Orders workers by the queues and by the supervisor's latest process list. The limits hold per kind."""
 
     def __init__(self, least: int, most: int) -> None:
         self._least, self._most = least, max(least, most, 1)
@@ -32,7 +31,7 @@ class Autoscaler:
     def orders(
         self, registry: WorkerRegistry, processes: Processes, now: float
     ) -> Iterator[SpawnWorker | RetireWorker]:
-        """What to ask of the supervisor. Who is to retire gets no more jobs from here on."""
+        """Yield orders for the supervisor. A worker that is to retire gets no further jobs."""
         for kind in WorkerKind:
             workers = [w for w in registry.workers.values() if w.kind is kind and not w.retiring]
             waiting_s = registry.waiting_s(kind, now)
@@ -45,8 +44,8 @@ class Autoscaler:
                 yield RetireWorker(name=idle.name)
 
     def _surplus(self, workers: Sequence[Worker], processes: Processes, now: float) -> Worker | None:
-        """One of the supervisor's own that may retire. Who has come from another machine may leave at any time, so it
-        does not count, and is not ours to end."""
+        """A local worker that may retire. Workers on other machines do not count: they may leave at any time, and the
+        supervisor does not own them."""
         names = {row["name"] for row in processes}
         own = [worker for worker in workers if worker.name in names]
         return _idle(own, now) if len(own) > self._least else None
@@ -58,13 +57,13 @@ class Autoscaler:
 
 
 def _coming(kind: WorkerKind, workers: Sequence[Worker], processes: Processes) -> bool:
-    """Is a process of this kind on its way, and has not said hello?"""
+    """True if a process of this kind is starting and has not registered."""
     known = {worker.name for worker in workers}
     rows = (row for row in processes if row["name"].startswith(f"{kind.value}@") and row["name"] not in known)
     return any(row["state"] in COMING for row in rows)
 
 
 def _idle(workers: Sequence[Worker], now: float) -> Worker | None:
-    """One that has had nothing to do for long: the one with the highest address, so that a cube stays whole."""
+    """The idle worker with the highest address, so that the cube stays complete; None: all are busy."""
     idle = (worker for worker in workers if not worker.assigned and now - worker.since_s > IDLE_S)
     return max(idle, key=lambda worker: worker.node, default=None)

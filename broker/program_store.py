@@ -1,4 +1,4 @@
-"""The bodies of programs and of the cell, by digest: workers fetch from here what they have not cached."""
+"""Program store: bodies of programs and of the cell by digest. Workers fetch from it what they have not cached."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ from rtc.program_check import Asked, Checked
 
 
 class Loaded(NamedTuple):
-    digest: str  # of the whole program
-    changes: list[str]  # in words
+    """A checked and stored program."""
+
+    digest: str  # of the merged program
+    changes: list[str]  # differences to the previous program, in words
 
 
 class ProgramStore:
-    """`in_use`: kind -> digest, as the Decision Unit has it."""
+    """Stores bodies in the journal. `in_use`: kind -> digest, shared with the state of the Decision Unit."""
 
     def __init__(self, journal: Journal, in_use: Mapping[str, str] | None = None) -> None:
         self._journal = journal
@@ -26,7 +28,7 @@ class ProgramStore:
         self._bodies = journal.programs()
 
     def keep(self, body: bytes) -> str:
-        """Keep a body, through restarts too; returns its digest."""
+        """Store a body in the journal; returns its digest."""
         name = digest(body)
         if name not in self._bodies:
             self._bodies[name] = body
@@ -37,7 +39,7 @@ class ProgramStore:
         return self._bodies.get(digest)
 
     def asked(self, text: ProgramText) -> Asked:
-        """What must be checked to put a file into the program of a kind (LOAD), or to take all back."""
+        """The input of the check that merges a file into a program (LOAD) or resets the program."""
         others = {kind: self._bodies[self._in_use[kind]] for kind in WorkerKind if kind in self._in_use}
         return Asked(
             kind=text.kind,
@@ -49,7 +51,7 @@ class ProgramStore:
         )
 
     def take(self, text: ProgramText, checked: Checked) -> Loaded | Refusal:
-        """Keep a program that checks; or why it does not."""
+        """Store a program that passed its check; otherwise return the refusal."""
         if checked.error:
             return Refusal(reason=RefusalReason.PROGRAM, message=checked.error, where=text.name)
         return Loaded(self.keep(checked.merged), checked.changes)

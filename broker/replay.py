@@ -1,7 +1,7 @@
-"""Replay: from a journal to the state its broker was in, by deciding everything again.
+"""Replay: rebuild the broker state from a journal by repeating all decisions.
 
-`python -m broker.replay JOURNAL` re-runs a journal twice and proves that the decisions are the same both times, and
-the same as the ones whose stories were kept.
+`python -m broker.replay JOURNAL` replays a journal twice. It checks that both replays make the same decisions, and that
+they agree with the stored command records.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from rtc.outcomes import WireError
 
 
 def replay(journal: Journal) -> tuple[State, dict[str, CommandRecord]]:
-    """The state after all that the journal holds, and the stories of the commands that ended on the way. No effect is
-    carried out: they were, or their answers are asked for anew."""
+    """The state at the end of the journal, and the records of the commands that ended on the way. Effects are not
+    executed: they were executed before, or a restart repeats them."""
     after, state = journal.last_snapshot()
     ended = {}
     for turn in journal.turns(after):
@@ -46,7 +46,7 @@ def main(argv: list[str]) -> int:
     try:
         (first, ended), (second, _) = replay(journal), replay(journal)
     except (sqlite3.DatabaseError, TypeError, WireError):
-        print(f"{path} is no journal of a broker (RUN_DIR/journal.db is one)")
+        print(f"{path} is not a journal of a broker (RUN_DIR/journal.db is one)")
         return 2
     differing = [name for name, record in ended.items() if (kept := journal.story(name)) and kept != record]
     took_s = time.perf_counter() - began

@@ -1,6 +1,6 @@
-"""REPORT: what a sentence asks to be reported beyond the standard end report, taken from what its subsystem reports.
+"""REPORT clause: measured values that a sentence requests beyond the standard end report. Pure.
 
-Periodic reports pass by the Decision Unit, which lives on events: the router forwards them. Pure.
+The router forwards periodic reports directly, without the Decision Unit.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ from broker.state import Command
 from rtc.messages import EndReport, ProgressNote, ProgressReport
 from rtc.outcomes import Measured
 
-MOST_PER_S = 100  # periodic reports that one broker forwards to one client in a second; the rest is dropped and counted
+MOST_PER_S = 100  # maximum rate of periodic reports to one client; the rest is dropped and counted
 
 
 def at_end(command: Command, report: EndReport) -> Measured | None:
-    """What was measured at the end of a primitive, as far as it was asked for."""
+    """The requested values at the end of a primitive; None if none were requested or measured."""
     asked = command.head.report if command.head else None
     if asked is None or not (asked.joints or asked.forces or asked.pose) or not report.joints:
         return None
@@ -28,7 +28,7 @@ def at_end(command: Command, report: EndReport) -> Measured | None:
 
 
 def wants_periodic(command: Command | None, report: ProgressReport, subsystem: str) -> bool:
-    """The report is of the primitive that this command executes now, and its sentence asks for it."""
+    """True if the report is from the current primitive of this command and its sentence requests it."""
     return (
         command is not None
         and command.progress
@@ -40,7 +40,7 @@ def wants_periodic(command: Command | None, report: ProgressReport, subsystem: s
 
 
 def periodic(command: Command, report: ProgressReport, at_s: float) -> ProgressNote:
-    """For the client that gave the command. EVERY alone means everything that is measured."""
+    """The progress note with the requested values. EVERY alone requests all measured values."""
     assert command.head is not None
     asked = command.head.report
     assert asked is not None
@@ -52,7 +52,7 @@ def periodic(command: Command, report: ProgressReport, at_s: float) -> ProgressN
         wrench=report.wrench if asked.forces or everything else None,
     )
     return ProgressNote(
-        seq=0,  # not of the event stream: it passes the Decision Unit by
+        seq=0,  # not part of the event stream, because it bypasses the Decision Unit
         at_s=at_s,
         command=command.id,
         phase=command.phase,

@@ -1,15 +1,15 @@
-"""Who holds what, and who is next (R46, R110, A27-A29). Pure; knows names of commands and resources, no more.
+"""Resource allocation: claims, waiting lines and quarantine (R46, R110, A27-A29).
 
-A claim is all or nothing: a command holds every name it claims, or stands in line and holds none. So no
-command ever waits while holding, and there can be no deadlock. The line is fair: who was given first stands first,
-also when it comes back to the line because it needs more than it had, and a claim is granted only when nobody before
-it in line wants any of the same names, so nobody starves.
+Pure: it knows the names of commands and resources only. A claim is all or nothing: a command holds every name it
+claims, or waits in line and holds none. A command never waits while holding, so a deadlock is impossible. The lines are
+ordered by command number, also for a command that returns with a larger claim. A claim is granted only if no earlier
+command in line wants one of its names, so starvation is impossible.
 
-Two modes: exclusive (non-sharable resources, locations that will be written) and shared (locations a plan
-relies on). A name may also be in quarantine: its holder has ended, but nobody has confirmed rest.
+A claim on a name is exclusive (non-sharable resources, locations that will be written) or shared (locations a plan
+relies on). A name in quarantine is closed: its holder has ended, but its subsystem has not confirmed rest.
 
-Thousands may stand in one line. So what is in the way of one is seen without looking at all before it: of a line only
-its first matters, and the first in it who wants the name alone.
+A line may hold thousands of commands. The search for a blocker therefore looks at two entries of a line only: the
+first one, and the first one with an exclusive claim.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import NamedTuple
 import msgspec
 
 Claim = dict[str, bool]  # name -> exclusive?
-WORLD = "the world database"  # in the place of a subsystem
+WORLD = "the world database"  # stands for a subsystem in a quarantine
 
 
 def number(command: str) -> int:
@@ -30,14 +30,14 @@ def number(command: str) -> int:
 
 
 class Blocked(NamedTuple):
-    """The first thing in the way of a claim."""
+    """The first obstacle of a claim: the name, and the command or quarantine that blocks it."""
 
     name: str
     owner: str
 
 
 class Quarantine(NamedTuple):
-    """Who must confirm rest, and what it may still be executing; or the world, and the command it must be told of."""
+    """Why a name is closed: the subsystem that must confirm rest and its primitive, or WORLD and an ended command."""
 
     subsystem: str
     primitive: str
@@ -45,12 +45,12 @@ class Quarantine(NamedTuple):
     @property
     def in_words(self) -> str:
         if self.subsystem == WORLD:
-            return f"{WORLD}, which has not been told yet what {self.primitive} has done"
+            return f"{WORLD}, which does not have the changes of {self.primitive} yet"
         return f"{self.subsystem}, which has not confirmed rest"
 
 
-class Gone(NamedTuple):
-    """A claim on a name that is no more; `place` in line is a command's number, 0 of one that was held."""
+class RemovedClaim(NamedTuple):
+    """A claim on a name that was removed. `place`: the command's number if it waited, 0 if it held the name."""
 
     name: str
     exclusive: bool
@@ -62,13 +62,14 @@ class Resources(msgspec.Struct, kw_only=True):
     waiting: dict[str, Claim] = {}  # command -> what it waits for
     holders: dict[str, Claim] = {}  # name -> {command: exclusive?}: many that share, or one alone
     lines: dict[str, list[str]] = {}  # name -> the commands that wait for it, in order of their numbers
-    alone: dict[str, list[str]] = {}  # of each line: those who want the name exclusively
+    alone: dict[str, list[str]] = {}  # name -> the commands of its line with an exclusive claim
     quarantine: dict[str, Quarantine] = {}  # name -> why it is closed
 
     def blocker(self, command: str, claim: Claim) -> Blocked | None:
-        """The first thing in the way of a claim: held by another, or wanted by one earlier in line.
-        What the command holds already is not in its way, or two that extend their claims would send each other back
-        to the line for ever."""
+        """The first obstacle of a claim: a name held by another command, or wanted by an earlier one in line.
+
+        Names that the command already holds are not obstacles. Otherwise two commands that extend their claims would
+        send each other back to the line without end."""
         mine = self.held.get(command, {})
         for name, exclusive in claim.items():
             if name in mine and (mine[name] or not exclusive):
@@ -85,8 +86,8 @@ class Resources(msgspec.Struct, kw_only=True):
         return None
 
     def take(self, command: str, claim: Claim) -> Blocked | list[str]:
-        """Swap what the command holds for this claim. Granted: the list of who else can be granted now, by what it let
-        go of. Blocked: what it held before is unchanged."""
+        """Replace the command's held claim by this one. Returns the commands that can be granted now, or Blocked; then
+        the held claim is unchanged."""
         if claim == self.held.get(command):
             return self._grantable(self._leave_line(command))
         blocked = self.blocker(command, claim)
@@ -99,7 +100,7 @@ class Resources(msgspec.Struct, kw_only=True):
         return self._grantable(gone)
 
     def wait(self, command: str, claim: Claim) -> list[str]:
-        """Let go of everything and stand in line. Returns who can be granted now."""
+        """Release everything and wait in line. Returns the commands that can be granted now."""
         gone = self._let_go(command) + self._leave_line(command)
         self.waiting[command] = claim
         for name, exclusive in claim.items():
@@ -111,16 +112,18 @@ class Resources(msgspec.Struct, kw_only=True):
     def release(
         self, command: str, in_doubt: Quarantine | None = None, names: frozenset[str] = frozenset()
     ) -> list[str]:
-        """The command is over; returns who can be granted now, in order. When it is `in_doubt` whether its primitive
-        has come to rest, those of `names` that it held stay closed until that is confirmed."""
+        """Release the claims of an ended command. Returns the commands that can be granted now, in order.
+
+        `in_doubt`: the rest of its primitive is not confirmed; its held `names` are quarantined until it is."""
         let_go = self._let_go(command)
         if in_doubt:
             self.quarantine.update((gone.name, in_doubt) for gone in let_go if gone.name in names)
         return self._grantable(let_go + self._leave_line(command))
 
     def confirm_rest(self, subsystem: str, names: Collection[str] | None = None, moved: str = "") -> list[str]:
-        """Open what waited for this subsystem: all, or only these names and what was closed for the sake of `moved`, a
-        primitive or all of a command's; returns who can be granted now."""
+        """Lift the quarantines of this subsystem. Returns the commands that can be granted now.
+
+        `names`: only these, None = all. `moved`: also those of this primitive, or of all primitives of a command."""
         freed = [
             name
             for name, by in self.quarantine.items()
@@ -129,14 +132,15 @@ class Resources(msgspec.Struct, kw_only=True):
         ]
         for name in freed:
             del self.quarantine[name]
-        return self._grantable(Gone(name, exclusive=True) for name in freed)
+        return self._grantable(RemovedClaim(name, exclusive=True) for name in freed)
 
-    def _grantable(self, gone: Iterable[Gone]) -> list[str]:
-        """Of those for whom one of these was in the way, whoever has nothing else in the way.
-        Each must still be granted by `take`, which may refuse the second of two that want the same."""
+    def _grantable(self, gone: Iterable[RemovedClaim]) -> list[str]:
+        """The waiting commands that were blocked by a removed claim and have no other obstacle.
+
+        The caller must still call `take` for each; it may refuse the second of two with the same names."""
         found: dict[str, None] = {}
         for claim in gone:
-            if claim.name not in self.lines:  # most of the time
+            if claim.name not in self.lines:  # the usual case
                 continue
             for command in self._behind(claim):
                 wanted = self.waiting[command]
@@ -145,12 +149,14 @@ class Resources(msgspec.Struct, kw_only=True):
         return list(found)
 
     def _is_first(self, command: str, claim: Claim) -> bool:
-        """In line for all that it wants alone. The cheap question comes first: thousands may share a name."""
+        """True if it is first in line for all its exclusive names. This cheap check precedes `blocker`."""
         return all(self.lines[name][0] == command for name, exclusive in claim.items() if exclusive)
 
-    def _behind(self, gone: Gone) -> list[str]:
-        """Those in line for whom a claim that is gone may have been all that was in the way. One that shared was in the
-        way of an exclusive one that is first, at most; an exclusive one of those behind it, to the next like it."""
+    def _behind(self, gone: RemovedClaim) -> list[str]:
+        """The waiting commands that a removed claim may have blocked.
+
+        A removed shared claim can unblock only the first waiter. A removed exclusive claim can unblock the waiters
+        behind it, up to the next exclusive one."""
         line = self.lines[gone.name]
         if not gone.exclusive:
             return line[:1]
@@ -158,7 +164,7 @@ class Resources(msgspec.Struct, kw_only=True):
         end = bisect_left(line, number(alone[0]), key=number) + 1 if alone else len(line)
         return line[bisect_left(line, gone.place, key=number) : end]
 
-    def _let_go(self, command: str) -> list[Gone]:
+    def _let_go(self, command: str) -> list[RemovedClaim]:
         claim = self.held.pop(command, None)
         if not claim:
             return []
@@ -166,11 +172,11 @@ class Resources(msgspec.Struct, kw_only=True):
             del self.holders[name][command]
             if not self.holders[name]:
                 del self.holders[name]
-        return [Gone(name, exclusive) for name, exclusive in claim.items()]
+        return [RemovedClaim(name, exclusive) for name, exclusive in claim.items()]
 
-    def _leave_line(self, command: str) -> list[Gone]:
+    def _leave_line(self, command: str) -> list[RemovedClaim]:
         claim = self.waiting.pop(command, None)
-        if claim is None:  # most of the time
+        if claim is None:  # the usual case
             return []
         place = number(command)
         for name, exclusive in claim.items():
@@ -179,4 +185,4 @@ class Resources(msgspec.Struct, kw_only=True):
                 del line[bisect_left(line, place, key=number)]
                 if not line:
                     del lines[name]
-        return [Gone(name, exclusive, place) for name, exclusive in claim.items()]
+        return [RemovedClaim(name, exclusive, place) for name, exclusive in claim.items()]

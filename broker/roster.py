@@ -1,9 +1,9 @@
-"""Who is alive, and who gets the job. Pure: the time is an argument; it knows neither commands nor sockets.
+"""Worker registry: liveness of the workers and assignment of jobs to them.
 
-Workers of a kind share one queue. A worker that answers in microseconds is given several jobs in one message and
-one such handful ahead, so that it never waits for the broker; a slow one is given one job at a time, so that none
-lies with a busy worker while another is idle. Jobs are done in the order given, so the first one a worker holds is
-the one in its hands.
+Pure: the time is an argument; it does not know commands or sockets. Workers of a kind share one queue. A worker that
+answers in microseconds gets a batch of jobs per message and one batch ahead, so that it never waits for the broker. A
+slow worker gets one job at a time, so that no job waits at a busy worker while another worker is idle. Workers process
+jobs in order, so the first job assigned to a worker is in progress.
 """
 
 from __future__ import annotations
@@ -15,24 +15,25 @@ from typing import NamedTuple
 from broker.effects import DispatchJob
 from rtc.messages import WorkerKind
 
-HANDFUL_S = 0.002  # of work that may go to a worker in one message
-HANDFUL_MAX = 64
-SLOW_S = 0.005  # jobs longer than this are given one at a time
-# An analyzer waits for the world, which may be away for half of that.
+HANDFUL_S = 0.002  # maximum duration of the jobs in one message
+HANDFUL_MAX = 64  # maximum number of jobs in one message
+SLOW_S = 0.005  # workers with longer jobs get one at a time
+# Time limit per job. An analyzer waits for the world database for up to half of it.
 DEADLINE_S = {WorkerKind.PARSER: 3.0, WorkerKind.ELABORATOR: 15.0, WorkerKind.BINDER: 15.0, WorkerKind.ANALYZER: 10.0}
-SILENCE_S = 3.0  # an idle worker says something every half second
-QUEUE_LIMIT_S = 60.0  # longest wait of a job for a worker of its kind, while none of them answers anything
+SILENCE_S = 3.0  # time limit for a sign of life of an idle worker, which sends one every 0.5 s
+QUEUE_LIMIT_S = 60.0  # maximum wait of a job while no worker of its kind answers
 
 
-Lane = OrderedDict[str, tuple[float, DispatchJob]]  # job -> since when it waits; the oldest first
+Lane = OrderedDict[str, tuple[float, DispatchJob]]  # job -> (time when it was queued, job); the oldest first
 
 
 class Queue:
-    """Jobs of one kind that wait for a worker. Clients take turns, so that one with thousands of commands keeps
-    another's waiting for one job; the jobs of one client go in order."""
+    """Jobs of one kind that wait for a worker, round-robin by client.
+
+    A client with thousands of commands delays another by one job only. The jobs of one client stay in order."""
 
     def __init__(self) -> None:
-        self._lanes: OrderedDict[str, Lane] = OrderedDict()  # by client, the one whose turn it is first; none is empty
+        self._lanes: OrderedDict[str, Lane] = OrderedDict()  # by client, the next one first; none is empty
         self._client_of: dict[str, str] = {}
 
     def __len__(self) -> int:
@@ -63,11 +64,11 @@ class Queue:
                 del self._lanes[client]
 
     def oldest_s(self) -> float | None:
-        """Since when the one that has waited longest waits."""
+        """Time when the oldest waiting job was queued; None if the queue is empty."""
         return min((next(iter(lane.values()))[0] for lane in self._lanes.values()), default=None)
 
     def waiting_since(self, before_s: float) -> list[DispatchJob]:
-        """Those that wait since before then."""
+        """The jobs queued before this time."""
         found = []
         for lane in self._lanes.values():
             for since_s, job in lane.values():
@@ -78,7 +79,7 @@ class Queue:
 
 
 class LostJob(NamedTuple):
-    """A job whose worker is gone. `in_hand`: it was being worked on."""
+    """A job whose worker is lost. `in_hand`: it was in progress."""
 
     job: DispatchJob
     in_hand: bool
@@ -89,12 +90,12 @@ class Worker:
 
     def __init__(self, name: str, node: int, kind: WorkerKind, pid: int, now: float) -> None:
         self.name, self.node, self.kind, self.pid = name, node, kind, pid
-        self.assigned: dict[str, DispatchJob] = {}  # in order; the first is in its hands
-        self.since_s = now  # since when the first has been in its hands
+        self.assigned: dict[str, DispatchJob] = {}  # jobs in order; the first is in progress
+        self.since_s = now  # time when the first job began
         self.last_seen_s = now
         self.done = 0
-        self.mean_s = 1.0  # of a job; unknown is slow, until shown otherwise
-        self.retiring = False  # told to end: it gets no more jobs
+        self.mean_s = 1.0  # mean duration of a job; an unknown worker counts as slow
+        self.retiring = False  # ordered to end: it gets no further jobs
 
     @property
     def handful(self) -> int:
@@ -112,12 +113,12 @@ class WorkerRegistry:
     def __init__(self) -> None:
         self.workers: dict[str, Worker] = {}
         self.queues: dict[WorkerKind, Queue] = {kind: Queue() for kind in WorkerKind}
-        self.answered_at_s: dict[WorkerKind, float] = {}  # when one of a kind has last done a job
+        self.answered_at_s: dict[WorkerKind, float] = {}  # worker kind -> time of the latest result
 
     # --- workers come and go --------------------------------------------------------------------------
 
     def register(self, name: str, node: int, kind: WorkerKind, pid: int, now: float) -> list[LostJob]:
-        """A worker is ready. What its name held before is lost, whether the process is a new one or not."""
+        """Add a ready worker. Returns the jobs that an earlier worker of that name has lost."""
         lost = self.remove(name)
         self.workers[name] = Worker(name, node, kind, pid, now)
         return lost
@@ -129,20 +130,20 @@ class WorkerRegistry:
         return [LostJob(job, in_hand=first == 0) for first, job in enumerate(worker.assigned.values())]
 
     def mark_alive(self, name: str, now: float) -> bool:
-        """Any sign of life. False: nobody of that name is known, it should say hello."""
+        """Record a sign of life. False: the worker is not registered and must send its hello."""
         worker = self.workers.get(name)
         if worker is not None:
             worker.last_seen_s = now
         return worker is not None
 
     def answered(self, name: str, job: str, attempt: int, took_s: float, now: float) -> bool:
-        """False: this attempt was not given to this worker, or it was taken for lost meanwhile."""
+        """Record a result. False: this attempt is not assigned to this worker, or was declared lost."""
         worker = self.workers.get(name)
         if worker is None:
             return False
         worker.last_seen_s = worker.since_s = self.answered_at_s[worker.kind] = now
         held = worker.assigned.get(job)
-        if held is None or held.attempt != attempt:  # a late answer to an earlier attempt frees nothing
+        if held is None or held.attempt != attempt:  # a late result of an earlier attempt
             return False
         del worker.assigned[job]
         worker.done += 1
@@ -152,17 +153,17 @@ class WorkerRegistry:
     # --- jobs -----------------------------------------------------------------------------------------
 
     def submit(self, job: DispatchJob, now: float, client: str = "") -> None:
-        """`client`: whose command it is for."""
+        """Queue a job. `client`: the client of its command."""
         self.queues[job.kind].add(job, client, now)
 
     def cancel(self, job: str) -> str:
-        """Nobody wants it any more. Returns the worker that holds it and should be told, or an empty name."""
+        """Remove a job from the queues. Returns the worker that has it and must drop it, or an empty name."""
         for queue in self.queues.values():
             queue.drop(job)
         return next((worker.name for worker in self.workers.values() if job in worker.assigned), "")
 
     def assign(self, now: float) -> Iterator[tuple[str, list[DispatchJob]]]:
-        """Give out what can be given out: (worker, jobs) pairs, the least loaded worker first."""
+        """Assign queued jobs. Yields (worker, jobs) pairs, the least loaded worker first."""
         for kind, queue in self.queues.items():
             while queue:
                 free = [w for w in self.workers.values() if w.kind is kind and w.room > 0]
@@ -177,14 +178,14 @@ class WorkerRegistry:
                 yield worker.name, jobs
 
     def waiting_s(self, kind: WorkerKind, now: float) -> float | None:
-        """How long the first job in line has waited for a worker of this kind; None: none waits."""
+        """Waiting time of the oldest queued job of this kind, in seconds; None: the queue is empty."""
         since_s = self.queues[kind].oldest_s()
         return None if since_s is None else now - since_s
 
     # --- trouble --------------------------------------------------------------------------------------
 
     def hung(self, now: float) -> list[tuple[Worker, str]]:
-        """Workers that are alive and make no progress, with the evidence."""
+        """Workers without progress or without a sign of life, each with the evidence."""
         found = []
         for worker in self.workers.values():
             in_hand_s = now - max(worker.since_s, 0.0)
@@ -196,16 +197,18 @@ class WorkerRegistry:
         return found
 
     def never_registered(self, name: str, ready_since_s: float, now: float) -> bool:
-        """Whether a worker process that is ready for so long should have said a word by now, and has not: it hung
-        before this broker came. One that is busy for another broker may be silent for the length of a job."""
+        """True if a ready worker process has not registered in time: it hung before this broker started.
+
+        A worker that is busy for an earlier broker may be silent for the length of one job."""
         kind = name.partition("@")[0]
         if name in self.workers or kind not in DEADLINE_S:
             return False
         return now - ready_since_s > DEADLINE_S[WorkerKind(kind)]
 
     def waited_too_long(self, now: float) -> list[DispatchJob]:
-        """Jobs taken out of a queue because no worker of their kind took them within the limit, nor answered anything:
-        as long as the line moves, theirs is only a long one."""
+        """Remove and return the jobs that waited longer than the limit while no worker of their kind answered.
+
+        As long as workers answer, the queue is only long, and its jobs stay."""
         expired = []
         for kind, queue in self.queues.items():
             if now - self.answered_at_s.get(kind, -QUEUE_LIMIT_S) < QUEUE_LIMIT_S:

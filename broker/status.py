@@ -1,4 +1,4 @@
-"""What `rtc status` shows: a picture of the broker in plain JSON types (the layout is in docs/protocol.md)."""
+"""The broker status for `rtc status`, in plain JSON types (layout: docs/protocol.md)."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def status(router: Router) -> dict[str, Any]:
 
 
 def _spread_ms(times_s: Any) -> dict[str, float]:
-    """Message in -> effects out, over the last turns."""
+    """Percentiles of the time from a message to its effects, in milliseconds, over the latest batches."""
     if not times_s:
         return {}
     ordered = sorted(times_s)

@@ -1,4 +1,7 @@
-"""Timers by name: the nearest first, a new one of the same name replaces the old. Pure; the time is an argument."""
+"""Named timers in order of expiry. Pure: the time is an argument.
+
+A new timer replaces the one of the same name.
+"""
 
 from __future__ import annotations
 

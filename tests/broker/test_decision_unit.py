@@ -1031,7 +1031,7 @@ def test_after_a_minute_the_command_fails_and_what_it_touched_is_closed_until_th
     assert s.state.resources.quarantine == dict.fromkeys(("RIGHT-ARM", "MODULE"), (WORLD, "C-1"))
     s.parsed()
     assert s.state.commands["C-2"].notes[-1].note == (
-        "RIGHT-ARM is in use by the world database, which has not been told yet what C-1 has done"
+        "RIGHT-ARM is in use by the world database, which does not have the changes of C-1 yet"
     )
     s.halts("RIGHT-ARM")
     s.rests("h1")  # that it is at rest is not what the world has to be told

@@ -173,4 +173,4 @@ def test_the_command_says_so_when_there_is_nothing_to_decide_again_or_no_journal
     other = tmp_path / "notes.txt"
     other.write_text("no journal at all, but long enough to be looked at as one" * 20)
     assert replay.main([str(other)]) == 2
-    assert "is no journal" in capsys.readouterr().out
+    assert "is not a journal" in capsys.readouterr().out
