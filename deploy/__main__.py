@@ -13,13 +13,13 @@ from rtc.keys import check_address
 from rtc.outcomes import ClusterError, NoCluster, ProgramError, RtcError
 from rtc.settings import Settings, default_run_dir
 
-CELL = "swapout"  # where nothing else is said
-MOST_WORKERS = 64  # of a kind; a desk has fewer cores
-WRONG = 2  # exit status for an option that cannot be, as argparse has it
+CELL = "swapout"  # default cell
+MOST_WORKERS = 64  # maximum number of workers of a kind
+WRONG = 2  # exit status for an invalid option, as in argparse
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """0 = ready and, later, ended in order; 1 = it did not come up; 2 = it was not tried, for an option is wrong."""
+    """Exit status: 0 = the cluster became ready and ended in order; 1 = it did not start; 2 = invalid option."""
     given = _parser().parse_args(arguments)
     try:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # `rtc up` has blocked it until here
@@ -44,9 +44,9 @@ def _obey(given: argparse.Namespace, run_dir: Path) -> int:
 
 
 def settings_of(given: argparse.Namespace, run_dir: Path) -> Settings:
-    """The options, checked. Raises RtcError: an option is wrong."""
+    """The checked options. Raises RtcError for an invalid option."""
     if given.least is not None and given.least > given.most:
-        raise ClusterError(f"--least {given.least} is more than --most {given.most}: say --most {given.least} or more")
+        raise ClusterError(f"--least {given.least} is more than --most {given.most}: use --most {given.least} or more")
     return Settings(
         run_dir=str(run_dir),
         cell=_cell(given.cell),
@@ -60,13 +60,15 @@ def settings_of(given: argparse.Namespace, run_dir: Path) -> Settings:
 
 
 def _cell(text: str) -> str:
-    """A cell's name or its file. Raises ProgramError when it is none."""
+    """The name of a cell, or the absolute path of its file. Raises ProgramError."""
     if text == CELL:
-        return text  # to look into it takes numpy, and nothing should stand between `up` and the start of the processes
+        return text  # unchecked: the check imports numpy, which would delay the start of the processes
     path = Path(text)
     is_yaml = path.suffix in (".yaml", ".yml")
     if path.is_file() and not is_yaml:
-        raise ProgramError(f"{text} is no cell: a cell is a .yaml file, a directory with a cell.yaml in it, or a name")
+        raise ProgramError(
+            f"{text} is not a cell: a cell is a .yaml file, a directory with a cell.yaml in it, or a name"
+        )
     from rtc.cell import Cell
 
     Cell.load(text)
@@ -85,7 +87,7 @@ def _down(run_dir: Path) -> int:
     try:
         pid, stopped = cluster.down(run_dir)
     except NoCluster as error:
-        print(error)  # what was wanted is so
+        print(error)  # the requested state holds already
         return 0
     if stopped:
         print(stopped)
@@ -100,16 +102,16 @@ def say(line: str) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m deploy", description="Start and stop a cluster.")
     what = parser.add_subparsers(dest="what", required=True)
-    up = what.add_parser("up", help="start a cluster and stay with it until Ctrl-C")
+    up = what.add_parser("up", help="start a cluster and run it until Ctrl-C")
     up.add_argument("--cell", default=CELL, help="name of a cell, or a cell file")
-    up.add_argument("--dim", type=int, default=2, choices=range(2, 9), help="of the cube: 2^dim workers")
-    up.add_argument("--least", type=_count, default=None, help="workers of each kind; else as many as the cube has")
-    up.add_argument("--most", type=_count, default=4, help="workers of each kind, while jobs wait")
+    up.add_argument("--dim", type=int, default=2, choices=range(2, 9), help="dimension of the cube: 2^dim workers")
+    up.add_argument("--least", type=_count, default=None, help="minimum workers of each kind; default: the whole cube")
+    up.add_argument("--most", type=_count, default=4, help="maximum workers of each kind, while jobs wait")
     up.add_argument("--mcm", default="bullet", choices=("bullet", "kinematic"))
     up.add_argument("--speed", type=_speed, default=1.0, help="simulated seconds per second, or max")
-    up.add_argument("--listen", default="", help="tcp://HOST:PORT, where known keys are let in from other machines")
-    up.add_argument("-d", "--detach", action="store_true", help="return once it is ready")
-    down = what.add_parser("down", help="stop it in order")
+    up.add_argument("--listen", default="", help="tcp://HOST:PORT for clients on other machines, with known keys")
+    up.add_argument("-d", "--detach", action="store_true", help="return when the cluster is ready")
+    down = what.add_parser("down", help="stop the cluster in order")
     for command in (up, down):
         command.add_argument("--run-dir", type=Path, default=None)
     return parser

@@ -1,6 +1,6 @@
-"""One process of the cluster, as its parent sees it: started, heard to be ready, seen to end. It decides nothing.
+"""One child process of the supervisor: start, output, health and exit. It decides nothing.
 
-A process is started by running its command, or, when its spec names a template that is at work, by having that fork.
+A process starts by its command or, if its spec names a fork server that is ready, by a fork of that server.
 """
 
 from __future__ import annotations
@@ -21,123 +21,123 @@ from typing import BinaryIO
 from deploy.restarts import Death
 from rtc.process import ALIVE, NOTE, READY, die_with_parent, now_s
 
-LOG_LIMIT = 10 << 20  # bytes; then the log becomes NAME.log.1 and begins anew
-REMEMBERED_DEATHS = 100
-NOTES_KEPT = 5
-FORK_LIMIT_S = 1.0  # a template answers in milliseconds
+LOG_LIMIT = 10 << 20  # bytes; a longer log is copied to NAME.log.1 and truncated
+REMEMBERED_DEATHS = 100  # maximum number of recorded deaths
+NOTES_KEPT = 5  # maximum number of kept notes
+FORK_LIMIT_S = 1.0  # limit for the answer of a fork server, which takes milliseconds
 
 
 @dataclass(frozen=True)
 class Spec:
-    """What to run under which name. It must write the line `ready` to its stdout."""
+    """The specification of a process. The process must write the line `ready` to its stdout."""
 
     name: str
     command: tuple[str, ...]
-    node: int | None = None  # a worker's address
-    is_template: bool = False  # others are forked from it: it gets a line for orders as its stdin
-    beats: bool = False  # when its loop turns it says so every second: one that does not is hung
-    later: bool = False  # of a template: nothing needs it to begin with, so it is started when the cluster is ready
-    template: str = ""  # the process that this one can be forked from, and
-    order: bytes = b""  # what that must be told
-    awaits_template: bool = False  # it starts no quicker by itself than its template does
-    fds: tuple[int, ...] = ()  # files that it inherits
+    node: int | None = None  # address of a worker
+    is_fork_server: bool = False  # it is a fork server: its stdin is a socket for orders
+    beats: bool = False  # its loop writes `alive` every second; without that it is hung
+    later: bool = False  # of a fork server: it starts only after the cluster is ready
+    fork_server: str = ""  # name of the fork server of this process, if any
+    order: bytes = b""  # order that makes the fork server fork it
+    awaits_fork_server: bool = False  # it waits for its fork server, because it does not start faster alone
+    fds: tuple[int, ...] = ()  # file descriptors that it inherits
 
 
 class State(StrEnum):
-    """Where a process is; the word `rtc status` shows."""
+    """The state of a process, as `rtc status` shows it."""
 
     STARTING = "starting"
     READY = "ready"
-    WAITING = "restarting"  # until its next start
-    LOOPING = "crash loop"  # the same, but not at once: it has died too often too soon
-    FAILED = "failed"  # given up
-    ENDING = "ending"  # told to end
+    WAITING = "restarting"  # for its next start
+    LOOPING = "crash loop"  # waiting with a delay, after several deaths soon after the start
+    FAILED = "failed"  # not restarted any more
+    ENDING = "ending"  # SIGTERM sent
     ENDED = "ended"
 
 
 class Line:
-    """The supervisor's end of a line to a template: one order, one answer, one word to begin."""
+    """The supervisor's end of the socket to a fork server: an order, its answer, and a start byte for the child."""
 
     def __init__(self) -> None:
         self._ours, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)  # whole messages
         self._ours.settimeout(FORK_LIMIT_S)
 
     def fork(self, order: bytes, *fds: int) -> tuple[int, int]:
-        """(pid, pidfd) of a new process, a child of ours; `fds` are its stdout, stderr and stdin, if it has one.
+        """(pid, pidfd) of a new child process; `fds`: its stdout, stderr and, optionally, stdin.
 
-        It becomes nothing before our word comes through a pipe of its own. Does the answer come too late, or are we
-        dead, then it finds that pipe's end there and ends: nobody would watch it. Raises OSError when there is no
-        answer in time, and from then on."""
-        begin, word = os.pipe()
+        The child waits for a start byte on a pipe. If the pipe closes first (late answer, dead supervisor), it exits,
+        so that no process runs unwatched. Raises OSError without an answer in time, and for each later call.
+        """
+        begin, start = os.pipe()
         try:
             socket.send_fds(self._ours, [order], [begin, *fds])
             answer = self._ours.recv(32)
             if not answer:
-                raise ConnectionError("the template is gone")
+                raise ConnectionError("the fork server has ended")
             pid = int(answer)
             pidfd = os.pidfd_open(pid)
-            os.write(word, b"!")
+            os.write(start, b"!")
             return pid, pidfd
         except OSError:
-            self.close()  # an answer that comes now must not be taken for that to the next order
+            self.close()  # a late answer must not count for the next order
             raise
         finally:
             os.close(begin)
-            os.close(word)
+            os.close(start)
 
     def close(self) -> None:
         self._ours.close()
 
 
 class Child:
-    """`exited_fd` becomes readable when the process ends, `output_fd` when it says something."""
+    """A process. `exited_fd` becomes readable when it ends, `output_fd` when it writes to stdout."""
 
     def __init__(self, spec: Spec, log: Path) -> None:
         self.spec = spec
         self.log = log
         self.state = State.WAITING
         self.since_s = now_s()
-        self.heard_s = 0.0  # when it said something last
-        self.busy_s = 0.0  # when it was seen to use the processor last
-        self.stopped_since_s = 0.0  # by a signal; 0 = it is not
+        self.last_output_s = 0.0  # time of its last output
+        self.busy_s = 0.0  # time of its last observed use of the processor
+        self.stopped_since_s = 0.0  # stopped by a signal since then; 0 = not stopped
         self.restarts = 0
-        self.notes: deque[str] = deque(maxlen=NOTES_KEPT)  # that it told people, in all its lives
-        self._news: list[str] = []  # notes that nobody has taken
-        self.was_ready = False  # in any of its lives
+        self.notes: deque[str] = deque(maxlen=NOTES_KEPT)  # its last notes for people, over all restarts
+        self._news: list[str] = []  # notes not yet returned by take_news
+        self.was_ready = False  # before any of its restarts
         self.deaths: deque[Death] = deque(maxlen=REMEMBERED_DEATHS)
-        self.start_at_s = 0.0  # while WAITING or LOOPING: when to start it
-        self.kill_at_s = 0.0  # while ENDING: when patience ends
+        self.start_at_s = 0.0  # start time while WAITING or LOOPING
+        self.kill_at_s = 0.0  # time of SIGKILL while ENDING
         self.exited_fd = self.output_fd = -1
-        self.line: Line | None = None  # of a template
+        self.line: Line | None = None  # of a fork server
         self.pid = 0  # 0 = none
-        self._popen: subprocess.Popen[bytes] | None = None  # None also when it was forked from a template
-        self.output_over = False  # it has closed its stdout
+        self._popen: subprocess.Popen[bytes] | None = None  # None if it was forked by a fork server
+        self.output_over = False  # its stdout is closed
         self._line = b""
-        self._worked = 0  # processor time used, as seen last
+        self._worked = 0  # processor time at the last look, in clock ticks
 
     @property
     def waits(self) -> bool:
-        """For its next start."""
+        """True while it waits for its next start."""
         return self.state in (State.WAITING, State.LOOPING)
 
     def become(self, state: State) -> None:
         self.state, self.since_s = state, now_s()
 
-    def start(self, template: Line | None = None) -> None:
-        """Run it, or have the template fork it, its stderr going to the log. Raises OSError when that cannot be."""
+    def start(self, fork_server: Line | None = None) -> None:
+        """Starts it by its command or by `fork_server`; stderr goes to the log. Raises OSError."""
         limit_log(self.log)
         self.output_fd, output = os.pipe()
-        self.line = Line() if self.spec.is_template else None
+        self.line = Line() if self.spec.is_fork_server else None
         stdin = (self.line.theirs.fileno(),) if self.line else ()
         try:
             with open_log(self.log) as log:
-                if template is None:
+                if fork_server is None:
                     self._popen = self._run(output, log.fileno(), *stdin)
                     self.pid, self.exited_fd = self._popen.pid, os.pidfd_open(self._popen.pid)
                 else:
-                    self.pid, self.exited_fd = template.fork(self.spec.order, output, log.fileno(), *stdin)
+                    self.pid, self.exited_fd = fork_server.fork(self.spec.order, output, log.fileno(), *stdin)
         except OSError:
-            if self._popen is not None:  # unwatched it must not live
+            if self._popen is not None:  # a process without a watcher must not run
                 self._popen.kill()
                 self._popen.wait()
                 self._popen = None
@@ -148,7 +148,7 @@ class Child:
         finally:
             os.close(output)
             if self.line:
-                self.line.theirs.close()  # then its death closes the line
+                self.line.theirs.close()  # so that its death closes the connection
         os.set_blocking(self.output_fd, False)
         self._line, self.output_over = b"", False
         self.become(State.STARTING)
@@ -160,17 +160,17 @@ class Child:
             stdin=stdin,
             stdout=output,
             stderr=log,
-            start_new_session=True,  # Ctrl-C is for the supervisor, who ends the others in order
+            start_new_session=True,  # Ctrl-C goes to the supervisor only, which ends the others in order
             preexec_fn=lambda: _begin(me),
             pass_fds=self.spec.fds,
             env=os.environ | ONE_THREAD,
         )
 
-    def heard_ready(self) -> bool:
-        """Read what it said; True when `ready` was among it. Anything but that and `alive` goes to its log."""
-        said = self._read()
-        self.heard_s = now_s()
-        *lines, self._line = (self._line + said).split(b"\n")
+    def read_output(self) -> bool:
+        """Reads its output; True if it contains `ready`. Lines other than `ready`, `alive` and notes go to its log."""
+        output = self._read()
+        self.last_output_s = now_s()
+        *lines, self._line = (self._line + output).split(b"\n")
         noted = [line for line in lines if line.startswith(NOTE)]
         self._news += [line.removeprefix(NOTE).decode(errors="replace") for line in noted]
         other = [line for line in lines if line.strip() not in (READY, ALIVE) and line not in noted]
@@ -180,26 +180,26 @@ class Child:
         return READY in lines
 
     def take_news(self) -> list[str]:
-        """The notes that came since the last time."""
+        """The notes since the last call."""
         news, self._news = self._news, []
         self.notes += news
         return news
 
     def _read(self) -> bytes:
         try:
-            said = os.read(self.output_fd, 1 << 16)
+            output = os.read(self.output_fd, 1 << 16)
         except BlockingIOError:
             return b""
-        self.output_over = not said
-        return said
+        self.output_over = not output
+        return output
 
     def look(self, now: float) -> None:
-        """Whether it is stopped, and whether it has worked since the last look."""
+        """Updates `stopped_since_s` and `busy_s` from /proc; `now` in s (rtc.process.now_s)."""
         try:
             fields = Path(f"/proc/{self.pid}/stat").read_bytes().rpartition(b") ")[2].split()
         except OSError:
             return
-        # A process that is stopped by a signal (SIGSTOP) does nothing, whatever it is.
+        # State T: stopped by a signal such as SIGSTOP.
         self.stopped_since_s = (self.stopped_since_s or now) if fields[0] == b"T" else 0.0
         worked = int(fields[11]) + int(fields[12])  # utime and stime, 10 ms each; proc(5)
         if worked != self._worked:
@@ -211,7 +211,7 @@ class Child:
                 signal.pidfd_send_signal(self.exited_fd, number)
 
     def reap(self) -> int:
-        """Its exit status, negative for a signal, once `exited_fd` says it is over."""
+        """Its exit status, negative for a signal. To be called when `exited_fd` is readable."""
         if self._popen is not None:
             status = self._popen.wait()
         else:
@@ -225,7 +225,7 @@ class Child:
         return status
 
     def log_tail(self, lines: int = 15) -> str:
-        """The last words of its log."""
+        """The last lines of its log; empty without a log."""
         try:
             with open(self.log, "rb") as log:
                 log.seek(max(0, log.seek(0, os.SEEK_END) - 8192))
@@ -234,37 +234,37 @@ class Child:
             return ""
 
 
-def reap_strangers(known: Container[int]) -> None:
-    """Wait for what was forked away and has ended before it was anything: it is ours by adoption alone."""
+def reap_orphans(known: Container[int]) -> None:
+    """Reaps ended processes that are not in `known`: adopted ones, which were forked but never registered."""
     with contextlib.suppress(ChildProcessError):
         while (dead := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) and dead.si_pid not in known:
             os.waitpid(dead.si_pid, 0)
 
 
-NICENESS = os.getpriority(os.PRIO_PROCESS, 0)  # as we were started, before the supervisor took a better one
+NICENESS = os.getpriority(os.PRIO_PROCESS, 0)  # at the start, before the supervisor lowered its own
 
 
 def _begin(supervisor: int) -> None:
-    """In the child, before it becomes what it shall be."""
+    """Runs in the child before exec."""
     die_with_parent(supervisor)
     os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
 
 
-# Numeric libraries start a thread per core when they are imported; many workers on few cores only lose by that.
+# Numeric libraries start a thread per core at import, which slows down many workers on few cores.
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 def limit_log(log: Path) -> None:
-    """Put a log that has grown too long aside. Its writer has it open for appending and goes on at the beginning."""
+    """Copies a log beyond LOG_LIMIT aside and truncates it. Its writer has it open for appending and continues."""
     with contextlib.suppress(OSError):
         if log.stat().st_size > LOG_LIMIT:
-            with contextlib.suppress(OSError):  # on a full disk a part of it is lost: it must not grow for ever
+            with contextlib.suppress(OSError):  # on a full disk a part of the copy is lost
                 shutil.copyfile(log, log.with_suffix(".log.1"))
             os.truncate(log, 0)
 
 
 def open_log(log: Path) -> BinaryIO:
-    """A log, for appending. On a full disk there may be no room for a new one: then what is said there is lost."""
+    """A log, opened for appending. Without room for a new file, /dev/null: the output is lost."""
     try:
         return open(log, "ab")
     except OSError:

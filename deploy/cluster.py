@@ -1,10 +1,10 @@
-"""One cluster in its run directory: who may start it, what lies there, which processes it has, how it is ended.
+"""One cluster in its run directory: exclusive start, files, process specs, and shutdown.
 
     settings.json  supervisor.json  lease.key  logs/NAME.log  *.sock  *.db
-    previous/         databases and logs of the cluster before; previous-2/, previous-3/: of those before it
-    supervisor.lock   held by the supervisor as long as it lives; the kernel lets go of it however it dies
+    previous/         databases and logs of the last cluster; previous-2/, previous-3/: of earlier ones
+    supervisor.lock   locked by the supervisor; the kernel releases the lock when it dies
 
-A cluster begins with a clean world: its predecessor's databases and logs are put into previous/.
+A new cluster begins with a new world: the databases and logs of the last one move to previous/.
 """
 
 from __future__ import annotations
@@ -37,29 +37,37 @@ from rtc.settings import ENDPOINTS, LOCK, Settings, prepare_run_dir
 from rtc.world import lease
 
 LOGS = "logs"
-TEMPLATE = "template"  # of workers; NAME-template of the process NAME
-TWIN = "twin-template"  # making a template of workers takes seconds, so each of two is forked from the other
+TEMPLATE = "template"  # process name of the fork server of workers; NAME-template: that of the process NAME
+STANDBY = "twin-template"  # standby fork server: a start takes seconds, so each of the two is forked from the other
 PREVIOUS = "previous"
 RUNS_KEPT = 3  # in previous, previous-2, previous-3
-LAST_WORDS = "ended.txt"  # what was stopped when the cluster ended
-REST_S = 1.5  # for the arms to come to rest when the cluster ends
-NICENESS = -10  # of the supervisor: it does little, and until it has done it a dead process's work waits
+LAST_WORDS = "ended.txt"  # commands and arms that were stopped at the end of the cluster
+REST_S = 1.5  # limit for the arms to come to rest when the cluster ends
+NICENESS = -10  # of the supervisor: it needs little time, and work of a dead process waits for it
 
 
 def specs(settings: Settings, fd: int = -1) -> list[Spec]:
-    """The processes of a cluster. `fd`: what is handed to each (rtc.handed)."""
+    """The processes of a cluster. `fd`: the handover file that each inherits (rtc.handed)."""
     made = [
-        _spec(TEMPLATE, "workers", settings, "--template", is_template=True, template=TWIN, order=template.STANDBY),
         _spec(
-            TWIN,
+            TEMPLATE,
             "workers",
             settings,
             "--template",
-            is_template=True,
-            template=TEMPLATE,
+            is_fork_server=True,
+            fork_server=STANDBY,
+            order=template.STANDBY,
+        ),
+        _spec(
+            STANDBY,
+            "workers",
+            settings,
+            "--template",
+            is_fork_server=True,
+            fork_server=TEMPLATE,
             order=template.STANDBY,
             later=True,
-            awaits_template=True,
+            awaits_fork_server=True,
         ),
         *_with_template("broker", "broker", settings),
         *_with_template("world", "rtc.world", settings),
@@ -71,37 +79,38 @@ def specs(settings: Settings, fd: int = -1) -> list[Spec]:
 
 
 def _hand(spec: Spec, fd: int) -> Spec:
-    """It inherits this file."""
+    """The spec with the handover file inherited; unchanged for a negative `fd`."""
     return spec if fd < 0 else replace(spec, command=(*spec.command, handed.OPTION, str(fd)), fds=(fd,))
 
 
 def _first_workers(settings: Settings) -> list[int]:
-    """The whole cube; or so many of each kind as there are to be at least."""
+    """The addresses of the first workers: the whole cube, or `least_workers` of each kind."""
     if settings.least_workers is None:
         return list(hypercube.addresses(settings.dim))
     return sorted(a for kind in hypercube.KINDS for a in hypercube.replicas(kind, settings.least_workers))
 
 
 def worker(settings: Settings, address: int) -> Spec:
+    """The spec of the worker at a cube address."""
     kind = hypercube.kind_of(address)
     arguments = ("--kind", kind, "--node", str(address))
     order = msgspec.json.encode({"kind": kind, "node": address})
     name = hypercube.name_of(address)
-    about = {"node": address, "template": TEMPLATE, "order": order, "awaits_template": True}
+    about = {"node": address, "fork_server": TEMPLATE, "order": order, "awaits_fork_server": True}
     return _spec(name, "workers", settings, *arguments, **about)
 
 
 def _with_template(name: str, module: str, settings: Settings) -> list[Spec]:
-    """A process there is one of, which all others wait for when it has been killed, and what it is then forked from."""
+    """A singleton process and its fork server, which makes its restart fast."""
     its_template = f"{name}-{TEMPLATE}"
     return [
-        _spec(name, module, settings, beats=True, template=its_template, order=b"start"),
-        _spec(its_template, module, settings, "--template", is_template=True, later=True),
+        _spec(name, module, settings, beats=True, fork_server=its_template, order=b"start"),
+        _spec(its_template, module, settings, "--template", is_fork_server=True, later=True),
     ]
 
 
 def _spec(name: str, module: str, settings: Settings, *more: str, **about: Any) -> Spec:
-    # -P: a folder called `broker` where the user happens to stand must not be taken for ours.
+    # -P: a folder `broker` in the working directory must not shadow our package.
     return Spec(name, (sys.executable, "-P", "-m", module, "--run-dir", settings.run_dir, *more), **about)
 
 
@@ -109,8 +118,11 @@ def _spec(name: str, module: str, settings: Settings, *more: str, **about: Any) 
 
 
 def up(settings: Settings, say: Callable[[str], None], detach_output: bool = False) -> None:
-    """Start the cluster and stay with it until it is told to end. `detach_output`: once it is ready, let go of the
-    stdout and stderr we were given. Raises ClusterError, everything stopped, when it does not come up."""
+    """Starts the cluster and runs it until SIGTERM, SIGINT or a shutdown request.
+
+    `detach_output`: redirect stdout and stderr to the log when the cluster is ready. Raises ClusterError, with all
+    processes stopped, when it does not start.
+    """
     begun_s = process.now_s()
     settings = msgspec.structs.replace(settings, run=secrets.token_hex(4))
     run_dir = prepare_run_dir(settings.path)
@@ -164,8 +176,10 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
 
 
 def _halt_arms(settings: Settings) -> list[str]:
-    """Halt everything by the sockets that are for that; the arms that were in motion. Empty also when nobody could be
-    told: then the MCM, which is told to end next, brakes by itself."""
+    """Halts everything by the halt sockets; returns the arms that were in motion.
+
+    Empty also without an answer. The MCM receives SIGTERM next and then brakes by itself.
+    """
     with zmq.Context() as context:
         line = HaltLine(context, settings)
         try:
@@ -177,7 +191,7 @@ def _halt_arms(settings: Settings) -> list[str]:
 
 
 def _leave_word(run_dir: Path, words: str) -> None:
-    """For `rtc down`, which waits for our end."""
+    """Writes the file that `rtc down` reads after the end of the supervisor."""
     with contextlib.suppress(OSError):
         (run_dir / LAST_WORDS).write_text(words)
 
@@ -186,8 +200,8 @@ def _start(supervisor: Supervisor, settings: Settings) -> None:
     try:
         supervisor.start()
     except ClusterError:
-        # Most often it is the cell file; then say so in one line. Imported only now: it brings numpy, and nothing
-        # should stand between `up` and the start of the processes.
+        # The most frequent cause is the cell file: its error replaces this one. The import brings numpy and would
+        # delay the start of the processes if it came earlier.
         from rtc.cell import Cell
 
         Cell.load(settings.cell)
@@ -195,8 +209,10 @@ def _start(supervisor: Supervisor, settings: Settings) -> None:
 
 
 def up_detached(settings: Settings, say: Callable[[str], None]) -> None:
-    """`up` in a forked process and session of its own; return when the cluster is ready. Raises ClusterError when it
-    fails; its last words have been said by then."""
+    """Runs `up` in a forked process with its own session; returns when the cluster is ready.
+
+    Passes its output to `say`. Raises ClusterError when it does not start.
+    """
     read, write = os.pipe()
     pid = os.fork()
     if pid == 0:
@@ -206,7 +222,7 @@ def up_detached(settings: Settings, say: Callable[[str], None]) -> None:
     ready = False
     try:
         with open(read) as lines:
-            for line in lines:  # ends when it lets go of its output, or dies
+            for line in lines:  # ends when the child redirects its output or dies
                 say(line.rstrip())
                 ready = ready or line.startswith("ready in")
     except KeyboardInterrupt:
@@ -257,7 +273,7 @@ class _ProcessTableFile:
 
 
 def _let_go(log: Path) -> None:
-    """Go on writing into a log: whoever started us sees the end of our output, and knows."""
+    """Redirects stdout and stderr to a log. The parent process reads end of file, and so knows that all is ready."""
     sys.stdout.flush()
     sys.stderr.flush()
     fd = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
@@ -270,12 +286,14 @@ def _let_go(log: Path) -> None:
 
 
 def down(run_dir: Path, limit_s: float = REST_S + OUTCOMES_S + END_LIMIT_S + 3.0) -> tuple[int, str]:
-    """End the cluster in this directory; the pid of its supervisor, and what was stopped, in words. Raises NoCluster
-    when there is none."""
+    """Ends the cluster in this directory. Returns the pid of its supervisor and a text about what was stopped.
+
+    SIGKILL follows SIGTERM after `limit_s`. Raises NoCluster.
+    """
     running = _running(run_dir)
     if running is None:
         if run_dir.is_dir():
-            with _lock(run_dir):  # refused while one is just starting
+            with _lock(run_dir):  # raises ClusterError while a cluster starts
                 _remove_traces(run_dir)
         raise NoCluster(f"no cluster is running in {run_dir}")
     pid, gone = running
@@ -290,7 +308,7 @@ def down(run_dir: Path, limit_s: float = REST_S + OUTCOMES_S + END_LIMIT_S + 3.0
     words = ""
     with contextlib.suppress(OSError):
         words = (run_dir / LAST_WORDS).read_text()
-    with contextlib.suppress(ClusterError), _lock(run_dir):  # unless the next one is already there
+    with contextlib.suppress(ClusterError), _lock(run_dir):  # unless the next cluster has started already
         _remove_traces(run_dir)
     return pid, words
 
@@ -304,7 +322,7 @@ def _running(run_dir: Path) -> tuple[int, int] | None:
         gone = os.pidfd_open(pid)
     except OSError:
         return None
-    # The pid may be of an unrelated process by now: only while somebody holds the lock is it the supervisor's.
+    # The pid may have been reused: it is the supervisor's only while the lock is held.
     try:
         with _lock(run_dir):
             os.close(gone)
@@ -324,7 +342,7 @@ def _ended(pidfd: int, patience_s: float) -> bool:
 
 @contextlib.contextmanager
 def _lock(run_dir: Path) -> Iterator[int]:
-    """Be the only one to run a cluster here: the lock's file descriptor. Raises ClusterError that names who does."""
+    """Locks the directory for one cluster; gives the descriptor of the lock. Raises ClusterError with the owner."""
     with open(run_dir / LOCK, "a") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -341,7 +359,7 @@ def _owner(run_dir: Path) -> str:
 
 
 def _clean(run_dir: Path) -> None:
-    """Take away what a cluster that was here before has left."""
+    """Moves the files of the last cluster to previous/ and removes the oldest."""
     _remove_traces(run_dir)
     (run_dir / LAST_WORDS).unlink(missing_ok=True)
     previous = run_dir / PREVIOUS
@@ -358,13 +376,14 @@ def _clean(run_dir: Path) -> None:
 
 
 def _remove_traces(run_dir: Path) -> None:
-    """What says that a cluster is here: its sockets, which killed processes leave behind, and the report."""
+    """Removes the signs of a running cluster: sockets, which killed processes leave behind, and the process table."""
     (run_dir / process_table.FILE).unlink(missing_ok=True)
     for file in ENDPOINTS.values():
         (run_dir / file).unlink(missing_ok=True)
 
 
 def write_key(run_dir: Path, key: bytes) -> None:
+    """Writes the lease key, readable by its owner only. Raises OSError."""
     path = run_dir / lease.KEY_FILE
     path.unlink(missing_ok=True)
     fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

@@ -1,9 +1,8 @@
-"""The run directory as the supervisor looks after it: what somebody deletes is written again, and when the directory or
-its lock is not ours any more, the cluster ends.
+"""The supervision of the run directory: deleted files are restored; without the directory or lock the cluster ends.
 
-Cleaners of temporary files delete what nobody has touched for days, and a logout removes the user's runtime directory.
-What is needed for a halt, for `rtc down` and for the next client must lie there as long as the cluster runs. The doors
-themselves are looked after by the processes that bind them (`rtc.process`).
+Cleaners of temporary files delete files that were not used for days, and a logout removes the user's runtime directory.
+The files for a halt, for `rtc down` and for the next client must exist as long as the cluster runs. The processes that
+bind sockets restore these themselves (`rtc.process`).
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ from rtc.outcomes import ClusterError
 from rtc.process import Every
 from rtc.settings import LOCK
 
-TOUCH_S = 3600.0  # cleaners spare what is younger than a day or more
+TOUCH_S = 3600.0  # period of touching all files; cleaners spare files younger than a day
 
 
 class Directory:
-    """`lock`: a file descriptor of the locked LOCK in it; `files`: how each file is written again, by its name."""
+    """`lock`: descriptor of the locked file LOCK in `run_dir`; `files`: name -> function that writes the file again."""
 
     def __init__(self, run_dir: Path, lock: int, files: Mapping[str, Callable[[], object]]) -> None:
         self._path, self._lock, self._files = run_dir, lock, files
@@ -33,7 +32,7 @@ class Directory:
         self._touch = Every(TOUCH_S)
 
     def look(self, now_s: float) -> tuple[list[str], str]:
-        """(what was written again, why the cluster must end). To be called every second."""
+        """(names of the files written again, reason why the cluster must end or ""). To be called every second."""
         if _identity(self._path) != self._is:
             return [], f"{self._path} was renamed or removed"
         if not self._holds_lock():
@@ -44,36 +43,36 @@ class Directory:
         return again, ""
 
     def ours(self) -> bool:
-        """Whether it is the directory, with the lock, in which we began."""
+        """True if the path is still the original directory, with our lock."""
         return _identity(self._path) == self._is and self._holds_lock()
 
     def _write_again(self, name: str, write: Callable[[], object]) -> bool:
         if (self._path / name).exists():
             return False
-        with contextlib.suppress(OSError):  # a full disk: the next look tries again
+        with contextlib.suppress(OSError):  # a full disk: the next call tries again
             write()
             return True
         return False
 
     def _holds_lock(self) -> bool:
-        """Whether the lock file is the one we hold; a new one, if nobody holds it, becomes ours."""
+        """True if we hold the lock file. A new lock file that is free is locked."""
         path = self._path / LOCK
         if _identity(path) == _identity(self._lock):
             return True
         try:
             fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         except OSError:
-            return True  # no room for one: nobody else can make one either
+            return True  # a full disk: another supervisor cannot create it either
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(fd)
             return False
-        self._lock = fd  # the one before stays open: it is its opener's
+        self._lock = fd  # the old descriptor stays open; its opener closes it
         return True
 
     def _touch_all(self) -> None:
-        """As if it had been read: cleaners spare that, and the time of the last change stays true."""
+        """Updates the access times, so that cleaners spare the files; modification times are kept."""
         for path in (self._path, *self._path.rglob("*")):
             with contextlib.suppress(OSError):
                 changed_ns = path.lstat().st_mtime_ns
@@ -89,8 +88,10 @@ def _identity(file: Path | int) -> tuple[int, int] | None:
 
 
 def claim_path(run_dir: Path) -> socket.socket:
-    """Be the only supervisor for this path, whatever becomes of the directory itself: an abstract socket, which nobody
-    can delete and which ends with its process. Raises ClusterError."""
+    """Claims this path for one supervisor, even if the directory is removed. Raises ClusterError.
+
+    The claim is an abstract socket, which cannot be deleted and ends with its process.
+    """
     name = hashlib.sha256(os.path.realpath(run_dir).encode()).hexdigest()[:32]
     claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:

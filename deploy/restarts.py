@@ -1,10 +1,9 @@
-"""Whether a process that has died is started again, and when. Pure: the times are arguments.
+"""The restart policy: whether and when a dead process is started again. Pure: times are arguments.
 
-One that has been at work for a while is started again at once, however often that happens: a killed process costs
-nobody more than its start. One that dies again and again soon after its start is in a crash loop: it waits, twice as
-long each time up to a longest, so that it takes little from the others, and is back soon after its trouble is over. One
-that was never ready, in many starts, is given up; what has been ready once is not: it can start, and what keeps it from
-it (a full disk) may pass.
+A process that ran for a while is restarted at once, any number of times. A process that dies repeatedly soon after its
+start is in a crash loop: its delay doubles up to a maximum, so that it takes little processor time and still returns
+soon after the fault. A process that was never ready in many starts is given up. A process that was ready once is never
+given up, because its fault (a full disk) can pass.
 """
 
 from __future__ import annotations
@@ -18,25 +17,27 @@ import msgspec
 class Death(msgspec.Struct, frozen=True):
     at_s: float
     was_ready: bool
-    lived_s: float = 0.0  # since it was ready
+    lived_s: float = 0.0  # time since its start or, if ready, since then
 
 
 @dataclass(frozen=True)
 class Policy:
-    within_s: float = 30.0  # deaths longer ago are forgotten
-    short_s: float = 0.5  # a life shorter than this is a short one
-    spared: int = 3  # that many short lives are nobody's fault: a job that kills whoever does it is refused after three
+    within_s: float = 30.0  # older deaths are ignored
+    short_s: float = 0.5  # a shorter life counts as short
+    spared: int = 3  # number of short lives without delay: a job that kills its workers is refused after three
     first_delay_s: float = 0.1
     longest_delay_s: float = 5.0
-    unready_deaths: int = 10  # this many without ever having been ready: given up
+    unready_deaths: int = 10  # given up after this many deaths without ever being ready
 
 
 DEFAULT = Policy()
 
 
 def delay_s(policy: Policy, deaths: Sequence[Death], was_ready: bool) -> float | None:
-    """How long to wait after the last of `deaths` (the oldest first) before the next start; None = give up.
-    `was_ready`: in any of its lives, also those that `deaths` no longer holds."""
+    """Delay (s) from the last of `deaths` (oldest first) to the next start; None = give up.
+
+    `was_ready`: it was ready at any time, including lives that `deaths` no longer contains.
+    """
     last = deaths[-1]
     if not _short(policy, last):
         return 0.0

@@ -1,8 +1,8 @@
-"""The supervisor: starts the processes of a cluster, hears them become ready, sees them end, starts them again.
+"""The supervisor: starts, watches and restarts the processes of a cluster.
 
-It watches file descriptors (a pidfd and a pipe for each process), so a death is known, and told to the broker, within
-a millisecond, without any polling. When to restart is `restarts.delay_s`'s decision. What the processes are it does
-not know: it is given a list of `Spec`s, and a function that makes the spec of a new worker.
+It waits on file descriptors (a pidfd and a pipe per process) and does not poll, so it reports a death to the broker
+within a millisecond. `restarts.delay_s` decides when to restart. The supervisor does not know the purpose of its
+processes: it gets a list of `Spec`s and a function that makes the spec of a new worker.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 import zmq
 
 from deploy import hypercube
-from deploy.child import Child, Spec, State, in_words, limit_log, reap_strangers
+from deploy.child import Child, Spec, State, in_words, limit_log, reap_orphans
 from deploy.restarts import DEFAULT, Death, Policy, delay_s
 from rtc import wire
 from rtc.messages import (
@@ -35,29 +35,29 @@ from rtc.messages import (
 from rtc.outcomes import ClusterError, WireError
 from rtc.process import Every, Process, adopt_orphans, inbox, now_s, send
 
-START_LIMIT_S = 600.0  # until a process is ready: some seconds, but who knows how slow and busy the machine is
-IDLE_S = 20.0  # one that is not ready, and has not used the processor for so long, will never be
-TELL_WAITING_S = 10.0
+START_LIMIT_S = 600.0  # limit for a process to become ready; normally some seconds, more on a slow machine
+IDLE_S = 20.0  # a starting process without use of the processor for this time is hung
+TELL_WAITING_S = 10.0  # period of messages about processes that are not ready
 END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL
-TABLE_S = 1.0
-STOOD_STILL_S = 3.0  # this process itself, or the machine, if it has not looked after the others for so long
-SILENCE_S = 4.0  # one that should have said every second that it is alive: it hangs
-STOPPED_S = 2.0  # seen stopped by a signal for so long
-OUTCOMES_S, OUTCOMES_AGAIN_S = 3.0, 0.2  # for the outcomes of all commands when the cluster ends; asked so often
-SHOWN = 10  # commands that were stopped, by number
-FORK_AGAIN_S = 0.05  # after which a killed template is known to be dead
+TABLE_S = 1.0  # period of the process table for the broker and of the health checks
+STOOD_STILL_S = 3.0  # longer gap between health checks: the supervisor itself, or the machine, was stopped
+SILENCE_S = 4.0  # a process with `beats` and without output for this time is hung
+STOPPED_S = 2.0  # a process stopped by a signal for this time is hung
+OUTCOMES_S, OUTCOMES_AGAIN_S = 3.0, 0.2  # limit for the outcomes of all commands at the end; period of requests
+SHOWN = 10  # maximum number of stopped commands in a message
+FORK_AGAIN_S = 0.05  # retry delay, enough to notice the death of a killed fork server
 
 
 @dataclass
 class Stopped:
-    """What was stopped because the cluster ended."""
+    """The commands and arms that the end of the cluster stopped."""
 
     commands: list[str] = field(default_factory=list)
     arms: list[str] = field(default_factory=list)  # that were in motion
     doubt: str = ""
 
     def in_words(self) -> str:
-        """Empty: there was nothing to stop."""
+        """As text; empty if nothing was stopped."""
         what = ", ".join([*self.commands[:SHOWN], *([f"{len(self.commands)} commands in all"] * self.too_many)])
         words = [f"halted: {what}" if what else "", f"stopped: {', '.join(self.arms)}" if self.arms else ""]
         return "; ".join(filter(None, [*words, self.doubt]))
@@ -68,10 +68,10 @@ class Stopped:
 
 
 class Supervisor:
-    """`start`, then `run` until told to stop, then `stop`; `stop` also after an exception.
+    """Call `start`, `run` and `stop`, and `stop` also after an exception.
 
-    `say` gets one line for people at a time, `save` the process table after every change of it. `look` looks after the
-    run directory every second: what was written again, and why the cluster must end, if it must.
+    `say` gets each line for people; `save` gets the process table after each change. `look` checks the run directory
+    every second: it returns the files written again, and a reason to end the cluster or "".
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Supervisor:
         self._me = me
         self._logs = logs
         self._pid = pid
-        self._new_worker, self._tell_people, self._save = new_worker, say, save
+        self._new_worker, self._print, self._save = new_worker, say, save
         self._look = look
         self._halt = halt
         self._all_ended: AllEnded | None = None
@@ -105,19 +105,19 @@ class Supervisor:
         self._table = Every(TABLE_S)
         self._begun_s = now_s()
         self._up = False  # every process has been ready once
-        self._looked_s = 0.0  # whether anybody hangs
-        self._changes = False  # of the process table, not told yet
-        self._unsaved = False  # the table: there was no room for it
+        self._looked_s = 0.0  # time of the last health check
+        self._changes = False  # the process table has changed and was not sent yet
+        self._unsaved = False  # the table could not be saved: the disk was full
 
     # --- the three phases ------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start all at once and wait until each is ready. Raises ClusterError, with the log of the one that failed.
+        """Starts all processes and waits until each is ready. Raises ClusterError, with the log of the failed process.
 
-        No restarts in this phase: what does not start the first time will hardly start the second.
+        This phase does not restart processes.
         """
-        self._tell(SupervisorHello(pid=self._pid))
-        adopt_orphans()  # workers are forked away by their template
+        self._send(SupervisorHello(pid=self._pid))
+        adopt_orphans()  # workers are forked by their fork server
         self._start_waiting()
         tell = Every(TELL_WAITING_S, now_s() + TELL_WAITING_S)
         while waiting := [c for c in self._children.values() if c.state != State.READY and not c.spec.later]:
@@ -127,10 +127,10 @@ class Supervisor:
                 self._say(f"waiting for {', '.join(child.spec.name for child in waiting)}")
             self._once()
         self._up = self._changes = True
-        self._tell_changes()
+        self._send_changes()
 
     def run(self) -> None:
-        """Watch, restart, obey the broker; until told to stop."""
+        """Watches, restarts and follows orders of the broker, until `me.stopping`."""
         while not self._me.stopping:
             self._once()
 
@@ -143,9 +143,9 @@ class Supervisor:
         for child in running:
             self._end(child, limit_s)
         while any(child.pid for child in running):
-            self._kill_impatiently()
+            self._kill_overdue()
             left_s = max(0.0, min((c.kill_at_s for c in running if c.pid), default=0.0) - now_s())
-            self._turn(left_s or 0.1)
+            self._handle_pending(left_s or 0.1)
         self._save_table()
         return stopped
 
@@ -153,7 +153,7 @@ class Supervisor:
         """The broker ends its commands, which its clients then know; the arms are halted past it as well, because it
         may be dead. Each wait has a limit: the MCM brakes by itself, too, when it is told to end."""
         self._all_ended = None
-        self._tell(Shutdown())
+        self._send(Shutdown())
         arms = self._halt()
         broker = self._children.get("broker")
         if broker is None or broker.state is State.FAILED:
@@ -161,8 +161,8 @@ class Supervisor:
         ask_again, limit_s = Every(OUTCOMES_AGAIN_S), now_s() + OUTCOMES_S
         while self._all_ended is None and now_s() < limit_s:
             if ask_again.due(now_s()):
-                self._tell(Shutdown())  # a broker that was restarted meanwhile has not heard it
-            self._turn(OUTCOMES_AGAIN_S)
+                self._send(Shutdown())  # a broker that was restarted meanwhile has not heard it
+            self._handle_pending(OUTCOMES_AGAIN_S)
             self._start_waiting()
         ended = self._all_ended or AllEnded(commands=[])
         stopped = Stopped(commands=ended.commands, arms=sorted({*arms, *ended.arms}))
@@ -175,28 +175,28 @@ class Supervisor:
     # --- one turn of the loop --------------------------------------------------------------------------
 
     def _once(self) -> None:
-        self._turn(self._patience_s())
+        self._handle_pending(self._timeout_s())
         self._start_waiting()
-        self._tell_changes()
-        self._kill_impatiently()
+        self._send_changes()
+        self._kill_overdue()
         if self._table.due(now := now_s()):
             self._look_after_all(now)
 
-    def _turn(self, timeout_s: float) -> None:
-        """Hear everything once. Nothing is started in here: a new process could get the file descriptors of one that
-        has ended in this turn, and be taken for it."""
+    def _handle_pending(self, timeout_s: float) -> None:
+        """Handles all pending input once. It starts no process: that could get the file descriptors of a process that
+        ended in this iteration, and be mistaken for it."""
         for source in self._me.wait(timeout_s):
             if source is self._broker:
                 self._listen()
             elif (child := self._by_fd.get(source)) is None:
-                pass  # it ended earlier in this turn
+                pass  # it ended earlier in this iteration
             elif source == child.output_fd:
-                self._heard(child)
+                self._read_output(child)
             else:
                 self._exited(child)
 
-    def _patience_s(self) -> float:
-        """Until the next thing that happens by the clock."""
+    def _timeout_s(self) -> float:
+        """Time (s) until the next timed action."""
         now = now_s()
         starts = (c.start_at_s - now for c in self._children.values() if c.waits and self._may_start(c))
         kills = (c.kill_at_s - now for c in self._children.values() if c.state == State.ENDING)
@@ -209,43 +209,47 @@ class Supervisor:
                 self._changes = True
 
     def _may_start(self, child: Child) -> bool:
-        if child.spec.later:  # one after the other, so that they take one core at most from those at work
+        if child.spec.later:  # one at a time, so that they use at most one core
             others = (c for c in self._children.values() if c.spec.later and c is not child)
             if not self._up or any(c.state == State.STARTING for c in others):
                 return False
-        return not self._awaits_template(child)
+        return not self._awaits_fork_server(child)
 
-    def _awaits_template(self, child: Child) -> bool:
-        """One that starts by itself takes as long as a template that starts, and takes the processor from it: many at
-        once on a slow machine are never ready. So it waits; and when the template cannot be had, they start one after
-        the other."""
-        template = self._children.get(child.spec.template)
-        if template is None or not child.spec.awaits_template or template.state == State.READY:
+    def _awaits_fork_server(self, child: Child) -> bool:
+        """True while a process must wait for its fork server.
+
+        A start by its own command takes as long as that of the fork server, and many at once overload a slow machine.
+        Without a working fork server, processes start one at a time.
+        """
+        template = self._children.get(child.spec.fork_server)
+        if template is None or not child.spec.awaits_fork_server or template.state == State.READY:
             return False
         if template.state not in (State.LOOPING, State.FAILED):
             return True
-        return any(c.state == State.STARTING and c.spec.template == template.spec.name for c in self._children.values())
+        return any(
+            c.state == State.STARTING and c.spec.fork_server == template.spec.name for c in self._children.values()
+        )
 
-    def _kill_impatiently(self) -> None:
+    def _kill_overdue(self) -> None:
         for child in self._children.values():
             if child.state == State.ENDING and now_s() >= child.kill_at_s:
                 child.signal(signal.SIGKILL)
                 child.kill_at_s = now_s() + 1.0
 
     def _look_after_all(self, now: float) -> None:
-        """What is done once a second: the broker is told, hung processes are killed, and some tidying."""
+        """Once a second: sends the table, checks directory and logs, reaps orphans, kills hung processes."""
         if self._up:
-            self._tell_table()
-        stood_still = now - self._looked_s > STOOD_STILL_S  # then nobody else is to blame for silence
+            self._send_table()
+        stood_still = now - self._looked_s > STOOD_STILL_S  # then missing output is not the fault of the processes
         self._looked_s = now
         self._look_at_directory(now)
         if self._unsaved:
             self._save_table()
-        reap_strangers([child.pid for child in self._children.values()])
+        reap_orphans([child.pid for child in self._children.values()])
         for child in self._children.values():
             limit_log(child.log)
             if stood_still:
-                child.heard_s = now
+                child.last_output_s = now
             if child.pid:
                 child.look(now)
             if (self._up or child.state == State.STARTING) and (why := _hung(child, now)):
@@ -254,7 +258,7 @@ class Supervisor:
     def _look_at_directory(self, now: float) -> None:
         again, why = self._look(now)
         if again:
-            self._say(f"somebody deleted {', '.join(again)}: written again")
+            self._say(f"{', '.join(again)} was deleted: written again")
         if why and not self._me.stopping:
             self._say(f"{why}: everything is halted, and the cluster ends")
             self._me.stop()
@@ -268,7 +272,7 @@ class Supervisor:
     # --- what happens to processes ---------------------------------------------------------------------
 
     def _spawn(self, child: Child) -> None:
-        template = self._children.get(child.spec.template)
+        template = self._children.get(child.spec.fork_server)
         forks = template if template is not None and template.state == State.READY else None
         try:
             child.start(forks.line if forks else None)
@@ -282,18 +286,18 @@ class Supervisor:
     def _not_started(self, child: Child, template: Child | None, error: OSError) -> None:
         name = child.spec.name
         if template is not None:
-            self._say(f"the template does not fork {name} ({error}); killing it")
-            template.signal(signal.SIGKILL)  # it may be half-way through the order: the next one shall not find it so
+            self._say(f"the fork server does not fork {name} ({error}); killing it")
+            template.signal(signal.SIGKILL)  # it may be in the middle of the order
             child.start_at_s = now_s() + FORK_AGAIN_S
         elif not self._up:
             raise ClusterError(f"{name} cannot be started: {error}") from error
         else:
             child.deaths.append(Death(now_s(), was_ready=False))
             delay = delay_s(self._policy, [*child.deaths], child.was_ready)
-            self._mourn(child, f"{name} cannot be started: {error}", delay)
+            self._schedule_restart(child, f"{name} cannot be started: {error}", delay)
 
-    def _heard(self, child: Child) -> None:
-        said = child.heard_ready()
+    def _read_output(self, child: Child) -> None:
+        said = child.read_output()
         for words in child.take_news():
             self._say(f"{child.spec.name}: {words}")
             self._changes = True
@@ -306,18 +310,18 @@ class Supervisor:
             self._say(f"{child.spec.name:<14} ready  {took_s:5.2f} s  pid {child.pid}")
             self._changes = True
             if child.spec.name == "broker" and self._up:
-                self._tell(SupervisorHello(pid=self._pid))
+                self._send(SupervisorHello(pid=self._pid))
 
     def _exited(self, child: Child) -> None:
-        """Tell the broker first: until it knows, the process's work waits."""
-        self._heard(child)  # its last words
+        """Reports the death to the broker first, because work of the process waits for it."""
+        self._read_output(child)  # its last output
         self._forget(child.exited_fd)
         self._forget(child.output_fd)
         pid, state, name, lived_s = child.pid, child.state, child.spec.name, now_s() - child.since_s
         status = child.reap()
         if state == State.ENDING:
             child.become(State.ENDED)
-            self._tell(ProcessExited(name=name, pid=pid, status=status, restarting=False))
+            self._send(ProcessExited(name=name, pid=pid, status=status, restarting=False))
             if self._up:  # a worker that has retired
                 del self._children[name]
                 self._say(f"{name} has retired")
@@ -325,12 +329,12 @@ class Supervisor:
             return
         child.deaths.append(Death(now_s(), was_ready=state == State.READY, lived_s=lived_s))
         delay = delay_s(self._policy, [*child.deaths], child.was_ready) if self._up else None
-        self._tell(ProcessExited(name=name, pid=pid, status=status, restarting=delay is not None))
+        self._send(ProcessExited(name=name, pid=pid, status=status, restarting=delay is not None))
         if not self._up:
             raise ClusterError(f"{name} {in_words(status)} before the cluster was ready.\n{_log_of(child)}")
-        self._mourn(child, f"{name} {in_words(status)}", delay)
+        self._schedule_restart(child, f"{name} {in_words(status)}", delay)
 
-    def _mourn(self, child: Child, what: str, delay: float | None) -> None:
+    def _schedule_restart(self, child: Child, what: str, delay: float | None) -> None:
         if delay is None:
             child.become(State.FAILED)
             self._say(f"{what}; given up after {len(child.deaths)} deaths, see {child.log}")
@@ -352,23 +356,23 @@ class Supervisor:
 
     # --- to and from the broker ------------------------------------------------------------------------
 
-    def _tell(self, message: Any) -> None:
+    def _send(self, message: Any) -> None:
         if not send(self._broker, message):
             self._me.log.warning("no room for %s to the broker", type(message).__name__)
 
-    def _tell_table(self) -> None:
-        self._tell(ProcessTable(processes=self.table()))
+    def _send_table(self) -> None:
+        self._send(ProcessTable(processes=self.table()))
 
-    def _tell_changes(self) -> None:
-        """After what is urgent: writing takes longer than starting what has died."""
+    def _send_changes(self) -> None:
+        """Saves and sends a changed table. Called after restarts, which are more urgent."""
         if self._changes:
             self._changes = False
             self._save_table()
             if self._up:
-                self._tell_table()
+                self._send_table()
 
     def _save_table(self) -> None:
-        """For people. Nobody dies of a full disk here: once there is room again, it is saved again."""
+        """Saves the table for people. On a full disk it is saved later."""
         try:
             self._save(self.table())
         except OSError as error:
@@ -379,8 +383,8 @@ class Supervisor:
             self._unsaved = False
 
     def _say(self, line: str) -> None:
-        with contextlib.suppress(OSError):  # a full disk, or nobody there any more
-            self._tell_people(line)
+        with contextlib.suppress(OSError):  # a full disk or a closed output
+            self._print(line)
 
     def table(self) -> list[ProcessRow]:
         return [
@@ -407,7 +411,7 @@ class Supervisor:
         match order:
             case KillProcess(name=name, pid=pid, why=why):
                 child = self._children.get(name)
-                if child and child.pid == pid:  # else it has ended meanwhile
+                if child and child.pid == pid:  # otherwise it has ended meanwhile
                     self._say(f"{name} (pid {pid}) is killed: {why}")
                     child.signal(signal.SIGKILL)
             case SpawnWorker(kind=kind):
@@ -433,11 +437,13 @@ class Supervisor:
 
 
 def _hung(child: Child, now: float) -> str:
-    """Why it must be killed, or nothing: never ready, stopped by a signal, or in a loop without end. (A worker may be
-    silent for the length of a job: what is too long for one, the broker knows.) However slow the machine, one that
-    works to get ready is left to it: killed, it would begin anew, and never come to an end."""
-    silent_s = now - max(child.heard_s, child.since_s)
-    idle_s = now - max(child.heard_s, child.since_s, child.busy_s)
+    """The reason to kill a process, or "": not ready in time, stopped by a signal, or in an endless loop.
+
+    A worker may be silent for the length of a job; the broker limits that. A starting process that uses the processor
+    is not killed, because a restart on a slow machine would take as long again.
+    """
+    silent_s = now - max(child.last_output_s, child.since_s)
+    idle_s = now - max(child.last_output_s, child.since_s, child.busy_s)
     if child.state == State.STARTING:
         if silent_s > START_LIMIT_S:
             return f"not ready within {silent_s:.0f} s"
@@ -452,11 +458,11 @@ def _hung(child: Child, now: float) -> str:
 
 
 def _last_words(child: Child) -> list[str]:
-    """Why a process is in a crash loop, or was given up, as its log ends."""
+    """The last log line of a process in a crash loop or given up, as a note."""
     ends = child.log_tail(1) if child.state in (State.LOOPING, State.FAILED) else ""
     return [f"{child.state.value}: {ends[:300]}"] if ends else []
 
 
 def _log_of(child: Child) -> str:
-    tail = child.log_tail() or "(it said nothing)"
+    tail = child.log_tail() or "(the log is empty)"
     return f"The end of {child.log}:\n" + "\n".join(f"    {line}" for line in tail.splitlines())

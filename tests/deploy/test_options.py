@@ -18,7 +18,7 @@ README = Path(__file__).parents[2] / "README.md"
         (["--least", "5"], "--least 5 is more than --most 4"),
         (["--cell", "moon-base"], "no cell moon-base"),
         (["--cell", "moon-base.yaml"], "there is no file moon-base.yaml"),
-        (["--cell", str(README)], "README.md is no cell: a cell is a .yaml file"),
+        (["--cell", str(README)], "README.md is not a cell: a cell is a .yaml file"),
         (["--listen", "foo"], "'foo' is not an address"),
     ],
 )

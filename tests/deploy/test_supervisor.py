@@ -328,13 +328,13 @@ serve(be)
 
 
 def template(**about):
-    return Spec("template", (sys.executable, "-c", TEMPLATE), is_template=True, **about)
+    return Spec("template", (sys.executable, "-c", TEMPLATE), is_fork_server=True, **about)
 
 
 def forked(name, **about):
     command = (sys.executable, "-S", "-E", "-c", GOOD)
-    about = {"awaits_template": True} | about
-    return Spec(name, command, int(name.split("@")[1]), template="template", order=name.encode(), **about)
+    about = {"awaits_fork_server": True} | about
+    return Spec(name, command, int(name.split("@")[1]), fork_server="template", order=name.encode(), **about)
 
 
 def command_line(pid):
@@ -374,8 +374,8 @@ def test_what_was_forked_too_late_never_begins_and_leaves_no_zombie(cluster, tmp
     """The supervisor has given up on it, so nobody would watch it: two brokers would be at one journal."""
     monkeypatch.setattr("deploy.child.FORK_LIMIT_S", 0.2)
     monkeypatch.setattr("deploy.supervisor.TABLE_S", 0.05)
-    late = Spec("template", (sys.executable, "-c", LATE + TEMPLATE), is_template=True, later=True)
-    it = cluster(forked("broker@0", awaits_template=False), late).go()
+    late = Spec("template", (sys.executable, "-c", LATE + TEMPLATE), is_fork_server=True, later=True)
+    it = cluster(forked("broker@0", awaits_fork_server=False), late).go()
     os.kill(it.hear_table(lambda t: t["template"]["state"] == "ready")["broker@0"]["pid"], signal.SIGKILL)
     it.hear_table(lambda t: t["template"]["restarts"] == 1 and t["broker@0"]["state"] == "ready")
     stray = int((tmp_path / "template.log").read_text().split()[1])
@@ -406,7 +406,7 @@ def test_without_a_template_workers_start_by_themselves(cluster):
 
 
 def test_a_template_for_later_is_not_waited_for_and_forks_what_is_killed(cluster):
-    it = cluster(forked("broker@0", awaits_template=False), template(later=True)).go()
+    it = cluster(forked("broker@0", awaits_fork_server=False), template(later=True)).go()
     first = it.hear_table(lambda t: t["template"]["state"] == "ready")["broker@0"]
     assert b"signal.pause()" in command_line(first["pid"])  # it has started by itself
     os.kill(first["pid"], signal.SIGKILL)
@@ -415,8 +415,10 @@ def test_a_template_for_later_is_not_waited_for_and_forks_what_is_killed(cluster
 
 
 def test_templates_are_forked_from_each_other_and_from_them_all_else(cluster):
-    one = replace(template(), template="twin", order=STANDBY)
-    two = replace(template(later=True), name="twin", template="template", order=STANDBY, command=("/no/such/program",))
+    one = replace(template(), fork_server="twin", order=STANDBY)
+    two = replace(
+        template(later=True), name="twin", fork_server="template", order=STANDBY, command=("/no/such/program",)
+    )
     it = cluster(one, two, forked("binder@2")).go()
     for n in (1, 2):
         table = it.hear_table(lambda t: all(row["state"] == "ready" for row in t.values()))
@@ -432,7 +434,13 @@ def test_when_all_are_killed_the_workers_and_the_twin_wait_for_the_template(clus
     """Each could start by itself; on a slow machine they would then all start for ever."""
     by_itself = ("/no/such/program",)
     twin = Spec(
-        "twin", by_itself, is_template=True, later=True, template="template", order=STANDBY, awaits_template=True
+        "twin",
+        by_itself,
+        is_fork_server=True,
+        later=True,
+        fork_server="template",
+        order=STANDBY,
+        awaits_fork_server=True,
     )
     names = [f"binder@{address}" for address in (2, 6, 10)]
     it = cluster(template(), twin, *map(forked, names)).go()
@@ -482,7 +490,7 @@ def test_words_that_find_no_room_are_lost(tmp_path, monkeypatch):
     it = child.Child(spec("MCM", CHATTY), tmp_path / "MCM.log")
     it.start()
     assert zmq.select([it.output_fd], [], [], 10)[0]
-    assert it.heard_ready()
+    assert it.read_output()
     it.signal(signal.SIGKILL)
     assert it.reap() == -signal.SIGKILL
     assert child.open_log(tmp_path / "no such folder" / "new@6.log").name == os.devnull
