@@ -472,7 +472,7 @@ def test_a_full_disk_costs_words_but_no_process(cluster, tmp_path, monkeypatch):
         told.append(what)
         raise full
 
-    it.supervisor._save = it.supervisor._tell_people = no_room
+    it.supervisor._save = it.supervisor._print = no_room
     (tmp_path / "binder@2.log").unlink()
     (tmp_path / "binder@2.log").symlink_to("/dev/full")
     os.kill(table["binder@2"]["pid"], signal.SIGKILL)
