@@ -316,10 +316,10 @@ class Binding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Way(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A way of an arm that an elaborator has found free. It holds for one question: whoever asks that of the world may
-    take it, and anybody else plans anew (`workers.motion.handed`)."""
+    """A way of an arm that an elaborator has found free. A binder may use it if its own planning request has the same
+    digest; otherwise it plans anew (`workers.motion.handed`)."""
 
-    asked: bytes  # digest of the question: joints of all arms, goal, scene, rules
+    asked: bytes  # digest of the planning request: joints of all arms, goal, scene, rules
     space: Literal["joint", "task"]
     s: list[float]  # parameter of each knot; rises from 0
     knots: list[list[float]]  # rad

@@ -47,7 +47,7 @@ class JointTrajectory(msgspec.Struct, frozen=True, kw_only=True, tag="joint-traj
         dof = len(self.positions[0]) if self.positions else 0
         for name in ("positions", "velocities", "accelerations"):
             rows = getattr(self, name)
-            if len(rows) != n or any(len(row) != dof for row in rows):
+            if len(rows) != n or set(map(len, rows)) != {dof}:
                 raise ValueError(f"{name} must hold {n} knots of {dof} joints")
 
     @property

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import msgspec
 
 from rtc import expressions, geometry
-from rtc.messages import Binding
+from rtc.messages import Binding, Way
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.program_schema import PlanLine, ScriptFile, ScriptStep
 from workers import advice, axes, legs, naming
@@ -37,6 +37,7 @@ class Planned:
     relies_on: list[str]  # keys of the facts used
     notes: list[str]
     chosen: bool  # one of several inverse solutions was chosen
+    ways: dict[int, Way]  # free way of the first segment, by index of its step in the script
 
 
 def plan(script: ScriptFile, candidate: TaskCandidate) -> Planned | Refusal:
@@ -53,9 +54,9 @@ def plan(script: ScriptFile, candidate: TaskCandidate) -> Planned | Refusal:
     solved = _search(script, candidate, lines)
     if isinstance(solved, Refusal):
         return solved
-    joints, notes = solved
+    joints, notes, ways = solved
     chosen = any(line.solve and lines[line.name].joints is None for line in script.plan)
-    return Planned(_bindings(lines, joints), relies_on, notes, chosen)
+    return Planned(_bindings(lines, joints), relies_on, notes, chosen, ways)
 
 
 # --- the poses, backwards from the goal ------------------------------------------------------------------
@@ -116,7 +117,7 @@ def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[
 # --- the joints, tried forwards --------------------------------------------------------------------------
 
 
-Solved = tuple[dict[str, list[float]], list[str]]
+Solved = tuple[dict[str, list[float]], list[str], dict[int, Way]]
 
 
 def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor]) -> Solved | Refusal:
@@ -127,12 +128,12 @@ def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Ancho
     notes: list[str] = []
     first: Refusal | None = None
     for n, joints, detours in _order(ways):
-        problem = _try(script, candidate, lines, joints, request, detours)
+        tried = _try(script, candidate, lines, joints, request, detours)
         what = f"way {n} of {len(ways)}" + (" with detours" if detours else "")
-        if problem is None:
-            return joints, [*notes, f"generated {what}; tested: free"] if script.plan else []
-        notes.append(f"generated {what}; tested: {problem.message}")
-        first = first or problem
+        if not isinstance(tried, Refusal):
+            return joints, [*notes, f"generated {what}; tested: free"] if script.plan else [], tried
+        notes.append(f"generated {what}; tested: {tried.message}")
+        first = first or tried
     assert first is not None
     first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, candidate.program.clears)
     return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))})
@@ -223,9 +224,11 @@ def _try(
     joints: dict[str, list[float]],
     request: PlanningRequest,
     detours: bool,
-) -> Refusal | None:
-    """Test the segments in order; returns the refusal of the first blocked one, or None."""
-    here = request.start
+) -> dict[int, Way] | Refusal:
+    """Test the segments in order; returns the refusal of the first blocked one, or the way of the first segment by
+    index of its step. The later segments start where the arm will come to rest, which is not known yet."""
+    here = start = request.start
+    ways: dict[int, Way] = {}
     for n, step in enumerate(script.steps, 1):
         if not step.to:
             continue
@@ -235,11 +238,13 @@ def _try(
             return _where(target, f"step {n} ({step.to})")
         if step.space not in legs.SPACES:
             return _program(f"step {n}: no space {step.space}; there are {', '.join(legs.SPACES)}")
-        end = legs.check_segment(now, step.space, target, detours)
-        if isinstance(end, Refusal):
-            return _where(end, f"step {n} ({step.to})")
-        here = end
-    return None
+        segment = legs.check_segment(now, step.space, target, detours, first=here is start)
+        if isinstance(segment, Refusal):
+            return _where(segment, f"step {n} ({step.to})")
+        if here is start and (way := segment.way(now, step.space)) is not None:
+            ways[n - 1] = way
+        here = segment.end
+    return ways
 
 
 def _target(

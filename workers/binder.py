@@ -11,6 +11,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import msgspec
+
 from rtc import expressions, geometry
 from rtc.language.units import in_words
 from rtc.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext
@@ -119,12 +121,12 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     pace = Pace(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
     margin_rad = math.radians(values["joint_margin_deg"])
     request = query.planning_request(task.arm, scene, context.limits, pace, margin_rad)
-    motion = legs.plan_segment(request, step.space, target)
+    motion = legs.plan_segment(request, step.space, target, step.way)
     if isinstance(motion, Refusal):
         return advice.advise_on_collision(motion, query, task.arm, task.program.clears)
     evaluation = EvaluationContext(
         context=context,
-        step=step,
+        step=msgspec.structs.replace(step, way=None),
         arm=task.arm,
         goal_pose=motion.goal_pose.tolist(),
         goal_joints=motion.goal_joints.tolist(),

@@ -266,10 +266,10 @@ def _script(
         if isinstance(trims, Refusal):
             return trims
         entries, left_out = trims
-        steps = [
-            *_sensed_first(compiled, candidate),
-            *(_step(step, candidate, entries, nominal=True) for step in script.steps),
-        ]
+        nominal = [_step(step, candidate, entries, nominal=True) for step in script.steps]
+        for index, way in planned.ways.items():
+            nominal[index] = msgspec.structs.replace(nominal[index], way=way)
+        steps = [*_sensed_first(compiled, candidate), *nominal]
     except expressions.ExpressionError as error:
         return Refusal(reason=RefusalReason.PROGRAM, message=f"{script.script}: {error}", where=script.script)
     for step in steps:

@@ -8,14 +8,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from rtc.geometry import Array
+from rtc.geometry import Array, Floats
+from rtc.messages import Way
 from rtc.outcomes import Refusal, RefusalReason
-from workers.motion import ik
-from workers.motion import path as paths
-from workers.motion.plan import Motion, PlanningRequest, fault, free_posture, plan_joint_motion, plan_task_motion
+from workers.motion import handed, ik
+from workers.motion.plan import (
+    Found,
+    Motion,
+    PlanningRequest,
+    find_direct_way,
+    find_joint_way,
+    find_task_way,
+    free_posture,
+    in_time,
+    plan_joint_motion,
+    plan_task_motion,
+)
 
 SAME_RAD = 0.02  # tolerance of the joint values at the end of a straight line
 
@@ -28,17 +40,34 @@ class Target:
     pose: list[float] | None = None
 
 
-def check_segment(request: PlanningRequest, space: str, target: Target, detours: bool) -> Array | Refusal:
-    """The joint values (rad) at the end of the segment, or the refusal if it is blocked.
+class Segment(NamedTuple):
+    """A segment that is free. `found`: the way that `plan_segment` would take to `goal`; None: not known."""
+
+    end: Array  # rad, joint values at the end
+    goal: Floats  # joint values (rad), or pose of the tcp in world axes
+    found: Found | None = None
+
+    def way(self, request: PlanningRequest, space: str) -> Way | None:
+        """The way as it is sent to the binder; None: not known."""
+        if self.found is None:
+            return None
+        return handed.to_message(handed.request_digest(request, space, self.goal), self.found)
+
+
+def check_segment(
+    request: PlanningRequest, space: str, target: Target, detours: bool, first: bool
+) -> Segment | Refusal:
+    """The segment with the joint values (rad) at its end, or the refusal if it is blocked.
 
     `detours`: also try paths with way-points if the direct path is blocked.
+    `first`: the segment starts where the arm is now; find the way that `plan_segment` would take.
     """
-    return _TESTS[space](request, target, detours)
+    return _TESTS[space](request, target, detours, first)
 
 
-def plan_segment(request: PlanningRequest, space: str, target: Target) -> Motion | Refusal:
-    """The segment as a timed motion."""
-    return SPACES[space](request, target)
+def plan_segment(request: PlanningRequest, space: str, target: Target, known: Way | None = None) -> Motion | Refusal:
+    """The segment as a timed motion. `known`: a way found before; used only if it was found for an equal request."""
+    return SPACES[space](request, target, known)
 
 
 # --- joint space -----------------------------------------------------------------------------------------
@@ -51,23 +80,25 @@ def _goal(request: PlanningRequest, target: Target) -> Array | Refusal:
     return ik.choose(request.arm, target.pose, request.start, test=free_posture(request), margin_rad=request.margin_rad)
 
 
-def _timed_joint(request: PlanningRequest, target: Target) -> Motion | Refusal:
-    goal = _goal(request, target)
-    return goal if isinstance(goal, Refusal) else plan_joint_motion(request, goal)
-
-
-def _tested_joint(request: PlanningRequest, target: Target, detours: bool) -> Array | Refusal:
+def _timed_joint(request: PlanningRequest, target: Target, known: Way | None) -> Motion | Refusal:
     goal = _goal(request, target)
     if isinstance(goal, Refusal):
         return goal
-    problem = request.arm.why_not_within(goal, request.margin_rad)
-    problem = problem or (None if _is_there(request, goal) else fault(request, paths.joint_line(request.start, goal)))
-    if problem is None:
+    if known is not None and known.asked == handed.request_digest(request, "move_joint", goal):
+        return in_time(request, handed.from_message(known))
+    return plan_joint_motion(request, goal)
+
+
+def _tested_joint(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment | Refusal:
+    goal = _goal(request, target)
+    if isinstance(goal, Refusal):
         return goal
-    if not detours:
-        return problem
-    motion = plan_joint_motion(request, goal)
-    return motion if isinstance(motion, Refusal) else motion.goal_joints
+    if _is_there(request, goal):
+        return request.arm.why_not_within(goal, request.margin_rad) or Segment(goal, goal)
+    found = find_joint_way(request, goal) if detours else find_direct_way(request, goal, with_room=first)
+    if isinstance(found, Refusal):
+        return found
+    return Segment(goal, goal, found)
 
 
 def _is_there(request: PlanningRequest, goal: Array) -> bool:
@@ -85,17 +116,23 @@ def _pose(request: PlanningRequest, target: Target) -> list[float]:
     return pose
 
 
-def _timed_task(request: PlanningRequest, target: Target) -> Motion | Refusal:
-    motion = plan_task_motion(request, _pose(request, target))
+def _timed_task(request: PlanningRequest, target: Target, known: Way | None) -> Motion | Refusal:
+    pose = _pose(request, target)
+    motion: Motion | Refusal
+    if known is not None and known.asked == handed.request_digest(request, "move_task", pose):
+        motion = in_time(request, handed.from_message(known))
+    else:
+        motion = plan_task_motion(request, pose)
     return motion if isinstance(motion, Refusal) else _other_end(request, target, motion.goal_joints) or motion
 
 
-def _tested_task(request: PlanningRequest, target: Target, detours: bool) -> Array | Refusal:
-    line = paths.task_line(request.arm, request.start, _pose(request, target), request.margin_rad)
-    if isinstance(line, Refusal):
-        return line
-    end = line.knots[-1]
-    return fault(request, line) or _other_end(request, target, end) or end
+def _tested_task(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment | Refusal:
+    pose = _pose(request, target)
+    found = find_task_way(request, pose, request.margin_rad)
+    if isinstance(found, Refusal):
+        return found
+    end = found.path.knots[-1]
+    return _other_end(request, target, end) or Segment(end, pose, found)
 
 
 def _other_end(request: PlanningRequest, target: Target, end: Array) -> Refusal | None:
@@ -114,11 +151,11 @@ def _other_end(request: PlanningRequest, target: Target, end: Array) -> Refusal 
 
 
 #: fourth column of a script -> planner of its segments
-SPACES: dict[str, Callable[[PlanningRequest, Target], Motion | Refusal]] = {
+SPACES: dict[str, Callable[[PlanningRequest, Target, Way | None], Motion | Refusal]] = {
     "move_joint": _timed_joint,
     "move_task": _timed_task,
 }
-_TESTS: dict[str, Callable[[PlanningRequest, Target, bool], Array | Refusal]] = {
+_TESTS: dict[str, Callable[[PlanningRequest, Target, bool, bool], Segment | Refusal]] = {
     "move_joint": _tested_joint,
     "move_task": _tested_task,
 }

@@ -7,6 +7,7 @@ command-object table, the hand, the object, the sentence.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import msgspec
@@ -36,7 +37,7 @@ class TaskCandidate:
     target: cells.Seat | None
     figures: dict[str, float]
 
-    @property
+    @cached_property
     def texts(self) -> dict[str, str]:
         """Values of {arm} and the other placeholders in the words of a script."""
         return {
@@ -54,6 +55,8 @@ class TaskCandidate:
 
     def say(self, words: str) -> str:
         """Replace the placeholders in `words`."""
+        if "{" not in words:
+            return words
         for name, text in self.texts.items():
             words = words.replace("{" + name + "}", text)
         return words

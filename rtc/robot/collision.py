@@ -86,6 +86,7 @@ class CollisionWorld:
 
     def __init__(self, cell: cells.Cell) -> None:
         self.cell = cell
+        self.cell_digest = cell.digest()
         self._bodies = bodies.build(cell)
         self._data = self._bodies.model.createData()
         self._geometry_data = self._bodies.geometry.createData()
@@ -229,6 +230,17 @@ class CollisionWorld:
 
     def _arrange(self, scene: Scene) -> None:
         """Applies a scene: poses, parents and openings; then active pairs and margins."""
+        before, self._scene = self._scene, None  # None until done: after an error the scene is applied in part only
+        # Scenes often differ only in active pairs and margins; then no body has to be placed again.
+        if before is None or not (
+            scene.poses is before.poses and scene.held is before.held and scene.openings_m is before.openings_m
+        ):
+            self._place_bodies(scene)
+        self._switch(scene)
+        self._scene = scene
+
+    def _place_bodies(self, scene: Scene) -> None:
+        """Sets the poses, parents and openings of a scene."""
         for name, slots in self._bodies.arms.items():
             opening = scene.openings_m.get(name, self.cell.arm(name).gripper.max_opening_m)
             self._q[slots.fingers] = 0.5 * opening
@@ -244,8 +256,6 @@ class CollisionWorld:
             for n in pieces:
                 item = self._bodies.geometry.geometryObjects[n]
                 item.parentJoint, item.placement = parent, pose * self._bodies.pieces[n].in_owner
-        self._switch(scene)
-        self._scene = scene
 
     def _switch(self, scene: Scene) -> None:
         moving = self._arm_piece.copy()  # pieces that move with an arm

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+TURN = 2 * math.pi
 _RX = {s: np.array(((1, 0, 0), (0, 0, -s), (0, s, 0)), dtype=float) for s in (1, -1)}  # Rx(+90), Rx(-90)
 
 
@@ -62,7 +63,7 @@ def branches(g: PumaGeometry, flange: NDArray[np.float64], wrist_roll: float) ->
     if abs(bend) > 1:
         return []
     phase, bend = math.atan2(g.d4, g.a3), math.acos(bend)
-    found = []
+    remainder, found = math.remainder, []
     for u in (math.sqrt(radial), -math.sqrt(radial)):
         q1 = math.atan2(y, x) - math.atan2(-g.d3, u)
         c1, s1 = math.cos(q1), math.sin(q1)
@@ -89,7 +90,8 @@ def branches(g: PumaGeometry, flange: NDArray[np.float64], wrist_roll: float) ->
                 w21 = e20 * r01 + e21 * r11 + e22 * r21
                 q4, q5, q6 = math.atan2(-w12, -w02), math.atan2(s5, w22), math.atan2(-w21, w20)
                 wrists = [(q4, q5, q6), (q4 + math.pi, -q5, q6 + math.pi)]
-            found += [[_wrap(n) for n in (q1, q2, q3, *wrist)] for wrist in wrists]
+            arm = [remainder(n, TURN) for n in (q1, q2, q3)]
+            found += [[*arm, *(remainder(n, TURN) for n in wrist)] for wrist in wrists]
     return found
 
 
@@ -107,7 +109,3 @@ def shortfall(g: PumaGeometry, wrist: NDArray[np.float64]) -> tuple[str, float]:
     if from_shoulder < nearest:
         return "too near the shoulder", nearest - from_shoulder
     return "", 0.0
-
-
-def _wrap(angle: float) -> float:
-    return math.remainder(angle, 2 * math.pi)

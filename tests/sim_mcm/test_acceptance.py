@@ -138,4 +138,5 @@ def test_control_points_outside_a_limit_that_the_curve_keeps_are_no_excess() -> 
     assert points.positions.max() == pytest.approx(0.05)
     assert quintic.excess(points.positions, [-1.0], [1 / 32 + 1e-9]) is None
     assert quintic.excess(points.positions, [-1.0], [1 / 32 - 1e-9]) is not None
-    assert quintic.peaks(points.positions)[0] == pytest.approx(1 / 32, rel=2e-3)
+    assert quintic.most_beyond(points.positions, [1 / 64]) == pytest.approx(2, rel=2e-3)
+    assert quintic.most_beyond(points.positions, [1 / 31]) == 1.0

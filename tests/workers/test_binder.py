@@ -25,6 +25,7 @@ from rtc.primitive import (
     TimeAbove,
 )
 from rtc.robot.kinematics import ArmModel
+from workers.motion import plan
 
 
 def bound_to(bench, sentence: str, to: str) -> tuple[Script, BoundStep]:
@@ -446,3 +447,26 @@ def test_the_same_input_gives_the_same_primitive(bench):
     first, second = (bench.bind(script, script.steps[0]) for _ in range(2))
 
     assert msgspec.json.encode(first) == msgspec.json.encode(second)
+
+
+def test_the_way_of_the_elaborator_is_not_tested_again(bench, monkeypatch):
+    script = bench.elaborate("MOVE RIGHT-ARM TO BAY-2-FRONT")
+    anew = bench.bind(script, msgspec.structs.replace(script.steps[0], way=None))
+    asked = []
+    fault = plan.fault
+    monkeypatch.setattr(plan, "fault", lambda *about: asked.append(about) or fault(*about))
+    assert bench.bind(script, script.steps[0]) == anew
+    assert not asked
+
+    bench.told("MACS-NEW.frame", [0.6, 0.6, 0.6, 0, 0, 0, 1])  # any fact of the scene
+    assert bench.bind(script, script.steps[0]).primitive is not None
+    assert asked
+
+
+def test_a_way_is_not_used_once_a_module_stands_in_it(bench):
+    script = bench.elaborate("MOVE RIGHT-ARM TO BAY-2-FRONT")
+    goal = bench.bind(script, script.steps[0]).evaluation.goal_pose
+    bench.told("MACS-NEW.frame", goal)
+    refusal = bench.bind(script, script.steps[0])
+    assert isinstance(refusal, Refusal)
+    assert "MACS-NEW" in refusal.message

@@ -19,6 +19,7 @@ from rtc import geometry
 from rtc.geometry import Array, Floats
 from rtc.outcomes import Refusal, RefusalReason
 from rtc.robot.kinematics import ArmModel
+from workers.motion.spline import Spline
 
 KNOT_M = 0.025  # distance between inverse solutions; a cubic through them is straight to some micrometres
 KNOT_RAD = 0.10
@@ -34,11 +35,17 @@ class Path:
     space: Literal["joint", "task"]
     s: Array  # rises from 0 to `length`
     knots: Array  # [len(s)][joints]
-    curve: SplineInterpolator | None
+    curve: SplineInterpolator | Spline | None
 
     @property
     def length(self) -> float:
         return float(self.s[-1])
+
+    def joints_at(self, s: Array) -> Array:
+        """Joints, [len(s)][joints]."""
+        if self.curve is not None:
+            return self.curve(s)
+        return self.knots[0] + np.outer(s, (self.knots[-1] - self.knots[0]) / self.length)
 
     def at(self, s: Array) -> tuple[Array, Array, Array]:
         """Joints, and their first and second derivative by s, each [len(s)][joints]."""
@@ -55,9 +62,10 @@ class Path:
         weights = np.where(np.arange(self.knots.shape[1]) < 3, 1.0, 1.0 / 3.0)
         turned = (np.abs(np.diff(self.knots, axis=0)) * weights).max(axis=1)
         pieces = np.maximum(1, np.ceil(turned / step_rad)).astype(int)
-        spans = zip(self.s[:-1], self.s[1:], pieces, strict=True)
-        s = np.append(np.concatenate([np.linspace(a, b, n, endpoint=False) for a, b, n in spans]), self.length)
-        return s, self.at(s)[0]
+        steps = np.repeat(np.diff(self.s) / pieces, pieces)
+        nth = np.arange(len(steps)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+        s = np.append(nth * steps + np.repeat(self.s[:-1], pieces), self.length)
+        return s, self.joints_at(s)
 
 
 def joint_line(start: Floats, goal: Floats) -> Path:
@@ -92,7 +100,7 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
         assert q is not None
         knots.append(q)
     table = np.array(knots)
-    return Path("task", fractions * length, table, SplineInterpolator(fractions * length, table))
+    return Path("task", fractions * length, table, Spline(fractions * length, table))
 
 
 def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_rad: float) -> Refusal | None:

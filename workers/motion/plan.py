@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -29,6 +30,7 @@ CLEARANCE_M = 0.005
 NEAR_AT_MOST = 12  # maximum number of bodies closer than the clearance at either end of a path
 RAISE_M = (0.15, 0.30)  # heights by which a detour raises the hand
 BACK_M = (0.10, 0.20)  # distances by which a detour draws the hand back along its own axis
+DIRECT = "generated a line in joint space; tested: free"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +55,13 @@ class PlanningRequest:
         return max(0.0, min(self.margin_rad, self.arm.limit_margin(self.start)))
 
 
+class Found(NamedTuple):
+    """A way that is free, without its timing. `notes`: what was generated, tested and modified until it was found."""
+
+    path: Path
+    notes: list[str]
+
+
 @dataclass(frozen=True, eq=False)
 class Motion:
     path: Path
@@ -64,14 +73,26 @@ class Motion:
 
 def plan_task_motion(request: PlanningRequest, goal_pose: Floats) -> Motion | Refusal:
     """Plan a straight tcp line to `goal_pose` (world)."""
-    line = paths.task_line(request.arm, request.start, goal_pose, request.way_margin_rad)
+    found = find_task_way(request, goal_pose, request.way_margin_rad)
+    return found if isinstance(found, Refusal) else in_time(request, found)
+
+
+def find_task_way(request: PlanningRequest, goal_pose: Floats, margin_rad: float) -> Found | Refusal:
+    """A straight tcp line that keeps `margin_rad` from every joint limit, without its timing."""
+    line = paths.task_line(request.arm, request.start, goal_pose, margin_rad)
     if isinstance(line, Refusal):
         return line
-    return fault(request, line) or _motion(request, line, ["generated a straight line of the hand; tested: free"])
+    return fault(request, line) or Found(line, ["generated a straight line of the hand; tested: free"])
 
 
 def plan_joint_motion(request: PlanningRequest, goal: Floats) -> Motion | Refusal:
     """Plan a motion to the joint values `goal` (rad) on any path, with `CLEARANCE_M` if such a path exists."""
+    found = find_joint_way(request, goal)
+    return found if isinstance(found, Refusal) else in_time(request, found)
+
+
+def find_joint_way(request: PlanningRequest, goal: Floats) -> Found | Refusal:
+    """The path of `plan_joint_motion`, without its timing."""
     goal = np.asarray(goal, dtype=float)
     problem = request.arm.why_not_within(goal, request.margin_rad) or free_posture(request)(goal)
     if problem is not None:
@@ -83,17 +104,36 @@ def plan_joint_motion(request: PlanningRequest, goal: Floats) -> Motion | Refusa
     return found
 
 
-def _generate_and_test(request: PlanningRequest, goal: Array) -> Motion | Refusal:
+def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> Found | Refusal | None:
+    """Test the line in joint space to `goal`. A Refusal: the line is not free.
+
+    `with_room`: test also with `CLEARANCE_M` to spare, and return the line if `plan_joint_motion` would take it.
+    None: the line is free, but `plan_joint_motion` would try other ways first, or that was not tested.
+    """
+    goal = np.asarray(goal, dtype=float)
+    problem = request.arm.why_not_within(goal, request.margin_rad)
+    if problem is not None:
+        return problem
+    line = paths.joint_line(request.start, goal)
+    if not with_room:
+        return fault(request, line)
+    occupied = free_posture(request)(goal)
+    if occupied is None and fault(replace(request, scene=_with_room(request, goal)), line) is None:
+        return Found(line, [DIRECT])
+    return fault(request, line) or occupied
+
+
+def _generate_and_test(request: PlanningRequest, goal: Array) -> Found | Refusal:
     direct = paths.joint_line(request.start, goal)
     first = fault(request, direct)
     if first is None:
-        return _motion(request, direct, ["generated a line in joint space; tested: free"])
+        return Found(direct, [DIRECT])
     notes = [f"generated a line in joint space; tested: {first.message}"]
     for words, candidate in _modified(request, goal):
         problem = fault(request, candidate)
         notes.append(f"modified: {words}; tested: {problem.message if problem else 'free'}")
         if problem is None:
-            return _motion(request, candidate, notes)
+            return Found(candidate, notes)
     return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(notes))})
 
 
@@ -170,9 +210,10 @@ def _modified(request: PlanningRequest, goal: Array) -> Iterator[tuple[str, Path
             yield f"by way of the goal {words}", paths.through([request.start, second, goal])
 
 
-def _motion(request: PlanningRequest, way: Path, notes: list[str]) -> Motion:
-    goal = way.knots[-1]
-    return Motion(way, time_path(request.arm, way, request.pace), goal, request.arm.fk(goal), notes)
+def in_time(request: PlanningRequest, found: Found) -> Motion:
+    """The way as a motion, timed at the pace of the request."""
+    goal = found.path.knots[-1]
+    return Motion(found.path, time_path(request.arm, found.path, request.pace), goal, request.arm.fk(goal), found.notes)
 
 
 def _at(problem: Refusal, fraction: float) -> Refusal:

@@ -129,7 +129,9 @@ def _time_curve(arm: ArmModel, path: Path, pace: Pace) -> Timed:
 
 def _tcp_rate(arm: ArmModel, q: Array, slope: Array) -> Array:
     """Metres (or METRES_PER_RAD times rad) that the tcp moves per unit of s, at each row."""
-    return np.array([float(np.linalg.norm(arm.jacobian(row)[:3] @ by)) for row, by in zip(q, slope, strict=True)])
+    linear = np.array([arm.jacobian(row)[:3] for row in q])
+    rate: Array = np.sqrt((np.einsum("nij,nj->ni", linear, slope) ** 2).sum(axis=1))
+    return rate
 
 
 def _knot_times(duration_s: float, ramp_s: float, speed_m_s: float) -> Array:
@@ -153,8 +155,8 @@ def _at_rest(timed: Timed, path: Path) -> Timed:
 def _slowed(arm: ArmModel, timed: Timed) -> Timed:
     """The motion slowed to satisfy the arm's limits between the knots too; the arm refuses violations."""
     points = quintic.control_points(timed.time_s, timed.positions, timed.velocities, timed.accelerations)
-    faster = float((quintic.peaks(points.velocities) / arm.limits.velocity).max())
-    harder = float((quintic.peaks(points.accelerations) / arm.limits.acceleration).max())
+    faster = quintic.most_beyond(points.velocities, arm.limits.velocity)
+    harder = quintic.most_beyond(points.accelerations, arm.limits.acceleration)
     by = max(1.0, faster, math.sqrt(harder))
     if by == 1.0:
         return timed

@@ -1,0 +1,127 @@
+"""A way found for one planning request is used for an equal request, and for that only."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from rtc import geometry
+from rtc.messages import Way
+from rtc.robot.collision import Scene
+from workers import legs
+from workers.legs import Target
+from workers.motion import handed, plan
+from workers.motion.constraints import Rules
+from workers.motion.plan import PlanningRequest
+from workers.motion.timing import Pace
+
+ASIDE = (0.45, -0.885, 0.60)
+
+
+@pytest.fixture
+def asked(right, world, home):
+    return PlanningRequest(right, world, home, scene=Scene(poses={}, near=["RACK-1"]))
+
+
+@pytest.fixture
+def goal(asked):
+    return asked.arm.ik(geometry.make_pose(ASIDE, geometry.LEVEL), asked.start)[0].tolist()
+
+
+def sent(way: Way) -> Way:
+    return msgspec.msgpack.decode(msgspec.msgpack.encode(way), type=Way)
+
+
+@pytest.fixture
+def untested(monkeypatch):
+    """Once called, any test for collisions fails the test."""
+
+    def planned_again(*_):
+        raise AssertionError("a way that was found already is planned again")
+
+    def forbid():
+        monkeypatch.setattr(plan, "fault", planned_again)
+
+    return forbid
+
+
+@pytest.mark.parametrize("space", ["move_joint", "move_task"])
+def test_the_motion_is_the_same_and_nothing_is_tested_again(asked, goal, space, untested):
+    target = Target(joints=goal) if space == "move_joint" else Target(pose=_beside(asked))
+    anew = legs.plan_segment(asked, space, target)
+    way = sent(legs.check_segment(asked, space, target, detours=False, first=True).way(asked, space))
+    untested()
+    handed_on = legs.plan_segment(asked, space, target, way)
+    for name in ("time_s", "positions", "velocities", "accelerations"):
+        assert np.array_equal(getattr(handed_on.timed, name), getattr(anew.timed, name)), name
+    assert handed_on.notes == anew.notes
+
+
+def test_a_way_with_detours_is_handed_on_too(asked, goal, monkeypatch, untested):
+    fault, times = plan.fault, []
+
+    def blocked_at_first(request, path):
+        times.append(1)
+        return plan.Refusal(reason="infeasible", message="blocked") if len(times) <= 1 else fault(request, path)
+
+    monkeypatch.setattr(plan, "fault", blocked_at_first)
+    segment = legs.check_segment(asked, "move_joint", Target(joints=goal), detours=True, first=True)
+    way = segment.way(asked, "move_joint")
+    assert len(way.knots) > 2
+    untested()
+    handed_on = legs.plan_segment(asked, "move_joint", Target(joints=goal), sent(way))
+    assert "modified" in handed_on.notes[-1]
+    assert np.allclose(handed_on.goal_joints, goal)
+
+
+def _beside(asked):
+    return geometry.translate(asked.arm.fk(asked.start), (0.0, 0.03, 0.0)).tolist()
+
+
+def changes(asked):
+    joints = {arm: [*values] for arm, values in asked.joints.items()}
+    other = {**joints, "LEFT-ARM": [joints["LEFT-ARM"][0] + 1e-9, *joints["LEFT-ARM"][1:]]}
+    yield replace(asked, joints=other)
+    yield replace(asked, margin_rad=asked.margin_rad + 1e-6)
+    yield replace(asked, rules=Rules(attitude_name="LEVEL"))
+    scene = asked.scene
+    yield replace(asked, scene=replace(scene, clearance_m=0.001))
+    yield replace(asked, scene=replace(scene, poses={"MACS-NEW": geometry.IDENTITY}))
+    yield replace(asked, scene=replace(scene, openings_m={"RIGHT-ARM": 0.01}))
+    yield replace(asked, scene=replace(scene, keep_out=["BAY"]))
+    yield replace(asked, scene=replace(scene, near=[]))
+    yield replace(asked, scene=replace(scene, ignore=[("RIGHT-ARM", "MACS-NEW")]))
+
+
+def test_everything_the_way_depends_on_changes_the_digest(asked, goal):
+    same = handed.request_digest(asked, "move_joint", goal)
+    assert same == handed.request_digest(
+        replace(asked, scene=replace(asked.scene), pace=Pace(0.1)), "move_joint", np.array(goal)
+    )
+    others = [handed.request_digest(changed, "move_joint", goal) for changed in changes(asked)]
+    others += [
+        handed.request_digest(asked, "move_task", goal),
+        handed.request_digest(asked, "move_joint", [*goal[:5], goal[5] + 1e-9]),
+    ]
+    assert len({same, *others}) == 1 + len(others) == 12
+
+
+def test_a_way_of_another_request_is_not_used(asked, goal, untested):
+    way = legs.check_segment(asked, "move_joint", Target(joints=goal), detours=False, first=True).way(
+        asked, "move_joint"
+    )
+    untested()
+    with pytest.raises(AssertionError, match="planned again"):
+        legs.plan_segment(replace(asked, margin_rad=0.01), "move_joint", Target(joints=goal), way)
+
+
+def test_a_way_to_the_pose_is_not_used_for_joints_of_another_turn(asked):
+    pose = _beside(asked)
+    way = legs.check_segment(asked, "move_task", Target(pose=pose), detours=False, first=True).way(asked, "move_task")
+    turned = asked.arm.ik(pose, asked.start)[0] + [0, 0, 0, 0, 0, 2 * np.pi]
+    way = msgspec.structs.replace(way, asked=handed.request_digest(asked, "move_task", asked.arm.fk(turned).tolist()))
+    refusal = legs.plan_segment(asked, "move_task", Target(joints=turned.tolist()), way)
+    assert refusal.detail["cause"] == "branch"

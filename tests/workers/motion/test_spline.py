@@ -1,0 +1,19 @@
+"""The spline equals that of toppra."""
+
+import numpy as np
+import pytest
+from toppra import SplineInterpolator
+
+from workers.motion.spline import Spline
+
+
+@pytest.mark.parametrize("count", [4, 5, 9, 30])
+def test_it_equals_the_spline_of_toppra(count):
+    rng = np.random.default_rng(count)
+    s = np.concatenate(((0.0,), np.cumsum(rng.uniform(0.01, 0.03, count - 1))))
+    rows = rng.normal(size=(count, 6))
+    ours, theirs = Spline(s, rows), SplineInterpolator(s, rows)
+    at = np.concatenate((s, np.linspace(0.0, s[-1], 101)))
+    for order in range(3):
+        wanted = theirs(at, order)
+        assert np.abs(ours(at, order) - wanted).max() <= 1e-9 * np.abs(wanted).max()
