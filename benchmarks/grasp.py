@@ -27,12 +27,12 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from benchmarks.report import finish, question
-from rtc import geometry
-from rtc.cell import Cell
-from rtc.client import Client
+from rtc.cells.cell import Cell
+from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
-from rtc.messages import CommandEnded, Validity
-from rtc.outcomes import OutcomeKind
+from rtc.protocol.messages import CommandEnded, Validity
+from rtc.protocol.outcomes import OutcomeKind
+from rtc.robot import geometry
 from rtc.world.spread import EXACT
 
 SEED = 7

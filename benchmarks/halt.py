@@ -24,11 +24,11 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 
 from benchmarks.report import finish, percentile, question, spread
-from rtc import messages as m
-from rtc.client import Client
+from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
-from rtc.messages import WorkerKind
-from rtc.process_table import processes
+from rtc.protocol import messages as m
+from rtc.protocol.messages import WorkerKind
+from rtc.runtime.process_table import processes
 
 SEED = 20
 PLACES = ("BAY-2-FRONT", "CLEAR-POINT-1")

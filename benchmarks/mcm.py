@@ -23,16 +23,16 @@ from pathlib import Path
 import zmq
 
 from benchmarks.report import finish, question
-from rtc import geometry
-from rtc import messages as m
-from rtc import primitive as p
-from rtc.cell import Cell
-from rtc.outcomes import StopReason
+from rtc.cells.cell import Cell
+from rtc.protocol import messages as m
+from rtc.protocol import primitive as p
+from rtc.protocol.outcomes import StopReason
+from rtc.protocol.wire import frames, reader
+from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
-from rtc.settings import Settings, prepare_run_dir
-from rtc.wire import frames, reader
-from sim_mcm.bullet_arm import BulletCell
-from sim_mcm.bullet_world import STEP_S
+from rtc.runtime.settings import Settings, prepare_run_dir
+from sim_mcm.arms.bullet_arm import BulletCell
+from sim_mcm.arms.bullet_world import STEP_S
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
 WORKERS_NICENESS = 5

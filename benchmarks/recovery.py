@@ -25,12 +25,12 @@ from pathlib import Path
 from benchmarks.load.errands import Errands
 from benchmarks.load.verdict import JournalReader, judge
 from benchmarks.report import finish, percentile, question, spread
-from broker.events import BrokerRestarted, Event, JobDeclined, JobFinished, JobLost, SubsystemConnected
-from rtc import messages as m
-from rtc.chaos import Chaos, Strike
-from rtc.client import Client
+from broker.decisions.events import BrokerRestarted, Event, JobDeclined, JobFinished, JobLost, SubsystemConnected
+from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
-from rtc.process_table import processes
+from rtc.protocol import messages as m
+from rtc.runtime.chaos import Chaos, Strike
+from rtc.runtime.process_table import processes
 
 SEED = 20
 PAUSE_S = (0.6, 0.9)  # between two kills: some work is done, nobody seems to be in a crash loop

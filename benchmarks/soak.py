@@ -18,7 +18,7 @@ from benchmarks.load.client import LoadClient
 from benchmarks.load.cluster import Running, cluster
 from benchmarks.load.trivial import sentence
 from benchmarks.report import RESULTS, finish, question
-from rtc.outcomes import OutcomeKind
+from rtc.protocol.outcomes import OutcomeKind
 
 SAMPLE_EVERY = 500  # commands
 

@@ -26,8 +26,8 @@ from benchmarks.load.cluster import cluster
 from benchmarks.load.trivial import sentence
 from benchmarks.peers import chain
 from benchmarks.report import RESULTS, finish, question
-from rtc.messages import WorkerKind
-from rtc.outcomes import OutcomeKind
+from rtc.protocol.messages import WorkerKind
+from rtc.protocol.outcomes import OutcomeKind
 
 WARM_UP_S = 1.5
 BUSY_S = 0.002  # of work in every job, to saturate the workers

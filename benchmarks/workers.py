@@ -19,13 +19,14 @@ from pathlib import Path
 
 from benchmarks.load.stories import FUNCTIONS, Job, Story, Workers, changed, sentences
 from benchmarks.report import finish, percentile, question, spread
-from rtc import process, program
-from rtc.cell import Cell
-from rtc.messages import BoundStep, ParserInput, WorkerKind
-from rtc.outcomes import Refusal
-from rtc.primitive import JointTrajectory
+from rtc.cells.cell import Cell
+from rtc.programs import loader
+from rtc.protocol.messages import BoundStep, ParserInput, WorkerKind
+from rtc.protocol.outcomes import Refusal
+from rtc.protocol.primitive import JointTrajectory
+from rtc.runtime import process
 from rtc.world.model import World
-from workers.cell_model import CellModel
+from workers.planning.robot_models import CellModel
 
 SEED = 20
 SENTENCES = Path(__file__).parents[1] / "tests" / "language" / "samples.txt"
@@ -74,7 +75,7 @@ def main() -> None:
 def _cold(cell: Cell) -> Iterator[tuple[str, float]]:
     """What a worker makes before its first job, once (s); libraries are imported."""
     for kind, function in FUNCTIONS.items():
-        body = program.default(kind)
+        body = loader.default(kind)
         began_s = time.perf_counter()
         function.compile(body)
         yield f"compile the {kind.value}'s program", time.perf_counter() - began_s

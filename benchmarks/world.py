@@ -21,9 +21,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarks.report import finish, percentile, question, spread
-from rtc.messages import WorldChange
-from rtc.process import die_with_parent
-from rtc.settings import Settings, prepare_run_dir
+from rtc.protocol.messages import WorldChange
+from rtc.runtime.process import die_with_parent
+from rtc.runtime.settings import Settings, prepare_run_dir
 from rtc.world.client import WorldClient
 from rtc.world.lease import KEY_FILE, sign
 

@@ -11,18 +11,19 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from broker.events import BrokerRestarted, JournalLost, ProgramInstalled
-from broker.journal import Journal
-from broker.loads import ProgramLoads
-from broker.program_store import ProgramStore
-from broker.replay import replay
-from broker.router import ALONE_S, Router
-from broker.state import State
-from rtc import damage, handed, process, program_check, template
-from rtc.memory import MemoryGuard
-from rtc.messages import CommandRecord, WorkerKind
-from rtc.outcomes import RtcError
-from rtc.settings import Settings
+from broker.decisions.events import BrokerRestarted, JournalLost, ProgramInstalled
+from broker.decisions.state import State
+from broker.persistence.journal import Journal
+from broker.persistence.program_loads import ProgramLoads
+from broker.persistence.program_store import ProgramStore
+from broker.persistence.replay import replay
+from broker.router.loop import ALONE_S, Router
+from rtc.programs import sandbox
+from rtc.protocol.messages import CommandRecord, WorkerKind
+from rtc.protocol.outcomes import RtcError
+from rtc.runtime import damaged_database, fork_server, handover, process
+from rtc.runtime.memory_guard import MemoryGuard
+from rtc.runtime.settings import Settings
 from rtc.world.client import WorldClient
 from rtc.world.lease import DOUBT, sign
 
@@ -35,25 +36,28 @@ def main() -> None:
     arguments = argparse.ArgumentParser(prog="python -m broker", description=__doc__)
     arguments.add_argument("--run-dir", required=True, type=Path, help="of the cluster, as made by `rtc up`")
     arguments.add_argument("--template", action="store_true", help="run as the fork server of the next broker")
-    handed.add_option(arguments)
+    handover.add_option(arguments)
     given = arguments.parse_args()
     if given.template:
-        template.serve(lambda order: live(given.run_dir, given.handed))
+        fork_server.serve(lambda order: live(given.run_dir, given.handed))
     else:
         live(given.run_dir, given.handed)
 
 
 def live(run_dir: Path, fd: int = -1) -> None:
-    """Run the broker until it is ordered to end. `fd`: descriptor handed over by the supervisor (rtc.handed)."""
+    """Run the broker until it is ordered to end. `fd`: descriptor handed over by the supervisor
+    (rtc.runtime.handover)."""
     process.show_name("broker")
-    given = handed.begin("broker", run_dir, fd)
+    given = handover.begin("broker", run_dir, fd)
     settings = given.settings
     with process.start("broker", run_dir) as me:
         priority = process.come_first(RANK, NICENESS)
         first = State(timeout_scale=settings.patience, life=secrets.token_hex(2))
         path = run_dir / "journal.db"
-        journal, state, ended = damage.open_or_set_aside(path, lambda: _opened(path, settings.run, first), me.note)
-        with damage.put_aside_when_damaged(path, me.note):
+        journal, state, ended = damaged_database.open_or_set_aside(
+            path, lambda: _opened(path, settings.run, first), me.note
+        )
+        with damaged_database.put_aside_when_damaged(path, me.note):
             _serve(me, given, journal, state, ended, priority)
 
 
@@ -64,7 +68,7 @@ def _opened(path: Path, run: str, first: State) -> tuple[Journal, State, dict[st
 
 def _serve(
     me: process.Process,
-    given: handed.Handed,
+    given: handover.Handed,
     journal: Journal,
     state: State,
     ended: dict[str, CommandRecord],
@@ -79,7 +83,7 @@ def _serve(
     router.guard = MemoryGuard()
     if given.fd >= 0:  # started by a supervisor
         me.end_with_parent(ALONE_S * settings.patience + LAST_S)
-    router.loads = ProgramLoads(store, program_check.Process)
+    router.loads = ProgramLoads(store, sandbox.Process)
     restarted = bool(state.programs)
     if restarted:
         me.log.info("restarted: %d commands live, %d ended in the journal", len(state.commands), len(ended))
@@ -102,7 +106,7 @@ def _serve(
     journal.close()
 
 
-def lost_turns(journal: Journal, state: State, given: handed.Handed, now: float, life: str) -> JournalLost | None:
+def lost_turns(journal: Journal, state: State, given: handover.Handed, now: float, life: str) -> JournalLost | None:
     """The event of a journal that lacks decisions of this run; None if it is complete. `life`: its new id."""
     kept = given.remembered("broker")
     if kept is None:
@@ -116,7 +120,7 @@ def lost_turns(journal: Journal, state: State, given: handed.Handed, now: float,
     return JournalLost(at_s=now, why=why, life=life, accepted=accepted)
 
 
-def _doubt_the_world(me: process.Process, given: handed.Handed, lost: JournalLost) -> None:
+def _doubt_the_world(me: process.Process, given: handover.Handed, lost: JournalLost) -> None:
     """Mark world facts as suspect before a plan uses them: lost decisions may have changed them."""
     world = WorldClient(given.settings.endpoint("world"), me.context, limit_s=DOUBT_LIMIT_S)
     try:
@@ -128,11 +132,11 @@ def _doubt_the_world(me: process.Process, given: handed.Handed, lost: JournalLos
 
 def _first_programs(settings: Settings, store: ProgramStore, now: float) -> Iterator[ProgramInstalled]:
     """Install the default programs and the cell of a new cluster."""
-    from rtc import program  # these import lark, yaml and numpy, which a fast restart avoids
-    from rtc.cell import Cell
+    from rtc.cells.cell import Cell
+    from rtc.programs import loader
 
     for kind in WorkerKind:
-        yield ProgramInstalled(at_s=now, kind=kind, digest=store.keep(program.default(kind)))
+        yield ProgramInstalled(at_s=now, kind=kind, digest=store.keep(loader.default(kind)))
     yield ProgramInstalled(at_s=now, kind=None, digest=store.keep(Cell.load(settings.cell).encode()))
 
 

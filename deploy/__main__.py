@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 
 from deploy import cluster
-from rtc.keys import check_address
-from rtc.outcomes import ClusterError, NoCluster, ProgramError, RtcError
-from rtc.settings import Settings, default_run_dir
+from rtc.protocol.outcomes import ClusterError, NoCluster, ProgramError, RtcError
+from rtc.runtime.keys import check_address
+from rtc.runtime.settings import Settings, default_run_dir
 
 CELL = "swapout"  # default cell
 MOST_WORKERS = 64  # maximum number of workers of a kind
@@ -69,7 +69,7 @@ def _cell(text: str) -> str:
         raise ProgramError(
             f"{text} is not a cell: a cell is a .yaml file, a directory with a cell.yaml in it, or a name"
         )
-    from rtc.cell import Cell
+    from rtc.cells.cell import Cell
 
     Cell.load(text)
     return str(path.absolute()) if is_yaml else text

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from deploy.restarts import Death
-from rtc.process import ALIVE, NOTE, READY, die_with_parent, now_s
+from rtc.runtime.process import ALIVE, NOTE, READY, die_with_parent, now_s
 
 LOG_LIMIT = 10 << 20  # bytes; a longer log is copied to NAME.log.1 and truncated
 REMEMBERED_DEATHS = 100  # maximum number of recorded deaths
@@ -194,7 +194,7 @@ class Child:
         return output
 
     def look(self, now: float) -> None:
-        """Updates `stopped_since_s` and `busy_s` from /proc; `now` in s (rtc.process.now_s)."""
+        """Updates `stopped_since_s` and `busy_s` from /proc; `now` in s (rtc.runtime.process.now_s)."""
         try:
             fields = Path(f"/proc/{self.pid}/stat").read_bytes().rpartition(b") ")[2].split()
         except OSError:

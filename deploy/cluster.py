@@ -30,10 +30,10 @@ from deploy import hypercube
 from deploy.child import Spec
 from deploy.directory import Directory, claim_path
 from deploy.supervisor import END_LIMIT_S, OUTCOMES_S, Supervisor
-from rtc import handed, process, process_table, template
-from rtc.halting import HaltLine
-from rtc.outcomes import ClusterError, NoCluster, RtcError
-from rtc.settings import ENDPOINTS, LOCK, Settings, prepare_run_dir
+from rtc.client.halt import HaltLine
+from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
+from rtc.runtime import fork_server, handover, process, process_table
+from rtc.runtime.settings import ENDPOINTS, LOCK, Settings, prepare_run_dir
 from rtc.world import lease
 
 LOGS = "logs"
@@ -47,7 +47,7 @@ NICENESS = -10  # of the supervisor: it needs little time, and work of a dead pr
 
 
 def specs(settings: Settings, fd: int = -1) -> list[Spec]:
-    """The processes of a cluster. `fd`: the handover file that each inherits (rtc.handed)."""
+    """The processes of a cluster. `fd`: the handover file that each inherits (rtc.runtime.handover)."""
     made = [
         _spec(
             TEMPLATE,
@@ -56,7 +56,7 @@ def specs(settings: Settings, fd: int = -1) -> list[Spec]:
             "--template",
             is_fork_server=True,
             fork_server=STANDBY,
-            order=template.STANDBY,
+            order=fork_server.STANDBY,
         ),
         _spec(
             STANDBY,
@@ -65,14 +65,14 @@ def specs(settings: Settings, fd: int = -1) -> list[Spec]:
             "--template",
             is_fork_server=True,
             fork_server=TEMPLATE,
-            order=template.STANDBY,
+            order=fork_server.STANDBY,
             later=True,
             awaits_fork_server=True,
         ),
         *_with_template("broker", "broker", settings),
         *_with_template("world", "rtc.world", settings),
         *_with_template("MCM", "sim_mcm", settings),
-        *([_spec("gate", "broker.gate", settings, beats=True)] if settings.listen else []),
+        *([_spec("gate", "broker.gateway.gateway", settings, beats=True)] if settings.listen else []),
         *(worker(settings, address) for address in _first_workers(settings)),
     ]
     return [_hand(spec, fd) for spec in made]
@@ -80,7 +80,7 @@ def specs(settings: Settings, fd: int = -1) -> list[Spec]:
 
 def _hand(spec: Spec, fd: int) -> Spec:
     """The spec with the handover file inherited; unchanged for a negative `fd`."""
-    return spec if fd < 0 else replace(spec, command=(*spec.command, handed.OPTION, str(fd)), fds=(fd,))
+    return spec if fd < 0 else replace(spec, command=(*spec.command, handover.OPTION, str(fd)), fds=(fd,))
 
 
 def _first_workers(settings: Settings) -> list[int]:
@@ -138,7 +138,7 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
             report.save([])
         except OSError as error:  # a full disk, most often
             raise ClusterError(f"no cluster can be started in {run_dir}: {error}") from error
-        given = handed.Handed.make(settings, key, secrets.token_hex(8))
+        given = handover.Handed.make(settings, key, secrets.token_hex(8))
         files: dict[str, Callable[[], object]] = {
             "settings.json": settings.save,
             lease.KEY_FILE: lambda: write_key(run_dir, key),
@@ -202,7 +202,7 @@ def _start(supervisor: Supervisor, settings: Settings) -> None:
     except ClusterError:
         # The most frequent cause is the cell file: its error replaces this one. The import brings numpy and would
         # delay the start of the processes if it came earlier.
-        from rtc.cell import Cell
+        from rtc.cells.cell import Cell
 
         Cell.load(settings.cell)
         raise

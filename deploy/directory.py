@@ -2,7 +2,7 @@
 
 Cleaners of temporary files delete files that were not used for days, and a logout removes the user's runtime directory.
 The files for a halt, for `rtc down` and for the next client must exist as long as the cluster runs. The processes that
-bind sockets restore these themselves (`rtc.process`).
+bind sockets restore these themselves (`rtc.runtime.process`).
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from rtc.outcomes import ClusterError
-from rtc.process import Every
-from rtc.settings import LOCK
+from rtc.protocol.outcomes import ClusterError
+from rtc.runtime.process import Every
+from rtc.runtime.settings import LOCK
 
 TOUCH_S = 3600.0  # period of touching all files; cleaners spare files younger than a day
 

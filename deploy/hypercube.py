@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from rtc.messages import WorkerKind
+from rtc.protocol.messages import WorkerKind
 
 KINDS = tuple(WorkerKind)  # the two low bits of an address are an index into this
 KIND_BITS = 2

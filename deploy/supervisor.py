@@ -19,8 +19,8 @@ import zmq
 from deploy import hypercube
 from deploy.child import Child, Spec, State, in_words, limit_log, reap_orphans
 from deploy.restarts import DEFAULT, Death, Policy, delay_s
-from rtc import wire
-from rtc.messages import (
+from rtc.protocol import wire
+from rtc.protocol.messages import (
     AllEnded,
     BrokerToSupervisor,
     KillProcess,
@@ -32,8 +32,8 @@ from rtc.messages import (
     SpawnWorker,
     SupervisorHello,
 )
-from rtc.outcomes import ClusterError, WireError
-from rtc.process import Every, Process, adopt_orphans, inbox, now_s, send
+from rtc.protocol.outcomes import ClusterError, WireError
+from rtc.runtime.process import Every, Process, adopt_orphans, inbox, now_s, send
 
 START_LIMIT_S = 600.0  # limit for a process to become ready; normally some seconds, more on a slow machine
 IDLE_S = 20.0  # a starting process without use of the processor for this time is hung

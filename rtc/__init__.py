@@ -12,9 +12,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rtc.client import Client
-    from rtc.halting import HaltResult
-    from rtc.outcomes import (
+    from rtc.client.client import Client
+    from rtc.client.halt import HaltResult
+    from rtc.protocol.outcomes import (
         ClusterError,
         KeyTrouble,
         NoCluster,
@@ -53,10 +53,10 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name == "Client":
-        value = import_module("rtc.client").Client
+        value = import_module("rtc.client.client").Client
     elif name == "HaltResult":
-        value = import_module("rtc.halting").HaltResult
+        value = import_module("rtc.client.halt").HaltResult
     else:
-        value = getattr(import_module("rtc.outcomes"), name)
+        value = getattr(import_module("rtc.protocol.outcomes"), name)
     globals()[name] = value
     return value

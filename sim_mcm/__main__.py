@@ -13,18 +13,18 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from rtc import handed, process, template
-from rtc import messages as m
-from rtc.cell import Cell
-from rtc.memory import MemoryGuard
-from rtc.settings import Settings
-from sim_mcm.arm import Simulation
-from sim_mcm.bullet_arm import BulletCell
+from rtc.cells.cell import Cell
+from rtc.protocol import messages as m
+from rtc.runtime import fork_server, handover, process
+from rtc.runtime.memory_guard import MemoryGuard
+from rtc.runtime.settings import Settings
+from sim_mcm.arms.arm import Simulation
+from sim_mcm.arms.bullet_arm import BulletCell
+from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.clock import Clock
-from sim_mcm.doors import Sockets
-from sim_mcm.hardware import StateFile
-from sim_mcm.kinematic_arm import KinematicCell
-from sim_mcm.subsystem import BROKER, Outgoing, Subsystem
+from sim_mcm.control.subsystem import BROKER, Outgoing, Subsystem
+from sim_mcm.sockets import Sockets
+from sim_mcm.state_file import StateFile
 
 NAME = "MCM"
 HEARTBEAT_S = 0.25
@@ -40,7 +40,7 @@ SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": BulletCell, "k
 class Station:
     """The loop around a simulation: sockets, subsystem, clock."""
 
-    def __init__(self, me: process.Process, given: handed.Handed, simulation: Simulation) -> None:
+    def __init__(self, me: process.Process, given: handover.Handed, simulation: Simulation) -> None:
         settings = given.settings
         self._me, self._settings = me, settings
         self._guard = MemoryGuard()
@@ -182,21 +182,22 @@ def main() -> None:
     arguments = argparse.ArgumentParser(prog="python -m sim_mcm", description=__doc__)
     arguments.add_argument("--run-dir", required=True, help="run directory of the cluster (has settings.json)")
     arguments.add_argument("--template", action="store_true", help="be the fork server of the MCM")
-    handed.add_option(arguments)
+    handover.add_option(arguments)
     given = arguments.parse_args()
     if given.template:
-        settings = handed.load(Path(given.run_dir), given.handed).settings
+        settings = handover.load(Path(given.run_dir), given.handed).settings
         simulation = SIMULATIONS[settings.mcm](Cell.load(settings.cell))
-        template.serve(lambda order: live(given.run_dir, given.handed, simulation))
+        fork_server.serve(lambda order: live(given.run_dir, given.handed, simulation))
     else:
         live(given.run_dir, given.handed)
 
 
 def live(run_dir: str, fd: int = -1, simulation: Simulation | None = None) -> None:
-    """Run the MCM until it is stopped. `fd`: handover from the supervisor (rtc.handed); `simulation`: a prepared one
+    """Run the MCM until it is stopped. `fd`: handover from the supervisor (rtc.runtime.handover); `simulation`: a
+    prepared one
     in its initial state."""
     process.show_name(NAME)
-    given = handed.begin(NAME, Path(run_dir), fd)
+    given = handover.begin(NAME, Path(run_dir), fd)
     settings = given.settings
     with process.start(NAME, run_dir) as me:
         me.end_with_parent(END_S * settings.patience + LAST_S)

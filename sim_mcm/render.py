@@ -1,6 +1,6 @@
 """Renders the cell: `python -m sim_mcm.render --truth FILE.json --out scene.png`.
 
-With --serve it renders one picture per line of JSON (`rtc.scene.Picture`) on stdin.
+With --serve it renders one picture per line of JSON (`rtc.cells.scene.Picture`) on stdin.
 
 Rendering runs in its own process, because pybullet holds the interpreter lock while it draws, and a tick must not wait.
 The process builds the cell in a client without physics, sets all poses from the scene and uses the software renderer,
@@ -23,12 +23,12 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
-from rtc import geometry
-from rtc.cell import Cell
-from rtc.outcomes import RtcError
-from rtc.scene import VIEWS, Drawn, Panel, Picture, Scene
+from rtc.cells.cell import Cell
+from rtc.cells.scene import VIEWS, Drawn, Panel, Picture, Scene
+from rtc.protocol.outcomes import RtcError
+from rtc.robot import geometry
 from sim_mcm import picture as sheet
-from sim_mcm.bullet_world import World
+from sim_mcm.arms.bullet_world import World
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rtc.cell import Cell
+from rtc.cells.cell import Cell
 from rtc.robot.collision import CollisionWorld
 from rtc.robot.kinematics import ArmModel
 

@@ -6,9 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc import cell_models, geometry
-from rtc.cell import CELLS, Cell
-from rtc.outcomes import ProgramError
+from rtc.cells import model_checks
+from rtc.cells.cell import CELLS, Cell
+from rtc.protocol.outcomes import ProgramError
+from rtc.robot import geometry
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +142,7 @@ def test_an_error_names_its_place(tmp_path, plain, spoil, place):
 
 
 def test_the_models_of_the_default_cell_fit_it(swapout):
-    assert list(cell_models.problems(swapout)) == []
+    assert list(model_checks.problems(swapout)) == []
 
 
 SLIDE_A = '<joint name="finger_a_slide" type="prismatic">'

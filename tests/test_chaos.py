@@ -10,10 +10,10 @@ import sys
 
 import pytest
 
-from rtc.chaos import Chaos
-from rtc.outcomes import NoCluster
-from rtc.process import now_s
-from rtc.process_table import processes
+from rtc.protocol.outcomes import NoCluster
+from rtc.runtime.chaos import Chaos
+from rtc.runtime.process import now_s
+from rtc.runtime.process_table import processes
 
 pytestmark = pytest.mark.slow
 

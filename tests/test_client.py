@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 import zmq
 
-from rtc import front_door, halting
-from rtc import messages as m
-from rtc.client import Client
-from rtc.outcomes import NoCluster, Outcome, OutcomeKind, Refusal, RefusalReason, RequestDeclined, TimedOut
-from rtc.settings import Settings
-from rtc.wire import frames, reader, reader_of_many, together
+from rtc.client import connection, halt
+from rtc.client.client import Client
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import NoCluster, Outcome, OutcomeKind, Refusal, RefusalReason, RequestDeclined, TimedOut
+from rtc.protocol.wire import frames, reader, reader_of_many, together
+from rtc.runtime.settings import Settings
 
 Answer = Callable[[m.ClientToBroker], list[object]]
 read_client = reader_of_many(m.ClientToBroker)
@@ -348,7 +348,7 @@ def test_a_client_of_the_same_name_has_requests_of_its_own(broker: SmallBroker, 
 
 def test_a_wait_ends_in_time_although_the_broker_is_long_away(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Given more to be said again than a queue takes, had it been said again into it all the time."""
-    monkeypatch.setattr(front_door, "SILENCE_S", 0.01)
+    monkeypatch.setattr(connection, "SILENCE_S", 0.01)
     broker = SmallBroker(run_dir, accepting)
     rtc = Client(run_dir)
     first = rtc.submit("STOW LEFT-ARM 1")
@@ -441,7 +441,7 @@ def test_a_halt_of_a_command_that_has_ended_is_confirmed(run_dir: Path) -> None:
 
 def test_of_a_command_that_nobody_knows_nothing_is_confirmed(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Given a broker that takes the halt and says no word."""
-    monkeypatch.setattr(halting, "ASK_S", 0.1)
+    monkeypatch.setattr(halt, "ASK_S", 0.1)
     broker = SmallBroker(run_dir, lambda _: [])
     with Client(run_dir, need_broker=False) as rtc:
         result = rtc.halt(ENDED)

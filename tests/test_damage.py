@@ -6,10 +6,10 @@ import sqlite3
 
 import pytest
 
-from broker.journal import Journal
-from broker.replay import replay
-from broker.state import State
-from rtc.damage import damaged, open_or_set_aside
+from broker.decisions.state import State
+from broker.persistence.journal import Journal
+from broker.persistence.replay import replay
+from rtc.runtime.damaged_database import damaged, open_or_set_aside
 from rtc.world.store import Store
 
 

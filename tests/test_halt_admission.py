@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from rtc import wire
-from rtc.halt_admission import MERGE_S, PER_S, HaltRateLimiter, read_order, sanitize_halt
-from rtc.messages import HaltOrder
-from rtc.outcomes import WireError
+from rtc.protocol import wire
+from rtc.protocol.messages import HaltOrder
+from rtc.protocol.outcomes import WireError
+from rtc.runtime.halt_admission import MERGE_S, PER_S, HaltRateLimiter, read_order, sanitize_halt
 
 
 @pytest.mark.parametrize("name", ["C-7", "stop-C-7", "orphan-C-7.1", "rejoin-MCM-1.0", "declined-3"])

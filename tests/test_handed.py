@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 
 from deploy.cluster import _lock
-from rtc.handed import Handed, begin, load
-from rtc.settings import Settings
+from rtc.runtime.handover import Handed, begin, load
+from rtc.runtime.settings import Settings
 
 HOLDER = """
 import sys, signal
 from pathlib import Path
-from rtc.handed import begin
+from rtc.runtime.handover import begin
 held = begin("broker", Path(sys.argv[1]), -1)
 print("held", flush=True)
 signal.pause()

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from rtc.keys import KeyFile, KeyRing, check_address, endpoint_address, is_everywhere
-from rtc.outcomes import KeyTrouble
-from rtc.roles import TCP_ENDPOINTS, Role
+from rtc.protocol.outcomes import KeyTrouble
+from rtc.protocol.roles import TCP_ENDPOINTS, Role
+from rtc.runtime.keys import KeyFile, KeyRing, check_address, endpoint_address, is_everywhere
 
 AT = "tcp://lab:5555"
 

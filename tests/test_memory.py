@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import zmq
 
-from rtc import wire
-from rtc.memory import SETTLE_S, MemoryGuard, resident_mb
-from rtc.messages import Heartbeat
-from rtc.process import Process, inbox, send
+from rtc.protocol import wire
+from rtc.protocol.messages import Heartbeat
+from rtc.runtime.memory_guard import SETTLE_S, MemoryGuard, resident_mb
+from rtc.runtime.process import Process, inbox, send
 
 
 def test_a_process_of_usual_size_is_left_alone() -> None:

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from broker.journal import Journal
-from broker.state import State
-from rtc import messages as m
-from rtc.cli import log, story
-from rtc.outcomes import NoCluster, Outcome, OutcomeKind, RtcError
-from rtc.past import PREVIOUS, Past, runs
+from broker.decisions.state import State
+from broker.persistence.journal import Journal
+from rtc.cli import log, trace
+from rtc.client.past_runs import PREVIOUS, Past, runs
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import NoCluster, Outcome, OutcomeKind, RtcError
 
 
 def record(number: int, text: str = "STOW LEFT-ARM") -> m.CommandRecord:
@@ -51,9 +51,9 @@ def test_without_a_cluster_the_journal_in_the_run_directory_answers(tmp_path: Pa
     left_behind(tmp_path, [record(1), record(2, "STOW RIGHT-ARM")])
     left_behind(tmp_path / PREVIOUS, [record(1, "HOLD LEFT-ARM FOR 1 SEC")])
 
-    last, run = story.recall("", False, tmp_path, None)
-    first, _ = story.recall("1", False, tmp_path, None)
-    earlier, before = story.recall("C-1", True, tmp_path, None)
+    last, run = trace.recall("", False, tmp_path, None)
+    first, _ = trace.recall("1", False, tmp_path, None)
+    earlier, before = trace.recall("C-1", True, tmp_path, None)
 
     assert run is not None
     assert before is not None
@@ -65,7 +65,7 @@ def test_without_a_cluster_the_journal_in_the_run_directory_answers(tmp_path: Pa
 
 def test_where_no_cluster_ever_ran_there_is_no_cluster(tmp_path: Path) -> None:
     with pytest.raises(NoCluster):
-        story.recall("", False, tmp_path, None)
+        trace.recall("", False, tmp_path, None)
 
 
 def test_a_row_of_the_log_tells_when_and_how_long(tmp_path: Path) -> None:

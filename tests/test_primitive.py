@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from rtc.primitive import Load, TimeAbove
+from rtc.protocol.primitive import Load, TimeAbove
 
 GOOD = {"mass_kg": 2.0, "com_m": [0.0, -0.085, 0.15], "inertia_kg_m2": [0.0145, 0.0125, 0.0165, 0.001, 0.0, 0.0]}
 

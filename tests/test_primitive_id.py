@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rtc.primitive_id import belongs_to, command_of, number_of, primitive_id
-from sim_mcm.subsystem import _in_scope
+from rtc.protocol.primitive_id import belongs_to, command_of, number_of, primitive_id
+from sim_mcm.control.subsystem import _in_scope
 
 
 def test_a_name_tells_its_command_and_its_life():

@@ -12,13 +12,14 @@ import threading
 import pytest
 import zmq
 
-from rtc import process, wire
-from rtc.keys import KeyRing
-from rtc.messages import Heartbeat
-from rtc.outcomes import ClusterError
-from rtc.process import Every, Process, inbox, now_s, send
-from rtc.roles import Role
-from rtc.settings import prepare_run_dir
+from rtc.protocol import wire
+from rtc.protocol.messages import Heartbeat
+from rtc.protocol.outcomes import ClusterError
+from rtc.protocol.roles import Role
+from rtc.runtime import process
+from rtc.runtime.keys import KeyRing
+from rtc.runtime.process import Every, Process, inbox, now_s, send
+from rtc.runtime.settings import prepare_run_dir
 
 
 @pytest.fixture
@@ -150,7 +151,7 @@ def test_a_signal_ends_the_loop_in_order(tmp_path, number):
 def test_a_child_dies_with_its_parent(tmp_path):
     parent_code = textwrap.dedent("""
         import os, signal, subprocess, sys
-        from rtc.process import die_with_parent
+        from rtc.runtime.process import die_with_parent
         me = os.getpid()
         child = subprocess.Popen([sys.executable, "-c", "import signal; print('up', flush=True); signal.pause()"],
                                  stdout=subprocess.PIPE, preexec_fn=lambda: die_with_parent(me))
@@ -186,7 +187,7 @@ def test_one_that_ends_with_its_parent_is_asked_first_and_killed_when_it_hangs(t
     """)
     parent_code = textwrap.dedent("""
         import os, signal, subprocess, sys
-        from rtc.process import die_with_parent
+        from rtc.runtime.process import die_with_parent
         me = os.getpid()
         child = subprocess.Popen([sys.executable, "-c", sys.argv[1], sys.argv[2]],
                                  stdout=subprocess.PIPE, preexec_fn=lambda: die_with_parent(me))
@@ -228,7 +229,7 @@ def test_who_may_not_come_first_goes_on_all_the_same(monkeypatch):
 def test_a_child_of_one_that_comes_first_does_not():
     code = textwrap.dedent("""
         import os
-        from rtc.process import come_first
+        from rtc.runtime.process import come_first
         words = come_first(1, -5)
         child = os.fork()
         if not child:

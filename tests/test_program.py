@@ -6,27 +6,28 @@ import re
 
 import pytest
 
-from rtc import expressions, geometry, program
-from rtc.digest import digest
 from rtc.language import dictionary
-from rtc.messages import WorkerKind
-from rtc.outcomes import ProgramError, StopReason
-from rtc.program import decode
-from rtc.program_checks import valueless, verbs
-from rtc.program_outcomes import outcomes
-from rtc.program_schema import AnalyzerProgram, BinderProgram, ElaboratorProgram
+from rtc.programs import expressions, loader
+from rtc.programs.checks import valueless, verbs
+from rtc.programs.digest import digest
+from rtc.programs.loader import decode
+from rtc.programs.outcome_table import outcomes
+from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram
+from rtc.protocol.messages import WorkerKind
+from rtc.protocol.outcomes import ProgramError, StopReason
+from rtc.robot import geometry
 
 KINDS = [kind.value for kind in WorkerKind]
-SCRIPTS = [s.script for s in decode(program.default("elaborator"), ElaboratorProgram).scripts]
+SCRIPTS = [s.script for s in decode(loader.default("elaborator"), ElaboratorProgram).scripts]
 
 
 def defaults() -> tuple[bytes, bytes, bytes]:
-    return program.default("elaborator"), program.default("binder"), program.default("analyzer")
+    return loader.default("elaborator"), loader.default("binder"), loader.default("analyzer")
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_program_is_named_by_what_it_says(kind):
-    body = program.default(kind)
+    body = loader.default(kind)
 
     assert re.fullmatch(r"[0-9a-f]{16}", digest(body))
     assert digest(body + b" ") != digest(body)
@@ -34,15 +35,15 @@ def test_a_program_is_named_by_what_it_says(kind):
 
 @pytest.mark.parametrize("kind", ["elaborator", "binder", "analyzer"])
 def test_a_program_put_into_itself_is_itself(kind):
-    body = program.default(kind)
+    body = loader.default(kind)
 
-    assert program.merge(kind, body, "same", body) == body
+    assert loader.merge(kind, body, "same", body) == body
 
 
 def test_a_script_takes_the_place_of_one_of_its_name():
     text = b"script: stow\ncase: 1\nuses: [hand]\nsteps: [{do: hold, stop: hold, label: stay, args: {duration_s: 1}}]"
 
-    merged = decode(program.merge("elaborator", program.default("elaborator"), "s.yaml", text), ElaboratorProgram)
+    merged = decode(loader.merge("elaborator", loader.default("elaborator"), "s.yaml", text), ElaboratorProgram)
 
     assert [s.script for s in merged.scripts] == SCRIPTS
     assert next(s for s in merged.scripts if s.script == "stow").steps[0].label == "stay"
@@ -78,16 +79,16 @@ STAY = "case: 1\nuses: [hand]\nsteps: [{do: hold, stop: hold, label: stay, args:
     ],
 )
 def test_what_a_file_changes_is_told_item_by_item(kind, text, told):
-    before = program.default(kind)
+    before = loader.default(kind)
 
-    assert program.changes(kind, before, program.merge(kind, before, "x.yaml", text.encode())) == told
+    assert loader.changes(kind, before, loader.merge(kind, before, "x.yaml", text.encode())) == told
 
 
 def test_a_value_of_the_binder_is_changed_alone():
-    before = decode(program.default("binder"), BinderProgram)
+    before = decode(loader.default("binder"), BinderProgram)
 
     after = decode(
-        program.merge("binder", program.default("binder"), "v.yaml", b"values: {torque_nm: 3.0}"), BinderProgram
+        loader.merge("binder", loader.default("binder"), "v.yaml", b"values: {torque_nm: 3.0}"), BinderProgram
     )
 
     assert after.values == {**before.values, "torque_nm": 3.0}
@@ -119,24 +120,24 @@ def test_a_value_of_the_binder_is_changed_alone():
 )
 def test_a_bad_document_names_the_place(text, place):
     with pytest.raises(ProgramError, match=place):
-        program.merge("elaborator", program.default("elaborator"), "t.yaml", text.encode())
+        loader.merge("elaborator", loader.default("elaborator"), "t.yaml", text.encode())
 
 
 def test_f_must_be_complete():
     text = b"stop_classes: {endless: {stops: [{reason: goal, when: goal-reached}]}}"
 
     with pytest.raises(ProgramError, match=r"stop_classes\.endless\.stops: F is not complete without time-above"):
-        program.merge("binder", program.default("binder"), "t.yaml", text)
+        loader.merge("binder", loader.default("binder"), "t.yaml", text)
 
 
 def test_every_reason_needs_its_cell():
     with pytest.raises(ProgramError, match=r"\$\.outcomes\.odd: no cell for halt"):
-        program.merge("analyzer", program.default("analyzer"), "t.yaml", b"outcomes: {odd: {goal: off_goal}}")
+        loader.merge("analyzer", loader.default("analyzer"), "t.yaml", b"outcomes: {odd: {goal: off_goal}}")
 
 
 def test_a_grammar_that_does_not_compile_is_not_loaded():
     with pytest.raises(ProgramError, match=r"g\.lark"):
-        program.merge("parser", program.default("parser"), "g.lark", b"sentence: (")
+        loader.merge("parser", loader.default("parser"), "g.lark", b"sentence: (")
 
 
 # --- outcomes ----------------------------------------------------------------------------------------------
@@ -176,7 +177,7 @@ def test_an_unknown_script_is_told():
         outcomes(*defaults(), "waltz")
 
 
-OTHERS = {kind: program.default(kind) for kind in ("elaborator", "binder", "analyzer")}
+OTHERS = {kind: loader.default(kind) for kind in ("elaborator", "binder", "analyzer")}
 SCRIPT = """# a skill of my own
 script: s
 case: 1
@@ -223,14 +224,14 @@ def test_a_script_that_asks_for_what_is_not_there_is_not_loaded(step, more, said
     text = SCRIPT.format(step=step, more=more).encode()
 
     with pytest.raises(ProgramError, match=rf"^s\.yaml, {said}"):
-        program.merge("elaborator", program.default("elaborator"), "s.yaml", text, OTHERS)
+        loader.merge("elaborator", loader.default("elaborator"), "s.yaml", text, OTHERS)
 
 
 def test_the_line_is_that_of_the_file_whatever_it_brings():
     text = b"decision_tree:\n- {verb: STOW, script: stow}\n- verb: LIFT\n  script: nix\n"
 
     with pytest.raises(ProgramError, match=r"^t\.yaml, line 4: \$\.decision_tree\[\d+\]\.script: no script nix"):
-        program.merge("elaborator", program.default("elaborator"), "t.yaml", text, OTHERS)
+        loader.merge("elaborator", loader.default("elaborator"), "t.yaml", text, OTHERS)
 
 
 @pytest.mark.parametrize(
@@ -247,15 +248,15 @@ def test_the_line_is_that_of_the_file_whatever_it_brings():
 )
 def test_so_with_the_binder(text, said):
     with pytest.raises(ProgramError, match=said):
-        program.merge("binder", program.default("binder"), "b.yaml", text, OTHERS)
+        loader.merge("binder", loader.default("binder"), "b.yaml", text, OTHERS)
 
 
 def test_every_figure_is_si():
     """Names end in their unit, and none in one that is not SI."""
-    document = decode(program.default("elaborator"), ElaboratorProgram)
+    document = decode(loader.default("elaborator"), ElaboratorProgram)
     names = {name for row in document.command_object_table for name in row.values}
-    names |= set(decode(program.default("binder"), BinderProgram).values)
-    names |= set(decode(program.default("analyzer"), AnalyzerProgram).values)
+    names |= set(decode(loader.default("binder"), BinderProgram).values)
+    names |= set(decode(loader.default("analyzer"), AnalyzerProgram).values)
 
     assert names
     for name in names:
@@ -329,12 +330,12 @@ LAUGHS = "a0: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}, *a{n 
 )
 def test_a_file_that_means_harm_is_told_so(text, said):
     with pytest.raises(ProgramError, match=re.escape(said)):
-        program.merge(WorkerKind.ELABORATOR, program.default("elaborator"), "bad.yaml", text.encode())
+        loader.merge(WorkerKind.ELABORATOR, loader.default("elaborator"), "bad.yaml", text.encode())
 
 
 def test_an_alias_may_be_used():
     text = b"values: {a: &a 1.0, b: *a}"
-    body = program.merge(WorkerKind.BINDER, program.default("binder"), "good.yaml", text)
+    body = loader.merge(WorkerKind.BINDER, loader.default("binder"), "good.yaml", text)
     assert decode(body, BinderProgram).values["b"] == 1.0
 
 
@@ -349,7 +350,7 @@ def test_an_alias_may_be_used():
 )  # fmt: skip
 def test_a_file_of_the_wrong_shape_is_told_what_is_expected(kind, text, complaint):
     with pytest.raises(ProgramError, match=complaint) as caught:
-        program.merge(kind, program.default(kind), "mine.yaml", text)
+        loader.merge(kind, loader.default(kind), "mine.yaml", text)
 
     assert "byte string" not in str(caught.value)
     assert "NoneType" not in str(caught.value)
@@ -401,10 +402,10 @@ HOLD = "do: hold, stop: hold, label: stay, args: {duration_s: 1}"
     ],
 )
 def test_what_can_never_work_is_refused_when_it_is_loaded(text, complaint):
-    programs = {kind: program.default(kind) for kind in WorkerKind}
+    programs = {kind: loader.default(kind) for kind in WorkerKind}
 
     with pytest.raises(ProgramError, match=complaint):
-        program.merge("elaborator", programs[WorkerKind.ELABORATOR], "t.yaml", text.encode(), programs)
+        loader.merge("elaborator", programs[WorkerKind.ELABORATOR], "t.yaml", text.encode(), programs)
 
 
 def test_an_expression_that_may_have_a_value_is_none_that_never_has():
@@ -413,10 +414,10 @@ def test_an_expression_that_may_have_a_value_is_none_that_never_has():
 
 
 def test_the_verbs_of_a_grammar_are_those_that_sentences_begin_with():
-    assert verbs(program.default("parser").decode()) == {*dictionary.verbs()} - {"TEST"}
+    assert verbs(loader.default("parser").decode()) == {*dictionary.verbs()} - {"TEST"}
 
 
 def test_an_unknown_placeholder_in_the_words_of_a_failure_is_refused():
     text = b"classes: {late: {message: 'not done within {limitt} s'}}"
     with pytest.raises(ProgramError, match=r"classes\.late\.message: no placeholder limitt; there are .*limit"):
-        program.merge("analyzer", program.default("analyzer"), "t.yaml", text)
+        loader.merge("analyzer", loader.default("analyzer"), "t.yaml", text)

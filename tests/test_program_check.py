@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from rtc import program
-from rtc.messages import WorkerKind
-from rtc.program_check import Asked, in_a_process
+from rtc.programs import loader
+from rtc.programs.sandbox import Asked, in_a_process
+from rtc.protocol.messages import WorkerKind
 
-GRAMMAR = program.default(WorkerKind.PARSER)
+GRAMMAR = loader.default(WorkerKind.PARSER)
 
 
 def asked(body: bytes) -> Asked:

@@ -19,6 +19,7 @@ def test_importing_the_package_loads_neither_the_client_nor_zmq() -> None:
 
 
 def test_admission_of_halts_loads_neither_sockets_nor_the_client() -> None:
-    code = "import sys, rtc.halt_admission; print(sorted({'zmq', 'rtc.client', 'rtc.halting'} & set(sys.modules)))"
+    forbidden = "{'zmq', 'rtc.client.client', 'rtc.client.halt'}"
+    code = f"import sys, rtc.runtime.halt_admission; print(sorted({forbidden} & set(sys.modules)))"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert shown.stdout.strip() == "[]"

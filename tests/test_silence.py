@@ -8,17 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from rtc import front_door
-from rtc.client import Client
-from rtc.outcomes import NoCluster, OutcomeKind
-from rtc.settings import LOCK, Settings
-from rtc.silence import BrokerLiveness, supervised
+from rtc.client import connection
+from rtc.client.client import Client
+from rtc.client.liveness import BrokerLiveness, supervised
+from rtc.protocol.outcomes import NoCluster, OutcomeKind
+from rtc.runtime.settings import LOCK, Settings
 from tests.test_client import SmallBroker, accepting, obliging
 
 
 @pytest.fixture
 def run_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(front_door, "SILENCE_S", 0.05)  # of a client that asks more often
+    monkeypatch.setattr(connection, "SILENCE_S", 0.05)  # of a client that asks more often
     Settings(run_dir=str(tmp_path)).save()
     return tmp_path
 
@@ -67,7 +67,7 @@ def test_a_broker_that_is_being_restarted_is_waited_for_from_the_start(
     run_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Given a supervisor and no broker, then the client comes to the one that is started meanwhile."""
-    monkeypatch.setattr(front_door, "HELLO_S", 0.05)
+    monkeypatch.setattr(connection, "HELLO_S", 0.05)
     started: list[SmallBroker] = []
 
     with open(run_dir / LOCK, "a") as lock:
@@ -79,7 +79,7 @@ def test_a_broker_that_is_being_restarted_is_waited_for_from_the_start(
 
 
 def test_a_broker_is_not_waited_for_when_its_supervisor_dies(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(front_door, "HELLO_S", 0.05)
+    monkeypatch.setattr(connection, "HELLO_S", 0.05)
 
     with open(run_dir / LOCK, "a") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

@@ -6,9 +6,9 @@ import msgpack
 import msgspec
 import pytest
 
-from rtc import messages as m
-from rtc import wire
-from rtc.outcomes import WireError
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import WireError
 
 BEATS = [m.Heartbeat(name=f"W-{n}") for n in range(3)]
 read = wire.reader_of_many(m.WorkerToBroker)

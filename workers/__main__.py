@@ -18,16 +18,16 @@ from typing import Any
 import msgspec
 import zmq
 
-from rtc import handed, process, template
-from rtc.cell import Cell
-from rtc.keys import Endpoints, KeyFile
-from rtc.messages import WorkerHello, WorkerKind
-from rtc.outcomes import KeyTrouble
-from rtc.settings import Settings
+from rtc.cells.cell import Cell
+from rtc.protocol.messages import WorkerHello, WorkerKind
+from rtc.protocol.outcomes import KeyTrouble
+from rtc.runtime import fork_server, handover, process
+from rtc.runtime.keys import Endpoints, KeyFile
+from rtc.runtime.settings import Settings
 from rtc.world.client import WorldClient
-from workers import imports
-from workers.shell import Shell
-from workers.warm import Preloaded, preload
+from workers.runtime import lazy_import
+from workers.runtime.preload import Preloaded, preload
+from workers.runtime.worker_loop import Shell
 
 NICENESS = 5  # lower priority than the broker and the MCM
 
@@ -42,16 +42,16 @@ def main() -> None:
     parser.add_argument("--template", action="store_true", help="run as the fork server for workers")
     parser.add_argument("--kind", type=WorkerKind, choices=list(WorkerKind), metavar="KIND")
     parser.add_argument("--node", type=int, help="address in the cube")
-    handed.add_option(parser)
+    handover.add_option(parser)
     given = parser.parse_args()
     if given.template and given.run_dir:
-        serve(handed.load(given.run_dir, given.handed).settings)
+        serve(handover.load(given.run_dir, given.handed).settings)
     elif given.kind is None or given.node is None:
         parser.error("a worker needs --kind and --node")
     elif given.key:
         join(given.key, given.kind, given.node)
     else:
-        settings = handed.load(given.run_dir, given.handed).settings
+        settings = handover.load(given.run_dir, given.handed).settings
         work(settings, given.kind, given.node, preload([given.kind], settings.cell))
 
 
@@ -70,7 +70,7 @@ def serve(settings: Settings) -> None:
         wanted = read(order)
         work(settings, wanted.kind, wanted.node, prepared)
 
-    template.serve(be)
+    fork_server.serve(be)
 
 
 def join(key: Path, kind: WorkerKind, node: int) -> None:
@@ -94,9 +94,9 @@ def work(endpoints: Endpoints, kind: WorkerKind, node: int, prepared: Preloaded)
     process.show_name(name)
     with process.start(name, ".") as me:
         process.nice(NICENESS)
-        function: Any = imports.load(kind)
+        function: Any = lazy_import.load(kind)
         if function.NEEDS_CELL:
-            imports.load("cell_model")
+            lazy_import.load("workers.planning.robot_models")
         identity, secure = (
             ("", endpoints.secure) if endpoints.far else (name, None)
         )  # over tcp the hello carries the name
@@ -113,7 +113,7 @@ def work(endpoints: Endpoints, kind: WorkerKind, node: int, prepared: Preloaded)
 
 
 def _models_of(cell: Cell) -> Any:
-    from workers.cell_model import CellModel  # imports pinocchio; only kinds with NEEDS_CELL call this
+    from workers.planning.robot_models import CellModel
 
     return CellModel(cell)
 

@@ -1,6 +1,7 @@
 """A client that keeps many sentences under way at once, by the real protocol and without notes of progress.
 
-Of `rtc.client` it leaves out what a person needs (repeats after a lost broker, listeners), so that on few cores the
+Of `rtc.client.client` it leaves out what a person needs (repeats after a lost broker, listeners), so that on few
+cores the
 load takes little from what is loaded.
 """
 
@@ -14,11 +15,11 @@ from typing import Any
 
 import zmq
 
-from rtc import messages as m
-from rtc import wire
-from rtc.outcomes import OutcomeKind
-from rtc.process import inbox, open_socket
-from rtc.settings import Settings
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import OutcomeKind
+from rtc.runtime.process import inbox, open_socket
+from rtc.runtime.settings import Settings
 
 SILENCE_S = 5.0  # with sentences under way: the cluster is stuck
 

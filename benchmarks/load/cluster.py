@@ -19,10 +19,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from deploy.hypercube import addresses, kind_of
-from rtc.cell import Cell
-from rtc.messages import WorkerKind
-from rtc.process import die_with_parent
-from rtc.settings import Settings, prepare_run_dir
+from rtc.cells.cell import Cell
+from rtc.protocol.messages import WorkerKind
+from rtc.runtime.process import die_with_parent
+from rtc.runtime.settings import Settings, prepare_run_dir
 from rtc.world.lease import KEY_BYTES, KEY_FILE
 
 END_LIMIT_S = 10.0

@@ -13,9 +13,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from rtc import messages as m
-from rtc.client import Client
-from rtc.outcomes import Outcome, RtcError
+from rtc.client.client import Client
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import Outcome, RtcError
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
 STOWED_DEG = (0, 110, -160, 0, 50, 0)

@@ -11,9 +11,9 @@ import random
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from rtc import program
-from rtc.cell import Cell
-from rtc.messages import (
+from rtc.cells.cell import Cell
+from rtc.programs import loader
+from rtc.protocol.messages import (
     AnalyzerInput,
     Assessment,
     BinderInput,
@@ -25,19 +25,22 @@ from rtc.messages import (
     WorkerKind,
     WorldChange,
 )
-from rtc.primitive import Primitive
+from rtc.protocol.primitive import Primitive
 from rtc.world.model import World, initial_facts
-from sim_mcm.arm import TICK_S
-from sim_mcm.executor import Executor
-from sim_mcm.kinematic_arm import KinematicCell
-from workers import analyzer, binder, elaborator, parser
-from workers.cell_model import CellModel
+from sim_mcm.arms.arm import TICK_S
+from sim_mcm.arms.kinematic_arm import KinematicCell
+from sim_mcm.control.executor import Executor
+from workers.analyzer import analyze
+from workers.binder import bind
+from workers.elaborator import elaborate
+from workers.parser import parse
+from workers.planning.robot_models import CellModel
 
 FUNCTIONS: dict[WorkerKind, Any] = {
-    WorkerKind.PARSER: parser,
-    WorkerKind.ELABORATOR: elaborator,
-    WorkerKind.BINDER: binder,
-    WorkerKind.ANALYZER: analyzer,
+    WorkerKind.PARSER: parse,
+    WorkerKind.ELABORATOR: elaborate,
+    WorkerKind.BINDER: bind,
+    WorkerKind.ANALYZER: analyze,
 }
 OFF_M = 0.002  # modules are this far from where they are believed, at most, along each axis
 LATER_M, LATER_RAD = 0.10, 0.8  # the same of what has moved between two looks at the world
@@ -54,7 +57,7 @@ class Workers:
 
     def __init__(self, cell: Cell) -> None:
         self.model = CellModel(cell)
-        self._compiled = {kind: f.compile(program.default(kind)) for kind, f in FUNCTIONS.items()}
+        self._compiled = {kind: f.compile(loader.default(kind)) for kind, f in FUNCTIONS.items()}
 
     def do(self, job: Job) -> Any:
         """Product or Refusal."""

@@ -14,11 +14,12 @@ from typing import Any
 import zmq
 
 from benchmarks.load.trivial import PERFORMERS, SUBSYSTEM, performer
-from rtc import messages as m
-from rtc import process, wire
-from rtc.outcomes import StopReason, WireError
-from rtc.process import Every, inbox, now_s
-from rtc.settings import Settings
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import StopReason, WireError
+from rtc.runtime import process
+from rtc.runtime.process import Every, inbox, now_s
+from rtc.runtime.settings import Settings
 
 HEARTBEAT_S = 0.5
 REPEAT_S = 0.5

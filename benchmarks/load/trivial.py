@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from rtc.language.record import ParsedCommand
-from rtc.messages import (
+from rtc.protocol.messages import (
     AnalyzerInput,
     Assessment,
     BinderInput,
@@ -26,8 +26,8 @@ from rtc.messages import (
     Step,
     WorkerKind,
 )
-from rtc.outcomes import Refusal, RefusalReason, StopReason
-from rtc.primitive import GoalReached, HoldStill, Primitive, StopFunction, TimeAbove
+from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from rtc.protocol.primitive import GoalReached, HoldStill, Primitive, StopFunction, TimeAbove
 
 SUBSYSTEM = "MCM"
 PERFORMERS = 2048

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmarks.load.errands import Errand
-from broker.events import Event, PrimitiveEnded
-from broker.journal import Journal, read_events
-from rtc.chaos import Strike
-from rtc.outcomes import OutcomeKind, RefusalReason, StopReason
+from broker.decisions.events import Event, PrimitiveEnded
+from broker.persistence.journal import Journal, read_events
+from rtc.protocol.outcomes import OutcomeKind, RefusalReason, StopReason
+from rtc.runtime.chaos import Strike
 
 GOAL_RAD = 0.01
 FOUND_S = 0.5  # until the broker and a new MCM know of each other

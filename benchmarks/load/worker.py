@@ -14,11 +14,11 @@ from typing import Any
 import zmq
 
 from benchmarks.load.trivial import FUNCTIONS, busy
-from rtc import process
-from rtc.messages import WorkerHello, WorkerKind
-from rtc.settings import Settings
+from rtc.protocol.messages import WorkerHello, WorkerKind
+from rtc.runtime import process
+from rtc.runtime.settings import Settings
 from rtc.world.client import WorldClient
-from workers.shell import Shell
+from workers.runtime.worker_loop import Shell
 
 NICENESS = 5  # as the real ones
 

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from benchmarks.peers import chain
-from rtc.process import die_with_parent
+from rtc.runtime.process import die_with_parent
 
 WINDOW = 100  # commands under way
 SOCKET = "BENCH_REDIS"  # the environment variable that names the socket

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 import zmq
 
 from benchmarks.peers import chain
-from rtc.process import come_first, nice, open_socket
+from rtc.runtime.process import come_first, nice, open_socket
 
 WINDOW = 1000  # commands under way
 START_MS = 10_000

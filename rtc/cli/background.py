@@ -10,9 +10,9 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from rtc import messages as m
-from rtc.client import Client
-from rtc.outcomes import NoCluster, RtcError
+from rtc.client.client import Client
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import NoCluster, RtcError
 
 ASK_S = 0.25
 

@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from rtc.chaos import VICTIMS, Chaos, Strike
 from rtc.cli.output import AsJson, RunDir, console, duration_s, emit_json, exits_with, seconds, table, trouble
-from rtc.process_table import processes
-from rtc.settings import default_run_dir
+from rtc.runtime.chaos import VICTIMS, Chaos, Strike
+from rtc.runtime.process_table import processes
+from rtc.runtime.settings import default_run_dir
 
 BACK_LIMIT_S = 30.0  # for the last killed process to be ready again
 LOOK_S = 0.01

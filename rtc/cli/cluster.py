@@ -17,7 +17,6 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from rtc import process_table
 from rtc.cli.measured import duration
 from rtc.cli.output import (
     NO_CLUSTER,
@@ -32,10 +31,11 @@ from rtc.cli.output import (
     table,
     trouble,
 )
-from rtc.client import Client
-from rtc.outcomes import NoCluster, TimedOut
-from rtc.settings import default_run_dir
-from rtc.silence import supervised
+from rtc.client.client import Client
+from rtc.client.liveness import supervised
+from rtc.protocol.outcomes import NoCluster, TimedOut
+from rtc.runtime import process_table
+from rtc.runtime.settings import default_run_dir
 
 SILENT = (
     "the broker does not answer; one that hangs or has died is replaced within seconds: ask again "

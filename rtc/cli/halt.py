@@ -12,13 +12,13 @@ import zmq
 from rich.console import Console
 from rich.text import Text
 
-from rtc.cli.outlet import OutputClosed
 from rtc.cli.output import AsJson, RunDir, With, console, emit_json, errors, exits_with
-from rtc.halting import HALT_ENDPOINTS, HaltLine, HaltResult
-from rtc.keys import Endpoints, KeyFile
-from rtc.outcomes import NoCluster
-from rtc.settings import Settings, default_run_dir
-from rtc.silence import is_listening
+from rtc.cli.stdio import OutputClosed
+from rtc.client.halt import HALT_ENDPOINTS, HaltLine, HaltResult
+from rtc.client.liveness import is_listening
+from rtc.protocol.outcomes import NoCluster
+from rtc.runtime.keys import Endpoints, KeyFile
+from rtc.runtime.settings import Settings, default_run_dir
 
 NOT_CONFIRMED = 3
 SETTLED_S, SETTLED = 0.05, " (but a hand still pressed, or a touch still gave way)"

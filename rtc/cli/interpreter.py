@@ -17,9 +17,8 @@ from prompt_toolkit.history import FileHistory
 from prompt_toolkit.patch_stdout import patch_stdout
 from rich.text import Text
 
-from rtc import messages as m
-from rtc.cell import Cell
-from rtc.cli import log, names, story, world
+from rtc.cells.cell import Cell
+from rtc.cli import log, names, trace, world
 from rtc.cli.background import Background
 from rtc.cli.cluster import show_status
 from rtc.cli.halt import print_halt
@@ -27,11 +26,12 @@ from rtc.cli.offers import CellNames
 from rtc.cli.output import console, errors
 from rtc.cli.progress import Board, print_result
 from rtc.cli.sentences import LeftRunning, Signalled, asked_on_interrupt, gone_away, say_silence
-from rtc.client import Client
+from rtc.client.client import Client
 from rtc.language.completion import Names, complete
 from rtc.language.fastpath import halt_scope
 from rtc.language.parse import default_grammar
-from rtc.outcomes import NoCluster, RequestDeclined, RtcError
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import NoCluster, RequestDeclined, RtcError
 
 LOGGED = 20  # commands that :log shows
 LEAVE = (":quit", ":q", "quit", "exit")  # no verbs of the language
@@ -173,11 +173,11 @@ def _status(rtc: Client, _: list[str]) -> None:
 
 
 def _trace(rtc: Client, words: list[str]) -> None:
-    story.print_trace(rtc.trace(_command(rtc, words)))
+    trace.print_trace(rtc.trace(_command(rtc, words)))
 
 
 def _why(rtc: Client, words: list[str]) -> None:
-    story.print_why(rtc.trace(_command(rtc, words)))
+    trace.print_why(rtc.trace(_command(rtc, words)))
 
 
 def _world(rtc: Client, words: list[str]) -> None:
@@ -205,7 +205,7 @@ def _command(rtc: Client, words: list[str]) -> str:
     """The number that was typed; without one, of the last command."""
     if len(words) > 1:
         raise ValueError("name one command, such as C-7, or none: the last one")
-    name = story.number(words[0]) if words else story.last_number(rtc)
+    name = trace.number(words[0]) if words else trace.last_number(rtc)
     if not name:
         raise ValueError("there is no command yet")
     return name

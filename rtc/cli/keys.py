@@ -11,9 +11,9 @@ import typer
 from rich.text import Text
 
 from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
-from rtc.keys import KeyRing, is_everywhere
-from rtc.roles import Role
-from rtc.settings import Settings, default_run_dir, prepare_run_dir
+from rtc.protocol.roles import Role
+from rtc.runtime.keys import KeyRing, is_everywhere
+from rtc.runtime.settings import Settings, default_run_dir, prepare_run_dir
 
 ROLES = ", ".join(Role)
 

@@ -17,10 +17,10 @@ from rtc.language.caret import show
 from rtc.language.parse import default_grammar
 from rtc.language.parse import parse as parse_sentence
 from rtc.language.record import ParsedCommand
-from rtc.messages import WorkerKind
-from rtc.outcomes import Refusal
-from rtc.program import decode, default
-from rtc.program_schema import ElaboratorProgram
+from rtc.programs.loader import decode, default
+from rtc.programs.schema import ElaboratorProgram
+from rtc.protocol.messages import WorkerKind
+from rtc.protocol.outcomes import Refusal
 
 REFUSED = 2  # exit status
 CONTROLS = {"HALT", "PAUSE", "RESUME", "ABORT"}  # done by the broker itself, without a script

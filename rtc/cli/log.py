@@ -10,13 +10,13 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from rtc import messages as m
 from rtc.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, quoted, seconds, table
-from rtc.cli.story import Previous, print_run, run_as_json
-from rtc.client import Client
-from rtc.outcomes import NoCluster, RequestDeclined
-from rtc.past import Past, clock_time, runs
-from rtc.settings import default_run_dir
+from rtc.cli.trace import Previous, print_run, run_as_json
+from rtc.client.client import Client
+from rtc.client.past_runs import Past, clock_time, runs
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import NoCluster, RequestDeclined
+from rtc.runtime.settings import default_run_dir
 
 MOST = 1000
 

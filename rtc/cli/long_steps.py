@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 
 from rtc.cli.measured import duration
-from rtc.messages import ProgressNote
+from rtc.protocol.messages import ProgressNote
 
 LONG_S = 60.0  # of a step: from here on it is worth a question
 LOOK_S = 0.2  # how soon the thread sees that nobody needs its answer any more

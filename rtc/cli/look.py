@@ -11,15 +11,26 @@ import msgspec
 import typer
 from rich.text import Text
 
-from rtc import messages as m
-from rtc.cell import Cell
+from rtc.cells.cell import Cell
+from rtc.cells.scene import (
+    VIEWS,
+    ArmRow,
+    Believed,
+    ObjectRow,
+    Panel,
+    Picture,
+    believed,
+    centimetres,
+    degrees,
+    true_scene,
+)
 from rtc.cli.output import AsJson, RunDir, With, console, duration_s, emit_json, errors, table, trouble
 from rtc.cli.world import COLOUR
-from rtc.client import Client
-from rtc.drawing import Renderer
+from rtc.client.client import Client
 from rtc.language.alike import nearest_words
-from rtc.outcomes import KeyTrouble, TimedOut
-from rtc.scene import VIEWS, ArmRow, Believed, ObjectRow, Panel, Picture, believed, centimetres, degrees, true_scene
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import KeyTrouble, TimedOut
+from rtc.runtime.renderer import Renderer
 
 MEASURED_S = 1.0  # longest wait for a sample of the arms; there are 50 in a second
 SEEN_M, SEEN_RAD = 0.002, math.radians(1.0)  # a difference that is worth an outline

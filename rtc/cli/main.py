@@ -16,9 +16,9 @@ from typing import Annotated, Any
 import typer
 
 from rtc.cli.entry import begun
-from rtc.cli.outlet import OutputClosed, attach
 from rtc.cli.output import LEFT_RUNNING, NO_CLUSTER, errors, trouble
-from rtc.outcomes import KeyTrouble, NoCluster, RequestDeclined, RtcError
+from rtc.cli.stdio import OutputClosed, attach
+from rtc.protocol.outcomes import KeyTrouble, NoCluster, RequestDeclined, RtcError
 
 #: command -> module of this package with its function (for a group: its app); in the order of the help
 COMMANDS = {
@@ -29,8 +29,8 @@ COMMANDS = {
     "halt": "halt",
     "look": "look",
     "log": "log",
-    "trace": "story",
-    "why": "story",
+    "trace": "trace",
+    "why": "trace",
     "names": "names",
     "world": "world",
     "load": "programs",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from rtc.outcomes import Measured
+from rtc.protocol.outcomes import Measured
 
 SHORTEST_S = 0.1  # of a step, as it is said
 POLE_RAD = 1e-4  # this near to straight up or down, roll and yaw cannot be told apart: the yaw is said to be 0
@@ -53,7 +53,7 @@ def _pose(pose: list[float]) -> str:
 
 
 def _rpy(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """As `rtc.geometry.to_rpy`, without numpy: what prints a line need not load that."""
+    """As `rtc.robot.geometry.to_rpy`, without numpy: what prints a line need not load that."""
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
     if abs(abs(pitch) - math.pi / 2) < POLE_RAD:
         return 0.0, pitch, math.copysign(2.0, -pitch) * math.atan2(x, w)

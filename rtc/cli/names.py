@@ -10,11 +10,11 @@ import msgspec
 import typer
 from rich.text import Text
 
-from rtc.axis_names import AXES
-from rtc.cell import Cell
+from rtc.cells.cell import Cell
 from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
 from rtc.language.alike import nearest_words
-from rtc.settings import Settings, default_run_dir
+from rtc.robot.axis_names import AXES
+from rtc.runtime.settings import Settings, default_run_dir
 
 CELL = "swapout"  # default cell of a cluster
 OTHER_WORDS = {"axis": "axes", "hand": "arms", "hands": "arms", "end-effector": "arms", "end-effectors": "arms"}

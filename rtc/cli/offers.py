@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rtc.axis_names import AXES
-from rtc.cell import Cell
+from rtc.cells.cell import Cell
+from rtc.robot.axis_names import AXES
 
 #: what is done to a thing that a hand takes hold of
 HANDLING = {

@@ -21,11 +21,11 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from rtc.cli.outlet import OutputClosed
+from rtc.cli.stdio import OutputClosed
 from rtc.language.caret import CUT, show
 from rtc.language.refuse import visible
 from rtc.language.units import in_words
-from rtc.outcomes import OutcomeKind, Refusal
+from rtc.protocol.outcomes import OutcomeKind, Refusal
 
 NO_CLUSTER = 4
 LEFT_RUNNING = 130  # exit status after Ctrl-C, as in shells

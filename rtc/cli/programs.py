@@ -9,12 +9,12 @@ import typer
 from rich.text import Text
 
 from rtc.cli.output import AsJson, RunDir, With, console, emit_json, errors, table, trouble
-from rtc.client import Client
-from rtc.messages import ProgramLoaded, WorkerKind
-from rtc.outcomes import NoCluster, ProgramError
-from rtc.program import changes, default, merge
-from rtc.program_check import Asked, in_a_process
-from rtc.program_outcomes import outcomes as rows_of
+from rtc.client.client import Client
+from rtc.programs.loader import changes, default, merge
+from rtc.programs.outcome_table import outcomes as rows_of
+from rtc.programs.sandbox import Asked, in_a_process
+from rtc.protocol.messages import ProgramLoaded, WorkerKind
+from rtc.protocol.outcomes import NoCluster, ProgramError
 
 KINDS = ", ".join(kind.value for kind in WorkerKind)
 DEFAULTS = "the default programs (no cluster runs)"

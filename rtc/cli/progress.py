@@ -15,10 +15,10 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from rtc import messages as m
 from rtc.cli.measured import duration, in_words
 from rtc.cli.output import COLOUR, console, quoted, refusal_lines, seconds, table
-from rtc.outcomes import Measured, Outcome, OutcomeKind
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import Measured, Outcome, OutcomeKind
 
 #: phases too short to be a line of their own (`rtc trace` has them); ENDED has its result line
 PASSING = {m.Phase.PARSING, m.Phase.ELABORATING, m.Phase.BINDING, m.Phase.ANALYZING, m.Phase.ENDED}

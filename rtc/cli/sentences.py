@@ -14,10 +14,8 @@ import msgspec
 import typer
 from rich.text import Text
 
-from rtc import messages as m
 from rtc.cli.halt import print_halt
 from rtc.cli.long_steps import LongSteps
-from rtc.cli.outlet import OutputClosed
 from rtc.cli.output import (
     LEFT_RUNNING,
     AsJson,
@@ -33,10 +31,12 @@ from rtc.cli.output import (
     trouble,
 )
 from rtc.cli.progress import Board
-from rtc.client import Client, Source, as_text
-from rtc.halting import HaltResult
+from rtc.cli.stdio import OutputClosed
+from rtc.client.client import Client, Source, as_text
+from rtc.client.halt import HaltResult
 from rtc.language.fastpath import halt_scope
-from rtc.outcomes import OutcomeKind, RequestDeclined
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import OutcomeKind, RequestDeclined
 
 LABEL = re.compile(r"[A-Z]+\d+:\s+")  # "C12: GRASP ..." as in lists of sentences
 

@@ -12,10 +12,10 @@ import msgspec
 import typer
 from rich.text import Text
 
+from rtc.cells.scene import centimetres, degrees
 from rtc.cli.output import AsJson, RunDir, With, console, emit_json, seconds, table, trouble
-from rtc.client import Client
-from rtc.messages import Fact, Validity, View
-from rtc.scene import centimetres, degrees
+from rtc.client.client import Client
+from rtc.protocol.messages import Fact, Validity, View
 from rtc.world.client import WorldClient
 from rtc.world.spread import in_words
 

@@ -1,7 +1,8 @@
 """Demo of faults: workers, broker and MCM are killed during motions, and a halt is sent under full load.
 
-Every chapter checks that the commands continue, or that their outcomes are true. The demo uses `rtc.client` as any user
-does; `rtc.chaos` kills processes from outside.
+Every chapter checks that the commands continue, or that their outcomes are true. The demo uses `rtc.client.client` as
+any user
+does; `rtc.runtime.chaos` kills processes from outside.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from rtc import messages as m
-from rtc.chaos import Chaos, Strike
-from rtc.client import Client
+from rtc.client.client import Client
+from rtc.demos.narrator import Narrator
 from rtc.demos.own_cluster import own_cluster
-from rtc.demos.telling import Narrator
-from rtc.outcomes import OutcomeKind
-from rtc.process import die_with_parent
-from rtc.process_table import processes
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import OutcomeKind
+from rtc.runtime.chaos import Chaos, Strike
+from rtc.runtime.process import die_with_parent
+from rtc.runtime.process_table import processes
 
 SEED = 20
 STOWS = ["STOW RIGHT-ARM", "STOW LEFT-ARM"]

@@ -1,6 +1,7 @@
 """Demo of the main task: two arms grasp and lift a module each, are halted in motion, continue, put back and stow.
 
-The results are checked against the simulator's true poses. The demo uses `rtc.client` as any user does; only the checks
+The results are checked against the simulator's true poses. The demo uses `rtc.client.client` as any user does; only
+the checks
 query the simulator.
 """
 
@@ -15,13 +16,13 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
-from rtc import geometry
-from rtc import messages as m
-from rtc.cell import Cell
-from rtc.client import Client
+from rtc.cells.cell import Cell
+from rtc.client.client import Client
+from rtc.demos.narrator import Narrator
 from rtc.demos.own_cluster import own_cluster
-from rtc.demos.telling import Narrator
-from rtc.outcomes import OutcomeKind
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import OutcomeKind
+from rtc.robot import geometry
 
 HELD = {"RIGHT-ARM": "MACS-NEW", "LEFT-ARM": "MACS-OLD"}  # which arm carries what
 GRASPS = ["GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", "GRASP LEFT-END-EFF MACS-OLD HANDLE-B"]

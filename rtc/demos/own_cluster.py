@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from rtc.outcomes import ClusterError
+from rtc.protocol.outcomes import ClusterError
 
 READY_S = 90.0  # a cold start on a slow machine
 DOWN_S = 20.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 import textwrap
 
 from rtc.language.refuse import visible
-from rtc.outcomes import Refusal
+from rtc.protocol.outcomes import Refusal
 
 WIDTH = 100  # columns of the text
 MOST_EXPECTED = 20  # words; a longer list (all verbs) is replaced by a reference

@@ -15,7 +15,7 @@ from rtc.language.grammar import END, Grammar
 from rtc.language.refuse import Wrong, quoted, refusal
 from rtc.language.units import UNITS
 from rtc.language.words import Word
-from rtc.outcomes import Refusal
+from rtc.protocol.outcomes import Refusal
 
 READABLE = {
     "NAME": "a name",

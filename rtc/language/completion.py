@@ -16,7 +16,7 @@ from rtc.language.meaning import AMOUNTS, CONSTRAINTS, JOINTS, LENGTH, MEASURES,
 from rtc.language.refuse import Wrong
 from rtc.language.units import UNITS
 from rtc.language.words import TOKEN_CLASSES, Word, one_line
-from rtc.outcomes import Refusal
+from rtc.protocol.outcomes import Refusal
 
 #: the existing names, or a function that returns those that fit after the given words (in capitals)
 Names = Iterable[str] | Callable[[list[str]], Iterable[str]]

@@ -14,7 +14,7 @@ from importlib import resources
 import msgspec
 
 from rtc.language.alike import nearest_words
-from rtc.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason
 
 NIL = "nil"
 ARROW = "-->"

@@ -13,7 +13,7 @@ from lark.parsers.lalr_interactive_parser import InteractiveParser
 
 from rtc.language.meaning import MEANING
 from rtc.language.words import TOKEN_CLASSES, Vocabulary
-from rtc.outcomes import ProgramError
+from rtc.protocol.outcomes import ProgramError
 
 START = "sentence"
 END = "$END"  # Lark's terminal for the end of the input

@@ -17,7 +17,7 @@ from rtc.language.grammar import END, Grammar
 from rtc.language.record import ParsedCommand
 from rtc.language.refuse import Wrong
 from rtc.language.words import Word, one_line
-from rtc.outcomes import Refusal
+from rtc.protocol.outcomes import Refusal
 
 __all__ = ["Grammar", "default_grammar", "parse"]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rtc.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason
 
 MAX_CHARACTERS = 2000  # maximum length of a sentence
 MAX_QUOTED = 40  # maximum number of characters that a message quotes

@@ -17,7 +17,7 @@ from lark.lexer import PatternStr, TerminalDef, Token
 from rtc.language.alike import nearest_words
 from rtc.language.refuse import MAX_CHARACTERS, Wrong, quoted, refusal
 from rtc.language.units import UNITS
-from rtc.outcomes import ProgramError, Refusal
+from rtc.protocol.outcomes import ProgramError, Refusal
 
 TOKEN_CLASSES = ("NAME", "STRING", "NUMBER", "QUANTITY")
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 import coal
 import pinocchio as pin
 
-from rtc import cell as cells
-from rtc.geometry import Floats
-from rtc.outcomes import ProgramError
+from rtc.cells import cell as cells
+from rtc.protocol.outcomes import ProgramError
+from rtc.robot.geometry import Floats
 
 _SHAPES = {
     cells.Box: lambda s: coal.Box(*s.size_m),

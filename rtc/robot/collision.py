@@ -14,10 +14,10 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from rtc import cell as cells
-from rtc.geometry import Array, Floats
-from rtc.outcomes import Refusal, RefusalReason
+from rtc.cells import cell as cells
+from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import bodies
+from rtc.robot.geometry import Array, Floats
 
 
 @dataclass(frozen=True, eq=False)

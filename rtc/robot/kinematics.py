@@ -15,11 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from rtc import cell as cells
-from rtc import geometry
-from rtc.geometry import Array, Floats
-from rtc.outcomes import ProgramError, Refusal, RefusalReason
-from rtc.robot import numeric_ik, puma_ik
+from rtc.cells import cell as cells
+from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason
+from rtc.robot import geometry, numeric_ik, puma_ik
+from rtc.robot.geometry import Array, Floats
 
 _TURN = 2 * math.pi
 

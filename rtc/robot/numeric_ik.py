@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from rtc.geometry import Array
+from rtc.robot.geometry import Array
 
 STARTS = 24  # number of starts
 STEPS = 60  # maximum number of iterations per start

@@ -13,12 +13,13 @@ from typing import Any
 
 import zmq
 
-from rtc import damage, handed, process, template, wire
-from rtc.memory import MemoryGuard
-from rtc.messages import Dropped, ToWorld
-from rtc.outcomes import WireError
-from rtc.process import Every, Process, inbox, now_s, send
-from rtc.settings import BOUNDS, Settings
+from rtc.protocol import wire
+from rtc.protocol.messages import Dropped, ToWorld
+from rtc.protocol.outcomes import WireError
+from rtc.runtime import damaged_database, fork_server, handover, process
+from rtc.runtime.memory_guard import MemoryGuard
+from rtc.runtime.process import Every, Process, inbox, now_s, send
+from rtc.runtime.settings import BOUNDS, Settings
 from rtc.world import lease
 from rtc.world.model import initial_facts
 from rtc.world.server import Packer, Server, doubt_everything
@@ -34,26 +35,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m rtc.world", description="The world database of one cluster.")
     parser.add_argument("--run-dir", required=True, type=Path)
     parser.add_argument("--template", action="store_true", help="be the fork server of world databases")
-    handed.add_option(parser)
+    handover.add_option(parser)
     given = parser.parse_args()
     if given.template:
-        template.serve(lambda order: live(given.run_dir, given.handed))
+        fork_server.serve(lambda order: live(given.run_dir, given.handed))
     else:
         live(given.run_dir, given.handed)
 
 
 def live(run_dir: Path, fd: int = -1) -> None:
-    """Runs the world database until it receives SIGTERM. `fd`: the handover file of the supervisor (rtc.handed)."""
+    """Runs the world database until it receives SIGTERM. `fd`: the handover file of the supervisor
+    (rtc.runtime.handover)."""
     process.show_name("world")
-    given = handed.begin("world", run_dir, fd)
+    given = handover.begin("world", run_dir, fd)
     with process.start("world", run_dir) as me:
         path = run_dir / FILE
-        store = damage.open_or_set_aside(path, lambda: Store(path), me.note)
-        with damage.put_aside_when_damaged(path, me.note):
+        store = damaged_database.open_or_set_aside(path, lambda: Store(path), me.note)
+        with damaged_database.put_aside_when_damaged(path, me.note):
             _live(me, given, store)
 
 
-def _live(me: Process, given: handed.Handed, store: Store) -> None:
+def _live(me: Process, given: handover.Handed, store: Store) -> None:
     settings = given.settings
     _begin(me, given, store)
     socket = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True, bounds=BOUNDS["world"])
@@ -66,7 +68,7 @@ def _live(me: Process, given: handed.Handed, store: Store) -> None:
     store.close()
 
 
-def _begin(me: Process, given: handed.Handed, store: Store) -> None:
+def _begin(me: Process, given: handover.Handed, store: Store) -> None:
     """Fills a new database from the cell, and detects lost changes.
 
     If the database of this run is new again or older than its last saved version, all facts that a motion changes
@@ -80,7 +82,7 @@ def _begin(me: Process, given: handed.Handed, store: Store) -> None:
     why = "the world database began anew" if new else "the world database lost its last changes"
     store.version = max(store.version, version)
     if new:
-        from rtc.cell import Cell  # imports numpy, which a fast restart avoids
+        from rtc.cells.cell import Cell
 
         store.write("cell", initial_facts(Cell.load(given.settings.cell)), source="cell", at_s=now_s())
     if version:
@@ -92,7 +94,7 @@ def _begin(me: Process, given: handed.Handed, store: Store) -> None:
 
 def _fixed(settings: Settings) -> list[str]:
     """The names of the fixed objects of the cell."""
-    from rtc.cell import Cell
+    from rtc.cells.cell import Cell
 
     return [thing.name for thing in Cell.load(settings.cell).objects if thing.fixed]
 

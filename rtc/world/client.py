@@ -12,8 +12,8 @@ from typing import Any
 
 import zmq
 
-from rtc import process, wire
-from rtc.messages import (
+from rtc.protocol import wire
+from rtc.protocol.messages import (
     Commit,
     Committed,
     Doubt,
@@ -26,8 +26,9 @@ from rtc.messages import (
     WorldHistory,
     WorldRefused,
 )
-from rtc.outcomes import ClusterError, Refusal, RtcError, WireError
-from rtc.process import now_s
+from rtc.protocol.outcomes import ClusterError, Refusal, RtcError, WireError
+from rtc.runtime import process
+from rtc.runtime.process import now_s
 
 FIRST_TRY_S, LONGEST_TRY_S = 0.04, 0.5  # wait per attempt: doubled after each, up to the longest
 LIMIT_S = 5.0  # longer than a restart of the server

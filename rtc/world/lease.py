@@ -10,8 +10,8 @@ import hashlib
 import hmac
 from collections.abc import Iterable
 
-from rtc import wire
-from rtc.messages import Lease
+from rtc.protocol import wire
+from rtc.protocol.messages import Lease
 
 KEY_BYTES = 32
 KEY_FILE = "lease.key"  # in the run directory

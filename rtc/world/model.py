@@ -13,10 +13,10 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from rtc.messages import Fact, Validity, View, WorldChange
+from rtc.protocol.messages import Fact, Validity, View, WorldChange
 
 if TYPE_CHECKING:
-    from rtc.cell import Cell  # imports numpy, which a restarted world database does not need
+    from rtc.cells.cell import Cell
 
 #: attributes that a motion can change
 MOVED = frozenset({"joints", "hand_width", "holding", "frame", "seat", "held_by", "grasp"})

@@ -11,8 +11,8 @@ from typing import Any
 
 import msgspec
 
-from rtc import wire
-from rtc.messages import (
+from rtc.protocol import wire
+from rtc.protocol.messages import (
     Commit,
     Committed,
     Doubt,
@@ -25,7 +25,7 @@ from rtc.messages import (
     WorldHistory,
     WorldRefused,
 )
-from rtc.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.world import lease as leases
 from rtc.world.model import MOVED, location, problem, selected
 from rtc.world.store import Store

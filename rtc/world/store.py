@@ -16,7 +16,7 @@ from pathlib import Path
 
 import msgspec
 
-from rtc.messages import Fact, Validity, WorldChange
+from rtc.protocol.messages import Fact, Validity, WorldChange
 from rtc.world.model import changed
 
 SCHEMA = """

@@ -12,9 +12,9 @@ from benchmarks.load.trivial import sentence
 from benchmarks.peers import chain, raw_pyzmq
 from benchmarks.soak import median_mb, run
 from benchmarks.throughput import Found, Run
-from broker.journal import Journal
-from rtc.client import Client
-from rtc.outcomes import OutcomeKind
+from broker.persistence.journal import Journal
+from rtc.client.client import Client
+from rtc.protocol.outcomes import OutcomeKind
 
 
 @pytest.mark.slow

@@ -7,9 +7,9 @@ import random
 import pytest
 
 from benchmarks.load.stories import Story, Workers, changed
-from rtc.cell import Cell
-from rtc.messages import WorkerKind
-from rtc.outcomes import Refusal
+from rtc.cells.cell import Cell
+from rtc.protocol.messages import WorkerKind
+from rtc.protocol.outcomes import Refusal
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,9 @@ import pytest
 from benchmarks.load import trivial
 from benchmarks.load.subsystem import REPEAT_S, Instant
 from benchmarks.load.trivial import FUNCTIONS, PERFORMERS, SUBSYSTEM, sentence
-from rtc import messages as m
-from rtc import wire
-from rtc.outcomes import Refusal, StopReason
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import Refusal, StopReason
 
 K = m.WorkerKind
 

@@ -9,15 +9,25 @@ from typing import Any
 
 import msgspec
 
-from broker import effects as do
-from broker import events as heard
-from broker.decision_unit import decide
-from broker.state import State
-from rtc import wire
+from broker.decisions import effects as do
+from broker.decisions import events as heard
+from broker.decisions.decide import decide
+from broker.decisions.state import State
 from rtc.language.record import ParsedCommand
-from rtc.messages import Assessment, Binding, BoundStep, EndReport, EvaluationContext, Script, ScriptContext, Step, Trim
-from rtc.outcomes import Refusal, RefusalReason, StopReason
-from rtc.primitive import GoalReached, HoldStill, Primitive, StopFunction, TimeAbove
+from rtc.protocol import wire
+from rtc.protocol.messages import (
+    Assessment,
+    Binding,
+    BoundStep,
+    EndReport,
+    EvaluationContext,
+    Script,
+    ScriptContext,
+    Step,
+    Trim,
+)
+from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from rtc.protocol.primitive import GoalReached, HoldStill, Primitive, StopFunction, TimeAbove
 
 CONTEXT = ScriptContext(verb="GRASP", script="test", arm="RIGHT-ARM", object="MODULE")
 F = [

@@ -5,12 +5,12 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from broker import effects as do
-from broker import ending
-from broker.decision_unit import CLIENTS_KEPT, InvalidTransition, stimulate
-from broker.effects import PublishNote, SendHalt, SendPrimitive
-from broker.ending import CLOSING_LIMIT_S, REPORT_MARGIN_S
-from broker.events import (
+from broker.decisions import effects as do
+from broker.decisions import termination
+from broker.decisions.context import DecisionContext
+from broker.decisions.decide import CLIENTS_KEPT, InvalidTransition, stimulate
+from broker.decisions.effects import PublishNote, SendHalt, SendPrimitive
+from broker.decisions.events import (
     BrokerRestarted,
     ClientGone,
     HaltCalled,
@@ -21,14 +21,14 @@ from broker.events import (
     SubsystemConnected,
     TimerFired,
 )
-from broker.resources import WORLD
-from broker.state import State
-from broker.transitions import TABLE
-from broker.turn import DecisionContext
-from rtc import wire
+from broker.decisions.resources import WORLD
+from broker.decisions.state import State
+from broker.decisions.termination import CLOSING_LIMIT_S, REPORT_MARGIN_S
+from broker.decisions.transitions import TABLE
 from rtc.language.record import Report
-from rtc.messages import AnalyzerInput, BoundStep, Phase, WorkerKind
-from rtc.outcomes import OutcomeKind, RefusalReason, StopReason
+from rtc.protocol import wire
+from rtc.protocol.messages import AnalyzerInput, BoundStep, Phase, WorkerKind
+from rtc.protocol.outcomes import OutcomeKind, RefusalReason, StopReason
 from tests.broker.stories import Story, bound, give_up, go_on, mend, record, report, script, told, trim
 
 # --- the nominal journey -----------------------------------------------------------------------------
@@ -815,7 +815,7 @@ def test_a_lost_subsystem_says_what_leads_on():
     s.answers("C-1", go_on())
     assert (s.outcome("C-1").kind, s.outcome("C-1").refusal.clears) == (
         OutcomeKind.LOST_SUBSYSTEM,
-        ending.RETRY_ADVICE,
+        termination.RETRY_ADVICE,
     )
 
 
@@ -1386,8 +1386,8 @@ def test_a_step_may_move_only_what_its_script_has_claimed():
 
 
 def test_the_request_of_a_long_command_outlives_thousands_of_short_ones(monkeypatch):
-    monkeypatch.setattr(ending, "ENDED_KEPT", 5)
-    monkeypatch.setattr(ending, "FORGOTTEN_AT_ONCE", 1)
+    monkeypatch.setattr(termination, "ENDED_KEPT", 5)
+    monkeypatch.setattr(termination, "FORGOTTEN_AT_ONCE", 1)
     s = Story()
     s.says("X", request="long")
     for n in range(20):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from broker import replay
-from broker.decision_unit import decide
-from broker.effects import ReportEnd
-from broker.journal import Journal
-from broker.state import State
-from rtc import wire
+from broker.decisions.decide import decide
+from broker.decisions.effects import ReportEnd
+from broker.decisions.state import State
+from broker.persistence import replay
+from broker.persistence.journal import Journal
+from rtc.protocol import wire
 from tests.broker.stories import Story, go_on, script
 
 
@@ -93,7 +93,7 @@ def test_a_story_not_written_yet_is_told_again_by_the_replay(path):
 
 
 def test_no_more_stories_are_kept_than_the_newest(path, monkeypatch):
-    monkeypatch.setattr("broker.journal.STORIES_KEPT", 2)
+    monkeypatch.setattr("broker.persistence.journal.STORIES_KEPT", 2)
     s = Journalled(Journal.open(path, "run", State()))
     for n in range(1, 5):
         s.analyzing()
@@ -103,7 +103,7 @@ def test_no_more_stories_are_kept_than_the_newest(path, monkeypatch):
 
 
 def test_of_a_command_that_lived_long_the_story_is_kept_as_long_as_any_others(path, monkeypatch):
-    monkeypatch.setattr("broker.journal.STORIES_KEPT", 2)
+    monkeypatch.setattr("broker.persistence.journal.STORIES_KEPT", 2)
     s = Journalled(Journal.open(path, "run", State()))
     s.executing(script(resources=("LEFT-ARM",)), hand="LEFT-ARM")
     for n in range(2, 6):

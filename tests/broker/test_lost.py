@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from broker import events as heard
 from broker.__main__ import lost_turns
-from broker.effects import PublishNote, ReportEnd, SendPrimitive, TellClient
-from broker.journal import Journal
-from broker.state import State
-from rtc.handed import Handed
-from rtc.messages import Accepted
-from rtc.outcomes import OutcomeKind
-from rtc.settings import Settings
+from broker.decisions import events as heard
+from broker.decisions.effects import PublishNote, ReportEnd, SendPrimitive, TellClient
+from broker.decisions.state import State
+from broker.persistence.journal import Journal
+from rtc.protocol.messages import Accepted
+from rtc.protocol.outcomes import OutcomeKind
+from rtc.runtime.handover import Handed
+from rtc.runtime.settings import Settings
 from tests.broker.stories import Story, go_on
 
 LIFE = "bbbb"

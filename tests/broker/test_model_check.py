@@ -8,11 +8,11 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from broker import decision_unit, ending, journey, untold
-from broker.effects import SendHalt
-from broker.events import HaltCalled, JobLost, JournalLost, SubsystemConnected
-from broker.resources import Resources
-from broker.turn import DecisionContext
+from broker.decisions import decide, deferred_analysis, nominal, termination
+from broker.decisions.context import DecisionContext
+from broker.decisions.effects import SendHalt
+from broker.decisions.events import HaltCalled, JobLost, JournalLost, SubsystemConnected
+from broker.decisions.resources import Resources
 from tests.simulation.explore import explore, tell
 from tests.simulation.model import Scenario
 from tests.simulation.scenarios import SCENARIOS
@@ -42,7 +42,7 @@ def test_without_faults_all_there_is_is_explored():
 
 
 def test_a_halt_that_forgets_what_is_in_line_is_found(monkeypatch):
-    monkeypatch.setattr(journey, "in_scope", lambda turn, scope: [])
+    monkeypatch.setattr(nominal, "in_scope", lambda turn, scope: [])
     found = explore(faults(SAME_ARM, 1))
     assert found.violation
     assert [move[0] for move in found.path] == ["hand in", "halt", "said", "work"]
@@ -62,12 +62,12 @@ def test_a_sentence_taken_up_before_one_given_earlier_is_found(monkeypatch):
 
 
 def test_a_command_that_nothing_can_end_is_found(monkeypatch):
-    monkeypatch.setitem(decision_unit.HANDLERS, JobLost, lambda turn, event: None)
+    monkeypatch.setitem(decide.HANDLERS, JobLost, lambda turn, event: None)
     assert "C-1 is still parsing" in explore(faults(SAME_ARM, 1)).violation
 
 
 def test_a_halt_that_waits_for_a_confirmation_it_never_asked_for_is_found(monkeypatch):
-    monkeypatch.setattr(ending, "order_halt", lambda turn, command: None)  # no halt goes out, and no timer runs
+    monkeypatch.setattr(termination, "order_halt", lambda turn, command: None)  # no halt goes out, and no timer runs
     assert "nothing more happens, and" in explore(faults(SAME_ARM, 2)).violation
 
 
@@ -75,22 +75,22 @@ def test_a_subsystem_not_asked_what_it_still_does_is_found(monkeypatch):
     def deaf(turn, event):
         decided(turn, msgspec.structs.replace(event, outstanding=[], at_rest=True))
 
-    decided = decision_unit.HANDLERS[SubsystemConnected]
-    monkeypatch.setitem(decision_unit.HANDLERS, SubsystemConnected, deaf)
+    decided = decide.HANDLERS[SubsystemConnected]
+    monkeypatch.setitem(decide.HANDLERS, SubsystemConnected, deaf)
     assert "still executes" in explore(faults(SAME_ARM, 1)).violation
 
 
 def test_a_halt_called_past_the_broker_and_not_passed_on_is_found(monkeypatch):
     """The subsystem tells of it; a Decision Unit that will not listen leaves it beginning nothing for ever."""
-    called = decision_unit.HANDLERS[HaltCalled]
+    called = decide.HANDLERS[HaltCalled]
     monkeypatch.setitem(
-        decision_unit.HANDLERS, HaltCalled, lambda turn, event: None if event.client == "MCM" else called(turn, event)
+        decide.HANDLERS, HaltCalled, lambda turn, event: None if event.client == "MCM" else called(turn, event)
     )
     assert explore(faults(SAME_ARM, 1)).violation
 
 
 def test_an_arm_that_stays_closed_because_nobody_tells_the_world_is_found(monkeypatch):
-    monkeypatch.setattr(untold, "handle_timer", lambda turn, timer: False)
+    monkeypatch.setattr(deferred_analysis, "handle_timer", lambda turn, timer: False)
     assert "quarantine is not empty" in explore(faults(SAME_ARM, 1)).violation
 
 
@@ -107,14 +107,14 @@ def test_a_halt_that_is_not_obeyed_because_its_name_was_used_before_is_found(mon
         else:
             called(turn, event)
 
-    called = decision_unit.HANDLERS[HaltCalled]
-    monkeypatch.setitem(decision_unit.HANDLERS, HaltCalled, only_once)
+    called = decide.HANDLERS[HaltCalled]
+    monkeypatch.setitem(decide.HANDLERS, HaltCalled, only_once)
     found = explore(faults(SAME_ARM, 2))
     assert found.violation
     assert move in [done[0] for done in found.path]
 
 
 def test_a_journal_that_was_lost_without_a_consequence_is_found(monkeypatch):
-    monkeypatch.setitem(decision_unit.HANDLERS, JournalLost, lambda turn, event: None)
+    monkeypatch.setitem(decide.HANDLERS, JournalLost, lambda turn, event: None)
     scenario = next(s for s in SCENARIOS if s.name == "a lost journal")
     assert "after its journal was lost" in explore(faults(scenario, 1)).violation

@@ -8,20 +8,20 @@ from typing import Any
 
 import pytest
 
-from broker import decision_unit
-from broker.decision_unit import MAX_SUBSYSTEMS
-from broker.events import HaltConfirmed, PrimitiveEnded, SubsystemConnected, SubsystemGone
-from broker.invariants import violations
-from broker.journey import _waits_for
-from broker.state import ParsedHead
-from broker.turn import DecisionContext
-from rtc.messages import Declined, Phase
+from broker.decisions import decide
+from broker.decisions.context import DecisionContext
+from broker.decisions.decide import MAX_SUBSYSTEMS
+from broker.decisions.events import HaltConfirmed, PrimitiveEnded, SubsystemConnected, SubsystemGone
+from broker.decisions.invariants import violations
+from broker.decisions.nominal import _waits_for
+from broker.decisions.state import ParsedHead
+from rtc.protocol.messages import Declined, Phase
 from tests.broker.stories import Story, bound, go_on, record, report, script
 
 
 @pytest.fixture
 def story(monkeypatch: pytest.MonkeyPatch) -> Story:
-    monkeypatch.setattr(decision_unit, "LIVE_PER_CLIENT", 3)
+    monkeypatch.setattr(decide, "LIVE_PER_CLIENT", 3)
     return Story()
 
 

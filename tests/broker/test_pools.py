@@ -5,10 +5,10 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from broker.effects import DispatchJob
-from broker.pools import COMING_S, IDLE_S, WAIT_S, Autoscaler
-from broker.roster import WorkerRegistry
-from rtc.messages import RetireWorker, SpawnWorker, WorkerKind
+from broker.decisions.effects import DispatchJob
+from broker.dispatch.autoscaler import COMING_S, IDLE_S, WAIT_S, Autoscaler
+from broker.dispatch.worker_registry import WorkerRegistry
+from rtc.protocol.messages import RetireWorker, SpawnWorker, WorkerKind
 
 BINDER, PARSER = WorkerKind.BINDER, WorkerKind.PARSER
 

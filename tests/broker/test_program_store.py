@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from broker.journal import Journal
-from broker.program_store import Loaded, ProgramStore
-from broker.state import State
-from rtc import program
-from rtc.messages import ProgramText, WorkerKind
-from rtc.outcomes import Refusal
-from rtc.program_check import check
+from broker.decisions.state import State
+from broker.persistence.journal import Journal
+from broker.persistence.program_store import Loaded, ProgramStore
+from rtc.programs import loader
+from rtc.programs.sandbox import check
+from rtc.protocol.messages import ProgramText, WorkerKind
+from rtc.protocol.outcomes import Refusal
 
 
 def load(store: ProgramStore, text: ProgramText) -> Loaded | Refusal:
@@ -24,7 +24,7 @@ STEP = "{do: move, to: HERE, stop: STOP, space: move_task, label: x}"
 def test_a_script_must_fit_the_binder_in_use(tmp_path, stop, fits):
     in_use: dict[str, str] = {}
     store = ProgramStore(Journal.open(tmp_path / "journal.db", "run", State()), in_use)
-    in_use |= {kind: store.keep(program.default(kind)) for kind in WorkerKind}
+    in_use |= {kind: store.keep(loader.default(kind)) for kind in WorkerKind}
     body = f"script: mine\ncase: 1\nsteps:\n- {STEP.replace('STOP', stop)}".encode()
     text = ProgramText(request="r", kind=WorkerKind.ELABORATOR, name="mine.yaml", body=body)
 
@@ -43,7 +43,7 @@ def test_a_script_must_fit_the_binder_in_use(tmp_path, stop, fits):
 def test_what_was_loaded_is_taken_away_again(tmp_path):
     in_use: dict[str, str] = {}
     store = ProgramStore(Journal.open(tmp_path / "journal.db", "run", State()), in_use)
-    in_use |= {kind: store.keep(program.default(kind)) for kind in WorkerKind}
+    in_use |= {kind: store.keep(loader.default(kind)) for kind in WorkerKind}
     original = in_use["elaborator"]
     body = f"script: mine\ncase: 1\nsteps:\n- {STEP.replace('STOP', 'move_free')}".encode()
     mine = ProgramText(request="r", kind=WorkerKind.ELABORATOR, name="mine.yaml", body=body)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from broker import events as heard
-from broker.decision_unit import decide
-from broker.invariants import MOVING, forbidden, violations
-from broker.state import NIL, State
-from rtc import wire
-from rtc.messages import BoundStep, WorkerKind
-from rtc.outcomes import RefusalReason, StopReason
+from broker.decisions import events as heard
+from broker.decisions.decide import decide
+from broker.decisions.invariants import MOVING, forbidden, violations
+from broker.decisions.state import NIL, State
+from rtc.protocol import wire
+from rtc.protocol.messages import BoundStep, WorkerKind
+from rtc.protocol.outcomes import RefusalReason, StopReason
 from tests.broker.stories import Story, bound, give_up, go_on, mend, record, script, told, trim
 
 ARMS = (("RIGHT-ARM",), ("LEFT-ARM",), ("LEFT-ARM", "RIGHT-ARM"), ("RIGHT-ARM", "MODULE"))

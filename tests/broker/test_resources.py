@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from broker.resources import Blocked, Claim, Quarantine, Resources, number
+from broker.decisions.resources import Blocked, Claim, Quarantine, Resources, number
 
 ARM, OTHER, DB = {"ARM": True}, {"OTHER": True}, {"DB": False}
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import msgspec
 
-from broker.effects import DispatchJob
-from broker.roster import DEADLINE_S, HANDFUL_MAX, QUEUE_LIMIT_S, SILENCE_S, WorkerRegistry
-from rtc.messages import WorkerKind
+from broker.decisions.effects import DispatchJob
+from broker.dispatch.worker_registry import DEADLINE_S, HANDFUL_MAX, QUEUE_LIMIT_S, SILENCE_S, WorkerRegistry
+from rtc.protocol.messages import WorkerKind
 
 BINDER = WorkerKind.BINDER
 

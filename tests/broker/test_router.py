@@ -19,23 +19,24 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as tries
 from hypothesis import strategies as st
 
-from broker import journal as journals
-from broker.events import HaltCalled, ProgramInstalled
-from broker.invariants import violations
-from broker.journal import Journal
-from broker.loads import MOST_WAITING, ProgramLoads
-from broker.program_store import ProgramStore
-from broker.reporting import MOST_PER_S
-from broker.router import ALONE_S, CALLERS_KEPT, HALTS_OF_CALLER, QUESTIONS_PER_S, Router
-from broker.state import ParsedHead, ReportHead, State
-from rtc import messages as m
-from rtc import program, wire
-from rtc.digest import digest
-from rtc.halt_admission import PER_S
-from rtc.handed import Handed
-from rtc.outcomes import OutcomeKind, RefusalReason
-from rtc.program_check import Asked, Checked
-from rtc.settings import Settings
+from broker.decisions.events import HaltCalled, ProgramInstalled
+from broker.decisions.invariants import violations
+from broker.decisions.reporting import MOST_PER_S
+from broker.decisions.state import ParsedHead, ReportHead, State
+from broker.persistence import journal as journals
+from broker.persistence.journal import Journal
+from broker.persistence.program_loads import MOST_WAITING, ProgramLoads
+from broker.persistence.program_store import ProgramStore
+from broker.router.loop import ALONE_S, CALLERS_KEPT, HALTS_OF_CALLER, QUESTIONS_PER_S, Router
+from rtc.programs import loader
+from rtc.programs.digest import digest
+from rtc.programs.sandbox import Asked, Checked
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import OutcomeKind, RefusalReason
+from rtc.runtime.halt_admission import PER_S
+from rtc.runtime.handover import Handed
+from rtc.runtime.settings import Settings
 from tests.broker.stories import Story, script
 from tests.campaigns import hostile
 
@@ -90,7 +91,7 @@ class Bench:
             me, SETTINGS, journal, state, store, given or Handed(SETTINGS, b"k" * 32), lambda: self.now
         )  # type: ignore[arg-type]
         for kind in m.WorkerKind:
-            digest = store.keep(program.default(kind))
+            digest = store.keep(loader.default(kind))
             self.router.hear(ProgramInstalled(at_s=self.now, kind=kind, digest=digest))
         self.turn()
 

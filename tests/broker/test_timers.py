@@ -1,6 +1,6 @@
 """Timers by name, the nearest first."""
 
-from broker.timers import DEAD_KEPT, Timers
+from broker.dispatch.timers import DEAD_KEPT, Timers
 
 
 def test_due_in_order_and_only_once():

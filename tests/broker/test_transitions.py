@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from broker import transitions
-from broker.events import Stimulus
-from broker.transitions import TABLE
-from rtc.messages import Phase
+from broker.decisions import transitions
+from broker.decisions.events import Stimulus
+from broker.decisions.transitions import TABLE
+from rtc.protocol.messages import Phase
 
 PAGE = Path(__file__).parents[2] / "docs" / "decision_unit.md"
 
 
 def test_the_docs_show_the_table_as_it_is():
     page = PAGE.read_text()
-    hint = "draw it anew: python -m broker.transitions > docs/decision_unit.md"
+    hint = "draw it anew: python -m broker.decisions.transitions > docs/decision_unit.md"
     assert page == transitions.as_page(), hint
 
 

@@ -19,10 +19,10 @@ from collections import Counter
 from benchmarks.load.errands import ARMS, Errands
 from benchmarks.load.verdict import JournalReader, Verdict, judge
 from benchmarks.report import finish, percentile, question, spread
-from rtc.chaos import VICTIMS, Chaos, Strike
-from rtc.client import Client
+from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
-from rtc.messages import Validity
+from rtc.protocol.messages import Validity
+from rtc.runtime.chaos import VICTIMS, Chaos, Strike
 from tests.campaigns import RESULTS
 
 SEED = 20

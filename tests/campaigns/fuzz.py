@@ -26,13 +26,13 @@ from typing import Any
 import zmq
 
 from benchmarks.report import finish, percentile, question
-from rtc import messages as m
-from rtc import wire
-from rtc.client import Client
+from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
-from rtc.outcomes import OutcomeKind, RtcError
-from rtc.process_table import processes
-from rtc.settings import Settings
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import OutcomeKind, RtcError
+from rtc.runtime.process_table import processes
+from rtc.runtime.settings import Settings
 from tests.campaigns import RESULTS, hostile
 
 WATCHED = ("broker", "world", "MCM")

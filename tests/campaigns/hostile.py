@@ -21,9 +21,9 @@ from typing import Any, get_args
 import msgspec
 import zmq
 
-from rtc import messages as m
-from rtc import wire
-from rtc.settings import ENDPOINTS, Settings
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.runtime.settings import ENDPOINTS, Settings
 
 #: Endpoint -> accepted message types. Shutdown is left out: a permitted peer that sends it means it. The last two
 #: endpoints only publish; input there is ignored.

@@ -17,11 +17,11 @@ from prompt_toolkit.input import create_pipe_input
 from prompt_toolkit.output import DummyOutput
 
 import rtc as rtc_package
-from broker.journal import Journal
-from broker.state import State
-from rtc import messages as m
+from broker.decisions.state import State
+from broker.persistence.journal import Journal
 from rtc.cli.interpreter import interpret
-from rtc.client import Client
+from rtc.client.client import Client
+from rtc.protocol import messages as m
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from rtc.cli.halt import print_halt
-from rtc.halting import HaltResult, SubsystemHalt
+from rtc.client.halt import HaltResult, SubsystemHalt
 
 
 def printed(latency_s: float, rest_s: float, moving: list[str]) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from rtc.cli.long_steps import LongSteps
-from rtc.messages import Phase, ProgressNote
+from rtc.protocol.messages import Phase, ProgressNote
 
 
 class Terminal:

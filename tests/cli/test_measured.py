@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from rtc import geometry
 from rtc.cli.measured import _rpy, duration, in_words
-from rtc.outcomes import Measured
+from rtc.protocol.outcomes import Measured
+from rtc.robot import geometry
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rtc.cell import Cell
+from rtc.cells.cell import Cell
 from rtc.cli.names import KINDS, _cell_of
 from rtc.language.parse import default_grammar, parse
 from rtc.language.record import ParsedCommand
-from rtc.settings import Settings
+from rtc.runtime.settings import Settings
 
 
 def test_all_names_of_the_cell_are_listed(cell: Cell) -> None:

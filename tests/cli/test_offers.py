@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rtc.cell import Cell
+from rtc.cells.cell import Cell
 from rtc.cli.offers import CellNames
 from rtc.language.completion import complete
 from rtc.language.parse import default_grammar

@@ -9,14 +9,14 @@ import sys
 
 import pytest
 
-from rtc import messages as m
 from rtc.cli import sentences
 from rtc.cli.halt import print_halt
-from rtc.cli.outlet import OutputClosed, OutputStream
 from rtc.cli.progress import Board
 from rtc.cli.sentences import gone_away
-from rtc.halting import HaltResult
-from rtc.outcomes import Outcome, OutcomeKind
+from rtc.cli.stdio import OutputClosed, OutputStream
+from rtc.client.halt import HaltResult
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import Outcome, OutcomeKind
 
 
 def to_nobody() -> io.TextIOWrapper:

@@ -15,7 +15,7 @@ from rich.text import Text
 from rtc.cli.cluster import as_supervised, show_status
 from rtc.cli.output import EXIT, Screen, emit_json, exit_code, quoted, refusal_lines, seconds
 from rtc.language.parse import default_grammar, parse
-from rtc.outcomes import OutcomeKind, Refusal, RefusalReason
+from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 
 @pytest.mark.parametrize(

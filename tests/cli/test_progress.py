@@ -6,9 +6,9 @@ import io
 
 from rich.console import Console
 
-from rtc import messages as m
 from rtc.cli.progress import Board, print_result
-from rtc.outcomes import Measured, Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import Measured, Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
 
 CURSOR_UP = "\x1b[1A"
 

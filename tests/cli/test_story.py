@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from rtc import messages as m
-from rtc.cli.story import address, as_json, chain
-from rtc.outcomes import Outcome, OutcomeKind, StopReason
+from rtc.cli.trace import address, as_json, chain
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
 
 
 def note(phase: m.Phase, **fields: Any) -> m.ProgressNote:

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from rtc import front_door
 from rtc.cli.main import COMMANDS, main
-from rtc.settings import Settings
-from rtc.silence import LOCK
+from rtc.client import connection
+from rtc.client.liveness import LOCK
+from rtc.runtime.settings import Settings
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_chaos_without_a_cluster_announces_nothing(
 def test_a_status_that_no_broker_gives_the_supervisor_gives(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(front_door, "RESTART_S", 0.1, raising=False)
+    monkeypatch.setattr(connection, "RESTART_S", 0.1, raising=False)
     Settings(run_dir=str(tmp_path)).save()
     rows = [{"name": "broker", "pid": 7, "state": "starting", "restarts": 3, "since_s": 0.0, "node": None, "notes": []}]
     report = {"pid": 1, "cluster": "abc", "started_at": 0.0, "processes": rows}

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from rtc import messages as m
 from rtc.cli.world import shown, spelt, stated
+from rtc.protocol import messages as m
 
 
 @pytest.mark.parametrize(

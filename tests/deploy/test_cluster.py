@@ -13,11 +13,11 @@ import pytest
 import zmq
 
 from deploy import cluster
-from rtc import wire
-from rtc.client import Client
-from rtc.messages import Telemetry
-from rtc.outcomes import ClusterError, NoCluster, OutcomeKind
-from rtc.settings import Settings
+from rtc.client.client import Client
+from rtc.protocol import wire
+from rtc.protocol.messages import Telemetry
+from rtc.protocol.outcomes import ClusterError, NoCluster, OutcomeKind
+from rtc.runtime.settings import Settings
 
 pytestmark = pytest.mark.slow
 

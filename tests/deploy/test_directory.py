@@ -9,8 +9,8 @@ import pytest
 
 from deploy.cluster import _clean, _lock
 from deploy.directory import TOUCH_S, Directory, claim_path
-from rtc.outcomes import ClusterError
-from rtc.settings import LOCK
+from rtc.protocol.outcomes import ClusterError
+from rtc.runtime.settings import LOCK
 
 
 @pytest.fixture

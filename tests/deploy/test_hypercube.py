@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deploy.hypercube import addresses, kind_of, name_of, next_free, replicas
-from rtc.messages import WorkerKind
+from rtc.protocol.messages import WorkerKind
 
 
 def test_the_names_of_the_smallest_cube():

@@ -16,8 +16,8 @@ from deploy import child
 from deploy.child import Spec
 from deploy.restarts import DEFAULT, Policy
 from deploy.supervisor import Supervisor
-from rtc import wire
-from rtc.messages import (
+from rtc.protocol import wire
+from rtc.protocol.messages import (
     KillProcess,
     ProcessExited,
     ProcessTable,
@@ -28,9 +28,9 @@ from rtc.messages import (
     SupervisorToBroker,
     WorkerKind,
 )
-from rtc.outcomes import ClusterError
-from rtc.process import Process, now_s, send
-from rtc.template import STANDBY
+from rtc.protocol.outcomes import ClusterError
+from rtc.runtime.fork_server import STANDBY
+from rtc.runtime.process import Process, now_s, send
 
 pytestmark = pytest.mark.slow
 
@@ -316,7 +316,7 @@ def test_a_killed_process_leaves_no_zombie_and_no_open_file(cluster):
 
 TEMPLATE = """
 import os, signal, sys
-from rtc.template import serve
+from rtc.runtime.fork_server import serve
 def be(order):
     print(f"{order.decode()} of {os.getppid()}", file=sys.stderr, flush=True)
     if order == b"analyzer@7":
@@ -346,7 +346,7 @@ def test_workers_are_forked_from_the_template_and_are_the_supervisors_own_childr
     it = cluster(forked("binder@2"), forked("parser@0"), template()).go()
     table = it.hear_table(lambda t: True)
     assert {row["state"] for row in table.values()} == {"ready"}
-    assert b"rtc.template" in command_line(table["binder@2"]["pid"])
+    assert b"rtc.runtime.fork_server" in command_line(table["binder@2"]["pid"])
     assert (tmp_path / "binder@2.log").read_text() == f"binder@2 of {os.getpid()}\n"
     os.kill(table["binder@2"]["pid"], signal.SIGKILL)
     assert it.hear(ProcessExited).status == -9
@@ -367,7 +367,7 @@ def test_a_template_that_does_not_answer_is_replaced_and_then_forks_the_worker(c
     os.kill(table["binder@2"]["pid"], signal.SIGKILL)
     back = it.hear_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 1)
     assert back["template"]["restarts"] == 1
-    assert b"rtc.template" in command_line(back["binder@2"]["pid"])
+    assert b"rtc.runtime.fork_server" in command_line(back["binder@2"]["pid"])
 
 
 def test_what_was_forked_too_late_never_begins_and_leaves_no_zombie(cluster, tmp_path, monkeypatch):
@@ -411,7 +411,7 @@ def test_a_template_for_later_is_not_waited_for_and_forks_what_is_killed(cluster
     assert b"signal.pause()" in command_line(first["pid"])  # it has started by itself
     os.kill(first["pid"], signal.SIGKILL)
     again = it.hear_table(lambda t: t["broker@0"]["state"] == "ready" and t["broker@0"]["restarts"] == 1)
-    assert b"rtc.template" in command_line(again["broker@0"]["pid"])
+    assert b"rtc.runtime.fork_server" in command_line(again["broker@0"]["pid"])
 
 
 def test_templates_are_forked_from_each_other_and_from_them_all_else(cluster):
@@ -448,7 +448,7 @@ def test_when_all_are_killed_the_workers_and_the_twin_wait_for_the_template(clus
     for name in ("template", "twin", *names):
         os.kill(table[name]["pid"], signal.SIGKILL)
     back = it.hear_table(lambda t: all((row["state"], row["restarts"]) == ("ready", 1) for row in t.values()))
-    assert all(b"rtc.template" in command_line(back[name]["pid"]) for name in names)
+    assert all(b"rtc.runtime.fork_server" in command_line(back[name]["pid"]) for name in names)
 
 
 def test_what_cannot_be_run_later_is_given_up_and_the_rest_goes_on(cluster):

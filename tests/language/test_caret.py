@@ -2,7 +2,7 @@
 
 from rtc.language.caret import WIDTH, show
 from rtc.language.parse import default_grammar, parse
-from rtc.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason
 
 GRAMMAR = default_grammar()
 

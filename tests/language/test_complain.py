@@ -7,7 +7,7 @@ import pytest
 
 from rtc.language import dictionary
 from rtc.language.parse import default_grammar, parse
-from rtc.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason
 
 GRAMMAR = default_grammar()
 VERBS = sorted(dictionary.verbs())

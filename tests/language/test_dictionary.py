@@ -5,7 +5,7 @@ import pytest
 from rtc.language import dictionary
 from rtc.language.parse import default_grammar, parse
 from rtc.language.record import ParsedCommand
-from rtc.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason
 
 
 def entry(verb: str) -> str:

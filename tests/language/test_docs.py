@@ -8,7 +8,7 @@ import pytest
 from rtc.language.caret import show
 from rtc.language.parse import default_grammar, parse
 from rtc.language.record import ParsedCommand
-from rtc.outcomes import Refusal
+from rtc.protocol.outcomes import Refusal
 
 PAGE = (Path(__file__).parents[2] / "docs" / "language.md").read_text("utf-8")
 BLOCK = re.search(r"```rtc\n(.*?)```", PAGE, re.DOTALL)

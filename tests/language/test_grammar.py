@@ -10,7 +10,7 @@ from rtc.language.grammar import Grammar
 from rtc.language.parse import default_grammar, parse
 from rtc.language.record import ParsedCommand
 from rtc.language.words import TOKEN_CLASSES
-from rtc.outcomes import ProgramError, Refusal
+from rtc.protocol.outcomes import ProgramError, Refusal
 
 TEXT = resources.files("rtc.language").joinpath("command.lark").read_text()
 

@@ -12,7 +12,7 @@ from rtc.language.parse import default_grammar, parse
 from rtc.language.record import Condition, Constraint, ParsedCommand, Place, Quantity, ReflexItem, Report
 from rtc.language.refuse import MAX_CHARACTERS
 from rtc.language.units import UNITS
-from rtc.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import Refusal, RefusalReason
 
 GRAMMAR = default_grammar()
 SAMPLES = dict(line.split(": ", 1) for line in Path(__file__).with_name("samples.txt").read_text().splitlines())

@@ -16,12 +16,12 @@ from pathlib import Path
 import pytest
 import zmq
 
-from rtc import messages as m
-from rtc.chaos import Chaos, Strike
-from rtc.client import Client
+from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
-from rtc.outcomes import OutcomeKind
-from rtc.process_table import processes
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import OutcomeKind
+from rtc.runtime.chaos import Chaos, Strike
+from rtc.runtime.process_table import processes
 
 pytestmark = pytest.mark.slow
 
@@ -180,7 +180,7 @@ def test_what_is_given_at_once_is_begun_in_the_order_given_while_workers_die(
 
 TIED = """
 import sys
-from rtc.client import Client
+from rtc.client.client import Client
 rtc = Client(sys.argv[1], halt_if_lost=True)
 print(rtc.submit(sys.argv[2]), flush=True)
 rtc.wait(rtc.submit(sys.argv[2]))

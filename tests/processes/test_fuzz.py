@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 import zmq
 
-from rtc import messages as m
-from rtc import wire
-from rtc.client import Client
+from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
-from rtc.outcomes import OutcomeKind
-from rtc.settings import Settings
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import OutcomeKind
+from rtc.runtime.settings import Settings
 from tests.campaigns.fuzz import Others, attacked
 from tests.campaigns.hostile import ACCEPTED, IMPOSTORS, Attacker, heavy_messages, stream_garbage
 

@@ -21,14 +21,14 @@ from urllib.parse import urlsplit
 import pytest
 import zmq
 
-from rtc import messages as m
-from rtc import wire
-from rtc.client import Client
+from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
-from rtc.keys import KeyFile, KeyRing, endpoint_address
-from rtc.outcomes import ClusterError, NoCluster, OutcomeKind, RefusalReason, RequestDeclined
-from rtc.process_table import processes
-from rtc.roles import TCP_ENDPOINTS, Role
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import ClusterError, NoCluster, OutcomeKind, RefusalReason, RequestDeclined
+from rtc.protocol.roles import TCP_ENDPOINTS, Role
+from rtc.runtime.keys import KeyFile, KeyRing, endpoint_address
+from rtc.runtime.process_table import processes
 from tests.campaigns.fuzz import Others
 
 pytestmark = pytest.mark.slow

@@ -23,10 +23,10 @@ import pytest
 import zmq
 
 from deploy import cluster
-from rtc import process_table
-from rtc.client import Client
-from rtc.outcomes import NoCluster, OutcomeKind
-from rtc.settings import ENDPOINTS
+from rtc.client.client import Client
+from rtc.protocol.outcomes import NoCluster, OutcomeKind
+from rtc.runtime import process_table
+from rtc.runtime.settings import ENDPOINTS
 
 pytestmark = pytest.mark.slow
 

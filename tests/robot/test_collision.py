@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from rtc import geometry
+from rtc.robot import geometry
 from rtc.robot.collision import Held, Scene
 
 HANDLE = (0.65, -0.885, 0.60)  # HANDLE-A of the module in RACK-1

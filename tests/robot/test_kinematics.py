@@ -8,8 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from rtc import geometry
-from rtc.robot import numeric_ik
+from rtc.robot import geometry, numeric_ik
 from rtc.robot.kinematics import ArmModel
 
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 import pytest
 
-from rtc import geometry
+from rtc.robot import geometry
 from rtc.robot.collision import Held, Scene
 
 MARGIN = math.radians(15)

@@ -12,17 +12,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rtc import geometry
-from rtc import messages as m
-from rtc import primitive as p
-from rtc.cell import Cell
-from rtc.geometry import Array
-from rtc.outcomes import Reflex, StopReason
+from rtc.cells.cell import Cell
+from rtc.protocol import messages as m
+from rtc.protocol import primitive as p
+from rtc.protocol.outcomes import Reflex, StopReason
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
-from sim_mcm import control_laws
-from sim_mcm.arm import TICK_S, HandCommand, Motion, Sample, Traits
-from sim_mcm.executor import Executor
-from sim_mcm.subsystem import BROKER, Subsystem
+from sim_mcm.arms import control_laws
+from sim_mcm.arms.arm import TICK_S, HandCommand, Motion, Sample, Traits
+from sim_mcm.control.executor import Executor
+from sim_mcm.control.subsystem import BROKER, Subsystem
 
 ARM, OTHER = "RIGHT-ARM", "LEFT-ARM"
 

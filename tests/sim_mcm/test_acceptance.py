@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtc.primitive import JointTrajectory, Primitive
+from rtc.protocol.primitive import JointTrajectory, Primitive
 from rtc.robot import quintic
-from sim_mcm import acceptance
-from sim_mcm.arm import Traits
+from sim_mcm.arms.arm import Traits
+from sim_mcm.control import acceptance
 
 CASES = 500  # of each family
 SAMPLES = 200  # of each piece

@@ -10,13 +10,13 @@ import pinocchio as pin
 import pybullet
 import pytest
 
-from rtc import geometry
-from rtc import primitive as p
-from rtc.outcomes import StopReason
+from rtc.protocol import primitive as p
+from rtc.protocol.outcomes import StopReason
+from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
-from sim_mcm import profiles
-from sim_mcm.bullet_arm import BulletCell
-from sim_mcm.executor import State
+from sim_mcm.arms.bullet_arm import BulletCell
+from sim_mcm.control import profiles
+from sim_mcm.control.executor import State
 
 pytestmark = pytest.mark.slow
 ARM, MODULE = "RIGHT-ARM", "MACS-NEW"

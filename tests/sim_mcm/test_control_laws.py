@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from rtc.primitive import ControlLaw
+from rtc.protocol.primitive import ControlLaw
 from rtc.robot.kinematics import ArmModel
-from sim_mcm import control_laws
-from sim_mcm.arm import TICK_S
-from sim_mcm.servo import Servo
+from sim_mcm.arms import control_laws
+from sim_mcm.arms.arm import TICK_S
+from sim_mcm.arms.servo import Servo
 
 
 @pytest.fixture(scope="module")

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rtc import geometry
-from rtc import messages as m
-from rtc import primitive as p
-from rtc.outcomes import PRIORITY, Reflex, StopReason
-from sim_mcm import profiles
-from sim_mcm.arm import TICK_S, HandCommand
-from sim_mcm.executor import AFTER_STOP, MOVING, TRANSITIONS, Event, State
+from rtc.protocol import messages as m
+from rtc.protocol import primitive as p
+from rtc.protocol.outcomes import PRIORITY, Reflex, StopReason
+from rtc.robot import geometry
+from sim_mcm.arms.arm import TICK_S, HandCommand
+from sim_mcm.control import profiles
+from sim_mcm.control.executor import AFTER_STOP, MOVING, TRANSITIONS, Event, State
 
 # --- the table -------------------------------------------------------------------------------------------
 

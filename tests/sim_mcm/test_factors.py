@@ -5,9 +5,9 @@ from __future__ import annotations
 import pybullet
 import pytest
 
-from rtc.cell import Cell
-from sim_mcm.bullet_arm import FINGER_FRICTION, BulletCell
-from sim_mcm.kinematic_arm import KinematicCell
+from rtc.cells.cell import Cell
+from sim_mcm.arms.bullet_arm import FINGER_FRICTION, BulletCell
+from sim_mcm.arms.kinematic_arm import KinematicCell
 
 
 @pytest.mark.slow

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from sim_mcm.arm import TICK_S, HandCommand
-from sim_mcm.hand import Hand, pressed
+from sim_mcm.arms.arm import TICK_S, HandCommand
+from sim_mcm.arms.hand import Hand, pressed
 
 FINGER_KG = 0.1
 WALL_N_M, WALL_NS_M = 100_000.0, 50.0

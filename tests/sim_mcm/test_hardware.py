@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from rtc import geometry
-from rtc import primitive as p
+from rtc.protocol import primitive as p
+from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
-from sim_mcm.bullet_arm import BulletCell
-from sim_mcm.hardware import FILE, StateFile
-from sim_mcm.kinematic_arm import KinematicCell
+from sim_mcm.arms.bullet_arm import BulletCell
+from sim_mcm.arms.kinematic_arm import KinematicCell
+from sim_mcm.state_file import FILE, StateFile
 
 ARM, MODULE = "RIGHT-ARM", "MACS-NEW"
 SIMULATIONS = [(KinematicCell, 1e-9), pytest.param(BulletCell, 1e-3, marks=pytest.mark.slow)]

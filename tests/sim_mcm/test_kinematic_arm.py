@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtc import geometry
-from rtc import primitive as p
-from rtc.outcomes import StopReason
+from rtc.protocol import primitive as p
+from rtc.protocol.outcomes import StopReason
+from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
-from sim_mcm.kinematic_arm import KinematicCell, displaced
+from sim_mcm.arms.kinematic_arm import KinematicCell, displaced
 
 ARM = "RIGHT-ARM"
 

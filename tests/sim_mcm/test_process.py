@@ -12,12 +12,12 @@ from types import SimpleNamespace
 import pytest
 import zmq
 
-from rtc import messages as m
-from rtc import primitive as p
-from rtc.halting import HaltLine
-from rtc.outcomes import StopReason
-from rtc.settings import Settings, prepare_run_dir
-from rtc.wire import PROTOCOL, frames, reader
+from rtc.client.halt import HaltLine
+from rtc.protocol import messages as m
+from rtc.protocol import primitive as p
+from rtc.protocol.outcomes import StopReason
+from rtc.protocol.wire import PROTOCOL, frames, reader
+from rtc.runtime.settings import Settings, prepare_run_dir
 
 pytestmark = pytest.mark.slow
 ARM, LIMIT_S = "RIGHT-ARM", 20.0

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtc.primitive import JointTrajectory
-from sim_mcm import profiles
-from sim_mcm.arm import TICK_S
+from rtc.protocol.primitive import JointTrajectory
+from sim_mcm.arms.arm import TICK_S
+from sim_mcm.control import profiles
 
 NUMBER = st.floats(-1.0, 1.0)
 

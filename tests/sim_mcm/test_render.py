@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc import messages as m
-from rtc.drawing import Renderer
-from rtc.outcomes import RtcError
-from rtc.scene import VIEWS, Panel, Picture, Scene
+from rtc.cells.scene import VIEWS, Panel, Picture, Scene
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import RtcError
+from rtc.runtime.renderer import Renderer
 from sim_mcm import render
 
 

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtc import primitive as p
-from rtc.outcomes import PRIORITY, StopReason
-from sim_mcm import stop_functions
-from sim_mcm.arm import Traits
-from sim_mcm.stop_functions import Moment
+from rtc.protocol import primitive as p
+from rtc.protocol.outcomes import PRIORITY, StopReason
+from sim_mcm.arms.arm import Traits
+from sim_mcm.control import stop_functions
+from sim_mcm.control.stop_functions import Moment
 
 
 def moment(**changes: object) -> Moment:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from rtc import messages as m
-from rtc import primitive as p
-from rtc.halt_admission import PER_S
-from rtc.outcomes import StopReason
-from rtc.wire import frames
-from sim_mcm.doors import invalid_order
-from sim_mcm.kinematic_arm import KinematicCell
-from sim_mcm.subsystem import BROKER, MAX_FENCES, OPEN_HALTS, REPEAT_S, REST_LIMIT_S
+from rtc.protocol import messages as m
+from rtc.protocol import primitive as p
+from rtc.protocol.outcomes import StopReason
+from rtc.protocol.wire import frames
+from rtc.runtime.halt_admission import PER_S
+from sim_mcm.arms.kinematic_arm import KinematicCell
+from sim_mcm.control.subsystem import BROKER, MAX_FENCES, OPEN_HALTS, REPEAT_S, REST_LIMIT_S
+from sim_mcm.sockets import invalid_order
 
 ARM, OTHER, CALLER, ANOTHER = "RIGHT-ARM", "LEFT-ARM", b"x.estop", b"y.estop"
 

@@ -1,11 +1,12 @@
 """A whole cluster on a simulated clock, driven by one seed: what is said, when, and what dies in the middle of it.
 
-Real: the broker's shell (`broker.router`) with its Decision Unit, roster, timers and journal, every byte on its
+Real: the broker's shell (`broker.router.loop`) with its Decision Unit, roster, timers and journal, every byte on its
 sockets, replay after a crash, the MCM's subsystem and executors, the world database's server and store. Simulated:
 clock, sockets and the processes round them (tests/simulation/processes.py).
 
 The broker may be killed between two turns, before a turn is journalled, after that, and before any one of the messages
-of a turn leaves. What must hold is checked after each of its turns (`broker.invariants`) and at the end (`Ledger`).
+of a turn leaves. What must hold is checked after each of its turns (`broker.decisions.invariants`) and at the end
+(`Ledger`).
 """
 
 from __future__ import annotations
@@ -20,22 +21,22 @@ from typing import Any
 
 import msgspec
 
-from broker.events import BrokerRestarted, Event, ProgramInstalled
-from broker.invariants import violations
-from broker.journal import SCHEMA, Journal
-from broker.program_store import ProgramStore
-from broker.replay import replay
-from broker.router import Router
-from broker.state import State
-from rtc import messages as m
-from rtc import wire
-from rtc.handed import Handed
+from broker.decisions.events import BrokerRestarted, Event, ProgramInstalled
+from broker.decisions.invariants import violations
+from broker.decisions.state import State
+from broker.persistence.journal import SCHEMA, Journal
+from broker.persistence.program_store import ProgramStore
+from broker.persistence.replay import replay
+from broker.router.loop import Router
 from rtc.language.fastpath import halt_scope
-from rtc.outcomes import OutcomeKind, Refusal, StopReason
-from rtc.settings import Settings
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import OutcomeKind, Refusal, StopReason
+from rtc.runtime.handover import Handed
+from rtc.runtime.settings import Settings
 from rtc.world.server import Server
 from rtc.world.store import Store
-from sim_mcm.executor import State as Doing
+from sim_mcm.control.executor import State as Doing
 from tests.simulation import network, skills
 from tests.simulation.processes import ARMS, Caller, Client, Mcm, Supervisor, Worker
 

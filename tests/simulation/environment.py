@@ -17,15 +17,15 @@ from typing import Any
 
 import msgspec
 
-from broker import effects as do
-from broker import events as heard
-from broker.decision_unit import decide
-from broker.invariants import forbidden, violations
-from broker.state import State
-from broker.untold import LIMIT_S
-from rtc import wire
-from rtc.messages import BoundStep, EndReport, Phase, WorkerKind
-from rtc.outcomes import Refusal, RefusalReason, StopReason
+from broker.decisions import effects as do
+from broker.decisions import events as heard
+from broker.decisions.decide import decide
+from broker.decisions.deferred_analysis import LIMIT_S
+from broker.decisions.invariants import forbidden, violations
+from broker.decisions.state import State
+from rtc.protocol import wire
+from rtc.protocol.messages import BoundStep, EndReport, Phase, WorkerKind
+from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from tests.broker.stories import bound, give_up, go_on, mend, record, report, script, trim
 from tests.simulation.model import (
     ARMS,

@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 import msgspec
 
-from broker.decision_unit import decide
-from broker.effects import AcknowledgeReport, TellClient
+from broker.decisions.decide import decide
+from broker.decisions.effects import AcknowledgeReport, TellClient
 from tests.simulation.environment import first, happen, late
 from tests.simulation.model import Model, Move, Scenario, Violation, decode, encode
 from tests.simulation.moves import fair, moves

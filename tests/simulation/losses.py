@@ -12,12 +12,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from broker.__main__ import lost_turns
-from broker.journal import SCHEMA, Journal
-from broker.state import State
-from rtc import messages as m
-from rtc import wire
-from rtc.handed import Handed
-from rtc.outcomes import OutcomeKind
+from broker.decisions.state import State
+from broker.persistence.journal import SCHEMA, Journal
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import OutcomeKind
+from rtc.runtime.handover import Handed
 from rtc.world import server
 from rtc.world.lease import DOUBT, sign
 from rtc.world.server import Server

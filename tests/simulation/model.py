@@ -6,9 +6,9 @@ from typing import Any
 
 import msgspec
 
-from broker import events as heard
-from broker.state import Command, State
-from rtc.outcomes import StopReason
+from broker.decisions import events as heard
+from broker.decisions.state import Command, State
+from rtc.protocol.outcomes import StopReason
 
 ARMS = ("LEFT-ARM", "RIGHT-ARM")
 

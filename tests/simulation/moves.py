@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from broker import effects as do
-from broker import events as heard
-from broker.decision_unit import decide
-from broker.state import Command, Link
-from rtc.messages import Phase, WorkerKind
+from broker.decisions import effects as do
+from broker.decisions import events as heard
+from broker.decisions.decide import decide
+from broker.decisions.state import Command, Link
+from rtc.protocol.messages import Phase, WorkerKind
 from tests.simulation.environment import event_of
 from tests.simulation.model import (
     NEVER_EXHAUSTED,

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import msgspec
 
-from broker import effects as do
-from rtc.messages import CommandEnded, WorkerKind
-from rtc.outcomes import OutcomeKind
+from broker.decisions import effects as do
+from rtc.protocol.messages import CommandEnded, WorkerKind
+from rtc.protocol.outcomes import OutcomeKind
 from tests.simulation.model import Model
 
 

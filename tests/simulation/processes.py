@@ -1,7 +1,7 @@
 """The processes round a simulated broker: workers, the MCM, clients, those who halt, the supervisor.
 
 Each follows the rules of the real one in the file named at its head. What is real is used as it is: the MCM's
-`Subsystem` with its executors, the world database's `Server` and `Store`, every message through `rtc.wire`.
+`Subsystem` with its executors, the world database's `Server` and `Store`, every message through `rtc.protocol.wire`.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from rtc import messages as m
-from rtc import wire
-from rtc.outcomes import Refusal, RefusalReason
-from rtc.primitive import ControlLaw
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.primitive import ControlLaw
 from rtc.world.client import LIMIT_S
-from sim_mcm.arm import HandCommand, Motion, Sample, Traits
-from sim_mcm.subsystem import BROKER, REPEAT_S, Subsystem
+from sim_mcm.arms.arm import HandCommand, Motion, Sample, Traits
+from sim_mcm.control.subsystem import BROKER, REPEAT_S, Subsystem
 from tests.simulation import skills
 from tests.simulation.network import Dealer, Frames
 
@@ -34,7 +34,8 @@ read_supervisor = wire.reader(m.BrokerToSupervisor)
 
 
 class Worker:
-    """workers/shell.py: jobs in order, an empty batch begins anew, what was dropped is answered unless begun."""
+    """workers/runtime/worker_loop.py: jobs in order, an empty batch begins anew, what was dropped is answered unless
+    begun."""
 
     HEARTBEAT_S = 0.5
     HELLO_AGAIN_S = 0.3
@@ -265,7 +266,8 @@ class Mcm:
 
 
 class Client:
-    """rtc/front_door.py: hello, say open requests again to a new broker and after a silence, until the last answer."""
+    """rtc/client/connection.py: hello, say open requests again to a new broker and after a silence, until the last
+    answer."""
 
     SILENCE_S = 2.0
 
@@ -332,7 +334,8 @@ class Client:
 
 
 class Caller:
-    """rtc/halting.py: the same order to the broker and to the MCM; a door that is closed is tried again; never kept.
+    """rtc/client/halt.py: the same order to the broker and to the MCM; a door that is closed is tried again; never
+    kept.
     Or an emergency switch, which knows the MCM's door alone."""
 
     LIMIT_S = 2.0

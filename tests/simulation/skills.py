@@ -11,9 +11,9 @@ from __future__ import annotations
 from functools import cache
 from itertools import pairwise
 
-from rtc import wire
 from rtc.language.record import ParsedCommand
-from rtc.messages import (
+from rtc.protocol import wire
+from rtc.protocol.messages import (
     AnalyzerInput,
     Assessment,
     BinderInput,
@@ -28,8 +28,16 @@ from rtc.messages import (
     Validity,
     WorldChange,
 )
-from rtc.outcomes import Refusal, RefusalReason, StopReason
-from rtc.primitive import GoalReached, HoldStill, JointTrajectory, Primitive, StopFunction, TimeAbove, Trajectory
+from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from rtc.protocol.primitive import (
+    GoalReached,
+    HoldStill,
+    JointTrajectory,
+    Primitive,
+    StopFunction,
+    TimeAbove,
+    Trajectory,
+)
 
 ARMS = {"LEFT": "LEFT-ARM", "RIGHT": "RIGHT-ARM"}
 STEPS = ("swing", "hold", "let", "late", "late-mended", "late-skipped")

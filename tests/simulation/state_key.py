@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 from typing import Any
 
-from broker import events as heard
-from broker.state import NIL, Command
-from broker.untold import LIMIT_S
+from broker.decisions import events as heard
+from broker.decisions.deferred_analysis import LIMIT_S
+from broker.decisions.state import NIL, Command
 from tests.simulation.model import Model, at_work, encode, untold_at_work
 
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 
-from broker import decision_unit, ending, router
-from broker.events import BrokerRestarted, Stimulus
-from broker.transitions import TABLE
-from rtc import messages as m
-from rtc import wire
-from rtc.messages import Phase
-from rtc.outcomes import StopReason
-from sim_mcm.reports import not_begun
-from sim_mcm.subsystem import BROKER, Subsystem
+from broker.decisions import decide, termination
+from broker.decisions.events import BrokerRestarted, Stimulus
+from broker.decisions.transitions import TABLE
+from broker.router import loop
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.messages import Phase
+from rtc.protocol.outcomes import StopReason
+from sim_mcm.control.reports import not_begun
+from sim_mcm.control.subsystem import BROKER, Subsystem
 from tests.simulation.__main__ import Result, run
 from tests.simulation.cluster import Cluster
 
@@ -96,7 +97,7 @@ def test_an_mcm_that_forgets_what_it_has_done_is_found(monkeypatch):
 
 
 def test_a_restart_that_gives_nothing_out_again_is_found(monkeypatch):
-    monkeypatch.setitem(decision_unit.HANDLERS, BrokerRestarted, lambda turn, event: None)
+    monkeypatch.setitem(decide.HANDLERS, BrokerRestarted, lambda turn, event: None)
     assert first_problem().problem
 
 
@@ -105,29 +106,29 @@ def test_a_broker_that_acts_before_it_remembers_is_found(monkeypatch):
 
     def hasty(self, now):
         events, self._events = self._events, []
-        effects = [effect for event in events for effect in decision_unit.decide(self.state, event)]
+        effects = [effect for event in events for effect in decide.decide(self.state, event)]
         for effect in effects:
-            router._PERFORM[type(effect)](self, effect)
+            loop._PERFORM[type(effect)](self, effect)
         self.journal.append(events, [e.record for e in effects if type(e).__name__ == "ReportEnd"])
         self._give_out(now)
 
-    monkeypatch.setattr(router.Router, "_settle", hasty)
+    monkeypatch.setattr(loop.Router, "_settle", hasty)
     assert first_problem().problem
 
 
 def test_a_broker_that_does_not_listen_to_halts_of_its_mcm_is_found(monkeypatch):
-    read, listen = router._DOORS["subsystems"]
+    read, listen = loop._DOORS["subsystems"]
 
     def deaf(self, peer, message, now):
         if not isinstance(message, m.HaltOrder):
             listen(self, peer, message, now)
 
-    monkeypatch.setitem(router._DOORS, "subsystems", (read, deaf))
+    monkeypatch.setitem(loop._DOORS, "subsystems", (read, deaf))
     assert first_problem().problem
 
 
 def test_a_client_that_is_cut_off_by_a_twin_is_found(monkeypatch):
-    monkeypatch.setattr(router, "NO_HANDOVER", ())
+    monkeypatch.setattr(loop, "NO_HANDOVER", ())
     assert "not over after" in first_problem().problem
 
 
@@ -150,5 +151,5 @@ def test_an_mcm_that_tells_from_memory_that_it_rests_is_found(monkeypatch):
 
 def test_a_broker_that_forgets_what_happened_while_the_world_was_away_is_found(monkeypatch):
     cell = (Phase.ANALYZING, Stimulus.UNAVAILABLE)
-    monkeypatch.setitem(TABLE, cell, TABLE[cell]._replace(action=ending.refuse))
+    monkeypatch.setitem(TABLE, cell, TABLE[cell]._replace(action=termination.refuse))
     assert "and the world trusts" in first_problem().problem

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from broker import router
+from broker.router import loop
 from rtc.world import server
 from tests.simulation import losses
 from tests.simulation.losses import LossyCluster
@@ -44,7 +44,7 @@ def test_a_broker_that_does_not_notice_its_loss_is_found(monkeypatch):
 
 def test_a_broker_that_takes_any_mcm_is_found(monkeypatch):
     monkeypatch.setattr(
-        router.Router, "_subsystem_name", lambda self, peer, message: peer.decode().removesuffix("@token")
+        loop.Router, "_subsystem_name", lambda self, peer, message: peer.decode().removesuffix("@token")
     )
     assert first_problem()
 

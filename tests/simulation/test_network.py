@@ -9,8 +9,8 @@ from random import Random
 import pytest
 import zmq
 
-from rtc.process import inbox, open_socket, send
-from rtc.wire import PROTOCOL
+from rtc.protocol.wire import PROTOCOL
+from rtc.runtime.process import inbox, open_socket, send
 from tests.simulation.network import Clock, Dealer, Router
 
 Heard = list[tuple[bytes, ...]]

@@ -14,10 +14,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc import geometry, program
-from rtc.cell import Cell
+from rtc.cells.cell import Cell
 from rtc.language.record import ParsedCommand
-from rtc.messages import (
+from rtc.programs import loader
+from rtc.protocol.messages import (
     AnalyzerInput,
     Assessment,
     BinderInput,
@@ -30,17 +30,21 @@ from rtc.messages import (
     Validity,
     WorldChange,
 )
-from rtc.outcomes import Refusal, StopReason
-from rtc.primitive import ForceAbove, HandMotion, HoldStill, JointTrajectory, Primitive
+from rtc.protocol.outcomes import Refusal, StopReason
+from rtc.protocol.primitive import ForceAbove, HandMotion, HoldStill, JointTrajectory, Primitive
+from rtc.robot import geometry
 from rtc.world.model import World, initial_facts
-from sim_mcm.executor import Executor
-from sim_mcm.kinematic_arm import KinematicCell
-from workers import analyzer, binder, elaborator, parser
-from workers.cell_model import CellModel
+from sim_mcm.arms.kinematic_arm import KinematicCell
+from sim_mcm.control.executor import Executor
+from workers.analyzer import analyze as analyzer
+from workers.binder import bind as binder
+from workers.elaborator import elaborate as elaborator
+from workers.parser import parse as parser
+from workers.planning.robot_models import CellModel
 
 CELL = Cell.load("swapout")
 MODEL = CellModel(CELL)
-GRAMMAR = program.default("parser").decode()
+GRAMMAR = loader.default("parser").decode()
 NOMINAL = 0
 MOST_TRIMS = 6
 
@@ -171,7 +175,7 @@ class Physical(Kinematic):
     """The same in physics."""
 
     def __init__(self) -> None:
-        from sim_mcm.bullet_arm import BulletCell  # takes a second; only slow tests want it
+        from sim_mcm.arms.bullet_arm import BulletCell
 
         self.sim = BulletCell(CELL)  # type: ignore[assignment]
         self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
@@ -210,7 +214,7 @@ class Bench:
         # As if somebody had surveyed the cell: a grasp is that of Figure 4 then. See `unsurveyed`.
         surveyed = [msgspec.structs.replace(change, spread=None) for change in initial_facts(CELL)]
         self.world = World().overlay(surveyed)
-        self.programs = {kind: program.default(kind) for kind in ("elaborator", "binder", "analyzer")}
+        self.programs = {kind: loader.default(kind) for kind in ("elaborator", "binder", "analyzer")}
         self.commands = 0
 
     def unsurveyed(self) -> None:
@@ -218,7 +222,7 @@ class Bench:
         self.world = World().overlay(initial_facts(CELL))
 
     def load(self, kind: str, text: str, name: str = "test.yaml") -> None:
-        self.programs[kind] = program.merge(kind, self.programs[kind], name, text.encode())
+        self.programs[kind] = loader.merge(kind, self.programs[kind], name, text.encode())
 
     def told(self, key: str, value: Any, validity: Validity = Validity.VALID) -> None:
         self.world = self.world.overlay([WorldChange(key=key, value=value, validity=validity)])

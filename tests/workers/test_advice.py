@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rtc import geometry
-from rtc.messages import EndReport
-from rtc.outcomes import StopReason
+from rtc.protocol.messages import EndReport
+from rtc.protocol.outcomes import StopReason
+from rtc.robot import geometry
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 LIFT = "LIFT MACS-NEW BY 15 CM"

@@ -7,9 +7,9 @@ from itertools import pairwise
 import msgspec
 import pytest
 
-from rtc import geometry
-from rtc.messages import Assessment, BoundStep, EndReport, Validity, WorldChange
-from rtc.outcomes import Reflex, RefusalReason, StopReason
+from rtc.protocol.messages import Assessment, BoundStep, EndReport, Validity, WorldChange
+from rtc.protocol.outcomes import Reflex, RefusalReason, StopReason
+from rtc.robot import geometry
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A GUARDED"
 

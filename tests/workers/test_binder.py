@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc import geometry, program
-from rtc.cell import Cell
-from rtc.messages import Binding, BoundStep, Script, Step, Validity, WorldChange
-from rtc.outcomes import ProgramError, Reflex, Refusal, RefusalReason, StopReason
-from rtc.primitive import (
+from rtc.cells.cell import Cell
+from rtc.programs import loader
+from rtc.protocol.messages import Binding, BoundStep, Script, Step, Validity, WorldChange
+from rtc.protocol.outcomes import ProgramError, Reflex, Refusal, RefusalReason, StopReason
+from rtc.protocol.primitive import (
     BodyTouch,
     ForceAbove,
     GoalReached,
@@ -24,8 +24,9 @@ from rtc.primitive import (
     JointTrajectory,
     TimeAbove,
 )
+from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
-from workers.motion import plan
+from workers.planning.motion import plan
 
 
 def bound_to(bench, sentence: str, to: str) -> tuple[Script, BoundStep]:
@@ -438,7 +439,7 @@ def test_a_program_that_names_unknown_predicates_is_not_loaded():
 {reason: slip, when: moon-full}]}}"
 
     with pytest.raises(ProgramError, match="moon-full"):
-        program.merge("binder", program.default("binder"), "odd.yaml", text.encode())
+        loader.merge("binder", loader.default("binder"), "odd.yaml", text.encode())
 
 
 def test_the_same_input_gives_the_same_primitive(bench):

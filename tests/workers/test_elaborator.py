@@ -8,14 +8,15 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from rtc import geometry, program
-from rtc.messages import ElaboratorInput, Script, Validity
-from rtc.outcomes import ProgramError, Refusal, RefusalReason, StopReason
-from rtc.program import decode
-from rtc.program_schema import ElaboratorProgram
-from workers import elaborator
+from rtc.programs import loader
+from rtc.programs.loader import decode
+from rtc.programs.schema import ElaboratorProgram
+from rtc.protocol.messages import ElaboratorInput, Script, Validity
+from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, StopReason
+from rtc.robot import geometry
+from workers.elaborator import elaborate
 
-WORKERS = Path(elaborator.__file__).parent
+WORKERS = Path(elaborate.__file__).parent
 
 
 def script_of(bench, sentence: str) -> Script:
@@ -34,7 +35,7 @@ def refusal_of(bench, sentence: str) -> Refusal:
 
 
 def test_fig4_has_the_nine_lines_and_two_trims_of_the_paper_and_one_to_back_off():
-    document = decode(program.default("elaborator"), ElaboratorProgram)
+    document = decode(loader.default("elaborator"), ElaboratorProgram)
     grasp = next(s for s in document.scripts if s.script == "grasp-centering")
 
     lines = [(s.do, s.op or s.name or s.to, s.stop, s.space, s.trim) for s in grasp.steps]
@@ -492,12 +493,12 @@ def test_a_bad_script_names_its_place():
     text = WAVE.replace("do: move, to: HERE", "do: move, too: HERE", 1)
 
     with pytest.raises(ProgramError, match=r"wave.yaml, line 7: .*too.*\$\.scripts\[\d+\]\.steps\[0\].*wave"):
-        program.merge("elaborator", program.default("elaborator"), "wave.yaml", text.encode())
+        loader.merge("elaborator", loader.default("elaborator"), "wave.yaml", text.encode())
 
 
 def test_no_worker_names_a_skill():
     """R108: verbs stand in data alone."""
-    tree = decode(program.default("elaborator"), ElaboratorProgram).decision_tree
+    tree = decode(loader.default("elaborator"), ElaboratorProgram).decision_tree
     verbs = {branch.verb for branch in tree} | {"INSERT", "EXTRACT", "LOOSEN", "TIGHTEN", "CARRY", "HANDOFF", "LOCATE"}
     for path in [*WORKERS.glob("*.py"), *(WORKERS / "motion").glob("*.py")]:
         strings = re.findall(r'"[^"\n]*"', re.sub(r'"""(?s:.*?)"""', "", path.read_text()))
@@ -507,9 +508,9 @@ def test_no_worker_names_a_skill():
 
 def test_the_same_input_gives_the_same_script(bench, parse):
     data = ElaboratorInput(command="C-1", parsed=parse("GRASP MACS-NEW"))
-    compiled = elaborator.compile(program.default("elaborator"))
+    compiled = elaborate.compile(loader.default("elaborator"))
 
-    first, second = (elaborator.run(compiled, bench.model, bench.world, data) for _ in range(2))
+    first, second = (elaborate.run(compiled, bench.model, bench.world, data) for _ in range(2))
 
     assert msgspec.json.encode(first) == msgspec.json.encode(second)
 

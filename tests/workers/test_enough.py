@@ -5,8 +5,8 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from rtc.messages import WorldChange
-from rtc.outcomes import Refusal, RefusalReason, StopReason
+from rtc.protocol.messages import WorldChange
+from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.world.spread import even
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"

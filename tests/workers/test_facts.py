@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from rtc import geometry
-from rtc.outcomes import Refusal, RefusalReason
-from workers.belief import WorldQuery
-from workers.facts import changes_from, seat_at
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
+from workers.analyzer.reported_facts import changes_from, seat_at
+from workers.planning.world_query import WorldQuery
 
 VALUES = {"reach_m": 5.0, "seated_m": 0.05, "seated_rad": 0.2, "in_hand_m": 0.06, "told_m": 0.005, "told_rad": 0.035}
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]

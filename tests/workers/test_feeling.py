@@ -7,9 +7,9 @@ import math
 import msgspec
 import pytest
 
-from rtc import geometry
-from rtc.messages import EndReport
-from rtc.outcomes import StopReason
+from rtc.protocol.messages import EndReport
+from rtc.protocol.outcomes import StopReason
+from rtc.robot import geometry
 from rtc.world.spread import even
 
 from .conftest import Bench, Kinematic

@@ -9,8 +9,8 @@ import pytest
 
 LOOK = """
 import sys
-from workers import imports
-imports.load("motion.timing")
+from workers.runtime import lazy_import
+lazy_import.load("workers.planning.motion.timing")
 assert "toppra" in sys.modules
 print(sorted(name for name in sys.modules if name.startswith(("matplotlib", "mpl_toolkits"))))
 import toppra, matplotlib.pyplot

@@ -8,9 +8,9 @@ import random
 import numpy as np
 import pytest
 
-from rtc import geometry
+from rtc.robot import geometry
 from rtc.world.spread import even
-from workers.known import aged_spread, spread_after_measurement, spread_at
+from workers.planning.pose_spread import aged_spread, spread_after_measurement, spread_at
 
 VALUES = {
     "creep_m_s": 0.0025 / 60,

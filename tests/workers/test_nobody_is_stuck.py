@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rtc.messages import Validity
-from rtc.outcomes import RefusalReason, StopReason
+from rtc.protocol.messages import Validity
+from rtc.protocol.outcomes import RefusalReason, StopReason
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 SAME_PLACE = "SET MACS-NEW FRAME 80 -80 60 CM"

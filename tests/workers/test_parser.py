@@ -4,8 +4,8 @@ from importlib import resources
 
 from rtc.language.parse import default_grammar, parse
 from rtc.language.record import ParsedCommand
-from rtc.outcomes import Refusal, RefusalReason
-from workers.parser import parse_job
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from workers.parser.parse import parse_job
 
 PROGRAM = resources.files("rtc.language").joinpath("command.lark").read_text()
 SENTENCES = ["GRASP MACS-OLD GUARDED", "GRAPS MACS-OLD", "", "LIFT X BY 5 SEC"]

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from rtc import geometry
-from rtc.outcomes import StopReason
+from rtc.protocol.outcomes import StopReason
+from rtc.robot import geometry
 
 pytestmark = pytest.mark.slow
 

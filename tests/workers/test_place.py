@@ -5,10 +5,10 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from rtc import geometry
-from rtc.messages import Validity
-from rtc.outcomes import Refusal, StopReason
-from workers.cell_model import CellModel
+from rtc.protocol.messages import Validity
+from rtc.protocol.outcomes import Refusal, StopReason
+from rtc.robot import geometry
+from workers.planning.robot_models import CellModel
 
 from .conftest import CELL
 

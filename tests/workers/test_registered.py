@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import pytest
 
-from rtc import registered
-from rtc.messages import AnalyzerInput
-from rtc.outcomes import StopReason
-from workers import analyzer, axes, binder, effects, legs, needs, situation, starting_points, stopping
+from rtc.programs import extension_names
+from rtc.protocol.messages import AnalyzerInput
+from rtc.protocol.outcomes import StopReason
+from workers.analyzer import analyze, world_changes
+from workers.binder import bind, stop_conditions
+from workers.elaborator import anchors, preconditions, task_candidate
+from workers.planning import axes, segments
 
 
 @pytest.mark.parametrize(
     ("told", "there"),
     [
-        (registered.NEEDS, needs.NEEDS),
-        (registered.STARTS, starting_points.ANCHORS),
-        (registered.AXES, axes.AXES),
-        (registered.SPACES, legs.SPACES),
-        (registered.ACTIONS, binder.ACTIONS),
-        (registered.PROCEDURES, binder.PROCEDURES),
-        (registered.PREDICATES, stopping.MAKERS),
-        (registered.EFFECTS, effects.EFFECTS),
-        (registered.KEPT, analyzer.SOURCES),
+        (extension_names.NEEDS, preconditions.NEEDS),
+        (extension_names.STARTS, anchors.ANCHORS),
+        (extension_names.AXES, axes.AXES),
+        (extension_names.SPACES, segments.SPACES),
+        (extension_names.ACTIONS, bind.ACTIONS),
+        (extension_names.PROCEDURES, bind.PROCEDURES),
+        (extension_names.PREDICATES, stop_conditions.MAKERS),
+        (extension_names.EFFECTS, world_changes.EFFECTS),
+        (extension_names.KEPT, analyze.SOURCES),
     ],
 )
 def test_every_name_that_is_told_has_its_code(told, there):
@@ -29,13 +32,13 @@ def test_every_name_that_is_told_has_its_code(told, there):
 
 
 def test_what_a_sentence_can_say_is_a_figure():
-    for suffix in situation.SUFFIX.values():
-        assert {f"amount{suffix}", f"by{suffix}"} <= {*registered.FIGURES}
+    for suffix in task_candidate.SUFFIX.values():
+        assert {f"amount{suffix}", f"by{suffix}"} <= {*extension_names.FIGURES}
 
 
 def test_every_placeholder_of_a_label_is_filled_in(bench):
     told = {"attribute", "value"}  # of SET alone
-    label = " ".join(f"{{{name}}}" for name in registered.PLACEHOLDERS if name not in told)
+    label = " ".join(f"{{{name}}}" for name in extension_names.PLACEHOLDERS if name not in told)
     step = f"{{do: hold, stop: hold, label: '{label}', args: {{duration_s: 1}}}}"
     bench.load("elaborator", f"script: stow\ncase: 1\nuses: [hand]\nsteps: [{step}]")
 
@@ -43,10 +46,10 @@ def test_every_placeholder_of_a_label_is_filled_in(bench):
 
 
 def test_every_placeholder_of_a_failure_is_filled_in(bench):
-    words = " ".join(f"{{{name}}}" for name in registered.FAILURE_PLACEHOLDERS)
+    words = " ".join(f"{{{name}}}" for name in extension_names.FAILURE_PLACEHOLDERS)
     script = bench.elaborate("STOW LEFT-ARM")
     bound = bench.bind(script, script.steps[0])
     report = bench.subsystem.perform(bound.primitive, bound)
     data = AnalyzerInput(evaluation=bound.evaluation, report=report)
 
-    assert "{" not in analyzer._words(words, data, StopReason.TIMEOUT)
+    assert "{" not in analyze._words(words, data, StopReason.TIMEOUT)

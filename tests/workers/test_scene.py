@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rtc.messages import Limits
-from workers.belief import WorldQuery
+from rtc.protocol.messages import Limits
+from workers.planning.world_query import WorldQuery
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 KEPT = Limits(clearance_m=0.02)

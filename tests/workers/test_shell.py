@@ -9,8 +9,8 @@ import msgspec
 import pytest
 import zmq
 
-from rtc import wire
-from rtc.messages import (
+from rtc.protocol import wire
+from rtc.protocol.messages import (
     Assessment,
     Drop,
     Heartbeat,
@@ -29,15 +29,15 @@ from rtc.messages import (
     WorkerToBroker,
     WorldChange,
 )
-from rtc.outcomes import ProgramError, Refusal, RefusalReason, StopReason
-from rtc.process import Process, send
+from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, StopReason
+from rtc.runtime.process import Process, send
 from rtc.world.__main__ import serve
 from rtc.world.client import WorldClient
 from rtc.world.lease import sign
 from rtc.world.server import Server
 from rtc.world.store import Store
-from workers import shell as shells
-from workers.shell import Shell
+from workers.runtime import worker_loop as shells
+from workers.runtime.worker_loop import Shell
 
 KEY = b"k" * 32
 HELLO = WorkerHello(name="parser@0", node=0, kind=WorkerKind.PARSER, pid=1)
@@ -158,7 +158,7 @@ def world(tmp_path):
 def at(tmp_path, world, monkeypatch):
     """A shell at work in a thread, its broker, and its function; hello has been said. It hears the broker before every
     job: tests do not wait."""
-    monkeypatch.setattr("workers.shell.LISTEN_S", 0.0)
+    monkeypatch.setattr("workers.runtime.worker_loop.LISTEN_S", 0.0)
     process, mine = Process("parser@0", tmp_path), Process("broker", tmp_path)
     broker = Broker(mine, tmp_path)
     socket = process.socket(zmq.DEALER, f"ipc://{tmp_path}/workers.sock", identity="parser@0")

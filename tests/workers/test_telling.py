@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from rtc import geometry
-from rtc.messages import BoundStep, Script, Validity
-from rtc.outcomes import Refusal, RefusalReason
+from rtc.protocol.messages import BoundStep, Script, Validity
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 

@@ -8,13 +8,14 @@ import sys
 import pytest
 import zmq
 
-from broker.journal import Journal
-from broker.program_store import ProgramStore
-from broker.state import State
-from rtc import program, wire
-from rtc.cell import Cell
-from rtc.digest import digest
-from rtc.messages import (
+from broker.decisions.state import State
+from broker.persistence.journal import Journal
+from broker.persistence.program_store import ProgramStore
+from rtc.cells.cell import Cell
+from rtc.programs import loader
+from rtc.programs.digest import digest
+from rtc.protocol import wire
+from rtc.protocol.messages import (
     Job,
     JobBatch,
     JobDone,
@@ -25,16 +26,16 @@ from rtc.messages import (
     WorkerKind,
     WorkerToBroker,
 )
-from rtc.process import Process, inbox, send
-from rtc.settings import Settings
-from workers.warm import preload
+from rtc.runtime.process import Process, inbox, send
+from rtc.runtime.settings import Settings
+from workers.runtime.preload import preload
 
 
 def test_digests_are_the_brokers(tmp_path):
     made = preload(WorkerKind, "swapout")
     store = ProgramStore(Journal.open(tmp_path / "journal.db", "run", State()))
     for kind in WorkerKind:
-        assert list(made.programs[kind]) == [store.keep(program.default(kind))]
+        assert list(made.programs[kind]) == [store.keep(loader.default(kind))]
     assert list(made.cells) == [store.keep(Cell.load("swapout").encode())]
     (model,) = made.cells.values()
     assert sorted(model.arms) == ["LEFT-ARM", "RIGHT-ARM"]
@@ -56,7 +57,7 @@ def test_the_first_job_of_a_worker_that_has_started_by_itself_waits_for_nothing(
     job = Job(
         id="C-1/1",
         attempt=1,
-        program=digest(program.default(WorkerKind.PARSER)),
+        program=digest(loader.default(WorkerKind.PARSER)),
         input=wire.raw(ParserInput(text="STOW LEFT-ARM")),
     )
     heard = []

@@ -7,10 +7,10 @@ import threading
 import pytest
 import zmq
 
-from rtc import wire
-from rtc.messages import Committed, Heartbeat, WorldChange
-from rtc.outcomes import ClusterError, Refusal
-from rtc.process import Process
+from rtc.protocol import wire
+from rtc.protocol.messages import Committed, Heartbeat, WorldChange
+from rtc.protocol.outcomes import ClusterError, Refusal
+from rtc.runtime.process import Process
 from rtc.world.__main__ import serve
 from rtc.world.client import WorldClient
 from rtc.world.lease import sign

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from rtc.messages import Fact, Validity, View, WorldChange
+from rtc.protocol.messages import Fact, Validity, View, WorldChange
 from rtc.world.model import World, location, problem, selected
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rtc import wire
-from rtc.handed import Handed
-from rtc.messages import (
+from rtc.protocol import wire
+from rtc.protocol.messages import (
     Commit,
     Committed,
     Doubt,
@@ -17,8 +16,9 @@ from rtc.messages import (
     WorldHistory,
     WorldRefused,
 )
-from rtc.outcomes import RefusalReason
-from rtc.settings import Settings
+from rtc.protocol.outcomes import RefusalReason
+from rtc.runtime.handover import Handed
+from rtc.runtime.settings import Settings
 from rtc.world.__main__ import BORN, _begin
 from rtc.world.lease import sign
 from rtc.world.server import Packer, Server

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from rtc.cell import Cell
-from rtc.messages import Fact, Validity, WorldChange
+from rtc.cells.cell import Cell
+from rtc.protocol.messages import Fact, Validity, WorldChange
 from rtc.world.model import changed, initial_facts, problem
 from rtc.world.spread import EXACT, even, exceeded, in_words, narrowest, widened
 

@@ -6,7 +6,7 @@ import sqlite3
 
 import pytest
 
-from rtc.messages import Validity, WorldChange
+from rtc.protocol.messages import Validity, WorldChange
 from rtc.world.store import Store
 
 

@@ -8,15 +8,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc import geometry
-from rtc.messages import Way
+from rtc.protocol.messages import Way
+from rtc.robot import geometry
 from rtc.robot.collision import Scene
-from workers import legs
-from workers.legs import Target
-from workers.motion import handed, plan
-from workers.motion.constraints import Rules
-from workers.motion.plan import PlanningRequest
-from workers.motion.timing import Pace
+from workers.planning import segments
+from workers.planning.motion import handed, plan
+from workers.planning.motion.constraints import Rules
+from workers.planning.motion.plan import PlanningRequest
+from workers.planning.motion.timing import Pace
+from workers.planning.segments import Target
 
 ASIDE = (0.45, -0.885, 0.60)
 
@@ -51,10 +51,10 @@ def untested(monkeypatch):
 @pytest.mark.parametrize("space", ["move_joint", "move_task"])
 def test_the_motion_is_the_same_and_nothing_is_tested_again(asked, goal, space, untested):
     target = Target(joints=goal) if space == "move_joint" else Target(pose=_beside(asked))
-    anew = legs.plan_segment(asked, space, target)
-    way = sent(legs.check_segment(asked, space, target, detours=False, first=True).way(asked, space))
+    anew = segments.plan_segment(asked, space, target)
+    way = sent(segments.check_segment(asked, space, target, detours=False, first=True).way(asked, space))
     untested()
-    handed_on = legs.plan_segment(asked, space, target, way)
+    handed_on = segments.plan_segment(asked, space, target, way)
     for name in ("time_s", "positions", "velocities", "accelerations"):
         assert np.array_equal(getattr(handed_on.timed, name), getattr(anew.timed, name)), name
     assert handed_on.notes == anew.notes
@@ -68,11 +68,11 @@ def test_a_way_with_detours_is_handed_on_too(asked, goal, monkeypatch, untested)
         return plan.Refusal(reason="infeasible", message="blocked") if len(times) <= 1 else fault(request, path)
 
     monkeypatch.setattr(plan, "fault", blocked_at_first)
-    segment = legs.check_segment(asked, "move_joint", Target(joints=goal), detours=True, first=True)
+    segment = segments.check_segment(asked, "move_joint", Target(joints=goal), detours=True, first=True)
     way = segment.way(asked, "move_joint")
     assert len(way.knots) > 2
     untested()
-    handed_on = legs.plan_segment(asked, "move_joint", Target(joints=goal), sent(way))
+    handed_on = segments.plan_segment(asked, "move_joint", Target(joints=goal), sent(way))
     assert "modified" in handed_on.notes[-1]
     assert np.allclose(handed_on.goal_joints, goal)
 
@@ -110,18 +110,20 @@ def test_everything_the_way_depends_on_changes_the_digest(asked, goal):
 
 
 def test_a_way_of_another_request_is_not_used(asked, goal, untested):
-    way = legs.check_segment(asked, "move_joint", Target(joints=goal), detours=False, first=True).way(
+    way = segments.check_segment(asked, "move_joint", Target(joints=goal), detours=False, first=True).way(
         asked, "move_joint"
     )
     untested()
     with pytest.raises(AssertionError, match="planned again"):
-        legs.plan_segment(replace(asked, margin_rad=0.01), "move_joint", Target(joints=goal), way)
+        segments.plan_segment(replace(asked, margin_rad=0.01), "move_joint", Target(joints=goal), way)
 
 
 def test_a_way_to_the_pose_is_not_used_for_joints_of_another_turn(asked):
     pose = _beside(asked)
-    way = legs.check_segment(asked, "move_task", Target(pose=pose), detours=False, first=True).way(asked, "move_task")
+    way = segments.check_segment(asked, "move_task", Target(pose=pose), detours=False, first=True).way(
+        asked, "move_task"
+    )
     turned = asked.arm.ik(pose, asked.start)[0] + [0, 0, 0, 0, 0, 2 * np.pi]
     way = msgspec.structs.replace(way, asked=handed.request_digest(asked, "move_task", asked.arm.fk(turned).tolist()))
-    refusal = legs.plan_segment(asked, "move_task", Target(joints=turned.tolist()), way)
+    refusal = segments.plan_segment(asked, "move_task", Target(joints=turned.tolist()), way)
     assert refusal.detail["cause"] == "branch"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtc import geometry
-from rtc.outcomes import Refusal, RefusalReason
-from workers.motion.ik import choose
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
+from workers.planning.motion.ik import choose
 
 
 def level(x, y, z):

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from rtc import geometry
-from rtc.outcomes import Refusal
-from workers.motion.path import joint_line, task_line, through
+from rtc.protocol.outcomes import Refusal
+from rtc.robot import geometry
+from workers.planning.motion.path import joint_line, task_line, through
 
 
 def level(x, y, z):

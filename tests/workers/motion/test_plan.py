@@ -10,14 +10,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc import geometry
-from rtc.cell import Box, Frame, Object
-from rtc.outcomes import Refusal
+from rtc.cells.cell import Box, Frame, Object
+from rtc.protocol.outcomes import Refusal
+from rtc.robot import geometry
 from rtc.robot.collision import CollisionWorld, Held, Scene
-from workers.motion.constraints import Rules
-from workers.motion.ik import choose
-from workers.motion.plan import CLEARANCE_M, PlanningRequest, free_posture, plan_joint_motion, plan_task_motion
-from workers.motion.timing import Pace
+from workers.planning.motion.constraints import Rules
+from workers.planning.motion.ik import choose
+from workers.planning.motion.plan import CLEARANCE_M, PlanningRequest, free_posture, plan_joint_motion, plan_task_motion
+from workers.planning.motion.timing import Pace
 
 FRONT, HANDLE = (0.45, -0.885, 0.60), (0.65, -0.885, 0.60)
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from workers.motion.rest_to_rest import rest_to_rest
+from workers.planning.motion.rest_to_rest import rest_to_rest
 
 
 def assert_keeps(length, speed, acceleration, jerk):

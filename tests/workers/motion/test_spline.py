@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from toppra import SplineInterpolator
 
-from workers.motion.spline import Spline
+from workers.planning.motion.spline import Spline
 
 
 @pytest.mark.parametrize("count", [4, 5, 9, 30])

@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtc import geometry
-from rtc.primitive import JointTrajectory
+from rtc.protocol.primitive import JointTrajectory
+from rtc.robot import geometry
 from rtc.robot import quintic as quintic_pieces
-from workers.motion.path import joint_line, task_line, through
-from workers.motion.timing import KNOT_S, Pace, time_path
+from workers.planning.motion.path import joint_line, task_line, through
+from workers.planning.motion.timing import KNOT_S, Pace, time_path
 
 TOLERANCE = 1.02  # of every limit, between knots
 

@@ -1,0 +1,168 @@
+"""The context of one call of `decide`: state, time, effects so far, and the stimuli that follow.
+
+It also has the operations that every action needs, such as creating a job or writing a note. It makes no decisions.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from broker.decisions.effects import DispatchJob, Effect, PublishNote, StartTimer, StopTimer
+from broker.decisions.events import Stimulus
+from broker.decisions.resources import WORLD, Quarantine
+from broker.decisions.state import NOMINAL, NOTES_KEPT, Command, PendingJob, State, StepHead, StepRef
+from rtc.protocol import wire
+from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
+from rtc.protocol.outcomes import Measured
+
+read_step = wire.decoder(StepHead)
+
+
+class DecisionContext(msgspec.Struct, gc=False):
+    """State and time of one decision, with the effects collected so far."""
+
+    state: State
+    now: float
+    effects: list[Effect] = []
+    followups: list[tuple[str, Stimulus, Any]] = []  # (command, stimulus, payload)
+    node: str = ""  # worker or subsystem that caused the event
+    took_s: float = 0.0  # duration of its work
+
+    def follow(self, command: str, stimulus: Stimulus, payload: Any = None) -> None:
+        """Stimulate another command after this action."""
+        self.followups.append((command, stimulus, payload))
+
+    def is_next(self, command: Command) -> bool:
+        """True if all earlier commands of its client have been taken up."""
+        return next(iter(self.state.intake_order[command.client])) == command.id
+
+    def leave_intake(self, command: Command) -> None:
+        """Remove a command that was taken up or has ended. Its client's next command is taken up if it is parsed."""
+        line = self.state.intake_order[command.client]
+        was_next = self.is_next(command)
+        del line[command.id]
+        if not line:
+            del self.state.intake_order[command.client]
+        elif was_next and line[following := next(iter(line))]:
+            self.follow(following, Stimulus.RELEASE)
+
+    def grant(self, commands: list[str]) -> None:
+        for command in commands:
+            self.followups.append((command, Stimulus.GRANT, None))
+
+    def confirm_rest(self, subsystem: str, performers: list[str] | None = None, moved: str = "") -> None:
+        """Record confirmed rest and lift the quarantines that waited for it.
+
+        `performers`: the performers at rest, None = all of the subsystem. `moved`: a primitive, or a command for all
+        its primitives, that is known to be at rest as well."""
+        found = self.state.subsystems.get(subsystem)
+        if found and performers is not None and set(performers) >= set(found.performers):
+            performers = None
+        for live in self.state.commands.values():
+            if live.subsystem == subsystem and live.phase is Phase.CLOSING:
+                live.at_rest |= (
+                    performers is None or set(performers) >= set(live.performers) or moved in (live.id, live.primitive)
+                )
+        opened = self.state.resources.confirm_rest(subsystem, performers, moved)
+        self.quarantine_deferred()
+        self.grant(opened)
+
+    def quarantine_deferred(self) -> None:
+        """Keep the names of deferred analyses quarantined, at rest or not (`broker.decisions.deferred_analysis`)."""
+        for command, left in self.state.deferred_analyses.items():
+            for name in left.names:
+                self.state.resources.quarantine.setdefault(name, Quarantine(WORLD, command))
+
+    def count(self, what: str) -> None:
+        self.state.counts[what] = self.state.counts.get(what, 0) + 1
+
+    def enter(self, command: Command, phase: Phase, note: str = "", **more: Any) -> None:
+        """Change the phase and write a note. `more`: expected_s, measured."""
+        command.phase = phase
+        self.note(command, note, **more)
+
+    def note(
+        self,
+        command: Command,
+        text: str = "",
+        *,
+        expected_s: float = 0.0,
+        measured: Measured | None = None,
+        warning: bool = False,
+    ) -> None:
+        state = self.state
+        state.seq += 1
+        note = ProgressNote(
+            seq=state.seq,
+            at_s=self.now,
+            command=command.id,
+            phase=command.phase,
+            step=command.step_words,
+            node=self.node,
+            took_s=self.took_s,
+            note=text,
+            expected_s=expected_s,
+            measured=measured,
+            warning=warning,
+        )
+        command.notes.append(note)
+        if len(command.notes) > NOTES_KEPT:
+            del command.notes[NOTES_KEPT // 2]
+        if command.progress or state.has_subscribers:
+            self.effects.append(PublishNote(client=command.client if command.progress else "", note=note))
+
+    def create_job(self, command: Command, kind: WorkerKind, data: Any, locations: list[str] | None = None) -> None:
+        """Create the next job of this command and dispatch it."""
+        command.jobs += 1
+        command.job = PendingJob(
+            id=f"{command.id}/{command.jobs}",
+            attempt=1,
+            kind=kind,
+            program=self.state.programs.get(kind, ""),
+            input=wire.raw(data),
+            locations=locations,
+            since_s=self.now,
+        )
+        self.dispatch(command.job)
+
+    def dispatch(self, job: PendingJob) -> None:
+        self.effects.append(
+            DispatchJob(
+                job=job.id,
+                attempt=job.attempt,
+                kind=job.kind,
+                program=job.program,
+                cell=self.state.programs.get("cell", ""),
+                input=job.input,
+                locations=job.locations,
+            )
+        )
+
+    def start_timer(self, command: Command, limit_s: float) -> None:
+        command.due_s = self.now + limit_s
+        self.effects.append(StartTimer(timer=command.id, at_s=command.due_s))
+
+    def stop_timer(self, command: Command) -> None:
+        command.due_s = 0.0
+        self.effects.append(StopTimer(timer=command.id))
+
+
+def step_body(command: Command, step: StepRef) -> msgspec.Raw:
+    """The encoded step, as the elaborator made it."""
+    trim, index = step
+    assert command.script is not None
+    if trim == NOMINAL:
+        return command.script.steps[index]
+    return next(t for t in command.script.trims if t.n == trim).steps[index]
+
+
+def step_in_words(command: Command, step: StepRef) -> str:
+    """Describe a step: "5 of 9: feel one side", or "trim 2, 1 of 1: ..."."""
+    trim, index = step
+    assert command.script is not None
+    if trim == NOMINAL:
+        return f"{index + 1} of {len(command.labels)}: {command.labels[index]}"
+    entry = next(t for t in command.script.trims if t.n == trim)
+    return f"trim {trim}, {index + 1} of {len(entry.steps)}: {read_step(entry.steps[index]).label}"

@@ -1,0 +1,496 @@
+"""The Decision Unit: `decide(state, event) -> effects`, the pure state machine that every command passes through.
+
+Rule 1: it uses no clock, socket, log, random number or setting; the time is a field of the event. The same events give
+the same state and effects, so a restart needs only the journal of events.
+Rule 2: `broker.decisions.transitions` lists the allowed transitions; they are checked after every action.
+Rule 3: `state` is changed in place, by `decide` alone.
+
+A result of a cancelled job, or of an older attempt, is stale: it is counted and has no other effect. The same holds for
+every empty cell of the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from broker.decisions import deferred_analysis, nominal, termination
+from broker.decisions import journal_loss as lost
+from broker.decisions.context import DecisionContext
+from broker.decisions.effects import AcknowledgeReport, DeclineHalt, Effect, SendHalt, TellClient
+from broker.decisions.events import (
+    BrokerRestarted,
+    ClientGone,
+    CommandReceived,
+    Event,
+    HaltCalled,
+    HaltConfirmed,
+    JobDeclined,
+    JobFinished,
+    JobLost,
+    JournalLost,
+    ListenersChanged,
+    PrimitiveEnded,
+    PrimitiveStarted,
+    ProgramInstalled,
+    Stimulus,
+    SubsystemConnected,
+    SubsystemGone,
+    TimerFired,
+)
+from broker.decisions.state import NIL, Command, Link, PendingJob, PendingOutcome, State, Subsystem, Trial, request_key
+from broker.decisions.transitions import TABLE
+from rtc.language.fastpath import halt_scope
+from rtc.protocol.messages import Accepted, Declined, Phase, WorkerKind
+from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
+from rtc.protocol.primitive_id import command_of, number_of
+
+MAX_COMMANDS = 10_000  # maximum number of live commands; more are declined
+LIVE_PER_CLIENT = 2_000  # maximum per client, so that one client cannot use up MAX_COMMANDS
+MAX_TEXT = 4_000  # characters kept of a sentence; the parser refuses shorter ones already and names the place
+MAX_SUBSYSTEMS = 32  # maximum number of subsystems in the state, lost ones included
+HALTS_KEPT = 64  # latest halts stored, to count each once
+PROVEN_KEPT = 16  # proven programs stored per worker kind
+FILES_KEPT = 64  # programs whose file name is stored, for `rtc status`
+CLIENTS_KEPT = 1024  # clients whose latest command is stored, for AFTER LAST
+
+
+class InvalidTransition(AssertionError):
+    """A bug: an action led to a phase that the table does not allow. The message contains the command's trace."""
+
+    def __init__(self, command: Command, before: Phase, stimulus: Stimulus) -> None:
+        trace = "\n".join(f"  {n.at_s:.3f} {n.phase.value} {n.step} {n.note}" for n in command.notes[-20:])
+        super().__init__(
+            f"{command.id}: {stimulus.value} in {before.value} led to {command.phase.value}, "
+            f"which the table does not allow\n{trace}"
+        )
+
+
+def decide(state: State, event: Event) -> list[Effect]:
+    """Handle one event: change `state` and return the effects in the order of execution."""
+    context = DecisionContext(state, event.at_s)
+    HANDLERS[type(event)](context, event)
+    for name, stimulus, payload in context.followups:  # actions append to this list during the loop
+        context.node, context.took_s = "", 0.0
+        command = state.commands.get(name)
+        if command is not None:
+            stimulate(context, command, stimulus, payload)
+    return context.effects
+
+
+def stimulate(context: DecisionContext, command: Command, stimulus: Stimulus, payload: Any = None) -> None:
+    """Run the action of the table for this stimulus, and check the phase it leads to."""
+    before = command.phase
+    cell = TABLE.get((before, stimulus))
+    if cell is None:
+        context.count("stale")
+        return
+    cell.action(context, command, payload)
+    if command.phase not in cell.following:
+        raise InvalidTransition(command, before, stimulus)
+    if before is Phase.PARSING and command.phase is not Phase.PARSING:
+        context.leave_intake(command)
+
+
+# --- clients -----------------------------------------------------------------------------------------
+
+
+def on_command(context: DecisionContext, event: CommandReceived) -> None:
+    state = context.state
+    key = request_key(event.client, event.request)
+    if known := state.requests.get(key):
+        context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=known)))
+        if known in state.ended:
+            context.effects.append(TellClient(client=event.client, message=state.ended[known].message))
+        return
+    if lost.is_lost(state, event) and not halt_scope(event.text):
+        lost.end_lost(context, event)
+        return
+    live = state.live.get(event.client, 0)
+    if live >= LIVE_PER_CLIENT or len(state.commands) >= MAX_COMMANDS:
+        _decline(context, event, live)
+        return
+    command = Command(
+        id=lost.new_number(state, event),
+        client=event.client,
+        request=event.request,
+        text=event.text[:MAX_TEXT],
+        source=event.source,
+        progress=event.progress,
+        halt_if_lost=event.halt_if_lost,
+        accepted_at_s=event.at_s,
+        given_at_s=min(event.sent_at_s or event.at_s, event.at_s),
+        previous=state.last_given.pop(event.client, ""),
+    )
+    state.last_given[event.client] = command.id  # the latest client last
+    if len(state.last_given) > CLIENTS_KEPT:
+        del state.last_given[next(iter(state.last_given))]
+    state.commands[command.id] = command
+    state.live[event.client] = live + 1
+    state.requests[key] = command.id
+    context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
+    if scope := halt_scope(event.text):
+        nominal.halt_by_command(context, command, scope)
+    elif 0 < event.sent_at_s <= state.halted_at_s.get("ALL", 0.0):
+        message = "sent before HALT ALL, so it does not start after it"
+        termination.end(context, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)
+    else:
+        state.intake_order.setdefault(command.client, {})[command.id] = False
+        context.create_job(command, WorkerKind.PARSER, {"text": command.text})
+        context.enter(command, Phase.PARSING)
+
+
+def _decline(context: DecisionContext, event: CommandReceived, live: int) -> None:
+    """Decline a command above the limits. A halt is obeyed nevertheless."""
+    context.count("declined")
+    message = f"{len(context.state.commands)} commands are live, {live} of them yours; the limit is " + (
+        f"{LIVE_PER_CLIENT} of one client" if live >= LIVE_PER_CLIENT else f"{MAX_COMMANDS} in all"
+    )
+    if scope := halt_scope(event.text):
+        nominal.halt(context, f"declined-{context.state.counts['declined']}", scope, context.now)
+        message = f"{scope} is halted, but rest is not confirmed: {message}"
+    refusal = Refusal(reason=RefusalReason.OVERLOAD, message=message, clears="wait until some have ended")
+    context.effects.append(TellClient(client=event.client, message=Declined(request=event.request, refusal=refusal)))
+
+
+def on_halt(context: DecisionContext, event: HaltCalled) -> None:
+    """Stop everything in the scope of a halt. A reused name is obeyed too: two callers may both count from one, and a
+    button may always send the same name."""
+    from_subsystem = event.client in context.state.subsystems
+    _count_halt(context, event)
+    known = nominal.halt(context, event.halt, event.scope, event.called_at_s, call=event.call)
+    # A halt of an ended command is valid: the subsystems confirm rest, so it is not declined.
+    if not known and not from_subsystem and not nominal.has_ended(context, event.scope):
+        message = nominal.no_target(context, event.scope).message
+        context.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
+    if from_subsystem and not any(type(e) is SendHalt and e.subsystem == event.client for e in context.effects):
+        # The subsystem starts nothing in the scope until it receives this acknowledgement.
+        context.effects.append(
+            SendHalt(
+                subsystem=event.client,
+                halt=event.halt,
+                scope=event.scope,
+                called_at_s=event.called_at_s,
+                call=event.call,
+            )
+        )
+
+
+def _count_halt(context: DecisionContext, event: HaltCalled) -> None:
+    """Count each halt once: most come twice, because a caller sends them to the broker and to the subsystem."""
+    halts, key = context.state.halts, f"{event.halt} {event.scope} {event.called_at_s}"
+    if key not in halts:
+        context.count("halts")
+    halts[key] = event.at_s
+    if len(halts) > HALTS_KEPT:
+        del halts[next(iter(halts))]
+
+
+def on_client_gone(context: DecisionContext, event: ClientGone) -> None:
+    gone = PendingOutcome(kind=OutcomeKind.HALTED, message="its client disconnected", stop=StopReason.HALT)
+    for command in context.state.commands.values():
+        if command.client == event.client and command.halt_if_lost:
+            context.follow(command.id, Stimulus.STOP, gone)
+
+
+# --- workers -----------------------------------------------------------------------------------------
+
+
+def _pending(context: DecisionContext, job: str, attempt: int) -> tuple[Command, PendingJob] | None:
+    """The command that waits for this attempt of the job; None if the answer is stale, which is counted."""
+    command = context.state.commands.get(job.partition("/")[0])
+    pending = command.job if command is not None else None
+    if command is None or pending is None or pending.attempt != attempt or pending.id != job:
+        context.count("stale")
+        return None
+    return command, pending
+
+
+def on_job_finished(context: DecisionContext, event: JobFinished) -> None:
+    if (
+        deferred_analysis.handle_answer(context, event)
+        or (found := _pending(context, event.job, event.attempt)) is None
+    ):
+        return
+    command, job = found
+    context.node, context.took_s = event.node, event.at_s - job.since_s
+    command.job = None
+    if context.state.trials and (trial := context.state.trials.get(job.kind)) and trial.new == job.program:
+        del context.state.trials[job.kind]
+        _prove(context.state, job.kind, job.program)
+    try:
+        stimulate(context, command, Stimulus.PRODUCT, event.product)
+    except WireError as error:
+        message = f"the {job.kind.value} returned an invalid product: {error}"
+        stimulate(context, command, Stimulus.REFUSAL, Refusal(reason=RefusalReason.PROGRAM, message=message))
+
+
+def on_job_declined(context: DecisionContext, event: JobDeclined) -> None:
+    if (
+        deferred_analysis.handle_answer(context, event)
+        or (found := _pending(context, event.job, event.attempt)) is None
+    ):
+        return
+    command, job = found
+    context.node, context.took_s = event.node, event.at_s - job.since_s
+    if event.refusal.reason is RefusalReason.TIMEOUT:
+        stimulate(context, command, Stimulus.UNAVAILABLE, event.refusal)
+        return
+    if event.refusal.reason is RefusalReason.PROGRAM and _with_another_program(
+        context, command, job, event.refusal.message
+    ):
+        return
+    command.job = None
+    stimulate(context, command, Stimulus.REFUSAL, event.refusal)
+
+
+def on_job_lost(context: DecisionContext, event: JobLost) -> None:
+    if (
+        deferred_analysis.handle_answer(context, event)
+        or (found := _pending(context, event.job, event.attempt)) is None
+    ):
+        return
+    command, job = found
+    context.node, context.took_s = event.node, event.at_s - job.since_s
+    if event.blamed and _with_another_program(context, command, job, event.evidence):
+        return
+    stimulate(context, command, Stimulus.WORKER_LOST, event)
+
+
+def _with_another_program(context: DecisionContext, command: Command, job: PendingJob, why: str) -> bool:
+    """Repeat a failed job with another program, if there is one. Returns False if the failed program is still in use.
+
+    If this was the first job of a new program, that program is rolled back. `why`: error text of the failure."""
+    state = context.state
+    trial = state.trials.get(job.kind)
+    last_words = (why.strip().splitlines() or ["without an error message"])[-1]
+    if trial is not None and trial.new == job.program:
+        del state.trials[job.kind]
+        state.programs[job.kind] = trial.old
+        context.count("programs_rolled_back")
+        told = f"the new {job.kind.value} program {trial.new} failed its first job ({last_words}); back to {trial.old}"
+        state.rolled_back[job.kind] = f"{told}. The job was of {command.id}"
+    else:
+        told = (
+            f"the {job.kind.value} program {job.program}, which is no longer in use, failed ({last_words}); job again"
+        )
+    current = state.programs.get(job.kind, job.program)
+    if current == job.program:
+        return False
+    job.program = current
+    job.attempt += 1
+    context.note(command, told, warning=True)
+    context.dispatch(job)
+    return True
+
+
+def _keep_file(state: State, event: ProgramInstalled) -> None:
+    """Store the file name of a program for people, who do not know digests. It stays valid after a rollback."""
+    state.program_files.pop(event.digest, None)
+    state.program_files[event.digest] = (event.file, event.at_s)
+    while len(state.program_files) > FILES_KEPT:
+        del state.program_files[next(iter(state.program_files))]
+
+
+def on_program(context: DecisionContext, event: ProgramInstalled) -> None:
+    kind = event.kind or "cell"
+    context.state.began_at_s = (
+        context.state.began_at_s or event.at_s
+    )  # a cluster starts with the installation of its programs
+    programs = context.state.programs
+    if event.kind and kind in programs and programs[kind] != event.digest:
+        untried = context.state.trials.pop(kind, None)  # an untried program is not a rollback target
+        old = untried.old if untried else programs[kind]
+        _prove(context.state, kind, old)
+        if event.digest not in context.state.proven[kind]:
+            context.state.trials[kind] = Trial(new=event.digest, old=old)
+    context.state.rolled_back.pop(kind, None)
+    programs[kind] = event.digest
+    if event.file:
+        _keep_file(context.state, event)
+
+
+def _prove(state: State, kind: str, digest: str) -> None:
+    """Record that a program works: it needs no further trial and is a rollback target."""
+    proven = state.proven.setdefault(kind, [])
+    if digest in proven:
+        proven.remove(digest)
+    proven.append(digest)
+    del proven[:-PROVEN_KEPT]
+
+
+# --- subsystems --------------------------------------------------------------------------------------
+
+
+def on_started(context: DecisionContext, event: PrimitiveStarted) -> None:
+    command = context.state.commands.get(command_of(event.primitive))
+    awaited = command is not None and (command.primitive, command.subsystem) == (event.primitive, event.subsystem)
+    if awaited and command is not None and command.phase is Phase.EXECUTING:
+        context.node = event.subsystem
+        context.note(command, "started")
+
+
+def on_ended(context: DecisionContext, event: PrimitiveEnded) -> None:
+    report = event.report
+    command = context.state.commands.get(command_of(report.primitive))
+    awaited = (
+        command is not None
+        and command.primitive == report.primitive
+        and command.subsystem == event.subsystem
+        and command.phase in (Phase.EXECUTING, Phase.HALTING)
+    )
+    if not awaited or command is None:
+        # Late or duplicate. It is acknowledged, or it would be repeated without end. It also proves rest.
+        context.count("stale")
+        context.effects.append(AcknowledgeReport(subsystem=event.subsystem, primitive=report.primitive))
+        if command is None or command.primitive == report.primitive:
+            context.confirm_rest(event.subsystem, [], moved=report.primitive)
+        return
+    context.node, context.took_s = event.subsystem, event.at_s - command.sent_at_s
+    stimulate(context, command, Stimulus.REPORT, report)
+
+
+def on_halt_confirmed(context: DecisionContext, event: HaltConfirmed) -> None:
+    name = event.halt.removeprefix(
+        termination.STOP
+    )  # the number of a HALT sentence, or of the command that was stopped
+    if event.at_rest:
+        context.confirm_rest(event.subsystem, event.performers, name if name != event.halt else "")
+    command = context.state.commands.get(name)
+    if command is not None and command.subsystem in ("", event.subsystem):  # "": a HALT sentence
+        context.node = event.subsystem
+        stimulate(context, command, Stimulus.REST, event.at_rest)
+
+
+def on_subsystem(context: DecisionContext, event: SubsystemConnected) -> None:
+    """Register a subsystem that connects or reconnects. A primitive it does not list never arrived or died with it."""
+    state = context.state
+    before = state.subsystems.get(event.subsystem)
+    if before is None and len(state.subsystems) >= MAX_SUBSYSTEMS and not _forget_a_subsystem(state):
+        context.count("subsystems_declined")
+        return
+    reborn = before is not None and before.pid != event.pid
+    if reborn:
+        _lose_subsystem(context, event.subsystem, "it was restarted")
+    state.subsystems[event.subsystem] = Subsystem(
+        pid=event.pid, performers=event.performers, came_at_rest=event.at_rest
+    )
+    for primitive in event.outstanding:
+        state.accepted = max(state.accepted, number_of(primitive))  # a journal after a loss may lack it
+        command_id = command_of(primitive)
+        command = state.commands.get(command_id)
+        # A live command may still execute a primitive that was given up; other entries are unacknowledged reports.
+        if command is None or (command.phase is Phase.CLOSING and not command.at_rest):
+            _order_halt(context, event.subsystem, f"orphan-{primitive}", command_id)
+    if event.at_rest:
+        context.confirm_rest(event.subsystem)
+    elif not event.outstanding:
+        _order_halt(context, event.subsystem, f"rejoin-{event.subsystem}-{context.now:.6f}", "ALL")
+    if reborn:
+        return
+    for command in state.commands.values():
+        if command.subsystem == event.subsystem and command.primitive_body != NIL:
+            if command.phase is Phase.HALTING:
+                termination.order_halt(context, command)
+            elif command.phase is Phase.EXECUTING and command.primitive not in event.outstanding:
+                nominal.send(context, command)
+
+
+def _forget_a_subsystem(state: State) -> bool:
+    """Delete one lost subsystem that nothing waits for. False: there is none."""
+    wanted = {c.subsystem for c in state.commands.values()} | {q.subsystem for q in state.resources.quarantine.values()}
+    lost = (name for name, s in state.subsystems.items() if s.link is Link.LOST and name not in wanted)
+    return state.subsystems.pop(next(lost, ""), None) is not None
+
+
+def _order_halt(context: DecisionContext, subsystem: str, halt: str, scope: str) -> None:
+    context.effects.append(SendHalt(subsystem=subsystem, halt=halt, scope=scope, called_at_s=context.now))
+
+
+def on_subsystem_gone(context: DecisionContext, event: SubsystemGone) -> None:
+    subsystem = context.state.subsystems.get(event.subsystem)
+    if subsystem is not None and subsystem.link is not Link.LOST:
+        subsystem.link = Link.LOST
+        subsystem.came_at_rest = False
+        context.count("subsystems_lost")
+        _lose_subsystem(context, event.subsystem, event.why)
+
+
+def _lose_subsystem(context: DecisionContext, name: str, why: str) -> None:
+    """End every command that has used this subsystem: a global error (A30)."""
+    message = f"{name} was lost: {why}"
+    lost = PendingOutcome(
+        kind=OutcomeKind.LOST_SUBSYSTEM,
+        message=message,
+        stop=StopReason.SUBSYSTEM_LOST,
+        refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=termination.RETRY_ADVICE),
+    )
+    for command in context.state.commands.values():
+        if command.subsystem == name:
+            moving = command.phase in (Phase.EXECUTING, Phase.HALTING)
+            context.follow(command.id, Stimulus.SUBSYSTEM_LOST if moving else Stimulus.STOP, why if moving else lost)
+        elif command.phase is Phase.HALTING and not command.primitive:
+            context.follow(command.id, Stimulus.SUBSYSTEM_LOST, why)
+
+
+def on_listeners(context: DecisionContext, event: ListenersChanged) -> None:
+    if event.listening and not context.state.has_subscribers:
+        lost.publish(context)
+    context.state.has_subscribers = event.listening
+
+
+# --- time and restart --------------------------------------------------------------------------------
+
+
+def on_timer(context: DecisionContext, event: TimerFired) -> None:
+    if deferred_analysis.handle_timer(context, event.timer):
+        return
+    command = context.state.commands.get(event.timer)
+    if command is None or not 0 < command.due_s <= event.at_s:
+        context.count("stale")  # stopped or restarted in the batch in which it fired
+        return
+    command.due_s = 0.0
+    stimulate(context, command, Stimulus.TIMEOUT)
+
+
+def on_restart(context: DecisionContext, event: BrokerRestarted) -> None:
+    """Dispatch all pending jobs again and wait for the subsystems, which continue by themselves."""
+    context.count("broker_restarts")
+    context.state.has_subscribers = False  # subscribers subscribe again
+    for subsystem in context.state.subsystems.values():
+        if subsystem.link is Link.CONNECTED:
+            subsystem.link = Link.AWAITED
+    for name in context.state.deferred_analyses:
+        deferred_analysis.retry(context, name)
+    for command in context.state.commands.values():
+        if command.job is not None:
+            command.job.attempt += 1
+            context.dispatch(command.job)
+        if command.phase is Phase.ANALYZING:
+            command.due_s = 0.0  # its retry was dispatched above
+        if command.phase is Phase.EXECUTING:
+            context.start_timer(command, termination.report_limit_s(context.state, command))
+        elif command.phase is Phase.HALTING:
+            context.start_timer(command, termination.rest_limit_s(context.state, reconnecting=True))
+        elif command.phase is Phase.CLOSING:
+            context.start_timer(command, termination.CLOSING_LIMIT_S)
+
+
+HANDLERS: dict[type[Event], Callable[[DecisionContext, Any], None]] = {
+    CommandReceived: on_command,
+    HaltCalled: on_halt,
+    JobFinished: on_job_finished,
+    JobDeclined: on_job_declined,
+    JobLost: on_job_lost,
+    PrimitiveStarted: on_started,
+    PrimitiveEnded: on_ended,
+    HaltConfirmed: on_halt_confirmed,
+    SubsystemConnected: on_subsystem,
+    SubsystemGone: on_subsystem_gone,
+    ClientGone: on_client_gone,
+    TimerFired: on_timer,
+    ProgramInstalled: on_program,
+    ListenersChanged: on_listeners,
+    BrokerRestarted: on_restart,
+    JournalLost: lost.on_journal_lost,
+}

@@ -1,0 +1,105 @@
+"""Effects: the output of the Decision Unit, in the imperative. The router executes them after the journal write.
+
+They are executed in order.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from rtc.protocol.messages import BrokerToClient, CommandEnded, CommandRecord, ProgressNote, WorkerKind
+
+
+class Effect(msgspec.Struct, frozen=True, kw_only=True, gc=False):
+    pass
+
+
+class DispatchJob(Effect, frozen=True, kw_only=True, gc=False):
+    """Assign a job to one worker of this kind; the worker registry selects it."""
+
+    job: str
+    attempt: int
+    kind: WorkerKind
+    program: str
+    cell: str
+    input: msgspec.Raw
+    locations: list[str] | None = None  # names in the lease that is sent with the job
+
+
+class CancelJob(Effect, frozen=True, kw_only=True, gc=False):
+    job: str
+
+
+class SendPrimitive(Effect, frozen=True, kw_only=True, gc=False):
+    subsystem: str
+    id: str
+    primitive: msgspec.Raw
+    issued_at_s: float
+    pid: int  # process id of the addressee: a restarted subsystem must not receive it
+
+
+class SendHalt(Effect, frozen=True, kw_only=True, gc=False):
+    subsystem: str
+    halt: str
+    scope: str
+    called_at_s: float
+    call: str = ""  # number of the order that this forwards or acknowledges
+
+
+class AcknowledgeReport(Effect, frozen=True, kw_only=True, gc=False):
+    subsystem: str
+    primitive: str
+
+
+class StartTimer(Effect, frozen=True, kw_only=True, gc=False):
+    """Send TimerFired(timer) at this time; a timer of the same name is replaced."""
+
+    timer: str
+    at_s: float
+
+
+class StopTimer(Effect, frozen=True, kw_only=True, gc=False):
+    timer: str
+
+
+class TellClient(Effect, frozen=True, kw_only=True, gc=False):
+    client: str
+    message: BrokerToClient | msgspec.Raw  # Raw: already encoded
+
+
+class PublishNote(Effect, frozen=True, kw_only=True, gc=False):
+    """Publish a progress note, and send it to the client if it wants notes (otherwise `client` is empty)."""
+
+    client: str
+    note: ProgressNote
+
+
+class ReportEnd(Effect, frozen=True, kw_only=True, gc=False):
+    """Report the end of a command to its client and to subscribers, and archive its record."""
+
+    client: str
+    ended: CommandEnded
+    record: CommandRecord
+
+
+class DeclineHalt(Effect, frozen=True, kw_only=True, gc=False):
+    """Reply to the caller of a halt that its scope is unknown."""
+
+    client: str
+    halt: str
+    message: str
+
+
+AnyEffect = (
+    DispatchJob
+    | CancelJob
+    | SendPrimitive
+    | SendHalt
+    | AcknowledgeReport
+    | StartTimer
+    | StopTimer
+    | TellClient
+    | PublishNote
+    | ReportEnd
+    | DeclineHalt
+)

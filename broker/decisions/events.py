@@ -1,0 +1,173 @@
+"""Events: the input of the Decision Unit, in the past tense, each with its time (`at_s`, CLOCK_MONOTONIC, seconds).
+
+The journal holds exactly these events, in order; replaying them gives the same decisions. They do not know sockets.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import msgspec
+
+from rtc.protocol.messages import EndReport, WorkerKind
+from rtc.protocol.outcomes import Refusal
+
+
+class Stimulus(StrEnum):
+    """What an event means to one command: a column of the transition table (`broker.decisions.transitions`)."""
+
+    PRODUCT = "product"  # the worker returned the product of the job
+    REFUSAL = "refusal"  # the worker refused the job
+    UNAVAILABLE = "unavailable"  # the world database, or every worker of the kind, is unavailable
+    WORKER_LOST = "worker_lost"  # the worker died, hung or raised
+    GRANT = "grant"  # all resources of its claim are free
+    RELEASE = "release"  # the command it waits for has ended or begun, or the earlier ones of its client are parsed
+    REPORT = "report"  # the end report of its primitive
+    STOP = "stop"  # a HALT or ABORT reaches it
+    PAUSE = "pause"
+    RESUME = "resume"
+    REST = "rest"  # a subsystem confirms rest for its halt
+    TIMEOUT = "timeout"  # its timer: the end report, the confirmation of rest or the analysis is late
+    SUBSYSTEM_LOST = "subsystem_lost"  # the subsystem that executes its primitive is lost
+
+
+class Event(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag=True, gc=False):
+    at_s: float
+
+
+class CommandReceived(Event, frozen=True, kw_only=True, gc=False):
+    client: str
+    request: str
+    text: str
+    source: str = "operator"
+    progress: bool = True
+    halt_if_lost: bool = False
+    sent_at_s: float = 0.0
+    known_as: str = ""  # C-n, if an earlier broker accepted the request
+
+
+class HaltCalled(Event, frozen=True, kw_only=True, gc=False):
+    """A halt from a client, or from a subsystem that received it at its own halt socket."""
+
+    client: str
+    halt: str
+    scope: str
+    called_at_s: float = 0.0
+    call: str = ""  # number of this order, repeated in the answers
+
+
+class JobFinished(Event, frozen=True, kw_only=True, gc=False):
+    job: str
+    attempt: int
+    node: str
+    product: msgspec.Raw
+    took_s: float = 0.0
+
+
+class JobDeclined(Event, frozen=True, kw_only=True, gc=False):
+    """A worker refused the job: a result, not a failure of the worker."""
+
+    job: str
+    attempt: int
+    node: str
+    refusal: Refusal
+
+
+class JobLost(Event, frozen=True, kw_only=True, gc=False):
+    """The worker died, hung or raised. `blamed`: it was processing this job, so the job may be the cause."""
+
+    job: str
+    attempt: int
+    node: str
+    evidence: str
+    blamed: bool = True
+
+
+class PrimitiveStarted(Event, frozen=True, kw_only=True, gc=False):
+    subsystem: str
+    primitive: str
+
+
+class PrimitiveEnded(Event, frozen=True, kw_only=True, gc=False):
+    subsystem: str
+    report: EndReport
+
+
+class HaltConfirmed(Event, frozen=True, kw_only=True, gc=False):
+    """A subsystem reports whether everything in the scope of a halt is at rest. `performers`: those in the scope;
+    None = all of the subsystem."""
+
+    subsystem: str
+    halt: str
+    at_rest: bool
+    performers: list[str] | None = None
+
+
+class SubsystemConnected(Event, frozen=True, kw_only=True, gc=False):
+    """A subsystem connected. With a new `pid` it knows only the primitives it lists as outstanding."""
+
+    subsystem: str
+    pid: int
+    performers: list[str]
+    outstanding: list[str] = []
+    at_rest: bool = True
+
+
+class SubsystemGone(Event, frozen=True, kw_only=True, gc=False):
+    subsystem: str
+    why: str
+
+
+class ClientGone(Event, frozen=True, kw_only=True, gc=False):
+    client: str
+
+
+class TimerFired(Event, frozen=True, kw_only=True, gc=False):
+    timer: str  # name given in StartTimer
+
+
+class ProgramInstalled(Event, frozen=True, kw_only=True, gc=False):
+    """A program (or the cell, kind None) has a new body, by its digest."""
+
+    kind: WorkerKind | None
+    digest: str
+    file: str = ""  # name of the loaded file; empty: a default program
+
+
+class ListenersChanged(Event, frozen=True, kw_only=True, gc=False):
+    """The event stream gained its first subscriber or lost its last: notes are published only for subscribers."""
+
+    listening: bool
+
+
+class JournalLost(Event, frozen=True, kw_only=True, gc=False):
+    """The journal lacks decisions of this run: it is new, or older than before. `accepted`: the highest command number
+    known to be in use."""
+
+    why: str
+    life: str  # id of the journal from now on
+    accepted: int
+
+
+class BrokerRestarted(Event, frozen=True, kw_only=True, gc=False):
+    """The broker started with a replayed journal: all jobs dispatched before are lost."""
+
+
+AnyEvent = (
+    CommandReceived
+    | HaltCalled
+    | JobFinished
+    | JobDeclined
+    | JobLost
+    | PrimitiveStarted
+    | PrimitiveEnded
+    | HaltConfirmed
+    | SubsystemConnected
+    | SubsystemGone
+    | ClientGone
+    | TimerFired
+    | ProgramInstalled
+    | ListenersChanged
+    | BrokerRestarted
+    | JournalLost
+)

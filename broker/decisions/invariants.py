@@ -1,0 +1,122 @@
+"""Invariants of the Decision Unit that hold in every reachable state. Pure.
+
+The property tests, the model check and the cluster simulation use them; production does not.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+
+from broker.decisions.effects import CancelJob, DispatchJob, Effect, PublishNote, ReportEnd, SendPrimitive, StartTimer
+from broker.decisions.resources import WORLD, number
+from broker.decisions.state import NIL, State
+from rtc.protocol.messages import Phase, WorkerKind
+from rtc.protocol.primitive_id import command_of
+
+MOVING = (Phase.EXECUTING, Phase.HALTING)
+BY_JOB = (Phase.PARSING, Phase.ELABORATING, Phase.BINDING, Phase.ANALYZING, Phase.CLOSING)  # a worker has its job
+
+
+def violations(state: State) -> list[str]:
+    """The violated invariants in words; an empty list means a valid state."""
+    return [*_resources(state), *_motions(state), *_commands(state)]
+
+
+def _resources(state: State) -> Iterable[str]:
+    r = state.resources
+    for name, holders in r.holders.items():
+        if len(holders) > 1 and any(holders.values()):
+            yield f"{name} is held by {', '.join(holders)}, and one of them alone"
+    for claims, index in ((r.held, r.holders), (r.waiting, r.lines)):
+        listed = {(command, name) for name, commands in index.items() for command in commands}
+        if listed != {(command, name) for command, claim in claims.items() for name in claim}:
+            yield "the two views of the claims differ"
+    for command in [*r.held, *r.waiting]:
+        if command not in state.commands:
+            yield f"{command} has ended and still claims"
+    for name, by in r.quarantine.items():
+        if by.subsystem == WORLD and by.primitive not in state.deferred_analyses:
+            yield f"{name} is closed for {by.primitive}, of which nothing is left to tell"
+    for command, left in state.deferred_analyses.items():
+        if command in state.commands or any(name not in r.quarantine or name in r.holders for name in left.names):
+            yield f"the world has not been told of {command}, and {left.names} are open"
+    for name, line in r.lines.items():
+        if line != sorted(line, key=number):
+            yield f"{line} wait for {name}, not in order"
+        if [command for command in line if r.waiting[command][name]] != r.alone.get(name, []):
+            yield f"{r.alone.get(name)} want {name} alone, which is not so"
+    if not r.alone.keys() <= r.lines.keys():
+        yield f"somebody wants one of {[*r.alone]} alone and is not in its line"
+    for command in r.waiting:
+        if command in r.held:
+            yield f"{command} waits while holding"
+
+
+def _motions(state: State) -> Iterable[str]:
+    moving: dict[str, str] = {}
+    for command in state.commands.values():
+        if command.phase in MOVING and command.primitive:
+            for performer in command.performers:
+                if performer in moving:
+                    yield f"{performer} executes for {moving[performer]} and {command.id}"
+                moving[performer] = command.id
+                if not state.resources.held.get(command.id, {}).get(performer):
+                    yield f"{command.id} moves {performer} without holding it"
+
+
+def _commands(state: State) -> Iterable[str]:
+    """A command that waits for nothing would never end."""
+    if state.live != Counter(command.client for command in state.commands.values()):
+        yield f"{state.live} is not how many commands each client has live"
+    unread = {command for line in state.intake_order.values() for command in line}
+    if unread != {command.id for command in state.commands.values() if command.phase is Phase.PARSING}:
+        yield f"{unread} are not those being parsed"
+    for client, line in state.intake_order.items():
+        if list(line) != sorted(line, key=number) or not line or next(iter(line.values())):
+            yield f"{line} of {client} is empty, not in order, or its first is not taken up"
+    joined = {c for waiting in [*state.awaiting.values(), *state.joining.values()] for c in waiting}
+    for command in state.commands.values():
+        waits_its_turn = state.intake_order.get(command.client, {}).get(command.id, False)
+        by_job = command.phase in BY_JOB and not waits_its_turn
+        if by_job != (command.job is not None):
+            yield f"{command.id} is {command.phase.value} and {'has no' if by_job else 'has a'} job"
+        if command.phase is Phase.HELD and command.id not in state.resources.waiting and command.id not in joined:
+            yield f"{command.id} is held and in no line"
+        if command.phase is Phase.EXECUTING and (not command.primitive or command.primitive_body == NIL):
+            yield f"{command.id} is executing nothing"
+        if command.phase in (Phase.HALTING, Phase.CLOSING) and command.pending_outcome is None:
+            yield f"{command.id} is {command.phase.value} and does not know how it ends"
+        if command.phase is Phase.ENDED:
+            yield f"{command.id} has ended and is still here"
+
+
+def forbidden(before: State, live_before: set[str], effects: list[Effect], *, halt_all: bool) -> list[str]:
+    """What must not be among the effects of one event: work for a command that has ended, a second end, and after
+    HALT ALL anything new for a command that was there."""
+    wrong, ended = [], set()
+    for effect in effects:
+        match effect:
+            case ReportEnd():
+                if effect.ended.command in ended:
+                    wrong.append(f"{effect.ended.command} ended twice")
+                ended.add(effect.ended.command)
+            case DispatchJob():
+                command = effect.job.partition("/")[0]
+                if command in ended:
+                    wrong.append(f"a job for {command}, which has ended")
+                if halt_all and command in live_before and effect.kind is not WorkerKind.ANALYZER:
+                    wrong.append(f"a job for {command} after HALT ALL")
+            case SendPrimitive():
+                command = command_of(effect.id)
+                if command in ended or (halt_all and command in live_before):
+                    wrong.append(f"a primitive for {command}, which was stopped")
+            case StartTimer():
+                if effect.timer in ended:
+                    wrong.append(f"a timer for {effect.timer}, which has ended")
+            case PublishNote():
+                if effect.note.command in ended:
+                    wrong.append(f"a note on {effect.note.command} after its end")
+            case CancelJob():
+                pass
+    return wrong

@@ -1,0 +1,80 @@
+"""Loss of journal records: every command accepted in the lost decisions gets a true outcome.
+
+The effects of the lost decisions are unknown. Command numbers continue above the highest known one, and primitive ids
+get a new life. Live commands end as failed and leave their facts suspect. A client that waits for a lost command gets
+that outcome too. A sentence sent before the loss is not started, because it may have been executed already.
+"""
+
+from __future__ import annotations
+
+from broker.decisions.context import DecisionContext
+from broker.decisions.effects import PublishNote, TellClient
+from broker.decisions.events import CommandReceived, JournalLost, Stimulus
+from broker.decisions.state import Command, PendingOutcome, State, request_key
+from broker.decisions.termination import end
+from rtc.protocol.messages import Accepted, Phase, ProgressNote
+from rtc.protocol.outcomes import OutcomeKind, StopReason
+
+JOBS_APART = 10_000  # offset of job numbers after the loss, so that they differ from lost ones
+FURTHEST = 1_000_000  # a client's number is accepted up to this far above the known ones
+CLEARS = "check what was done, then give it again"
+
+
+def on_journal_lost(context: DecisionContext, event: JournalLost) -> None:
+    state = context.state
+    state.life, state.lost, state.lost_at_s = event.life, event.why, event.at_s
+    state.accepted = max(state.accepted, event.accepted)
+    context.count("journals_lost")
+    over = PendingOutcome(kind=OutcomeKind.FAILED, message=f"{event.why}; {CLEARS}", stop=StopReason.SUBSYSTEM_LOST)
+    for command in state.commands.values():
+        command.jobs += JOBS_APART
+        context.follow(command.id, Stimulus.STOP, over)
+
+
+def is_lost(state: State, event: CommandReceived) -> bool:
+    """True if an unknown request belongs to the lost decisions: its client has a number for it, or sent it before the
+    loss."""
+    return bool(event.known_as) or 0 < event.sent_at_s <= state.lost_at_s
+
+
+def new_number(state: State, event: CommandReceived) -> str:
+    """The command number known to the client if it is free, otherwise the next one."""
+    name, digits = event.known_as, event.known_as.removeprefix("C-")
+    number = int(digits[:18]) if digits.isascii() and digits.isdigit() else 0
+    taken = name in state.commands or name in state.ended
+    free = name == f"C-{number}" and 0 < number <= state.accepted + FURTHEST and not taken
+    if not free:
+        number = state.accepted + 1
+    state.accepted = max(state.accepted, number)
+    return f"C-{number}"
+
+
+def end_lost(context: DecisionContext, event: CommandReceived) -> None:
+    """End a lost command as failed, under the number known to the client if it is free."""
+    state = context.state
+    command = Command(
+        id=new_number(state, event),
+        client=event.client,
+        request=event.request,
+        text=event.text,
+        source=event.source,
+        progress=event.progress,
+        halt_if_lost=event.halt_if_lost,
+        accepted_at_s=event.at_s,
+        phase=Phase.HELD,
+    )
+    state.commands[command.id] = command
+    state.live[event.client] = state.live.get(event.client, 0) + 1
+    state.requests[request_key(event.client, event.request)] = command.id
+    context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
+    why = state.lost or "its outcome is no longer kept"
+    end(context, command, OutcomeKind.FAILED, message=f"{why}: how far it came is not known; {CLEARS}")
+
+
+def publish(context: DecisionContext) -> None:
+    """Publish the loss to the subscribers of the event stream."""
+    state = context.state
+    if state.lost:
+        state.seq += 1
+        note = ProgressNote(seq=state.seq, at_s=context.now, command="", phase=Phase.ENDED, note=state.lost)
+        context.effects.append(PublishNote(client="", note=note))

@@ -1,0 +1,242 @@
+"""The state of the Decision Unit: plain data that one `encode` turns into a snapshot.
+
+Contexts, steps, values and primitives stay `msgspec.Raw`, the bytes as received: the Decision Unit must not read them.
+The *Head types below declare the few fields of a product that it reads.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import msgspec
+
+from broker.decisions.resources import Resources
+from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
+from rtc.protocol.outcomes import Measured, OutcomeKind, Refusal, StopReason
+
+NOTES_KEPT = 400  # maximum length of one command's trace; entries in the middle are dropped
+NOMINAL = 0  # stands for the script's own steps in the place of a trim number
+
+NIL = msgspec.Raw(b"\xc0")  # MessagePack nil: the value is absent
+
+StepRef = tuple[int, int]  # (NOMINAL or number of a trim, index of the step in it)
+
+
+class ReportHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
+    """The REPORT clause of a ParsedCommand."""
+
+    joints: bool = False
+    forces: bool = False
+    pose: bool = False
+    every_s: float | None = None
+
+
+class ParsedHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
+    """The fields of a ParsedCommand that relate it to other commands; its task is opaque here."""
+
+    kind: str
+    verb: str
+    test: bool = False
+    hand: str | None = None
+    to_hand: str | None = None
+    object: str | None = None
+    after: str | None = None
+    together_with: str | None = None
+    now: bool = False
+    report: ReportHead | None = None
+
+
+class StepHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
+    """The label of a step."""
+
+    label: str
+
+
+class TrimHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
+    """A trim: its steps and what follows them."""
+
+    n: int
+    label: str
+    steps: list[msgspec.Raw]
+    then: str = "retry_step"
+
+
+class ScriptHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
+    """Product of the elaborator: steps, trims and the names to claim."""
+
+    context: msgspec.Raw
+    steps: list[msgspec.Raw]
+    trims: list[TrimHead] = []
+    bindings: dict[str, msgspec.Raw] = {}
+    resources: list[str] = []
+    queues: list[str] = []
+    writes: list[str] = []
+    reads: list[str] = []
+    notes: list[str] = []
+
+
+class BoundHead(msgspec.Struct, frozen=True, kw_only=True, tag="BoundStep", gc=False):
+    """Product of the binder: one primitive, or the report of a step that needs no subsystem."""
+
+    subsystem: str = ""
+    primitive: msgspec.Raw = NIL
+    report: msgspec.Raw = msgspec.field(default=NIL, name="told")  # end report of a step without a subsystem
+    evaluation: msgspec.Raw = NIL
+    bindings: dict[str, msgspec.Raw] = {}
+    limit_s: float = 0.0
+    predicted_s: float = 0.0
+    note: str = ""
+
+
+class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment", gc=False):
+    """Product of the analyzer: the verdict on one report."""
+
+    verdict: str
+    reason: StopReason
+    message: str = ""
+    trim: int = 0
+    keep: dict[str, msgspec.Raw] = {}
+    clears: str = ""
+
+
+class PendingJob(msgspec.Struct, kw_only=True, gc=False):
+    """The current job of a command. Its input is kept, because the job may have to be dispatched again."""
+
+    id: str
+    attempt: int
+    kind: WorkerKind
+    program: str
+    input: msgspec.Raw
+    locations: list[str] | None = None
+    since_s: float = 0.0
+    deaths: list[str] = []  # evidence of each worker that died while it processed this job
+
+
+class DeferredAnalysis(msgspec.Struct, frozen=True):
+    """The last analysis of a command that has ended, and the names quarantined until it is done."""
+
+    job: PendingJob
+    names: list[str]
+
+
+class PendingOutcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The outcome of a command that cannot end at once (HALTING, CLOSING)."""
+
+    kind: OutcomeKind
+    message: str
+    stop: StopReason | None = None
+    refusal: Refusal | None = None
+
+
+class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
+    """One live command. All times are CLOCK_MONOTONIC, in seconds."""
+
+    id: str  # C-n, numbered in order of acceptance
+    client: str  # identity of the client that gave it
+    request: str  # the client's name of its request
+    text: str  # the sentence, cut to `decision_unit.MAX_TEXT` characters
+    source: str  # "operator", "aip" or another origin that the client states
+    progress: bool  # the client wants progress notes
+    halt_if_lost: bool  # the command is halted when its client disappears
+    accepted_at_s: float  # time of acceptance
+    given_at_s: float = 0.0  # time at the client; a halt after this time stops the command before it starts
+    phase: Phase = Phase.PARSING  # row of the transition table
+    jobs: int = 0  # number of jobs created so far; the next job id is one higher
+    job: PendingJob | None = None  # the job that a worker has, or that waits for one
+    parsed: msgspec.Raw = NIL  # the whole ParsedCommand, input of the elaborator
+    head: ParsedHead | None = None  # the fields of `parsed` that the Decision Unit reads
+    script: ScriptHead | None = None  # product of the elaborator
+    labels: list[str] = []  # labels of the nominal steps
+    bindings: dict[str, msgspec.Raw] = {}  # variables of the script with their values
+    stack: list[StepRef] = []  # the Action_Stack; the last element is the next step
+    step: StepRef | None = None  # the step that is bound, executed or analysed now
+    step_words: str = ""  # the same for people: "5 of 9: feel one side"
+    trims_used: dict[str, list[int]] = {}  # "trim/index" of a step -> numbers of the trims already used for it
+    trim_labels: list[str] = []  # labels of all trims used, for the outcome
+    given_up: PendingOutcome | None = None  # the outcome once the steps of a `give_up` trim are done
+    steps_done: int = 0  # number of successful steps
+    elaborations: int = 0  # number of elaborations, limited by `journey.MAX_ELABORATIONS`
+    primitive: str = ""  # id of the latest primitive; empty before the first
+    primitives: int = 0  # number of primitives sent so far
+    primitive_body: msgspec.Raw = NIL  # the encoded primitive until its end report, because it may be sent again
+    subsystem: str = ""  # name of the subsystem that executes the latest primitive
+    performers: list[str] = []  # arms or hands of that subsystem that move
+    evaluation: msgspec.Raw = NIL  # expected result of the step, input of the analyzer
+    sent_at_s: float = 0.0  # time when the latest primitive was sent
+    limit_s: float = 0.0  # time limit of the latest primitive, in simulated seconds
+    due_s: float = 0.0  # expiry time of its timer; 0 = the timer is stopped
+    at_rest: bool = True  # nothing moves for it: before the first primitive, or after a report or confirmed rest
+    pause_wanted: bool = False  # a pause takes effect before the next step
+    pending_outcome: PendingOutcome | None = None  # the outcome after HALTING and CLOSING
+    unconfirmed: list[str] = []  # HALT sentence only: subsystems that have not confirmed rest yet
+    notes: list[ProgressNote] = []  # its trace, at most NOTES_KEPT entries
+    previous: str = ""  # the preceding command of the same client, for AFTER LAST
+    measured: Measured | None = None  # values at the end of the latest primitive that REPORT asks for
+
+
+class Link(StrEnum):
+    """Connection of a subsystem to the broker."""
+
+    CONNECTED = "connected"
+    AWAITED = "awaited"  # the broker has restarted; the subsystem continues and has not reconnected yet
+    LOST = "lost"
+
+
+class Subsystem(msgspec.Struct, kw_only=True):
+    """One subsystem that has connected in this run."""
+
+    pid: int  # process id; a new one means that it was restarted
+    performers: list[str]  # names of its arms and hands
+    link: Link = Link.CONNECTED
+    came_at_rest: bool = True  # it was at rest when it connected; False once it is lost
+
+
+class Trial(msgspec.Struct, frozen=True):
+    """A program that has not done a job yet, and the program to roll back to if its first job fails."""
+
+    new: str  # digest
+    old: str  # digest
+
+
+class Result(msgspec.Struct, frozen=True, gc=False):
+    """The stored result of a command that has ended."""
+
+    message: msgspec.Raw  # encoded CommandEnded, for a client that asks again
+    succeeded: bool  # for AFTER
+    request: str  # its key in `State.requests`
+
+
+def request_key(client: str, request: str) -> str:
+    return f"{client} {request}"
+
+
+class State(msgspec.Struct, kw_only=True):
+    """The whole state of the Decision Unit. Only `decide` changes it."""
+
+    commands: dict[str, Command] = {}  # live commands by id, in order of acceptance
+    live: dict[str, int] = {}  # client -> number of its live commands
+    intake_order: dict[str, dict[str, bool]] = {}  # client -> {command not yet taken up: parsed?}, in order
+    accepted: int = 0  # highest command number so far
+    last_given: dict[str, str] = {}  # client -> its latest command; the most recent client is last
+    life: str = ""  # id of this journal, part of every primitive id (`rtc.protocol.primitive_id`)
+    lost: str = ""  # why the journal lacks decisions, in words; empty = it is complete
+    lost_at_s: float = 0.0  # time when the loss was noticed; sentences sent earlier do not start
+    began_at_s: float = 0.0  # start of the cluster, not of this broker process
+    seq: int = 0  # sequence number of the latest published event
+    requests: dict[str, str] = {}  # `request_key` -> command, live or recently ended
+    ended: dict[str, Result] = {}  # results of recently ended commands, the oldest first
+    resources: Resources = msgspec.field(default_factory=Resources)  # claims, waiting lines, quarantine
+    awaiting: dict[str, list[str]] = {}  # command -> commands that start after its success (AFTER)
+    joining: dict[str, list[str]] = {}  # command -> commands that start when it begins to move (TOGETHER-WITH)
+    subsystems: dict[str, Subsystem] = {}  # by name, lost ones included
+    programs: dict[str, str] = {}  # worker kind (or "cell") -> digest of the program in use
+    program_files: dict[str, tuple[str, float]] = {}  # digest -> (name of the file loaded last, time)
+    deferred_analyses: dict[str, DeferredAnalysis] = {}  # ended command -> its unfinished analysis
+    trials: dict[str, Trial] = {}  # worker kind -> trial of its newest program
+    proven: dict[str, list[str]] = {}  # worker kind -> programs that have done a job, the latest last
+    rolled_back: dict[str, str] = {}  # worker kind -> why its newest program was rolled back, until the next load
+    halted_at_s: dict[str, float] = {}  # halt scope -> time; sentences sent earlier do not start
+    halts: dict[str, float] = {}  # the latest halts -> time; a halt received twice is counted once, obeyed twice
+    has_subscribers: bool = False  # a client subscribes to the event stream
+    timeout_scale: float = 1.0  # wall seconds per simulated second: limits of primitives are in simulated time
+    counts: dict[str, int] = {}  # counters: outcomes, stale results, trims, ...

@@ -1,0 +1,220 @@
+"""Worker registry: liveness of the workers and assignment of jobs to them.
+
+Pure: the time is an argument; it does not know commands or sockets. Workers of a kind share one queue. A worker that
+answers in microseconds gets a batch of jobs per message and one batch ahead, so that it never waits for the broker. A
+slow worker gets one job at a time, so that no job waits at a busy worker while another worker is idle. Workers process
+jobs in order, so the first job assigned to a worker is in progress.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from broker.decisions.effects import DispatchJob
+from rtc.protocol.messages import WorkerKind
+
+HANDFUL_S = 0.002  # maximum duration of the jobs in one message
+HANDFUL_MAX = 64  # maximum number of jobs in one message
+SLOW_S = 0.005  # workers with longer jobs get one at a time
+# Time limit per job. An analyzer waits for the world database for up to half of it.
+DEADLINE_S = {WorkerKind.PARSER: 3.0, WorkerKind.ELABORATOR: 15.0, WorkerKind.BINDER: 15.0, WorkerKind.ANALYZER: 10.0}
+SILENCE_S = 3.0  # time limit for a sign of life of an idle worker, which sends one every 0.5 s
+QUEUE_LIMIT_S = 60.0  # maximum wait of a job while no worker of its kind answers
+
+
+Lane = OrderedDict[str, tuple[float, DispatchJob]]  # job -> (time when it was queued, job); the oldest first
+
+
+class Queue:
+    """Jobs of one kind that wait for a worker, round-robin by client.
+
+    A client with thousands of commands delays another by one job only. The jobs of one client stay in order."""
+
+    def __init__(self) -> None:
+        self._lanes: OrderedDict[str, Lane] = OrderedDict()  # by client, the next one first; none is empty
+        self._client_of: dict[str, str] = {}
+
+    def __len__(self) -> int:
+        return len(self._client_of)
+
+    def add(self, job: DispatchJob, client: str, now: float) -> None:
+        self._client_of[job.job] = client
+        lane = self._lanes.get(client)
+        if lane is None:
+            lane = self._lanes[client] = OrderedDict()
+        lane[job.job] = (now, job)
+
+    def next(self) -> DispatchJob:
+        client, lane = next(iter(self._lanes.items()))
+        name, (_, job) = lane.popitem(last=False)
+        del self._client_of[name]
+        if lane:
+            self._lanes.move_to_end(client)
+        else:
+            del self._lanes[client]
+        return job
+
+    def drop(self, job: str) -> None:
+        client = self._client_of.pop(job, None)
+        if client is not None:
+            del self._lanes[client][job]
+            if not self._lanes[client]:
+                del self._lanes[client]
+
+    def oldest_s(self) -> float | None:
+        """Time when the oldest waiting job was queued; None if the queue is empty."""
+        return min((next(iter(lane.values()))[0] for lane in self._lanes.values()), default=None)
+
+    def waiting_since(self, before_s: float) -> list[DispatchJob]:
+        """The jobs queued before this time."""
+        found = []
+        for lane in self._lanes.values():
+            for since_s, job in lane.values():
+                if since_s >= before_s:
+                    break
+                found.append(job)
+        return found
+
+
+class LostJob(NamedTuple):
+    """A job whose worker is lost. `in_hand`: it was in progress."""
+
+    job: DispatchJob
+    in_hand: bool
+
+
+class Worker:
+    __slots__ = ("assigned", "done", "kind", "last_seen_s", "mean_s", "name", "node", "pid", "retiring", "since_s")
+
+    def __init__(self, name: str, node: int, kind: WorkerKind, pid: int, now: float) -> None:
+        self.name, self.node, self.kind, self.pid = name, node, kind, pid
+        self.assigned: dict[str, DispatchJob] = {}  # jobs in order; the first is in progress
+        self.since_s = now  # time when the first job began
+        self.last_seen_s = now
+        self.done = 0
+        self.mean_s = 1.0  # mean duration of a job; an unknown worker counts as slow
+        self.retiring = False  # ordered to end: it gets no further jobs
+
+    @property
+    def handful(self) -> int:
+        return max(1, min(HANDFUL_MAX, int(HANDFUL_S / max(self.mean_s, 1e-6))))
+
+    @property
+    def room(self) -> int:
+        if self.retiring:
+            return 0
+        most = 1 if self.mean_s > SLOW_S else 2 * self.handful
+        return most - len(self.assigned)
+
+
+class WorkerRegistry:
+    def __init__(self) -> None:
+        self.workers: dict[str, Worker] = {}
+        self.queues: dict[WorkerKind, Queue] = {kind: Queue() for kind in WorkerKind}
+        self.answered_at_s: dict[WorkerKind, float] = {}  # worker kind -> time of the latest result
+
+    # --- workers come and go --------------------------------------------------------------------------
+
+    def register(self, name: str, node: int, kind: WorkerKind, pid: int, now: float) -> list[LostJob]:
+        """Add a ready worker. Returns the jobs that an earlier worker of that name has lost."""
+        lost = self.remove(name)
+        self.workers[name] = Worker(name, node, kind, pid, now)
+        return lost
+
+    def remove(self, name: str) -> list[LostJob]:
+        worker = self.workers.pop(name, None)
+        if worker is None:
+            return []
+        return [LostJob(job, in_hand=first == 0) for first, job in enumerate(worker.assigned.values())]
+
+    def mark_alive(self, name: str, now: float) -> bool:
+        """Record a sign of life. False: the worker is not registered and must send its hello."""
+        worker = self.workers.get(name)
+        if worker is not None:
+            worker.last_seen_s = now
+        return worker is not None
+
+    def answered(self, name: str, job: str, attempt: int, took_s: float, now: float) -> bool:
+        """Record a result. False: this attempt is not assigned to this worker, or was declared lost."""
+        worker = self.workers.get(name)
+        if worker is None:
+            return False
+        worker.last_seen_s = worker.since_s = self.answered_at_s[worker.kind] = now
+        held = worker.assigned.get(job)
+        if held is None or held.attempt != attempt:  # a late result of an earlier attempt
+            return False
+        del worker.assigned[job]
+        worker.done += 1
+        worker.mean_s = took_s if worker.done == 1 else 0.8 * worker.mean_s + 0.2 * took_s
+        return True
+
+    # --- jobs -----------------------------------------------------------------------------------------
+
+    def submit(self, job: DispatchJob, now: float, client: str = "") -> None:
+        """Queue a job. `client`: the client of its command."""
+        self.queues[job.kind].add(job, client, now)
+
+    def cancel(self, job: str) -> str:
+        """Remove a job from the queues. Returns the worker that has it and must drop it, or an empty name."""
+        for queue in self.queues.values():
+            queue.drop(job)
+        return next((worker.name for worker in self.workers.values() if job in worker.assigned), "")
+
+    def assign(self, now: float) -> Iterator[tuple[str, list[DispatchJob]]]:
+        """Assign queued jobs. Yields (worker, jobs) pairs, the least loaded worker first."""
+        for kind, queue in self.queues.items():
+            while queue:
+                free = [w for w in self.workers.values() if w.kind is kind and w.room > 0]
+                if not free:
+                    break
+                worker = min(free, key=lambda w: len(w.assigned))
+                most = min(worker.handful, worker.room, len(queue))
+                jobs = [queue.next() for _ in range(most)]
+                if not worker.assigned:
+                    worker.since_s = now
+                worker.assigned.update((job.job, job) for job in jobs)
+                yield worker.name, jobs
+
+    def waiting_s(self, kind: WorkerKind, now: float) -> float | None:
+        """Waiting time of the oldest queued job of this kind, in seconds; None: the queue is empty."""
+        since_s = self.queues[kind].oldest_s()
+        return None if since_s is None else now - since_s
+
+    # --- trouble --------------------------------------------------------------------------------------
+
+    def hung(self, now: float) -> list[tuple[Worker, str]]:
+        """Workers without progress or without a sign of life, each with the evidence."""
+        found = []
+        for worker in self.workers.values():
+            in_hand_s = now - max(worker.since_s, 0.0)
+            if worker.assigned and in_hand_s > DEADLINE_S[worker.kind]:
+                job = next(iter(worker.assigned))
+                found.append((worker, f"hung: job {job} in hand for {in_hand_s:.1f} s"))
+            elif not worker.assigned and now - worker.last_seen_s > SILENCE_S:
+                found.append((worker, f"hung: silent for {now - worker.last_seen_s:.1f} s"))
+        return found
+
+    def never_registered(self, name: str, ready_since_s: float, now: float) -> bool:
+        """True if a ready worker process has not registered in time: it hung before this broker started.
+
+        A worker that is busy for an earlier broker may be silent for the length of one job."""
+        kind = name.partition("@")[0]
+        if name in self.workers or kind not in DEADLINE_S:
+            return False
+        return now - ready_since_s > DEADLINE_S[WorkerKind(kind)]
+
+    def waited_too_long(self, now: float) -> list[DispatchJob]:
+        """Remove and return the jobs that waited longer than the limit while no worker of their kind answered.
+
+        As long as workers answer, the queue is only long, and its jobs stay."""
+        expired = []
+        for kind, queue in self.queues.items():
+            if now - self.answered_at_s.get(kind, -QUEUE_LIMIT_S) < QUEUE_LIMIT_S:
+                continue
+            late = queue.waiting_since(now - QUEUE_LIMIT_S)
+            for job in late:
+                queue.drop(job.job)
+            expired += late
+        return expired

@@ -1,0 +1,158 @@
+"""The current scene as believed and (with a simulator) as true, and the request to draw it.
+
+Believed: objects from the world's facts, arms as measured last, a held object where its hand is. Poses are
+`[x y z qx qy qz qw]` (m, world frame), joints rad, fingers m. Knows no socket and no renderer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import msgspec
+
+from rtc.cells.cell import Cell
+from rtc.protocol import messages as m
+from rtc.robot import geometry
+
+VIEWS = ("overview", "behind", "left", "right", "top")  # --camera; or the name of a thing, for a close view of it
+
+STEEP_DEG = 89.9
+
+
+class Scene(msgspec.Struct, frozen=True, kw_only=True):
+    """Where everything is. An object or arm that is missing is drawn as the cell begins."""
+
+    poses: dict[str, list[float]] = {}
+    joints: dict[str, list[float]] = {}
+    fingers: dict[str, list[float]] = {}  # arm -> its two finger joints
+    tcp: dict[str, list[float]] = {}
+
+
+class Panel(msgspec.Struct, frozen=True, kw_only=True):
+    """One view of one scene. `labels`: name of an object or arm -> words beside it. `doubtful`: names whose label is
+    drawn as a warning. `outlined`: objects whose outline in the first panel is drawn over this one."""
+
+    title: str
+    scene: Scene
+    labels: dict[str, str] = {}
+    doubtful: list[str] = []
+    outlined: list[str] = []
+
+
+class Picture(msgspec.Struct, frozen=True, kw_only=True):
+    """What a renderer is asked for: panels side by side, lines of text below, a PNG file."""
+
+    out: str
+    cell: str
+    panels: list[Panel]
+    camera: str = "overview"
+    caption: list[str] = []
+    smooth: bool = True  # draw twice as large and average: four times the work
+
+
+class Drawn(msgspec.Struct, frozen=True, kw_only=True):
+    """A renderer's answer: the file is there, or why not."""
+
+    out: str
+    error: str = ""
+
+
+class ObjectRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One object, believed against true. `off_m` and `turned_rad` are absent where the truth is not known."""
+
+    name: str
+    pose: list[float]
+    validity: m.Validity
+    where: str  # RACK-1, in RIGHT-ARM's hand, or empty: in neither
+    true_pose: list[float] | None = None
+    off_m: float | None = None
+    turned_rad: float | None = None
+
+
+class ArmRow(msgspec.Struct, frozen=True, kw_only=True):
+    name: str
+    tcp: list[float] | None  # not known without telemetry
+    hand_width_m: float
+    holding: str
+    truly_holding: list[str] | None = None
+    moving: str = ""  # the primitive it executes
+
+
+class Believed(msgspec.Struct, frozen=True, kw_only=True):
+    scene: Scene
+    arms: list[ArmRow]
+    objects: list[ObjectRow]
+
+
+def believed(
+    cell: Cell, facts: Mapping[str, m.Fact], measured: Mapping[str, m.ArmSample], truth: m.SimTruthReply | None
+) -> Believed:
+    """The scene of these facts (by key) and of the arms as measured; compared with the truth where it is known."""
+
+    def value(key: str) -> object:
+        return facts[key].value if key in facts else None
+
+    arms, joints, fingers, tcp = [], {}, {}, {}
+    for arm in cell.arms:
+        sample = measured.get(arm.name)
+        known = value(f"{arm.name}.joints")
+        joints[arm.name] = sample.joints if sample else list(known) if isinstance(known, list) else arm.home_rad
+        width = value(f"{arm.name}.hand_width")
+        wide_m = sample.hand_width_m if sample else width if isinstance(width, float) else arm.gripper.max_opening_m
+        fingers[arm.name] = [0.5 * wide_m, 0.5 * wide_m]
+        if sample:
+            tcp[arm.name] = sample.tcp_pose
+        arms.append(
+            ArmRow(
+                name=arm.name,
+                tcp=tcp.get(arm.name),
+                hand_width_m=wide_m,
+                holding=str(value(f"{arm.name}.holding") or ""),
+                truly_holding=truth.held.get(arm.name, []) if truth else None,
+                moving=sample.primitive if sample else "",
+            )
+        )
+    objects = []
+    for thing in cell.objects:
+        fact, holder = facts.get(f"{thing.name}.frame"), str(value(f"{thing.name}.held_by") or "")
+        pose, grasp = value(f"{thing.name}.frame"), value(f"{thing.name}.grasp")
+        if holder in tcp and isinstance(grasp, list):
+            pose = geometry.compose(tcp[holder], grasp).tolist()
+        if not isinstance(pose, list):
+            pose = cell.object_pose(thing.name).tolist()
+        true_pose = truth.poses.get(thing.name) if truth else None
+        objects.append(
+            ObjectRow(
+                name=thing.name,
+                pose=pose,
+                validity=fact.validity if fact else m.Validity.UNKNOWN,
+                where=f"{holder}'s hand" if holder else str(value(f"{thing.name}.seat") or ""),
+                true_pose=true_pose,
+                off_m=geometry.distance(pose, true_pose) if true_pose else None,
+                turned_rad=geometry.angle(pose, true_pose) if true_pose else None,
+            )
+        )
+    scene = Scene(poses={row.name: row.pose for row in objects}, joints=joints, fingers=fingers, tcp=tcp)
+    return Believed(scene=scene, arms=arms, objects=objects)
+
+
+def true_scene(truth: m.SimTruthReply) -> Scene:
+    return Scene(poses=truth.poses, joints=truth.joints, fingers=truth.fingers, tcp=truth.tcp)
+
+
+# --- for people ----------------------------------------------------------------------------------------
+
+
+def centimetres(point: geometry.Floats) -> str:
+    """80 -80.5 60: a position in cm, to a tenth of a millimetre."""
+    return " ".join(f"{round(100.0 * float(n), 2) + 0.0:g}" for n in list(point)[:3])
+
+
+def degrees(pose: geometry.Floats) -> str:
+    """0 90 -45.5: roll pitch yaw of a pose. Where the pitch is about 90 deg, only roll and yaw together mean anything:
+    the yaw is 0 then."""
+    roll, pitch, yaw = (math.degrees(n) for n in geometry.to_rpy(pose).tolist())
+    if abs(pitch) > STEEP_DEG:
+        roll, yaw = (roll - math.copysign(yaw, yaw * pitch) + 180.0) % 360.0 - 180.0, 0.0
+    return " ".join(f"{round(n, 1) + 0.0:g}" for n in (roll, pitch, yaw))

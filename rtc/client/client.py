@@ -1,0 +1,487 @@
+"""Python client of a cluster: submit sentences, fetch outcomes, halt, and read status, traces and the world.
+
+    from rtc import Client
+
+    with Client() as rtc:                                   # the cluster that `rtc up -d` started
+        ended = rtc.run("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+        print(ended.command, ended.outcome.kind, ended.outcome.message)
+
+Threads: only one thread may use a Client. The exception is `halt`: it has its own sockets, and any thread may call it
+at any time, also while another waits in `run`. A lost broker is not an error: open requests are sent again to the new
+one under the same request name, so none is lost or done twice. A failed sentence does not raise: see its
+`CommandEnded.outcome`. Exceptions (see `rtc.protocol.outcomes`) mean that the cluster does not answer.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args
+
+import zmq
+
+from rtc.client.connection import LAST_WORDS_MS, FrontDoor
+from rtc.client.halt import HaltLine, HaltResult
+from rtc.client.heartbeat import HeartbeatSender
+from rtc.client.liveness import BrokerLiveness, Report, is_listening, supervised
+from rtc.language.refuse import MAX_CHARACTERS
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import (
+    KeyTrouble,
+    NoCluster,
+    Outcome,
+    OutcomeKind,
+    Refusal,
+    RefusalReason,
+    RequestDeclined,
+    TimedOut,
+    WireError,
+)
+from rtc.protocol.wire import MAX_BYTES, frames, reader
+from rtc.runtime.keys import Endpoints, KeyFile
+from rtc.runtime.settings import Settings, default_run_dir
+from rtc.world.client import WorldClient
+
+NAME_BYTES = 128  # maximum length of a client's name; it becomes part of other names
+ANSWER_S = 5.0  # longest wait for an answer that needs no motion
+LOADED_S = 40.0  # the same for a program, which the cluster checks first
+ASK_AGAIN_S = 0.2  # pause after the broker declined a query for overload
+WINDOW = 512  # maximum number of sentences in progress in `run_many`
+KEPT = 10_000  # maximum number of unfetched outcomes
+NO_TEXT = re.compile("[\ud800-\udfff]")  # lone surrogates, made by Python of undecodable bytes; not valid in UTF-8
+
+Source = Literal["operator", "aip"]
+SOURCES = get_args(Source)
+OnAccept = Callable[[int, str], None]
+OnProgress = Callable[[m.ProgressNote], None]
+OnEnd = Callable[[int, m.CommandEnded], None]
+Answer = TypeVar("Answer")
+
+
+def as_text(sentence: str) -> str:
+    """The sentence as valid UTF-8; undecodable characters become U+FFFD, which the parser refuses at its place."""
+    return NO_TEXT.sub("\ufffd", sentence)
+
+
+class Client:
+    """A connection to one cluster. Use it as a context manager, or call `close`.
+
+    `run_dir`: the cluster's run directory; None = the default of `rtc up`.
+    `name`: a label for people, at most 128 bytes; two clients may have the same name.
+    `need_broker=False`: connect although the broker is absent; halt, truth and telemetry then work.
+    `halt_if_lost`: the cluster halts this client's commands if this process dies or hangs for some seconds.
+    `key`: a key file, in place of `run_dir`, for a cluster on another machine (docs/security.md). Connecting may take
+    some seconds, and the cluster declines what the key's role may not do.
+    `on_silence`: called with a message when the broker has not answered for some seconds, and when it answers again.
+
+    Raises NoCluster, within a second, if no broker answers; if its supervisor lives, the client waits some seconds for
+    the restart. Raises KeyTrouble for an invalid key file, ValueError for an invalid name or source. Every wait
+    outlasts a restart of the broker. If the cluster is gone or another one has taken over the run directory, waits
+    raise NoCluster; create a new Client.
+    """
+
+    def __init__(
+        self,
+        run_dir: str | Path | None = None,
+        *,
+        name: str | None = None,
+        source: Source = "operator",
+        need_broker: bool = True,
+        halt_if_lost: bool = False,
+        key: str | Path | None = None,
+        on_silence: Report | None = None,
+    ) -> None:
+        if source not in SOURCES:
+            raise ValueError(f"invalid source {source!r}: it must be {' or '.join(SOURCES)}")
+        self.run_dir = Path(run_dir) if run_dir is not None else default_run_dir()
+        self._endpoints: Endpoints = _settings_of(self.run_dir) if key is None else KeyFile.load(key)
+        self._endpoints.endpoint("front")  # raises if the key's role is not that of a client
+        self.source: Source = source
+        self._life = uuid.uuid4().hex[:8]  # keeps our requests apart from those of another client with this name
+        self.name = name or f"client-{os.getpid()}"
+        if (length := len(self.name.encode())) > NAME_BYTES or self.name[0] == "\0":
+            raise ValueError(f"invalid client name: {length} bytes; the limit is {NAME_BYTES}, the first must not be 0")
+        me = f"{self.name}~{self._life}"  # unique, although two clients may have one name
+        self._ask_number = itertools.count(1)
+        self._command_of: dict[str, str] = {}  # request -> C-n
+        self._request_of: dict[str, str] = {}  # C-n -> request
+        self._listeners: dict[str, OnProgress] = {}  # request -> callback for its notes
+        self._accept_listeners: dict[str, Callable[[str], None]] = {}
+        self._ended: dict[str, m.CommandEnded] = {}  # request -> outcome, until it is fetched
+        self._fetched: dict[str, None] = {}  # latest fetched requests, to recognise a repeated outcome
+        self._queries: set[str] = set()  # requests that are queries, not sentences
+        self._answers: dict[str, m.BrokerToClient] = {}  # request -> answer to a query
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._halt_line = HaltLine(self._context, self._endpoints)
+        self._front = FrontDoor(
+            self._context, self._endpoints, me, self._endpoints.run if isinstance(self._endpoints, Settings) else ""
+        )
+        self._heartbeat = HeartbeatSender(self._context, self._endpoints, me) if halt_if_lost else None
+        self._liveness = BrokerLiveness(self.run_dir if key is None else None, on_silence)
+        self._world: WorldClient | None = None
+        if need_broker:
+            try:
+                self._front.knock(str(self.run_dir), self._restarting, self._liveness.restarting)
+            except NoCluster:
+                self.close()
+                raise
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close all sockets. Commands in progress continue."""
+        if self._world is not None:
+            self._world.close()
+            self._world = None
+        if self._heartbeat is not None:
+            self._heartbeat.close()
+        self._halt_line.close()
+        self._front.close()
+        self._context.destroy(linger=LAST_WORDS_MS)  # also closes the sockets of `events` and `telemetry`
+
+    @property
+    def where(self) -> str:
+        """The cluster, for people: its run directory, or the address of its gateway."""
+        return self._endpoints.address if isinstance(self._endpoints, KeyFile) else str(self.run_dir)
+
+    @property
+    def settings(self) -> Settings:
+        """Settings of a cluster on this machine. Raises KeyTrouble for a cluster that is reached by a key."""
+        if not isinstance(self._endpoints, Settings):
+            raise KeyTrouble("the settings of a cluster on another machine are not available over tcp")
+        return self._endpoints
+
+    # --- sentences ------------------------------------------------------------------------------------
+
+    def submit(self, text: str, *, on_progress: OnProgress | None = None) -> str:
+        """Submit one sentence; its number C-n, after the cluster has journalled it. Fetch the outcome with `wait`.
+
+        Raises RequestDeclined if the cluster does not accept it.
+        """
+        request = self._submit(text, on_progress)
+        self._until(
+            lambda: request in self._command_of or request in self._ended, ANSWER_S, "the sentence was not accepted"
+        )
+        if request not in self._command_of:
+            refusal = self._fetch(request).outcome.refusal
+            assert refusal is not None
+            raise RequestDeclined(refusal)
+        return self._command_of[request]
+
+    def wait(self, command: str, timeout_s: float | None = None) -> m.CommandEnded:
+        """The outcome of a command of this client. Raises TimedOut if it does not end in time; it then continues."""
+        request = self._request_of.get(command)
+        assert request is not None, f"{command} was not submitted by this client, or its outcome was fetched already"
+        self._until(lambda: request in self._ended, timeout_s, f"{command} has not ended; it continues")
+        return self._fetch(request)
+
+    def run(
+        self,
+        text: str,
+        on_progress: OnProgress | None = None,
+        timeout_s: float | None = None,
+    ) -> m.CommandEnded:
+        """Submit one sentence and wait for its outcome.
+
+        `on_progress` receives each ProgressNote; `seq` 0 marks a report of REPORT EVERY. Raises TimedOut after
+        `timeout_s`; the command then continues.
+        """
+        return self.run_many([text], on_progress=on_progress, timeout_s=timeout_s)[0]
+
+    def run_many(
+        self,
+        texts: Sequence[str],
+        parallel: bool = True,
+        *,
+        on_accept: OnAccept | None = None,
+        on_progress: OnProgress | None = None,
+        on_end: OnEnd | None = None,
+        timeout_s: float | None = None,
+    ) -> list[m.CommandEnded]:
+        """Submit sentences and wait; outcomes in the order of `texts`.
+
+        `parallel`: submit all at once, and let the cluster run those that need different resources at the same time;
+        otherwise each sentence is submitted when the one before has ended. `on_accept(i, "C-7")` and
+        `on_end(i, ended)` are called for sentence i. `timeout_s` is for all together.
+        """
+        limit_s = None if timeout_s is None else time.monotonic() + timeout_s
+        ended: dict[int, m.CommandEnded] = {}
+        waiting: dict[str, int] = {}
+        todo = deque(enumerate(texts))
+        while todo or waiting:
+            while todo and len(waiting) < (WINDOW if parallel else 1):
+                n, text = todo.popleft()
+                waiting[self._submit(text, on_progress, on_accept and partial(on_accept, n))] = n
+            self._until(
+                lambda: not waiting.keys().isdisjoint(self._ended),
+                None if limit_s is None else limit_s - time.monotonic(),
+                f"{len(waiting) + len(todo)} of {len(texts)} commands have not ended; those submitted continue",
+            )
+            for request in waiting.keys() & self._ended.keys():
+                n = waiting.pop(request)
+                ended[n] = self._fetch(request)
+                if on_end:
+                    on_end(n, ended[n])
+        return [ended[n] for n in range(len(texts))]
+
+    # --- stopping -------------------------------------------------------------------------------------
+
+    def halt(self, scope: str = "ALL", timeout_s: float = 2.0) -> HaltResult:
+        """Stop motion now: ALL, an arm, or a command C-n. The order goes to broker and MCM at once, past all queues.
+
+        Returns when rest is confirmed (`confirmed`) or `timeout_s` has passed. Any thread may call it. Raises
+        ClusterError if neither broker nor MCM could be reached.
+        """
+        return self._halt_line.halt(scope, timeout_s)
+
+    def halt_ready(self) -> bool:
+        """True once the halt sockets of broker and MCM are both connected."""
+        return self._halt_line.ready()
+
+    # --- looking --------------------------------------------------------------------------------------
+
+    def status(self) -> dict[str, Any]:
+        """Processes, workers, queues, resources, commands, subsystems, counters (see docs/protocol.md)."""
+        return self._query(m.StatusQuery(request=self._next_request()), m.StatusReply).status
+
+    def trace(self, command: str) -> m.CommandRecord:
+        """The record of a command. Raises RequestDeclined for an unknown command."""
+        query = m.TraceQuery(request=self._next_request(), command=command.upper())
+        return self._query(query, m.TraceReply).record
+
+    def load(self, kind: str, file: str | Path) -> m.ProgramLoaded:
+        """Load a program file into the running cluster. Raises RequestDeclined if it is invalid."""
+        path = Path(file)
+        if (length := path.stat().st_size) > m.PROGRAM_BYTES:
+            words = f"{path.name} has {length:,} bytes; the limit is {m.PROGRAM_BYTES:,}"
+            raise RequestDeclined(Refusal(reason=RefusalReason.PROGRAM, message=words))
+        message = m.ProgramText(
+            request=self._next_request(), kind=m.WorkerKind(kind.lower()), name=path.name, body=path.read_bytes()
+        )
+        return self._query(message, m.ProgramLoaded, LOADED_S)
+
+    def reset(self, kind: str) -> m.ProgramLoaded:
+        """Restore the default program of a kind. Raises RequestDeclined if it does not fit the other programs."""
+        message = m.ProgramText(
+            request=self._next_request(), kind=m.WorkerKind(kind.lower()), name="default", body=b"", reset=True
+        )
+        return self._query(message, m.ProgramLoaded, LOADED_S)
+
+    def program(self, kind: str) -> m.ProgramReply:
+        """The current program of a kind of worker."""
+        query = m.ProgramQuery(request=self._next_request(), kind=m.WorkerKind(kind.lower()))
+        return self._query(query, m.ProgramReply)
+
+    def events(self, silence_s: float | None = None) -> Iterator[m.ProgressNote | m.CommandEnded]:
+        """Progress and ends of all commands of all clients, from now on.
+
+        Endless, unless `silence_s` is given: then it ends after that time without a message.
+        """
+        return self._subscribe("events", reader(m.ProgressNote | m.CommandEnded), silence_s)
+
+    def telemetry(self, silence_s: float | None = None) -> Iterator[m.Telemetry]:
+        """Joints, wrench, tcp pose and hand width of every arm, as the MCM publishes them. Ends as `events` does."""
+        return self._subscribe("telemetry", reader(m.Telemetry), silence_s)
+
+    @property
+    def world(self) -> WorldClient:
+        """Read access to the world database."""
+        if self._world is None:
+            secure = self._endpoints.secure if self._endpoints.far else None
+            self._world = WorldClient(self._endpoints.endpoint("world"), self._context, secure=secure)
+        return self._world
+
+    # --- simulators only ------------------------------------------------------------------------------
+
+    def truth(self) -> m.SimTruthReply:
+        """True poses in the simulator."""
+        return self._bench(m.SimTruth(request=self._next_request()), m.SimTruthReply)
+
+    def displace(self, object: str, offset: Sequence[float]) -> None:
+        """Move an object and its seat in the simulator only. `offset`: x y z (m) roll pitch yaw (rad), world axes."""
+        message = m.SimDisplace(request=self._next_request(), object=object, offset=[float(v) for v in offset])
+        self._tamper(message)
+
+    def change_physics(self, mass: float = 1.0, friction: float = 1.0) -> None:
+        """Scale the cell's masses and the friction of finger pads in the simulator only."""
+        self._tamper(m.SimFactors(request=self._next_request(), mass=mass, friction=friction))
+
+    def _tamper(self, message: m.SimDisplace | m.SimFactors) -> None:
+        done = self._bench(message, m.SimDone)
+        if done.error:
+            raise RequestDeclined(Refusal(reason=RefusalReason.STATE, message=done.error))
+
+    # --- inside ---------------------------------------------------------------------------------------
+
+    def _next_request(self) -> str:
+        return f"{self.name}/{self._life}-{next(self._ask_number)}"
+
+    def _restarting(self) -> bool:
+        return not self._endpoints.far and supervised(self.run_dir, by_hand=False)
+
+    def _submit(
+        self,
+        text: str,
+        on_progress: OnProgress | None,
+        on_accept: Callable[[str], None] | None = None,
+    ) -> str:
+        """Send one sentence; returns the name of the request."""
+        request = self._next_request()
+        if on_progress is not None:
+            self._listeners[request] = on_progress
+        if on_accept is not None:
+            self._accept_listeners[request] = on_accept
+        sentence = m.CommandText(
+            request=request,
+            text=as_text(text)[: 2 * MAX_CHARACTERS],  # cut for the wire; still refused by the parser
+            source=self.source,
+            progress=on_progress is not None,
+            halt_if_lost=self._heartbeat is not None,
+            sent_at_s=time.monotonic(),  # a repeat after a halt keeps this time, so that the halt covers it
+        )
+        self._front.ask(request, sentence)
+        return request
+
+    def _until(self, done: Callable[[], bool], timeout_s: float | None, otherwise: str) -> None:
+        """Receive messages until `done`. Raises TimedOut with the text `otherwise`."""
+        limit_s = None if timeout_s is None else time.monotonic() + timeout_s
+        while not done():
+            left_s = 3600.0 if limit_s is None else limit_s - time.monotonic()
+            if left_s <= 0:
+                raise TimedOut(f"{otherwise} (waited {timeout_s:.1f} s)")
+            if (message := self._front.hear(left_s)) is not None:
+                self._take(message)
+            self._liveness.check(self._front.unanswered, self._front.replaced)
+            if shut_out := self._front.shut_out:
+                raise NoCluster(shut_out)
+
+    def _take(self, message: m.BrokerToClient) -> None:
+        match message:
+            case m.Accepted(request=request, command=command):
+                if request not in self._command_of:  # a second Accepted answers a repeated sentence
+                    self._command_of[request] = command
+                    self._request_of[command] = request
+                    if tell := self._accept_listeners.pop(request, None):
+                        tell(command)
+            case m.ProgressNote(command=command):
+                if listener := self._listeners.get(self._request_of.get(command, "")):
+                    listener(message)
+            case m.CommandEnded(request=request):
+                self._keep_outcome(request, message)
+            case m.Declined(request=request, refusal=refusal) if request in self._queries:
+                self._answers[request] = message
+            case m.Declined(request=request, refusal=refusal):
+                self._keep_outcome(request, _as_refused(request, refusal))
+            case m.StatusReply() | m.TraceReply() | m.ProgramLoaded() | m.ProgramReply():
+                if message.request in self._queries:
+                    self._answers[message.request] = message
+
+    def _keep_outcome(self, request: str, ended: m.CommandEnded) -> None:
+        if request in self._fetched:
+            return  # repeated, after a reconnect
+        self._ended[request] = ended
+        while len(self._ended) > KEPT:
+            self._fetch(next(iter(self._ended)))
+
+    def _fetch(self, request: str) -> m.CommandEnded:
+        """Return an outcome and forget its command."""
+        self._listeners.pop(request, None)
+        self._accept_listeners.pop(request, None)
+        self._request_of.pop(self._command_of.pop(request, ""), None)
+        self._fetched[request] = None
+        while len(self._fetched) > KEPT:
+            del self._fetched[next(iter(self._fetched))]
+        return self._ended.pop(request)
+
+    def _query(self, message: Any, answer: type[Answer], within_s: float = ANSWER_S) -> Answer:
+        """Send a query; repeat it for `within_s` while the broker declines it for overload."""
+        request, limit_s = message.request, time.monotonic() + within_s
+        self._queries.add(request)
+        try:
+            while True:
+                self._front.ask(request, message)
+                self._until(lambda: request in self._answers, within_s, "the broker did not answer")
+                found = self._answers.pop(request)
+                overload = isinstance(found, m.Declined) and found.refusal.reason is RefusalReason.OVERLOAD
+                if not overload or time.monotonic() > limit_s:
+                    return _expect(found, answer)
+                self._receive_for(ASK_AGAIN_S)
+        finally:
+            self._queries.discard(request)
+            self._front.forget(request)
+
+    def _receive_for(self, seconds: float) -> None:
+        end_s = time.monotonic() + seconds
+        while (left_s := end_s - time.monotonic()) > 0:
+            if (message := self._front.hear(left_s)) is not None:
+                self._take(message)
+
+    def _bench(self, message: m.ToSim, answer: type[Answer]) -> Answer:
+        """Send a request to the simulator, over a socket of its own: such requests are rare."""
+        read = reader(m.FromSim)
+        with self._context.socket(zmq.DEALER) as bench:
+            bench.setsockopt(zmq.LINGER, 0)
+            bench.connect(self._endpoints.endpoint("bench"))
+            bench.send_multipart(frames(message))
+            if not bench.poll(int(ANSWER_S * 1000)):
+                raise TimedOut(f"the simulator did not answer within {ANSWER_S:.0f} s")
+            return _expect(read(bench.recv_multipart()), answer)
+
+    def _subscribe(
+        self, endpoint: str, read: Callable[[Sequence[bytes]], Answer], silence_s: float | None
+    ) -> Iterator[Answer]:
+        socket = self._context.socket(zmq.SUB)
+        socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
+        socket.subscribe(b"")
+        self._endpoints.secure(socket)
+        socket.connect(self._endpoints.endpoint(endpoint))
+        return _each(socket, read, silence_s)
+
+
+def _each(
+    socket: zmq.Socket[bytes], read: Callable[[Sequence[bytes]], Answer], silence_s: float | None
+) -> Iterator[Answer]:
+    limit_ms = None if silence_s is None else int(silence_s * 1000)
+    with socket:
+        while socket.poll(limit_ms):
+            try:
+                yield read(socket.recv_multipart())
+            except WireError:
+                continue  # of a newer version
+
+
+def _settings_of(run_dir: Path) -> Settings:
+    """The cluster's settings. Raises NoCluster at once if no process listens in `run_dir`."""
+    try:
+        settings = Settings.load(run_dir)
+    except (FileNotFoundError, NotADirectoryError):
+        raise NoCluster(f"no cluster in {run_dir}; start one with: rtc up -d") from None
+    except PermissionError:
+        raise NoCluster(f"the cluster in {run_dir} belongs to another user; choose another --run-dir") from None
+    if not is_listening(run_dir, ("front", "estop")):
+        raise NoCluster(f"the cluster in {run_dir} no longer runs; start one with: rtc up -d")
+    return settings
+
+
+def _expect(message: object, kind: type[Answer]) -> Answer:
+    if isinstance(message, m.Declined):
+        raise RequestDeclined(message.refusal)
+    assert isinstance(message, kind), f"expected {kind.__name__}, got {message!r}"
+    return message
+
+
+def _as_refused(request: str, refusal: Refusal) -> m.CommandEnded:
+    """The outcome of a sentence that did not become a command: a refusal, so that callers handle one type."""
+    outcome = Outcome(kind=OutcomeKind.REFUSED, message=refusal.message, refusal=refusal)
+    return m.CommandEnded(seq=0, at_s=time.monotonic(), command="", request=request, text="", outcome=outcome, took_s=0)

@@ -1,0 +1,240 @@
+"""Client's connection to the broker: a DEALER that repeats unanswered requests and survives the loss of a broker.
+
+Over tcp the hello identifies the client to the gateway, so it is sent first on every new connection and after a long
+pause. The module knows requests and their answers, but not their meaning.
+
+Rule 1: a request is forgotten only after its last answer (for a sentence: `CommandEnded`), so that all open requests
+can be sent again to a new broker. Rule 2: repeating is harmless, because the broker identifies a request by (client,
+request). Rule 3: requests are repeated only to a broker of the same cluster, according to its Welcome. Requests that
+act carry the cluster's name, because ZeroMQ may deliver a message for one broker to the next. Rule 4: sending never
+blocks.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import time
+from collections import deque
+from collections.abc import Callable
+
+import msgspec
+import zmq
+
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import NoCluster, Refusal, RefusalReason, RequestDeclined, WireError
+from rtc.protocol.wire import MAX_BYTES, frames, reader_of_many, together
+from rtc.runtime.keys import Endpoints
+from rtc.runtime.settings import BOUNDS
+
+HELLO_S, FAR_HELLO_S = 0.8, 3.0  # time limit of the first Welcome, local and over tcp
+RESTART_S = 10.0  # the same for a broker that is being restarted: its supervisor lives
+LOOK_S = 0.2  # period of checking that the supervisor lives
+FAR_IDLE_S = 60.0  # after this pause the hello is repeated, because a gateway forgets idle clients
+LAST_WORDS_MS = 200  # time limit for sending the rest at close
+SILENCE_S = 2.0  # without a message for this long, the broker is probed
+LAST_ANSWERS = (m.Declined, m.CommandEnded, m.StatusReply, m.TraceReply, m.ProgramLoaded, m.ProgramReply)
+ACTS = (m.CommandText, m.ProgramText)  # only for the cluster that they were submitted to
+
+FAILED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+WATCHED = zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED | FAILED
+
+_read = reader_of_many(m.BrokerToClient)
+
+
+class FrontDoor:
+    """Not thread-safe: one thread sends and hears. `cluster`: the run we mean; "" = the first that welcomes us."""
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], doors: Endpoints, name: str, cluster: str = "") -> None:
+        self.name = name
+        self._address, self._far = doors.endpoint("front"), doors.far
+        self._connected = self._unknown = False  # over tcp: somebody listens there; it said that it does not know us
+        self._there = False  # the line is up
+        self._said_at_s = 0.0
+        self._cluster = cluster
+        self.welcome: m.Welcome | None = None
+        self.replaced = False  # another cluster is where ours was: it is never spoken to
+        self.bad_messages = 0
+        self.unanswered = 0  # number of probes without an answer
+        self._open: dict[str, m.ClientToBroker] = {}  # request -> message, until its last answer
+        self._say_again = False  # send all open requests again after the next Welcome
+        self._unsent: list[msgspec.Raw] = []  # requests that travel together when we hear next
+        self._came: deque[m.BrokerToClient] = deque()  # of an array: what has not been handed over yet
+        self._heard_at_s = time.monotonic()
+        self._socket = context.socket(zmq.DEALER)
+        if not self._far:
+            self._socket.setsockopt(zmq.IDENTITY, name.encode())
+        doors.secure(self._socket)
+        self._socket.setsockopt(zmq.LINGER, LAST_WORDS_MS)  # a broker that is gone for good holds nobody up
+        self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
+        self._socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
+        self._socket.setsockopt(zmq.SNDHWM, 10_000)
+        self._socket.setsockopt(zmq.RCVHWM, 100_000)
+        self._monitor = self._socket.get_monitor_socket(WATCHED)
+        self._poller = zmq.Poller()
+        self._poller.register(self._socket, zmq.POLLIN)
+        self._poller.register(self._monitor, zmq.POLLIN)
+        self._handshakes = 0
+        self._socket.connect(self._address)
+        self._say_hello()
+
+    def knock(self, run_dir: str, comes_back: Callable[[], bool], tell: Callable[[], None]) -> m.Welcome:
+        """Wait for the Welcome; for longer, after `tell`, as long as the broker `comes_back`. Raises NoCluster when
+        nobody opens in time."""
+        began_s = time.monotonic()
+        limit_s = began_s + (FAR_HELLO_S if self._far else HELLO_S)
+        told = False
+        while self.welcome is None:
+            left_s = limit_s - time.monotonic()
+            if self._unknown or (self._far and left_s <= 0):
+                raise NoCluster(self._why_far())
+            if left_s <= 0 and time.monotonic() - began_s < RESTART_S and comes_back():
+                if not told:
+                    tell()
+                told, left_s = True, LOOK_S
+            if left_s <= 0:
+                raise NoCluster(
+                    f"no broker answers in {run_dir}; look at `rtc status`, or start a cluster with: rtc up -d"
+                )
+            self.hear(left_s)
+        return self.welcome
+
+    def ask(self, request: str, message: m.ClientToBroker) -> None:
+        """Send a request and keep it open until its last answer. Raises RequestDeclined for one that is too long."""
+        if self._far and time.monotonic() - self._said_at_s > FAR_IDLE_S:
+            self._say_hello()
+        parts = self._parts(message)
+        if isinstance(message, ACTS) and self.welcome is None and not self._cluster:
+            self._say_again = True  # not before we know whom we speak to
+        elif self.welcome is not None and self.welcome.arrays:
+            self._unsent.append(msgspec.Raw(parts[-1]))
+        else:
+            self._send(parts)
+        self._open[request] = message
+
+    def forget(self, request: str) -> None:
+        """Stop waiting for the answer to this request."""
+        self._open.pop(request, None)
+
+    def hear(self, timeout_s: float) -> m.BrokerToClient | None:
+        """The next message; None if there was none in time, or only a change of the connection."""
+        if self.replaced:
+            return None
+        self._send_unsent()
+        if self._came:
+            return self._hand_over(self._came.popleft())
+        ready = dict(self._poller.poll(max(0, math.ceil(min(timeout_s, SILENCE_S) * 1000))))
+        if self._monitor in ready:
+            self._watch_connection()
+        if self._socket not in ready:
+            if self._open and time.monotonic() - self._heard_at_s > SILENCE_S:
+                self._heard_at_s = time.monotonic()
+                self.unanswered += 1
+                self._ask_who_is_there()
+            return None
+        self._heard_at_s = time.monotonic()
+        self.unanswered = 0
+        try:
+            self._came.extend(_read(self._socket.recv_multipart()))
+        except WireError:
+            self.bad_messages += 1
+            return None
+        return self._hand_over(self._came.popleft()) if self._came else None
+
+    def _hand_over(self, message: m.BrokerToClient) -> m.BrokerToClient:
+        if isinstance(message, m.Welcome):
+            self._take_welcome(message)
+        if isinstance(message, m.Accepted):
+            self._note_number(message)
+        if isinstance(message, LAST_ANSWERS):
+            self._open.pop(message.request, None)
+        return message
+
+    def _note_number(self, accepted: m.Accepted) -> None:
+        """Sent again, the sentence bears its number: a broker that lost it must not begin it once more."""
+        sentence = self._open.get(accepted.request)
+        if isinstance(sentence, m.CommandText) and not sentence.known_as:
+            self._open[accepted.request] = msgspec.structs.replace(sentence, known_as=accepted.command)
+
+    @property
+    def shut_out(self) -> str:
+        """Over tcp, when the cluster has said that it does not know our key: that, in words."""
+        return self._why_far() if self._unknown else ""
+
+    def close(self) -> None:
+        self._send_unsent()
+        self._socket.disable_monitor()
+        self._monitor.close(linger=0)
+        self._socket.close()
+
+    def _parts(self, message: m.ClientToBroker) -> list[bytes]:
+        """As it travels. Raises RequestDeclined when no broker would take it."""
+        if isinstance(message, ACTS):
+            message = msgspec.structs.replace(message, cluster=self._cluster)
+        parts = frames(message)
+        if len(parts[-1]) > BOUNDS["front"].frame:  # whoever sends more is cut off, again and again
+            words = f"too long: {len(parts[-1]):,} bytes, a request may have {BOUNDS['front'].frame:,}"
+            raise RequestDeclined(Refusal(reason=RefusalReason.SENTENCE, message=words))
+        return parts
+
+    def _send(self, parts: list[bytes]) -> bool:
+        """False: no room, so it is said later."""
+        self._said_at_s = time.monotonic()
+        try:
+            self._socket.send_multipart(parts, zmq.NOBLOCK)
+        except zmq.Again:
+            self._say_again = True
+            return False
+        return True
+
+    def _send_unsent(self) -> None:
+        unsent, self._unsent = self._unsent, []
+        for parts in together(unsent):
+            self._send(parts)
+
+    def _say_hello(self) -> None:
+        self._send(frames(m.ClientHello(client=self.name, at_s=time.monotonic(), arrays=True)))
+
+    def _ask_who_is_there(self) -> None:
+        """And say all that is open again, if it is our cluster's broker. A line that is down asks when it is up."""
+        self._say_again = True
+        if self._there:
+            self._say_hello()
+
+    def _take_welcome(self, welcome: m.Welcome) -> None:
+        another = self._cluster not in ("", welcome.cluster)
+        if another and (self.welcome is not None or self._open):  # or it was started while we came
+            self.replaced = True
+            self._open.clear()
+            return
+        self._cluster, self.welcome = welcome.cluster, welcome
+        if self._say_again:
+            self._say_again = False
+            for message in self._open.values():
+                if not self._send(self._parts(message)):
+                    break
+
+    def _why_far(self) -> str:
+        """What is wrong when a cluster over tcp gives no answer, as far as it can be seen from here."""
+        if self._unknown:
+            return f"the cluster at {self._address} does not know this key (any more?); there: rtc keys list"
+        if self._handshakes:
+            return f"the gate at {self._address} answers, but not its broker; there: rtc status"
+        if self._connected:
+            return (
+                f"what listens at {self._address} is not the cluster of this key file, or has a new key of its own; "
+                "make a new key file there: rtc keys new"
+            )
+        return f"no answer from {self._address}: is the cluster up, with --listen, and is this the right address?"
+
+    def _watch_connection(self) -> None:
+        event, _ = struct.unpack("=HI", self._monitor.recv_multipart()[0])
+        self._connected |= event == zmq.EVENT_CONNECTED
+        self._unknown |= event == zmq.EVENT_HANDSHAKE_FAILED_AUTH
+        if event == zmq.EVENT_DISCONNECTED:
+            self._there = False
+        if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+            self._unknown, self._there = False, True
+            self._handshakes += 1
+            if self._handshakes > 1:  # a new broker, or the old one again: it may have lost what was under way
+                self._ask_who_is_there()

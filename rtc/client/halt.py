@@ -1,0 +1,255 @@
+"""Client side of a halt: sends the same order to the broker's halt socket and to the MCM's estop socket at once.
+
+It has its own sockets and lock, connected in advance. So a halt never waits behind other traffic, and works when the
+broker is dead, stopped or busy. One query goes to the broker's front socket, after the halt: whether a command exists
+of which nothing moves. Latency is the time from the call to the first decelerating tick, both of CLOCK_MONOTONIC of
+one machine. Over tcp the clocks differ: the latency then ends with the arrival of the report and includes the network.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import threading
+import time
+import uuid
+from collections.abc import Collection
+
+import msgspec
+import zmq
+
+from rtc.client.connection import FrontDoor
+from rtc.language.fastpath import EVERYTHING, halt_scope
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import ClusterError, RefusalReason, WireError
+from rtc.protocol.wire import frames, reader
+from rtc.runtime.keys import Endpoints
+
+CONNECT_S, FAR_CONNECT_S = 0.5, 3.0  # time limit of the first connection, local and over tcp
+# Time in which the broker may decline a scope that is unknown to it; the MCM reports rest for one at once.
+UNKNOWN_S, FAR_UNKNOWN_S = 0.1, 0.5
+ASK_S, FAR_ASK_S = 1.0, 3.0  # time limit of the query whether a command exists, local and over tcp
+LONGEST_S = 3600.0  # maximum wait for rest
+RETRY_S = 0.02  # period of sending the order again to a socket that was not connected
+HALT_ENDPOINTS = ("halt", "estop")  # of the broker, of the MCM
+COMMAND = re.compile(r"C-\d+", re.ASCII)  # a scope that only the broker can resolve
+
+_read = reader(m.FromHalt)
+
+
+class SubsystemHalt(msgspec.Struct, kw_only=True):
+    """The answer of one subsystem to a halt."""
+
+    name: str
+    latency_s: float | None = None  # call -> first decelerating tick
+    moving: list[str] = []  # performers that were in motion
+    at_rest: bool | None = None  # None: not reported yet
+    performers: list[str] = []  # that were in scope, in motion or not
+    rest_s: float | None = None  # call -> rest
+
+
+class HaltResult(msgspec.Struct, kw_only=True):
+    """The result of one halt."""
+
+    halt: str
+    scope: str
+    latency_s: float | None  # the first decelerating tick of all; None: no subsystem answered
+    confirmed: bool  # every subsystem that answered is at rest, and one did
+    sent_to: list[str] = msgspec.field(name="told")  # sockets that accepted it: "halt" (broker), "estop" (MCM)
+    subsystems: list[SubsystemHalt]
+    message: str = ""  # why it is not confirmed
+    declined: bool = False  # the scope is unknown: nothing was stopped
+
+    @property
+    def reached(self) -> bool:
+        """True if a performer was in its scope, in motion or not."""
+        return _reached(self.subsystems)
+
+    @property
+    def moving(self) -> list[str]:
+        """Performers that were in motion, sorted."""
+        return sorted({name for sub in self.subsystems for name in sub.moving})
+
+
+class HaltLine:
+    """Sends halts to one cluster. Thread-safe: calls from several threads run one after the other."""
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], endpoints: Endpoints) -> None:
+        self._context, self._endpoints = context, endpoints
+        self._far = endpoints.far
+        self._connect_s, self._unknown_s = (FAR_CONNECT_S, FAR_UNKNOWN_S) if self._far else (CONNECT_S, UNKNOWN_S)
+        self._lock = threading.Lock()
+        self._poller = zmq.Poller()
+        self._sockets: dict[str, zmq.Socket[bytes]] = {}
+        for name in HALT_ENDPOINTS:
+            socket = context.socket(zmq.DEALER)  # without an identity, so that no other process can use the same one
+            endpoints.secure(socket)
+            socket.setsockopt(zmq.LINGER, 0)
+            socket.setsockopt(zmq.IMMEDIATE, 1)  # not queued: a stale halt would stop later commands
+            socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
+            socket.connect(endpoints.endpoint(name))
+            self._sockets[name] = socket
+            self._poller.register(socket, zmq.POLLIN)
+
+    def halt(self, scope: str = "ALL", timeout_s: float = 2.0) -> HaltResult:
+        """Send the order and wait for rest, at most `timeout_s` (s) and at most LONGEST_S.
+
+        `scope`: ALL, a performer or a command C-n. Raises ClusterError if neither broker nor MCM could be reached.
+        """
+        timeout_s = min(LONGEST_S, timeout_s)  # in this order nan becomes LONGEST_S too
+        with self._lock:
+            called_at_s = time.monotonic()
+            scope = halt_scope(f"HALT {scope}") or scope.upper()
+            order = m.HaltOrder(halt=f"H-{uuid.uuid4().hex[:12]}", scope=scope, called_at_s=called_at_s)
+            sent_to = self._send(order, self._sockets)
+            if not sent_to:
+                sent_to = self._send_when_connected(order, called_at_s + self._connect_s)
+            if not sent_to:
+                who = (
+                    "the cluster's gateway does not answer, or does not know this key"
+                    if self._far
+                    else "neither the broker nor the MCM answers"
+                )
+                raise ClusterError(f"halt not sent: {who}; use the emergency stop")
+            return self._await_rest(order, sent_to, called_at_s + timeout_s)
+
+    def ready(self, timeout_s: float | None = None) -> bool:
+        """Wait until both sockets are connected; False after `timeout_s`."""
+        with self._lock:
+            limit_s = time.monotonic() + (self._connect_s if timeout_s is None else timeout_s)
+            return all(socket.poll(_ms(limit_s - time.monotonic()), zmq.POLLOUT) for socket in self._sockets.values())
+
+    def close(self) -> None:
+        """Close the sockets."""
+        for socket in self._sockets.values():
+            socket.close()
+
+    def _send(self, order: m.HaltOrder, sockets: dict[str, zmq.Socket[bytes]]) -> list[str]:
+        parts, sent_to = frames(order), []
+        for name, socket in sockets.items():
+            try:
+                socket.send_multipart(parts, flags=zmq.NOBLOCK)
+                sent_to.append(name)
+            except zmq.Again:  # not connected now
+                continue
+        return sent_to
+
+    def _send_when_connected(self, order: m.HaltOrder, limit_s: float) -> list[str]:
+        poller = zmq.Poller()
+        for socket in self._sockets.values():
+            poller.register(socket, zmq.POLLOUT)
+        while (left_s := limit_s - time.monotonic()) > 0:
+            if poller.poll(_ms(left_s)) and (sent_to := self._send(order, self._sockets)):
+                return sent_to
+        return []
+
+    def _await_rest(self, order: m.HaltOrder, sent_to: list[str], limit_s: float) -> HaltResult:
+        """Receive until rest is confirmed and the broker has the order, so that no queued command starts."""
+        subsystems: dict[str, SubsystemHalt] = {}
+        declined = ""
+        while (left_s := limit_s - time.monotonic()) > 0:
+            if _at_rest(subsystems.values()) and "halt" in sent_to:
+                if order.scope == EVERYTHING or COMMAND.fullmatch(order.scope) or _reached(subsystems.values()):
+                    break
+                limit_s = min(limit_s, order.called_at_s + self._unknown_s)
+            unsent = {name: socket for name, socket in self._sockets.items() if name not in sent_to}
+            ready = self._poller.poll(_ms(min(left_s, RETRY_S) if unsent else left_s))
+            sent_to += self._send(order, unsent)
+            for socket, _ in ready:
+                declined = self._take(socket, order, subsystems) or declined
+            if declined and not _reached(subsystems.values()) and len(sent_to) == len(HALT_ENDPOINTS):
+                break
+        doubt = ""
+        if COMMAND.fullmatch(order.scope) and not declined and not _reached(subsystems.values()):
+            declined, doubt = self._check_exists(order.scope, "halt" in sent_to)
+        return _result(order, sent_to, list(subsystems.values()), declined, doubt)
+
+    def _check_exists(self, command: str, sent_to_broker: bool) -> tuple[str, str]:
+        """Check that a command exists of which nothing moves: a mistyped number must not pass for a halt.
+
+        Returns (the broker's refusal, why it is not known); both are empty if the command exists.
+        """
+        answer = self._trace(command) if sent_to_broker else None
+        if isinstance(answer, m.TraceReply):
+            return "", ""
+        if isinstance(answer, m.Declined) and answer.refusal.reason is RefusalReason.NAME:
+            return answer.refusal.message, ""
+        return "", f"only the broker knows whether {command} exists, and it does not answer"
+
+    def _trace(self, command: str) -> m.BrokerToClient | None:
+        """Query a command over a connection of its own, as any thread may call `halt`; None without an answer."""
+        name = f"asks-{uuid.uuid4().hex[:12]}"  # unique: the broker may still know the one before
+        query = m.TraceQuery(request=name, command=command)
+        limit_s = time.monotonic() + (FAR_ASK_S if self._far else ASK_S)
+        front = FrontDoor(self._context, self._endpoints, name)
+        try:
+            front.ask(query.request, query)
+            while (left_s := limit_s - time.monotonic()) > 0:
+                answer = front.hear(left_s)
+                if isinstance(answer, m.TraceReply | m.Declined):
+                    return answer
+            return None
+        finally:
+            front.close()
+
+    def _take(self, socket: zmq.Socket[bytes], order: m.HaltOrder, subsystems: dict[str, SubsystemHalt]) -> str:
+        """Receive one answer; the message of the refusal, if it is one."""
+        try:
+            answer: m.FromHalt = _read(socket.recv_multipart())
+        except WireError:
+            return ""
+        if isinstance(answer, m.Declined):
+            return answer.refusal.message if answer.request in ("", order.halt) else ""
+        if answer.halt != order.halt:
+            return ""  # late answer to an earlier halt
+        found = subsystems.setdefault(answer.subsystem, SubsystemHalt(name=answer.subsystem))
+        if isinstance(answer, m.HaltStarted):
+            if found.latency_s is None:
+                found.latency_s = self._at(answer.decelerating_at_s) - order.called_at_s
+                found.moving = answer.moving
+        else:
+            found.at_rest, found.performers = answer.at_rest, answer.performers
+            found.rest_s = self._at(answer.at_s) - order.called_at_s
+        return ""
+
+    def _at(self, time_there_s: float) -> float:
+        """A time of the other process by this clock; over tcp the time of arrival, which is an upper bound."""
+        return time.monotonic() if self._far else time_there_s
+
+
+def _ms(seconds: float) -> int:
+    return math.ceil(1000 * max(0.0, min(LONGEST_S, seconds)))
+
+
+def _at_rest(subsystems: Collection[SubsystemHalt]) -> bool:
+    return bool(subsystems) and all(sub.at_rest for sub in subsystems)
+
+
+def _reached(subsystems: Collection[SubsystemHalt]) -> bool:
+    return any(sub.moving or sub.performers for sub in subsystems)
+
+
+def _result(
+    order: m.HaltOrder, sent_to: list[str], subsystems: list[SubsystemHalt], declined: str, doubt: str
+) -> HaltResult:
+    latencies = [sub.latency_s for sub in subsystems if sub.latency_s is not None]
+    nothing = bool(declined) and not _reached(subsystems)  # rest then confirms nothing
+    confirmed = _at_rest(subsystems) and not nothing and not doubt
+    message = ""
+    if not confirmed:
+        silent = [sub.name for sub in subsystems if not sub.at_rest]
+        message = (
+            declined
+            or (doubt if _at_rest(subsystems) else "")
+            or (f"{', '.join(silent)} has not come to rest in time" if silent else "no subsystem answered in time")
+        )
+    return HaltResult(
+        halt=order.halt,
+        scope=order.scope,
+        latency_s=min(latencies) if latencies else None,
+        confirmed=confirmed,
+        sent_to=sorted(sent_to),
+        subsystems=sorted(subsystems, key=lambda sub: sub.name),
+        message=message,
+        declined=nothing,
+    )

@@ -1,0 +1,81 @@
+"""Commands of a cluster that has ended, read from the journal that its broker left behind.
+
+Reads the table `stories` of `broker/persistence/journal.py` in the file itself, read-only, and needs no process.
+Times in a record
+are CLOCK_MONOTONIC seconds; `Past.wall_s` makes a date of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from rtc.protocol import wire
+from rtc.protocol.messages import CommandRecord
+from rtc.protocol.outcomes import RtcError, WireError
+
+JOURNAL = "journal.db"  # in the run directory of a cluster
+PREVIOUS = "previous"  # a directory in it: the same of the run before
+OLDER = ("previous-2", "previous-3")
+NEWEST_FIRST = "SELECT record FROM stories ORDER BY n DESC LIMIT ?"
+ONE = "SELECT record FROM stories WHERE n = ?"
+
+_read = wire.decoder(CommandRecord)
+
+
+@dataclass(frozen=True)
+class Past:
+    """The commands of one ended run. `ended_at`: Unix time of the last change of the journal (s)."""
+
+    journal: Path
+    ended_at: float
+
+    def last(self, most: int) -> list[CommandRecord]:
+        """The newest commands, oldest first. Raises RtcError when the file cannot be read."""
+        return [_read(row[0]) for row in self._rows(NEWEST_FIRST, most)][::-1]
+
+    def command(self, number: int) -> CommandRecord | None:
+        """One command by its number. Raises RtcError when the file cannot be read."""
+        return next((_read(row[0]) for row in self._rows(ONE, number)), None)
+
+    @property
+    def title(self) -> str:
+        return f"of the run that ended at {clock_time(self.ended_at)}"
+
+    def wall_s(self, at_s: float) -> float | None:
+        """The Unix time of a monotonic time in a record; None if the machine was restarted since."""
+        boot = time.time() - time.monotonic()
+        return boot + at_s if self.ended_at >= boot else None
+
+    def _rows(self, query: str, argument: int) -> list[tuple[bytes]]:
+        try:
+            with contextlib.closing(sqlite3.connect(f"file:{self.journal}?mode=ro", uri=True)) as db:
+                return db.execute(query, (argument,)).fetchall()
+        except (sqlite3.Error, WireError) as error:
+            raise RtcError(f"the journal {self.journal} cannot be read: {error}") from None
+
+
+def runs(run_dir: Path) -> Iterator[Past]:
+    """The journals in a run directory, newest first; the first may belong to a running cluster."""
+    for name in (".", PREVIOUS, *OLDER):
+        with contextlib.suppress(OSError):
+            journal = run_dir / name / JOURNAL
+            changed = journal.stat().st_mtime
+            log = _log_of(journal)
+            yield Past(journal, max(changed, log.stat().st_mtime) if log.exists() else changed)
+
+
+def _log_of(journal: Path) -> Path:
+    """The write-ahead log, which holds the last changes if the broker was killed."""
+    return journal.with_name(f"{journal.name}-wal")
+
+
+def clock_time(at: float) -> str:
+    """A Unix time for people, local: 14:03:22 of today, else with the date."""
+    moment = datetime.fromtimestamp(at)
+    return moment.strftime("%H:%M:%S" if moment.date() == datetime.now().date() else "%Y-%m-%d %H:%M:%S")

@@ -1,0 +1,75 @@
+"""Extension names: the names by which programs refer to code of the workers. Pure data.
+
+A program with any other name is refused when it is loaded. The code itself is in `workers`; a test compares each
+registry with its row here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rtc.cells.cell import Numbers
+
+#: elaborator: conditions of the world that a script may require
+NEEDS = ("hand_empty", "object_free", "object_held", "object_seated", "seat_free", "width_known")
+#: elaborator: anchors of plan lines
+STARTS = ("grasp_point", "destination", "stow", "seat")
+#: directions; WAY-OUT is the exit direction of the target seat, for plans only
+AXES = ("TOOL-X", "TOOL-Y", "TOOL-Z", "X", "Y", "Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK")
+PLAN_AXES = (*AXES, "WAY-OUT")
+#: values of the column `space` of a script
+SPACES = ("move_joint", "move_task")
+#: elaborator: parameters from outside the command-object table: of the cell, the hand and the sentence
+FIGURES = (
+    *Numbers.__struct_fields__,
+    *("opening_m", "hand_width_m", "grasp_width_m", "mass_kg", "duration_s", "seat_depth_m", "detent_n"),
+    *("unsure_x_m", "unsure_y_m", "unsure_z_m", "unsure_rad"),  # spread of the grasp point, in tool axes at that point
+    *(f"{clause}_{unit}" for clause in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),
+)
+#: roles that the resources of a script may name
+ROLES = ("active_arm", "active_object", "its_seat", "target")
+#: placeholders (in braces) in the texts of a script; the last two are for SET only
+PLACEHOLDERS = (
+    *("arm", "object", "point", "target", "destination", "axis", "out", "way_out", "amount", "time"),
+    *("attribute", "value"),
+)
+#: placeholders in the failure texts of the analyzer
+FAILURE_PLACEHOLDERS = (
+    *("reason", "measured", "limit", "unit", "message", "arm", "object", "point", "target"),
+    *("width", "wanted", "off"),
+)
+#: keys of `words` of a step that have an effect
+WORDS = ("axis", "effect", "missed", "needs", "seat")
+#: args of a step that are not values of the binder's program
+ARGS = (
+    *("by_m", "by_rad", "width_m", "least_m", "most_m", "grip_n", "duration_s", "within_m"),
+    *("speed_m_s", "force_n", "contact_n", "torque_nm"),
+    *("beyond_m", "felt_m", "lever_m", "aside_m", "pad_m", "centre_n_m", "play_m"),  # of the centring touches
+    *("needs_m", "needs_rad"),  # required accuracy of the held object's pose
+)
+#: performers of steps
+PERFORMERS = ("active_arm",)
+#: binder: algorithms that turn a step into a primitive
+ACTIONS = ("motion", "hand", "still", "assign", "told", "procedure")
+PROCEDURES = ("open_hand", "lay_down_plan")
+#: binder: predicates of F
+PREDICATES = (
+    "goal-reached",
+    "time-above",
+    "force-above",
+    "torque-above",
+    "speed-above",
+    "following-error-above",
+    "joint-margin-below",
+    "body-touch",
+    "grip-force-below",
+    "hand-width-below",
+)
+#: analyzer: effects of success on the world, and values of a report that a step may keep
+EFFECTS = ("taken", "let_go", "let_drift", "still_held", "verified", "felt", "pinched", "passed", "landed")
+KEPT = ("report.trip_pose", "report.pose", "report.hand_width")
+
+
+def unknown(what: str, name: str, known: Iterable[str]) -> str:
+    """The problem text for an unknown name, with the known names."""
+    return f"no {what} {name}; there are {', '.join(sorted(known))}"

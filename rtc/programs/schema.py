@@ -1,0 +1,226 @@
+"""The schemas of worker programs: the types of their documents, for elaborator, binder and analyzer.
+
+A program is data. A name in it (script, stop class, resource, parameter) refers to another row of the same program,
+which `rtc.programs.loader` checks, or to an algorithm that the worker registers (`rtc.programs.extension_names`).
+Units are SI and stand last
+in the name (`approach_m`). This module knows no skill.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from rtc.protocol.outcomes import Reflex, StopReason
+
+Expression = str | float  # see rtc.programs.expressions
+Case = Annotated[int, Meta(ge=1, le=4)]
+Share = Annotated[float, Meta(ge=0, le=1)]
+Positive = Annotated[float, Meta(gt=0)]
+Then = Literal["retry_step", "restart_script", "skip", "replace_rest", "give_up"]
+
+
+class Part(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
+    """Base of all parts of a program: an unknown field is an error."""
+
+
+# --- elaborator ----------------------------------------------------------------------------------------
+
+
+class Check(Part, frozen=True, kw_only=True):
+    """One condition of the decision tree: all fields that are set must hold. Paths are fields of ParsedCommand."""
+
+    given: str = ""  # this field of the command must be set: place.joints
+    missing: str = ""  # this field must not be set
+    equals: dict[str, str] = {}  # field -> value
+    differs: dict[str, str] = {}  # field -> value that it must not have; an unset field differs from every value
+    of: Expression | None = None  # compared with at_least and at_most; over all parameters
+    at_least: Expression | None = None
+    at_most: Expression | None = None
+
+
+class Branch(Part, frozen=True, kw_only=True):
+    """A verb, its conditions and its script. All branches that hold are candidates, the likeliest first (R28)."""
+
+    verb: str
+    script: str
+    when: list[Check] = []
+    likelihood: Share = 1.0
+    enabled: bool = True
+
+
+class TableRow(Part, frozen=True, kw_only=True):
+    """A cell of the command-object table (R88): parameters of a verb for a kind of object or one named object."""
+
+    verb: str
+    kind: str = ""  # of the object; empty together with `name`: the verb without an object
+    name: str = ""
+    values: dict[str, float]
+
+
+class PlanLine(Part, frozen=True, kw_only=True):
+    """How one binding is computed, backwards from the goal (R134): an anchor and an offset from it."""
+
+    name: str
+    at: str  # an earlier line, or a registered anchor: grasp_point, destination, stow, seat
+    along: str = ""  # axis of the offset: TOOL-X, TOOL-Y, TOOL-Z, X, Y, Z, UP ...
+    by: Expression = 0.0  # m, over the parameters
+    solve: bool = False  # True: compute joint values; False: a pose is enough
+    near: str = ""  # line whose joint values the IK solution must be nearest to
+
+
+class ScriptStep(Part, frozen=True, kw_only=True):
+    """One line of a script, as in Figure 4: do, resource, destination, stop class, space, and the pair of trims."""
+
+    do: str
+    label: str
+    name: str = ""
+    who: str = "active_arm"
+    to: str = ""
+    stop: str = ""
+    space: str = ""
+    value: str = ""
+    op: str = ""
+    expect: list[StopReason] = msgspec.field(default_factory=lambda: [StopReason.GOAL])
+    keep: dict[str, str] = {}
+    trim: tuple[int, int] = (0, 0)  # (index, count): the usable entries of the trimming stack (A9)
+    args: dict[str, Expression] = {}  # parameters, evaluated when the script is elaborated
+    words: dict[str, str] = {}  # passed on unchanged: an axis, the effect of success
+
+
+class TrimEntry(Part, frozen=True, kw_only=True):
+    """`1 "active_object vision"`: a corrective piece of script, and how to go on after it (A11, A16)."""
+
+    n: Annotated[int, Meta(ge=1)]
+    who: str = "active_object"
+    skill: str
+    then: Then = "retry_step"
+    fits: list[StopReason] = []
+
+
+class ScriptFile(Part, frozen=True, kw_only=True):
+    script: str
+    about: str = ""
+    case: Case
+    uses: list[str] = []  # fields of the command that it uses; a command with any other field is refused
+    needs: list[str] = []  # registered conditions of the world: hand_empty, object_held ...
+    despite_grasp: bool = False  # allowed with a suspect grasp or frame: it backs off or releases (R151)
+    resources: list[str] = msgspec.field(default_factory=lambda: ["active_arm"])
+    writes: list[str] = msgspec.field(default_factory=lambda: ["active_arm"])
+    plan: list[PlanLine] = []
+    steps: Annotated[list[ScriptStep], Meta(min_length=1)]
+    trimming_stack: list[TrimEntry] = []
+
+
+class Piece(Part, frozen=True, kw_only=True):
+    """A corrective piece of script, named by the skill that trimming stacks refer to."""
+
+    skill: str
+    about: str = ""
+    steps: list[ScriptStep]
+
+
+class Tellable(Part, frozen=True, kw_only=True):
+    """An attribute that SET may change, and the form of its value."""
+
+    unit: str = ""  # SI unit, as in a record; empty: the value is a name
+    attitude: bool = False  # roll, pitch and yaw (rad) may follow
+    of: Annotated[list[str], Meta(min_length=1)]  # names of its numbers, in order: [x, y, z]
+    example: str  # "71.5 12 28 CM"
+
+
+class ActsOn(Part, frozen=True, kw_only=True):
+    """The steps that a constraint acts on: all fields that are set must match."""
+
+    do: str = ""
+    op: str = ""
+    about: str  # the same as text
+
+
+class ElaboratorProgram(Part, frozen=True, kw_only=True):
+    decision_tree: list[Branch]
+    command_object_table: list[TableRow]
+    scripts: list[ScriptFile]
+    pieces: list[Piece] = []
+    constraints: dict[str, dict[str, str]] = {}  # MAINTAIN slot -> unit (or "name") -> limit
+    acts_on: dict[str, ActsOn] = {}  # MAINTAIN slot -> the steps it acts on; without an entry, all steps
+    not_yet: dict[str, str] = {}  # field of the command -> reason for its refusal
+    instead: dict[str, str] = {}  # verb without a script -> a command with the same or a similar effect
+    needs: dict[str, str] = {}  # registered condition of the world -> a command that makes it true
+    told: dict[str, Tellable] = {}  # attribute that SET may change -> form of its value
+    told_of_seats: list[str] = []  # those of `told` that SET may change for a seat
+    not_told: dict[str, str] = {}  # attribute that SET may not change -> the command that measures it
+    clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
+    senses: dict[str, str] = {}  # suspect attribute of an arm -> piece of script that runs first
+
+
+# --- binder --------------------------------------------------------------------------------------------
+
+
+class StopRow(Part, frozen=True, kw_only=True):
+    """One row of F: a stop reason, the tag of a predicate of `rtc.protocol.primitive`, and its limit over the current
+    values."""
+
+    reason: StopReason
+    when: str
+    limit: Expression | None = None
+    against_motion: bool = False  # of a force, use only the component against the motion
+    if_known: bool = False  # omit the row when a value in its limit is not set
+    reflex: Reflex = Reflex.STOP
+    back_off_m: float = 0.0
+
+
+class StopClass(Part, frozen=True, kw_only=True):
+    """A stop class, the third column of a script: F, the default M (A14) and their parameters."""
+
+    about: str = ""
+    control_law: str = "position"
+    touches: bool = False  # its purpose is contact with the active object, which may have moved then
+    away: bool = False  # it moves away from contact: an object with a suspect frame does not forbid it
+    seated: bool = False  # the held object may be in a seat or move into one
+    stops: list[StopRow]
+    values: dict[str, Expression] = {}  # speed_m_s, force_n, contact_n ..., over the numbers of the cell
+
+
+class BinderProgram(Part, frozen=True, kw_only=True):
+    actions: dict[str, str]  # `do` of a step -> registered algorithm
+    stop_classes: dict[str, StopClass]
+    hand: dict[str, str]  # `op` of a hand (open, close) -> stop class
+    procedures: dict[str, str] = {}  # name in a script -> registered procedure
+    computes: list[str] = []  # registered actions and procedures without motion
+    holding: list[StopRow] = []  # rows added to F while an object is held
+    guarded: dict[str, dict[str, float]] = {}  # verb -> parameters of its GUARDED reflexes (A6); "" = any other verb
+    values: dict[str, Expression] = {}  # defaults of every primitive, over the numbers of the cell
+    clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
+
+
+# --- analyzer ------------------------------------------------------------------------------------------
+
+
+class OutcomeClass(Part, frozen=True, kw_only=True):
+    """A failure class: its message, the facts that become suspect, and how to clear them.
+
+    Texts may contain placeholders: {reason} {measured} {limit} {unit} {message} {arm} {object} {point} {target}.
+    """
+
+    message: str
+    # object: frame of the active object; if_touched: the same, if it may have moved; held: frame of the held object
+    suspect: list[Literal["object", "if_touched", "held"]] = []
+    drops: bool = False  # the hand is empty afterwards
+    misplaced: bool = False  # the held object is not where the world has it; only vision can locate it
+    clears: str = ""  # first hint; the hints of `clears` of the program for each suspect fact follow
+    again: str = ""  # last hint: what to do after that
+    retriable: bool = True  # a trim may be tried
+
+
+class AnalyzerProgram(Part, frozen=True, kw_only=True):
+    outcomes: dict[str, dict[StopReason, str]]  # row (see program_fit.row_of) -> stop reason -> failure class
+    derived: dict[str, dict[str, StopReason]] = {}  # row -> defect of a nominal end -> stop reason that it counts as
+    classes: dict[str, OutcomeClass]
+    values: dict[str, float] = {}  # tolerances: position_m, angle_rad, width_m
+    clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
+
+
+Program = ElaboratorProgram | BinderProgram | AnalyzerProgram

@@ -1,0 +1,4 @@
+"""What processes send to each other: messages, payloads, outcomes, roles, and their encoding. Pure.
+
+Must not know sockets, clocks, files, or any process.
+"""

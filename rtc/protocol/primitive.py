@@ -1,0 +1,223 @@
+"""The primitive T = (P, M, F, R): the only order for motion to a subsystem (paper, section 4; R60-R67).
+
+    P  trajectory      what to do: positions over time, or what the hand shall do
+    M  control_law     how the servo follows it
+    F  stop_functions  when to stop, and what to do then; complete, in fixed priority
+    R  reporting       what to tell beyond the standard report
+
+Frames and numbers only: no object, no verb, no sentence stands in a primitive (R15). All values SI.
+Joint order is that of the arm's URDF. `tcp` is the tool centre point; tool z points out of the palm, the
+fingers close along tool y. A primitive checks itself when made: what the MCM gets is already whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+import msgspec
+
+from rtc.protocol.outcomes import PRIORITY, Reflex, StopReason
+
+Vector = list[float]
+
+LONGEST_S = 1e6  # a primitive with a later end has none
+HEAVIEST_KG, FARTHEST_M, MOST_INERTIA_KG_M2 = 1000.0, 10.0, 1000.0  # a load beyond is an error of its unit
+
+
+class JointTrajectory(msgspec.Struct, frozen=True, kw_only=True, tag="joint-trajectory"):
+    """P for an arm: knots, joined by quintic Hermite polynomials. Starts and ends at rest.
+
+    `positions[k][j]` rad at `time_s[k]`; velocities rad/s, accelerations rad/s^2 of the same shape.
+    `space` tells what the path is a line in; the knots are joint values in both cases.
+    """
+
+    space: Literal["joint", "task"]
+    time_s: Vector
+    positions: list[Vector]
+    velocities: list[Vector]
+    accelerations: list[Vector]
+
+    def __post_init__(self) -> None:
+        n = len(self.time_s)
+        if n < 2 or self.time_s[0] != 0.0:
+            raise ValueError("a trajectory needs two knots or more, the first at time 0")
+        if any(b <= a for a, b in zip(self.time_s, self.time_s[1:], strict=False)):
+            raise ValueError("time_s must rise from knot to knot")
+        dof = len(self.positions[0]) if self.positions else 0
+        for name in ("positions", "velocities", "accelerations"):
+            rows = getattr(self, name)
+            if len(rows) != n or set(map(len, rows)) != {dof}:
+                raise ValueError(f"{name} must hold {n} knots of {dof} joints")
+
+    @property
+    def duration_s(self) -> float:
+        return self.time_s[-1]
+
+
+class HandMotion(msgspec.Struct, frozen=True, kw_only=True, tag="hand-motion"):
+    """P for a parallel gripper: bring the opening to `width_m` at `speed_m_s`, pressing with at most `force_n`.
+
+    Closing on something goes on until `force_n` is pressed by both fingers, which then is held.
+    """
+
+    width_m: float
+    force_n: float
+    speed_m_s: float = 0.05
+
+
+class HoldStill(msgspec.Struct, frozen=True, kw_only=True, tag="hold-still"):
+    """P for an arm: stay where it is; None = until stopped or its time limit."""
+
+    duration_s: float | None = None
+
+
+Trajectory = JointTrajectory | HandMotion | HoldStill
+
+
+class Load(msgspec.Struct, frozen=True, kw_only=True):
+    """What the hand carries, as a body: in tcp axes."""
+
+    mass_kg: float
+    com_m: Vector  # centre of mass
+    inertia_kg_m2: Vector  # about the centre of mass: xx, yy, zz, xy, xz, yz
+
+    def __post_init__(self) -> None:
+        if len(self.com_m) != 3 or len(self.inertia_kg_m2) != 6:
+            raise ValueError("a load has a centre of mass of 3 numbers and an inertia of 6")
+        if not 0.0 < self.mass_kg <= HEAVIEST_KG:  # false for nan too
+            raise ValueError(f"a load of {self.mass_kg} kg: more than 0 and at most {HEAVIEST_KG:g} kg is possible")
+        if not all(abs(x) <= FARTHEST_M for x in self.com_m):
+            raise ValueError(f"a load has its centre of mass within {FARTHEST_M:g} m of the tcp, not at {self.com_m}")
+        xx, yy, zz, xy, xz, yz = self.inertia_kg_m2
+        if not all(0.0 <= i <= MOST_INERTIA_KG_M2 for i in (xx, yy, zz)):
+            raise ValueError(f"a load has an inertia of 0 to {MOST_INERTIA_KG_M2:g} kg m2 about each axis")
+        if not (xy * xy <= 1.001 * xx * yy and xz * xz <= 1.001 * xx * zz and yz * yz <= 1.001 * yy * zz):
+            raise ValueError("a load has no inertia whose products exceed its moments")
+
+
+class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """M: the registered name of a control law ('position': computed torque) and what it may be given.
+
+    `load` is what the hand carries: an arm that does not know of it swings with it.
+    """
+
+    name: str = "position"
+    gains: dict[str, float] = {}
+    load: Load | None = None
+
+
+# --- F: predicates over the current sample only (R66) ------------------------------------------------
+
+
+class GoalReached(msgspec.Struct, frozen=True, tag="goal-reached"):
+    """The trajectory is done and the arm has settled; or the hand has its width, or presses with its force."""
+
+
+class TimeAbove(msgspec.Struct, frozen=True, tag="time-above"):
+    limit_s: float  # since the start of the primitive, in the time of the simulation
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.limit_s <= LONGEST_S:  # false for nan too
+            raise ValueError(f"a time limit of {self.limit_s} s: 0 to {LONGEST_S:g} s is possible")
+
+
+class ForceAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="force-above"):
+    """Wrist force beyond a limit: its magnitude, or its part along `axis` (unit vector, tool axes)."""
+
+    limit_n: float
+    axis: Vector | None = None
+
+
+class TorqueAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="torque-above"):
+    limit_nm: float
+    axis: Vector | None = None
+
+
+class SpeedAbove(msgspec.Struct, frozen=True, tag="speed-above"):
+    """A joint is measured faster than `ratio` times its limit. The MCM watches one of its own in every primitive."""
+
+    ratio: float
+
+
+class FollowingErrorAbove(msgspec.Struct, frozen=True, tag="following-error-above"):
+    """A joint is measured farther than this from its command. The MCM watches one of its own in every primitive."""
+
+    limit_rad: float
+
+
+class JointMarginBelow(msgspec.Struct, frozen=True, tag="joint-margin-below"):
+    margin_rad: float  # of the nearest joint limit, moving towards it
+
+
+class BodyTouch(msgspec.Struct, frozen=True, tag="body-touch"):
+    """A link of the arm (not palm or fingers, which may touch) is in contact with anything."""
+
+
+class GripForceBelow(msgspec.Struct, frozen=True, tag="grip-force-below"):
+    limit_n: float
+
+
+class HandWidthBelow(msgspec.Struct, frozen=True, tag="hand-width-below"):
+    limit_m: float  # narrower than the thing held: nothing is held
+
+
+class TcpNear(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-near"):
+    point: Vector  # world frame, m
+    distance_m: float
+
+
+Predicate = (
+    GoalReached
+    | TimeAbove
+    | ForceAbove
+    | TorqueAbove
+    | SpeedAbove
+    | FollowingErrorAbove
+    | JointMarginBelow
+    | BodyTouch
+    | GripForceBelow
+    | HandWidthBelow
+    | TcpNear
+)
+
+
+class StopFunction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One condition, the reason it gives, and the reflex it triggers."""
+
+    reason: StopReason
+    when: Predicate
+    reflex: Reflex = Reflex.STOP
+    back_off_m: float = 0.0  # for BACK_OFF: along the way it came
+
+
+class Reporting(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """R: the standard end report always holds joints, wrench and reason (R140); this adds to it."""
+
+    every_s: float | None = None  # progress reports at this period
+
+
+class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="Primitive"):
+    """T = (P, M, F, R) for one performer. Refuses to exist without a goal and a time limit in F (R82)."""
+
+    id: str  # unique; echoed by every report. "C-7.5@k7f2": see rtc.protocol.primitive_id
+    performer: str  # which arm of the subsystem, e.g. RIGHT-ARM
+    trajectory: Trajectory
+    stop_functions: list[StopFunction]
+    control_law: ControlLaw = ControlLaw()
+    reporting: Reporting = Reporting()
+
+    def __post_init__(self) -> None:
+        kinds = [type(stop.when) for stop in self.stop_functions]
+        if TimeAbove not in kinds:
+            raise ValueError("F is not complete: no TimeAbove")
+        if GoalReached not in kinds:
+            raise ValueError("F is not complete: no GoalReached")
+
+    def by_priority(self) -> list[StopFunction]:
+        return in_priority(self.stop_functions)
+
+
+def in_priority(stops: Iterable[StopFunction]) -> list[StopFunction]:
+    """F in the fixed order in which it is evaluated every tick; the first that is true wins (A21)."""
+    return sorted(stops, key=lambda stop: PRIORITY[stop.reason])

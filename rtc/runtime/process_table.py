@@ -1,0 +1,66 @@
+"""The process table: `supervisor.json` in the run directory, one row for each process of the cluster.
+
+The supervisor writes it every second and at each change. All other readers use the broker's status, or this file when
+the broker is away.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import msgspec
+
+from rtc.protocol.outcomes import NoCluster
+
+FILE = "supervisor.json"  # in the run directory
+
+
+class Row(msgspec.Struct, frozen=True):
+    """One process, as the supervisor knows it."""
+
+    name: str
+    pid: int  # 0 = it does not run
+    state: str
+    restarts: int
+    since_s: float  # CLOCK_MONOTONIC: start of this state
+    node: int | None = None  # cube address of a worker
+    notes: list[str] = []  # warnings for the operator
+
+
+class Table(msgspec.Struct, frozen=True, kw_only=True):
+    """The supervisor and its processes."""
+
+    pid: int = 0  # of the supervisor
+    cluster: str = ""  # identity of the run
+    started_at: float = 0.0  # seconds since 1970
+    processes: list[Row] = []
+
+    def save(self, run_dir: Path) -> None:
+        """Replace the file atomically: a reader always sees a whole table. Raises OSError."""
+        path = run_dir / FILE
+        aside = path.with_suffix(".new")
+        aside.write_bytes(msgspec.json.format(msgspec.json.encode(self)))
+        os.replace(aside, path)
+
+    @staticmethod
+    def load(run_dir: Path) -> Table | None:
+        """The table in `run_dir`; None if there is none or it cannot be read."""
+        try:
+            return msgspec.json.decode((run_dir / FILE).read_bytes(), type=Table)
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+            return None
+
+
+def processes(run_dir: Path) -> dict[str, Row]:
+    """The cluster's processes by name. Raises NoCluster if there is no readable table."""
+    table = Table.load(run_dir)
+    if table is None:
+        raise NoCluster(f"no cluster is running in {run_dir}; start one with: rtc up -d")
+    return {row.name: row for row in table.processes}
+
+
+def supervisor_pid(run_dir: Path) -> int | None:
+    """Process id of the supervisor, as it wrote it; the process may have ended since. None if there is none."""
+    table = Table.load(run_dir)
+    return table.pid if table is not None and table.pid > 0 else None

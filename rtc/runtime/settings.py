@@ -1,0 +1,150 @@
+"""Settings of one cluster, its endpoints and its run directory; the only module that reads the environment.
+
+`main` of each process reads the settings once and passes them down.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from rtc.protocol.outcomes import ClusterError
+
+SUN_PATH_LIMIT = 107  # bytes of a Unix socket's path on Linux
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """The configuration of one cluster. The supervisor writes it to `settings.json` in the run directory."""
+
+    run_dir: str
+    run: str = ""  # identifies this run; data of an earlier run in the directory are not continued
+    cell: str = "swapout"  # name of a cell, or a file
+    dim: int = 2  # dimension of the cube: 2^dim workers
+    least_workers: int | None = None  # of each kind, when idle; None = as many as the cube has
+    most_workers: int = 4  # of each kind, when jobs wait
+    mcm: str = "bullet"  # or "kinematic"
+    speed: float = 1.0  # simulated seconds per second; 0 = as fast as possible
+    listen: str = ""  # tcp://HOST:PORT of the gateway for other machines; empty = no gateway
+
+    far = False  # the cluster is on this machine and shares its clock
+
+    @property
+    def path(self) -> Path:
+        return Path(self.run_dir)
+
+    @property
+    def least(self) -> int:
+        """Minimum number of workers of each kind."""
+        return 1 << (self.dim - 2) if self.least_workers is None else self.least_workers
+
+    @property
+    def patience(self) -> float:
+        """Seconds of ours per simulated second, at least 1: the factor of limits on our clock for motions."""
+        return 1.0 / self.speed if 0.0 < self.speed < 1.0 else 1.0
+
+    def endpoint(self, name: str) -> str:
+        """The ZeroMQ address of one of the cluster's sockets; `name` is a key of ENDPOINTS."""
+        assert name in ENDPOINTS, name
+        return f"ipc://{self.path / ENDPOINTS[name]}"
+
+    def secure(self, socket: object) -> None:
+        """Does nothing: the mode of the run directory (0700) protects its sockets."""
+
+    def save(self) -> None:
+        """Write `settings.json`. Raises OSError."""
+        (self.path / "settings.json").write_bytes(msgspec.json.format(msgspec.json.encode(self)))
+
+    @staticmethod
+    def load(run_dir: str | Path) -> Settings:
+        """The settings of the cluster in `run_dir`. Raises FileNotFoundError if there is none."""
+        return msgspec.json.decode((Path(run_dir) / "settings.json").read_bytes(), type=Settings)
+
+
+# In the run directory:
+LOCK = "supervisor.lock"  # locked while the supervisor lives; the kernel releases it when the process ends
+KEYS = "keys"  # a directory: keys of other machines
+# socket -> file in the run directory; comment: process that binds it, kind, peers
+ENDPOINTS: dict[str, str] = {
+    "front": "front.sock",  # broker ROUTER: clients
+    "halt": "halt.sock",  # broker ROUTER: halts and nothing else
+    "workers": "workers.sock",  # broker ROUTER
+    "subsystems": "subsystems.sock",  # broker ROUTER
+    "supervisor": "supervisor.sock",  # broker ROUTER: the supervisor
+    "events": "events.sock",  # broker PUB: ProgressNote, CommandEnded
+    "world": "world.sock",  # world database ROUTER
+    "estop": "estop.sock",  # MCM ROUTER: halts and nothing else
+    "telemetry": "telemetry.sock",  # MCM PUB
+    "bench": "bench.sock",  # MCM ROUTER: truth and belief errors, simulators only
+}
+
+
+#: Sockets where an identity in use is protected: a second connection with the same identity is ignored.
+NO_HANDOVER = ("front", "halt", "estop")
+
+
+class Bounds(NamedTuple):
+    """Limits per peer of a socket, so that no peer fills the owner's memory."""
+
+    frame: int  # bytes (MAXMSGSIZE); ZeroMQ disconnects a peer that sends a larger frame
+    unread: int  # messages from it (receive high-water mark); further sends block at the peer
+    unsent: int  # messages to it (send high-water mark); further messages are dropped
+
+
+KIB = 1 << 10
+BOUNDS: dict[str, Bounds] = {
+    "front": Bounds(256 * KIB, 256, 10_000),  # frame: a program file; unsent: one batch may hold many messages
+    "halt": Bounds(64 * KIB, 256, 1_000),
+    "workers": Bounds(8 << 20, 1_000, 1_000),  # products may have megabytes; a worker holds at most 128 jobs
+    "subsystems": Bounds(256 * KIB, 1_000, 10_000),
+    "supervisor": Bounds(256 * KIB, 1_000, 1_000),
+    "events": Bounds(1 * KIB, 100, 10_000),  # receives only subscriptions
+    "world": Bounds(256 * KIB, 256, 256),  # a client waits for each answer
+    "estop": Bounds(64 * KIB, 256, 1_000),
+    "telemetry": Bounds(1 * KIB, 100, 100),
+    "bench": Bounds(64 * KIB, 64, 64),
+}
+
+
+def _not_of_a_cluster(run_dir: Path) -> list[str]:
+    """Files in a directory without a cluster's lock file; keys are allowed, they may be made before the first run."""
+    names = sorted(path.name for path in run_dir.iterdir())
+    return [] if LOCK in names else [name for name in names if name != KEYS]
+
+
+def default_run_dir() -> Path:
+    """RTC_RUN_DIR from the environment, or a directory private to this user."""
+    if given := os.environ.get("RTC_RUN_DIR"):
+        return Path(given)
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    return Path(base) / "rtc" if base else Path(f"/tmp/rtc-{os.getuid()}")
+
+
+def prepare_run_dir(run_dir: Path) -> Path:
+    """Make the run directory, private to its owner (0700); its absolute path.
+
+    Raises ClusterError if sockets in it would not work, or if it holds files that do not belong to a cluster: a new
+    cluster deletes what the previous one left.
+    """
+    run_dir = run_dir.absolute()
+    longest = max(len(str(run_dir / file).encode()) for file in ENDPOINTS.values())
+    if longest > SUN_PATH_LIMIT:
+        raise ClusterError(
+            f"run directory too long for sockets: {run_dir} makes paths of {longest} bytes, "
+            f"{SUN_PATH_LIMIT} is the limit; choose a shorter --run-dir"
+        )
+    try:
+        run_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if run_dir.stat().st_uid != os.getuid():
+            raise ClusterError(f"run directory {run_dir} belongs to another user; choose another --run-dir")
+        if others := _not_of_a_cluster(run_dir):
+            raise ClusterError(
+                f"{run_dir} is not a run directory; it has {', '.join(others[:3])}{' and more' if others[3:] else ''}; "
+                "choose a new or empty --run-dir"
+            )
+        run_dir.chmod(0o700)
+    except OSError as error:
+        raise ClusterError(f"{run_dir} cannot be a run directory: {error.strerror}; choose another --run-dir") from None
+    return run_dir

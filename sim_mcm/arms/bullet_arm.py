@@ -1,0 +1,291 @@
+"""Arms and cell in pybullet at 1 kHz: torques in; joint angles, wrench and contacts out.
+
+Forces alone move things: friction between pressing fingers holds an object. docs/physics.md gives the reasons and the
+measured values of the parameters. This module must not know primitives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import pinocchio as pin
+import pybullet
+
+from rtc.cells import cell as cells
+from rtc.protocol.primitive import ControlLaw
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+from rtc.robot.kinematics import ArmModel
+from sim_mcm.arms.arm import ArmState, CellState, HandCommand, Motion, Sample, Traits
+from sim_mcm.arms.bullet_world import World
+from sim_mcm.arms.detents import Detents
+from sim_mcm.arms.hand import Hand, pressed
+from sim_mcm.arms.kinematic_arm import displaced
+from sim_mcm.arms.servo import Servo
+
+FINGER_FRICTION = 1.0
+SPINNING_FRICTION = 0.012  # m, of a soft pad; a smaller value lets a module turn between the pads
+SEATED_M = 0.02  # maximum distance from the seated place at which a module counts as seated
+NOTHING: Mapping[str, float] = {}
+BODY_B, LINK_A, NORMAL_FORCE = 2, 3, 9  # fields of a contact point
+
+
+class BulletArm:
+    """One arm of the world: its body, sensors and motors."""
+
+    def __init__(self, world: World, name: str) -> None:
+        spec = world.cell.arm(name)
+        self.traits = Traits.of(world.cell, name)
+        self._world = world
+        self._client = world.client
+        self._model = ArmModel.of(world.cell, name)
+        self.body = world.load_arm(name)
+        links = self._indices(12)
+        joints = self._indices(1)
+        self._arm = [joints[joint] for joint in spec.joints]
+        self._finger_joints = [joints[joint] for joint in spec.gripper.finger_joints]
+        self.fingers = [links[link] for link in spec.gripper.finger_links]
+        self._all = [*self._arm, *self._finger_joints]
+        sensor = joints[spec.sensor_joint]
+        self._read_from = [*self._all, sensor]
+        hand = {*self.fingers, links[spec.gripper.palm_link], links.get(spec.tcp_link, -1)}
+        self.upstream = {n: link for link, n in links.items() if n not in hand}
+        self._wrench = _wrench_at_tcp(world.cell, name)
+        self._prepare(spec, sensor)
+        self._servo = Servo(self._model, spec.home_rad)
+        self._hand = Hand(
+            HandCommand(spec.gripper.max_opening_m, spec.gripper.max_force_n, spec.gripper.speed_m_s),
+            spec.gripper.max_opening_m,
+        )
+        self._finger_forces = (0.0, 0.0)
+        self._sample = self.read()
+
+    # --- interface to the executor ---------------------------------------------------------------------
+
+    def read(self) -> Sample:
+        states = pybullet.getJointStates(self.body, self._read_from, physicsClientId=self._client)
+        positions, velocities, reactions, _ = zip(*states, strict=True)
+        *joints, a, b, _ = positions
+        *speeds, va, vb, _ = velocities
+        forces = pressed(self._finger_forces)
+        self._sample = Sample(joints, speeds, self._wrench(reactions[-1]), (a, b), (va, vb), forces)
+        return self._sample
+
+    def follow(self, motion: Motion) -> None:
+        self._servo.want(motion)
+
+    def use_law(self, law: ControlLaw) -> None:
+        self._servo.use_law(law)
+
+    def command_hand(self, command: HandCommand) -> None:
+        self._hand.command = command
+
+    def tcp_pose(self, joints: Sequence[float]) -> Array:
+        return self._model.fk(joints)
+
+    def touches(self) -> Mapping[str, float]:
+        points = pybullet.getContactPoints(bodyA=self.body, physicsClientId=self._client)
+        if not points:
+            return NOTHING
+        found: dict[str, float] = {}
+        for point in points:
+            if point[LINK_A] in self.upstream and point[NORMAL_FORCE] > 0.0:
+                words = f"{self.upstream[point[LINK_A]]} touches {self._world.names[point[BODY_B]]}"
+                found[words] = found.get(words, 0.0) + point[NORMAL_FORCE]
+        return found
+
+    # --- simulation step --------------------------------------------------------------------------------
+
+    def drive(self) -> None:
+        """Apply the motor torques of this tick; pybullet keeps them for one step."""
+        sample = self._sample
+        torques = self._servo.torque(sample.joints, sample.velocities)
+        self._finger_forces = self._hand.forces(sample.fingers, sample.finger_speeds)
+        pybullet.setJointMotorControlArray(
+            self.body,
+            self._all,
+            pybullet.TORQUE_CONTROL,
+            forces=[*torques, *self._finger_forces],
+            physicsClientId=self._client,
+        )
+
+    def pressed_on(self) -> set[int]:
+        """Bodies in contact with both fingers."""
+        by_finger = []
+        for finger in self.fingers:
+            points = pybullet.getContactPoints(bodyA=self.body, linkIndexA=finger, physicsClientId=self._client)
+            by_finger.append({point[BODY_B] for point in points or () if point[NORMAL_FORCE] > 0.0})
+        return by_finger[0] & by_finger[1]
+
+    def mass_matrix(self, joints: Sequence[float]) -> Array:
+        """Mass matrix of pybullet's model, fingers closed and left out. Tests compare it with the control law's
+        model."""
+        full = pybullet.calculateMassMatrix(self.body, [*joints, 0.0, 0.0], physicsClientId=self._client)
+        dof = len(self._arm)
+        return np.asarray(full)[:dof, :dof]
+
+    def state(self) -> ArmState:
+        sample, hand = self._sample, self._hand
+        return ArmState(joints=sample.joints, fingers=sample.fingers, hand=hand.command, opening_m=hand.wanted_m)
+
+    def restore(self, state: ArmState) -> None:
+        self._put([*state.joints, *state.fingers])
+        still = [0.0] * len(state.joints)
+        self._servo.want((list(state.joints), still, still))
+        self._hand = Hand(state.hand, state.opening_m)
+
+    # --- construction ----------------------------------------------------------------------------------
+
+    def _indices(self, field: int) -> dict[str, int]:
+        """Name -> index; field 1 of pybullet's joint info is the joint's name, 12 that of its child link."""
+        count = pybullet.getNumJoints(self.body, physicsClientId=self._client)
+        infos = [pybullet.getJointInfo(self.body, n, physicsClientId=self._client) for n in range(count)]
+        return {info[field].decode(): info[0] for info in infos}
+
+    def _prepare(self, spec: cells.Arm, sensor: int) -> None:
+        client = self._client
+        for link in range(-1, pybullet.getNumJoints(self.body, physicsClientId=client)):
+            pybullet.changeDynamics(
+                self.body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=client
+            )
+        self.rub(1.0)
+        # pybullet's default velocity motor locks every joint until it is disabled.
+        pybullet.setJointMotorControlArray(
+            self.body, self._all, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._all), physicsClientId=client
+        )
+        pybullet.enableJointForceTorqueSensor(self.body, sensor, True, physicsClientId=client)
+        half = 0.5 * spec.gripper.max_opening_m
+        self._put([*spec.home_rad, half, half])
+
+    def rub(self, factor: float) -> None:
+        """Scale the friction of the pads."""
+        for finger in self.fingers:
+            pybullet.changeDynamics(
+                self.body,
+                finger,
+                lateralFriction=factor * FINGER_FRICTION,
+                spinningFriction=SPINNING_FRICTION,
+                physicsClientId=self._client,
+            )
+
+    def _put(self, values: Sequence[float]) -> None:
+        """Set the positions of joints (rad) and fingers (m), at rest."""
+        for joint, value in zip(self._all, values, strict=True):
+            pybullet.resetJointState(self.body, joint, value, 0.0, physicsClientId=self._client)
+
+
+class BulletCell:
+    """The whole cell in pybullet."""
+
+    def __init__(self, cell: cells.Cell) -> None:
+        self.cell = cell
+        self.world = World(cell)
+        self.arms = {arm.name: BulletArm(self.world, arm.name) for arm in cell.arms}
+        self._detents = Detents(self.world)
+        self._settle()
+
+    def _settle(self) -> None:
+        """Take the first steps after a reset, in which the sensors read some tenths of a newton too much."""
+        for _ in range(5):
+            for arm in self.arms.values():
+                arm.read()
+            self.step()
+
+    def step(self) -> None:
+        for arm in self.arms.values():
+            arm.drive()
+        self.world.step()
+        self._detents.step()
+
+    def truth(self) -> dict[str, dict[str, list[float]]]:
+        samples = {name: arm.read() for name, arm in self.arms.items()}
+        return {
+            "poses": {name: self.world.pose(name).tolist() for name in self.world.objects},
+            "velocities": {name: self.world.velocity(name) for name in self.world.objects},
+            "tcp": {name: self.arms[name].tcp_pose(sample.joints).tolist() for name, sample in samples.items()},
+            "joints": {name: sample.joints for name, sample in samples.items()},
+            "fingers": {name: list(sample.fingers) for name, sample in samples.items()},
+        }
+
+    def held(self) -> dict[str, list[str]]:
+        bodies = {name: arm.pressed_on() for name, arm in self.arms.items()}
+        return {
+            arm: sorted(name for name in self.world.free if self.world.objects[name].id in pressed_bodies)
+            for arm, pressed_bodies in bodies.items()
+        }
+
+    def state(self) -> CellState:
+        world = self.world
+        return CellState(
+            arms={name: arm.state() for name, arm in self.arms.items()},
+            poses={name: world.pose(name).tolist() for name in world.objects}
+            | {name: seat.home.tolist() for name, seat in world.seats.items()},
+        )
+
+    def restore(self, state: CellState) -> None:
+        self._detents.let_go_all()
+        for name, seat in self.world.seats.items():
+            seat.home = np.array(state.poses[name])
+            self.world.place(seat, seat.home)
+        for name in self.world.free:
+            self.world.place(self.world.objects[name], state.poses[name])
+        for name, arm in self.arms.items():
+            arm.restore(state.arms[name])
+        self._detents.look()
+        self._settle()
+
+    def displace(self, name: str, offset: Sequence[float]) -> str:
+        if name not in self.world.objects:
+            return f"unknown object {name}"
+        holders = [arm for arm, names in self.held().items() if name in names]
+        if holders:
+            return f"{name} is held by {', '.join(holders)}"
+        seat = self.cell.object(name).seat
+        along = self.world.seats[seat] if seat is not None and self._sits_in(name, seat) else None
+        before = self.world.pose(name)
+        after = displaced(before, offset)
+        self._detents.let_go(name)
+        self.world.place(self.world.objects[name], after)
+        if along is not None:
+            along.home = geometry.compose(after, geometry.relative(before, along.home))
+            self.world.place(along, along.home)
+        return ""
+
+    def change_physics(self, mass: float, friction: float) -> str:
+        for name in self.world.free:
+            self.world.weigh(name, mass)
+        for arm in self.arms.values():
+            arm.rub(friction)
+        return ""
+
+    def close(self) -> None:
+        self.world.close()
+
+    def _sits_in(self, name: str, seat: str) -> bool:
+        place = geometry.compose(self.world.seats[seat].home, self.cell.seat(seat).module_frame.pose)
+        return geometry.distance(self.world.pose(name), place) < SEATED_M
+
+
+def _wrench_at_tcp(cell: cells.Cell, name: str) -> Callable[[tuple[float, ...]], list[float]]:
+    """Return the map from pybullet's sensor reading to the wrench on the hand, in tool axes, about the tcp.
+
+    pybullet reads MINUS the force on the link beyond the joint, in that link's axes. Its torque is about the link's
+    centre of mass, which our URDF places in the link's origin.
+    """
+    spec = cell.arm(name)
+    model = pin.buildModelFromXML(cell.urdf(name))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    sensor, tcp = (data.oMf[model.getFrameId(frame)] for frame in (spec.sensor_joint, spec.tcp_link))
+    at = tcp.actInv(sensor)  # pose of the sensor in tool axes
+    x, y, z = at.translation.tolist()
+    if not np.allclose(at.rotation, np.eye(3)):
+        matrix = -at.toDualActionMatrix()
+        return lambda reading: (matrix @ reading).tolist()
+
+    def shift(reading: tuple[float, ...]) -> list[float]:
+        fx, fy, fz, tx, ty, tz = reading
+        return [-fx, -fy, -fz, -tx - (y * fz - z * fy), -ty - (z * fx - x * fz), -tz - (x * fy - y * fx)]
+
+    return shift

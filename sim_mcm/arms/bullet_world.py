@@ -1,0 +1,225 @@
+"""The cell's seats and objects as bodies in a pybullet client; shared by physics and rendering.
+
+A seat or fixed object becomes one body per shape, so each shape has its own friction and name. A movable object is one
+body; its origin is its centre of mass. This module must not know control or time.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pybullet
+
+from rtc.cells import cell as cells
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+
+STEP_S = 0.001
+SOLVER_ITERATIONS = 50  # with fewer the wrist sensor shows spikes of 20 N while carrying
+# With a larger residual the number of iterations varies from step to step, and a held object chatters.
+SOLVER_RESIDUAL = 1e-7
+
+
+class Body:
+    """An object or a seat of the cell, made of one or several pybullet bodies."""
+
+    def __init__(self, name: str, pose: Array, parts: list[tuple[int, Array]]) -> None:
+        self.name = name
+        self.home = pose
+        self.parts = parts  # (pybullet id, pose in the axes of the object or seat)
+        self.id = parts[0][0]  # a movable object has only this one
+
+
+class World:
+    """A pybullet client with the seats and objects of a cell in it."""
+
+    def __init__(self, cell: cells.Cell, visual: bool = False) -> None:
+        self.cell = cell
+        self.client: int = pybullet.connect(pybullet.DIRECT)
+        assert self.client >= 0, "pybullet could not create a client"
+        self._visual = visual
+        pybullet.setGravity(*cell.gravity_m_s2, physicsClientId=self.client)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=STEP_S,
+            numSolverIterations=SOLVER_ITERATIONS,
+            solverResidualThreshold=SOLVER_RESIDUAL,
+            deterministicOverlappingPairs=1,
+            enableFileCaching=0,  # another client in this process may load a different URDF of the same name
+            physicsClientId=self.client,
+        )
+        self.names: dict[int, str] = {}  # pybullet id -> name for messages
+        self.seats = {seat.name: self._fixed(seat, seat.frame.pose) for seat in cell.seats}
+        self.objects = {thing.name: self._object(thing) for thing in cell.objects}
+        self.free = {thing.name for thing in cell.objects if not thing.fixed}
+
+    def close(self) -> None:
+        pybullet.disconnect(physicsClientId=self.client)
+
+    def step(self) -> None:
+        pybullet.stepSimulation(physicsClientId=self.client)
+
+    def load_arm(self, name: str) -> int:
+        """Load an arm from its URDF text; returns the pybullet body id."""
+        spec = self.cell.arm(name)
+        base = spec.base.pose.tolist()
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / spec.urdf
+            file.write_text(_embodied(self.cell.urdf(name)), encoding="utf-8")
+            body: int = pybullet.loadURDF(
+                str(file),
+                basePosition=base[:3],
+                baseOrientation=base[3:],
+                useFixedBase=True,
+                flags=pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_MATERIAL_COLORS_FROM_MTL,
+                physicsClientId=self.client,
+            )
+        self.names[body] = name
+        return body
+
+    def pose(self, name: str) -> Array:
+        """Pose of an object, world frame."""
+        body = self.objects[name]
+        position, quaternion = pybullet.getBasePositionAndOrientation(body.id, physicsClientId=self.client)
+        return geometry.compose(geometry.make_pose(position, quaternion), geometry.inverse(body.parts[0][1]))
+
+    def position(self, name: str) -> Sequence[float]:
+        """Position (m) of a movable object; ten times as fast as `pose`."""
+        position, _ = pybullet.getBasePositionAndOrientation(self.objects[name].id, physicsClientId=self.client)
+        found: Sequence[float] = position
+        return found
+
+    def velocity(self, name: str) -> list[float]:
+        linear, angular = pybullet.getBaseVelocity(self.objects[name].id, physicsClientId=self.client)
+        return [*linear, *angular]
+
+    def weigh(self, name: str, factor: float) -> None:
+        """Scale the mass and inertia of an object relative to the cell file."""
+        thing, body = self.cell.object(name), self.objects[name].id
+        pybullet.changeDynamics(body, -1, mass=factor * thing.mass_kg, physicsClientId=self.client)
+        if thing.inertia_kg_m2 is not None:  # else Bullet derives it from the mass
+            inertia = [factor * n for n in thing.inertia_kg_m2]
+            pybullet.changeDynamics(body, -1, localInertiaDiagonal=inertia, physicsClientId=self.client)
+
+    def place(self, body: Body, pose: geometry.Floats) -> None:
+        """Set the pose of an object or seat, at rest."""
+        for part, local in body.parts:
+            at = geometry.compose(pose, local).tolist()
+            pybullet.resetBasePositionAndOrientation(part, at[:3], at[3:], physicsClientId=self.client)
+            pybullet.resetBaseVelocity(part, [0, 0, 0], [0, 0, 0], physicsClientId=self.client)
+
+    # --- construction ---------------------------------------------------------------------------------
+
+    def _fixed(self, thing: cells.Seat | cells.Object, pose: Array) -> Body:
+        parts = []
+        for shape in thing.shapes:
+            at = geometry.compose(pose, shape.frame.pose).tolist()
+            part = pybullet.createMultiBody(
+                baseMass=0,
+                baseCollisionShapeIndex=self._collision([shape], placed=False),
+                baseVisualShapeIndex=self._look([shape], placed=False),
+                basePosition=at[:3],
+                baseOrientation=at[3:],
+                useMaximalCoordinates=1,  # the default, a multibody without joints, costs 0.5 us per step
+                physicsClientId=self.client,
+            )
+            self.names[part] = f"{thing.name} {shape.name}"
+            self._rub(part, shape)
+            parts.append((part, shape.frame.pose))
+        if not parts:  # a seat may have no shapes
+            return Body(thing.name, pose, [(-1, geometry.make_pose((0, 0, 0)))])
+        return Body(thing.name, pose, parts)
+
+    def _object(self, thing: cells.Object) -> Body:
+        pose = self.cell.object_pose(thing.name)
+        if thing.fixed:
+            return self._fixed(thing, pose)
+        at = pose.tolist()
+        body = pybullet.createMultiBody(
+            baseMass=thing.mass_kg,
+            baseCollisionShapeIndex=self._collision(thing.shapes, placed=True),
+            baseVisualShapeIndex=self._look(thing.shapes, placed=True),
+            basePosition=at[:3],
+            baseOrientation=at[3:],
+            physicsClientId=self.client,
+        )
+        self.names[body] = thing.name
+        # A body has one friction. Take the greatest of its shapes: that shape is made to be gripped.
+        self._rub(body, max(thing.shapes, key=lambda shape: shape.friction))
+        if thing.inertia_kg_m2 is not None:
+            pybullet.changeDynamics(
+                body, -1, localInertiaDiagonal=list(thing.inertia_kg_m2), physicsClientId=self.client
+            )
+        return Body(thing.name, pose, [(body, geometry.make_pose((0, 0, 0)))])
+
+    def _rub(self, body: int, shape: cells.AnyShape) -> None:
+        pybullet.changeDynamics(
+            body,
+            -1,
+            lateralFriction=shape.friction,
+            spinningFriction=shape.spinning_friction,
+            linearDamping=0.0,  # a free body keeps its velocity
+            angularDamping=0.0,
+            physicsClientId=self.client,
+        )
+
+    def _collision(self, shapes: Sequence[cells.AnyShape], placed: bool) -> int:
+        made: int = pybullet.createCollisionShapeArray(
+            **_columns(shapes, placed, "collisionFrame"), physicsClientId=self.client
+        )
+        return made
+
+    def _look(self, shapes: Sequence[cells.AnyShape], placed: bool) -> int:
+        if not self._visual:
+            return -1
+        columns = _columns(shapes, placed, "visualFrame")
+        made: int = pybullet.createVisualShapeArray(
+            **columns, rgbaColors=[list(shape.colour) for shape in shapes], physicsClientId=self.client
+        )
+        return made
+
+
+def _embodied(urdf: str) -> str:
+    """The URDF without massless frames: Bullet would give one kilogram to every link without inertia."""
+    robot = ElementTree.fromstring(urdf)
+    children = {joint.find("child").get("link"): joint for joint in robot.findall("joint")}  # type: ignore[union-attr]
+    parents = {joint.find("parent").get("link") for joint in robot.findall("joint")}  # type: ignore[union-attr]
+    for link in robot.findall("link"):
+        if link.find("inertial") is not None:
+            continue
+        name = link.get("name")
+        if name in children and name not in parents:
+            robot.remove(link)
+            robot.remove(children[name])
+        elif name not in children:  # the root is fixed, so any values will do
+            inertial = ElementTree.SubElement(link, "inertial")
+            ElementTree.SubElement(inertial, "mass", value="1")
+            ElementTree.SubElement(inertial, "inertia", ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1")
+    ElementTree.indent(robot)  # Bullet's parser needs line breaks
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def _columns(shapes: Sequence[cells.AnyShape], placed: bool, prefix: str) -> dict[str, Any]:
+    """Arguments of pybullet's shape arrays: one list per property, one entry per shape."""
+    rows = [SHAPES[type(shape)](shape) for shape in shapes]
+    poses = [shape.frame.pose.tolist() if placed else list(geometry.IDENTITY) for shape in shapes]
+    return {
+        "shapeTypes": [row[0] for row in rows],
+        "halfExtents": [row[1] for row in rows],
+        "radii": [row[2] for row in rows],
+        "lengths": [row[3] for row in rows],
+        f"{prefix}Positions": [pose[:3] for pose in poses],
+        f"{prefix}Orientations": [pose[3:] for pose in poses],
+    }
+
+
+_NO_BOX = [0.0, 0.0, 0.0]
+SHAPES: dict[type, Callable[[Any], tuple[int, list[float], float, float]]] = {
+    cells.Box: lambda s: (pybullet.GEOM_BOX, [0.5 * n for n in s.size_m], 0.0, 0.0),
+    cells.Cylinder: lambda s: (pybullet.GEOM_CYLINDER, _NO_BOX, s.radius_m, s.length_m),
+    cells.Sphere: lambda s: (pybullet.GEOM_SPHERE, _NO_BOX, s.radius_m, 0.0),
+    cells.Capsule: lambda s: (pybullet.GEOM_CAPSULE, _NO_BOX, s.radius_m, s.length_m),
+}

@@ -1,0 +1,81 @@
+"""Spring catches of seats: they hold a seated module in zero gravity until an arm pulls it out.
+
+A catch holds a module with at most the seat's `detent_n`. It releases a module that has moved by more than `BREAKS_M`,
+and catches a module that rests in the seat. Catches act in seats only; a grip is contact friction alone.
+"""
+
+from __future__ import annotations
+
+import math
+
+import pybullet
+
+from rtc.robot import geometry
+from sim_mcm.arms.bullet_world import World
+
+BREAKS_M = 0.004  # travel of the catch before it releases
+CATCHES_M = 0.004  # maximum distance from the seated place at which a module is caught ...
+CATCHES_RAD = 0.05
+REST_M_S = 0.002  # ... if it is not faster than this
+EVERY = 10  # steps between two checks
+
+
+class Detents:
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._caught: dict[str, tuple[int, list[float]]] = {}  # object -> (constraint id, point where it was caught)
+        self._seats = [seat for seat in world.cell.seats if seat.detent_n > 0]
+        self._steps = 0
+        self.look()
+
+    def step(self) -> None:
+        """Once per physics step."""
+        self._steps += 1
+        if self._steps % EVERY == 0:
+            self.look()
+
+    def look(self) -> None:
+        """Release modules that were pulled away; catch modules that rest in a seat."""
+        for name, (_, at) in list(self._caught.items()):
+            if math.dist(self._world.position(name), at) > BREAKS_M:
+                self.let_go(name)
+        for name in sorted(self._world.free - self._caught.keys()):
+            if max(map(abs, self._world.velocity(name)[:3])) < REST_M_S:
+                self._catch_in_seat(name)
+
+    def _catch_in_seat(self, name: str) -> None:
+        """Catch the object if it is in the seated place of a seat."""
+        pose = self._world.pose(name)
+        for seat in self._seats:
+            place = geometry.compose(self._world.seats[seat.name].home, seat.module_frame.pose)
+            if geometry.distance(pose, place) < CATCHES_M and geometry.angle(pose, place) < CATCHES_RAD:
+                self._catch(name, pose, seat.detent_n)
+                return
+
+    def let_go(self, name: str) -> None:
+        if name in self._caught:
+            constraint, _ = self._caught.pop(name)
+            pybullet.removeConstraint(constraint, physicsClientId=self._world.client)
+
+    def let_go_all(self) -> None:
+        for name in list(self._caught):
+            self.let_go(name)
+
+    def _catch(self, name: str, pose: geometry.Array, force_n: float) -> None:
+        position, quaternion = pybullet.getBasePositionAndOrientation(
+            self._world.objects[name].id, physicsClientId=self._world.client
+        )
+        constraint = pybullet.createConstraint(
+            self._world.objects[name].id,
+            -1,
+            -1,
+            -1,
+            pybullet.JOINT_FIXED,
+            [0, 0, 0],
+            parentFramePosition=[0, 0, 0],
+            childFramePosition=position,
+            childFrameOrientation=quaternion,
+            physicsClientId=self._world.client,
+        )
+        pybullet.changeConstraint(constraint, maxForce=force_n, physicsClientId=self._world.client)
+        self._caught[name] = (constraint, pose[:3].tolist())

@@ -1,0 +1,400 @@
+"""Kinematic arms: they follow their command exactly, among rigid shapes, without physics.
+
+Fast (microseconds per tick) and exact for all except dynamics: joints, frames and contacts of the hand. If a command
+would move palm or fingers into an object or seat, the arm keeps its last free position. The wrist sensor then shows the
+depth of the command as the force of a stiff spring, so guarded moves find contact. Fingers stop on an object between
+them, press with the commanded force, and carry it. A carried object meets the bottom and the catch of a seat
+(`kinematic_seats`). Left out: inertia, friction, slip, objects that give way, contacts of other links or of a held
+object."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import coal
+import msgspec
+import numpy as np
+import pinocchio as pin
+
+from rtc.cells import cell as cells
+from rtc.protocol.primitive import ControlLaw
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+from rtc.robot.kinematics import ArmModel
+from sim_mcm.arms import control_laws
+from sim_mcm.arms.arm import TICK_S, ArmState, CellState, HandCommand, Motion, Sample, Traits
+from sim_mcm.arms.hand import CENTRE_N_M
+from sim_mcm.arms.kinematic_seats import Seats
+
+SPRING_N_M = 50_000.0  # 1 mm of depth gives 50 N; at 20 mm/s each tick adds 1 N
+REACH_M = 0.16  # greatest distance of a part of the hand from the tcp
+
+
+class Piece(msgspec.Struct):
+    """One convex shape of an object or seat."""
+
+    owner: str  # name of the object or seat
+    geometry: Any
+    local: Array  # 4 x 4, in the axes of its owner
+    radius_m: float
+    placed: Any = None  # coal.Transform3s, world
+    row: int = 0  # index in the table of all centres
+
+
+class Touch(msgspec.Struct, frozen=True):
+    owner: str
+    point: Array  # world
+    force: Array  # on the hand, world, N
+
+
+class KinematicCell:
+    """The cell's objects and seats as rigid shapes, with the arms."""
+
+    def __init__(self, cell: cells.Cell) -> None:
+        self.cell = cell
+        self.poses: dict[str, Array] = {thing.name: cell.object_pose(thing.name) for thing in cell.objects}
+        self.poses |= {seat.name: seat.frame.pose for seat in cell.seats}
+        self.seats = Seats(cell, self.poses)
+        self.carried: dict[str, tuple[str, Array]] = {}  # object -> arm, pose in tcp axes
+        self.pieces: dict[str, list[Piece]] = {}
+        shapes = {thing.name: thing.shapes for thing in cell.objects} | {seat.name: seat.shapes for seat in cell.seats}
+        for owner, kinds in shapes.items():
+            self.pieces[owner] = [_piece(owner, shape) for shape in kinds]
+        self._all = [piece for pieces in self.pieces.values() for piece in pieces]
+        self._radii = np.array([piece.radius_m for piece in self._all])
+        self._centres = np.zeros((len(self._all), 3))
+        for row, piece in enumerate(self._all):
+            piece.row = row
+        for owner in self.pieces:
+            self._place(owner)
+        self.fixed = {thing.name for thing in cell.objects if thing.fixed} | {seat.name for seat in cell.seats}
+        self.arms = {arm.name: KinematicArm(self, arm.name) for arm in cell.arms}
+
+    def step(self) -> None:
+        for arm in self.arms.values():
+            arm.step()
+        for name, (arm_name, grasp) in self.carried.items():
+            self.poses[name] = geometry.compose(self.arms[arm_name].pose, grasp)
+            self._place(name)
+
+    def near(self, point: Array, arm: str, margin_m: float = 0.0) -> list[Piece]:
+        """Pieces within reach (plus margin) of a hand at `point` (m, world), without those that `arm` carries."""
+        away = np.sqrt(((self._centres - point) ** 2).sum(axis=1)) - self._radii
+        carried = {name for name, (by, _) in self.carried.items() if by == arm}
+        found = (self._all[n] for n in np.flatnonzero(away < REACH_M + margin_m))
+        return [piece for piece in found if piece.owner not in carried]
+
+    def truth(self) -> dict[str, dict[str, list[float]]]:
+        names = [thing.name for thing in self.cell.objects]
+        return {
+            "poses": {name: self.poses[name].tolist() for name in names},
+            "velocities": {name: [0.0] * 6 for name in names},
+            "tcp": {name: arm.pose.tolist() for name, arm in self.arms.items()},
+            "joints": {name: list(arm.joints) for name, arm in self.arms.items()},
+            "fingers": {name: list(arm.fingers) for name, arm in self.arms.items()},
+        }
+
+    def held(self) -> dict[str, list[str]]:
+        return {arm: [name for name, (by, _) in self.carried.items() if by == arm] for arm in self.arms}
+
+    def state(self) -> CellState:
+        return CellState(
+            arms={name: arm.state() for name, arm in self.arms.items()},
+            poses={name: pose.tolist() for name, pose in self.poses.items()},
+            carried={name: (arm, grasp.tolist()) for name, (arm, grasp) in self.carried.items()},
+        )
+
+    def restore(self, state: CellState) -> None:
+        self.poses |= {name: np.array(pose) for name, pose in state.poses.items()}
+        self.carried = {name: (arm, np.array(grasp)) for name, (arm, grasp) in state.carried.items()}
+        for owner in self.pieces:
+            self._place(owner)
+        for name, arm in self.arms.items():
+            arm.restore(state.arms[name])
+
+    def displace(self, name: str, offset: Sequence[float]) -> str:
+        if name not in self.poses or name not in {thing.name for thing in self.cell.objects}:
+            return f"unknown object {name}"
+        if name in self.carried:
+            return f"{name} is held by {self.carried[name][0]}"
+        before = self.poses[name]
+        after = displaced(before, offset)
+        for owner in (name, self.cell.object(name).seat):
+            if owner is not None:
+                self.poses[owner] = geometry.compose(after, geometry.relative(before, self.poses[owner]))
+                self._place(owner)
+        for arm in self.arms.values():
+            arm.forget_clearance()
+        return ""
+
+    def change_physics(self, mass: float, friction: float) -> str:
+        return "kinematic arms have neither mass nor friction"
+
+    def _place(self, owner: str) -> None:
+        at = geometry.to_matrix(self.poses[owner])
+        for piece in self.pieces[owner]:
+            matrix = at @ piece.local
+            piece.placed = coal.Transform3s(matrix[:3, :3], matrix[:3, 3])
+            self._centres[piece.row] = matrix[:3, 3]
+
+
+def displaced(pose: Array, offset: Sequence[float]) -> Array:
+    """`pose` moved by x y z (m) and turned by roll pitch yaw (rad), in world axes, about its own origin."""
+    turned = geometry.compose(geometry.from_rpy((0, 0, 0), offset[3:]), (0.0, 0.0, 0.0, *pose[3:].tolist()))
+    return geometry.make_pose(pose[:3] + np.asarray(offset[:3]), turned[3:])
+
+
+class KinematicArm:
+    def __init__(self, world: KinematicCell, name: str) -> None:
+        spec = world.cell.arm(name)
+        self.traits = Traits.of(world.cell, name)
+        self._world = world
+        self._model = ArmModel.of(world.cell, name)
+        self._laws = control_laws.known()
+        self.joints = list(spec.home_rad)
+        self._velocities = [0.0] * len(self.joints)
+        self._wanted = (self.joints, self._velocities)
+        half = 0.5 * spec.gripper.max_opening_m
+        self.fingers = [half, half]
+        self._finger_speeds = [0.0, 0.0]
+        self._hand = HandCommand(2 * half, spec.gripper.max_force_n, spec.gripper.speed_m_s)
+        self._pressed_n = [0.0, 0.0]
+        self._parts = _hand_parts(world.cell, name)
+        self._pose: Array | None = None  # of the tcp; computed on demand
+        self._hand_busy = True  # its command is not yet complete
+        self._clear_m = 0.0  # distance that the hand can move without touching anything
+        self._wrench = [0.0] * 6
+
+    # --- interface to the executor ---------------------------------------------------------------------
+
+    def read(self) -> Sample:
+        return Sample(
+            self.joints,
+            self._velocities,
+            self._wrench,
+            (self.fingers[0], self.fingers[1]),
+            (self._finger_speeds[0], self._finger_speeds[1]),
+            (self._pressed_n[0], self._pressed_n[1]),
+        )
+
+    def follow(self, motion: Motion) -> None:
+        self._wanted = motion[:2]
+
+    def use_law(self, law: ControlLaw) -> None:
+        control_laws.make(law, self._model, self._laws)  # only checked: this arm is exact
+
+    def command_hand(self, command: HandCommand) -> None:
+        self._hand = command
+        self._hand_busy = True
+
+    def tcp_pose(self, joints: Sequence[float]) -> Array:
+        return self._model.fk(joints)
+
+    def touches(self) -> Mapping[str, float]:
+        return {}  # left out, see the module docstring
+
+    @property
+    def pose(self) -> Array:
+        """Present pose of the tcp, world frame."""
+        if self._pose is None:
+            self._pose = self._model.fk(self.joints)
+        return self._pose
+
+    def state(self) -> ArmState:
+        a, b = self.fingers
+        return ArmState(joints=list(self.joints), fingers=(a, b), hand=self._hand, opening_m=a + b)
+
+    def restore(self, state: ArmState) -> None:
+        self.joints, self.fingers, self._pose = list(state.joints), list(state.fingers), None
+        self._velocities = [0.0] * len(self.joints)
+        self._wanted = (self.joints, self._velocities)
+        self.command_hand(state.hand)
+        self.forget_clearance()
+
+    # --- simulation step --------------------------------------------------------------------------------
+
+    def step(self) -> None:
+        joints, velocities = self._wanted
+        if self._stays_clear(joints):
+            if joints != self.joints:
+                self.joints, self._pose = joints, None
+            self._velocities = velocities
+            return
+        wanted = self._model.fk(joints)
+        touches = list(self._touches(wanted))
+        seats, blocked = self._seats(wanted, joints == self.joints)
+        if touches or blocked:  # blocked: keep the last free position
+            self._velocities = [0.0] * len(joints)
+        else:
+            self.joints, self._velocities, self._pose = joints, velocities, wanted
+            self._clear_m = min([self._clearance(wanted), *map(self._world.seats.away_m, self._held(wanted).values())])
+        self._move_fingers()
+        self._wrench = [a + b for a, b in zip(self._feel(wanted, touches), seats, strict=True)]
+
+    def _held(self, tcp: Array) -> dict[str, Array]:
+        """Poses of the objects that this arm carries, for the tcp pose `tcp`."""
+        mine = {name: grasp for name, (arm, grasp) in self._world.carried.items() if arm == self.traits.name}
+        return {name: geometry.compose(tcp, grasp) for name, grasp in mine.items()}
+
+    def _seats(self, tcp: Array, still: bool) -> tuple[list[float], bool]:
+        """(wrench on the hand from seats, through carried objects, in tool axes; whether a seat's bottom blocks)."""
+        force, torque, blocked = np.zeros(3), np.zeros(3), False
+        for name, pose in self._held(tcp).items():
+            for felt in self._world.seats.feel(name, pose, still):
+                push = felt.force * (SPRING_N_M * felt.depth_m if felt.depth_m else 1.0)
+                force, torque = force + push, torque + np.cross(pose[:3] - tcp[:3], push)
+                blocked = blocked or felt.depth_m > 0.0
+        if not force.any():
+            return [0.0] * 6, False
+        turn = geometry.to_matrix(tcp)[:3, :3].T
+        return [*(turn @ force).tolist(), *(turn @ torque).tolist()], blocked
+
+    def forget_clearance(self) -> None:
+        """Objects have moved: compute the clearance again."""
+        self._clear_m = 0.0
+
+    def _stays_clear(self, joints: Sequence[float]) -> bool:
+        """Whether the hand cannot touch anything on the way to these joints, and its fingers rest."""
+        if self._hand_busy or any(arm != self.traits.name for arm, _ in self._world.carried.values()):
+            return False  # fingers move, or another arm carries an object
+        self._clear_m -= LEVER_M * sum(abs(a - b) for a, b in zip(joints, self.joints, strict=True))
+        return self._clear_m > 0.0
+
+    def _clearance(self, pose: Array) -> float:
+        tcp = geometry.to_matrix(pose)
+        least, near = CLEAR_M, self._world.near(pose[:3], self.traits.name, CLEAR_M)
+        travels = dict(zip(FINGERS, self.fingers, strict=True))
+        for part, shape, place in self._parts:
+            matrix = tcp @ place(travels.get(part, 0.0))
+            at = coal.Transform3s(matrix[:3, :3], matrix[:3, 3])
+            for piece in near:
+                least = min(
+                    least, coal.distance(shape, at, piece.geometry, piece.placed, DISTANCE, coal.DistanceResult())
+                )
+        return least
+
+    def _move_fingers(self) -> None:
+        name, command = self.traits.name, self._hand
+        missing = command.width_m - sum(self.fingers)
+        carrying = [thing for thing, (arm, _) in self._world.carried.items() if arm == name]
+        if missing > 0.0:
+            for thing in carrying:
+                del self._world.carried[thing]
+        elif carrying:
+            self._press(command.force_n, command.force_n)
+            self._hand_busy = False
+            return
+        met: list[set[str]] = [set(), set()]
+        before = list(self.fingers)
+        share = max(-0.5 * command.speed_m_s * TICK_S, min(0.5 * command.speed_m_s * TICK_S, 0.5 * missing))
+        for n, finger in enumerate(FINGERS):
+            if missing < 0.0:
+                met[n] = {touch.owner for touch in self._touches(self.pose, finger, self.fingers[n] + share)}
+            if not met[n]:
+                self.fingers[n] = max(0.0, min(0.5 * self.traits.max_opening_m, self.fingers[n] + share))
+        self._finger_speeds = [(now - then) / TICK_S for now, then in zip(self.fingers, before, strict=True)]
+        self._hand_busy = abs(missing) > 1e-9
+        between = met[0] & met[1]
+        if between:
+            self._press(command.force_n, command.force_n)
+            self._attach(min(between))
+        else:
+            aside = 0.5 * CENTRE_N_M * (self.fingers[0] - self.fingers[1])
+            self._press(aside if met[0] else 0.0, -aside if met[1] else 0.0)
+
+    def _press(self, a_n: float, b_n: float) -> None:
+        self._pressed_n = [max(0.0, a_n), max(0.0, b_n)]
+        if a_n > 0.0 and b_n > 0.0:
+            self._finger_speeds = [0.0, 0.0]
+
+    def _attach(self, name: str) -> None:
+        if name not in self._world.fixed and name not in self._world.carried:
+            grasp = geometry.relative(self.pose, self._world.poses[name])
+            self._world.carried[name] = (self.traits.name, grasp)
+
+    def _touches(self, pose: Array, only: str = "", travel: float | None = None) -> Iterator[Touch]:
+        """Contacts of palm and fingers (or of one finger at another travel) for the tcp pose `pose`."""
+        near = self._world.near(pose[:3], self.traits.name)
+        if not near:
+            return
+        tcp = geometry.to_matrix(pose)
+        travels = dict(zip(FINGERS, self.fingers, strict=True))
+        for part, shape, place in self._parts:
+            if only not in ("", part):
+                continue
+            matrix = tcp @ place(travels.get(part, 0.0) if travel is None else travel)
+            at = coal.Transform3s(matrix[:3, :3], matrix[:3, 3])
+            for piece in near:
+                result = coal.CollisionResult()
+                if coal.collide(shape, at, piece.geometry, piece.placed, REQUEST, result):
+                    contact = result.getContact(0)  # the normal points from the first shape to the second
+                    force = -SPRING_N_M * abs(contact.penetration_depth) * contact.normal
+                    yield Touch(piece.owner, contact.pos, force)
+
+    def _feel(self, pose: Array, touches: list[Touch]) -> list[float]:
+        pressing = self._pressed_n[0] > 0.0 or self._pressed_n[1] > 0.0
+        if pressing:  # off-centre fingers push the hand sideways
+            return [0.0, CENTRE_N_M * (self.fingers[0] - self.fingers[1]), 0.0, 0.0, 0.0, 0.0]
+        if not touches:
+            return [0.0] * 6
+        force, torque = np.zeros(3), np.zeros(3)
+        for touch in touches:
+            force += touch.force
+            torque += np.cross(touch.point - pose[:3], touch.force)
+        turn = geometry.to_matrix(pose)[:3, :3].T
+        return [*(turn @ force).tolist(), *(turn @ torque).tolist()]
+
+
+FINGERS = ("finger-a", "finger-b")
+LEVER_M = 1.2  # greatest distance of a part of the hand from a joint axis
+CLEAR_M = 0.10  # greater clearances are not computed
+DISTANCE = coal.DistanceRequest()
+REQUEST = coal.CollisionRequest()
+REQUEST.enable_contact = True
+REQUEST.num_max_contacts = 1
+
+
+def _hand_parts(cell: cells.Cell, arm: str) -> list[tuple[str, Any, Callable[[float], Array]]]:
+    """(name, coal shape, finger travel -> 4 x 4 in tcp axes) of palm and fingers, from the URDF's collision boxes."""
+    spec = cell.arm(arm)
+    model = pin.buildModelFromXML(cell.urdf(arm))
+    shapes = pin.buildGeomFromUrdfString(model, cell.urdf(arm), pin.GeometryType.COLLISION)
+    data, shape_data = model.createData(), shapes.createData()
+    names = {spec.gripper.palm_link: "palm", **dict(zip(spec.gripper.finger_links, FINGERS, strict=True))}
+    parts: list[tuple[str, Any, Callable[[float], Array]]] = []
+    at_zero, at_one = (_placements(model, data, shapes, shape_data, spec, travel) for travel in (0.0, 0.01))
+    for n, shape in enumerate(shapes.geometryObjects):
+        link = model.frames[shape.parentFrame].name
+        if link in names:
+            begin, way = at_zero[n], (at_one[n] - at_zero[n]) / 0.01
+            parts.append((names[link], shape.geometry, _sliding(begin, way)))
+    return parts
+
+
+def _sliding(begin: Array, way: Array) -> Callable[[float], Array]:
+    return lambda travel: begin + travel * way
+
+
+def _placements(model: Any, data: Any, shapes: Any, shape_data: Any, spec: cells.Arm, travel: float) -> list[Array]:
+    q = pin.neutral(model)
+    for joint in spec.gripper.finger_joints:
+        q[model.joints[model.getJointId(joint)].idx_q] = travel
+    pin.framesForwardKinematics(model, data, q)
+    pin.updateGeometryPlacements(model, data, shapes, shape_data)
+    tcp = data.oMf[model.getFrameId(spec.tcp_link)].inverse()
+    return [(tcp * placement).homogeneous for placement in shape_data.oMg]
+
+
+def _piece(owner: str, shape: cells.AnyShape) -> Piece:
+    made = SHAPES[type(shape)](shape)
+    made.computeLocalAABB()
+    return Piece(owner, made, geometry.to_matrix(shape.frame.pose), float(made.aabb_radius))
+
+
+SHAPES: dict[type, Callable[[Any], Any]] = {
+    cells.Box: lambda s: coal.Box(*s.size_m),
+    cells.Cylinder: lambda s: coal.Cylinder(s.radius_m, s.length_m),
+    cells.Sphere: lambda s: coal.Sphere(s.radius_m),
+    cells.Capsule: lambda s: coal.Capsule(s.radius_m, s.length_m),
+}

@@ -1,0 +1,65 @@
+"""Forces of a seat on a carried object: bottom and catch (the kinematic counterpart of `detents`).
+
+An object that rests within `CATCHES_M` of its seated place is caught. Pulled out along the seat's axis, it resists with
+the seat's `detent_n` for `BREAKS_M`. Pressed beyond its place, it meets the bottom. Side walls are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from rtc.cells import cell as cells
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+
+BREAKS_M = CATCHES_M = 0.004
+BOTTOM_M = 0.001  # play between a seated object and the bottom
+NEAR_RAD = 0.05
+PULLED_M = 1e-5  # a smaller displacement does not count as a pull
+
+
+class Felt(NamedTuple):
+    force: Array  # on the object, world; catch: N; bottom: unit direction only
+    depth_m: float  # depth in the bottom; 0 means free to move
+
+
+class Seats:
+    def __init__(self, cell: cells.Cell, poses: dict[str, Array]) -> None:
+        self._poses = poses  # of all objects and seats, world; updated by KinematicCell
+        self._seats = [seat for seat in cell.seats if seat.detent_n > 0.0]
+        self._inside = {seat.name: seat.module_frame.pose for seat in self._seats}
+        self._caught: dict[str, Array] = {}  # object -> point where it was caught
+
+    def away_m(self, pose: Array) -> float:
+        """Distance (m) that an object at this pose can move without an effect of any seat."""
+        places = [self._place(seat) for seat in self._seats]
+        return min((geometry.distance(pose, place) for place in places), default=math.inf) - 2 * CATCHES_M
+
+    def feel(self, thing: str, pose: Array, still: bool) -> Iterator[Felt]:
+        """Forces on the object at this pose; if `still`, it rests there and is caught."""
+        at = self._caught.get(thing)
+        if at is not None and math.dist(pose[:3], at) > BREAKS_M:
+            del self._caught[thing]
+        for seat in self._seats:
+            place = self._place(seat)
+            if geometry.distance(pose, place) > 2 * CATCHES_M or geometry.angle(pose, place) > NEAR_RAD:
+                continue
+            out = geometry.rotate(self._poses[seat.name], seat.way_out)
+            off = pose[:3] - place[:3]
+            along = float(off @ out)
+            if float(np.linalg.norm(off - along * out)) > CATCHES_M:
+                continue
+            if along < -BOTTOM_M:
+                yield Felt(out, -BOTTOM_M - along)
+            if still and geometry.distance(pose, place) < CATCHES_M:
+                self._caught.setdefault(thing, pose[:3].copy())
+            at = self._caught.get(thing)
+            if at is not None and float((pose[:3] - at) @ out) > PULLED_M:
+                yield Felt(-seat.detent_n * out, 0.0)
+
+    def _place(self, seat: cells.Seat) -> Array:
+        return geometry.compose(self._poses[seat.name], self._inside[seat.name])

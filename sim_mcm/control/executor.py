@@ -1,0 +1,473 @@
+"""The executor of one arm: accepts one primitive at a time, executes it, and ends it for exactly one reason.
+
+    sample -> stop functions, in fixed priority -> reflex -> command every tick, from the current sample alone (R66)
+
+The table TRANSITIONS lists all state changes. The executor is pure: it has no clock and no socket. The caller passes
+the time and sends the messages that `accept` and `tick` return. It knows neither the other arm nor objects; an arm
+holds something if its fingers press.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from enum import Enum
+
+import msgspec
+
+from rtc.protocol import messages as m
+from rtc.protocol import primitive as p
+from rtc.protocol.outcomes import Reflex, StopReason
+from sim_mcm.arms.arm import TICK_S, Arm, HandCommand, Motion
+from sim_mcm.control import acceptance, profiles, stop_functions
+from sim_mcm.control.reports import Peaks, Trip, end_report, magnitudes, not_begun
+
+
+class State(Enum):
+    HOLDING = "holding"  # no primitive; the arm stays where it is, the hand keeps its grip
+    EXECUTING = "executing"  # stop functions are evaluated every tick
+    STOPPING = "stopping"  # the reason is fixed; braking, jerk-limited; thresholds masked
+    RETREATING = "retreating"  # reflex BACK_OFF
+    RELEASING = "releasing"  # reflex RELEASE
+    SETTLING = "settling"  # commanded to rest; waits until rest is measured, then reports the end
+
+
+class Event(Enum):
+    ACCEPTED = "accepted"  # a primitive passed its check
+    TRIPPED = "tripped"  # a stop function came true
+    HALTED = "halted"  # a halt from outside
+    DONE = "done"  # the work of this state is complete
+
+
+TRANSITIONS: dict[State, dict[Event, State]] = {
+    State.HOLDING: {Event.ACCEPTED: State.EXECUTING, Event.HALTED: State.HOLDING},
+    State.EXECUTING: {Event.TRIPPED: State.STOPPING, Event.HALTED: State.STOPPING},
+    State.STOPPING: {Event.DONE: State.SETTLING, Event.HALTED: State.STOPPING},  # DONE: the next state is in AFTER_STOP
+    State.RETREATING: {Event.DONE: State.SETTLING, Event.HALTED: State.STOPPING},
+    State.RELEASING: {Event.DONE: State.SETTLING, Event.HALTED: State.STOPPING},
+    State.SETTLING: {Event.DONE: State.HOLDING, Event.HALTED: State.SETTLING},
+}
+AFTER_STOP: dict[Reflex, State] = {
+    Reflex.STOP: State.SETTLING,
+    Reflex.BACK_OFF: State.RETREATING,
+    Reflex.RELEASE: State.RELEASING,
+}
+MOVING = frozenset({State.EXECUTING, State.STOPPING, State.RETREATING, State.RELEASING})
+
+# After these reasons the arm may lean on an obstacle; the command then moves to the measured position.
+TOUCHED = frozenset({StopReason.CONTACT, StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT, StopReason.COLLISION})
+
+# Rest means that joints and fingers stay within these spreads for a window of ticks. Speeds are not used: they
+# alternate from tick to tick while a held object is pressed. Equal to 0.005 rad/s and 0.002 m/s of uniform motion.
+WINDOW_TICKS = 20
+REST_RAD, REST_M = 0.005 * WINDOW_TICKS * TICK_S, 0.002 * WINDOW_TICKS * TICK_S
+# Factor by which a command may exceed a joint's speed limit. Reasons: an offset at the start of a path (0.08 rad/s);
+# braking from an acceleration (0.14 rad/s). A greater excess is an error in the profile.
+COMMAND_SLACK = 1.25
+GOAL_RAD = 0.002  # maximum joint error at the goal
+# An arm at rest for this long, this near the goal, leans on something and ends there; the report has its position.
+LEANING_TICKS, LEANING_RAD = 100, 0.03
+WIDTH_M = 0.0005  # maximum error of the hand opening at the goal
+LEAN_N = 20.0  # a contact force that has increased by this since the start is a new touch
+SQUEEZE_N = 1.0  # a smaller finger force does not count as a grip
+PRESSED = 0.95  # share of the commanded force at which the grip is complete
+SETTLE_LIMIT_S = 1.0  # maximum wait for measured rest; then the end is reported anyway
+RELEASE_LIMIT_S = 3.0
+
+Reports = list[m.Started | m.ProgressReport | m.EndReport]
+
+
+class Executor:
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
+        self.name = arm.traits.name
+        self.state = State.HOLDING
+        self.primitive: p.Primitive | None = None
+        self.trip: Trip | None = None
+        self.sample = arm.read()
+        self._window = deque([self.sample], WINDOW_TICKS)
+        self._most_rad_s = [COMMAND_SLACK * limit for limit in arm.traits.velocity]
+        self._most_step_rad = [limit * TICK_S for limit in self._most_rad_s]
+        self._ticks = 0  # since the start of this primitive
+        self._profile: profiles.Profile = profiles.Stay(self.sample.joints)
+        self._profile_ticks = 0
+        self._command: Motion = self._profile.at(0.0)
+        self._follow: profiles.Follow | None = None  # the path, if the primitive has one
+        self._hand = HandCommand(sum(self.sample.fingers), arm.traits.max_grip_n, arm.traits.hand_speed_m_s)
+        self._stops: stop_functions.Stops = []
+        self._bias = [0.0] * 6
+        self._wrench = [0.0] * 6
+        self._touched_before: dict[str, float] = {}
+        self._peaks = Peaks()
+        self._report_every: int | None = None
+        self._yielded = self._releasing = False
+        self._leaning_ticks = 0
+        self._work: dict[State, Callable[[float], Reports]] = {
+            State.HOLDING: lambda now_s: [],
+            State.EXECUTING: self._execute,
+            State.STOPPING: self._stop,
+            State.RETREATING: self._retreat,
+            State.RELEASING: self._release,
+            State.SETTLING: self._settle,
+        }
+        self._enter: dict[State, Callable[[], None]] = {
+            State.HOLDING: self._begin_holding,
+            State.EXECUTING: self._begin_executing,
+            State.STOPPING: self._begin_stopping,
+            State.RETREATING: self._begin_retreat,
+            State.RELEASING: self._begin_release,
+            State.SETTLING: self._begin_settling,
+        }
+
+    # --- public interface ---------------------------------------------------------------------------
+
+    @property
+    def moving(self) -> bool:
+        return self.state in MOVING
+
+    @property
+    def at_rest(self) -> bool:
+        return self.state in (State.HOLDING, State.SETTLING) and self._joints_rest()
+
+    @property
+    def primitive_id(self) -> str:
+        return self.primitive.id if self.primitive else ""
+
+    @property
+    def wrench(self) -> list[float]:
+        """Wrench of this tick (N, N.m) minus the bias of the current or last primitive."""
+        return [value - bias for value, bias in zip(self.sample.wrench, self._bias, strict=True)]
+
+    def accept(self, primitive: p.Primitive, now_s: float) -> Reports:
+        """Start it with the next tick or refuse it: returns `Started` or an end report with the reason REFUSED."""
+        why = self._objection(primitive)
+        if why:
+            pose = self.arm.tcp_pose(self.sample.joints)
+            return [not_begun(primitive.id, self.name, why, at_s=now_s, sample=self.sample, tcp_pose=pose)]
+        self.primitive = primitive
+        self._apply(Event.ACCEPTED)
+        return [m.Started(primitive=primitive.id, at_s=now_s)]
+
+    def halt(self) -> bool:
+        """Brake with the next tick, in any state. Returns True if the arm was in motion."""
+        was_moving = self.moving
+        if self.state is State.EXECUTING:
+            self._trip(Trip(reason=StopReason.HALT), Event.HALTED)
+        else:
+            if self.trip is not None:  # keep the reason; cancel the rest of the reflex
+                self.trip = msgspec.structs.replace(self.trip, reflex=Reflex.STOP)
+            self._apply(Event.HALTED)
+        return was_moving
+
+    def tick(self, now_s: float) -> Reports:
+        """One servo tick: read the sample, evaluate, command."""
+        sample = self.sample = self.arm.read()
+        self._window.append(sample)
+        if self.state is State.HOLDING:  # the most frequent case
+            return []
+        if self._ticks == 0:
+            self._bias = list(sample.wrench)
+            self._touched_before |= self.arm.touches()
+        self._ticks += 1
+        self._wrench = self.wrench
+        reports = self._work[self.state](now_s)
+        self._profile_ticks += 1
+        command = self._profile.at(self._profile_ticks * TICK_S)
+        if not self._within_limits(command):
+            command = self._brake_instead(command)
+        self._command = command
+        self.arm.follow(command)
+        return reports
+
+    # --- the states ------------------------------------------------------------------------------------
+
+    def _begin_holding(self) -> None:
+        self._touched_before = {}
+        if self.trip is not None and self.trip.reason is StopReason.COLLISION:
+            self._touched_before[self.trip.message] = (
+                0.0  # contact may be intermittent, so it is not measured in every tick
+            )
+        self.primitive = None
+        self.trip = None
+        self._follow = None
+
+    def _begin_executing(self) -> None:
+        assert self.primitive is not None
+        trajectory = self.primitive.trajectory
+        self._ticks = 0
+        self._peaks = Peaks()
+        self._yielded = self._releasing = False
+        self._leaning_ticks = 0
+        every_s = self.primitive.reporting.every_s
+        self._report_every = None if every_s is None else max(1, round(every_s / TICK_S))
+        joints = self._command[0]
+        if isinstance(trajectory, p.JointTrajectory):
+            self._follow = profiles.Follow(trajectory, joints)
+            self._use(self._follow)
+        else:
+            self._use(profiles.Stay(joints))
+        if isinstance(trajectory, p.HandMotion):
+            self._use_hand(HandCommand(trajectory.width_m, trajectory.force_n, trajectory.speed_m_s))
+
+    def _execute(self, now_s: float) -> Reports:
+        moment = self._moment()
+        self._peaks.take(moment.force_n, moment.torque_nm)
+        found = stop_functions.first(self._stops, moment)
+        if found is not None:
+            stop, (measured, limit, words) = found
+            trip = Trip(
+                reason=stop.reason,
+                reflex=stop.reflex,
+                back_off_m=stop.back_off_m,
+                measured=measured,
+                limit=limit,
+                message=words,
+            )
+            self._trip(trip, Event.TRIPPED)
+            return self._stop(now_s)
+        if self._report_every is not None and self._ticks % self._report_every == 0:
+            return [self._progress(now_s)]
+        return []
+
+    def _begin_stopping(self) -> None:
+        assert self.primitive is not None
+        assert self.trip is not None
+        self._use(profiles.Brake(self._command, laden=min(self.sample.finger_forces) > SQUEEZE_N))
+        hand_moves = isinstance(self.primitive.trajectory, p.HandMotion) and self.trip.reason is not StopReason.GOAL
+        if hand_moves or self._releasing:
+            self._freeze_hand()
+
+    def _stop(self, now_s: float) -> Reports:
+        self._peaks.take(*magnitudes(self._wrench))
+        if self._profile_time_s < self._profile.duration_s:
+            return []
+        assert self.trip is not None
+        following = AFTER_STOP[self.trip.reflex]
+        self._apply(Event.DONE, following)
+        return self._work[following](now_s)
+
+    def _begin_retreat(self) -> None:
+        assert self.trip is not None
+        joints = self._command[0]
+        if self._follow is None or self.trip.back_off_m <= 0.0:
+            self._use(profiles.Stay(joints))  # no path to retrace
+            return
+        tripped_s = self.trip.at_tick * TICK_S
+        self._use(profiles.Retrace(self._follow, tripped_s, joints, self.trip.back_off_m, self.arm.tcp_pose))
+
+    def _retreat(self, now_s: float) -> Reports:
+        if self._profile_time_s < self._profile.duration_s:
+            return []
+        self._apply(Event.DONE)
+        return self._settle(now_s)
+
+    def _begin_release(self) -> None:
+        self._releasing = True
+        self._use(profiles.Stay(self._command[0]))
+        traits = self.arm.traits
+        self._use_hand(HandCommand(traits.max_opening_m, traits.max_grip_n, traits.hand_speed_m_s))
+
+    def _release(self, now_s: float) -> Reports:
+        opened = sum(self.sample.fingers) >= self.arm.traits.max_opening_m - WIDTH_M
+        if not opened and self._profile_time_s < RELEASE_LIMIT_S:
+            return []
+        self._apply(Event.DONE)
+        return self._settle(now_s)
+
+    def _begin_settling(self) -> None:
+        self._use(profiles.Stay(self._command[0]))
+
+    def _settle(self, now_s: float) -> Reports:
+        assert self.trip is not None
+        if self._profile_time_s < self._profile.duration_s:
+            return []
+        leaning = self.trip.reason in TOUCHED and not self._yielded
+        if not self._still(leaning) and self._profile_time_s < self._profile.duration_s + SETTLE_LIMIT_S:
+            return []
+        if not self._yielded and self._off_command() > (0.0 if leaning else GOAL_RAD):
+            self._yielded = True
+            self._use(profiles.Yield(self._command, self.sample.joints))
+            return []
+        report = self._end_report(now_s)
+        self._apply(Event.DONE)
+        return [report]
+
+    def _still(self, leaning: bool) -> bool:
+        """At rest and at the commanded position: an arm that swings with a load satisfies only one at a time. An arm
+        that leans on an obstacle cannot reach the commanded position."""
+        return self._joints_rest() and self._fingers_rest() and (leaning or self._off_command() < GOAL_RAD)
+
+    def _joints_rest(self) -> bool:
+        return _spread(sample.joints for sample in self._window) <= REST_RAD
+
+    def _fingers_rest(self) -> bool:
+        return _spread(sample.fingers for sample in self._window) <= REST_M
+
+    def _off_command(self) -> float:
+        """The greatest joint error (rad)."""
+        return max(abs(a - b) for a, b in zip(self.sample.joints, self._command[0], strict=True))
+
+    # --- internals -------------------------------------------------------------------------------------
+
+    def _apply(self, event: Event, following: State | None = None) -> None:
+        """Change the state. Nothing else does."""
+        row = TRANSITIONS[self.state]
+        assert event in row, f"{self.name}: {event.value} cannot happen while {self.state.value} ({self.primitive_id})"
+        before, self.state = self.state, following or row[event]
+        if self.state is not before or event is not Event.HALTED:
+            self._enter[self.state]()
+
+    def _trip(self, trip: Trip, event: Event) -> None:
+        assert self.trip is None, "a primitive ends for one reason"
+        pose = self.arm.tcp_pose(self.sample.joints).tolist()
+        self.trip = msgspec.structs.replace(trip, at_tick=self._ticks, pose=pose, wrench=list(self._wrench))
+        self._apply(event)
+
+    def _objection(self, primitive: p.Primitive) -> str:
+        if self.primitive is not None:
+            return f"{self.name} is busy with {self.primitive.id} ({self.state.value})"
+        try:
+            why = acceptance.objection(primitive, self.arm.traits, self._command[0])
+            if why:
+                return why
+            stops = stop_functions.compile_stops(primitive, self.arm.traits)
+            self.arm.use_law(primitive.control_law)
+        except ValueError as error:
+            return str(error)
+        except Exception as error:  # a bad primitive must not end the process that controls the other arm
+            return f"it cannot be checked: {type(error).__name__}: {error}"
+        self._stops = stops
+        return ""
+
+    def _within_limits(self, command: Motion) -> bool:
+        """Whether every joint can reach the commanded position and speed within one tick."""
+        joints, speeds, _ = command
+        for q, before, most, speed, fastest in zip(
+            joints, self._command[0], self._most_step_rad, speeds, self._most_rad_s, strict=True
+        ):
+            if not (-most <= q - before <= most and -fastest <= speed <= fastest):  # false for NaN too
+                return False
+        return True
+
+    def _brake_instead(self, refused: Motion) -> Motion:
+        """Brake from the last command within limits. Returns the command of this tick."""
+        if self.state is State.EXECUTING:
+            far = [abs(q - before) / TICK_S for q, before in zip(refused[0], self._command[0], strict=True)]
+            k = max(range(len(far)), key=lambda n: far[n] / self._most_rad_s[n])
+            words = f"{self.arm.traits.joint_names[k]} was commanded to turn at {far[k]:.4g} rad/s"
+            limit = self._most_rad_s[k]
+            trip = Trip(reason=StopReason.COMMAND_LIMIT, measured=far[k], limit=limit, message=words)
+            self._trip(trip, Event.TRIPPED)
+        else:  # keep the reason
+            self._use(profiles.Brake(self._command))
+        self._profile_ticks = 1
+        return self._profile.at(TICK_S)
+
+    def _use(self, profile: profiles.Profile) -> None:
+        self._profile = profile
+        self._profile_ticks = 0
+
+    def _use_hand(self, command: HandCommand) -> None:
+        self._hand = command
+        self.arm.command_hand(command)
+
+    def _freeze_hand(self) -> None:
+        """Stop the fingers. A hand that grips keeps its present force."""
+        pressed, hand = min(self.sample.finger_forces), self._hand
+        if pressed < SQUEEZE_N:
+            self._use_hand(HandCommand(sum(self.sample.fingers), hand.force_n, hand.speed_m_s))
+        else:
+            self._use_hand(HandCommand(hand.width_m, min(pressed, hand.force_n), hand.speed_m_s))
+
+    @property
+    def _profile_time_s(self) -> float:
+        return self._profile_ticks * TICK_S
+
+    def _moment(self) -> stop_functions.Moment:
+        sample = self.sample
+        force_n, torque_nm = magnitudes(self._wrench)
+        return stop_functions.Moment(
+            self._ticks * TICK_S,
+            sample.joints,
+            sample.velocities,
+            self._wrench,
+            force_n,
+            torque_nm,
+            sample.fingers[0] + sample.fingers[1],
+            min(sample.finger_forces),
+            self._arrived(),
+            lambda: self.arm.tcp_pose(sample.joints),
+            self._touch,
+            self._command[0],
+        )
+
+    def _touch(self) -> str:
+        """The contact of the arm, as text, or ''. A contact from before the start counts only if its force has grown:
+        otherwise the arm could never move away from an obstacle."""
+        before = self._touched_before
+        for words, force_n in self.arm.touches().items():
+            if force_n > before.get(words, -LEAN_N) + LEAN_N:
+                return words
+        return ""
+
+    def _arrived(self) -> stop_functions.Finding | None:
+        """(worst error, tolerance, '') once the goal is reached and the arm has settled."""
+        assert self.primitive is not None
+        trajectory, sample = self.primitive.trajectory, self.sample
+        if isinstance(trajectory, p.HandMotion):
+            return self._hand_arrived(trajectory)
+        if isinstance(trajectory, p.HoldStill):
+            if trajectory.duration_s is None or self._profile_time_s < trajectory.duration_s:
+                return None
+            return self._profile_time_s, trajectory.duration_s, ""
+        if self._profile_time_s < self._profile.duration_s:
+            return None
+        error = max(abs(a - b) for a, b in zip(sample.joints, trajectory.positions[-1], strict=True))
+        rests = self._joints_rest()
+        self._leaning_ticks = self._leaning_ticks + 1 if rests else 0
+        if rests and error <= GOAL_RAD:
+            return error, GOAL_RAD, ""
+        if self._leaning_ticks >= LEANING_TICKS and error <= LEANING_RAD:
+            return error, LEANING_RAD, ""
+        return None
+
+    def _hand_arrived(self, trajectory: p.HandMotion) -> stop_functions.Finding | None:
+        if not self._fingers_rest():
+            return None
+        error = abs(sum(self.sample.fingers) - trajectory.width_m)
+        if error <= WIDTH_M:
+            return error, WIDTH_M, ""
+        # On an object off the centre of the hand one finger presses more and the other less by the same amount.
+        pressed, less = 0.5 * sum(self.sample.finger_forces), min(self.sample.finger_forces)
+        closing = sum(self.sample.fingers) > trajectory.width_m
+        if closing and pressed >= PRESSED * trajectory.force_n and less >= 0.5 * trajectory.force_n:
+            return pressed, trajectory.force_n, ""
+        return None
+
+    def _progress(self, now_s: float) -> m.ProgressReport:
+        return m.ProgressReport(
+            primitive=self.primitive_id,
+            at_s=now_s,
+            joints=self.sample.joints,
+            wrench=self._wrench,
+            tcp_pose=self.arm.tcp_pose(self.sample.joints).tolist(),
+        )
+
+    def _end_report(self, now_s: float) -> m.EndReport:
+        assert self.trip is not None
+        return end_report(
+            self.primitive_id,
+            self.name,
+            self.trip,
+            at_s=now_s,
+            duration_s=self._ticks * TICK_S,
+            sample=self.sample,
+            tcp_pose=self.arm.tcp_pose(self.sample.joints),
+            wrench=self._wrench,
+            peaks=self._peaks,
+        )
+
+
+def _spread(rows: Iterable[Sequence[float]]) -> float:
+    """The greatest distance between any two values of one column."""
+    return max(max(column) - min(column) for column in zip(*rows, strict=True))

@@ -1,0 +1,268 @@
+"""Motion profiles: commanded motion over time, for following knots, braking, yielding, retracing and staying.
+
+A profile maps its own time (s, from 0) to joints, velocities and accelerations; the caller owns the clock. Every
+profile starts from the present command and is smooth, so a command never jumps. Ruckig solves state-to-state motions
+only. This module must not know arms, samples or stop reasons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+import ruckig
+
+from rtc.protocol.primitive import JointTrajectory
+from rtc.robot.geometry import Array
+from sim_mcm.arms.arm import TICK_S, Motion
+
+# Limits while braking: 0.25 m/s takes about 60 ms, with torques well below the motor limits. The jerk is high, so that
+# a slow guarded move stops within 3 ms and does not press on the obstacle.
+STOP_ACCELERATION_RAD_S2 = 12.0
+STOP_JERK_RAD_S3 = 20_000.0
+# With an object in the hand: harder braking turns two kilograms, 150 mm before the fingers, out of the grip.
+LADEN_ACCELERATION_RAD_S2 = 4.0
+LADEN_JERK_RAD_S3 = 400.0
+# Limits while the command moves to the position where contact has stopped the arm, to relieve the pressure.
+YIELD_VELOCITY_RAD_S, YIELD_ACCELERATION_RAD_S2, YIELD_JERK_RAD_S3 = 0.2, 2.0, 200.0
+BLOCK = 64  # number of ticks of a path computed at once
+BLEND_S = 0.25  # time in which an initial offset between command and path fades out
+RETREAT_SPEED_M_S = 0.05  # maximum tcp speed in a reflex
+RETREAT_LEAST_S = 0.2
+
+
+class Profile(Protocol):
+    duration_s: float  # after this time `at` returns the end state
+
+    def at(self, time_s: float) -> Motion: ...
+
+
+class Stay:
+    """No motion."""
+
+    duration_s = 0.0
+
+    def __init__(self, joints: Sequence[float]) -> None:
+        still = [0.0] * len(joints)
+        self._motion: Motion = (list(joints), still, still)
+
+    def at(self, time_s: float) -> Motion:
+        return self._motion
+
+
+class Follow:
+    """Quintic Hermite polynomials through the knots, from `start`, which may differ slightly from the first knot.
+    Computed for BLOCK ticks at once, which takes a tenth of the time of single ticks."""
+
+    def __init__(self, trajectory: JointTrajectory, start: Sequence[float]) -> None:
+        self._length_s = trajectory.duration_s
+        self._knots_s = np.asarray(trajectory.time_s)
+        self._pieces = _hermite(trajectory)
+        self._offset = np.asarray(start) - np.asarray(trajectory.positions[0])
+        self._blend = bool(np.abs(self._offset).max() > 1e-9)
+        self.duration_s = max(self._length_s, BLEND_S) if self._blend else self._length_s
+        self._end = Stay(trajectory.positions[-1]).at(0.0)
+        self._block: list[list[list[float]]] = []  # motions of the ticks from _first on
+        self._first = 0
+
+    def at(self, time_s: float) -> Motion:
+        if time_s >= self.duration_s:
+            return self._end
+        n = round(time_s / TICK_S) - self._first
+        if not 0 <= n < len(self._block):
+            self._first += n
+            n = 0
+            times_s: Array = (self._first + np.arange(BLOCK, dtype=np.float64)) * TICK_S
+            block = self.path(times_s)
+            if self._blend and times_s[0] < BLEND_S:
+                block += self._worked_off(times_s)
+            self._block = block.tolist()
+        joints, velocities, accelerations = self._block[n]
+        return joints, velocities, accelerations
+
+    def path(self, times_s: Array) -> Array:
+        """k x 3 x n: joints, velocities, accelerations of the path itself at k times."""
+        t = np.clip(times_s, 0.0, self._length_s)
+        piece = np.clip(np.searchsorted(self._knots_s, t, side="right") - 1, 0, len(self._pieces) - 1)
+        u = (t - self._knots_s[piece])[:, None] ** np.arange(6)  # powers of the time since the knot
+        coefficients = self._pieces[piece]  # k x 6 x n
+        motion = np.empty((len(t), 3, coefficients.shape[2]))
+        for order, derivative in enumerate(DERIVATIVES):
+            factors, powers = derivative
+            motion[:, order] = np.einsum("kp,kpn->kn", u[:, powers] * factors, coefficients[:, order:])
+        return motion
+
+    def _worked_off(self, times_s: Array) -> Array:
+        """The remaining part of the initial offset."""
+        rows = []
+        for t in times_s.tolist():
+            fade, slope, bend = _smooth(t / BLEND_S)
+            rows.append((1.0 - fade, -slope / BLEND_S, -bend / BLEND_S**2))
+        return np.asarray(rows)[:, :, None] * self._offset
+
+
+# Factors and powers of u in the value, first and second derivative of a quintic polynomial.
+DERIVATIVES: tuple[tuple[Array, list[int]], ...] = (
+    (np.ones(6), [0, 1, 2, 3, 4, 5]),
+    (np.array((1.0, 2.0, 3.0, 4.0, 5.0)), [0, 1, 2, 3, 4]),
+    (np.array((2.0, 6.0, 12.0, 20.0)), [0, 1, 2, 3]),
+)
+
+
+class Brake:
+    """From any motion state to rest along the same direction, with limited acceleration and jerk."""
+
+    def __init__(self, now: Motion, *, laden: bool = False) -> None:
+        limits = (
+            (LADEN_ACCELERATION_RAD_S2, LADEN_JERK_RAD_S3) if laden else (STOP_ACCELERATION_RAD_S2, STOP_JERK_RAD_S3)
+        )
+        wanted = _state(now, *limits)
+        wanted.control_interface = ruckig.ControlInterface.Velocity
+        wanted.synchronization = ruckig.Synchronization.Phase  # joints synchronized, so the tcp keeps its line
+        wanted.target_velocity = [0.0] * len(now[0])
+        self._way = _solve(wanted)
+        self.duration_s: float = self._way.duration
+
+    def at(self, time_s: float) -> Motion:
+        return _rest_after(self._way, time_s)
+
+
+class Yield:
+    """From rest to the measured joints after a contact, so that the command no longer presses on the obstacle."""
+
+    def __init__(self, now: Motion, measured: Sequence[float]) -> None:
+        wanted = _state(now, YIELD_ACCELERATION_RAD_S2, YIELD_JERK_RAD_S3)
+        wanted.max_velocity = [YIELD_VELOCITY_RAD_S] * len(now[0])
+        wanted.target_position = list(measured)
+        self._way = _solve(wanted)
+        self.duration_s: float = self._way.duration
+
+    def at(self, time_s: float) -> Motion:
+        return _rest_after(self._way, time_s)
+
+
+class Retrace:
+    """Back along the followed path by `back_m` of tcp travel (at most to its start), from `start` at rest."""
+
+    def __init__(
+        self,
+        came: Follow,
+        tripped_s: float,
+        start: Sequence[float],
+        back_m: float,
+        tcp: Callable[[Sequence[float]], Array],
+    ) -> None:
+        self._came = came
+        self._from_s = min(tripped_s, came.duration_s)
+        self._to_s, length_m = _time_before(came, self._from_s, back_m, tcp)
+        span_s = self._from_s - self._to_s
+        # 1.875 is the greatest slope of the smooth step; with this factor the return is nowhere faster than the path.
+        self.duration_s = max(1.875 * span_s, 1.875 * length_m / RETREAT_SPEED_M_S, RETREAT_LEAST_S)
+        self._offset = np.asarray(start) - came.path(np.array([self._from_s]))[0, 0]
+        self._end = Stay(came.path(np.array([self._to_s]))[0, 0].tolist()).at(0.0)
+
+    def at(self, time_s: float) -> Motion:
+        if time_s >= self.duration_s:
+            return self._end
+        span_s = self._to_s - self._from_s
+        fade, slope, bend = _smooth(time_s / self.duration_s)
+        rate, change = span_s * slope / self.duration_s, span_s * bend / self.duration_s**2
+        q, qd, qdd = self._came.path(np.array([self._from_s + span_s * fade]))[0]
+        d = self.duration_s
+        return (
+            (q + (1.0 - fade) * self._offset).tolist(),
+            (qd * rate - slope / d * self._offset).tolist(),
+            (qdd * rate**2 + qd * change - bend / d**2 * self._offset).tolist(),
+        )
+
+
+def _smooth(x: float) -> tuple[float, float, float]:
+    """Quintic step from 0 to 1 with rest at both ends: value, slope, second derivative."""
+    x = min(max(x, 0.0), 1.0)
+    return x**3 * (10 + x * (6 * x - 15)), 30 * (x * (x - 1)) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
+
+
+def _hermite(trajectory: JointTrajectory) -> Array:
+    """Per segment the 6 x n coefficients of the quintic through position, velocity and acceleration of both knots."""
+    q, v, a = (np.asarray(rows) for rows in (trajectory.positions, trajectory.velocities, trajectory.accelerations))
+    pieces = []
+    for k, (begin_s, end_s) in enumerate(zip(trajectory.time_s, trajectory.time_s[1:], strict=False)):
+        t = end_s - begin_s
+        dq = q[k + 1] - q[k] - v[k] * t - 0.5 * a[k] * t * t
+        dv = v[k + 1] - v[k] - a[k] * t
+        da = a[k + 1] - a[k]
+        pieces.append(
+            np.stack(
+                (
+                    q[k],
+                    v[k],
+                    0.5 * a[k],
+                    (10 * dq - 4 * dv * t + 0.5 * da * t * t) / t**3,
+                    (-15 * dq + 7 * dv * t - da * t * t) / t**4,
+                    (6 * dq - 3 * dv * t + 0.5 * da * t * t) / t**5,
+                )
+            )
+        )
+    return np.stack(pieces)
+
+
+def _state(now: Motion, acceleration: float, jerk: float) -> ruckig.InputParameter:
+    joints, velocities, accelerations = now
+    wanted = ruckig.InputParameter(len(joints))
+    wanted.current_position, wanted.current_velocity = list(joints), list(velocities)
+    wanted.current_acceleration = list(accelerations)
+    wanted.target_velocity = [0.0] * len(joints)
+    wanted.max_velocity = [10.0] * len(joints)  # without effect while braking
+    # A path may accelerate harder than these limits. Then its acceleration is the limit: ruckig rejects states above
+    # it.
+    wanted.max_acceleration = [max(acceleration, abs(a)) for a in accelerations]
+    wanted.max_jerk = [jerk] * len(joints)
+    return wanted
+
+
+def _solve(wanted: ruckig.InputParameter) -> ruckig.Trajectory:
+    """Solve, retrying until a stop is found. Rounding makes ruckig fail for rare states; slightly higher limits, or
+    joints without synchronization, then succeed."""
+    dof = wanted.degrees_of_freedom
+    for harder in (1.0, 1.001, 1.003, 1.01, 1.03, 1.1):
+        wanted.max_acceleration = [a * harder for a in wanted.max_acceleration]
+        wanted.max_jerk = [j * harder for j in wanted.max_jerk]
+        for synchronization in (wanted.synchronization, ruckig.Synchronization.No):
+            wanted.synchronization = synchronization
+            way = ruckig.Trajectory(dof)
+            try:
+                result = ruckig.Ruckig(dof).calculate(wanted, way)
+            except ruckig.RuckigError:
+                continue
+            if result in (ruckig.Result.Working, ruckig.Result.Finished):
+                return way
+    raise AssertionError(f"ruckig found no trajectory to rest from {wanted}")
+
+
+def _rest_after(way: ruckig.Trajectory, time_s: float) -> Motion:
+    if time_s >= way.duration:
+        joints, _, _ = way.at_time(way.duration)
+        return Stay(joints).at(0.0)
+    motion: Motion = way.at_time(time_s)
+    return motion
+
+
+def _time_before(
+    came: Follow, from_s: float, back_m: float, tcp: Callable[[Sequence[float]], Array], steps: int = 100
+) -> tuple[float, float]:
+    """(path time (s) at which the tcp is `back_m` before its position at `from_s`, length found (m))."""
+    if back_m <= 0.0:
+        return from_s, 0.0
+    times_s = np.linspace(from_s, 0.0, steps + 1)
+    joints = came.path(times_s)[:, 0]
+    length_m, later_s = 0.0, from_s
+    later = tcp(joints[0])[:3]
+    for earlier_s, q in zip(times_s[1:].tolist(), joints[1:], strict=True):
+        earlier = tcp(q)[:3]
+        piece_m = float(np.linalg.norm(later - earlier))
+        if length_m + piece_m >= back_m:
+            share = (back_m - length_m) / piece_m
+            return later_s + share * (earlier_s - later_s), back_m
+        length_m, later_s, later = length_m + piece_m, earlier_s, earlier
+    return 0.0, length_m

@@ -1,0 +1,107 @@
+"""Reports about one primitive (R in the paper; R65, R140): plain functions from measurements to messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import Reflex, StopReason
+from rtc.robot.geometry import Array
+from sim_mcm.arms.arm import Sample
+
+
+class Trip(msgspec.Struct, frozen=True, kw_only=True):
+    """Why a primitive ends: decided in one tick; the reason never changes afterwards."""
+
+    reason: StopReason
+    reflex: Reflex = Reflex.STOP
+    back_off_m: float = 0.0
+    measured: float | None = None
+    limit: float | None = None
+    message: str = ""
+    at_tick: int = 0
+    pose: list[float] | None = None  # of the tcp, in that tick
+    wrench: list[float] | None = None
+
+
+class Peaks:
+    """The greatest force and torque of a primitive so far (magnitudes)."""
+
+    def __init__(self) -> None:
+        self.force_n = 0.0
+        self.torque_nm = 0.0
+
+    def take(self, force_n: float, torque_nm: float) -> None:
+        if force_n > self.force_n:
+            self.force_n = force_n
+        if torque_nm > self.torque_nm:
+            self.torque_nm = torque_nm
+
+
+def magnitudes(wrench: Sequence[float]) -> tuple[float, float]:
+    """Force (N) and torque (N.m) of a wrench."""
+    fx, fy, fz, tx, ty, tz = wrench
+    return math.sqrt(fx * fx + fy * fy + fz * fz), math.sqrt(tx * tx + ty * ty + tz * tz)
+
+
+def end_report(
+    primitive: str,
+    performer: str,
+    trip: Trip,
+    *,
+    at_s: float,
+    duration_s: float,
+    sample: Sample,
+    tcp_pose: Array,
+    wrench: list[float],
+    peaks: Peaks,
+) -> m.EndReport:
+    return m.EndReport(
+        primitive=primitive,
+        performer=performer,
+        reason=trip.reason,
+        at_s=at_s,
+        duration_s=duration_s,
+        joints=sample.joints,
+        tcp_pose=tcp_pose.tolist(),
+        wrench=wrench,
+        hand_width_m=sample.fingers[0] + sample.fingers[1],
+        hand_force_n=min(sample.finger_forces),
+        peak_force_n=peaks.force_n,
+        peak_torque_nm=peaks.torque_nm,
+        trip_pose=trip.pose,
+        trip_wrench=trip.wrench,
+        measured=trip.measured,
+        limit=trip.limit,
+        message=trip.message,
+        reflex=trip.reflex,
+    )
+
+
+def not_begun(
+    primitive: str,
+    performer: str,
+    why: str,
+    *,
+    at_s: float,
+    reason: StopReason = StopReason.REFUSED,
+    sample: Sample | None = None,
+    tcp_pose: Array | None = None,
+) -> m.EndReport:
+    """The end report of a primitive that was never started. Pass no sample if the performer does not exist."""
+    return m.EndReport(
+        primitive=primitive,
+        performer=performer,
+        reason=reason,
+        at_s=at_s,
+        duration_s=0.0,
+        joints=sample.joints if sample else [],
+        tcp_pose=tcp_pose.tolist() if tcp_pose is not None else [],
+        wrench=sample.wrench if sample else [],
+        hand_width_m=sum(sample.fingers) if sample else 0.0,
+        hand_force_n=min(sample.finger_forces) if sample else 0.0,
+        message=why,
+    )

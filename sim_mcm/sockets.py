@@ -1,0 +1,178 @@
+"""The sockets of the MCM: decodes and encodes messages, limits intake per tick. Makes no decisions.
+
+    estop      ROUTER, bound here: halts and nothing else; works when the broker is dead
+    broker     DEALER "MCM": primitives, halts, acknowledgements in; reports out
+    telemetry  PUB, bound here
+    bench      ROUTER, bound here: queries of the true state, injected belief errors (simulator only)
+
+A message that does not decode is counted, logged (at most once per second) and dropped. It never stops a tick (R51).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
+from typing import Any
+
+import msgspec
+import zmq
+
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
+from rtc.protocol.wire import apart, reader
+from rtc.runtime.halt_admission import read_order
+from rtc.runtime.process import Every, Process, inbox, send
+from rtc.runtime.settings import BOUNDS, NO_HANDOVER, Settings
+from sim_mcm.control.subsystem import BROKER, InvalidOrder, Outgoing
+
+# Maximum numbers of messages read from one socket per tick; they bound the tick's duration. ZeroMQ serves callers in
+# turn, so a flood by one caller delays another by one message.
+PER_TICK = 20
+HALTS_PER_TICK = 10
+QUESTIONS_PER_TICK = 1
+LOG_EVERY_S = 1.0
+NONE: frozenset[Any] = frozenset()
+
+_read_broker = reader(m.BrokerToSubsystem)
+_read_bench = reader(m.ToSim)
+
+
+class Sockets:
+    def __init__(self, me: Process, settings: Settings, name: str) -> None:
+        self._me, self._log = me, me.log
+        self._estop = me.socket(
+            zmq.ROUTER, settings.endpoint("estop"), bind=True, bounds=BOUNDS["estop"], handover=False
+        )
+        self._bench = me.socket(zmq.ROUTER, settings.endpoint("bench"), bind=True, bounds=BOUNDS["bench"])
+        self._telemetry = me.socket(zmq.PUB, settings.endpoint("telemetry"), bind=True, bounds=BOUNDS["telemetry"])
+        self._broker = me.socket(zmq.DEALER, settings.endpoint("subsystems"), identity=name)
+        events = zmq.Event.HANDSHAKE_SUCCEEDED | zmq.Event.DISCONNECTED
+        self._monitor = self._broker.get_monitor_socket(events)
+        self._poller = zmq.Poller()  # polling all four costs no more than polling one
+        for socket in (self._estop, self._broker, self._bench, self._monitor):
+            self._poller.register(socket, zmq.POLLIN)
+        self._ready: set[Any] | frozenset[Any] = NONE
+        self.connected = True  # assumed until the monitor reports otherwise: first messages are queued for the broker
+        self.dropped: Counter[str] = Counter()  # messages that did not decode, by socket
+        self._log_due = Every(LOG_EVERY_S)
+
+    # --- in --------------------------------------------------------------------------------------------
+
+    def reopen(self, settings: Settings) -> None:
+        """Replace the bound sockets by empty ones, because their queues have filled the memory."""
+        for name in ("estop", "bench"):
+            old = getattr(self, f"_{name}")
+            self._poller.unregister(old)
+            made = self._me.open_anew(old, settings.endpoint(name), BOUNDS[name], handover=name not in NO_HANDOVER)
+            self._poller.register(made, zmq.POLLIN)
+            setattr(self, f"_{name}", made)
+
+    def poll(self) -> None:
+        """Find the sockets that have messages. Call once, at the start of a tick."""
+        found = self._poller.poll(0)
+        self._ready = {socket for socket, _ in found} if found else NONE
+
+    def halts(self, now_s: float) -> Iterator[tuple[bytes, m.HaltOrder]]:
+        """Halts at the estop socket: (caller, order). Any other message gets Declined."""
+        if self._estop not in self._ready:
+            return
+        for caller, parts in _from_router(self._estop, HALTS_PER_TICK):
+            order = self._decode(read_order, parts, "estop", now_s)
+            if order is not None:
+                yield caller, order
+            else:
+                words = "the estop socket accepts only HaltOrder"
+                refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words)
+                send(self._estop, m.Declined(request="", refusal=refusal), caller)
+
+    def orders(self, now_s: float) -> Iterator[m.Execute | m.HaltOrder | m.ReportAck | InvalidOrder]:
+        """Messages of the broker. An Execute that does not decode becomes an InvalidOrder, so that it is answered."""
+        if self._broker not in self._ready:
+            return
+        for parts in chain.from_iterable(map(apart, inbox(self._broker, PER_TICK))):
+            order = self._decode(_read_broker, parts, "broker", now_s)
+            if isinstance(order, m.Declined):
+                self._log.error("the broker declined this subsystem: %s", order.refusal.message)
+            elif order is not None:
+                yield order
+            elif (invalid := invalid_order(parts)) is not None:
+                yield invalid
+
+    def questions(self, now_s: float) -> Iterator[tuple[bytes, m.SimTruth | m.SimDisplace | m.SimFactors]]:
+        """Queries and commands of the test bench: (caller, message)."""
+        if self._bench not in self._ready:
+            return
+        for caller, parts in _from_router(self._bench, QUESTIONS_PER_TICK):
+            question = self._decode(_read_bench, parts, "bench", now_s)
+            if question is not None:
+                yield caller, question
+
+    def newly_connected(self) -> bool:
+        """True once after every new connection to the broker."""
+        if self._monitor not in self._ready:
+            return False
+        found = False
+        for event_frame, *_ in inbox(self._monitor, PER_TICK):
+            event = int.from_bytes(event_frame[:2], "little")
+            self.connected = found = event == zmq.Event.HANDSHAKE_SUCCEEDED
+        self._log.info("connected to the broker" if found else "broker disconnected; continuing alone")
+        return found
+
+    # --- out -------------------------------------------------------------------------------------------
+
+    def send(self, out: Outgoing) -> None:
+        """Send to the broker or to a caller at the estop socket. Undeliverable messages are dropped."""
+        for sender, message in out:
+            if sender != BROKER:
+                send(self._estop, message, sender)
+            elif self.connected:
+                send(self._broker, message)
+
+    def answer(self, caller: bytes, message: m.SimTruthReply | m.SimDone) -> None:
+        send(self._bench, message, caller)
+
+    def publish(self, telemetry: m.Telemetry) -> None:
+        send(self._telemetry, telemetry)
+
+    def _decode(self, read: Callable[[Sequence[bytes]], Any], parts: Sequence[bytes], where: str, now_s: float) -> Any:
+        try:
+            return read(parts)
+        except WireError as error:
+            self.dropped[where] += 1
+            if self._log_due.due(now_s):
+                self._log.warning("%s: dropped a message (%d so far): %s", where, self.dropped[where], error)
+            return None
+
+
+class _PrimitiveHead(msgspec.Struct):
+    id: m.Name
+    performer: m.Name = ""
+
+
+class _ExecuteHead(msgspec.Struct, tag="Execute"):
+    primitive: _PrimitiveHead
+    pid: int = 0
+
+
+_read_execute = reader(m.Execute)
+_read_head = reader(_ExecuteHead)
+
+
+def invalid_order(parts: Sequence[bytes]) -> InvalidOrder | None:
+    """An Execute whose primitive does not decode: its id and the error. None if it is not an Execute or has no id."""
+    try:
+        head = _read_head(parts)
+    except WireError:
+        return None
+    try:
+        _read_execute(parts)
+    except WireError as error:
+        why = f"it is not a primitive: {error}"
+        return InvalidOrder(head.primitive.id, head.primitive.performer, head.pid, why) if head.primitive.id else None
+    return None
+
+
+def _from_router(socket: zmq.Socket[bytes], limit: int) -> Iterator[tuple[bytes, Sequence[bytes]]]:
+    for caller, *parts in inbox(socket, limit):
+        yield caller, parts

@@ -1,0 +1,348 @@
+"""Analyzer worker function: (program, expected result, end report) -> continue, trim or abort, with world changes.
+
+Evaluate, then trim (paper, Figure 3). A step succeeds if it expects the stop reason and its post-conditions hold. Any
+other end is a failure of the class that the program's table names. The first applicable trim that this step has not
+used may correct it. Memoryless: it uses only this report and its context, no other command (R139).
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from rtc.language.record import ReflexItem
+from rtc.programs.compatibility import row_of
+from rtc.programs.loader import decode
+from rtc.programs.schema import AnalyzerProgram, OutcomeClass
+from rtc.protocol.messages import AnalyzerInput, Assessment, Binding, EndReport, Validity, WorldChange
+from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, StopReason
+from rtc.robot import geometry
+from rtc.world.model import World
+from rtc.world.spread import even, widened
+from workers.analyzer import reported_facts
+from workers.analyzer.world_changes import EFFECTS, Changes, gone
+from workers.binder import reflexes
+from workers.planning import pose_spread as known
+from workers.planning.robot_models import CellModel
+from workers.planning.world_query import TRUSTED, WorldQuery
+
+INPUT = AnalyzerInput
+NEEDS_WORLD = True
+NEEDS_CELL = True
+
+#: measured values that `keep` of a step may name
+SOURCES = {"report.trip_pose", "report.pose", "report.hand_width"}
+UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE_LIMIT: "N.m", StopReason.TIMEOUT: "s"}
+
+
+THIN_M = 0.002  # fingers closer together than this hold nothing
+
+#: figures that the program must define
+VALUES = (
+    *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m", "told_m", "told_rad"),
+    *("seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
+    *("creep_m_s", "creep_rad_s", "struck_n", "struck_m", "struck_rad"),
+)
+
+
+def compile(program: bytes) -> AnalyzerProgram:
+    """Check the program. Raises ProgramError."""
+    document = decode(program, AnalyzerProgram)
+    for name in VALUES:
+        if name not in document.values:
+            raise ProgramError(f"$.values: no {name}")
+    return document
+
+
+def run(
+    compiled: AnalyzerProgram, cell: CellModel | None, world: World | None, data: AnalyzerInput
+) -> Assessment | Refusal:
+    """Evaluate an end report."""
+    assert cell is not None
+    assert world is not None
+    evaluation, query = data.evaluation, WorldQuery(cell, world)
+    row = row_of(evaluation.step)
+    if row not in compiled.outcomes:
+        known = ", ".join(compiled.outcomes)
+        message = f"the analyzer has no row {row}; there are {known}"
+        return Refusal(reason=RefusalReason.PROGRAM, message=message, where=row, clears="LOAD a program that has it")
+    wrong = _wrong(compiled, data)
+    reason = compiled.derived.get(row, {}).get(wrong, data.report.reason)
+    if not wrong and data.report.reason in evaluation.step.expect:
+        return _success(compiled, query, data)
+    return _failure(compiled, query, data, reason, compiled.classes[compiled.outcomes[row][reason]])
+
+
+# --- evaluate --------------------------------------------------------------------------------------------
+
+
+def _wrong(program: AnalyzerProgram, data: AnalyzerInput) -> str:
+    """The violated post-condition of an end with an expected stop reason; empty if there is none."""
+    evaluation, report = data.evaluation, data.report
+    if report.reason is StopReason.GOAL and evaluation.no_contact_is_failure:
+        return "nothing_felt"
+    if report.reason not in evaluation.step.expect:
+        return ""
+    if evaluation.width_m is not None:
+        least, most = evaluation.width_m
+        return "narrow" if report.hand_width_m < least else "wide" if report.hand_width_m > most else ""
+    within_m = evaluation.step.args.get("within_m")
+    if isinstance(within_m, float) and _off_m(data) > within_m:
+        return "elsewhere"
+    if report.reason is StopReason.GOAL and evaluation.goal_pose is not None:
+        turned = geometry.angle(report.tcp_pose, evaluation.goal_pose)
+        if _off_m(data) > program.values["position_m"] or turned > program.values["angle_rad"]:
+            return "off_goal"
+    return ""
+
+
+def _off_m(data: AnalyzerInput) -> float:
+    goal = data.evaluation.goal_pose
+    return geometry.distance(data.report.tcp_pose, goal) if goal is not None and data.report.tcp_pose else 0.0
+
+
+def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Assessment | Refusal:
+    step = data.evaluation.step
+    changes = _arm_changes(data.report, query, data.evaluation.arm)
+    reported = reported_facts.changes_from(data.report.facts, query, program.values)
+    if isinstance(reported, Refusal):
+        return reported
+    changes += reported
+    effect = step.args.get("effect")
+    if isinstance(effect, str) and effect:
+        if effect not in EFFECTS:
+            message = f"unknown effect {effect}; there are {', '.join(EFFECTS)}"
+            return Refusal(reason=RefusalReason.PROGRAM, message=message, where=step.label)
+        changes += EFFECTS[effect](query, data, Validity.VALID)
+    changes += _held_object_changes(program, query, data, changes, suspect=False)
+    changes += _pressed_on(program, query, data)
+    return Assessment(
+        verdict="abort" if data.closing else "continue",
+        reason=data.report.reason,
+        message=step.label,
+        keep={name: _kept(source, data.report) for name, source in step.keep.items()},
+        changes=_with_spread(program, query, data, _merged(changes)),
+    )
+
+
+def _kept(source: str, report: EndReport) -> Binding:
+    """A measured value as a binding. Poses are in the world frame: a contact position does not depend on facts."""
+    if source == "report.hand_width":
+        return Binding(number=report.hand_width_m)
+    assert source in SOURCES, source
+    tripped = report.trip_pose if source == "report.trip_pose" else None
+    return Binding(pose=tripped or report.tcp_pose)
+
+
+def _failure(
+    program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, reason: StopReason, failure: OutcomeClass
+) -> Assessment:
+    evaluation = data.evaluation
+    changes = _arm_changes(data.report, query, evaluation.arm)
+    changes += _interrupted_grasp(program, query, data)
+    changes += _held_object_changes(
+        program, query, data, changes, suspect="held" in failure.suspect, drops=failure.drops
+    )
+    changes += _touched_object_changes(program, query, data, failure)
+    missed = evaluation.step.args.get("missed")
+    if isinstance(missed, str) and missed in EFFECTS and failure.retriable and not data.closing and not data.trims_used:
+        changes += EFFECTS[missed](query, data, Validity.SUSPECT)
+    changes = _with_spread(program, query, data, _merged(changes))
+    if failure.misplaced:
+        changes = _misplaced(program, query, changes)
+    asked = reflexes.find_requested(evaluation.context.reflexes, data.report)
+    words = _words(failure.message, data, reason) if asked is None else _stopped_as_requested(asked, data)
+    if done := reflexes.describe_action(data.report):
+        words = f"{words}; {done}"
+    cures = _ways_to_clear(program, query, changes, failure.misplaced)
+    todo = (failure.clears, *cures, failure.again) if asked is None else tuple(cures)
+    trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
+    return Assessment(
+        verdict="trim" if trim else "abort",
+        reason=reason,
+        message=f"{evaluation.step.label}: {words}",
+        trim=trim,
+        changes=changes,
+        clears=_words("; ".join(word for word in todo if word), data, reason),
+    )
+
+
+def _ways_to_clear(program: AnalyzerProgram, query: WorldQuery, changes: Changes, misplaced: bool) -> list[str]:
+    """The advice that clears the facts made suspect by these changes, without duplicates."""
+    after = WorldQuery(query.model, query.world.overlay(changes))
+    suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
+    clears = {**program.clears, "grasp": program.clears["misplaced"]} if misplaced else program.clears
+    advice = [after.cure(key, clears) for key in suspect if key.rpartition(".")[2] in clears]
+    return list(dict.fromkeys(advice))
+
+
+# --- trim ------------------------------------------------------------------------------------------------
+
+
+def _trim(data: AnalyzerInput, reason: StopReason) -> int:
+    """The first of the step's trims that fits the stop reason and is not yet used; 0 = none."""
+    fits = data.evaluation.context.fits
+    for entry in data.evaluation.step.trims:
+        if entry not in data.trims_used and reason in fits.get(entry, [reason]):
+            return entry
+    return 0
+
+
+# --- world changes ---------------------------------------------------------------------------------------
+
+
+def _arm_changes(report: EndReport, query: WorldQuery, arm: str) -> Changes:
+    """Joints and hand width as reported; suspect and unchanged if the report has no joints."""
+    if not arm:
+        return []  # a stated or observed fact moves no arm
+    if len(report.joints) != len(query.cell.arm(arm).joints):
+        return [
+            WorldChange(key=f"{arm}.{attribute}", keep_value=True, validity=Validity.SUSPECT)
+            for attribute in ("joints", "hand_width")
+        ]
+    return [
+        WorldChange(key=f"{arm}.joints", value=list(report.joints)),
+        WorldChange(key=f"{arm}.hand_width", value=max(0.0, report.hand_width_m)),
+    ]
+
+
+def _held_object_changes(
+    program: AnalyzerProgram,
+    query: WorldQuery,
+    data: AnalyzerInput,
+    changes: Changes,
+    *,
+    suspect: bool,
+    drops: bool = False,
+) -> Changes:
+    """Frame and grasp of the held object after the motion; an opened hand no longer holds it."""
+    arm, thing = data.evaluation.arm, data.evaluation.held
+    grasp = query.grasp(thing) if thing else None
+    if grasp is None or any(change.key == f"{thing}.grasp" for change in changes):
+        return []
+    if not data.report.tcp_pose:  # hand position unknown, so the held object's too
+        doubtful = [f"{thing}.frame", f"{thing}.grasp"] if suspect else []
+        return [WorldChange(key=key, keep_value=True, validity=Validity.SUSPECT) for key in doubtful]
+    opened = data.report.hand_width_m > query.hand_width(arm) + program.values["opened_m"]
+    fact = query.world.get(f"{thing}.grasp")
+    trusted = fact is None or fact.validity in TRUSTED
+    frame = geometry.normalise(geometry.compose(data.report.tcp_pose, grasp))
+    validity = Validity.SUSPECT if suspect or drops or opened or not trusted else Validity.VALID
+    moved = [WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity)]
+    if drops or opened:
+        return [*moved, *gone(arm, thing)]
+    moved.append(WorldChange(key=f"{thing}.grasp", keep_value=True, validity=validity))
+    seat = query.seat(thing)
+    if seat and geometry.distance(frame, query.seated_pose(seat)) >= query.cell.seat(seat).depth_m:
+        moved.append(WorldChange(key=f"{thing}.seat", value=""))
+    return moved
+
+
+def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, changes: Changes) -> Changes:
+    """The changes, with the current uncertainty of an object held during the whole step."""
+    thing, report = data.evaluation.held, data.report
+    fact = query.world.get(f"{thing}.grasp")
+    if fact is None or fact.value is None:
+        return changes
+    held_s = max(report.at_s - fact.at_s, report.duration_s)
+    spread = known.aged_spread(query.spread(fact.key), held_s, report.peak_force_n, program.values)
+    keys = {f"{thing}.frame", f"{thing}.grasp"}
+    return [
+        msgspec.structs.replace(change, spread=spread)
+        if change.key in keys and change.spread is None and (change.keep_value or change.value is not None)
+        else change
+        for change in changes
+    ]
+
+
+def _misplaced(program: AnalyzerProgram, query: WorldQuery, changes: Changes) -> Changes:
+    """The changes, with increased uncertainty of a held object that is misplaced in the hand."""
+    more = even(program.values["misplaced_m"], program.values["misplaced_rad"])
+    return [
+        msgspec.structs.replace(change, spread=widened(change.spread or query.spread(change.key), more))
+        if change.key.rpartition(".")[2] in ("frame", "grasp") and change.validity is Validity.SUSPECT
+        else change
+        for change in changes
+    ]
+
+
+def _pressed_on(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Changes:
+    """A close step without an object that presses on something: objects near the hand become suspect.
+
+    They may move with the hand, so their frames are not trusted.
+    """
+    evaluation, report = data.evaluation, data.report
+    if evaluation.step.op != "close" or evaluation.context.object or evaluation.held:
+        return []
+    if report.hand_force_n < program.values["pressing_n"] or report.hand_width_m < THIN_M:
+        return []
+    near = []
+    for thing in query.cell.objects:
+        points = [geometry.compose(query.frame(thing.name), point.frame.pose) for point in thing.grasp_points]
+        if any(geometry.distance(report.tcp_pose, point) < program.values["in_hand_m"] for point in points):
+            near.append(thing.name)
+    return [WorldChange(key=f"{name}.frame", keep_value=True, validity=Validity.SUSPECT) for name in near]
+
+
+def _interrupted_grasp(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Changes:
+    """A grasp stopped during closing: fingers that press at the expected width hold the object (suspect)."""
+    evaluation, report = data.evaluation, data.report
+    if evaluation.step.args.get("effect") != "taken" or evaluation.width_m is None or not report.tcp_pose:
+        return []
+    least, most = evaluation.width_m
+    pressing = report.hand_force_n >= program.values["pressing_n"]
+    return EFFECTS["taken"](query, data, Validity.SUSPECT) if pressing and least <= report.hand_width_m <= most else []
+
+
+def _touched_object_changes(
+    program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, failure: OutcomeClass
+) -> Changes:
+    """After a failure the touched object is suspect until it is sensed again (R151)."""
+    thing = data.evaluation.context.object
+    if not thing or thing == data.evaluation.held:
+        return []
+    pressed = data.report.peak_force_n > program.values["touched_n"] or not query.seat(thing)
+    if "object" in failure.suspect or ("if_touched" in failure.suspect and pressed):
+        return [WorldChange(key=f"{thing}.frame", keep_value=True, validity=Validity.SUSPECT)]
+    return []
+
+
+def _merged(changes: Changes) -> Changes:
+    """One change per fact. A later change that only sets the validity keeps the value of an earlier one."""
+    merged: dict[str, WorldChange] = {}
+    for change in changes:
+        earlier = merged.get(change.key)
+        if change.keep_value and earlier is not None and not earlier.keep_value:
+            change = msgspec.structs.replace(earlier, validity=change.validity)
+        merged[change.key] = change
+    return list(merged.values())
+
+
+# --- words -----------------------------------------------------------------------------------------------
+
+
+def _stopped_as_requested(reflex: ReflexItem, data: AnalyzerInput) -> str:
+    """Message for a stop by a reflex of the command: the goal is not reached, but there is no fault."""
+    measured = _words(" at {measured} {unit}", data, data.report.reason) if data.report.measured is not None else ""
+    return f"stopped{measured.rstrip()} as asked: {reflexes.in_words(reflex)}"
+
+
+def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:
+    evaluation, report = data.evaluation, data.report
+    least, most = evaluation.width_m or (0.0, 0.0)
+    figures = {
+        "reason": reason.value,
+        "measured": "?" if report.measured is None else f"{report.measured:.3g}",
+        "limit": "the" if report.limit is None else f"{report.limit:.3g}",
+        "unit": UNITS.get(report.reason, ""),
+        "message": report.message or evaluation.arm,
+        "arm": evaluation.arm,
+        "object": evaluation.context.object or evaluation.held or "the object",
+        "target": evaluation.context.target or "the seat",
+        "point": evaluation.context.grasp_point,
+        "width": f"{report.hand_width_m * 1000:.1f}",
+        "wanted": f"{least * 1000:.0f} to {most * 1000:.0f}",
+        "off": f"{_off_m(data) * 1000:.1f}",
+    }
+    for name, text in figures.items():
+        message = message.replace("{" + name + "}", text)
+    return message

@@ -1,0 +1,142 @@
+"""Reported facts of objects that no arm touched (stated or observed): checked, then converted to world changes. Pure.
+
+If one fact is implausible, all are refused. Plausible facts are accepted as reported, with their consequences: an
+object at a seated pose is in that seat, and an object that is not in a hand has no grasp.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rtc.protocol.messages import Validity, WorldChange
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
+from rtc.world.model import problem
+from rtc.world.spread import even
+from workers.planning.world_query import WorldQuery
+
+Changes = list[WorldChange]
+Values = Mapping[str, float]
+
+
+def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) -> Changes | Refusal:
+    """World changes for all facts, or the refusal of an implausible one."""
+    changes: Changes = []
+    for key, value in facts.items():
+        thing, _, attribute = key.rpartition(".")
+        change = WorldChange(key=key, value=value, spread=SPREADS[attribute](values) if attribute in SPREADS else None)
+        wrong = problem(change) or PLAUSIBLE.get(attribute, _anything)(key, value, values)
+        if wrong:
+            return _refused(wrong, key, "repeat it with the correct value and unit")
+        following = FOLLOWS[attribute](thing, value, query, values) if attribute in FOLLOWS else []
+        if isinstance(following, Refusal):
+            return following
+        changes += [change, *following]
+    return changes
+
+
+def _refused(message: str, where: str, clears: str) -> Refusal:
+    return Refusal(reason=RefusalReason.INFEASIBLE, message=message, where=where, clears=clears)
+
+
+# --- plausibility ----------------------------------------------------------------------------------------
+
+
+def _anything(key: str, value: Any, values: Values) -> str:
+    return ""
+
+
+def _near(key: str, value: Any, values: Values) -> str:
+    away_m, most_m = math.hypot(*value[:3]), values["reach_m"]
+    return f"{key} would be {away_m:.3g} m away; nothing of this cell is more than {most_m:g} m" * (away_m > most_m)
+
+
+def _heavy(key: str, value: Any, values: Values) -> str:
+    return "" if value > 0 else f"{key} must be more than 0 kg"
+
+
+PLAUSIBLE: dict[str, Callable[[str, Any, Values], str]] = {"frame": _near, "mass": _heavy}
+
+
+# --- uncertainty -----------------------------------------------------------------------------------------
+
+
+SPREADS: dict[str, Callable[[Values], list[float]]] = {
+    "frame": lambda values: even(values["told_m"], values["told_rad"])
+}
+
+
+# --- consequences ----------------------------------------------------------------------------------------
+
+
+def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes | Refusal:
+    """Changes of seat, grasp or seated objects that follow from a new frame."""
+    if any(seat.name == thing for seat in query.cell.seats):
+        return _moved_with(thing, frame, query)
+    if query.held_by(thing):
+        return _in_hand(thing, frame, query, values)
+    seat = seat_at(frame, query, values["seated_m"], values["seated_rad"])
+    inside = [t.name for t in query.cell.objects if seat and t.name != thing and query.seat(t.name) == seat]
+    if inside:
+        return _refused(
+            f"{thing}.frame is in {seat}, where {inside[0]} is believed to be",
+            f"{thing}.frame",
+            f"first state where {inside[0]} is",
+        )
+    return [
+        WorldChange(key=f"{thing}.seat", value=seat),
+        WorldChange(key=f"{thing}.grasp", value=None),
+    ]
+
+
+def _in_hand(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes | Refusal:
+    """Grasp of a held object at this frame; refused if all its grasp points are too far from the tcp."""
+    arm = query.held_by(thing)
+    tcp = query.tcp(arm)
+    points = [geometry.compose(frame, point.frame.pose) for point in query.cell.object(thing).grasp_points]
+    away_m = min((geometry.distance(tcp, point) for point in points), default=math.inf)
+    if away_m > values["in_hand_m"]:
+        return _refused(
+            f"{thing} is held by {arm}, and would be {away_m * 1000:.0f} mm from its fingers; "
+            f"{values['in_hand_m'] * 1000:.0f} mm is the most",
+            f"{thing}.frame",
+            "state its frame in the hand; open the hand first if it is not in it",
+        )
+    grasp = geometry.normalise(geometry.relative(tcp, frame)).tolist()
+    return [
+        WorldChange(key=f"{arm}.holding", value=thing),
+        WorldChange(key=f"{thing}.held_by", value=arm),
+        WorldChange(key=f"{thing}.grasp", value=grasp, spread=SPREADS["frame"](values)),
+    ]
+
+
+def _moved_with(seat: str, frame: Any, query: WorldQuery) -> Changes:
+    """Frames of the objects in this seat, which move with it."""
+    changes = []
+    for thing in query.cell.objects:
+        if query.seat(thing.name) == seat and not query.held_by(thing.name):
+            key = f"{thing.name}.frame"
+            inside = geometry.relative(query.seat_frame(seat), query.frame(thing.name))
+            fact = query.world.get(key)
+            changes.append(
+                WorldChange(
+                    key=key,
+                    value=geometry.normalise(geometry.compose(frame, inside)).tolist(),
+                    validity=fact.validity if fact else Validity.VALID,
+                    spread=fact.spread if fact else None,
+                )
+            )
+    return changes
+
+
+def seat_at(frame: Any, query: WorldQuery, within_m: float, within_rad: float = math.pi) -> str:
+    """The seat whose seated pose is nearest within both tolerances; empty if there is none."""
+    places = {seat.name: query.seated_pose(seat.name) for seat in query.cell.seats}
+    away_m = {name: geometry.distance(frame, place) for name, place in places.items()}
+    near = [name for name, at in places.items() if away_m[name] <= within_m and geometry.angle(frame, at) <= within_rad]
+    return min(near, key=lambda name: away_m[name], default="")
+
+
+FOLLOWS: dict[str, Callable[[str, Any, WorldQuery, Values], Changes | Refusal]] = {"frame": _placed}

@@ -1,0 +1,143 @@
+"""Object localization by touch, from the report of one step and its expected result. Pure.
+
+Each function returns the frame of the step's object (world) and its spread. Axes that a step cannot measure keep their
+value. Figures of the measurement (accuracy, pad length) are args of the step, so the script defines them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rtc.protocol.messages import AnalyzerInput
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+from rtc.world.spread import even, widened
+from workers.planning import pose_spread
+from workers.planning.world_query import WorldQuery
+
+Found = tuple[Array, list[float]]  # frame, spread
+
+# Axes of a grasp point: y = closing direction, z = approach. A held bar can be tilted about x and z.
+CLOSING, ABOUT_BAR, ABOUT_APPROACH = 1, 3, 5
+CENTRED_M = 0.001  # uncertainty of the centre between two fingers
+ASKEW_RAD = 0.012  # uncertainty of a bar's tilt derived from the hand width
+STRAIGHT_RAD = 0.005  # the sign of a smaller tilt cannot be measured
+TWIST = 0.25  # minimum fraction of a tilted bar's torque that determines the sign
+NO_TORQUE_NM = 0.02
+
+
+def touched(query: WorldQuery, data: AnalyzerInput) -> Found:
+    """A contact stopped a straight search; it was expected `beyond_m` before the end.
+
+    `felt_m`: accuracy of the contact. `lever_m`: maximum distance of the contact from the grasp point, which multiplies
+    the attitude uncertainty.
+    """
+    trip = data.report.trip_pose or data.report.tcp_pose
+    end, way = _search(query, data)
+    later_m = float(np.dot(trip[:3] - end, way)) + _figure(data, "beyond_m")
+    before, spread = _current(query, data)
+    after = geometry.translate(before, later_m * way)
+    point = _point(query, data)
+    along = geometry.rotate(geometry.inverse(geometry.compose(before, point)), way)
+    axis = int(np.argmax(np.abs(along)))
+    unsure_rad = pose_spread.uncertainty_figures(spread, point)["unsure_rad"]
+    half_width = _figure(data, "felt_m") + _figure(data, "lever_m") * unsure_rad
+    return after, pose_spread.spread_after_measurement(before, after, spread, point, {axis: half_width})
+
+
+def between_fingers(query: WorldQuery, data: AnalyzerInput) -> Found:
+    """The fingers press on the bar of the grasp point.
+
+    The bar is centred between the fingers, displaced by its lateral force divided by the stiffness `centre_n_m`. A
+    tilted bar widens the opening over the pad length `pad_m` and twists the hand to one side.
+    """
+    before, spread = _current(query, data)
+    point, tcp = _point(query, data), data.report.tcp_pose
+    offset = geometry.relative(tcp, geometry.compose(before, point))
+    rpy = geometry.to_rpy(offset)
+    measured = {CLOSING: CENTRED_M}
+    pad_m = _figure(data, "pad_m")
+    if pad_m > 0.0:
+        rpy[0], half_width = _askew(query, data, pad_m, float(rpy[0]))
+        measured |= {ABOUT_BAR: half_width, ABOUT_APPROACH: half_width + abs(float(rpy[2]))}
+    stiffness_n_m = _figure(data, "centre_n_m")
+    aside_m = 0.5 * data.report.wrench[1] / stiffness_n_m if stiffness_n_m > 0.0 else 0.0
+    stands = geometry.compose(tcp, geometry.from_rpy([offset[0], aside_m, offset[2]], rpy))
+    after = geometry.normalise(geometry.compose(stands, geometry.inverse(point)))
+    spread = pose_spread.spread_after_measurement(before, after, spread, point, measured)
+    return after, spread
+
+
+def seat_of(query: WorldQuery, data: AnalyzerInput, frame: Array, spread: list[float]) -> Found | None:
+    """The frame of the seat that holds the object, up to the play `play_m`.
+
+    None if the object is not seated or the step does not state the play.
+    """
+    seat, play_m = query.seat(data.evaluation.context.object), _figure(data, "play_m")
+    if not seat or play_m <= 0.0:
+        return None
+    inside = query.cell.seat(seat).module_frame.pose
+    place = geometry.normalise(geometry.compose(frame, geometry.inverse(inside)))
+    return place, pose_spread.spread_at(widened(spread, even(play_m, 0.0)), geometry.inverse(inside))
+
+
+def _askew(query: WorldQuery, data: AnalyzerInput, pad_m: float, believed_rad: float) -> tuple[float, float]:
+    """Tilt of the bar against the pads about the tool's x axis, and its uncertainty (rad)."""
+    report = data.report
+    width_m = query.cell.object(data.evaluation.context.object).grasp_point(data.evaluation.context.grasp_point).width_m
+    most_rad = max(0.0, report.hand_width_m - width_m) / pad_m
+    twist_nm = report.wrench[3] if report.wrench else 0.0
+    if most_rad > STRAIGHT_RAD and abs(twist_nm) > TWIST * report.hand_force_n * pad_m:
+        return math.copysign(most_rad, twist_nm), ASKEW_RAD
+    near = max(-most_rad, min(most_rad, believed_rad))
+    return near, most_rad + abs(near) + ASKEW_RAD
+
+
+def beyond(query: WorldQuery, data: AnalyzerInput) -> Found:
+    """A search ended without contact: the object is assumed `aside_m` farther along it."""
+    _, way = _search(query, data)
+    return _shifted(query, data, _figure(data, "aside_m") * way)
+
+
+def beside(query: WorldQuery, data: AnalyzerInput) -> Found | None:
+    """A contact in front of one finger: the object is assumed `aside_m` to that side. None if neither finger."""
+    wrench, trip = data.report.trip_wrench, data.report.trip_pose
+    if not wrench or not trip or abs(wrench[3]) < NO_TORQUE_NM:
+        return None
+    side = -math.copysign(_figure(data, "aside_m"), wrench[3])  # a force on the finger at +y causes a torque about -x
+    return _shifted(query, data, geometry.rotate(trip, [0.0, side, 0.0]))
+
+
+def _shifted(query: WorldQuery, data: AnalyzerInput, by: Array) -> Found:
+    before, spread = _current(query, data)
+    after = geometry.translate(before, by)
+    return after, pose_spread.spread_after_measurement(before, after, spread, _point(query, data), {})
+
+
+def _current(query: WorldQuery, data: AnalyzerInput) -> Found:
+    thing = data.evaluation.context.object
+    return query.frame(thing), list(query.spread(f"{thing}.frame"))
+
+
+def _point(query: WorldQuery, data: AnalyzerInput) -> Array:
+    context = data.evaluation.context
+    return query.cell.object(context.object).grasp_point(context.grasp_point).frame.pose
+
+
+def _search(query: WorldQuery, data: AnalyzerInput) -> tuple[Array, Array]:
+    """End point of the step's straight path (m, world) and its unit direction."""
+    evaluation = data.evaluation
+    assert evaluation.goal_pose is not None
+    assert evaluation.start_joints is not None
+    end = np.asarray(evaluation.goal_pose[:3], dtype=float)
+    way = end - query.model.arms[evaluation.arm].fk(evaluation.start_joints)[:3]
+    length = float(np.linalg.norm(way))
+    return end, way / length if length > 0.0 else way
+
+
+def _figure(data: AnalyzerInput, name: str) -> float:
+    """A number of the step's args; 0 if it is absent."""
+    value = data.evaluation.step.args.get(name, 0.0)
+    return 0.0 if isinstance(value, str) else value

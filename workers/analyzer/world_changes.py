@@ -1,0 +1,139 @@
+"""World changes of a successful step beyond the arm's position: objects taken, released or located. Pure.
+
+Registered under the name used in scripts (`effect: taken`). Changes of a step that a halt interrupted are suspect.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from rtc.protocol.messages import AnalyzerInput, Validity, WorldChange
+from rtc.robot import geometry
+from workers.analyzer import touch
+from workers.planning.world_query import WorldQuery
+
+Changes = list[WorldChange]
+
+CATCHES_M = 0.005  # maximum distance from the seated pose at which a catch holds a released object
+
+
+def taken(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+    """The hand holds the object; the finger measurement corrects its frame.
+
+    Along the closing axis the grasp point is centred between the fingers (R149). The other axes keep their uncertainty.
+    """
+    context = data.evaluation.context
+    thing, arm = context.object, context.arm
+    frame, spread = touch.between_fingers(query, data)
+    grasp = geometry.normalise(geometry.relative(data.report.tcp_pose, frame))
+    return [
+        WorldChange(key=f"{arm}.holding", value=thing, validity=validity),
+        WorldChange(key=f"{thing}.held_by", value=arm, validity=validity),
+        WorldChange(key=f"{thing}.grasp", value=grasp.tolist(), validity=validity, spread=spread),
+        WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity, spread=spread),
+        *_its_seat(query, data, touch.seat_of(query, data, frame, spread), validity),
+    ]
+
+
+def _its_seat(query: WorldQuery, data: AnalyzerInput, found: touch.Found | None, validity: Validity) -> Changes:
+    if found is None:
+        return []
+    key = f"{query.seat(data.evaluation.context.object)}.frame"
+    return [WorldChange(key=key, value=found[0].tolist(), validity=validity, spread=found[1])]
+
+
+def felt(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+    """The hand touched the object earlier or later than expected: its frame shifts along the search direction."""
+    return _seen(data, touch.touched(query, data), validity)
+
+
+def pinched(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+    """The fingers pressed on the object without holding it: the measurement corrects its position and attitude."""
+    return _seen(data, touch.between_fingers(query, data), validity)
+
+
+def passed(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+    """A search ended without contact: the object may be beyond its end."""
+    return _seen(data, touch.beyond(query, data), validity)
+
+
+def landed(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+    """One finger touched the object from the front: the object is displaced to that finger's side."""
+    found = touch.beside(query, data)
+    return [] if found is None else _seen(data, found, validity)
+
+
+def _seen(data: AnalyzerInput, found: touch.Found, validity: Validity) -> Changes:
+    frame, spread = found
+    key = f"{data.evaluation.context.object}.frame"
+    return [WorldChange(key=key, value=frame.tolist(), validity=validity, spread=spread)]
+
+
+def let_go(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+    """The fingers are open; the object stays in place, in its seat if the step placed it there."""
+    context = data.evaluation.context
+    changes = gone(context.arm, context.object)
+    seat = data.evaluation.step.args.get("seat")
+    if isinstance(seat, str) and seat:
+        changes.append(WorldChange(key=f"{context.object}.seat", value=seat, validity=validity))
+    elif _off_m(query, context.object) > CATCHES_M:
+        changes.append(WorldChange(key=f"{context.object}.frame", keep_value=True, validity=Validity.SUSPECT))
+    return changes
+
+
+def let_drift(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+    """The fingers are open and nothing holds the object: its frame is suspect."""
+    context = data.evaluation.context
+    return [
+        *gone(context.arm, context.object),
+        WorldChange(key=f"{context.object}.seat", value=""),
+        WorldChange(key=f"{context.object}.frame", keep_value=True, validity=Validity.SUSPECT),
+    ]
+
+
+def _off_m(query: WorldQuery, thing: str) -> float:
+    """Distance (m) of an object from the nearest seated pose."""
+    places = (query.seated_pose(seat.name) for seat in query.cell.seats)
+    return min((geometry.distance(query.frame(thing), place) for place in places), default=math.inf)
+
+
+def gone(arm: str, thing: str) -> Changes:
+    """The hand no longer holds the object."""
+    return [
+        WorldChange(key=f"{arm}.holding", value=""),
+        WorldChange(key=f"{thing}.held_by", value=""),
+        WorldChange(key=f"{thing}.grasp", value=None),
+    ]
+
+
+def still_held(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+    return []
+
+
+def verified(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+    """The fingers press at the object's width: the previous grasp is confirmed."""
+    thing, arm = data.evaluation.context.object, data.evaluation.context.arm
+    grasp = query.grasp(thing)
+    if grasp is None:
+        return []
+    frame = geometry.compose(data.report.tcp_pose, grasp)
+    return [
+        WorldChange(key=f"{arm}.holding", value=thing, validity=validity),
+        WorldChange(key=f"{thing}.held_by", value=arm, validity=validity),
+        WorldChange(key=f"{thing}.grasp", keep_value=True, validity=validity),
+        WorldChange(key=f"{thing}.frame", value=geometry.normalise(frame).tolist(), validity=validity),
+    ]
+
+
+EFFECTS: dict[str, Callable[[WorldQuery, AnalyzerInput, Validity], Changes]] = {
+    "taken": taken,
+    "let_go": let_go,
+    "let_drift": let_drift,
+    "still_held": still_held,
+    "verified": verified,
+    "felt": felt,
+    "pinched": pinched,
+    "passed": passed,
+    "landed": landed,
+}

@@ -1,0 +1,465 @@
+"""Binder worker function: (program, one step, world) -> a primitive with its expected result, or a refusal.
+
+Called once per step, nominal or corrective (R135), with the current bindings. Fixed parameters are used unchanged;
+parameters measured in an earlier step are used in the same way (R136). A step without motion yields bindings instead.
+The program defines the meaning of a script's words; this module knows no skill.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+
+from rtc.language.units import in_words
+from rtc.programs import expressions
+from rtc.programs.loader import decode
+from rtc.programs.schema import BinderProgram, StopClass
+from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext
+from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from rtc.protocol.primitive import (
+    ControlLaw,
+    HandMotion,
+    HoldStill,
+    Primitive,
+    Reporting,
+    StopFunction,
+    Trajectory,
+    Vector,
+)
+from rtc.protocol.primitive_id import command_of
+from rtc.robot import geometry
+from rtc.world.model import World
+from workers.binder import impact, replan, stop_conditions
+from workers.binder.impact import Impact
+from workers.binder.stop_conditions import Values
+from workers.planning import advice, axes, certainty, segments, suggestions
+from workers.planning.motion.plan import Motion
+from workers.planning.motion.timing import Pace
+from workers.planning.robot_models import CellModel
+from workers.planning.segments import Target
+from workers.planning.world_query import WorldQuery
+
+INPUT = BinderInput
+NEEDS_WORLD = True
+NEEDS_CELL = True
+
+SUBSYSTEM = "MCM"
+TELLER = "OPERATOR"  # performer in the report of facts that a command states
+LEAST_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
+LEAST_STEP_M = 0.001  # minimum length of a line with a defined direction
+MOST_TURN_RAD = math.radians(5.0)  # maximum rotation along a line with a constant direction in the tool frame
+
+
+@dataclass(frozen=True)
+class BindTask:
+    """One step to be bound."""
+
+    program: BinderProgram
+    query: WorldQuery
+    data: BinderInput
+
+    @property
+    def arm(self) -> str:
+        return self.data.context.arm
+
+    def stop_class(self, name: str) -> StopClass | Refusal:
+        known = self.program.stop_classes
+        return known.get(name) or refused_program(f"no stop class {name}", f"there are {', '.join(known)}")
+
+
+def compile(program: bytes) -> BinderProgram:
+    """Check the program. Raises ProgramError."""
+    return decode(program, BinderProgram)
+
+
+def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, data: BinderInput) -> BoundStep | Refusal:
+    """Bind the step to the current world."""
+    assert cell is not None
+    assert world is not None
+    step = data.step
+    if step.who != "active_arm":
+        return refused_program(f"a step for {step.who}", "only the active arm can perform steps")
+    if step.do not in compiled.actions:
+        return refused_program(f"unknown action {step.do}", f"there are {', '.join(compiled.actions)}")
+    try:
+        return ACTIONS[compiled.actions[step.do]](BindTask(compiled, WorldQuery(cell, world), data))
+    except expressions.ExpressionError as error:
+        return refused_program(
+            str(error), "a figure that the step needs must be in the script, the program or the cell"
+        )
+
+
+# --- a motion of the arm ---------------------------------------------------------------------------------
+
+
+def bind_motion(task: BindTask) -> BoundStep | Refusal:
+    step, context, query = task.data.step, task.data.context, task.query
+    stop_class = task.stop_class(step.stop)
+    if isinstance(stop_class, Refusal):
+        return stop_class
+    if step.space not in segments.SPACES:
+        return refused_program(f"no space {step.space}", f"there are {', '.join(segments.SPACES)}")
+    lacks = certainty.refuse_if_uncertain(query, task.arm, step.args, task.program.clears)
+    if lacks is not None:
+        return lacks
+    target = target_of(task)
+    if isinstance(target, Refusal):
+        return target
+    values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data)
+    held = query.holding(task.arm)
+    scene = query.scene(
+        task.arm,
+        context.limits,
+        touching=context.object if stop_class.touches and held != context.object else "",
+        seated=stop_class.seated,
+        away=stop_class.away,
+        near=[name for name in (context.object, context.target) if name],
+    )
+    hit = impact_of(task, target, values, held)
+    speed_m_s, slowed = pace_of(task, values, hit, step.space == "move_task" or stop_class.touches)
+    pace = Pace(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
+    margin_rad = math.radians(values["joint_margin_deg"])
+    request = query.planning_request(task.arm, scene, context.limits, pace, margin_rad)
+    motion = segments.plan_segment(request, step.space, target, step.way)
+    if isinstance(motion, Refusal):
+        return advice.advise_on_collision(motion, query, task.arm, task.program.clears)
+    evaluation = EvaluationContext(
+        context=context,
+        step=msgspec.structs.replace(step, way=None),
+        arm=task.arm,
+        goal_pose=motion.goal_pose.tolist(),
+        goal_joints=motion.goal_joints.tolist(),
+        held=held,
+        predicted_s=motion.timed.duration_s,
+        force_n=values.get("force_n"),
+        no_contact_is_failure=StopReason.CONTACT in step.expect and StopReason.GOAL not in step.expect,
+        start_joints=request.start.tolist(),
+    )
+    against = against_motion(query.tcp(task.arm).tolist(), motion) if step.space == "move_task" else None
+    trajectory = motion.timed.trajectory()
+    return primitive(task, stop_class, values, trajectory, evaluation, against, "; ".join((*slowed, *motion.notes)))
+
+
+def impact_of(task: BindTask, target: Target, values: Values, held: str) -> Impact | None:
+    """Expected impact of this motion on a rigid body; None if the command sets no force limit."""
+    asked_n = impact.asked_force_n(task.data.context)
+    if asked_n is None:
+        return None
+    arm, joints = task.query.model.arms[task.arm], task.query.joints(task.arm)
+    goal = target.pose if target.pose is not None else arm.fk(target.joints or joints)
+    way = [there - here for there, here in zip(goal[:3], task.query.tcp(task.arm)[:3], strict=True)]
+    load = task.query.load(task.arm) if held else None
+    carried_kg = load.mass_kg if load else 0.0
+    return impact.impact(arm, joints, way, carried_kg, values["impact_s"], values["speed_m_s"], asked_n)
+
+
+def pace_of(task: BindTask, values: Values, hit: Impact | None, touches: bool) -> tuple[float, list[str]]:
+    """The speed (m/s), with a note if the force limit has reduced it or cannot be kept at it.
+
+    A speed stated in the command is not reduced, nor is the speed of a path without expected contact.
+    """
+    speed_m_s, limits = values["speed_m_s"], task.data.context.limits
+    if hit is None or hit.felt_n <= hit.asked_n:
+        return speed_m_s, []
+    felt = (
+        f"at {speed_m_s * 1e3:.3g} mm/s the first millisecond on a rigid body is felt with {hit.felt_n:.0f} N; "
+        f"{hit.asked_n:g} N is kept up to {hit.kept_m_s * 1e3:.3g} mm/s"
+    )
+    if not touches or limits.speed_m_s is not None or limits.speed_ratio is not None:
+        return speed_m_s, [f"not slowed: {felt}"]
+    slow_m_s = max(hit.kept_m_s, values["slowest_m_s"])
+    return slow_m_s, [f"slowed to {slow_m_s * 1e3:.3g} mm/s: {felt}; MAINTAIN SPEED keeps another speed"]
+
+
+def target_of(task: BindTask) -> Target | Refusal:
+    """The target of the step (world frame): a binding or the tcp pose, shifted and turned by the step's args."""
+    step = task.data.step
+    if step.to == "HERE":
+        pose = task.query.tcp(task.arm).tolist()
+    elif step.to not in task.data.bindings:
+        return refused_program(f"nothing binds {step.to}", f"there are {', '.join(task.data.bindings)}")
+    else:
+        binding = task.data.bindings[step.to]
+        if binding.joints is not None:
+            return Target(joints=binding.joints)
+        found = world_pose(task, binding, step.to)
+        if isinstance(found, Refusal):
+            return found
+        pose = found
+    axis = str(step.args.get("axis", "TOOL-Z"))
+    if axis not in axes.AXES:
+        return suggestions.unknown("axis", axis, axes.AXES)
+    by_m, by_rad = (float(step.args.get(name, 0.0)) for name in ("by_m", "by_rad"))
+    if by_m:
+        pose = axes.shifted(pose, axis, by_m).tolist()
+    if by_rad:
+        pose = axes.turned(pose, axis, by_rad).tolist()
+    return Target(pose=pose)
+
+
+def world_pose(task: BindTask, binding: Binding, name: str) -> list[float] | Refusal:
+    """A pose binding in the world frame. Refuses a binding relative to an object whose frame is not trusted (R151)."""
+    if binding.pose is None:
+        return refused_program(f"{name} is not a pose", "bind a pose or joint values to it")
+    if binding.frame is None:
+        return binding.pose
+    if binding.frame not in {thing.name for thing in task.query.cell.objects}:
+        return suggestions.unknown("object", binding.frame, [t.name for t in task.query.cell.objects])
+    command = command_of(task.data.primitive_id)
+    distrusted = task.query.distrusted(f"{binding.frame}.frame", task.program.clears, own=command)
+    if distrusted is not None:
+        return distrusted
+    pose: list[float] = geometry.compose(task.query.frame(binding.frame), binding.pose).tolist()
+    return pose
+
+
+def against_motion(start: list[float], motion: Motion) -> Vector | None:
+    """Unit vector (tool frame) of a force that opposes this line; None if it is not constant along the line."""
+    if (
+        geometry.distance(start, motion.goal_pose) < LEAST_STEP_M
+        or geometry.angle(start, motion.goal_pose) > MOST_TURN_RAD
+    ):
+        return None
+    way = motion.goal_pose[:3] - start[:3]
+    axis: Vector = (
+        -geometry.rotate(geometry.inverse(start), way / math.dist(motion.goal_pose[:3], start[:3]))
+    ).tolist()
+    return axis
+
+
+# --- a motion of the hand --------------------------------------------------------------------------------
+
+
+def bind_hand(task: BindTask) -> BoundStep | Refusal:
+    return hand_motion(task, task.data.step.op)
+
+
+def hand_motion(task: BindTask, op: str) -> BoundStep | Refusal:
+    """Open the hand to a width, or close it until it grips an object or is fully closed."""
+    step, context, query = task.data.step, task.data.context, task.query
+    if op not in task.program.hand:
+        return refused_program(f"a hand cannot {op}", f"it can {', '.join(task.program.hand)}")
+    stop_class = task.stop_class(task.program.hand[op])
+    if isinstance(stop_class, Refusal):
+        return stop_class
+    values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data)
+    gripper = query.cell.arm(task.arm).gripper
+    width_m = values.get("width_m", 0.0)
+    grip_n = context.limits.grip_force_n or values.get("grip_n", values["hand_n"])
+    for name, value, most, unit in (
+        ("opening", width_m, gripper.max_opening_m, "m"),
+        ("grip force", grip_n, gripper.max_force_n, "N"),
+    ):
+        if not -LEAST_WIDTH_M <= value <= most + LEAST_WIDTH_M:
+            return _refuse_hand_figure(task, name, value, most, unit)
+    way_m = abs(query.hand_width(task.arm) - width_m)
+    evaluation = EvaluationContext(
+        context=context,
+        step=step,
+        arm=task.arm,
+        goal_pose=query.tcp(task.arm).tolist(),
+        goal_joints=list(query.joints(task.arm)),
+        held=query.holding(task.arm),
+        predicted_s=way_m / gripper.speed_m_s,
+        width_m=[values.get("least_m", 0.0), values.get("most_m", gripper.max_opening_m + 0.001)],
+        force_n=grip_n,
+        start_joints=list(query.joints(task.arm)),
+    )
+    motion = HandMotion(width_m=width_m, force_n=grip_n, speed_m_s=gripper.speed_m_s)
+    return primitive(task, stop_class, values, motion, evaluation, None, "", moves=False)
+
+
+def _refuse_hand_figure(task: BindTask, name: str, value: float, most: float, unit: str) -> Refusal:
+    hand = task.query.cell.arm(task.arm).end_effector
+    now = f"; it is open {in_words(task.query.hand_width(task.arm), 'm')} now" if unit == "m" else ""
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"{name} of {hand}: {in_words(value, unit)} is asked for; it can have 0 to {in_words(most, unit)}{now}",
+        clears=f"{name} of 0 to {in_words(most, unit)}",
+        detail={"cause": name, f"value_{unit.lower()}": value, f"limit_{unit.lower()}": most, "arm": task.arm},
+    )
+
+
+# --- staying ---------------------------------------------------------------------------------------------
+
+
+def bind_still(task: BindTask) -> BoundStep | Refusal:
+    step, query = task.data.step, task.query
+    stop_class = task.stop_class(step.stop)
+    if isinstance(stop_class, Refusal):
+        return stop_class
+    values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data)
+    duration_s = values["duration_s"]
+    if task.data.context.limits.time_s is not None:
+        duration_s = min(duration_s, task.data.context.limits.time_s)
+    known = query.trusts(
+        f"{task.arm}.joints"
+    )  # otherwise the arm holds an unknown position, which the report will contain
+    evaluation = EvaluationContext(
+        context=task.data.context,
+        step=step,
+        arm=task.arm,
+        goal_pose=query.tcp(task.arm).tolist() if known else None,
+        goal_joints=list(query.joints(task.arm)) if known else None,
+        held=query.holding(task.arm),
+        predicted_s=duration_s,
+        force_n=values.get("force_n"),
+        start_joints=list(query.joints(task.arm)),
+    )
+    return primitive(task, stop_class, values, HoldStill(duration_s=duration_s), evaluation, None, "", timed=False)
+
+
+# --- the primitive ---------------------------------------------------------------------------------------
+
+
+def primitive(
+    task: BindTask,
+    stop_class: StopClass,
+    values: Values,
+    trajectory: Trajectory,
+    evaluation: EvaluationContext,
+    against: Vector | None,
+    note: str,
+    *,
+    moves: bool = True,
+    timed: bool = True,
+) -> BoundStep | Refusal:
+    """Assemble T = (P, M, F, R).
+
+    `moves`: the arm moves, so the held object is monitored. `timed`: the command's time limit applies.
+    """
+    limit_s = values["time_factor"] * evaluation.predicted_s + values["time_margin_s"]
+    most_s = task.data.context.limits.time_s
+    if most_s is not None and timed:
+        if evaluation.predicted_s > most_s:
+            return Refusal(
+                reason=RefusalReason.INFEASIBLE,
+                message=f"this step takes {evaluation.predicted_s:.3g} s; the time limit is {most_s:g} s",
+                clears="more time, or more speed",
+                detail={"cause": "time", "predicted_s": evaluation.predicted_s, "limit_s": most_s},
+            )
+        limit_s = min(limit_s, most_s)
+    values = {**values, "time_limit_s": limit_s}
+    rows = [*stop_class.stops, *(task.program.holding if moves and evaluation.held else [])]
+    stops: list[StopFunction] = stop_conditions.stop_functions(
+        rows, values, against, stop_conditions.from_command(task.data, task.query, values)
+    )
+    every_s = task.data.step.args.get("report_every_s")
+    lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > task.query.hand_width(task.arm)
+    load = None if lets_go else task.query.load(task.arm)
+    payload_kg = task.query.cell.arm(task.arm).payload_kg
+    if load is not None and load.mass_kg > payload_kg:
+        return Refusal(
+            reason=RefusalReason.INFEASIBLE,
+            message=f"{evaluation.held} weighs {load.mass_kg:g} kg; {task.arm} carries {payload_kg:g} kg at most",
+            clears=f"let go of {evaluation.held}; if it is lighter, correct its mass",
+            detail={"cause": "payload", "mass_kg": load.mass_kg, "limit_kg": payload_kg, "arm": task.arm},
+        )
+    made = Primitive(
+        id=task.data.primitive_id,
+        performer=task.arm,
+        trajectory=trajectory,
+        stop_functions=stops,
+        control_law=ControlLaw(
+            name=stop_class.control_law, load=load, gains={"wn": values["laden_wn_rad_s"]} if load else {}
+        ),
+        reporting=Reporting(every_s=float(every_s) if every_s is not None else None),
+    )
+    return BoundStep(
+        subsystem=SUBSYSTEM,
+        primitive=made,
+        evaluation=evaluation,
+        predicted_s=evaluation.predicted_s,
+        limit_s=values["report_factor"] * limit_s + values["report_margin_s"],
+        note=note,
+    )
+
+
+# --- steps that move nothing -----------------------------------------------------------------------------
+
+
+def bind_assignment(task: BindTask) -> BoundStep | Refusal:
+    """A binding computed from other bindings, measured or planned: GP = 0.5*(GP1 + GP2)."""
+    step = task.data.step
+    given: dict[str, float | list[float]] = {}
+    for name in expressions.names(step.value):
+        binding = task.data.bindings.get(name)
+        if binding is None:
+            return refused_program(f"nothing binds {name}", f"there are {', '.join(task.data.bindings)}")
+        pose = binding.number if binding.number is not None else world_pose(task, binding, name)
+        if isinstance(pose, Refusal):
+            return pose
+        given[name] = pose
+    try:
+        value = expressions.evaluate(step.value, given)
+    except expressions.ExpressionError as error:
+        return Refusal(
+            reason=RefusalReason.INFEASIBLE,
+            message=f"{step.name} = {step.value}: {error}",
+            where=step.name,
+            clears="measure again",
+        )
+    binding = Binding(pose=value) if isinstance(value, list) else Binding(number=value)
+    return BoundStep(bindings={step.name: binding}, note=f"{step.name} = {step.value}")
+
+
+def bind_stated_facts(task: BindTask) -> BoundStep | Refusal:
+    """The facts stated by the command, as a report (A24); the analyzer judges and writes them."""
+    context = task.data.context
+    if not context.told:
+        return refused_program("the command states no facts", "a script for a command that states facts")
+    report = EndReport(
+        primitive=task.data.primitive_id,
+        performer=TELLER,
+        reason=StopReason.GOAL,
+        at_s=0.0,  # no motion, so there is no arm time
+        duration_s=0.0,
+        joints=[],
+        tcp_pose=[],
+        wrench=[],
+        hand_width_m=0.0,
+        hand_force_n=0.0,
+        facts=context.told,
+    )
+    return BoundStep(told=report, evaluation=EvaluationContext(context=context, step=task.data.step), note="told")
+
+
+def bind_procedure(task: BindTask) -> BoundStep | Refusal:
+    known = task.program.procedures
+    name = task.data.step.name
+    return PROCEDURES[known[name]](task) if name in known else suggestions.unknown("procedure", name, known)
+
+
+def open_hand(task: BindTask) -> BoundStep | Refusal:
+    """Open the empty hand to the width required before a grasp."""
+    held = task.query.holding(task.arm)
+    if held:
+        message = f"{task.arm} already holds {held}"
+        return Refusal(reason=RefusalReason.STATE, message=message, clears=f"let go of {held}")
+    return hand_motion(task, "open")
+
+
+def restate_plan(task: BindTask) -> BoundStep | Refusal:
+    """Bindings of the plan, with joint values solved again for objects that have moved since planning."""
+    laid = replan.replan(task.query, task.arm, task.data.bindings)
+    return laid if isinstance(laid, Refusal) else BoundStep(bindings=laid, note="the plan")
+
+
+def refused_program(message: str, clears: str) -> Refusal:
+    return Refusal(reason=RefusalReason.PROGRAM, message=message, clears=clears)
+
+
+Action = Callable[[BindTask], BoundStep | Refusal]
+
+ACTIONS: dict[str, Action] = {
+    "motion": bind_motion,
+    "hand": bind_hand,
+    "still": bind_still,
+    "assign": bind_assignment,
+    "told": bind_stated_facts,
+    "procedure": bind_procedure,
+}
+PROCEDURES: dict[str, Action] = {"open_hand": open_hand, "lay_down_plan": restate_plan}

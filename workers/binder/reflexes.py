@@ -1,0 +1,191 @@
+"""UNLESS condition THEN action, converted to stop functions of the motion loop (A8). Pure.
+
+`refuse_unsupported` rejects conditions that no sensor measures and actions that no reflex performs, before any motion.
+`stop_functions` is valid only for reflexes that it accepted. A limit along an axis applies in both directions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rtc.language.record import Condition, ReflexItem
+from rtc.protocol.messages import EndReport
+from rtc.protocol.outcomes import Reflex, Refusal, RefusalReason, StopReason
+from rtc.protocol.primitive import (
+    BodyTouch,
+    ForceAbove,
+    GripForceBelow,
+    HandWidthBelow,
+    JointMarginBelow,
+    Predicate,
+    StopFunction,
+    TcpNear,
+    TimeAbove,
+    TorqueAbove,
+)
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+from workers.planning import axes, suggestions
+
+ACTIONS: dict[str, Reflex] = {"stop": Reflex.STOP, "back_off": Reflex.BACK_OFF, "release": Reflex.RELEASE}
+
+
+@dataclass(frozen=True)
+class StepState:
+    """State of a step at binding: figures in force, tcp pose (world), position of the command's object (world, m)."""
+
+    values: dict[str, float]  # contact_n, joint_margin_rad, time_limit_s, held_width_m, back_off_m
+    hand_pose: Array
+    holding: bool
+    object_at: list[float] | None
+
+
+Maker = Callable[[Condition, StepState], list[Predicate]]
+
+
+def _contact(_: Condition, state: StepState) -> list[Predicate]:
+    return [ForceAbove(limit_n=state.values.get("contact_n", state.values["feel_force_n"]))]
+
+
+def _slip(_: Condition, state: StepState) -> list[Predicate]:
+    return [GripForceBelow(state.values["slip_n"])] if state.holding else []
+
+
+def _lost(_: Condition, state: StepState) -> list[Predicate]:
+    return [HandWidthBelow(state.values["held_width_m"] - state.values["lost_m"])] if state.holding else []
+
+
+#: event -> stop reason and constructor of its predicates (an empty list: nothing to monitor in this step)
+EVENTS: dict[str, tuple[StopReason, Maker]] = {
+    "CONTACT": (StopReason.CONTACT, _contact),
+    "COLLISION": (StopReason.COLLISION, lambda c, state: [BodyTouch()]),
+    "SLIP": (StopReason.SLIP, _slip),
+    "OBJECT-LOST": (StopReason.OBJECT_LOST, _lost),
+    "JOINT-LIMIT": (StopReason.JOINT_LIMIT, lambda c, state: [JointMarginBelow(state.values["joint_margin_rad"])]),
+    "TIMEOUT": (StopReason.TIMEOUT, lambda c, state: [TimeAbove(state.values["time_limit_s"])]),
+}
+
+
+def _figure(condition: Condition) -> float:
+    assert condition.quantity is not None
+    return condition.quantity.value
+
+
+def _both_ways(condition: Condition, state: StepState) -> list[list[float] | None]:
+    if condition.along is None:
+        return [None]
+    axis = axes.in_tool(state.hand_pose, condition.along)
+    return [axis, [-n for n in axis]]
+
+
+def _force(condition: Condition, state: StepState) -> list[Predicate]:
+    return [ForceAbove(limit_n=_figure(condition), axis=axis) for axis in _both_ways(condition, state)]
+
+
+def _torque(condition: Condition, state: StepState) -> list[Predicate]:
+    return [TorqueAbove(limit_nm=_figure(condition), axis=axis) for axis in _both_ways(condition, state)]
+
+
+def _grip(condition: Condition, state: StepState) -> list[Predicate]:
+    return [GripForceBelow(_figure(condition))] if state.holding else []
+
+
+def _near(condition: Condition, state: StepState) -> list[Predicate]:
+    return [] if state.object_at is None else [TcpNear(point=state.object_at, distance_m=_figure(condition))]
+
+
+#: (measure, bound) -> stop reason and constructor of its predicates
+MEASURES: dict[tuple[str, str], tuple[StopReason, Maker]] = {
+    ("FORCE", "above"): (StopReason.FORCE_LIMIT, _force),
+    ("TORQUE", "above"): (StopReason.TORQUE_LIMIT, _torque),
+    ("GRIP-FORCE", "below"): (StopReason.SLIP, _grip),
+    ("DISTANCE", "below"): (StopReason.CONTACT, _near),
+}
+
+
+def reason_of(condition: Condition) -> StopReason | None:
+    """The stop reason of this condition; None if the motion loop cannot measure it."""
+    row = _row(condition)
+    return None if row is None else row[0]
+
+
+def refuse_unsupported(reflex: ReflexItem, about_object: bool) -> Refusal | None:
+    """Refuse a reflex that cannot be performed; None if it can. `about_object`: the command names an object."""
+    words = _words(reflex.condition)
+    if _row(reflex.condition) is None:
+        known = [*EVENTS, *(f"{measure} {bound}" for measure, bound in MEASURES)]
+        return _no(f"UNLESS {words}: nothing in the motion loop measures that", known)
+    if reflex.action not in ACTIONS:
+        word = reflex.action.upper().replace("_", "-")
+        done = [action.upper().replace("_", "-") for action in ACTIONS]
+        return _no(f"THEN {word} is not supported", done)
+    if reflex.condition.measure == "DISTANCE" and not about_object:
+        message = f"UNLESS {words} measures the distance to the object of the command, but this command names none"
+        return _no(message, [], "leave it out, or use a verb that takes an object")
+    along = reflex.condition.along
+    if along is not None and along not in axes.AXES:
+        return suggestions.unknown("axis", along, axes.AXES, where=f"UNLESS {words}")
+    return None
+
+
+def stop_functions(reflexes: list[ReflexItem], state: StepState) -> list[StopFunction]:
+    """Build the stop functions of these reflexes for one step."""
+    made = []
+    for reflex in reflexes:
+        row = _row(reflex.condition)
+        assert row is not None, reflex
+        reason, maker = row
+        action = ACTIONS[reflex.action]
+        by = reflex.by.value if reflex.by else state.values["back_off_m"]
+        back_off_m = by if action is Reflex.BACK_OFF else 0.0
+        made += [
+            StopFunction(reason=reason, when=when, reflex=action, back_off_m=back_off_m)
+            for when in maker(reflex.condition, state)
+        ]
+    return made
+
+
+def _row(condition: Condition) -> tuple[StopReason, Maker] | None:
+    if condition.event is not None:
+        return EVENTS.get(condition.event)
+    return MEASURES.get((condition.measure or "", condition.bound or ""))
+
+
+def _words(condition: Condition) -> str:
+    if condition.event is not None:
+        return condition.event
+    bound = "EXCEEDS" if condition.bound == "above" else "BELOW"
+    return " ".join(filter(None, (condition.measure, condition.along and f"ALONG {condition.along}", bound)))
+
+
+def _no(message: str, expected: list[str], clears: str = "leave it out, or use one of those expected") -> Refusal:
+    return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where="UNLESS", expected=expected, clears=clears)
+
+
+# --- evaluation of a report ------------------------------------------------------------------------------
+
+
+def find_requested(reflexes: list[ReflexItem], report: EndReport) -> ReflexItem | None:
+    """The reflex of the command that ended the primitive (same reason, figure and action); None if there is none."""
+    for reflex in reflexes:
+        quantity = reflex.condition.quantity
+        same = quantity is None or (report.limit is not None and math.isclose(quantity.value, report.limit))
+        if reason_of(reflex.condition) is report.reason and same and ACTIONS.get(reflex.action) is report.reflex:
+            return reflex
+    return None
+
+
+def in_words(reflex: ReflexItem) -> str:
+    """The reflex in the words of a sentence."""
+    quantity = reflex.condition.quantity
+    figure = f" {quantity.value:g} {quantity.unit.upper()}" if quantity else ""
+    return f"UNLESS {_words(reflex.condition)}{figure} THEN {reflex.action.upper().replace('_', '-')}"
+
+
+def describe_action(report: EndReport) -> str:
+    """The reflex action after the stop, in words; empty if the arm only stopped."""
+    if report.reflex is Reflex.BACK_OFF and report.trip_pose and report.tcp_pose:
+        return f"backed off by {100.0 * geometry.distance(report.trip_pose, report.tcp_pose):.1f} cm"
+    return f"opened the hand to {1000.0 * report.hand_width_m:.0f} mm" if report.reflex is Reflex.RELEASE else ""

@@ -1,0 +1,110 @@
+"""Stop conditions (F): the figures in force for a step and the stop functions built from them (R66, R82, R83). Pure.
+
+Figures come from the cell, the program, the stop class and the step, in order of increasing priority. GUARDED and
+MAINTAIN can only tighten them. Rows of the program name predicates of the primitive by their tags.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+
+from rtc.programs import expressions
+from rtc.programs.schema import BinderProgram, StopClass, StopRow
+from rtc.protocol.messages import BinderInput
+from rtc.protocol.primitive import (
+    BodyTouch,
+    FollowingErrorAbove,
+    ForceAbove,
+    GoalReached,
+    GripForceBelow,
+    HandWidthBelow,
+    JointMarginBelow,
+    Predicate,
+    SpeedAbove,
+    StopFunction,
+    TimeAbove,
+    TorqueAbove,
+    Vector,
+)
+from workers.binder import reflexes
+from workers.planning.world_query import WorldQuery
+
+#: tag of a predicate -> constructor from (limit, axis or None)
+MAKERS: dict[str, Callable[[float, Vector | None], Predicate]] = {
+    "goal-reached": lambda limit, axis: GoalReached(),
+    "time-above": lambda limit, axis: TimeAbove(limit),
+    "force-above": lambda limit, axis: ForceAbove(limit_n=limit, axis=axis),
+    "torque-above": lambda limit, axis: TorqueAbove(limit_nm=limit, axis=axis),
+    "speed-above": lambda limit, axis: SpeedAbove(limit),
+    "following-error-above": lambda limit, axis: FollowingErrorAbove(limit),
+    "joint-margin-below": lambda limit, axis: JointMarginBelow(limit),
+    "body-touch": lambda limit, axis: BodyTouch(),
+    "grip-force-below": lambda limit, axis: GripForceBelow(limit),
+    "hand-width-below": lambda limit, axis: HandWidthBelow(limit),
+}
+#: limit of MAINTAIN -> the figure that it tightens
+TIGHTENED = {"speed_m_s": "speed_m_s", "force_n": "force_n", "torque_nm": "torque_nm"}
+
+Values = dict[str, float]
+
+
+def figures_in_force(program: BinderProgram, stop_class: StopClass, query: WorldQuery, data: BinderInput) -> Values:
+    """All figures in force for this step. Raises ExpressionError if an expression names an unknown figure."""
+    context = data.context
+    values: Values = dict(msgspec.structs.asdict(query.cell.numbers))
+    if query.holding(context.arm):
+        values["held_width_m"] = query.hand_width(context.arm)
+    for rows in (program.values, stop_class.values):
+        for name, expression in rows.items():
+            values[name] = expressions.number(expression, values)
+    values |= {name: float(value) for name, value in data.step.args.items() if not isinstance(value, str)}
+    if context.guarded:
+        for name, value in program.guarded.get(context.verb, program.guarded.get("", {})).items():
+            values[name] = min(value, values.get(name, value))
+    for limit, name in TIGHTENED.items():
+        value = getattr(context.limits, limit)
+        if value is not None:
+            values[name] = min(value, values.get(name, value))
+    if context.limits.speed_ratio is not None and "speed_m_s" in values:
+        values["speed_m_s"] *= context.limits.speed_ratio
+    return values
+
+
+def stop_functions(
+    rows: list[StopRow], values: Values, against: Vector | None, requested: list[StopFunction]
+) -> list[StopFunction]:
+    """Build F: the stop functions of the command, then those of the program's rows.
+
+    Of two with the same reason the first true one wins. A reflex of the command therefore precedes the program's stop
+    at the same figure, and neither loosens the other. `against`: unit vector (tool frame) of an opposing force.
+    """
+    made = list(requested)
+    for row in rows:
+        limit = _limit(row, values)
+        if limit is not None:
+            when = MAKERS[row.when](limit, against if row.against_motion else None)
+            made.append(StopFunction(reason=row.reason, when=when, reflex=row.reflex, back_off_m=row.back_off_m))
+    return made
+
+
+def _limit(row: StopRow, values: Values) -> float | None:
+    """The limit of a row; 0 if its predicate has none; None to omit the row."""
+    if row.limit is None:
+        return 0.0
+    if row.if_known and expressions.names(row.limit) - values.keys():
+        return None
+    return expressions.number(row.limit, values)
+
+
+def from_command(data: BinderInput, query: WorldQuery, values: Values) -> list[StopFunction]:
+    """Stop functions of the command's UNLESS ... THEN ... for this step."""
+    context = data.context
+    state = reflexes.StepState(
+        values=values,
+        hand_pose=query.tcp(context.arm),
+        holding=bool(query.holding(context.arm)),
+        object_at=query.frame(context.object)[:3].tolist() if context.object else None,
+    )
+    return reflexes.stop_functions(context.reflexes, state)

@@ -1,0 +1,141 @@
+"""Plan anchors by registered name: grasp point, destination, stowed posture, seat. Pure.
+
+An anchor is joint values or a tcp pose. The pose is in an object's frame if it depends on that object, so that it can
+be bound again after the object was found elsewhere. An anchor that does not exist is a Refusal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
+from workers.elaborator.task_candidate import TaskCandidate
+from workers.planning import suggestions
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """Joint values (rad), or a tcp pose in `frame` (an object; None = world). `relies_on`: keys of the facts used."""
+
+    joints: list[float] | None = None
+    pose: list[float] | None = None
+    frame: str | None = None
+    relies_on: tuple[str, ...] = ()
+
+
+def grasp_point(candidate: TaskCandidate) -> Anchor | Refusal:
+    """The tcp pose at the grasp point, in the object's frame."""
+    assert candidate.thing is not None
+    if candidate.point is None:
+        return _no_grasp_point(candidate.thing.name)
+    return Anchor(
+        pose=candidate.point.frame.pose.tolist(),
+        frame=candidate.thing.name,
+        relies_on=(f"{candidate.thing.name}.frame",),
+    )
+
+
+def stow(candidate: TaskCandidate) -> Anchor | Refusal:
+    return Anchor(joints=candidate.arm.stow_rad)
+
+
+def seat(candidate: TaskCandidate) -> Anchor | Refusal:
+    """The tcp pose at which the held object is seated in the target seat."""
+    assert candidate.thing is not None
+    assert candidate.target is not None
+    grasp = candidate.query.grasp(candidate.thing.name)
+    if grasp is None:
+        return _state(
+            f"how {candidate.arm.name} holds {candidate.thing.name} is not known", "let go of it, and take it again"
+        )
+    seated = candidate.query.seated_pose(candidate.target.name)
+    pose = geometry.compose(seated, geometry.inverse(grasp)).tolist()
+    return Anchor(pose=pose, relies_on=(f"{candidate.thing.name}.grasp", f"{candidate.target.name}.frame"))
+
+
+def destination(candidate: TaskCandidate) -> Anchor | Refusal:
+    """The destination of MOVE ... TO."""
+    place = candidate.parsed.place
+    assert place is not None
+    if place.joints is not None:
+        wanted = len(candidate.arm.joints)
+        if len(place.joints) != wanted:
+            return _state(
+                f"{candidate.arm.name} has {wanted} joints, {len(place.joints)} were given", f"give {wanted} values"
+            )
+        return Anchor(joints=list(place.joints))
+    if place.position is not None:  # the attitude is kept
+        here = candidate.query.tcp(candidate.arm.name)
+        return Anchor(pose=geometry.make_pose(place.position, here[3:]).tolist())
+    if place.neighborhood_of is not None or place.grasp_point_of is not None:
+        return _at_object(
+            candidate, place.neighborhood_of or place.grasp_point_of or "", near=place.grasp_point_of is None
+        )
+    return _named(candidate, place.name or "")
+
+
+def _named(candidate: TaskCandidate, name: str) -> Anchor | Refusal:
+    cell = candidate.query.cell
+    place = next((p for p in cell.places if p.name == name), None)
+    if place is None:
+        if any(thing.name == name for thing in cell.objects):
+            message = f"{name} is an object: a hand goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
+            return Refusal(
+                reason=RefusalReason.NAME, message=message, nearest=[name], clears="use one of the two forms"
+            )
+        return suggestions.unknown("place", name, [p.name for p in cell.places])
+    joints = place.joints_rad(candidate.arm.name)
+    if joints is not None:
+        return Anchor(joints=joints)
+    frame = place.poses.get(candidate.arm.name)
+    if frame is not None:
+        return Anchor(pose=frame.pose.tolist())
+    able = sorted({*place.poses, *place.joints_deg})
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"{candidate.arm.name} has no posture for {name}; {', '.join(able)} can",
+        where=name,
+        expected=able,
+        clears=f"another arm, or a place that {candidate.arm.name} can go to",
+        detail={"cause": "place", "arm": candidate.arm.name, "place": name},
+    )
+
+
+def _at_object(candidate: TaskCandidate, name: str, near: bool) -> Anchor | Refusal:
+    cell = candidate.query.cell
+    thing = next((t for t in cell.objects if t.name == name), None)
+    if thing is None:
+        return suggestions.unknown("object", name, [t.name for t in cell.objects])
+    if not thing.grasp_points:
+        return _no_grasp_point(name)
+    base = candidate.arm.base.pose
+    frame = candidate.query.frame(name)
+    points = [geometry.compose(frame, p.frame.pose) for p in thing.grasp_points]
+    nearest = min(range(len(points)), key=lambda n: geometry.distance(base, points[n]))
+    pose = thing.grasp_points[nearest].frame.pose
+    back_m = min(candidate.figures["approach_m"], candidate.figures["neighborhood_radius_m"]) if near else 0.0
+    start = geometry.compose(pose, (0.0, 0.0, -back_m, 0.0, 0.0, 0.0, 1.0))
+    return Anchor(pose=start.tolist(), frame=name, relies_on=(f"{name}.frame",))
+
+
+def _no_grasp_point(thing: str) -> Refusal:
+    return Refusal(
+        reason=RefusalReason.NAME,
+        message=f"{thing} has no grasp point",
+        where=thing,
+        clears="an object that has grasp points, or a grasp point for it in the cell",
+    )
+
+
+def _state(message: str, clears: str) -> Refusal:
+    return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
+
+
+ANCHORS: dict[str, Callable[[TaskCandidate], Anchor | Refusal]] = {
+    "grasp_point": grasp_point,
+    "destination": destination,
+    "stow": stow,
+    "seat": seat,
+}

@@ -1,0 +1,286 @@
+"""Binding search: plans a script's bindings backwards from its goal, then tests the chain forwards (R92, R134). Pure.
+
+generate  all inverse solutions at the goal, nearest first
+test      each path segment of the script in order, from the arm's position: limits, lines, collisions
+modify    the next solution if one is blocked; if all are blocked, paths with detours
+
+The first that passes is taken; `notes` record the attempts. Values known only at execution time (a step relative to the
+current hand pose, a measured pose) are tested with their planned values.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import msgspec
+
+from rtc.programs import expressions
+from rtc.programs.schema import PlanLine, ScriptFile, ScriptStep
+from rtc.protocol.messages import Binding, Way
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
+from workers.elaborator.anchors import ANCHORS, Anchor
+from workers.elaborator.task_candidate import TaskCandidate
+from workers.planning import advice, axes, segments, suggestions
+from workers.planning.motion.plan import PlanningRequest
+from workers.planning.motion.timing import Pace
+from workers.planning.segments import Target
+
+MOST_DETOURED = 3  # maximum number of inverse solutions for which detours are tried
+PLAN = "/plan"  # suffix: NAME/plan is the pose from which the joint values NAME were solved, for `replan`
+
+
+@dataclass(frozen=True)
+class Planned:
+    bindings: dict[str, Binding]
+    relies_on: list[str]  # keys of the facts used
+    notes: list[str]
+    chosen: bool  # one of several inverse solutions was chosen
+    ways: dict[int, Way]  # free way of the first segment, by index of its step in the script
+
+
+def plan(script: ScriptFile, candidate: TaskCandidate) -> Planned | Refusal:
+    """The tested bindings of the script for this candidate, or the refusal with the obstacle."""
+    lines = _lines(script, candidate)
+    if isinstance(lines, Refusal):
+        return lines
+    relies_on = [key for anchor in lines.values() for key in anchor.relies_on]
+    relies_on = list(dict.fromkeys(relies_on))
+    for key in relies_on:
+        distrusted = candidate.query.distrusted(key, candidate.program.clears)
+        if distrusted is not None:
+            return distrusted
+    solved = _search(script, candidate, lines)
+    if isinstance(solved, Refusal):
+        return solved
+    joints, notes, ways = solved
+    chosen = any(line.solve and lines[line.name].joints is None for line in script.plan)
+    return Planned(_bindings(lines, joints), relies_on, notes, chosen, ways)
+
+
+# --- the poses, backwards from the goal ------------------------------------------------------------------
+
+
+def _lines(script: ScriptFile, candidate: TaskCandidate) -> dict[str, Anchor] | Refusal:
+    lines: dict[str, Anchor] = {}
+    for n, line in enumerate(script.plan):
+        anchor = lines[line.at] if line.at in lines else _anchor(line, candidate)
+        moved = anchor if isinstance(anchor, Refusal) else _moved(anchor, line, candidate)
+        if isinstance(moved, Refusal):
+            return _where(moved, f"{script.script}.plan[{n}] ({line.name})")
+        lines[line.name] = moved
+    return lines
+
+
+def _anchor(line: PlanLine, candidate: TaskCandidate) -> Anchor | Refusal:
+    if line.at not in ANCHORS:
+        return _program(f"unknown plan anchor {line.at}; known are {', '.join(ANCHORS)} or an earlier line")
+    return ANCHORS[line.at](candidate)
+
+
+def _moved(anchor: Anchor, line: PlanLine, candidate: TaskCandidate) -> Anchor | Refusal:
+    if not line.along:
+        return anchor
+    try:
+        by_m = expressions.number(line.by, candidate.figures)
+    except expressions.ExpressionError as error:
+        return _program(f"{line.by}: {error}")
+    pose = anchor.pose or candidate.query.model.arms[candidate.arm.name].fk(anchor.joints or ()).tolist()
+    frame = candidate.query.frame(anchor.frame) if anchor.frame else geometry.IDENTITY
+    world = geometry.compose(frame, pose)
+    if line.along == "WAY-OUT":
+        if candidate.target is None:
+            return _program("WAY-OUT is the way out of a seat, and the sentence names none")
+        out = geometry.rotate(candidate.query.seat_frame(candidate.target.name), candidate.target.way_out)
+        moved = geometry.translate(world, by_m * out)
+    elif line.along in axes.AXES:
+        moved = axes.shifted(world, line.along, by_m)
+    else:
+        return suggestions.unknown("axis", line.along, [*axes.AXES, "WAY-OUT"])
+    return replace(anchor, joints=None, pose=geometry.relative(frame, moved).tolist())
+
+
+def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[str, Binding]:
+    bindings: dict[str, Binding] = {}
+    for name, anchor in lines.items():
+        pose = Binding(pose=anchor.pose, frame=anchor.frame) if anchor.pose is not None else None
+        if name in joints:
+            bindings[name] = Binding(joints=joints[name])
+            if pose is not None and anchor.frame:
+                bindings[name + PLAN] = pose
+        else:
+            bindings[name] = pose or Binding(joints=anchor.joints)
+    return bindings
+
+
+# --- the joints, tried forwards --------------------------------------------------------------------------
+
+
+Solved = tuple[dict[str, list[float]], list[str], dict[int, Way]]
+
+
+def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor]) -> Solved | Refusal:
+    request = _request(script, candidate)
+    ways = list(_ways(script, candidate, lines, request))
+    if not ways:
+        return _unreachable(script, candidate, lines, request)
+    notes: list[str] = []
+    first: Refusal | None = None
+    for n, joints, detours in _order(ways):
+        tried = _try(script, candidate, lines, joints, request, detours)
+        what = f"way {n} of {len(ways)}" + (" with detours" if detours else "")
+        if not isinstance(tried, Refusal):
+            return joints, [*notes, f"generated {what}; tested: free"] if script.plan else [], tried
+        notes.append(f"generated {what}; tested: {tried.message}")
+        first = first or tried
+    assert first is not None
+    first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, candidate.program.clears)
+    return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))})
+
+
+def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, list[float]], bool]]:
+    """Attempts in order, as (number, joint values, with detours).
+
+    The nearest solution with a detour is better than a distant solution that turns the arm over. Detours are expensive,
+    so the nearest direct solutions come first.
+    """
+    numbered = list(enumerate(ways, 1))
+    head, tail = numbered[:MOST_DETOURED], numbered[MOST_DETOURED:]
+    yield from ((n, way, False) for n, way in head)
+    yield from ((n, way, True) for n, way in head[:1])
+    yield from ((n, way, False) for n, way in tail)
+    yield from ((n, way, True) for n, way in head[1:])
+
+
+def _request(script: ScriptFile, candidate: TaskCandidate) -> PlanningRequest:
+    holds = candidate.query.holding(candidate.arm.name)
+    scene = candidate.query.scene(
+        candidate.arm.name,
+        candidate.limits,
+        touching=candidate.thing.name if candidate.thing and not holds else "",
+        seated=bool(holds),
+        away=script.despite_grasp,
+        opening_m=None if holds else candidate.figures.get("pre_grasp_m"),
+        near=[candidate.target.name] if candidate.target else [],
+    )
+    margin_rad = math.radians(candidate.figures["joint_margin_deg"])
+    return candidate.query.planning_request(candidate.arm.name, scene, candidate.limits, Pace(), margin_rad)
+
+
+def _ways(
+    script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor], request: PlanningRequest
+) -> Iterator[dict[str, list[float]]]:
+    """Joint values for all lines with `solve`: each branch of the first line, and for the others the nearest branch."""
+    wanted = [line for line in script.plan if line.solve]
+    if not wanted:
+        yield {}
+        return
+    first, *others = wanted
+    given = lines[first.name].joints
+    heads = [given] if given is not None else _branches(candidate, lines[first.name], request, request.start.tolist())
+    for head in heads:
+        joints = {first.name: head}
+        for line in others:
+            anchor = lines[line.name]
+            near = joints.get(line.near, head)
+            found = [anchor.joints] if anchor.joints is not None else _branches(candidate, anchor, request, near)[:1]
+            if found:
+                joints[line.name] = found[0]
+        if len(joints) == len(wanted):
+            yield joints
+
+
+def _branches(
+    candidate: TaskCandidate, anchor: Anchor, request: PlanningRequest, near: list[float]
+) -> list[list[float]]:
+    return [q.tolist() for q in request.arm.ik(_world(candidate, anchor), near, request.margin_rad)]
+
+
+def _world(candidate: TaskCandidate, anchor: Anchor) -> list[float]:
+    assert anchor.pose is not None
+    frame = candidate.query.frame(anchor.frame) if anchor.frame else geometry.IDENTITY
+    return geometry.compose(frame, anchor.pose).tolist()
+
+
+def _unreachable(
+    script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Anchor], request: PlanningRequest
+) -> Refusal:
+    for line in script.plan:
+        if line.solve and lines[line.name].joints is None:
+            why = request.arm.why_no_ik(_world(candidate, lines[line.name]), request.margin_rad)
+            if why is not None:
+                return _where(why, line.name)
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"{candidate.arm.name} cannot reach the postures of the plan in one chain",
+    )
+
+
+def _try(
+    script: ScriptFile,
+    candidate: TaskCandidate,
+    lines: dict[str, Anchor],
+    joints: dict[str, list[float]],
+    request: PlanningRequest,
+    detours: bool,
+) -> dict[int, Way] | Refusal:
+    """Test the segments in order; returns the refusal of the first blocked one, or the way of the first segment by
+    index of its step. The later segments start where the arm will come to rest, which is not known yet."""
+    here = start = request.start
+    ways: dict[int, Way] = {}
+    for n, step in enumerate(script.steps, 1):
+        if not step.to:
+            continue
+        now = replace(request, joints={**request.joints, candidate.arm.name: here})
+        target = _target(step, candidate, lines, joints, now)
+        if isinstance(target, Refusal):
+            return _where(target, f"step {n} ({step.to})")
+        if step.space not in segments.SPACES:
+            return _program(f"step {n}: no space {step.space}; there are {', '.join(segments.SPACES)}")
+        segment = segments.check_segment(now, step.space, target, detours, first=here is start)
+        if isinstance(segment, Refusal):
+            return _where(segment, f"step {n} ({step.to})")
+        if here is start and (way := segment.way(now, step.space)) is not None:
+            ways[n - 1] = way
+        here = segment.end
+    return ways
+
+
+def _target(
+    step: ScriptStep,
+    candidate: TaskCandidate,
+    lines: dict[str, Anchor],
+    joints: dict[str, list[float]],
+    now: PlanningRequest,
+) -> Target | Refusal:
+    if step.to in joints:
+        return Target(joints=joints[step.to])
+    if step.to in lines:
+        anchor = lines[step.to]
+        return Target(joints=anchor.joints) if anchor.joints is not None else Target(pose=_world(candidate, anchor))
+    if step.to != "HERE":
+        return _program(f"nothing binds {step.to}")
+    axis = candidate.say(step.words.get("axis", "TOOL-Z"))
+    if axis not in axes.AXES:
+        return suggestions.unknown("axis", axis, axes.AXES)
+    try:
+        by_m, by_rad = (expressions.number(step.args.get(name, 0.0), candidate.figures) for name in ("by_m", "by_rad"))
+    except expressions.ExpressionError as error:
+        return _program(str(error))
+    pose = axes.shifted(now.arm.fk(now.start), axis, by_m)
+    return Target(pose=axes.turned(pose, axis, by_rad).tolist())
+
+
+def _where(refusal: Refusal, where: str) -> Refusal:
+    """Add the place to the refusal; also to its message if a segment is blocked or the program is wrong."""
+    place = f"{where}, {refusal.where}" if refusal.where else where
+    in_message = refusal.reason in (RefusalReason.INFEASIBLE, RefusalReason.PROGRAM)
+    return msgspec.structs.replace(
+        refusal, where=place, message=f"{where}: {refusal.message}" if in_message else refusal.message
+    )
+
+
+def _program(message: str) -> Refusal:
+    return Refusal(reason=RefusalReason.PROGRAM, message=message, clears="LOAD a corrected script")

@@ -1,0 +1,156 @@
+"""Fields of a parsed command beyond its verb: converted to figures, or refused by name. Pure.
+
+A field is never silently ignored.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from rtc.cells.cell import Cell
+from rtc.language.record import ParsedCommand
+from rtc.language.units import KINDS, such_as
+from rtc.programs.schema import ActsOn, ElaboratorProgram, ScriptFile, ScriptStep
+from rtc.protocol.messages import Limits
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from workers.planning import suggestions
+
+#: Fields of the record that scripts need not list: others act on them, or this module checks them.
+EVERYWHERE = frozenset({"kind", "verb", "test", "constraints", "guarded", "reflexes", "report", "after", "now"}) | {
+    "together_with",
+    "performer",
+}
+
+
+LEAST_REPORT_S = 0.1  # minimum interval of REPORT EVERY, in arm time
+#: field of the record -> its words in a sentence; other fields use their own name
+_WORDS = {
+    "hand": "a hand",
+    "object": "an object",
+    "target": "a target (ON, INTO, TO, AT)",
+    "amount": "BY",
+    "to_value": "TO",
+    "duration_s": "FOR",
+    "grasp_point": "a grasp point",
+    "place": "a destination",
+    "place.by": "BY a distance",
+    "path": "STRAIGHT-LINE or JOINT-MOTION",
+    "performer": "VIA",
+    "through": "THROUGH",
+    "until": "UNTIL",
+    "to_hand": "a second hand",
+}
+
+
+def field(parsed: ParsedCommand, path: str) -> Any:
+    """A field of the record by its path (place.joints); None if the field or one of its parents is not set."""
+    value: Any = parsed
+    for name in path.split("."):
+        value = getattr(value, name, None)
+        if value is None:
+            return None
+    return None if value in ("", [], False) else value
+
+
+def in_words(path: str) -> str:
+    """The words of a sentence for a field of the record: BY for amount."""
+    return _WORDS.get(path, path)
+
+
+def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal | None:
+    """Refuse a field that this release does not support; None if there is none."""
+    checks = [check for branch in program.decision_tree if branch.verb == parsed.verb for check in branch.when]
+    chosen_by = {(name, value) for check in checks for name, value in check.equals.items()}
+    for name, why in program.not_yet.items():
+        value = field(parsed, name)
+        if value is not None and not (isinstance(value, str) and (name, value) in chosen_by):
+            return _refused(why, name, f"leave out {in_words(name)}")
+    return None
+
+
+def refuse_unused_field(parsed: ParsedCommand, script: str, uses: list[str]) -> Refusal | None:
+    """Refuse a field that is set but not used by the script; None if there is none."""
+    for name in parsed.__struct_fields__:
+        if name not in EVERYWHERE and name not in uses and field(parsed, name) is not None:
+            words = in_words(name)
+            message = f"{parsed.verb} does not take {words}: its script {script} has no use for it"
+            clears = f"leave out {words}; in a script of your own, put {name} into its `uses`"
+            return _refused(message, name, clears)
+    return None
+
+
+def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Limits | Refusal:
+    """Limits from MAINTAIN. An unsupported constraint is refused; the refusal lists the supported ones."""
+    figures: dict[str, Any] = {}
+    for constraint in parsed.constraints:
+        kept = program.constraints.get(constraint.slot)
+        if kept is None:
+            message = f"MAINTAIN {constraint.slot} is not supported"
+            clears = f"leave out {constraint.slot}; supported are {', '.join(sorted(program.constraints))}"
+            return _refused(message, constraint.slot, clears)
+        unit = "name" if constraint.name else constraint.value.unit if constraint.value else ""
+        if unit not in kept:
+            return _needs(constraint.slot, kept, unit, cell)
+        limit = kept[unit]
+        if limit and constraint.value is not None:
+            figures[limit] = constraint.value.value
+        elif limit and constraint.name is not None:
+            problem = _name(limit, constraint.name, cell)
+            if problem is not None:
+                return problem
+            figures[limit] = [constraint.name] if limit == "keep_out" else constraint.name
+    return msgspec.convert(figures, Limits)
+
+
+def refuse_without_effect(program: ElaboratorProgram, parsed: ParsedCommand, script: ScriptFile) -> Refusal | None:
+    """Refuse a constraint that applies to none of the script's steps; None if each applies to one."""
+    for constraint in parsed.constraints:
+        wanted = program.acts_on.get(constraint.slot)
+        if wanted is None or any(_is(step, wanted) for step in script.steps):
+            continue
+        message = f"MAINTAIN {constraint.slot} is about {wanted.about}, of which {parsed.verb} has none"
+        return _refused(message, constraint.slot, f"leave out {constraint.slot}")
+    return None
+
+
+def _is(step: ScriptStep, wanted: ActsOn) -> bool:
+    return wanted.do in ("", step.do) and wanted.op in ("", step.op)
+
+
+def refuse_report_interval(parsed: ParsedCommand) -> Refusal | None:
+    """Refuse a REPORT EVERY interval that is too short; None if it is supported."""
+    every_s = parsed.report.every_s if parsed.report else None
+    if every_s is None or every_s >= LEAST_REPORT_S:
+        return None
+    message = f"REPORT EVERY {every_s:g} s is too often; {LEAST_REPORT_S:g} s is the shortest interval"
+    return _refused(message, "EVERY", f"REPORT EVERY {LEAST_REPORT_S:g} SEC, or rarer; `telemetry` has every sample")
+
+
+def _needs(slot: str, kept: dict[str, str], unit: str, cell: Cell) -> Refusal:
+    """Refusal for a constraint without a value, or with a value of the wrong kind."""
+    ways = []
+    for way, limit in kept.items():
+        if way == "name":
+            what = "attitude" if limit == "attitude" else "region"
+            ways.append(f"the name of a{'n' * (what == 'attitude')} {what}: {', '.join(_known(limit, cell))}")
+        elif way in KINDS:
+            ways.append(such_as(way))
+    given = "" if not unit else f", not {KINDS[unit].word if unit in KINDS else f'a {unit}'}"
+    needed = " or ".join(ways)
+    return _refused(f"{slot} needs {needed}{given}", slot, f"give {slot} {needed}, or leave it out")
+
+
+def _known(limit: str, cell: Cell) -> list[str]:
+    return list(cell.attitudes) if limit == "attitude" else [region.name for region in cell.regions]
+
+
+def _name(limit: str, name: str, cell: Cell) -> Refusal | None:
+    known = _known(limit, cell)
+    what = "attitude" if limit == "attitude" else "region"
+    return None if name in known else suggestions.unknown(what, name, known)
+
+
+def _refused(message: str, where: str, clears: str, expected: list[str] | None = None) -> Refusal:
+    return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where=where, clears=clears, expected=expected or [])

@@ -1,0 +1,438 @@
+"""Elaborator worker function: (program, parsed command, world) -> script, or a refusal with the cause.
+
+It looks up the verb in the decision tree, resolves arm, object and grasp point, and ranks the options. It plans the
+bindings of each option backwards from the goal until one is feasible, and returns its steps with their trims. The other
+options are not tried once the script is executed (R75). The program alone defines the verbs and their scripts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TypeVar
+
+import msgspec
+
+from rtc.cells import cell as cells
+from rtc.language.record import ParsedCommand
+from rtc.programs import expressions
+from rtc.programs.loader import decode
+from rtc.programs.schema import Branch, Check, ElaboratorProgram, Piece, ScriptFile, ScriptStep
+from rtc.protocol.messages import ElaboratorInput, Limits, Script, ScriptContext, Step, Trim
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
+from rtc.world.model import World
+from workers.binder import reflexes
+from workers.elaborator import command_fields, preconditions, set_fact
+from workers.elaborator.backtrack import plan
+from workers.elaborator.task_candidate import TaskCandidate, figures_of
+from workers.planning import certainty, suggestions
+from workers.planning.robot_models import CellModel
+from workers.planning.world_query import WorldQuery
+
+INPUT = ElaboratorInput
+NEEDS_WORLD = True
+NEEDS_CELL = True
+
+FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
+
+
+@dataclass(frozen=True)
+class Compiled:
+    program: ElaboratorProgram
+    scripts: dict[str, ScriptFile]
+    pieces: dict[str, Piece]
+
+
+@dataclass(frozen=True)
+class ScriptOption:
+    branch: Branch
+    candidate: TaskCandidate
+
+    @property
+    def name(self) -> str:
+        point = self.candidate.point.name if self.candidate.point else ""
+        return " ".join(filter(None, (self.branch.script, *self.candidate.roles.values(), point)))
+
+
+def compile(program: bytes) -> Compiled:
+    """Check and index the program. Raises ProgramError."""
+    document = decode(program, ElaboratorProgram)
+    return Compiled(document, {s.script: s for s in document.scripts}, {p.skill: p for p in document.pieces})
+
+
+def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: ElaboratorInput) -> Script | Refusal:
+    """Choose and plan the script for a command."""
+    assert cell is not None
+    assert world is not None
+    program, parsed = compiled.program, data.parsed
+    branches = [b for b in program.decision_tree if b.verb == parsed.verb and b.enabled]
+    if not branches:
+        return _no_script(program, parsed)
+    limits = command_fields.limits(program, parsed, cell.cell)
+    problem = command_fields.refuse_unsupported(program, parsed) or command_fields.refuse_report_interval(parsed)
+    if isinstance(limits, Refusal) or problem is not None:
+        return problem or limits  # type: ignore[return-value]
+    for reflex in parsed.reflexes:
+        problem = reflexes.refuse_unsupported(reflex, parsed.object is not None)
+        if problem is not None:
+            return problem
+    if parsed.kind == "data":
+        return set_fact.script(program, compiled.scripts[branches[0].script], parsed, WorldQuery(cell, world))
+    candidates = _candidates(compiled, parsed, limits, WorldQuery(cell, world))
+    if isinstance(candidates, Refusal):
+        return candidates
+    options = _ranked(branches, candidates)
+    if isinstance(options, Refusal):
+        return options
+    if not options:
+        return _none_fits(parsed, branches)
+    return _first_feasible(compiled, options)
+
+
+# --- resolve arm, object, point and target ---------------------------------------------------------------
+
+
+def _candidates(
+    compiled: Compiled, parsed: ParsedCommand, limits: Limits, query: WorldQuery
+) -> list[TaskCandidate] | Refusal:
+    """One candidate per arm and grasp point that the sentence allows, nearest first."""
+    cell, program = query.cell, compiled.program
+    thing: cells.Object | None = None
+    if parsed.object is not None:
+        found = _part(cell.objects, parsed.object, "object")
+        if isinstance(found, Refusal):
+            return _or_a_hand(found, compiled, parsed, cell)
+        thing = found
+    target: cells.Seat | None = None
+    if parsed.target is not None:
+        seat = _part(cell.seats, parsed.target, "seat")
+        if isinstance(seat, Refusal):
+            return seat
+        target = seat
+    arms = _arms(parsed, query, thing)
+    points = arms if isinstance(arms, Refusal) else _points(compiled, parsed, thing)
+    if isinstance(arms, Refusal) or isinstance(points, Refusal):
+        return arms if isinstance(arms, Refusal) else points  # type: ignore[return-value]
+    candidates = []
+    for arm in arms:
+        for point in points:
+            figures = figures_of(program, parsed, query, arm, thing, point, target)
+            if isinstance(figures, Refusal):
+                return figures
+            candidates.append(TaskCandidate(query, program, parsed, limits, arm, thing, point, target, figures))
+    return sorted(candidates, key=_far)
+
+
+def _or_a_hand(unknown: Refusal, compiled: Compiled, parsed: ParsedCommand, cell: cells.Cell) -> Refusal:
+    """Refusal for an unknown object. If the verb also takes a hand without an object, arms are expected as well."""
+    takers = [row for row in compiled.program.decision_tree if row.verb == parsed.verb]
+    hands = any(check.missing == "object" for row in takers for check in row.when)
+    if parsed.hand is not None or not hands:
+        return unknown
+    known = [*unknown.expected, *(name for arm in cell.arms for name in (arm.name, arm.end_effector))]
+    return suggestions.unknown("object or hand", parsed.object or "", known)
+
+
+def _far(candidate: TaskCandidate) -> float:
+    """Distance (m) from the arm's base to its grasp goal; the order in which candidates are tried."""
+    if candidate.thing is None:
+        return 0.0
+    frame = candidate.query.frame(candidate.thing.name)
+    goal = geometry.compose(frame, candidate.point.frame.pose) if candidate.point else frame
+    return geometry.distance(candidate.arm.base.pose, goal)
+
+
+def _arms(parsed: ParsedCommand, query: WorldQuery, thing: cells.Object | None) -> list[cells.Arm] | Refusal:
+    """The arm named in the sentence; else the arm that holds the object; else all arms."""
+    cell = query.cell
+    if parsed.hand is not None:
+        if parsed.hand == "BOTH-ARMS":
+            message = "a command for two arms is not supported"
+            return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears="name one arm")
+        found = _part(cell.arms, parsed.hand, "arm")
+        return found if isinstance(found, Refusal) else [found]
+    holder = query.held_by(thing.name) if thing else ""
+    return [arm for arm in cell.arms if not holder or arm.name == holder]
+
+
+def _points(
+    compiled: Compiled, parsed: ParsedCommand, thing: cells.Object | None
+) -> list[cells.GraspPoint | None] | Refusal:
+    """The grasp point named in the sentence; else all; [None] if no script of the verb uses a grasp point."""
+    scripts = [compiled.scripts[b.script] for b in compiled.program.decision_tree if b.verb == parsed.verb]
+    if thing is None or not any("grasp_point" in script.uses for script in scripts):
+        return [None]
+    if parsed.grasp_point is None:
+        return [*thing.grasp_points] or [None]
+    found = _part(thing.grasp_points, parsed.grasp_point, f"grasp point of {thing.name}")
+    return found if isinstance(found, Refusal) else [found]
+
+
+T = TypeVar("T", cells.Arm, cells.Object, cells.Seat, cells.GraspPoint)
+
+
+def _part(parts: list[T], name: str, what: str) -> T | Refusal:
+    found = next((part for part in parts if part.name == name), None)
+    return found or suggestions.unknown(what, name, [part.name for part in parts])
+
+
+# --- choose the script -----------------------------------------------------------------------------------
+
+
+def _ranked(branches: list[Branch], candidates: list[TaskCandidate]) -> list[ScriptOption] | Refusal:
+    """All pairs of branch and candidate whose conditions hold: the likeliest first, then the nearest."""
+    options = []
+    for branch in branches:
+        for candidate in candidates:
+            try:
+                if all(_holds(check, candidate) for check in branch.when):
+                    options.append(ScriptOption(branch, candidate))
+            except expressions.ExpressionError as error:
+                return Refusal(
+                    reason=RefusalReason.PROGRAM,
+                    message=f"the decision tree for {branch.verb} ({branch.script}): {error}",
+                    where="decision_tree",
+                    clears="LOAD a row of command_object_table that has that figure",
+                )
+    return sorted(options, key=lambda c: -c.branch.likelihood)
+
+
+def _holds(check: Check, candidate: TaskCandidate) -> bool:
+    parsed = candidate.parsed
+    if check.given and command_fields.field(parsed, check.given) is None:
+        return False
+    if check.missing and command_fields.field(parsed, check.missing) is not None:
+        return False
+    if any(command_fields.field(parsed, path) != value for path, value in check.equals.items()):
+        return False
+    if any(command_fields.field(parsed, path) == value for path, value in check.differs.items()):
+        return False
+    if check.of is None:
+        return True
+    value = expressions.number(check.of, candidate.figures)
+    least = check.at_least is None or value >= expressions.number(check.at_least, candidate.figures) - 1e-9
+    return least and (check.at_most is None or value <= expressions.number(check.at_most, candidate.figures) + 1e-9)
+
+
+def _first_feasible(compiled: Compiled, options: list[ScriptOption]) -> Script | Refusal:
+    """The script of the first feasible option; else the most informative refusal with the number of options."""
+    first: Refusal | None = None
+    notes: list[str] = []
+    for option in options:
+        made = _script(compiled, option, options, notes)
+        if isinstance(made, Script):
+            return made
+        notes.append(f"generated {option.name}; tested: {made.message}")
+        if first is None or _PRECEDENCE[made.reason] < _PRECEDENCE[first.reason]:
+            first = made
+    assert first is not None
+    if len(options) == 1 or _PRECEDENCE[first.reason] == 0 or first.reason is RefusalReason.NO_SCRIPT:
+        return first
+    others = "; ".join(notes[1:4]) if len(notes) > 1 else ""
+    return msgspec.structs.replace(
+        first,
+        message=f"{first.message} ({len(options)} candidates tried)",
+        detail={**first.detail, "candidates": float(len(options)), "others": others[:600]},
+    )
+
+
+#: If several options fail, the refusal with the lowest rank is returned.
+_PRECEDENCE = dict.fromkeys(RefusalReason, 1) | {
+    RefusalReason.NAME: 0,
+    RefusalReason.SUSPECT: 0,
+    RefusalReason.STATE: 0,
+    RefusalReason.PROGRAM: 2,
+    RefusalReason.NO_SCRIPT: 3,
+}
+
+
+# --- the script ------------------------------------------------------------------------------------------
+
+
+def _script(
+    compiled: Compiled, option: ScriptOption, options: list[ScriptOption], notes: list[str]
+) -> Script | Refusal:
+    candidate, script = option.candidate, compiled.scripts[option.branch.script]
+    problem = command_fields.refuse_unused_field(candidate.parsed, script.script, script.uses)
+    problem = problem or command_fields.refuse_without_effect(candidate.program, candidate.parsed, script)
+    for need in script.needs:
+        problem = problem or preconditions.refuse_if_unmet(need, candidate)
+    problem = problem or _unsure_grasp(script, candidate)
+    if problem is not None:
+        return problem
+    planned = plan(script, candidate)
+    if isinstance(planned, Refusal):
+        return planned
+    try:
+        trims = _trims(compiled, script, candidate)
+        if isinstance(trims, Refusal):
+            return trims
+        entries, left_out = trims
+        nominal = [_step(step, candidate, entries, nominal=True) for step in script.steps]
+        for index, way in planned.ways.items():
+            nominal[index] = msgspec.structs.replace(nominal[index], way=way)
+        steps = [*_sensed_first(compiled, candidate), *nominal]
+    except expressions.ExpressionError as error:
+        return Refusal(reason=RefusalReason.PROGRAM, message=f"{script.script}: {error}", where=script.script)
+    for step in steps:
+        lacks = certainty.refuse_if_uncertain(candidate.query, candidate.arm.name, step.args, candidate.program.clears)
+        if lacks is not None:
+            return lacks
+    held = candidate.query.holding(candidate.arm.name)
+    case = script.case if script.case >= FIRST_SKILL else 1 if len(options) == 1 and not planned.chosen else 2
+    return Script(
+        context=_context(option, candidate, entries),
+        case=case,
+        steps=steps,
+        trims=entries,
+        bindings=planned.bindings,
+        resources=_names(script.resources, candidate, held),
+        writes=_names(script.writes, candidate, held),
+        reads=[key.rpartition(".")[0] for key in planned.relies_on],
+        candidates=[option.name, *(c.name for c in options if c is not option)],
+        notes=[*notes, *(f"{option.name}: {note}" for note in planned.notes), *left_out],
+    )
+
+
+def _context(option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]) -> ScriptContext:
+    return ScriptContext(
+        verb=candidate.parsed.verb,
+        script=option.branch.script,
+        arm=candidate.arm.name,
+        object=candidate.thing.name if candidate.thing else "",
+        grasp_point=candidate.point.name if candidate.point else "",
+        target=candidate.target.name if candidate.target else "",
+        limits=candidate.limits,
+        guarded=candidate.parsed.guarded,
+        reflexes=candidate.parsed.reflexes,
+        fits={entry.n: entry.fits for entry in entries if entry.fits},
+    )
+
+
+def _names(roles: list[str], candidate: TaskCandidate, held: str) -> list[str]:
+    """The names that the roles stand for; includes the held object, because it moves with the arm."""
+    stands_for = {**candidate.roles, "its_seat": candidate.query.seat(candidate.thing.name) if candidate.thing else ""}
+    return list(dict.fromkeys(name for name in (*(stands_for.get(role, role) for role in roles), held) if name))
+
+
+def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nominal: bool) -> Step:
+    """The step for this candidate, with evaluated figures and filled-in words."""
+    known = {entry.n for entry in entries}
+    index, count = step.trim
+    asked = [] if not nominal else [n for n in range(index, index + count) if n in known]
+    own = [entry.n for entry in entries if nominal and entry.n > MOST_ENTRIES]
+    figures: dict[str, float | str] = {n: expressions.number(e, candidate.figures) for n, e in step.args.items()}
+    report = candidate.parsed.report
+    if report is not None and report.every_s is not None:
+        figures["report_every_s"] = report.every_s
+    return Step(
+        do=step.do,
+        label=candidate.say(step.label),
+        name=step.name,
+        who=step.who,
+        to=step.to,
+        stop=step.stop,
+        space=step.space,
+        value=step.value,
+        op=step.op,
+        expect=step.expect,
+        keep=step.keep,
+        trims=[*asked, *own],
+        args={**figures, **{name: candidate.say(word) for name, word in step.words.items()}},
+    )
+
+
+def _sensed_first(compiled: Compiled, candidate: TaskCandidate) -> list[Step]:
+    """Steps that sense untrusted facts of the arm; they precede the steps of the script."""
+    senses = compiled.program.senses
+    unknown = [
+        piece for attribute, piece in senses.items() if not candidate.query.trusts(f"{candidate.arm.name}.{attribute}")
+    ]
+    return [_step(step, candidate, [], nominal=False) for piece in unknown for step in compiled.pieces[piece].steps]
+
+
+MOST_ENTRIES = 100  # maximum size of a trimming stack; trims of the sentence (AND TRY) have higher numbers
+
+
+def _trims(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> tuple[list[Trim], list[str]] | Refusal:
+    """The trimming stack, and notes about entries without a piece of script, which are left out."""
+    entries: list[Trim] = []
+    left_out: list[str] = []
+    for entry in script.trimming_stack:
+        piece = compiled.pieces.get(entry.skill)
+        label = f"{entry.skill} {candidate.roles.get(entry.who, entry.who)}"
+        if piece is None:
+            left_out.append(f"trim {entry.n} ({label}) is left out: there is no piece of script for {entry.skill}")
+            continue
+        steps = [_step(step, candidate, [], nominal=False) for step in piece.steps]
+        entries.append(Trim(n=entry.n, label=label, steps=steps, then=entry.then, fits=entry.fits))
+    for n, reflex in enumerate((r for r in candidate.parsed.reflexes if r.trim), MOST_ENTRIES + 1):
+        name = (reflex.trim or "").lower()
+        piece = compiled.pieces.get(name)
+        if piece is None or script.case < FIRST_SKILL:
+            return _cannot_try(name.upper(), compiled, script)
+        reason = reflexes.reason_of(reflex.condition)
+        steps = [_step(step, candidate, [], nominal=False) for step in piece.steps]
+        entries.append(Trim(n=n, label=f"TRY {name.upper()}", steps=steps, fits=[reason] if reason else []))
+    return entries, left_out
+
+
+# --- refusals --------------------------------------------------------------------------------------------
+
+
+def _no_script(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal:
+    scripted = sorted(verbs(program))
+    instead = program.instead.get(parsed.verb, "")
+    load = "" if "rtc load" in instead else f"load a script for {parsed.verb}: rtc load FILE INTO elaborator"
+    return Refusal(
+        reason=RefusalReason.NO_SCRIPT,
+        message=f"there is no script for {parsed.verb} yet",
+        where=parsed.verb,
+        expected=scripted,
+        clears="; or ".join(filter(None, (instead, load))),
+    )
+
+
+def _none_fits(parsed: ParsedCommand, branches: list[Branch]) -> Refusal:
+    return Refusal(
+        reason=RefusalReason.NO_SCRIPT,
+        message=f"{parsed.verb} has no script for this form of the sentence",
+        where=parsed.verb,
+        clears="; or ".join(dict.fromkeys(f"{parsed.verb} {_wants(branch)}" for branch in branches)),
+    )
+
+
+def _wants(branch: Branch) -> str:
+    """The conditions of a branch on the sentence, in words."""
+    words = command_fields.in_words
+    present = [f"with {words(check.given)}" for check in branch.when if check.given]
+    absent = [f"without {words(check.missing)}" for check in branch.when if check.missing]
+    values = [f"with {words(path)} {value}" for check in branch.when for path, value in check.equals.items()]
+    others = [
+        f"with {words(path)} other than {value}" for check in branch.when for path, value in check.differs.items()
+    ]
+    return ", ".join([*present, *absent, *values, *others]) or "with an object whose figures fit"
+
+
+def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refusal:
+    if script.case < FIRST_SKILL and name.lower() in compiled.pieces:
+        message = f"AND TRY {name}: {script.script} is an action, and only skills are corrected on the way"
+        return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where=name, clears="leave out AND TRY")
+    return suggestions.unknown("piece of script to TRY", name, [piece.upper() for piece in compiled.pieces])
+
+
+def _unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
+    """Refuse to move a held object whose grasp is suspect (R151).
+
+    Scripts that move only the fingers are allowed, and scripts with `despite_grasp`: backing off and letting go.
+    """
+    held = candidate.query.holding(candidate.arm.name)
+    if not held or script.despite_grasp or not any(step.to for step in script.steps):
+        return None
+    return candidate.query.distrusted(f"{held}.grasp", candidate.program.clears)
+
+
+def verbs(program: ElaboratorProgram) -> Iterator[str]:
+    """All verbs with a script."""
+    yield from dict.fromkeys(branch.verb for branch in program.decision_tree if branch.enabled)

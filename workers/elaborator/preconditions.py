@@ -1,0 +1,109 @@
+"""Preconditions of scripts by registered name, and the advice that establishes an unmet one. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
+from workers.elaborator.task_candidate import TaskCandidate
+from workers.planning.world_query import WorldQuery
+
+IN_SEAT_M = 0.02  # an object released within this distance of its seated pose stays in the seat
+
+
+class Lack(NamedTuple):
+    """An unmet precondition, the object or arm that causes it, and the row of `needs` that clears it (else its own)."""
+
+    message: str
+    held: str
+    row: str = ""
+    thing: str = ""  # the object to let go of, if it is not `held`
+
+
+def seat_of(query: WorldQuery, thing: str) -> str:
+    """The seat in which an object would stay after it is let go; empty if there is none."""
+    frame = query.frame(thing)
+    seats = (seat.name for seat in query.cell.seats)
+    return next((name for name in seats if geometry.distance(frame, query.seated_pose(name)) < IN_SEAT_M), "")
+
+
+def _hand_empty(candidate: TaskCandidate) -> Lack | None:
+    held = candidate.query.holding(candidate.arm.name)
+    return Lack(f"{candidate.arm.name} holds {held}", held) if held else None
+
+
+def _object_free(candidate: TaskCandidate) -> Lack | None:
+    assert candidate.thing is not None
+    if candidate.thing.fixed:
+        return Lack(f"{candidate.thing.name} is fixed", candidate.thing.name, "object_fixed")
+    holder = candidate.query.held_by(candidate.thing.name)
+    return Lack(f"{candidate.thing.name} is held by {holder}", holder, thing=candidate.thing.name) if holder else None
+
+
+def _object_held(candidate: TaskCandidate) -> Lack | None:
+    assert candidate.thing is not None
+    holder = candidate.query.held_by(candidate.thing.name)
+    if holder == candidate.arm.name:
+        return None
+    if holder:
+        message = f"{candidate.thing.name} is held by {holder}, not by {candidate.arm.name}"
+        return Lack(message, holder, "held_by_another", candidate.thing.name)
+    return Lack(f"{candidate.thing.name} is not held", candidate.thing.name)
+
+
+def _object_seated(candidate: TaskCandidate) -> Lack | None:
+    assert candidate.thing is not None
+    name = candidate.thing.name
+    return None if seat_of(candidate.query, name) else Lack(f"{name} is not in a seat, and would drift away", name)
+
+
+def _seat_free(candidate: TaskCandidate) -> Lack | None:
+    assert candidate.target is not None
+    inside = [t.name for t in candidate.query.cell.objects if candidate.query.seat(t.name) == candidate.target.name]
+    others = [name for name in inside if candidate.thing is None or name != candidate.thing.name]
+    return Lack(f"{candidate.target.name} holds {others[0]}", others[0]) if others else None
+
+
+def _width_known(candidate: TaskCandidate) -> Lack | None:
+    known = candidate.query.trusts(f"{candidate.arm.name}.hand_width")
+    return (
+        None
+        if known
+        else Lack(f"it is not known how wide the hand of {candidate.arm.name} is open", candidate.arm.name)
+    )
+
+
+NEEDS: dict[str, Callable[[TaskCandidate], Lack | None]] = {
+    "hand_empty": _hand_empty,
+    "object_free": _object_free,
+    "object_held": _object_held,
+    "object_seated": _object_seated,
+    "seat_free": _seat_free,
+    "width_known": _width_known,
+}
+
+
+def refuse_if_unmet(need: str, candidate: TaskCandidate) -> Refusal | None:
+    """The refusal for an unmet precondition; None if it is met."""
+    lack = NEEDS[need](candidate)
+    if lack is None:
+        return None
+    rows = candidate.program.needs
+    thing = lack.thing or lack.held
+    clears = rows.get(lack.row or need, "").replace("{let_go}", _let_go(rows, candidate.query, thing))
+    clears = candidate.say(clears).replace("{held}", lack.held)
+    doubt = candidate.query.distrusted(f"{candidate.thing.name}.held_by", {}) if candidate.thing is not None else None
+    message = lack.message + (f", but {doubt.message}" if doubt else "")
+    return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
+
+
+def _let_go(rows: dict[str, str], query: WorldQuery, thing: str) -> str:
+    """The command that empties the hand: in place if the object stays there; else into a free seat."""
+    if thing not in {known.name for known in query.cell.objects} or seat_of(query, thing):
+        return rows.get("let_go", "").replace("{held}", thing)
+    taken = {query.seat(known.name) for known in query.cell.objects if known.name != thing}
+    free = [seat.name for seat in query.cell.seats if seat.name not in taken]
+    row = "let_go_in_air" if free else "let_go"
+    return rows.get(row, "").replace("{held}", thing).replace("{free}", " or ".join(free))

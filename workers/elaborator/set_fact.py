@@ -1,0 +1,208 @@
+"""SET commands: (program, parsed command, world) -> a script that submits the stated facts to an analyzer. Pure.
+
+No arm moves and nothing is planned. This module checks only the form: the object exists, the attribute can be set, and
+the values have its number and unit. The analyzer judges whether the facts are plausible, and it alone writes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rtc.cells import cell as cells
+from rtc.language.record import ParsedCommand
+from rtc.programs.schema import ElaboratorProgram, ScriptFile, Tellable
+from rtc.protocol.messages import Script, ScriptContext, Step
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+from workers.elaborator import command_fields
+from workers.planning import suggestions
+from workers.planning.world_query import WorldQuery
+
+Thing = cells.Object | cells.Seat
+
+
+def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, query: WorldQuery) -> Script | Refusal:
+    """The script for a SET command; its context holds the stated facts."""
+    misplaced = command_fields.refuse_unused_field(parsed, file.script, file.uses)
+    if misplaced is not None:
+        return misplaced
+    things: dict[str, Thing] = {thing.name: thing for thing in query.cell.objects}
+    things |= {seat.name: seat for seat in query.cell.seats}
+    thing = things.get(parsed.object or "")
+    if thing is None:
+        return suggestions.unknown("object or seat", parsed.object or "", things)
+    facts = _facts(program, parsed, thing, query)
+    if isinstance(facts, Refusal):
+        return facts
+    texts = {
+        "object": thing.name,
+        "attribute": parsed.attribute or "",
+        "value": _shown(parsed),
+    }
+    inside = [key.rpartition(".")[0] for key in facts]
+    inside += _seated(thing.name, query) if isinstance(thing, cells.Seat) else []
+    if f"{thing.name}.frame" in facts and (holder := query.held_by(thing.name)):
+        inside.append(holder)  # the hand's `holding` and the grasp follow from the frame
+    return Script(
+        context=ScriptContext(
+            verb=parsed.verb,
+            script=file.script,
+            object=thing.name,
+            told=facts,
+        ),
+        case=file.case,
+        steps=[Step(do=step.do, label=_fill_in(step.label, texts), expect=step.expect) for step in file.steps],
+        resources=_names(file.resources, [thing.name, *inside]),
+        writes=_names(file.writes, [thing.name, *inside]),
+        candidates=[f"{file.script} {thing.name}"],
+    )
+
+
+def _shown(parsed: ParsedCommand) -> str:
+    """The values with their units, each unit once for the numbers that share it: 0.8 0.77 0.6 m 0 0 0.07 rad."""
+    values = [value if isinstance(value, str) else f"{value:.6g}" for value in parsed.value or []]
+    unit = parsed.value_unit or ""
+    if " " not in unit:
+        return f"{' '.join(values)} {unit}".strip()
+    units = unit.split()
+    ends = [unit if unit != after else "" for unit, after in zip(units, [*units[1:], ""], strict=True)]
+    return " ".join(word for pair in zip(values, ends, strict=True) for word in pair if word)
+
+
+def _names(roles: list[str], active: list[str]) -> list[str]:
+    """The names that the roles of a script stand for."""
+    return list(dict.fromkeys(name for role in roles for name in (active if role == "active_object" else [role])))
+
+
+def _seated(seat: str, query: WorldQuery) -> list[str]:
+    """The objects in a seat; they move with it."""
+    return [thing.name for thing in query.cell.objects if query.seat(thing.name) == seat]
+
+
+def _fill_in(words: str, texts: dict[str, str]) -> str:
+    for name, text in texts.items():
+        words = words.replace("{" + name + "}", text)
+    return words
+
+
+def _attribute(parsed: ParsedCommand) -> str:
+    """The attribute's name in the world: held_by for HELD-BY."""
+    return (parsed.attribute or "").lower().replace("-", "_")
+
+
+def _facts(
+    program: ElaboratorProgram, parsed: ParsedCommand, thing: Thing, query: WorldQuery
+) -> dict[str, Any] | Refusal:
+    """The stated facts by key, in SI units; or the refusal with the correct form."""
+    attribute = _attribute(parsed)
+    values: list[float | str] = parsed.value or []
+    if isinstance(thing, cells.Seat) and attribute not in program.told_of_seats:
+        settable = [_word(name) for name in program.told_of_seats]
+        return suggestions.unknown(
+            "attribute of a seat", parsed.attribute or "", settable, where=parsed.attribute or ""
+        )
+    if attribute in program.not_told:
+        return Refusal(
+            reason=RefusalReason.NOT_ALLOWED,
+            message=f"{parsed.attribute} of {thing.name} cannot be set; the cluster determines it",
+            where=parsed.attribute or "",
+            clears=program.not_told[attribute].replace("{object}", thing.name),
+        )
+    if attribute in program.told:
+        row = program.told[attribute]
+        if not _fits(row, parsed):
+            return _misfit(row, parsed, thing)
+        make = FACTS.get(attribute)
+        if make is not None:
+            return make(program, values, thing, query)
+    else:
+        known = [_word(name) for name in (*program.told, *program.not_told, *_others(thing, query))]
+        like = suggestions.nearest(parsed.attribute or "", known)
+        if like and parsed.attribute not in known:
+            return suggestions.unknown("attribute", parsed.attribute or "", known, where=parsed.attribute or "")
+    return {f"{thing.name}.{attribute}": values[0] if len(values) == 1 else values}
+
+
+def _fits(row: Tellable, parsed: ParsedCommand) -> bool:
+    """Whether the values have the row's number and unit, or are a name, or a position with an attitude."""
+    values, unit = parsed.value or [], parsed.value_unit
+    if not row.unit:
+        return len(values) == len(row.of) and all(isinstance(word, str) for word in values)
+    turned = " ".join([row.unit] * len(row.of) + ["rad"] * len(ANGLES))
+    return (unit == row.unit and len(values) == len(row.of)) or (row.attitude and unit == turned)
+
+
+def _others(thing: Thing, query: WorldQuery) -> list[str]:
+    """Attributes of this object or seat that have a fact."""
+    own = f"{thing.name}."
+    return [key.removeprefix(own) for key in query.world.facts if key.startswith(own)]
+
+
+def _word(attribute: str) -> str:
+    return attribute.upper().replace("_", "-")
+
+
+def _misfit(row: Tellable, parsed: ParsedCommand, thing: Thing) -> Refusal:
+    values = parsed.value or []
+    what = "a name" if any(isinstance(v, str) for v in values) else f"{len(values)} number{'s' * (len(values) != 1)}"
+    unit = f"in {parsed.value_unit}" if parsed.value_unit else "without a unit"
+    wanted = f"{' '.join(row.of)} in {row.unit}" if row.unit else "a name"
+    wanted += f", and may go on with {' '.join(ANGLES)} in rad" if row.attitude else ""
+    return Refusal(
+        reason=RefusalReason.SENTENCE,
+        message=f"{parsed.attribute} of {thing.name} is {wanted}; the sentence has {what} {unit}",
+        where=parsed.attribute or "",
+        expected=[row.example],
+        clears=f"for example: {parsed.verb} {thing.name} {parsed.attribute} {row.example}",
+    )
+
+
+# --- poses -----------------------------------------------------------------------------------------------
+
+
+def _frame(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
+    """A position, with the stated attitude or the current one."""
+    angles = values[3:]
+    attitude = geometry.from_rpy((0, 0, 0), angles)[3:] if angles else _current_pose(thing, query)[3:]
+    return _pose(values[:3], attitude, thing)
+
+
+def _attitude(
+    program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery
+) -> dict[str, Any] | Refusal:
+    """An attitude, at the current position."""
+    return _pose(_current_pose(thing, query)[:3], geometry.from_rpy((0, 0, 0), values)[3:], thing)
+
+
+def _seat(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
+    """The pose of an object seated in the named seat."""
+    seats = [seat.name for seat in query.cell.seats]
+    if values[0] not in seats:
+        return suggestions.unknown("seat", values[0], seats, where=values[0])
+    holder = query.held_by(thing.name)
+    if holder:
+        message = f"{thing.name} is held by {holder}"
+        clears = program.needs["object_free"].replace("{object}", thing.name)
+        return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
+    seated = query.seated_pose(values[0])
+    return _pose(seated[:3], seated[3:], thing)
+
+
+def _current_pose(thing: Thing, query: WorldQuery) -> Array:
+    return query.seat_frame(thing.name) if isinstance(thing, cells.Seat) else query.frame(thing.name)
+
+
+def _pose(place: Any, attitude: Any, thing: Thing) -> dict[str, Any] | Refusal:
+    if isinstance(thing, cells.Object) and thing.fixed:
+        return Refusal(reason=RefusalReason.STATE, message=f"{thing.name} is fixed", clears="another object")
+    return {f"{thing.name}.frame": [float(n) for n in (*place, *attitude)]}
+
+
+ANGLES = ("roll", "pitch", "yaw")
+FACTS: dict[str, Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dict[str, Any] | Refusal]] = {
+    "frame": _frame,
+    "attitude": _attitude,
+    "seat": _seat,
+}

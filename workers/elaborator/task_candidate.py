@@ -1,0 +1,173 @@
+"""One candidate for performing a command: arm, object, grasp point, target, and the figures for its script. Pure.
+
+`figures` are the variables of a script's expressions. Sources in order of increasing priority: numbers of the cell, the
+command-object table, the hand, the object, the sentence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import msgspec
+
+from rtc.cells import cell as cells
+from rtc.language.record import ParsedCommand, Quantity
+from rtc.language.units import in_words
+from rtc.programs.schema import ElaboratorProgram, TableRow
+from rtc.protocol.messages import Limits
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from workers.planning import pose_spread
+from workers.planning.world_query import WorldQuery
+
+#: unit of a quantity -> suffix of the figure's name
+SUFFIX = {"m": "_m", "rad": "_rad", "turn": "_turns", "s": "_s", "N": "_n"}
+
+
+@dataclass(frozen=True)
+class TaskCandidate:
+    query: WorldQuery
+    program: ElaboratorProgram
+    parsed: ParsedCommand
+    limits: Limits
+    arm: cells.Arm
+    thing: cells.Object | None
+    point: cells.GraspPoint | None
+    target: cells.Seat | None
+    figures: dict[str, float]
+
+    @cached_property
+    def texts(self) -> dict[str, str]:
+        """Values of {arm} and the other placeholders in the words of a script."""
+        return {
+            "arm": self.arm.name,
+            "object": self.thing.name if self.thing else "",
+            "point": self.point.name if self.point else "",
+            "target": self.target.name if self.target else "",
+            "axis": (self.parsed.place.along if self.parsed.place else None) or "TOOL-Z",
+            "destination": destination_in_words(self.parsed),
+            "way_out": self.query.way_out_of(self.target.name) if self.target else "",
+            "out": self.query.way_out(self.thing.name) if self.thing else "",
+            "amount": _amount_in_words(self.parsed),
+            "time": _time_in_words(self.parsed, self.figures),
+        }
+
+    def say(self, words: str) -> str:
+        """Replace the placeholders in `words`."""
+        if "{" not in words:
+            return words
+        for name, text in self.texts.items():
+            words = words.replace("{" + name + "}", text)
+        return words
+
+    @property
+    def roles(self) -> dict[str, str]:
+        """Values of active_arm and the other roles in the resources of a script."""
+        return {
+            "active_arm": self.arm.name,
+            "active_object": self.thing.name if self.thing else "",
+            "target": self.target.name if self.target else "",
+        }
+
+
+def _amount_in_words(parsed: ParsedCommand) -> str:
+    quantity = parsed.amount or parsed.to_value
+    return in_words(quantity.value, quantity.unit) if quantity else ""
+
+
+def _time_in_words(parsed: ParsedCommand, figures: dict[str, float]) -> str:
+    """Duration of a command without an end of its own: for 30 s, or until halted, with the maximum."""
+    if parsed.duration_s is not None:
+        return f"for {in_words(parsed.duration_s, 's')}"
+    limit_s = figures.get("duration_s")
+    return "until halted" + (f", {limit_s / 60:g} min at most" if limit_s else "")
+
+
+def destination_in_words(parsed: ParsedCommand) -> str:
+    place = parsed.place
+    if place is None:
+        return ""
+    if place.name:
+        return place.name
+    if place.joints:
+        return "the joint values given"
+    if place.position:
+        return "x {:.3f} y {:.3f} z {:.3f} m".format(*place.position)
+    if place.neighborhood_of:
+        return f"the neighborhood of {place.neighborhood_of}"
+    return f"the grasp point of {place.grasp_point_of}" if place.grasp_point_of else "a step from here"
+
+
+def figures_of(
+    program: ElaboratorProgram,
+    parsed: ParsedCommand,
+    query: WorldQuery,
+    arm: cells.Arm,
+    thing: cells.Object | None,
+    point: cells.GraspPoint | None,
+    target: cells.Seat | None,
+) -> dict[str, float] | Refusal:
+    """All figures of a candidate, or the refusal if the command-object table has no row for it."""
+    figures: dict[str, float] = dict(msgspec.structs.asdict(query.cell.numbers))
+    row = _table(program, parsed.verb, thing, query)
+    if isinstance(row, Refusal):
+        return row
+    figures |= row
+    figures |= {"opening_m": arm.gripper.max_opening_m, "hand_width_m": query.hand_width(arm.name)}
+    between = point or (query.point_in_hand(thing.name) if thing and query.held_by(thing.name) else None)
+    if between is not None:
+        figures["grasp_width_m"] = between.width_m
+    if point is not None and thing is not None:
+        figures |= pose_spread.uncertainty_figures(query.spread(f"{thing.name}.frame"), point.frame.pose)
+    if thing is not None:
+        figures["mass_kg"] = float(query.world.value(f"{thing.name}.mass") or thing.mass_kg)
+    if target is not None:
+        figures |= {"seat_depth_m": target.depth_m, "detent_n": target.detent_n}
+    figures |= _figure_of("amount", parsed.amount)
+    figures |= _figure_of("by", parsed.place.by if parsed.place else None)
+    figures |= _figure_of("to", parsed.to_value)
+    if parsed.duration_s is not None:
+        figures["duration_s"] = parsed.duration_s
+    return figures
+
+
+def _figure_of(name: str, quantity: Quantity | None) -> dict[str, float]:
+    return {} if quantity is None else {name + SUFFIX.get(quantity.unit, f"_{quantity.unit}"): quantity.value}
+
+
+def _not_for(program: ElaboratorProgram, verb: str, thing: cells.Object | None, query: WorldQuery) -> Refusal:
+    """Refusal if the table has no row for this verb and object. A verb without any row is a program error."""
+    rows = [row for row in program.command_object_table if row.verb == verb]
+    fits = [one.name for one in query.cell.objects if any(_is_about(row, one) for row in rows)]
+    if thing is None or not rows:
+        what = f"{thing.name} ({thing.kind})" if thing else "no object"
+        return Refusal(
+            reason=RefusalReason.PROGRAM,
+            message=f"the command-object table has no row for {verb} and {what}",
+            where="command_object_table",
+            clears=f"load a row of command_object_table for verb {verb} (docs/scripts.md)",
+        )
+    return Refusal(
+        reason=RefusalReason.NO_SCRIPT,
+        message=f"{verb} is not possible with {thing.name}: it is a {thing.kind}",
+        where=thing.name,
+        expected=fits,
+        clears=f"{verb} one of {', '.join(fits)}" if fits else f"load a row of command_object_table for {thing.kind}",
+    )
+
+
+def _table(
+    program: ElaboratorProgram, verb: str, thing: cells.Object | None, query: WorldQuery
+) -> dict[str, Any] | Refusal:
+    rows = [row for row in program.command_object_table if row.verb == verb and _is_about(row, thing)]
+    if not rows:
+        return _not_for(program, verb, thing, query)
+    rows.sort(key=lambda row: bool(row.name))  # rows for a name override rows for a kind
+    return {name: value for row in rows for name, value in row.values.items()}
+
+
+def _is_about(row: TableRow, thing: cells.Object | None) -> bool:
+    if thing is None:
+        return not row.kind and not row.name
+    return row.name == thing.name if row.name else row.kind == thing.kind

@@ -1,0 +1,35 @@
+"""Advice for blocked motions: selects the row of the program's `clears` that applies and fills it in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import msgspec
+
+from rtc.protocol.outcomes import Refusal
+from workers.planning.world_query import WorldQuery
+
+
+def advise_on_collision(refusal: Refusal, query: WorldQuery, arm: str, clears: Mapping[str, str]) -> Refusal:
+    """Add advice to the refusal of a colliding motion of this arm; other refusals are returned unchanged."""
+    if refusal.detail.get("cause") != "collision":
+        return refusal
+    bodies = [str(refusal.detail[name]).split()[0] for name in ("body_a", "body_b")]
+    held = query.holding(arm)
+    seat = query.seat(held) or query.seat_around(held) if held else ""
+    body = next((name for name in bodies if name not in (arm, held)), bodies[1])
+    row = "way_seated" if seat and held in bodies else _at_goal(refusal, query, body) or "way"
+    places = [place.name for place in query.cell.places if arm in place.poses or arm in place.joints_deg]
+    texts = {"arm": arm, "held": held, "seat": seat, "body": body, "places": ", ".join(places)}
+    words = clears.get(row, "")
+    for name, text in texts.items():
+        words = words.replace("{" + name + "}", text)
+    return msgspec.structs.replace(refusal, clears=words)
+
+
+def _at_goal(refusal: Refusal, query: WorldQuery, body: str) -> str:
+    """The row for a goal in collision; empty if the collision is on the path to it."""
+    if float(refusal.detail.get("fraction", 1.0)) < 1.0:
+        return ""
+    movable = {thing.name for thing in query.cell.objects if not thing.fixed}
+    return "way_goal_movable" if body in movable else "way_goal"

@@ -1,0 +1,60 @@
+"""Path constraints of a hand (MAINTAIN): a work range that contains it and an attitude that it keeps.
+
+Keep-out regions and clearances concern bodies; they belong to the collision `Scene`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rtc.cells import cell as cells
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+from rtc.robot.kinematics import ArmModel
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """Path constraints; None = not constrained."""
+
+    work_range: cells.Region | None = None
+    attitude: cells.Frame | None = None  # of the tcp, world frame
+    attitude_name: str = ""
+    attitude_tolerance_rad: float = math.radians(5.0)
+
+    def broken_by(self, arm: ArmModel, joints: Array) -> Refusal | None:
+        """The refusal for the first constraint that this posture (rad) violates; None if it violates none."""
+        if self.work_range is None and self.attitude is None:
+            return None
+        pose = arm.fk(joints)
+        if self.work_range is not None and not self.work_range.contains(pose[:3]):
+            return _refusal(
+                f"the hand of {arm.name} would leave {self.work_range.name}",
+                {"cause": "work_range", "region": self.work_range.name},
+                pose,
+            )
+        if self.attitude is not None:
+            off = geometry.angle(pose, self.attitude.pose)
+            if off > self.attitude_tolerance_rad:
+                name = self.attitude_name or "its attitude"
+                return _refusal(
+                    f"the hand of {arm.name} would be {math.degrees(off):.0f} deg off {name}",
+                    {"cause": "attitude", "attitude": name, "off_rad": off, "limit_rad": self.attitude_tolerance_rad},
+                    pose,
+                )
+        return None
+
+
+FREE = Rules()
+
+
+def _refusal(message: str, detail: dict[str, float | str], pose: Array) -> Refusal:
+    x, y, z = pose[:3].tolist()
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=message,
+        clears="another way, or the command without that MAINTAIN",
+        detail={**detail, "x_m": x, "y_m": y, "z_m": z},
+    )

@@ -1,0 +1,68 @@
+"""Hand a way that the elaborator has found free to the binder, so that the binder need not plan it again. Pure.
+
+A way is free for one planning request only: the arm, the joints of all arms, the goal, the scene and the rules. The
+digest covers all of these. A worker uses the way if its own request has the same digest; otherwise it plans anew.
+Versions of facts are not needed, because the digest covers the values of the facts.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict, fields
+from typing import Any
+
+import msgspec
+import numpy as np
+from toppra import SplineInterpolator
+
+from rtc.protocol.messages import Way
+from rtc.robot.geometry import Floats
+from workers.planning.motion.path import Path
+from workers.planning.motion.plan import Found, PlanningRequest
+from workers.planning.motion.spline import Spline
+
+DIGEST_BYTES = 12
+
+
+def request_digest(request: PlanningRequest, space: str, goal: Floats) -> bytes:
+    """The digest of a request for a way of this arm to `goal` (rad, or a pose of the tcp in world axes).
+
+    The pace is left out: the way does not depend on it.
+    """
+    asked = (
+        request.world.cell_digest,
+        request.arm.name,
+        space,
+        np.asarray(goal, dtype=float),
+        {arm: np.asarray(joints, dtype=float) for arm, joints in request.joints.items()},
+        request.margin_rad,
+        {field.name: getattr(request.scene, field.name) for field in fields(request.scene)},
+        asdict(request.rules),
+    )
+    return hashlib.blake2b(_encoder.encode(asked), digest_size=DIGEST_BYTES).digest()
+
+
+def to_message(asked: bytes, found: Found) -> Way:
+    """The way as it is sent. `asked`: the digest of the request for which it was found."""
+    path = found.path
+    return Way(asked=asked, space=path.space, s=path.s.tolist(), knots=path.knots.tolist(), notes=list(found.notes))
+
+
+def from_message(way: Way) -> Found:
+    """The way as it was found, with the same curve through its knots."""
+    s, knots = np.array(way.s), np.array(way.knots)
+    curve: SplineInterpolator | Spline | None = None
+    if way.space == "task":
+        curve = Spline(s, knots)
+    elif len(knots) > 2:
+        curve = SplineInterpolator(s, knots, bc_type="natural")
+    return Found(Path(way.space, s, knots, curve), way.notes)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return {field.name: getattr(value, field.name) for field in fields(value)}  # Held
+
+
+_encoder = msgspec.msgpack.Encoder(enc_hook=_plain)

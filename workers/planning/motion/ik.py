@@ -1,0 +1,42 @@
+"""Choice among the inverse kinematics branches of a pose: the nearest one that passes a test. Pure.
+
+If no branch passes, the refusal states the problem of the nearest branch and the number of branches tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+
+from rtc.protocol.outcomes import Refusal
+from rtc.robot.geometry import Array, Floats
+from rtc.robot.kinematics import ArmModel
+
+Test = Callable[[Array], Refusal | None]
+
+
+def choose(
+    arm: ArmModel,
+    target: Floats,
+    near: Floats,
+    *,
+    test: Test | None = None,
+    margin_rad: float = 0.0,
+) -> Array | Refusal:
+    """Joint values (rad) for the tcp pose `target` (world), nearest to `near` (rad).
+
+    `test`: further condition, such as no collision; returns the refusal if it fails.
+    """
+    first: Refusal | None = None
+    candidates = arm.ik(target, near, margin_rad)
+    for joints in candidates:
+        problem = test(joints) if test is not None else None
+        if problem is None:
+            return joints
+        first = first or problem
+    if first is None:
+        unreachable = arm.why_no_ik(target, margin_rad)
+        assert unreachable is not None, "no solutions, and yet nothing is wrong"
+        return unreachable
+    return msgspec.structs.replace(first, detail={**first.detail, "branches_tried": float(len(candidates))})

@@ -1,0 +1,137 @@
+"""Geometric paths without timing: joint-space lines, task-space lines and curves through way-points. Pure.
+
+A `Path` maps a parameter s from 0 to `length` to joint values. Along a task line s is in metres of the tcp, or
+`METRES_PER_RAD` per radian if rotation dominates; along a joint path it has no unit. A line that cannot be followed is
+a Refusal with the place and the cause.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import msgspec
+import numpy as np
+from toppra import SplineInterpolator
+
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
+from rtc.robot.geometry import Array, Floats
+from rtc.robot.kinematics import ArmModel
+from workers.planning.motion.spline import Spline
+
+KNOT_M = 0.025  # distance between inverse solutions; a cubic through them is straight to some micrometres
+KNOT_RAD = 0.10
+LEAP_RAD = 0.60  # a larger joint step between knots means a singularity or another branch
+METRES_PER_RAD = 0.25  # so that 0.25 m/s means 1 rad/s where the hand only turns
+CHECK_RAD = 0.025  # joint step between collision checks, weighted below; some 2 cm at the hand
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Joint values (rad) over s: `knots[k]` at `s[k]`. Two knots define a line, more a cubic spline."""
+
+    space: Literal["joint", "task"]
+    s: Array  # rises from 0 to `length`
+    knots: Array  # [len(s)][joints]
+    curve: SplineInterpolator | Spline | None
+
+    @property
+    def length(self) -> float:
+        return float(self.s[-1])
+
+    def joints_at(self, s: Array) -> Array:
+        """Joints, [len(s)][joints]."""
+        if self.curve is not None:
+            return self.curve(s)
+        return self.knots[0] + np.outer(s, (self.knots[-1] - self.knots[0]) / self.length)
+
+    def at(self, s: Array) -> tuple[Array, Array, Array]:
+        """Joints, and their first and second derivative by s, each [len(s)][joints]."""
+        if self.curve is not None:
+            return self.curve(s), self.curve(s, 1), self.curve(s, 2)
+        slope = (self.knots[-1] - self.knots[0]) / self.length
+        return self.knots[0] + np.outer(s, slope), np.tile(slope, (len(s), 1)), np.zeros((len(s), len(slope)))
+
+    def dense(self, step_rad: float = CHECK_RAD) -> tuple[Array, Array]:
+        """(s, joints) at a spacing for collision checks.
+
+        The first three joints move at most `step_rad` between neighbours, the wrist joints three times as much.
+        """
+        weights = np.where(np.arange(self.knots.shape[1]) < 3, 1.0, 1.0 / 3.0)
+        turned = (np.abs(np.diff(self.knots, axis=0)) * weights).max(axis=1)
+        pieces = np.maximum(1, np.ceil(turned / step_rad)).astype(int)
+        steps = np.repeat(np.diff(self.s) / pieces, pieces)
+        nth = np.arange(len(steps)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+        s = np.append(nth * steps + np.repeat(self.s[:-1], pieces), self.length)
+        return s, self.joints_at(s)
+
+
+def joint_line(start: Floats, goal: Floats) -> Path:
+    """Straight line in joint space from `start` to `goal` (rad)."""
+    return Path("joint", np.array((0.0, 1.0)), np.array((start, goal), dtype=float), None)
+
+
+def through(waypoints: list[Floats]) -> Path:
+    """Smooth curve through joint way-points (rad); s is proportional to the largest joint displacement."""
+    knots = np.array(waypoints, dtype=float)
+    if len(knots) == 2:
+        return joint_line(knots[0], knots[1])
+    steps = np.maximum(np.abs(np.diff(knots, axis=0)).max(axis=1), 1e-6)
+    s = np.concatenate(((0.0,), np.cumsum(steps))) / steps.sum()
+    return Path("joint", s, knots, SplineInterpolator(s, knots, bc_type="natural"))
+
+
+def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float = 0.0) -> Path | Refusal:
+    """Straight tcp line with uniform rotation from the pose of `start` (rad) to `goal_pose` (world), on one branch."""
+    start_pose = arm.fk(start)
+    metres, turn = geometry.distance(start_pose, goal_pose), geometry.angle(start_pose, goal_pose)
+    length = max(metres, METRES_PER_RAD * turn, 1e-9)
+    count = max(4, math.ceil(metres / KNOT_M), math.ceil(turn / KNOT_RAD)) + 1
+    fractions = np.linspace(0.0, 1.0, count)
+    knots = [np.asarray(start, dtype=float)]
+    for fraction in fractions[1:].tolist():
+        pose = geometry.interpolate(start_pose, goal_pose, fraction)
+        q = arm.follow(pose, knots[-1])
+        problem = _problem(arm, pose, q, knots[-1], margin_rad)
+        if problem is not None:
+            return _at(problem, fraction, fraction * metres)
+        assert q is not None
+        knots.append(q)
+    table = np.array(knots)
+    return Path("task", fractions * length, table, Spline(fractions * length, table))
+
+
+def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_rad: float) -> Refusal | None:
+    if q is None:
+        return arm.why_no_ik(pose, margin_rad)
+    leap = np.abs(q - before)
+    if leap.max() > LEAP_RAD:
+        joint = int(leap.argmax())
+        return Refusal(
+            reason=RefusalReason.INFEASIBLE,
+            message=(
+                f"{arm.name} would have to leap: {arm.joints[joint]} by {math.degrees(leap[joint]):.0f} deg at once, "
+                f"near a singularity"
+            ),
+            clears="another branch or attitude at the start",
+            detail={
+                "cause": "singularity",
+                "arm": arm.name,
+                "joint": arm.joints[joint],
+                "leap_rad": float(leap[joint]),
+                "sigma_min": arm.sigma_min(before),
+            },
+        )
+    return arm.why_not_within(q, margin_rad)
+
+
+def _at(problem: Refusal, fraction: float, metres: float) -> Refusal:
+    where = f"{fraction:.0%} along the line, {metres * 1000:.0f} mm from its start"
+    return msgspec.structs.replace(
+        problem,
+        message=f"{problem.message} ({where})",
+        where=where,
+        detail={**problem.detail, "fraction": fraction, "along_m": metres},
+    )

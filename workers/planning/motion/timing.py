@@ -1,0 +1,170 @@
+"""Time parametrization: converts a path to timed knots, at rest at both ends, within all limits.
+
+A line gets a closed-form jerk-limited profile along its parameter. A curve through way-points gets the time-optimal
+profile within the joint limits (toppra, some 10 ms): a single pace would be limited by the sharpest bend. Joint limits
+of speed and acceleration and the tcp's speed limit hold everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import toppra
+import toppra.algorithm
+import toppra.constraint
+
+from rtc.protocol.primitive import JointTrajectory
+from rtc.robot import quintic
+from rtc.robot.geometry import Array
+from rtc.robot.kinematics import ArmModel
+from workers.planning.motion.path import Path
+from workers.planning.motion.rest_to_rest import rest_to_rest
+
+KNOT_S = 0.03  # knot spacing; the quintic Hermite error is some micrometres
+KNOT_M = 0.0075  # minimum knot distance at constant speed, so that slow motions have few knots
+RAMP_S = 0.1  # time from zero to full acceleration
+CURVE_RAMP_S = 0.5  # duration of dense knots at each end of a curve
+GRID = 61  # grid points of the curve solver
+SAMPLES = 33  # path samples at which limits are evaluated
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Speed and acceleration limits of the tcp, and the usable fraction of the joint limits."""
+
+    speed_m_s: float = 0.25
+    acceleration_m_s2: float = 1.0
+    ratio: float = 1.0
+
+
+FREE_PACE = Pace()
+
+
+@dataclass(frozen=True, eq=False)
+class Timed:
+    """Knots of a motion: rad, rad/s, rad/s^2, each [len(time_s)][joints]. Quintic Hermite in between."""
+
+    space: Literal["joint", "task"]
+    time_s: Array
+    positions: Array
+    velocities: Array
+    accelerations: Array
+
+    @property
+    def duration_s(self) -> float:
+        return float(self.time_s[-1])
+
+    def trajectory(self) -> JointTrajectory:
+        return JointTrajectory(
+            space=self.space,
+            time_s=self.time_s.tolist(),
+            positions=self.positions.tolist(),
+            velocities=self.velocities.tolist(),
+            accelerations=self.accelerations.tolist(),
+        )
+
+
+def time_path(arm: ArmModel, path: Path, pace: Pace = FREE_PACE) -> Timed:
+    """Time the path. A path of zero length becomes a hold of one knot spacing."""
+    if np.abs(path.knots - path.knots[0]).max() < 1e-9:
+        return _staying(path)
+    curved = path.space == "joint" and len(path.knots) > 2
+    return _slowed(arm, _time_curve(arm, path, pace) if curved else _time_line(arm, path, pace))
+
+
+def _time_line(arm: ArmModel, path: Path, pace: Pace) -> Timed:
+    s = np.linspace(0.0, path.length, SAMPLES)
+    q, slope, bend = path.at(s)
+    rate = 1.0 if path.space == "task" else float(_tcp_rate(arm, q, slope).max())
+    velocity, acceleration = arm.limits.velocity * pace.ratio, arm.limits.acceleration * pace.ratio
+    slope, bend = np.abs(slope) + 1e-12, np.abs(bend) + 1e-12
+    # Up to half of a joint's acceleration serves the curvature at full pace; the rest serves changes of pace.
+    pace_limit = min(
+        pace.speed_m_s / max(rate, 1e-9),
+        float((velocity / slope).min()),
+        float(np.sqrt(acceleration / (2 * bend)).min()),
+    )
+    change_limit = min(
+        pace.acceleration_m_s2 / max(rate, 1e-9), float(((acceleration - bend * pace_limit**2) / slope).min())
+    )
+    profile = rest_to_rest(path.length, pace_limit, change_limit, change_limit / RAMP_S)
+    time_s = _knot_times(profile.duration_s, pace_limit / change_limit + RAMP_S, pace.speed_m_s)
+    along, along_v, along_a = profile.at(time_s)
+    q, slope, bend = path.at(along)
+    accelerations = bend * along_v[:, None] ** 2 + slope * along_a[:, None]
+    return _at_rest(Timed(path.space, time_s, q, slope * along_v[:, None], accelerations), path)
+
+
+def _time_curve(arm: ArmModel, path: Path, pace: Pace) -> Timed:
+    assert path.curve is not None
+    s = np.linspace(0.0, path.length, SAMPLES)
+    q, slope, _ = path.at(s)
+    velocity, acceleration = arm.limits.velocity * pace.ratio, arm.limits.acceleration * pace.ratio
+    levers = np.max([np.linalg.norm(arm.jacobian(row)[:3], axis=0) for row in q[::4]], axis=0)
+    acceleration = np.minimum(acceleration, pace.acceleration_m_s2 / np.maximum(levers, 0.05))
+    rate = np.maximum(_tcp_rate(arm, q, slope), 1e-6)
+    grid = np.linspace(0.0, path.length, GRID)
+    # Joint speeds are limited by the joints and by the tcp speed (2 % reserve between samples).
+    tcp = np.abs(path.curve(grid, 1)) * 0.98 * pace.speed_m_s / np.interp(grid, s, rate)[:, None] + 1e-6
+    most = np.minimum(velocity, tcp)
+    speed_limits = np.stack((-most, most), axis=2)  # [grid][joints][least, most]
+
+    constraints = [
+        # toppra evaluates this limit only at the grid points.
+        toppra.constraint.JointVelocityConstraintVarying(lambda at: speed_limits[np.searchsorted(grid, at)]),
+        toppra.constraint.JointAccelerationConstraint(
+            np.stack((-acceleration, acceleration), axis=1),
+            discretization_scheme=toppra.constraint.DiscretizationType.Interpolation,
+        ),
+    ]
+    solver = toppra.algorithm.TOPPRA(constraints, path.curve, gridpoints=grid)
+    curve = solver.compute_trajectory(0.0, 0.0)
+    assert curve is not None, "a rest-to-rest profile always exists at a low speed"
+    time_s = _knot_times(curve.duration, CURVE_RAMP_S, pace.speed_m_s)
+    return _at_rest(Timed(path.space, time_s, curve(time_s), curve(time_s, 1), curve(time_s, 2)), path)
+
+
+def _tcp_rate(arm: ArmModel, q: Array, slope: Array) -> Array:
+    """Metres (or METRES_PER_RAD times rad) that the tcp moves per unit of s, at each row."""
+    linear = np.array([arm.jacobian(row)[:3] for row in q])
+    rate: Array = np.sqrt((np.einsum("nij,nj->ni", linear, slope) ** 2).sum(axis=1))
+    return rate
+
+
+def _knot_times(duration_s: float, ramp_s: float, speed_m_s: float) -> Array:
+    """Knot times: dense in both ramps, where the pace changes, and sparse in between."""
+    ramp_s = min(ramp_s, 0.5 * duration_s)
+    n = max(2, math.ceil(ramp_s / KNOT_S))
+    cruise_s = duration_s - 2 * ramp_s
+    m = math.ceil(cruise_s / max(KNOT_S, KNOT_M / speed_m_s) - 1e-9)
+    ramp_up, ramp_down = np.linspace(0.0, ramp_s, n + 1), np.linspace(duration_s - ramp_s, duration_s, n + 1)
+    cruise = np.linspace(ramp_s, duration_s - ramp_s, m + 1)[1:] if m > 0 else ()
+    return np.concatenate((ramp_up, cruise, ramp_down[1:]))
+
+
+def _at_rest(timed: Timed, path: Path) -> Timed:
+    """Remove rounding errors at both ends: exact positions and zero velocity."""
+    timed.positions[0], timed.positions[-1] = path.knots[0], path.knots[-1]
+    timed.velocities[[0, -1]] = 0.0
+    return timed
+
+
+def _slowed(arm: ArmModel, timed: Timed) -> Timed:
+    """The motion slowed to satisfy the arm's limits between the knots too; the arm refuses violations."""
+    points = quintic.control_points(timed.time_s, timed.positions, timed.velocities, timed.accelerations)
+    faster = quintic.most_beyond(points.velocities, arm.limits.velocity)
+    harder = quintic.most_beyond(points.accelerations, arm.limits.acceleration)
+    by = max(1.0, faster, math.sqrt(harder))
+    if by == 1.0:
+        return timed
+    return Timed(
+        timed.space, timed.time_s * by, timed.positions, timed.velocities / by, timed.accelerations / (by * by)
+    )
+
+
+def _staying(path: Path) -> Timed:
+    still = np.zeros((2, path.knots.shape[1]))
+    return Timed(path.space, np.array((0.0, KNOT_S)), np.tile(path.knots[-1], (2, 1)), still, still)

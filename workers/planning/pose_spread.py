@@ -1,0 +1,58 @@
+"""Propagation of pose uncertainty: through rigid offsets, measurements and time in the hand. Pure.
+
+A spread is six half-widths: x y z (m), roll pitch yaw (rad), in the axes of the pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from rtc.robot import geometry
+from rtc.robot.geometry import Array, Floats
+from rtc.world.spread import Spread, even, narrowest, widened
+
+
+def spread_at(spread: Spread, offset: Floats) -> list[float]:
+    """Spread of the pose at `offset` (in the first pose's axes), rigidly joined to a pose of this spread."""
+    bounds = np.abs(_lever(offset)) @ np.asarray(spread, dtype=float)
+    return [float(n) for n in bounds]
+
+
+def _lever(offset: Floats) -> Array:
+    """Matrix (6 x 6) that maps a small pose error [d, r] to the error of the pose at `offset`, each in its own axes."""
+    turn = geometry.to_matrix(offset)[:3, :3].T
+    x, y, z = list(offset)[:3]
+    arm = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # r x offset = arm @ r
+    return np.block([[turn, turn @ arm], [np.zeros((3, 3)), turn]])
+
+
+def spread_after_measurement(
+    before: Floats, after: Floats, spread: Spread, at: Floats, measured: Mapping[int, float]
+) -> list[float]:
+    """Spread of a frame that a measurement moved from `before` to `after` (world frame).
+
+    `at`: the measured pose, in the frame's axes. `measured`: axis of that pose (0 to 5: x y z roll pitch yaw) ->
+    half-width of the measurement. Axes that were not measured keep their spread.
+    """
+    moved = geometry.relative(before, after)
+    wider = widened(spread, [*(abs(n) for n in moved[:3].tolist()), *(abs(n) for n in geometry.to_rpy(moved).tolist())])
+    there = spread_at(wider, at)
+    for axis, half_width in measured.items():
+        there[axis] = half_width
+    return narrowest(spread_at(there, geometry.inverse(at)), wider)
+
+
+def uncertainty_figures(spread: Spread, at: Floats) -> dict[str, float]:
+    """Spread of the pose `at` (in the axes of a frame of this spread), as figures of a script."""
+    x, y, z, *angles = spread_at(spread, at)
+    return {"unsure_x_m": x, "unsure_y_m": y, "unsure_z_m": z, "unsure_rad": max(angles)}
+
+
+def aged_spread(spread: Spread, seconds: float, peak_force_n: float, values: Mapping[str, float]) -> list[float]:
+    """Spread of an object held for `seconds`: it creeps in the grip, and a force above `struck_n` displaces it."""
+    for_s = max(0.0, seconds)
+    older = widened(spread, even(for_s * values["creep_m_s"], for_s * values["creep_rad_s"]))
+    struck = peak_force_n > values["struck_n"]
+    return widened(older, even(values["struck_m"], values["struck_rad"])) if struck else older

@@ -1,0 +1,161 @@
+"""Path segments of a script: from the arm's position to a target, in joint space or straight in task space. Pure.
+
+The keys of `SPACES` are the words of the fourth column of the paper's Figure 4. The elaborator calls `check_segment`
+(is there a path, and where does it end); the binder calls `plan_segment` (the timed motion).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from rtc.protocol.messages import Way
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot.geometry import Array, Floats
+from workers.planning.motion import handed, ik
+from workers.planning.motion.plan import (
+    Found,
+    Motion,
+    PlanningRequest,
+    find_direct_way,
+    find_joint_way,
+    find_task_way,
+    free_posture,
+    in_time,
+    plan_joint_motion,
+    plan_task_motion,
+)
+
+SAME_RAD = 0.02  # tolerance of the joint values at the end of a straight line
+
+
+@dataclass(frozen=True)
+class Target:
+    """Exactly one is set: joint values (rad), or a pose of the tcp (world frame)."""
+
+    joints: list[float] | None = None
+    pose: list[float] | None = None
+
+
+class Segment(NamedTuple):
+    """A segment that is free. `found`: the way that `plan_segment` would take to `goal`; None: not known."""
+
+    end: Array  # rad, joint values at the end
+    goal: Floats  # joint values (rad), or pose of the tcp in world axes
+    found: Found | None = None
+
+    def way(self, request: PlanningRequest, space: str) -> Way | None:
+        """The way as it is sent to the binder; None: not known."""
+        if self.found is None:
+            return None
+        return handed.to_message(handed.request_digest(request, space, self.goal), self.found)
+
+
+def check_segment(
+    request: PlanningRequest, space: str, target: Target, detours: bool, first: bool
+) -> Segment | Refusal:
+    """The segment with the joint values (rad) at its end, or the refusal if it is blocked.
+
+    `detours`: also try paths with way-points if the direct path is blocked.
+    `first`: the segment starts where the arm is now; find the way that `plan_segment` would take.
+    """
+    return _TESTS[space](request, target, detours, first)
+
+
+def plan_segment(request: PlanningRequest, space: str, target: Target, known: Way | None = None) -> Motion | Refusal:
+    """The segment as a timed motion. `known`: a way found before; used only if it was found for an equal request."""
+    return SPACES[space](request, target, known)
+
+
+# --- joint space -----------------------------------------------------------------------------------------
+
+
+def _goal(request: PlanningRequest, target: Target) -> Array | Refusal:
+    if target.joints is not None:
+        return np.asarray(target.joints, dtype=float)
+    assert target.pose is not None
+    return ik.choose(request.arm, target.pose, request.start, test=free_posture(request), margin_rad=request.margin_rad)
+
+
+def _timed_joint(request: PlanningRequest, target: Target, known: Way | None) -> Motion | Refusal:
+    goal = _goal(request, target)
+    if isinstance(goal, Refusal):
+        return goal
+    if known is not None and known.asked == handed.request_digest(request, "move_joint", goal):
+        return in_time(request, handed.from_message(known))
+    return plan_joint_motion(request, goal)
+
+
+def _tested_joint(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment | Refusal:
+    goal = _goal(request, target)
+    if isinstance(goal, Refusal):
+        return goal
+    if _is_there(request, goal):
+        return request.arm.why_not_within(goal, request.margin_rad) or Segment(goal, goal)
+    found = find_joint_way(request, goal) if detours else find_direct_way(request, goal, with_room=first)
+    if isinstance(found, Refusal):
+        return found
+    return Segment(goal, goal, found)
+
+
+def _is_there(request: PlanningRequest, goal: Array) -> bool:
+    return bool(np.abs(goal - request.start).max() < 1e-9)
+
+
+# --- task space ------------------------------------------------------------------------------------------
+
+
+def _pose(request: PlanningRequest, target: Target) -> list[float]:
+    if target.pose is not None:
+        return target.pose
+    assert target.joints is not None
+    pose: list[float] = request.arm.fk(target.joints).tolist()
+    return pose
+
+
+def _timed_task(request: PlanningRequest, target: Target, known: Way | None) -> Motion | Refusal:
+    pose = _pose(request, target)
+    motion: Motion | Refusal
+    if known is not None and known.asked == handed.request_digest(request, "move_task", pose):
+        motion = in_time(request, handed.from_message(known))
+    else:
+        motion = plan_task_motion(request, pose)
+    return motion if isinstance(motion, Refusal) else _other_end(request, target, motion.goal_joints) or motion
+
+
+def _tested_task(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment | Refusal:
+    pose = _pose(request, target)
+    found = find_task_way(request, pose, request.margin_rad)
+    if isinstance(found, Refusal):
+        return found
+    end = found.path.knots[-1]
+    return _other_end(request, target, end) or Segment(end, pose, found)
+
+
+def _other_end(request: PlanningRequest, target: Target, end: Array) -> Refusal | None:
+    """Refusal if a straight line reaches the pose of the given joint values on another branch; else None."""
+    if target.joints is None:
+        return None
+    off_rad = float(np.abs(end - np.asarray(target.joints)).max())
+    if off_rad <= SAME_RAD:
+        return None
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"a straight line of {request.arm.name} reaches the same pose with other joint values than those given",
+        clears="JOINT-MOTION, or a place instead of joint values",
+        detail={"cause": "branch", "arm": request.arm.name, "off_rad": off_rad},
+    )
+
+
+#: fourth column of a script -> planner of its segments
+SPACES: dict[str, Callable[[PlanningRequest, Target, Way | None], Motion | Refusal]] = {
+    "move_joint": _timed_joint,
+    "move_task": _timed_task,
+}
+_TESTS: dict[str, Callable[[PlanningRequest, Target, bool, bool], Segment | Refusal]] = {
+    "move_joint": _tested_joint,
+    "move_task": _tested_task,
+}

@@ -1,0 +1,245 @@
+"""Queries on one view of the world for motion planning: joints, hands, frames and collision scenes. Pure.
+
+A fact that is not trusted yields a Refusal that states what would clear it. Joints are used as last reported, whatever
+their validity: a subsystem refuses a trajectory that does not start at the arm's position, and its report then
+corrects the fact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtc.cells import cell as cells
+from rtc.protocol.messages import Limits, Validity
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.primitive import Load
+from rtc.robot import geometry
+from rtc.robot.collision import Held, Scene
+from rtc.robot.geometry import Array
+from rtc.world.model import World
+from rtc.world.spread import EXACT, Spread
+from workers.planning import axes
+from workers.planning.motion.constraints import Rules
+from workers.planning.motion.plan import PlanningRequest
+from workers.planning.motion.timing import Pace
+from workers.planning.robot_models import CellModel
+
+UNKNOWN_RADIUS_M = 0.1  # an object of unknown inertia is modelled as a solid ball of this radius
+BESIDE_M = 0.04  # maximum distance from the axis of a seat's way out at which an object is in its slot
+TRUSTED = (Validity.VALID, Validity.CHANGING)
+
+
+@dataclass(frozen=True)
+class WorldQuery:
+    """Queries on one world view of one cell. Poses are [x y z qx qy qz qw] in m, in the world frame unless stated."""
+
+    model: CellModel
+    world: World
+
+    @property
+    def cell(self) -> cells.Cell:
+        return self.model.cell
+
+    # --- facts ---------------------------------------------------------------------------------------------
+
+    def joints(self, arm: str) -> list[float]:
+        """Joint values as last reported (rad); the home position before any report."""
+        return self.world.value(f"{arm}.joints") or self.cell.arm(arm).home_rad
+
+    def tcp(self, arm: str) -> Array:
+        return self.model.arms[arm].fk(self.joints(arm))
+
+    def hand_width(self, arm: str) -> float:
+        width = self.world.value(f"{arm}.hand_width")
+        return self.cell.arm(arm).gripper.max_opening_m if width is None else float(width)
+
+    def holding(self, arm: str) -> str:
+        return self.world.value(f"{arm}.holding") or ""
+
+    def held_by(self, thing: str) -> str:
+        return self.world.value(f"{thing}.held_by") or ""
+
+    def seat(self, thing: str) -> str:
+        return self.world.value(f"{thing}.seat") or ""
+
+    def way_out(self, thing: str) -> str:
+        """Name of the direction in which an object leaves the seat that it is in or partly in; UP without a seat."""
+        seat = self.seat(thing) or self.seat_around(thing)
+        return self.way_out_of(seat) if seat else "UP"
+
+    def way_out_of(self, seat: str) -> str:
+        """Name of the direction in which an object leaves this seat."""
+        return axes.name_of(geometry.rotate(self.seat_frame(seat), self.cell.seat(seat).way_out).tolist())
+
+    def seat_around(self, thing: str) -> str:
+        """The seat in whose slot an object is, although it need not be seated; empty if there is none.
+
+        This is the case when a motion into or out of the seat was stopped.
+        """
+        for seat in self.cell.seats:
+            out = geometry.rotate(self.seat_frame(seat.name), seat.way_out)
+            off = self.frame(thing)[:3] - self.seated_pose(seat.name)[:3]
+            along = float(off @ out)
+            if -BESIDE_M < along < seat.depth_m and float(np.linalg.norm(off - along * out)) < BESIDE_M:
+                return seat.name
+        return ""
+
+    def seat_frame(self, seat: str) -> Array:
+        """The seat's frame: the fact if there is one, else the pose in the cell description."""
+        frame = self.world.value(f"{seat}.frame")
+        return self.cell.seat(seat).frame.pose if frame is None else geometry.normalise(frame)
+
+    def seated_pose(self, seat: str) -> Array:
+        """The frame of an object seated in this seat."""
+        return geometry.compose(self.seat_frame(seat), self.cell.seat(seat).module_frame.pose)
+
+    def frame(self, thing: str) -> Array:
+        """The object's frame, trusted or not: the fact if there is one, else the pose in the cell description."""
+        frame = self.world.value(f"{thing}.frame")
+        return self.cell.object_pose(thing) if frame is None else geometry.normalise(frame)
+
+    def spread(self, key: str) -> Spread:
+        """Uncertainty of the pose of this fact; EXACT if the fact has none."""
+        fact = self.world.get(key)
+        return EXACT if fact is None or fact.spread is None else fact.spread
+
+    def grasp(self, thing: str) -> Array | None:
+        """The held object's frame in the tcp frame; None if it is not held."""
+        grasp = self.world.value(f"{thing}.grasp")
+        return None if grasp is None else geometry.normalise(grasp)
+
+    def point_in_hand(self, thing: str) -> cells.GraspPoint | None:
+        """The grasp point nearest to the tcp according to the grasp; None without a grasp."""
+        grasp = self.grasp(thing)
+        if grasp is None:
+            return None
+        points = self.cell.object(thing).grasp_points
+        return min(points, key=lambda p: math.hypot(*geometry.compose(grasp, p.frame.pose)[:3]), default=None)
+
+    def load(self, arm: str) -> Load | None:
+        """Mass, centre of mass and inertia of the held object in the tcp frame; None if the hand is empty."""
+        thing = self.holding(arm)
+        grasp = self.grasp(thing) if thing else None
+        if grasp is None:
+            return None
+        known = self.cell.object(thing)
+        mass_kg = float(self.world.value(f"{thing}.mass") or known.mass_kg)
+        turn = geometry.to_matrix(grasp)[:3, :3]
+        own = np.diag(known.inertia_kg_m2 or [0.4 * mass_kg * UNKNOWN_RADIUS_M**2] * 3)
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = (turn @ own @ turn.T).tolist()
+        return Load(mass_kg=mass_kg, com_m=grasp[:3].tolist(), inertia_kg_m2=[xx, yy, zz, xy, xz, yz])
+
+    def trusts(self, key: str) -> bool:
+        """Whether this fact is trusted."""
+        return self.distrusted(key, {}) is None
+
+    def distrusted(self, key: str, clears: Mapping[str, str], own: str = "") -> Refusal | None:
+        """The refusal for a fact that is not trusted; None if it is trusted.
+
+        `own`: the id of the running command. A fact that this command itself made suspect is accepted, because its
+        script is about to correct it.
+        """
+        fact = self.world.get(key)
+        if fact is None or fact.validity in TRUSTED or (own and fact.source.partition("/")[0] == own):
+            return None
+        location, _, attribute = key.rpartition(".")
+        return Refusal(
+            reason=RefusalReason.SUSPECT,
+            message=f"the {attribute} of {location} is {fact.validity.value} since {fact.source.partition('/')[0]}",
+            where=key,
+            clears=self.cure(key, clears),
+            detail={"validity": fact.validity.value, "source": fact.source, "version": float(fact.version)},
+        )
+
+    def cure(self, key: str, clears: Mapping[str, str]) -> str:
+        """What would make this fact trusted again. For a held object, clearing the grasp also clears the frame."""
+        location, _, attribute = key.rpartition(".")
+        holder = self.held_by(location)
+        words = clears.get("grasp" if attribute == "frame" and holder else attribute, "sense {location} again")
+        if "{position}" in words:
+            frame = self.frame(location)
+            words = words.replace("{position}", _figures(100 * frame[:3]))
+            words = words.replace("{attitude}", _figures(np.degrees(geometry.to_rpy(frame))))
+        return words.replace("{location}", location).replace("{holder}", holder or "the hand that holds it")
+
+    # --- for motions ---------------------------------------------------------------------------------------
+
+    def scene(
+        self,
+        arm: str,
+        limits: Limits,
+        *,
+        touching: str = "",
+        seated: bool = False,
+        away: bool = False,
+        opening_m: float | None = None,
+        near: Iterable[str] = (),
+    ) -> Scene:
+        """The collision scene from the current facts.
+
+        `touching`: the object that this arm's hand may touch. `seated`: the held object may be in, or enter, a seat.
+        `away`: objects with suspect frames are not obstacles. `opening_m`: opening of this arm's hand, if it differs
+        from the current one. `near`: bodies exempt from the clearance.
+        """
+        held: dict[str, Held] = {}
+        moved_seats = [seat.name for seat in self.cell.seats if self.world.get(f"{seat.name}.frame") is not None]
+        poses: dict[str, Array] = {name: self.seat_frame(name) for name in moved_seats}
+        for thing in self.cell.objects:
+            holder, grasp = self.held_by(thing.name), self.grasp(thing.name)
+            if holder and grasp is not None:
+                held[thing.name] = Held(holder, grasp)
+            elif not thing.fixed:
+                poses[thing.name] = self.frame(thing.name)
+        openings = {a.name: self.hand_width(a.name) for a in self.cell.arms}
+        if opening_m is not None:
+            openings[arm] = opening_m
+        ignore: list[tuple[str, str]] = []
+        carried = self.holding(arm)
+        close = [name for name in dict.fromkeys((touching, *near)) if name]
+        if touching:  # the hand may touch its seat too: both poses share an error
+            hand = self.cell.arm(arm).gripper
+            met = filter(None, (touching, self.seat(touching)))
+            ignore += [(f"{arm} {link}", name) for name in met for link in (*hand.finger_links, hand.palm_link)]
+        doubtful = [name for name in poses if away and name not in moved_seats and not self.trusts(f"{name}.frame")]
+        ignore += [pair for name in doubtful for pair in ((arm, name), *([(carried, name)] if carried else []))]
+        if carried and (seated or (away and not self.trusts(f"{carried}.grasp"))):
+            ignore += [(carried, seat.name) for seat in self.cell.seats]
+        return Scene(
+            poses=poses,
+            held=held,
+            openings_m=openings,
+            ignore=ignore,
+            clearance_m=limits.clearance_m or 0.0,
+            near=[*close, *(seat for seat in map(self.seat, filter(None, (*close, carried))) if seat)],
+            keep_out=limits.keep_out,
+            moving=arm,
+        )
+
+    def rules(self, limits: Limits) -> Rules:
+        return Rules(
+            work_range=self.cell.region(limits.work_range) if limits.work_range else None,
+            attitude=self.cell.attitudes[limits.attitude] if limits.attitude else None,
+            attitude_name=limits.attitude or "",
+        )
+
+    def planning_request(
+        self, arm: str, scene: Scene, limits: Limits, pace: Pace, margin_rad: float
+    ) -> PlanningRequest:
+        return PlanningRequest(
+            arm=self.model.arms[arm],
+            world=self.model.collision,
+            joints={a.name: self.joints(a.name) for a in self.cell.arms},
+            scene=scene,
+            rules=self.rules(limits),
+            pace=pace,
+            margin_rad=margin_rad,
+        )
+
+
+def _figures(values: Array) -> str:
+    """Numbers for a sentence: two decimals, without negative zero."""
+    return " ".join(f"{round(float(x), 2) + 0:g}" for x in values)

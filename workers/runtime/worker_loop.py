@@ -1,0 +1,313 @@
+"""Worker loop, the same for all four kinds: receive jobs, call the worker function once per job, send results.
+
+The loop fetches the inputs of the function: its program, the cell's models and one grouped view of the world. It
+commits an analyzer's changes before it answers. Every call becomes a result: a product, a refusal or the evidence of a
+crash. The loop makes no decisions and knows neither commands nor scripts.
+
+Jobs run in order. Results of quick jobs are sent in one batch after at most FLUSH_S; a result never waits for a job
+that may be slow. After a reconnection, or after an empty JobBatch (the broker does not know this worker), the worker
+sends a new hello and discards all jobs of the previous session.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, Protocol
+
+import msgspec
+import zmq
+
+from rtc.cells.cell import Cell
+from rtc.protocol import wire
+from rtc.protocol.messages import (
+    Assessment,
+    BrokerToWorker,
+    Drop,
+    Heartbeat,
+    Job,
+    JobBatch,
+    JobCrashed,
+    JobDone,
+    JobRefused,
+    JobResult,
+    Lease,
+    ProgramBody,
+    ProgramWanted,
+    ResultBatch,
+    Shutdown,
+    WorkerHello,
+)
+from rtc.protocol.outcomes import ClusterError, ProgramError, Refusal, RefusalReason, WireError
+from rtc.runtime.process import Every, Process, Reconnections, inbox, now_s, send
+from rtc.world.client import WorldClient
+from rtc.world.model import World
+
+HEARTBEAT_S = 0.5
+HELLO_AGAIN_S = 0.3  # one hello answers several empty JobBatches; shorter than a heartbeat, which repeats them
+FLUSH_S = 0.002  # longest delay of a quick job's result for batching
+QUICK_S = 0.0005  # a worker is quick if its recent jobs took less than this
+LISTEN_S = 0.001  # minimum interval between two reads of the socket while jobs are queued
+FRESH_S = 0.002  # longest use of a world view, for jobs that had arrived before it was read
+PROGRAM_LIMIT_S = 5.0  # time limit to fetch a program; long enough for a broker restart
+ASK_AGAIN_S = 0.5
+KEPT = 16  # maximum number of cached programs, and of cached cells
+EVIDENCE_CHARS = 4000
+
+
+class WorkerFunction(Protocol):
+    """Interface of a worker module."""
+
+    INPUT: Any
+    NEEDS_WORLD: bool
+    NEEDS_CELL: bool
+
+    def compile(self, program: bytes) -> Any:
+        """Check and compile the program. Raises ProgramError."""
+
+    def run(self, compiled: Any, cell: Any, world: World | None, data: Any) -> Any:
+        """Compute the product, or a Refusal. Pure."""
+
+
+class Stopped(Exception):
+    """A stop was requested during a job. The job is not answered; the broker assigns it to another worker."""
+
+
+class Shell:
+    """One worker. `socket` is its DEALER to the broker; `build_cell` builds the models of a cell; `programs` and
+    `cells` are preloaded, keyed by digest."""
+
+    def __init__(
+        self,
+        me: Process,
+        hello: WorkerHello,
+        function: WorkerFunction,
+        socket: zmq.Socket[bytes],
+        world: WorldClient,
+        build_cell: Callable[[Cell], Any],
+        programs: Mapping[str, Any] = MappingProxyType({}),
+        cells: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
+        self._me, self._hello, self._function = me, hello, function
+        self._socket = socket
+        self._read = wire.reader(BrokerToWorker)
+        self._read_input = wire.decoder(function.INPUT)
+        self._queue: deque[tuple[Job, float]] = deque()  # job and arrival time (s)
+        self._results: list[JobResult] = []
+        self._first_result_s = 0.0
+        self._slow_s = 1.0  # slowly decaying maximum of recent job durations
+        self._wanted = ""  # the digest being fetched; `_came` collects its bodies
+        self._came: list[bytes | None] = []
+        self._programs = Kept(function.compile, programs)
+        self._cells = Kept(lambda body: build_cell(Cell.from_bytes(body)), cells)
+        self._view = WorldView(world)
+        self._retiring = False
+        self._reconnections = Reconnections(me, socket)
+        self._heartbeat = Every(HEARTBEAT_S)
+        self._said_hello_s = 0.0
+        self._listened_s = 0.0
+
+    def run(self) -> None:
+        """Run until a stop is requested, or until the queue is empty after a Shutdown message."""
+        self._say_hello()
+        while not self._me.stopping and not (self._retiring and not self._queue):
+            if not self._queue:
+                self._me.wait(self._heartbeat.left_s(now_s()))
+                if self._reconnections.happened():
+                    self._begin_anew()
+                if self._heartbeat.due(now_s()):
+                    self._say(Heartbeat(name=self._hello.name))
+            if not self._queue or now_s() - self._listened_s > LISTEN_S:
+                self._listen()
+            if self._queue:
+                job, came_s = self._queue.popleft()
+                self._do(job, came_s)
+            self._flush(late=not self._queue)
+        self._reconnections.close()
+
+    # --- to and from the broker ------------------------------------------------------------------------
+
+    def _say(self, message: Any) -> None:
+        if not send(self._socket, message):
+            self._me.log.error("no room for %s: dropped", type(message).__name__)
+
+    def _listen(self) -> None:
+        self._listened_s = now_s()
+        for parts in inbox(self._socket):
+            try:
+                self._hear(self._read(parts))
+            except WireError as error:
+                self._me.log.warning("dropped a message of the broker: %s", error)
+
+    def _hear(self, message: BrokerToWorker) -> None:
+        match message:
+            case JobBatch(jobs=[]):
+                if now_s() - self._said_hello_s >= HELLO_AGAIN_S:  # otherwise the last hello crossed this request
+                    self._begin_anew()
+            case JobBatch(jobs=jobs):
+                came_s = now_s()
+                self._queue.extend((job, came_s) for job in jobs)
+            case Drop(jobs=unwanted):
+                self._drop(unwanted)
+            case ProgramBody(digest=digest, body=body):
+                if digest == self._wanted:
+                    self._came.append(body)
+            case Shutdown():
+                self._retiring = True
+
+    def _begin_anew(self) -> None:
+        self._queue.clear()
+        self._results.clear()
+        self._say_hello()
+
+    def _say_hello(self) -> None:
+        self._said_hello_s = now_s()
+        self._say(self._hello)
+
+    def _drop(self, unwanted: list[str]) -> None:
+        """Refuse unwanted jobs that have not started, so that the broker can reuse their places in the queue."""
+        entries, self._queue = self._queue, deque()
+        for entry in entries:
+            job = entry[0]
+            if job.id in unwanted:
+                refusal = Refusal(reason=RefusalReason.STATE, message="dropped: no longer wanted")
+                self._answer(JobRefused(id=job.id, attempt=job.attempt, refusal=refusal))
+            else:
+                self._queue.append(entry)
+
+    def _flush(self, late: bool) -> None:
+        """Send the results, unless more are expected within FLUSH_S."""
+        if not self._results:
+            return
+        if late or self._slow_s > QUICK_S or now_s() - self._first_result_s > FLUSH_S:
+            self._say(ResultBatch(name=self._hello.name, results=self._results))
+            self._results = []
+
+    # --- one job ---------------------------------------------------------------------------------------
+
+    def _do(self, job: Job, came_s: float) -> None:
+        started_s = time.perf_counter()
+        self._view.version_read = 0
+        try:
+            product = self._work(job, came_s)
+        except Stopped:
+            return
+        except ClusterError as error:  # the world database is unavailable; the broker decides on a retry
+            product = Refusal(reason=RefusalReason.TIMEOUT, message=str(error))
+        except Exception:
+            self._me.log.exception("job %s attempt %d crashed", job.id, job.attempt)
+            evidence = traceback.format_exc()[-EVIDENCE_CHARS:]
+            self._answer(JobCrashed(id=job.id, attempt=job.attempt, evidence=evidence))
+            return
+        took_s = time.perf_counter() - started_s
+        self._slow_s = max(took_s, 0.9 * self._slow_s)
+        name, attempt, version = job.id, job.attempt, self._view.version_read
+        self._answer(
+            JobRefused(id=name, attempt=attempt, refusal=product, took_s=took_s, world_version=version)
+            if isinstance(product, Refusal)
+            else JobDone(id=name, attempt=attempt, product=product, took_s=took_s, world_version=version)
+        )
+
+    def _work(self, job: Job, came_s: float) -> msgspec.Raw | Refusal:
+        """Run the function and commit the changes of its product; returns the encoded product."""
+        function = self._function
+        program = self._made(self._programs, job.program)
+        if isinstance(program, Refusal):
+            return program
+        cell = self._made(self._cells, job.cell) if function.NEEDS_CELL and job.cell else None
+        if isinstance(cell, Refusal):
+            return cell
+        world = self._view.at(came_s) if function.NEEDS_WORLD else None
+        product = function.run(program, cell, world, self._read_input(job.input))
+        if isinstance(product, Refusal):
+            return product
+        if isinstance(product, Assessment) and product.changes:
+            if job.lease is None:
+                message = f"it wants to write {product.changes[0].key}, but its script names nothing that is written"
+                return Refusal(reason=RefusalReason.PROGRAM, message=message)
+            refusal = self._view.commit(job.lease, product, source=job.id)
+            if refusal is not None:
+                return refusal
+        return wire.raw(product)
+
+    def _answer(self, result: JobResult) -> None:
+        if not self._results:
+            self._first_result_s = now_s()
+        self._results.append(result)
+
+    def _made(self, kept: Kept, digest: str) -> Any:
+        """The compiled program or cell of this digest, from the cache or the broker; or a Refusal with the cause."""
+        if digest not in kept:
+            self._flush(late=True)
+            body = self._body(digest)
+            if isinstance(body, Refusal):
+                return body
+            kept.make(digest, body)
+        return kept[digest]
+
+    def _body(self, digest: str) -> bytes | Refusal:
+        """Fetch a body from the broker and wait for it; other messages are handled as usual meanwhile."""
+        self._wanted, self._came = digest, []
+        end_s, again = now_s() + PROGRAM_LIMIT_S, Every(ASK_AGAIN_S)
+        while not self._came and now_s() < end_s:
+            if self._me.stopping:
+                raise Stopped
+            if again.due(now_s()):
+                self._say(ProgramWanted(digest=digest))
+            self._me.wait(again.left_s(now_s()))
+            self._listen()
+        self._wanted = ""
+        if not self._came:
+            message = f"the broker did not send program or cell {digest} within {PROGRAM_LIMIT_S:g} s"
+            return Refusal(reason=RefusalReason.TIMEOUT, message=message, where=digest)
+        if (body := self._came[0]) is None:
+            message = f"the broker has no program or cell {digest}"
+            return Refusal(reason=RefusalReason.PROGRAM, message=message, where=digest)
+        return body
+
+
+class Kept(dict[str, Any]):
+    """Cache of compiled bodies by digest, at most KEPT entries. A body that fails to compile is kept as a Refusal."""
+
+    def __init__(self, maker: Callable[[bytes], Any], made: Mapping[str, Any]) -> None:
+        super().__init__(made)
+        self._maker = maker
+
+    def make(self, digest: str, body: bytes) -> None:
+        try:
+            self[digest] = self._maker(body)
+        except ProgramError as error:
+            self[digest] = Refusal(reason=RefusalReason.PROGRAM, message=str(error), where=digest)
+        while len(self) > KEPT:
+            del self[next(iter(self))]
+
+
+class WorldView:
+    """The worker's copy of the world, updated by reading only the changes since its version."""
+
+    def __init__(self, client: WorldClient) -> None:
+        self._client = client
+        self._world = World()
+        self._read_at_s = -1.0
+        self.version_read = 0  # world version that the current job has read; 0 = none
+
+    def at(self, came_s: float) -> World:
+        """The current world, for a job that arrived at `came_s`.
+
+        A view read after the job arrived contains all commits made before the job was sent. The jobs of one batch
+        therefore share a view for FRESH_S. Raises ClusterError if the database is unavailable.
+        """
+        if came_s > self._read_at_s or now_s() - self._read_at_s > FRESH_S:
+            read_at_s = now_s()
+            self._world = self._world.updated(self._client.view(since=self._world.version))
+            self._read_at_s = read_at_s
+        self.version_read = self._world.version
+        return self._world
+
+    def commit(self, lease: Lease, assessment: Assessment, source: str) -> Refusal | None:
+        self._read_at_s = -1.0  # the next job of this batch must read this commit
+        answer = self._client.commit(lease, assessment.changes, source)
+        return answer if isinstance(answer, Refusal) else None
