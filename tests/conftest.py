@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 
 from rtc.cells.cell import Cell
 from rtc.robot.collision import CollisionWorld
 from rtc.robot.kinematics import ArmModel
+
+# Under `nohup` children would inherit an ignored SIGHUP, and tests of its handling would fail.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session")
