@@ -125,7 +125,7 @@ def test_a_period_is_due_once_and_does_not_catch_up():
 
 LOOP = textwrap.dedent("""
     import sys
-    from rtc import process
+    from rtc.runtime import process
     with process.start("loop", sys.argv[1]) as me:
         me.ready()
         while not me.stopping:
@@ -174,7 +174,7 @@ def test_a_child_dies_with_its_parent(tmp_path):
 def test_one_that_ends_with_its_parent_is_asked_first_and_killed_when_it_hangs(tmp_path):
     child_code = textwrap.dedent("""
         import sys
-        from rtc import process
+        from rtc.runtime import process
         with process.start("me", sys.argv[1]) as me:
             me.end_with_parent(0.2)
             assert not me.orphaned

@@ -175,7 +175,7 @@ def test_status_names_every_worker(rtc: Run) -> None:
 
 def test_status_names_the_file_of_a_program_and_may_be_watched(rtc: Run, tmp_path: Path) -> None:
     file = tmp_path / "my_lift.yaml"
-    file.write_bytes((Path(rtc_package.__file__).parent / "programs/elaborator/scripts/lift.yaml").read_bytes())
+    file.write_bytes((Path(rtc_package.__file__).parent / "programs/default/elaborator/scripts/lift.yaml").read_bytes())
     assert rtc("load", str(file), "INTO", "elaborator").returncode == 0
     watched = rtc("status", "--watch", "--every", "100ms", "--for", "1s")
 

@@ -385,7 +385,7 @@ def test_what_was_forked_too_late_never_begins_and_leaves_no_zombie(cluster, tmp
 
 LATE = """
 import signal, sys
-from rtc import template
+from rtc.runtime import fork_server as template
 fork = template._fork_away
 def fork_and_never_say_so(child):
     print("forked", fork(child), file=sys.stderr, flush=True)
