@@ -241,7 +241,7 @@ def test_a_free_motion_stops_on_any_touch(bench):
     _, bound = bound_to(bench, "MOVE RIGHT-ARM TO BAY-2-FRONT", "GOAL")
     when = stops(bound)
 
-    assert when[StopReason.FORCE_LIMIT] == ForceAbove(limit_n=40.0)
+    assert when[StopReason.FORCE_LIMIT] == ForceAbove(limit_n=45.0)
     assert when[StopReason.COLLISION] == BodyTouch()
     assert isinstance(when[StopReason.GOAL], GoalReached)
     assert StopReason.CONTACT not in when
