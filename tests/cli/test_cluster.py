@@ -181,7 +181,7 @@ def test_status_names_the_file_of_a_program_and_may_be_watched(rtc: Run, tmp_pat
 
     assert watched.returncode == 0
     assert watched.stdout.count("elaborator my_lift.yaml (loaded ") >= 2
-    assert watched.stdout.count("no command under way") >= 2
+    assert watched.stdout.count("no command in progress") >= 2
 
 
 def test_world_get_list_history_at(rtc: Run) -> None:
