@@ -158,7 +158,9 @@ def on_halt(context: DecisionContext, event: HaltCalled) -> None:
     button may always send the same name."""
     from_subsystem = event.client in context.state.subsystems
     _count_halt(context, event)
-    known = nominal.halt(context, event.halt, event.scope, event.called_at_s, call=event.call)
+    known = nominal.halt(
+        context, event.halt, event.scope, event.called_at_s, call=event.call, received_at_s=event.received_at_s
+    )
     # A halt of an ended command is valid: the subsystems confirm rest, so it is not declined.
     if not known and not from_subsystem and not nominal.has_ended(context, event.scope):
         message = nominal.no_target(context, event.scope).message

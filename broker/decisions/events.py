@@ -54,6 +54,7 @@ class HaltCalled(Event, frozen=True, kw_only=True, gc=False):
     scope: str
     called_at_s: float = 0.0
     call: str = ""  # number of this order, repeated in the answers
+    received_at_s: float = 0.0  # when the subsystem received it; commands sent later go on; 0: stop all in scope
 
 
 class JobFinished(Event, frozen=True, kw_only=True, gc=False):

@@ -190,9 +190,18 @@ def halt_by_command(context: DecisionContext, command: Command, scope: str) -> N
 
 
 def halt(
-    context: DecisionContext, halt_id: str, scope: str, called_at_s: float, spare: str = "", call: str = ""
+    context: DecisionContext,
+    halt_id: str,
+    scope: str,
+    called_at_s: float,
+    spare: str = "",
+    call: str = "",
+    received_at_s: float = 0.0,
 ) -> bool:
-    """Halt the subsystems in scope, then stop the commands. False: the scope is unknown."""
+    """Halt the subsystems in scope, then stop the commands. False: the scope is unknown.
+
+    A subsystem may forward a halt late, after an absence of the broker. Its time of receipt, if known, then parts the
+    commands: those sent later go on. They have not begun to move there, because the subsystem fenced the scope."""
     state = context.state
     targets = in_scope(context, scope)
     performer = _subsystem_of(context, scope)
@@ -208,9 +217,15 @@ def halt(
                 SendHalt(subsystem=name, halt=halt_id, scope=scope, called_at_s=called_at_s, call=call)
             )
     for command in targets:
-        if command.id != spare:
+        if command.id != spare and not _was_sent_after(command, received_at_s):
             context.follow(command.id, Stimulus.STOP, _halted(scope))
     return True
+
+
+def _was_sent_after(command: Command, received_at_s: float) -> bool:
+    """Whether a command was sent after a subsystem received a halt. A sender that gives no time, or a time in the
+    future, has `given_at_s` equal to `accepted_at_s`: it may have been sent earlier."""
+    return 0.0 < received_at_s < command.given_at_s < command.accepted_at_s
 
 
 def _halted(scope: str) -> PendingOutcome:

@@ -740,6 +740,7 @@ def _halt_called(client: str, order: m.HaltOrder, now: float) -> heard.HaltCalle
         scope=order.scope,
         called_at_s=order.called_at_s,
         call=order.call,
+        received_at_s=order.received_at_s,
     )
 
 

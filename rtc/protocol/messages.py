@@ -531,6 +531,8 @@ class HaltOrder(Message, frozen=True, kw_only=True):
     scope: Name = "ALL"
     called_at_s: float = 0.0  # when the operator called
     call: Name = ""  # the sender's number of this order; answers repeat it
+    # From a subsystem only: when it received the halt; sentences sent later go on. 0: unknown.
+    received_at_s: float = 0.0
 
 
 class ReportAck(Message, frozen=True, kw_only=True):

@@ -56,12 +56,13 @@ def sanitize_halt(order: m.HaltOrder) -> m.HaltOrder:
 
     Names of the broker's own halts are reserved: used by a caller, they could confirm rest of performers that were
     not stopped. Such a halt gets the prefix `H-`. A `called_at_s` that is negative or not finite becomes 0 (unknown).
+    So does `received_at_s`: the receiver sets it.
     """
     if order.halt.startswith(OWN_NAMES):
         order = msgspec.structs.replace(order, halt=f"H-{order.halt}"[:NAME_CHARACTERS])
     if not 0.0 <= order.called_at_s < math.inf:
         order = msgspec.structs.replace(order, called_at_s=0.0)
-    return order
+    return msgspec.structs.replace(order, received_at_s=0.0) if order.received_at_s else order
 
 
 class HaltRateLimiter:
@@ -88,7 +89,7 @@ class HaltRateLimiter:
         """Add an order to the pending merged halt; the merged halt."""
         before = self._merged
         same = before is None or before.scope == order.scope
-        self._merged = order if same else msgspec.structs.replace(order, scope="ALL")
+        self._merged = order if same else msgspec.structs.replace(order, scope="ALL")  # with the latest times
         return self._merged
 
     def due(self, now_s: float) -> m.HaltOrder | None:

@@ -245,7 +245,7 @@ class Subsystem:
         if sender == BROKER:  # the broker knows this halt in every later message on this socket
             self._fences = {scope: seen for scope, seen in self._fences.items() if not _acknowledges(order, seen)}
             return self._answer(order, sender, reached, moving, now_s)
-        passed_on = self._numbered(order)
+        passed_on = self._numbered(order, now_s)
         if self._halt_limiter.exceeds(sender, now_s):
             merged = self._halt_limiter.merge(passed_on)
             if merged.scope == "ALL":  # it replaces the fences that have been merged into it
@@ -255,10 +255,11 @@ class Subsystem:
         self._fence(passed_on)
         return [(BROKER, passed_on), *self._answer(order, sender, reached, moving, now_s)]
 
-    def _numbered(self, order: m.HaltOrder) -> m.HaltOrder:
-        """The order with a unique call number: two halts may share an id, and the broker may know only one of them."""
+    def _numbered(self, order: m.HaltOrder, now_s: float) -> m.HaltOrder:
+        """The order with its time of receipt and a unique call number: two halts may share an id, and the broker may
+        know only one of them."""
         self._calls += 1
-        return msgspec.structs.replace(order, call=f"{self.pid}-{self._calls}")
+        return msgspec.structs.replace(order, call=f"{self.pid}-{self._calls}", received_at_s=now_s)
 
     def _answer(
         self, order: m.HaltOrder, sender: bytes, reached: list[Executor], moving: list[str], now_s: float

@@ -568,6 +568,25 @@ def test_a_sentence_sent_before_halt_all_does_not_start_after_it():
     assert s.says("X", sent_at_s=10.5)[1] == "job C-2/1 parser #1"
 
 
+@pytest.mark.parametrize(
+    ("received_at_s", "sent_at_s", "halted"),
+    [
+        (10.0, 10.5, False),  # sent after the halt had been obeyed
+        (10.0, 9.5, True),
+        (10.0, 0.0, True),  # when it was sent is unknown
+        (10.0, 99.0, True),  # a clock in the future proves nothing
+        (0.0, 10.5, True),  # when it was received is unknown
+    ],
+)
+def test_a_halt_that_a_subsystem_forwards_late_spares_what_was_sent_later(received_at_s, sent_at_s, halted):
+    s = Story()
+    s.now = 11.0
+    s.says("X", sent_at_s=sent_at_s)
+    s.now = 12.0
+    s.hear(HaltCalled, client="MCM", halt="h1", scope="ALL", called_at_s=9.0, received_at_s=received_at_s)
+    assert s.phase("C-1") == ("gone" if halted else "parsing")
+
+
 def test_halt_of_one_arm_leaves_the_other():
     s = Story()
     s.executing()
