@@ -142,7 +142,7 @@ def test_an_error_names_its_place(tmp_path, plain, spoil, place):
 
 
 def test_the_models_of_the_default_cell_fit_it(swapout):
-    assert list(model_checks.problems(swapout)) == []
+    assert list(model_checks.problems(swapout.arms, swapout.texts)) == []
 
 
 SLIDE_A = '<joint name="finger_a_slide" type="prismatic">'

@@ -1,2 +1,4 @@
-"""A cluster whose own work is next to nothing: real broker, real shells, real world; trivial worker functions and a
-subsystem that is done at once. What is measured with it is what the RTC itself costs per command."""
+"""A cluster for load tests: the real broker, worker loop and world, with trivial worker functions.
+
+Its subsystem ends each primitive at once. What is measured with it is the cost of the RTC itself per command.
+"""

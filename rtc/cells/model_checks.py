@@ -9,14 +9,11 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rtc.cells.parts import Arm
 from rtc.robot import geometry
-
-if TYPE_CHECKING:
-    from rtc.cells.cell import Arm, Cell
 
 MOVING = ("revolute", "continuous", "prismatic")
 WIDTH_SLACK_M = 0.0005
@@ -26,13 +23,13 @@ Problems = Iterator[tuple[str, str]]  # place in the cell, problem
 Element = ElementTree.Element
 
 
-def problems(cell: Cell) -> Problems:
-    """All problems, arm by arm. The texts of the models must be embedded."""
-    for n, arm in enumerate(cell.arms):
+def problems(arms: Sequence[Arm], texts: Mapping[str, str]) -> Problems:
+    """All problems, arm by arm. `texts`: URDF and SRDF by file name."""
+    for n, arm in enumerate(arms):
         place = f"arms[{n}]"
         try:
-            root = ElementTree.fromstring(cell.texts[arm.urdf])
-            ElementTree.fromstring(cell.texts[arm.srdf])
+            root = ElementTree.fromstring(texts[arm.urdf])
+            ElementTree.fromstring(texts[arm.srdf])
         except ElementTree.ParseError as error:
             yield f"{place}.urdf", f"the model of {arm.name} is not XML: {error}"
             continue

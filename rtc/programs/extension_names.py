@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rtc.cells.cell import Numbers
+from rtc.cells.parts import Numbers
 
 #: elaborator: conditions of the world that a script may require
 NEEDS = ("hand_empty", "object_free", "object_held", "object_seated", "seat_free", "width_known")

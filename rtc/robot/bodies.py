@@ -13,14 +13,15 @@ import coal
 import pinocchio as pin
 
 from rtc.cells import cell as cells
+from rtc.cells import parts
 from rtc.protocol.outcomes import ProgramError
 from rtc.robot.geometry import Floats
 
 _SHAPES = {
-    cells.Box: lambda s: coal.Box(*s.size_m),
-    cells.Cylinder: lambda s: coal.Cylinder(s.radius_m, s.length_m),
-    cells.Sphere: lambda s: coal.Sphere(s.radius_m),
-    cells.Capsule: lambda s: coal.Capsule(s.radius_m, s.length_m),
+    parts.Box: lambda s: coal.Box(*s.size_m),
+    parts.Cylinder: lambda s: coal.Cylinder(s.radius_m, s.length_m),
+    parts.Sphere: lambda s: coal.Sphere(s.radius_m),
+    parts.Capsule: lambda s: coal.Capsule(s.radius_m, s.length_m),
 }
 
 
@@ -81,7 +82,7 @@ def build(cell: cells.Cell) -> Bodies:
         kind = "fixed" if thing.fixed else "movable"
         _add(geometry, pieces, thing.name, kind, cell.object_pose(thing.name), thing.shapes)
     for region in cell.regions:
-        box = cells.Box(name="region", size_m=region.size_m)
+        box = parts.Box(name="region", size_m=region.size_m)
         _add(geometry, pieces, region.name, "region", region.frame.pose, [box])
     pairs = [pair for pair in _candidates(pieces) if not _is_disabled(pieces, pair, disabled)]
     for pair in pairs:
@@ -97,7 +98,7 @@ def _add(
     owner: str,
     kind: str,
     pose: Floats,
-    shapes: list[cells.AnyShape],
+    shapes: list[parts.AnyShape],
 ) -> None:
     for shape in shapes:
         piece = Piece(owner, shape.name, kind, se3(shape.frame.pose))
@@ -124,7 +125,7 @@ def _is_disabled(pieces: list[Piece], pair: tuple[int, int], disabled: set[froze
     return a.kind == b.kind == "arm" and (a.label == b.label or frozenset((a.label, b.label)) in disabled)
 
 
-def _slots(model: pin.Model, arm: cells.Arm) -> ArmSlots:
+def _slots(model: pin.Model, arm: parts.Arm) -> ArmSlots:
     def place(joint: str) -> int:
         name = f"{arm.name} {joint}"
         if not model.existJointName(name):

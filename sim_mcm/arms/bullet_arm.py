@@ -13,6 +13,7 @@ import pinocchio as pin
 import pybullet
 
 from rtc.cells import cell as cells
+from rtc.cells import parts
 from rtc.protocol.primitive import ControlLaw
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
@@ -143,7 +144,7 @@ class BulletArm:
         infos = [pybullet.getJointInfo(self.body, n, physicsClientId=self._client) for n in range(count)]
         return {info[field].decode(): info[0] for info in infos}
 
-    def _prepare(self, spec: cells.Arm, sensor: int) -> None:
+    def _prepare(self, spec: parts.Arm, sensor: int) -> None:
         client = self._client
         for link in range(-1, pybullet.getNumJoints(self.body, physicsClientId=client)):
             pybullet.changeDynamics(

@@ -15,6 +15,7 @@ from typing import Any
 import pybullet
 
 from rtc.cells import cell as cells
+from rtc.cells import parts
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 
@@ -27,11 +28,11 @@ SOLVER_RESIDUAL = 1e-7
 class Body:
     """An object or a seat of the cell, made of one or several pybullet bodies."""
 
-    def __init__(self, name: str, pose: Array, parts: list[tuple[int, Array]]) -> None:
+    def __init__(self, name: str, pose: Array, pieces: list[tuple[int, Array]]) -> None:
         self.name = name
         self.home = pose
-        self.parts = parts  # (pybullet id, pose in the axes of the object or seat)
-        self.id = parts[0][0]  # a movable object has only this one
+        self.parts = pieces  # (pybullet id, pose in the axes of the object or seat)
+        self.id = pieces[0][0]  # a movable object has only this one
 
 
 class World:
@@ -113,8 +114,8 @@ class World:
 
     # --- construction ---------------------------------------------------------------------------------
 
-    def _fixed(self, thing: cells.Seat | cells.Object, pose: Array) -> Body:
-        parts = []
+    def _fixed(self, thing: parts.Seat | parts.Object, pose: Array) -> Body:
+        pieces = []
         for shape in thing.shapes:
             at = geometry.compose(pose, shape.frame.pose).tolist()
             part = pybullet.createMultiBody(
@@ -128,12 +129,12 @@ class World:
             )
             self.names[part] = f"{thing.name} {shape.name}"
             self._rub(part, shape)
-            parts.append((part, shape.frame.pose))
-        if not parts:  # a seat may have no shapes
+            pieces.append((part, shape.frame.pose))
+        if not pieces:  # a seat may have no shapes
             return Body(thing.name, pose, [(-1, geometry.make_pose((0, 0, 0)))])
-        return Body(thing.name, pose, parts)
+        return Body(thing.name, pose, pieces)
 
-    def _object(self, thing: cells.Object) -> Body:
+    def _object(self, thing: parts.Object) -> Body:
         pose = self.cell.object_pose(thing.name)
         if thing.fixed:
             return self._fixed(thing, pose)
@@ -155,7 +156,7 @@ class World:
             )
         return Body(thing.name, pose, [(body, geometry.make_pose((0, 0, 0)))])
 
-    def _rub(self, body: int, shape: cells.AnyShape) -> None:
+    def _rub(self, body: int, shape: parts.AnyShape) -> None:
         pybullet.changeDynamics(
             body,
             -1,
@@ -166,13 +167,13 @@ class World:
             physicsClientId=self.client,
         )
 
-    def _collision(self, shapes: Sequence[cells.AnyShape], placed: bool) -> int:
+    def _collision(self, shapes: Sequence[parts.AnyShape], placed: bool) -> int:
         made: int = pybullet.createCollisionShapeArray(
             **_columns(shapes, placed, "collisionFrame"), physicsClientId=self.client
         )
         return made
 
-    def _look(self, shapes: Sequence[cells.AnyShape], placed: bool) -> int:
+    def _look(self, shapes: Sequence[parts.AnyShape], placed: bool) -> int:
         if not self._visual:
             return -1
         columns = _columns(shapes, placed, "visualFrame")
@@ -202,7 +203,7 @@ def _embodied(urdf: str) -> str:
     return ElementTree.tostring(robot, encoding="unicode")
 
 
-def _columns(shapes: Sequence[cells.AnyShape], placed: bool, prefix: str) -> dict[str, Any]:
+def _columns(shapes: Sequence[parts.AnyShape], placed: bool, prefix: str) -> dict[str, Any]:
     """Arguments of pybullet's shape arrays: one list per property, one entry per shape."""
     rows = [SHAPES[type(shape)](shape) for shape in shapes]
     poses = [shape.frame.pose.tolist() if placed else list(geometry.IDENTITY) for shape in shapes]
@@ -218,8 +219,8 @@ def _columns(shapes: Sequence[cells.AnyShape], placed: bool, prefix: str) -> dic
 
 _NO_BOX = [0.0, 0.0, 0.0]
 SHAPES: dict[type, Callable[[Any], tuple[int, list[float], float, float]]] = {
-    cells.Box: lambda s: (pybullet.GEOM_BOX, [0.5 * n for n in s.size_m], 0.0, 0.0),
-    cells.Cylinder: lambda s: (pybullet.GEOM_CYLINDER, _NO_BOX, s.radius_m, s.length_m),
-    cells.Sphere: lambda s: (pybullet.GEOM_SPHERE, _NO_BOX, s.radius_m, 0.0),
-    cells.Capsule: lambda s: (pybullet.GEOM_CAPSULE, _NO_BOX, s.radius_m, s.length_m),
+    parts.Box: lambda s: (pybullet.GEOM_BOX, [0.5 * n for n in s.size_m], 0.0, 0.0),
+    parts.Cylinder: lambda s: (pybullet.GEOM_CYLINDER, _NO_BOX, s.radius_m, s.length_m),
+    parts.Sphere: lambda s: (pybullet.GEOM_SPHERE, _NO_BOX, s.radius_m, 0.0),
+    parts.Capsule: lambda s: (pybullet.GEOM_CAPSULE, _NO_BOX, s.radius_m, s.length_m),
 }

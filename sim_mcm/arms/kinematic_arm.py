@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtc.cells import cell as cells
+from rtc.cells import parts
 from rtc.protocol.primitive import ControlLaw
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
@@ -362,21 +363,21 @@ def _hand_parts(cell: cells.Cell, arm: str) -> list[tuple[str, Any, Callable[[fl
     shapes = pin.buildGeomFromUrdfString(model, cell.urdf(arm), pin.GeometryType.COLLISION)
     data, shape_data = model.createData(), shapes.createData()
     names = {spec.gripper.palm_link: "palm", **dict(zip(spec.gripper.finger_links, FINGERS, strict=True))}
-    parts: list[tuple[str, Any, Callable[[float], Array]]] = []
+    found: list[tuple[str, Any, Callable[[float], Array]]] = []
     at_zero, at_one = (_placements(model, data, shapes, shape_data, spec, travel) for travel in (0.0, 0.01))
     for n, shape in enumerate(shapes.geometryObjects):
         link = model.frames[shape.parentFrame].name
         if link in names:
             begin, way = at_zero[n], (at_one[n] - at_zero[n]) / 0.01
-            parts.append((names[link], shape.geometry, _sliding(begin, way)))
-    return parts
+            found.append((names[link], shape.geometry, _sliding(begin, way)))
+    return found
 
 
 def _sliding(begin: Array, way: Array) -> Callable[[float], Array]:
     return lambda travel: begin + travel * way
 
 
-def _placements(model: Any, data: Any, shapes: Any, shape_data: Any, spec: cells.Arm, travel: float) -> list[Array]:
+def _placements(model: Any, data: Any, shapes: Any, shape_data: Any, spec: parts.Arm, travel: float) -> list[Array]:
     q = pin.neutral(model)
     for joint in spec.gripper.finger_joints:
         q[model.joints[model.getJointId(joint)].idx_q] = travel
@@ -386,15 +387,15 @@ def _placements(model: Any, data: Any, shapes: Any, shape_data: Any, spec: cells
     return [(tcp * placement).homogeneous for placement in shape_data.oMg]
 
 
-def _piece(owner: str, shape: cells.AnyShape) -> Piece:
+def _piece(owner: str, shape: parts.AnyShape) -> Piece:
     made = SHAPES[type(shape)](shape)
     made.computeLocalAABB()
     return Piece(owner, made, geometry.to_matrix(shape.frame.pose), float(made.aabb_radius))
 
 
 SHAPES: dict[type, Callable[[Any], Any]] = {
-    cells.Box: lambda s: coal.Box(*s.size_m),
-    cells.Cylinder: lambda s: coal.Cylinder(s.radius_m, s.length_m),
-    cells.Sphere: lambda s: coal.Sphere(s.radius_m),
-    cells.Capsule: lambda s: coal.Capsule(s.radius_m, s.length_m),
+    parts.Box: lambda s: coal.Box(*s.size_m),
+    parts.Cylinder: lambda s: coal.Cylinder(s.radius_m, s.length_m),
+    parts.Sphere: lambda s: coal.Sphere(s.radius_m),
+    parts.Capsule: lambda s: coal.Capsule(s.radius_m, s.length_m),
 }

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rtc.cells import cell as cells
+from rtc.cells import parts
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 
@@ -61,5 +62,5 @@ class Seats:
             if at is not None and float((pose[:3] - at) @ out) > PULLED_M:
                 yield Felt(-seat.detent_n * out, 0.0)
 
-    def _place(self, seat: cells.Seat) -> Array:
+    def _place(self, seat: parts.Seat) -> Array:
         return geometry.compose(self._poses[seat.name], self._inside[seat.name])

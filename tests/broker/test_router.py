@@ -1,5 +1,7 @@
-"""The broker's shell towards those who mean harm, on sockets that are lists: nothing said at a door ends it, everything
-kept has a bound, and nobody can speak for another."""
+"""The router against hostile and faulty peers, with lists in place of sockets.
+
+No message ends it, everything that it keeps is bounded, and no peer can act for another.
+"""
 
 from __future__ import annotations
 

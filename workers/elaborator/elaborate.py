@@ -14,6 +14,7 @@ from typing import TypeVar
 import msgspec
 
 from rtc.cells import cell as cells
+from rtc.cells import parts
 from rtc.language.record import ParsedCommand
 from rtc.programs import expressions
 from rtc.programs.loader import decode
@@ -98,13 +99,13 @@ def _candidates(
 ) -> list[TaskCandidate] | Refusal:
     """One candidate per arm and grasp point that the sentence allows, nearest first."""
     cell, program = query.cell, compiled.program
-    thing: cells.Object | None = None
+    thing: parts.Object | None = None
     if parsed.object is not None:
         found = _part(cell.objects, parsed.object, "object")
         if isinstance(found, Refusal):
             return _or_a_hand(found, compiled, parsed, cell)
         thing = found
-    target: cells.Seat | None = None
+    target: parts.Seat | None = None
     if parsed.target is not None:
         seat = _part(cell.seats, parsed.target, "seat")
         if isinstance(seat, Refusal):
@@ -143,7 +144,7 @@ def _far(candidate: TaskCandidate) -> float:
     return geometry.distance(candidate.arm.base.pose, goal)
 
 
-def _arms(parsed: ParsedCommand, query: WorldQuery, thing: cells.Object | None) -> list[cells.Arm] | Refusal:
+def _arms(parsed: ParsedCommand, query: WorldQuery, thing: parts.Object | None) -> list[parts.Arm] | Refusal:
     """The arm named in the sentence; else the arm that holds the object; else all arms."""
     cell = query.cell
     if parsed.hand is not None:
@@ -157,8 +158,8 @@ def _arms(parsed: ParsedCommand, query: WorldQuery, thing: cells.Object | None) 
 
 
 def _points(
-    compiled: Compiled, parsed: ParsedCommand, thing: cells.Object | None
-) -> list[cells.GraspPoint | None] | Refusal:
+    compiled: Compiled, parsed: ParsedCommand, thing: parts.Object | None
+) -> list[parts.GraspPoint | None] | Refusal:
     """The grasp point named in the sentence; else all; [None] if no script of the verb uses a grasp point."""
     scripts = [compiled.scripts[b.script] for b in compiled.program.decision_tree if b.verb == parsed.verb]
     if thing is None or not any("grasp_point" in script.uses for script in scripts):
@@ -169,12 +170,12 @@ def _points(
     return found if isinstance(found, Refusal) else [found]
 
 
-T = TypeVar("T", cells.Arm, cells.Object, cells.Seat, cells.GraspPoint)
+T = TypeVar("T", parts.Arm, parts.Object, parts.Seat, parts.GraspPoint)
 
 
-def _part(parts: list[T], name: str, what: str) -> T | Refusal:
-    found = next((part for part in parts if part.name == name), None)
-    return found or suggestions.unknown(what, name, [part.name for part in parts])
+def _part(choices: list[T], name: str, what: str) -> T | Refusal:
+    found = next((part for part in choices if part.name == name), None)
+    return found or suggestions.unknown(what, name, [part.name for part in choices])
 
 
 # --- choose the script -----------------------------------------------------------------------------------

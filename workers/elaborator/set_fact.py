@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rtc.cells import cell as cells
+from rtc.cells import parts
 from rtc.language.record import ParsedCommand
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, Tellable
 from rtc.protocol.messages import Script, ScriptContext, Step
@@ -20,7 +20,7 @@ from workers.elaborator import command_fields
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 
-Thing = cells.Object | cells.Seat
+Thing = parts.Object | parts.Seat
 
 
 def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, query: WorldQuery) -> Script | Refusal:
@@ -42,7 +42,7 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
         "value": _shown(parsed),
     }
     inside = [key.rpartition(".")[0] for key in facts]
-    inside += _seated(thing.name, query) if isinstance(thing, cells.Seat) else []
+    inside += _seated(thing.name, query) if isinstance(thing, parts.Seat) else []
     if f"{thing.name}.frame" in facts and (holder := query.held_by(thing.name)):
         inside.append(holder)  # the hand's `holding` and the grasp follow from the frame
     return Script(
@@ -98,7 +98,7 @@ def _facts(
     """The stated facts by key, in SI units; or the refusal with the correct form."""
     attribute = _attribute(parsed)
     values: list[float | str] = parsed.value or []
-    if isinstance(thing, cells.Seat) and attribute not in program.told_of_seats:
+    if isinstance(thing, parts.Seat) and attribute not in program.told_of_seats:
         settable = [_word(name) for name in program.told_of_seats]
         return suggestions.unknown(
             "attribute of a seat", parsed.attribute or "", settable, where=parsed.attribute or ""
@@ -191,11 +191,11 @@ def _seat(program: ElaboratorProgram, values: list[Any], thing: Thing, query: Wo
 
 
 def _current_pose(thing: Thing, query: WorldQuery) -> Array:
-    return query.seat_frame(thing.name) if isinstance(thing, cells.Seat) else query.frame(thing.name)
+    return query.seat_frame(thing.name) if isinstance(thing, parts.Seat) else query.frame(thing.name)
 
 
 def _pose(place: Any, attitude: Any, thing: Thing) -> dict[str, Any] | Refusal:
-    if isinstance(thing, cells.Object) and thing.fixed:
+    if isinstance(thing, parts.Object) and thing.fixed:
         return Refusal(reason=RefusalReason.STATE, message=f"{thing.name} is fixed", clears="another object")
     return {f"{thing.name}.frame": [float(n) for n in (*place, *attitude)]}
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from rtc.cells import cell as cells
+from rtc.cells import parts
 from rtc.language.record import ParsedCommand, Quantity
 from rtc.language.units import in_words
 from rtc.programs.schema import ElaboratorProgram, TableRow
@@ -31,10 +31,10 @@ class TaskCandidate:
     program: ElaboratorProgram
     parsed: ParsedCommand
     limits: Limits
-    arm: cells.Arm
-    thing: cells.Object | None
-    point: cells.GraspPoint | None
-    target: cells.Seat | None
+    arm: parts.Arm
+    thing: parts.Object | None
+    point: parts.GraspPoint | None
+    target: parts.Seat | None
     figures: dict[str, float]
 
     @cached_property
@@ -103,10 +103,10 @@ def figures_of(
     program: ElaboratorProgram,
     parsed: ParsedCommand,
     query: WorldQuery,
-    arm: cells.Arm,
-    thing: cells.Object | None,
-    point: cells.GraspPoint | None,
-    target: cells.Seat | None,
+    arm: parts.Arm,
+    thing: parts.Object | None,
+    point: parts.GraspPoint | None,
+    target: parts.Seat | None,
 ) -> dict[str, float] | Refusal:
     """All figures of a candidate, or the refusal if the command-object table has no row for it."""
     figures: dict[str, float] = dict(msgspec.structs.asdict(query.cell.numbers))
@@ -136,7 +136,7 @@ def _figure_of(name: str, quantity: Quantity | None) -> dict[str, float]:
     return {} if quantity is None else {name + SUFFIX.get(quantity.unit, f"_{quantity.unit}"): quantity.value}
 
 
-def _not_for(program: ElaboratorProgram, verb: str, thing: cells.Object | None, query: WorldQuery) -> Refusal:
+def _not_for(program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery) -> Refusal:
     """Refusal if the table has no row for this verb and object. A verb without any row is a program error."""
     rows = [row for row in program.command_object_table if row.verb == verb]
     fits = [one.name for one in query.cell.objects if any(_is_about(row, one) for row in rows)]
@@ -158,7 +158,7 @@ def _not_for(program: ElaboratorProgram, verb: str, thing: cells.Object | None, 
 
 
 def _table(
-    program: ElaboratorProgram, verb: str, thing: cells.Object | None, query: WorldQuery
+    program: ElaboratorProgram, verb: str, thing: parts.Object | None, query: WorldQuery
 ) -> dict[str, Any] | Refusal:
     rows = [row for row in program.command_object_table if row.verb == verb and _is_about(row, thing)]
     if not rows:
@@ -167,7 +167,7 @@ def _table(
     return {name: value for row in rows for name, value in row.values.items()}
 
 
-def _is_about(row: TableRow, thing: cells.Object | None) -> bool:
+def _is_about(row: TableRow, thing: parts.Object | None) -> bool:
     if thing is None:
         return not row.kind and not row.name
     return row.name == thing.name if row.name else row.kind == thing.kind

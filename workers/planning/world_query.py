@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtc.cells import cell as cells
+from rtc.cells import parts
 from rtc.protocol.messages import Limits, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Load
@@ -112,7 +113,7 @@ class WorldQuery:
         grasp = self.world.value(f"{thing}.grasp")
         return None if grasp is None else geometry.normalise(grasp)
 
-    def point_in_hand(self, thing: str) -> cells.GraspPoint | None:
+    def point_in_hand(self, thing: str) -> parts.GraspPoint | None:
         """The grasp point nearest to the tcp according to the grasp; None without a grasp."""
         grasp = self.grasp(thing)
         if grasp is None:

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc.cells.cell import Box, Frame, Object
+from rtc.cells.parts import Box, Frame, Object
 from rtc.protocol.outcomes import Refusal
 from rtc.robot import geometry
 from rtc.robot.collision import CollisionWorld, Held, Scene

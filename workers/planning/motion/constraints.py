@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rtc.cells import cell as cells
+from rtc.cells import parts
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
@@ -19,8 +19,8 @@ from rtc.robot.kinematics import ArmModel
 class Rules:
     """Path constraints; None = not constrained."""
 
-    work_range: cells.Region | None = None
-    attitude: cells.Frame | None = None  # of the tcp, world frame
+    work_range: parts.Region | None = None
+    attitude: parts.Frame | None = None  # of the tcp, world frame
     attitude_name: str = ""
     attitude_tolerance_rad: float = math.radians(5.0)
 

@@ -1,0 +1,220 @@
+"""What a work-cell consists of: arms, seats, objects, places, regions, shapes and default numbers.
+
+Fields that end in `_deg` are degrees, as in the file; properties that end in `_rad` are radians. Poses are seven floats
+(see `rtc.robot.geometry`). References between parts are checked by `rtc.cells.cell`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from rtc.robot import geometry
+
+Name = Annotated[str, Meta(pattern=r"^[A-Z][A-Z0-9]*(-[A-Z0-9]+)*$")]
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+Vec3 = tuple[float, float, float]
+
+
+class CellPart(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
+    """Base of all parts of a cell: an unknown field is an error."""
+
+
+class Frame(CellPart, frozen=True, kw_only=True):
+    """A pose for people: position (m); roll, pitch, yaw (deg) about the fixed axes x, y, z."""
+
+    xyz: Vec3 = (0.0, 0.0, 0.0)
+    rpy_deg: Vec3 = (0.0, 0.0, 0.0)
+
+    @property
+    def pose(self) -> geometry.Array:
+        return geometry.from_rpy(self.xyz, [math.radians(n) for n in self.rpy_deg])
+
+
+# --- shapes --------------------------------------------------------------------------------------------
+
+
+class Shape(CellPart, frozen=True, kw_only=True, tag_field="type"):
+    """One convex piece of a body. Collision messages show `name`: RACK-1 left-wall."""
+
+    name: str
+    frame: Frame = Frame()  # in the axes of the body
+    friction: NotNegative = 1.0  # coefficient; pybullet multiplies those of the two bodies
+    spinning_friction: NotNegative = 0.005  # m; without it, pybullet lets a bar turn in the fingers
+    colour: tuple[float, float, float, float] = (0.7, 0.7, 0.72, 1.0)
+
+
+class Box(Shape, frozen=True, kw_only=True, tag="box"):
+    size_m: tuple[Positive, Positive, Positive]
+
+
+class Cylinder(Shape, frozen=True, kw_only=True, tag="cylinder"):
+    """Along z. pybullet grips a cylinder 2 mm too wide: use boxes for parts that are grasped."""
+
+    radius_m: Positive
+    length_m: Positive
+
+
+class Sphere(Shape, frozen=True, kw_only=True, tag="sphere"):
+    radius_m: Positive
+
+
+class Capsule(Shape, frozen=True, kw_only=True, tag="capsule"):
+    """Along z. The length excludes the two half spheres."""
+
+    radius_m: Positive
+    length_m: Positive
+
+
+AnyShape = Box | Cylinder | Sphere | Capsule
+
+
+# --- contents of the cell ------------------------------------------------------------------------------
+
+
+class Gripper(CellPart, frozen=True, kw_only=True):
+    """A parallel gripper: two finger joints of the arm's URDF, each with half the opening."""
+
+    max_opening_m: Positive
+    max_force_n: Positive
+    speed_m_s: Positive = 0.05
+    finger_joints: tuple[str, str] = ("finger_a_slide", "finger_b_slide")
+    finger_links: tuple[str, str] = ("finger_a", "finger_b")
+    palm_link: str = "palm"
+
+
+class Arm(CellPart, frozen=True, kw_only=True):
+    name: Name
+    end_effector: Name
+    urdf: str  # file, relative to the cell's
+    srdf: str
+    base: Frame  # pose of the URDF's root link, world frame
+    joints: list[str]  # names in the URDF, from the base to the hand
+    tcp_link: str = "tcp"
+    sensor_joint: str = "wrist_ft"  # fixed joint; its reaction is the measured wrench
+    home_deg: list[float]
+    stow_deg: list[float]
+    acceleration_deg_s2: list[Positive]  # the URDF has no field for it
+    payload_kg: Positive
+    gripper: Gripper
+
+    @property
+    def home_rad(self) -> list[float]:
+        return [math.radians(n) for n in self.home_deg]
+
+    @property
+    def stow_rad(self) -> list[float]:
+        return [math.radians(n) for n in self.stow_deg]
+
+    @property
+    def acceleration_rad_s2(self) -> list[float]:
+        return [math.radians(n) for n in self.acceleration_deg_s2]
+
+
+class KnownWithin(CellPart, frozen=True, kw_only=True):
+    """Initial pose spread of an object: half-widths along and about each axis of its own frame."""
+
+    xyz_m: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
+    rpy_deg: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
+
+    @property
+    def spread(self) -> list[float]:
+        """[x y z roll pitch yaw], m and rad, as in a fact."""
+        return [*self.xyz_m, *(math.radians(n) for n in self.rpy_deg)]
+
+
+class GraspPoint(CellPart, frozen=True, kw_only=True):
+    """A grasp point: the pose of the tcp in the grasp, in the object's axes (tool z approaches, y closes)."""
+
+    name: Name
+    frame: Frame
+    width_m: Positive  # of the part between the fingers
+
+
+class Seat(CellPart, frozen=True, kw_only=True):
+    """A fixed place for a module, such as a rack or bay. Shapes are in the seat's own axes."""
+
+    name: Name
+    kind: str
+    frame: Frame  # world
+    module_frame: Frame = Frame()  # pose of a seated module, in the seat's axes
+    way_out: Vec3 = (-1.0, 0.0, 0.0)  # direction in which a module leaves; unit vector, seat's axes
+    depth_m: NotNegative  # distance along way_out until the module is free
+    detent_n: NotNegative = 0.0  # holding force of the catch; 0: no catch
+    needs_within: KnownWithin | None = None  # maximum spread of a held module for insertion
+    shapes: list[AnyShape] = []
+
+
+class Object(CellPart, frozen=True, kw_only=True):
+    """An object that can be grasped or, if fixed, an obstacle. `frame`: in the world or in its seat's module frame."""
+
+    name: Name
+    kind: str
+    frame: Frame = Frame()
+    seat: Name | None = None
+    known_within: KnownWithin | None = None  # None: the pose is exact
+    fixed: bool = False
+    mass_kg: Positive = 1.0
+    inertia_kg_m2: tuple[Positive, Positive, Positive] | None = None  # about the origin; None: from the shapes
+    shapes: list[AnyShape]
+    grasp_points: list[GraspPoint] = []
+
+    def grasp_point(self, name: str) -> GraspPoint:
+        return named(self.grasp_points, name, f"grasp point of {self.name}")
+
+
+class Place(CellPart, frozen=True, kw_only=True):
+    """A named place, with a tcp pose (world frame) or a posture per arm. `object`: goal pose of a carried object."""
+
+    name: Name
+    poses: dict[str, Frame] = {}
+    joints_deg: dict[str, list[float]] = {}
+    object: Frame | None = None
+
+    def joints_rad(self, arm: str) -> list[float] | None:
+        degrees = self.joints_deg.get(arm)
+        return None if degrees is None else [math.radians(n) for n in degrees]
+
+
+class Region(CellPart, frozen=True, kw_only=True):
+    """A box in space: a safe work range, or a task region to avoid."""
+
+    name: Name
+    frame: Frame  # centre, world
+    size_m: tuple[Positive, Positive, Positive]
+
+    def contains(self, point: geometry.Floats) -> bool:
+        local = geometry.transform_point(geometry.inverse(self.frame.pose), point)
+        return all(abs(x) <= 0.5 * size for x, size in zip(local.tolist(), self.size_m, strict=True))
+
+
+class Numbers(CellPart, frozen=True, kw_only=True):
+    """Default parameters of this cell, for values that a sentence does not give."""
+
+    neighborhood_radius_m: Positive = 0.15
+    approach_m: Positive = 0.10  # the paper's "set distance" before a grasp point
+    grasp_tolerance_m: Positive = 0.010
+    grasp_tolerance_deg: Positive = 5.0
+    search_overrun_m: Positive = 0.010  # beyond the nominal contact
+    free_speed_m_s: Positive = 0.25
+    near_speed_m_s: Positive = 0.10
+    contact_speed_m_s: Positive = 0.02
+    acceleration_m_s2: Positive = 1.0
+    feel_force_n: Positive = 5.0
+    guard_force_n: Positive = 20.0
+    joint_margin_deg: NotNegative = 3.0  # IK solutions nearer to a limit are rejected
+
+
+Named = TypeVar("Named", Arm, Seat, Object, Place, Region, GraspPoint)
+
+
+def named(parts: Sequence[Named], name: str, what: str) -> Named:
+    for part in parts:
+        if part.name == name:
+            return part
+    raise KeyError(f"no {what} {name}; there are {', '.join(p.name for p in parts)}")

@@ -1,0 +1,118 @@
+"""Words of the project, tested: retired words, module docstrings and the length of their first sentence.
+
+A word is a run of letters; `snake_case` and `CamelCase` names are split, so that identifiers are searched like prose.
+In Python files everything is searched, in Markdown the text, in YAML the comments: the keys are part of the language.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = ("rtc", "broker", "workers", "sim_mcm", "deploy", "tests", "benchmarks", "docs")
+FIRST_SENTENCE = 25  # words, maximum
+
+#: retired word, or words in sequence -> the word that the project uses
+RETIRED = {
+    "as a callers": "sanitize_halt",
+    "hearing": "receive, handle",
+    "lifeline": "heartbeat",
+    "said in sentence": "from_command",
+    "situation": "task candidate",
+    "starting points": "anchors",
+    "unheard": "OutputClosed",
+}
+#: (word, place, text in the line): the uses that stay, each with its reason
+ALLOWED: tuple[tuple[str, str, str], ...] = ()
+
+WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+
+
+def files(*endings: str) -> list[Path]:
+    found = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.suffix in endings]
+    found += [path for path in ROOT.glob("*") if path.suffix in endings]
+    return sorted(path for path in found if "__pycache__" not in path.parts and "results" not in path.parts)
+
+
+def place(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def lines(path: Path) -> Iterator[tuple[int, str]]:
+    """(number, text) of the lines to search."""
+    for number, line in enumerate(path.read_text().splitlines(), 1):
+        if path.suffix in (".yaml", ".yml"):
+            _, _, line = f" {line}".partition(" #")
+        yield number, line
+
+
+def retired_in(line: str) -> list[str]:
+    words = " ".join(word.lower() for word in WORD.findall(line))
+    return [word for word in RETIRED if f" {word} " in f" {words} "]
+
+
+def allowed(word: str, where: str, line: str) -> bool:
+    return any(word == w and where.startswith(p) and text in line for w, p, text in ALLOWED)
+
+
+@pytest.mark.parametrize("path", files(".py", ".md", ".yaml", ".yml"), ids=place)
+def test_no_retired_word_is_used(path: Path) -> None:
+    if path == Path(__file__):
+        return  # it lists them
+    found = [
+        f"{place(path)}:{number}: {word!r}, use: {RETIRED[word]}"
+        for number, line in lines(path)
+        for word in retired_in(line)
+        if not allowed(word, place(path), line)
+    ]
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("self._lifeline = None", ["lifeline"]),
+        ("class Lifeline:", ["lifeline"]),
+        ("def as_a_callers(scope):", ["as a callers"]),
+        ("plan from the starting points", ["starting points"]),
+        ("the lifelines of trees", []),
+    ],
+)
+def test_a_retired_word_is_found_in_names_and_in_prose(line: str, found: list[str]) -> None:
+    assert retired_in(line) == found
+
+
+def test_every_allowed_use_is_still_there() -> None:
+    """An entry that allows nothing any more is removed."""
+    left = [
+        entry
+        for entry in ALLOWED
+        if not any(
+            place(path).startswith(entry[1]) and entry[2] in line and entry[0] in retired_in(line)
+            for path in files(".py", ".md", ".yaml", ".yml")
+            for _, line in lines(path)
+        )
+    ]
+    assert not left
+
+
+@pytest.mark.parametrize("path", files(".py"), ids=place)
+def test_a_module_says_in_one_short_sentence_what_it_is(path: Path) -> None:
+    docstring = ast.get_docstring(ast.parse(path.read_text()))
+    assert docstring, f"{place(path)} has no docstring at its top"
+    first = first_sentence(docstring)
+    assert len(first.split()) <= FIRST_SENTENCE, f"{place(path)}: {first}"
+
+
+def first_sentence(docstring: str) -> str:
+    return re.split(r"(?<=[.!?])\s|\n\n", docstring.strip(), maxsplit=1)[0]
+
+
+def test_a_sentence_ends_at_a_full_stop_or_a_blank_line() -> None:
+    assert first_sentence("What `rtc.client` is. More.") == "What `rtc.client` is."
+    assert first_sentence("Without a full stop\n\nMore") == "Without a full stop"
