@@ -1,4 +1,4 @@
-"""The write-ahead journal: every event the Decision Unit hears, before its effects go out (invariant 9).
+"""The write-ahead journal: every event of the Decision Unit, before its effects go out (invariant 7).
 
 One row per turn of the broker's loop holds that turn's events as one MessagePack list, in one SQLite transaction
 (WAL, so a commit is some microseconds). A killed process loses nothing that was committed; a crash of the operating

@@ -4,7 +4,7 @@ bytes, and decides nothing.
 Every turn of the loop reads the sockets in order of priority: halts, subsystems, supervisor, workers, clients. Halts
 are a turn of their own: decided, journalled and sent before anything else is even read. A turn is short, however much
 lies waiting, so that the next halt is soon seen. The events of a turn are journalled in one transaction before any of
-its effects goes out (invariant 9).
+its effects goes out (invariant 7).
 """
 
 from __future__ import annotations

@@ -192,7 +192,7 @@ class StopFunction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
 
 
 class Reporting(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """R: the standard end report always holds joints, wrench and reason (R140); this adds to it."""
+    """R: the standard end report always holds joints, wrench and reason (R65); this adds to it."""
 
     every_s: float | None = None  # progress reports at this period
 

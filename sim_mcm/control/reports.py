@@ -1,4 +1,4 @@
-"""Reports about one primitive (R in the paper; R65, R140): plain functions from measurements to messages."""
+"""Reports about one primitive (R in the paper; R65): plain functions from measurements to messages."""
 
 from __future__ import annotations
 

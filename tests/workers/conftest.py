@@ -1,4 +1,4 @@
-"""The loop of the paper (L148-167) in memory: the real three workers, and a subsystem to report to them.
+"""The loop of the paper, section 4, in memory: the real three workers, and a subsystem to report to them.
 
 `Reporter` makes perfect reports from geometry alone, for pure tests in milliseconds; `Kinematic` is the MCM's own
 executor over arms that follow exactly. The same tests run on both.
@@ -244,7 +244,7 @@ class Bench:
         return analyzer.run(analyzer.compile(self.programs["analyzer"]), MODEL, self.world, data)
 
     def do(self, sentence: str) -> Run:
-        """WHILE Action_Stack Not_Empty ... (L148-167)."""
+        """The loop "WHILE Action_Stack Not_Empty" of the paper, section 4."""
         run = Run()
         script = self.elaborate(sentence)
         if isinstance(script, Refusal):

@@ -96,7 +96,7 @@ def test_let_go_and_take_again(either):
 
 
 def test_nothing_felt_is_mended_once_and_then_told(either):
-    """O1 without cameras: end-point reached, nothing felt; trim 2 starts over, 15 mm farther on. The second time it is
+    """Without cameras: end-point reached, nothing felt; trim 2 starts over, 15 mm farther on. The second time it is
     a failure, and the hand is drawn back out of where the handle is believed to be."""
     either.subsystem.displace("MACS-NEW", [0.0, 0.0265, 0.0])
 
@@ -137,7 +137,7 @@ def test_the_side_that_was_felt_tells_where_to_feel_the_other(bench):
 
 @pytest.mark.parametrize(("closes", "succeeds"), [([0.0], True), ([0.0, 0.0], False)])
 def test_a_bad_first_close_is_repeated_once(bench, closes, succeeds):
-    """R119, O2."""
+    """R119."""
     bench.load("elaborator", "decision_tree: [{verb: GRASP, script: grasp-centering, enabled: false}]")
     bench.do("MOVE RIGHT-ARM TO RACK-1-FRONT")
     bench.subsystem.closes = closes
@@ -197,7 +197,7 @@ def test_after_a_halt_while_carrying_the_next_command_works_at_once(bench):
     made = judged(bench, bound, ended(report, StopReason.HALT), closing=True)
     bench.world = bench.world.overlay(made.changes)
 
-    assert bench.world.get("MACS-NEW.frame").validity is Validity.SUSPECT  # O6
+    assert bench.world.get("MACS-NEW.frame").validity is Validity.SUSPECT
     assert bench.do("RETRACT RIGHT-ARM BY 2 CM").succeeded
     assert bench.world.get("MACS-NEW.frame").validity is Validity.SUSPECT  # moving it proves nothing
     assert bench.elaborate("MOVE RIGHT-ARM TO BAY-2-FRONT").reason is RefusalReason.SUSPECT

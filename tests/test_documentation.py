@@ -1,0 +1,62 @@
+"""The documents explain what the code cites, and name packages and files that exist."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("rtc", "broker", "workers", "sim_mcm", "deploy")
+CITING = {".py", ".md", ".yaml", ".lark", ".bnf", ".toml"}
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "benchmarks" / "README.md"])
+
+
+def texts() -> list[Path]:
+    places = [ROOT / name for name in (*PACKAGES, "tests", "benchmarks", "docs")]
+    found = [p for place in places for p in place.rglob("*") if p.suffix in CITING and p != Path(__file__)]
+    return found + [p for p in ROOT.glob("*") if p.suffix in CITING]
+
+
+def marks(text: str) -> set[str]:
+    """R and A marks in a text; a range such as R60-R67 counts in full."""
+    found = set(re.findall(r"\b[RA][1-9]\d{0,2}\b", text))
+    for letter, first, last in re.findall(r"\b([RA])([1-9]\d*)-[RA]([1-9]\d*)\b", text):
+        found |= {f"{letter}{number}" for number in range(int(first), int(last) + 1)}
+    return found
+
+
+def rows(page: str) -> set[str]:
+    return set(re.findall(r"^\| ([RA]\d+) \|", (ROOT / page).read_text(), re.MULTILINE))
+
+
+def test_each_cited_mark_is_explained():
+    explained = rows("docs/requirements.md")
+    missing = {f"{p.relative_to(ROOT)}: {m}" for p in texts() for m in marks(p.read_text()) - explained}
+    assert not missing
+
+
+def test_no_line_number_of_the_paper_is_cited():
+    wrong = {str(p.relative_to(ROOT)) for p in texts() if re.search(r"\bL\d{2,3}(-\d+)?\)|\(L\d{2,3}\b", p.read_text())}
+    assert not wrong
+
+
+def test_each_cited_invariant_is_in_the_architecture():
+    section = (ROOT / "ARCHITECTURE.md").read_text().partition("## What must always hold")[2].partition("\n## ")[0]
+    numbered = set(re.findall(r"^(\d+)\. ", section, re.MULTILINE))
+    assert numbered
+    cited = {(p.name, n) for p in texts() for n in re.findall(r"\binvariants? (\d+)\b", p.read_text(), re.IGNORECASE)}
+    assert {(name, n) for name, n in cited if n not in numbered} == set()
+
+
+def test_the_architecture_names_every_package():
+    page = (ROOT / "ARCHITECTURE.md").read_text()
+    folders = {p.parent.relative_to(ROOT).as_posix() + "/" for name in PACKAGES for p in (ROOT / name).rglob("*.py")}
+    assert {folder for folder in folders if f"`{folder}`" not in page} == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_a_page_names_files_that_exist(page):
+    named = re.findall(r"`((?:rtc|broker|workers|sim_mcm|deploy|tests|benchmarks|docs)/[\w./-]*)`", page.read_text())
+    assert [name for name in named if "NAME" not in name and not (ROOT / name).exists()] == []
