@@ -52,7 +52,7 @@ def live(run_dir: Path, fd: int = -1) -> None:
     settings = given.settings
     with process.start("broker", run_dir) as me:
         priority = process.come_first(RANK, NICENESS)
-        first = State(timeout_scale=settings.patience, life=secrets.token_hex(2))
+        first = State(timeout_scale=settings.timeout_scale, life=secrets.token_hex(2))
         path = run_dir / "journal.db"
         journal, state, ended = damaged_database.open_or_set_aside(
             path, lambda: _opened(path, settings.run, first), me.note
@@ -82,7 +82,7 @@ def _serve(
     router = Router(me, settings, journal, state, store, given)
     router.guard = MemoryGuard()
     if given.fd >= 0:  # started by a supervisor
-        me.end_with_parent(ALONE_S * settings.patience + LAST_S)
+        me.end_with_parent(ALONE_S * settings.timeout_scale + LAST_S)
     router.loads = ProgramLoads(store, sandbox.Process)
     restarted = bool(state.programs)
     if restarted:

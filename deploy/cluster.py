@@ -169,7 +169,7 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
                 process.freeze_heap()
                 supervisor.run()
             finally:
-                stopped = supervisor.stop(END_LIMIT_S * settings.patience)
+                stopped = supervisor.stop(END_LIMIT_S * settings.timeout_scale)
                 if directory.ours():
                     _leave_word(run_dir, stopped.in_words())
                     _remove_traces(run_dir)
@@ -298,10 +298,10 @@ def down(run_dir: Path, limit_s: float = REST_S + OUTCOMES_S + END_LIMIT_S + 3.0
         raise NoCluster(f"no cluster is running in {run_dir}")
     pid, gone = running
     try:
-        for number, patience_s in ((signal.SIGTERM, limit_s), (signal.SIGKILL, 2.0)):
+        for number, wait_s in ((signal.SIGTERM, limit_s), (signal.SIGKILL, 2.0)):
             with contextlib.suppress(ProcessLookupError):
                 signal.pidfd_send_signal(gone, number)
-            if _ended(gone, patience_s):
+            if _ended(gone, wait_s):
                 break
     finally:
         os.close(gone)
@@ -331,10 +331,10 @@ def _running(run_dir: Path) -> tuple[int, int] | None:
         return pid, gone
 
 
-def _ended(pidfd: int, patience_s: float) -> bool:
+def _ended(pidfd: int, wait_s: float) -> bool:
     poller = zmq.Poller()
     poller.register(pidfd, zmq.POLLIN)
-    return bool(poller.poll(int(1000 * patience_s)))
+    return bool(poller.poll(int(1000 * wait_s)))
 
 
 # --- the directory -------------------------------------------------------------------------------------

@@ -70,8 +70,8 @@ class Station:
 
     def _come_to_rest(self) -> None:
         """Brake all arms before the process ends, also if the supervisor has died. Telemetry shows the rest."""
-        subsystem, limit_s = self._subsystem, process.now_s() + END_S * self._settings.patience
-        process.end_within(END_S * self._settings.patience + LAST_S)
+        subsystem, limit_s = self._subsystem, process.now_s() + END_S * self._settings.timeout_scale
+        process.end_within(END_S * self._settings.timeout_scale + LAST_S)
         if not subsystem.at_rest:
             self._me.log.info("braking before the end")
         subsystem.brake()
@@ -200,7 +200,7 @@ def live(run_dir: str, fd: int = -1, simulation: Simulation | None = None) -> No
     given = handover.begin(NAME, Path(run_dir), fd)
     settings = given.settings
     with process.start(NAME, run_dir) as me:
-        me.end_with_parent(END_S * settings.patience + LAST_S)
+        me.end_with_parent(END_S * settings.timeout_scale + LAST_S)
         station = Station(me, given, simulation or SIMULATIONS[settings.mcm](Cell.load(settings.cell)))
         me.log.info("scheduling: %s", _come_first(settings))
         station.run()

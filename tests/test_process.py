@@ -223,7 +223,7 @@ def test_who_may_not_come_first_goes_on_all_the_same(monkeypatch):
     monkeypatch.setattr(os, "nice", lambda by: by)
     assert process.come_first(1, -5) == "niceness -5"
     monkeypatch.setattr(os, "nice", refuse)
-    assert process.come_first(1, -5) == "no leave for a better priority"
+    assert process.come_first(1, -5) == "a better priority is not permitted"
 
 
 def test_a_child_of_one_that_comes_first_does_not():

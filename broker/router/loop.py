@@ -125,13 +125,13 @@ class Router:
 
     def run(self) -> None:
         while not self.me.stopping:
-            self.turn(self.me.wait(self._patience_s()))
+            self.turn(self.me.wait(self._wait_s()))
         if self.me.orphaned:
             self._end_alone()
         else:
             self.journal.snapshot(self.state)
 
-    def _patience_s(self) -> float:
+    def _wait_s(self) -> float:
         now = self._clock()
         next_s = now + LOOK_S if self.loads.busy else None
         if (timer_s := self.timers.next_at_s()) is not None:
@@ -377,12 +377,12 @@ class Router:
     def _end_alone(self) -> None:
         """The supervisor has died: halt everything, and send every client its outcomes. The MCM brakes by itself and
         reports; the workers are dead, so no last analysis is waited for. Nobody goes on with this journal."""
-        limit_s = self._clock() + ALONE_S * self.settings.patience
+        limit_s = self._clock() + ALONE_S * self.settings.timeout_scale
         self._end_all(self._clock())
         self.turn()
         while self.state.commands and (left_s := limit_s - self._clock()) > 0.0:
             self._give_up_analyses()
-            self.turn(self.me.wait(0.0 if self._events else min(left_s, self._patience_s())))
+            self.turn(self.me.wait(0.0 if self._events else min(left_s, self._wait_s())))
         if self.state.commands:
             why, now = "it gave no report after the supervisor's death", self._clock()
             self._events += [heard.SubsystemGone(at_s=now, subsystem=name, why=why) for name in self.state.subsystems]

@@ -27,7 +27,7 @@ from typing import Any, Literal, TypeVar, get_args
 
 import zmq
 
-from rtc.client.connection import LAST_WORDS_MS, FrontDoor
+from rtc.client.connection import LAST_WORDS_MS, BrokerConnection
 from rtc.client.halt import HaltLine, HaltResult
 from rtc.client.heartbeat import HeartbeatSender
 from rtc.client.liveness import BrokerLiveness, Report, is_listening, supervised
@@ -120,7 +120,7 @@ class Client:
         self._answers: dict[str, m.BrokerToClient] = {}  # request -> answer to a query
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._halt_line = HaltLine(self._context, self._endpoints)
-        self._front = FrontDoor(
+        self._connection = BrokerConnection(
             self._context, self._endpoints, me, self._endpoints.run if isinstance(self._endpoints, Settings) else ""
         )
         self._heartbeat = HeartbeatSender(self._context, self._endpoints, me) if halt_if_lost else None
@@ -128,7 +128,7 @@ class Client:
         self._world: WorldClient | None = None
         if need_broker:
             try:
-                self._front.knock(str(self.run_dir), self._restarting, self._liveness.restarting)
+                self._connection.connect(str(self.run_dir), self._restarting, self._liveness.restarting)
             except NoCluster:
                 self.close()
                 raise
@@ -147,7 +147,7 @@ class Client:
         if self._heartbeat is not None:
             self._heartbeat.close()
         self._halt_line.close()
-        self._front.close()
+        self._connection.close()
         self._context.destroy(linger=LAST_WORDS_MS)  # also closes the sockets of `events` and `telemetry`
 
     @property
@@ -350,7 +350,7 @@ class Client:
             halt_if_lost=self._heartbeat is not None,
             sent_at_s=time.monotonic(),  # a repeat after a halt keeps this time, so that the halt covers it
         )
-        self._front.ask(request, sentence)
+        self._connection.send(request, sentence)
         return request
 
     def _until(self, done: Callable[[], bool], timeout_s: float | None, otherwise: str) -> None:
@@ -360,11 +360,11 @@ class Client:
             left_s = 3600.0 if limit_s is None else limit_s - time.monotonic()
             if left_s <= 0:
                 raise TimedOut(f"{otherwise} (waited {timeout_s:.1f} s)")
-            if (message := self._front.hear(left_s)) is not None:
+            if (message := self._connection.recv(left_s)) is not None:
                 self._take(message)
-            self._liveness.check(self._front.unanswered, self._front.replaced)
-            if shut_out := self._front.shut_out:
-                raise NoCluster(shut_out)
+            self._liveness.check(self._connection.unanswered, self._connection.replaced)
+            if refused := self._connection.key_refused:
+                raise NoCluster(refused)
 
     def _take(self, message: m.BrokerToClient) -> None:
         match message:
@@ -372,8 +372,8 @@ class Client:
                 if request not in self._command_of:  # a second Accepted answers a repeated sentence
                     self._command_of[request] = command
                     self._request_of[command] = request
-                    if tell := self._accept_listeners.pop(request, None):
-                        tell(command)
+                    if on_accept := self._accept_listeners.pop(request, None):
+                        on_accept(command)
             case m.ProgressNote(command=command):
                 if listener := self._listeners.get(self._request_of.get(command, "")):
                     listener(message)
@@ -410,7 +410,7 @@ class Client:
         self._queries.add(request)
         try:
             while True:
-                self._front.ask(request, message)
+                self._connection.send(request, message)
                 self._until(lambda: request in self._answers, within_s, "the broker did not answer")
                 found = self._answers.pop(request)
                 overload = isinstance(found, m.Declined) and found.refusal.reason is RefusalReason.OVERLOAD
@@ -419,12 +419,12 @@ class Client:
                 self._receive_for(ASK_AGAIN_S)
         finally:
             self._queries.discard(request)
-            self._front.forget(request)
+            self._connection.forget(request)
 
     def _receive_for(self, seconds: float) -> None:
         end_s = time.monotonic() + seconds
         while (left_s := end_s - time.monotonic()) > 0:
-            if (message := self._front.hear(left_s)) is not None:
+            if (message := self._connection.recv(left_s)) is not None:
                 self._take(message)
 
     def _bench(self, message: m.ToSim, answer: type[Answer]) -> Answer:

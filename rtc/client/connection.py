@@ -28,7 +28,7 @@ from rtc.runtime.keys import Endpoints
 from rtc.runtime.settings import BOUNDS
 
 HELLO_S, FAR_HELLO_S = 0.8, 3.0  # time limit of the first Welcome, local and over tcp
-RESTART_S = 10.0  # the same for a broker that is being restarted: its supervisor lives
+RESTART_S = 10.0  # the same while the supervisor lives and restarts the broker
 LOOK_S = 0.2  # period of checking that the supervisor lives
 FAR_IDLE_S = 60.0  # after this pause the hello is repeated, because a gateway forgets idle clients
 LAST_WORDS_MS = 200  # time limit for sending the rest at close
@@ -42,30 +42,32 @@ WATCHED = zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCON
 _read = reader_of_many(m.BrokerToClient)
 
 
-class FrontDoor:
-    """Not thread-safe: one thread sends and hears. `cluster`: the run we mean; "" = the first that welcomes us."""
+class BrokerConnection:
+    """One connection; not thread-safe. `cluster`: the run that is meant; "" = the first that sends a Welcome."""
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], doors: Endpoints, name: str, cluster: str = "") -> None:
+    def __init__(
+        self, context: zmq.Context[zmq.Socket[bytes]], endpoints: Endpoints, name: str, cluster: str = ""
+    ) -> None:
         self.name = name
-        self._address, self._far = doors.endpoint("front"), doors.far
-        self._connected = self._unknown = False  # over tcp: somebody listens there; it said that it does not know us
-        self._there = False  # the line is up
-        self._said_at_s = 0.0
+        self._address, self._far = endpoints.endpoint("front"), endpoints.far
+        self._connected = self._key_unknown = False  # over tcp: a process listens there; it refused our key
+        self._is_up = False  # the handshake with the broker succeeded
+        self._sent_at_s = 0.0
         self._cluster = cluster
         self.welcome: m.Welcome | None = None
-        self.replaced = False  # another cluster is where ours was: it is never spoken to
+        self.replaced = False  # another cluster has taken the place of ours: nothing is sent to it
         self.bad_messages = 0
         self.unanswered = 0  # number of probes without an answer
         self._open: dict[str, m.ClientToBroker] = {}  # request -> message, until its last answer
-        self._say_again = False  # send all open requests again after the next Welcome
-        self._unsent: list[msgspec.Raw] = []  # requests that travel together when we hear next
-        self._came: deque[m.BrokerToClient] = deque()  # of an array: what has not been handed over yet
-        self._heard_at_s = time.monotonic()
+        self._resend = False  # send all open requests again after the next Welcome
+        self._unsent: list[msgspec.Raw] = []  # requests that the next `recv` sends together
+        self._received: deque[m.BrokerToClient] = deque()  # the rest of a received array
+        self._received_at_s = time.monotonic()
         self._socket = context.socket(zmq.DEALER)
         if not self._far:
             self._socket.setsockopt(zmq.IDENTITY, name.encode())
-        doors.secure(self._socket)
-        self._socket.setsockopt(zmq.LINGER, LAST_WORDS_MS)  # a broker that is gone for good holds nobody up
+        endpoints.secure(self._socket)
+        self._socket.setsockopt(zmq.LINGER, LAST_WORDS_MS)  # closing must not wait for a broker that is gone
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
         self._socket.setsockopt(zmq.RECONNECT_IVL, 20)  # ms
         self._socket.setsockopt(zmq.SNDHWM, 10_000)
@@ -76,90 +78,92 @@ class FrontDoor:
         self._poller.register(self._monitor, zmq.POLLIN)
         self._handshakes = 0
         self._socket.connect(self._address)
-        self._say_hello()
+        self._send_hello()
 
-    def knock(self, run_dir: str, comes_back: Callable[[], bool], tell: Callable[[], None]) -> m.Welcome:
-        """Wait for the Welcome; for longer, after `tell`, as long as the broker `comes_back`. Raises NoCluster when
-        nobody opens in time."""
+    def connect(self, run_dir: str, restarting: Callable[[], bool], report: Callable[[], None]) -> m.Welcome:
+        """Wait for the Welcome. While `restarting()`, call `report` once and wait longer, at most RESTART_S.
+
+        Raises NoCluster if the broker does not answer in time.
+        """
         began_s = time.monotonic()
         limit_s = began_s + (FAR_HELLO_S if self._far else HELLO_S)
-        told = False
+        reported = False
         while self.welcome is None:
             left_s = limit_s - time.monotonic()
-            if self._unknown or (self._far and left_s <= 0):
-                raise NoCluster(self._why_far())
-            if left_s <= 0 and time.monotonic() - began_s < RESTART_S and comes_back():
-                if not told:
-                    tell()
-                told, left_s = True, LOOK_S
+            if self._key_unknown or (self._far and left_s <= 0):
+                raise NoCluster(self._diagnose_far())
+            if left_s <= 0 and time.monotonic() - began_s < RESTART_S and restarting():
+                if not reported:
+                    report()
+                reported, left_s = True, LOOK_S
             if left_s <= 0:
                 raise NoCluster(
                     f"no broker answers in {run_dir}; look at `rtc status`, or start a cluster with: rtc up -d"
                 )
-            self.hear(left_s)
+            self.recv(left_s)
         return self.welcome
 
-    def ask(self, request: str, message: m.ClientToBroker) -> None:
+    def send(self, request: str, message: m.ClientToBroker) -> None:
         """Send a request and keep it open until its last answer. Raises RequestDeclined for one that is too long."""
-        if self._far and time.monotonic() - self._said_at_s > FAR_IDLE_S:
-            self._say_hello()
+        if self._far and time.monotonic() - self._sent_at_s > FAR_IDLE_S:
+            self._send_hello()
         parts = self._parts(message)
         if isinstance(message, ACTS) and self.welcome is None and not self._cluster:
-            self._say_again = True  # not before we know whom we speak to
+            self._resend = True  # sent after the Welcome: it names the cluster
         elif self.welcome is not None and self.welcome.arrays:
             self._unsent.append(msgspec.Raw(parts[-1]))
         else:
-            self._send(parts)
+            self._send_frames(parts)
         self._open[request] = message
 
     def forget(self, request: str) -> None:
         """Stop waiting for the answer to this request."""
         self._open.pop(request, None)
 
-    def hear(self, timeout_s: float) -> m.BrokerToClient | None:
+    def recv(self, timeout_s: float) -> m.BrokerToClient | None:
         """The next message; None if there was none in time, or only a change of the connection."""
         if self.replaced:
             return None
         self._send_unsent()
-        if self._came:
-            return self._hand_over(self._came.popleft())
+        if self._received:
+            return self._handle(self._received.popleft())
         ready = dict(self._poller.poll(max(0, math.ceil(min(timeout_s, SILENCE_S) * 1000))))
         if self._monitor in ready:
             self._watch_connection()
         if self._socket not in ready:
-            if self._open and time.monotonic() - self._heard_at_s > SILENCE_S:
-                self._heard_at_s = time.monotonic()
+            if self._open and time.monotonic() - self._received_at_s > SILENCE_S:
+                self._received_at_s = time.monotonic()
                 self.unanswered += 1
-                self._ask_who_is_there()
+                self._probe()
             return None
-        self._heard_at_s = time.monotonic()
+        self._received_at_s = time.monotonic()
         self.unanswered = 0
         try:
-            self._came.extend(_read(self._socket.recv_multipart()))
+            self._received.extend(_read(self._socket.recv_multipart()))
         except WireError:
             self.bad_messages += 1
             return None
-        return self._hand_over(self._came.popleft()) if self._came else None
+        return self._handle(self._received.popleft()) if self._received else None
 
-    def _hand_over(self, message: m.BrokerToClient) -> m.BrokerToClient:
+    def _handle(self, message: m.BrokerToClient) -> m.BrokerToClient:
         if isinstance(message, m.Welcome):
             self._take_welcome(message)
         if isinstance(message, m.Accepted):
-            self._note_number(message)
+            self._keep_number(message)
         if isinstance(message, LAST_ANSWERS):
             self._open.pop(message.request, None)
         return message
 
-    def _note_number(self, accepted: m.Accepted) -> None:
-        """Sent again, the sentence bears its number: a broker that lost it must not begin it once more."""
+    def _keep_number(self, accepted: m.Accepted) -> None:
+        """A repeated sentence carries its number, so that a broker that has lost it does not begin it again."""
         sentence = self._open.get(accepted.request)
         if isinstance(sentence, m.CommandText) and not sentence.known_as:
             self._open[accepted.request] = msgspec.structs.replace(sentence, known_as=accepted.command)
 
     @property
-    def shut_out(self) -> str:
-        """Over tcp, when the cluster has said that it does not know our key: that, in words."""
-        return self._why_far() if self._unknown else ""
+    def key_refused(self) -> str:
+        """A message if the cluster has refused our key (over tcp only), otherwise empty."""
+        return self._diagnose_far() if self._key_unknown else ""
 
     def close(self) -> None:
         self._send_unsent()
@@ -168,61 +172,63 @@ class FrontDoor:
         self._socket.close()
 
     def _parts(self, message: m.ClientToBroker) -> list[bytes]:
-        """As it travels. Raises RequestDeclined when no broker would take it."""
+        """The frames of a request. Raises RequestDeclined if it is longer than a broker accepts."""
         if isinstance(message, ACTS):
             message = msgspec.structs.replace(message, cluster=self._cluster)
         parts = frames(message)
-        if len(parts[-1]) > BOUNDS["front"].frame:  # whoever sends more is cut off, again and again
+        if len(parts[-1]) > BOUNDS["front"].frame:  # a longer frame would disconnect us at each repeat
             words = f"too long: {len(parts[-1]):,} bytes, a request may have {BOUNDS['front'].frame:,}"
             raise RequestDeclined(Refusal(reason=RefusalReason.SENTENCE, message=words))
         return parts
 
-    def _send(self, parts: list[bytes]) -> bool:
-        """False: no room, so it is said later."""
-        self._said_at_s = time.monotonic()
+    def _send_frames(self, parts: list[bytes]) -> bool:
+        """Send; False if the queue is full: then all open requests are sent again after the next Welcome."""
+        self._sent_at_s = time.monotonic()
         try:
             self._socket.send_multipart(parts, zmq.NOBLOCK)
         except zmq.Again:
-            self._say_again = True
+            self._resend = True
             return False
         return True
 
     def _send_unsent(self) -> None:
         unsent, self._unsent = self._unsent, []
         for parts in together(unsent):
-            self._send(parts)
+            self._send_frames(parts)
 
-    def _say_hello(self) -> None:
-        self._send(frames(m.ClientHello(client=self.name, at_s=time.monotonic(), arrays=True)))
+    def _send_hello(self) -> None:
+        self._send_frames(frames(m.ClientHello(client=self.name, at_s=time.monotonic(), arrays=True)))
 
-    def _ask_who_is_there(self) -> None:
-        """And say all that is open again, if it is our cluster's broker. A line that is down asks when it is up."""
-        self._say_again = True
-        if self._there:
-            self._say_hello()
+    def _probe(self) -> None:
+        """Send a hello; its Welcome makes us repeat all open requests. Without a connection this waits for the next."""
+        self._resend = True
+        if self._is_up:
+            self._send_hello()
 
     def _take_welcome(self, welcome: m.Welcome) -> None:
         another = self._cluster not in ("", welcome.cluster)
-        if another and (self.welcome is not None or self._open):  # or it was started while we came
+        if another and (
+            self.welcome is not None or self._open
+        ):  # without open requests, the cluster may have been started during our first hello
             self.replaced = True
             self._open.clear()
             return
         self._cluster, self.welcome = welcome.cluster, welcome
-        if self._say_again:
-            self._say_again = False
+        if self._resend:
+            self._resend = False
             for message in self._open.values():
-                if not self._send(self._parts(message)):
+                if not self._send_frames(self._parts(message)):
                     break
 
-    def _why_far(self) -> str:
-        """What is wrong when a cluster over tcp gives no answer, as far as it can be seen from here."""
-        if self._unknown:
+    def _diagnose_far(self) -> str:
+        """The probable reason why a cluster over tcp does not answer."""
+        if self._key_unknown:
             return f"the cluster at {self._address} does not know this key (any more?); there: rtc keys list"
         if self._handshakes:
-            return f"the gate at {self._address} answers, but not its broker; there: rtc status"
+            return f"the gateway at {self._address} answers, but not its broker; there: rtc status"
         if self._connected:
             return (
-                f"what listens at {self._address} is not the cluster of this key file, or has a new key of its own; "
+                f"the process at {self._address} is not the cluster of this key file, or has a new key of its own; "
                 "make a new key file there: rtc keys new"
             )
         return f"no answer from {self._address}: is the cluster up, with --listen, and is this the right address?"
@@ -230,11 +236,11 @@ class FrontDoor:
     def _watch_connection(self) -> None:
         event, _ = struct.unpack("=HI", self._monitor.recv_multipart()[0])
         self._connected |= event == zmq.EVENT_CONNECTED
-        self._unknown |= event == zmq.EVENT_HANDSHAKE_FAILED_AUTH
+        self._key_unknown |= event == zmq.EVENT_HANDSHAKE_FAILED_AUTH
         if event == zmq.EVENT_DISCONNECTED:
-            self._there = False
+            self._is_up = False
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
-            self._unknown, self._there = False, True
+            self._key_unknown, self._is_up = False, True
             self._handshakes += 1
-            if self._handshakes > 1:  # a new broker, or the old one again: it may have lost what was under way
-                self._ask_who_is_there()
+            if self._handshakes > 1:  # a new broker, or the old one again: messages in transit may be lost
+                self._probe()

@@ -18,7 +18,7 @@ from collections.abc import Collection
 import msgspec
 import zmq
 
-from rtc.client.connection import FrontDoor
+from rtc.client.connection import BrokerConnection
 from rtc.language.fastpath import EVERYTHING, halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import ClusterError, RefusalReason, WireError
@@ -181,11 +181,11 @@ class HaltLine:
         name = f"asks-{uuid.uuid4().hex[:12]}"  # unique: the broker may still know the one before
         query = m.TraceQuery(request=name, command=command)
         limit_s = time.monotonic() + (FAR_ASK_S if self._far else ASK_S)
-        front = FrontDoor(self._context, self._endpoints, name)
+        front = BrokerConnection(self._context, self._endpoints, name)
         try:
-            front.ask(query.request, query)
+            front.send(query.request, query)
             while (left_s := limit_s - time.monotonic()) > 0:
-                answer = front.hear(left_s)
+                answer = front.recv(left_s)
                 if isinstance(answer, m.TraceReply | m.Declined):
                     return answer
             return None

@@ -22,7 +22,7 @@ import msgspec
 from rtc.client.liveness import supervised
 from rtc.runtime.settings import Settings
 
-LEASE_KEY = "lease.key"  # in the run directory; rtc.world.lease says what it is for
+LEASE_KEY = "lease.key"  # in the run directory; see rtc.world.lease
 OPTION = "--handed"
 MEMORY_BYTES = 4096  # size of the roles' memory, in front of the body
 #: role -> offset and format of its memory. broker: journal life, last batch, accepted commands
@@ -30,8 +30,8 @@ MEMORY: dict[str, tuple[int, struct.Struct]] = {
     "broker": (0, struct.Struct("<8sQQ")),
     "world": (64, struct.Struct("<8sQ")),
 }
-#: For broker and MCM of a cluster whose supervisor was killed a moment ago: they stop the arms, and send the outcomes.
-HOLD_S = 3.0  # at full speed; longer than both take then
+#: Time that broker and MCM need to stop arms and send outcomes after their supervisor was killed.
+HOLD_S = 3.0  # at full speed
 TOKEN_BEARERS = ("MCM", "supervisor")  # names whose ZeroMQ identity contains the token and cannot be guessed
 
 
@@ -85,7 +85,7 @@ class Handed:
         path = self.settings.path / f"{name}.lock"
         try:
             self._lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-            _lock_within(self._lock, HOLD_S * self.settings.patience if self.fd >= 0 else 0.0)
+            _lock_within(self._lock, HOLD_S * self.settings.timeout_scale if self.fd >= 0 else 0.0)
         except BlockingIOError:
             raise SystemExit(f"{self.settings.path} has its {name} already; a second one is not started") from None
         except OSError:  # a full disk, or the directory is gone: the supervisor looks after that

@@ -10,11 +10,11 @@
 
 SIGTERM, SIGINT and SIGHUP only set `stopping` and wake `wait` (or any poll that holds `me.wake_fd`); the loop ends by
 itself.
-Logs go to stderr, which the supervisor keeps in the run directory; stdout carries `ready`, from then on, every second
-that the loop turns, `alive`, and `note` with what people should know; so the supervisor knows who is there and does
-nothing. That nothing outlives a killed supervisor is the business of the parent, who calls `die_with_parent` in the
-child it forks (SIGKILL: whoever wants an orderly end sends SIGTERM first; a process that has arms to stop or outcomes
-to send calls `Process.end_with_parent`). This file knows no message and no kind of process.
+Logs go to stderr, which the supervisor writes to a file in the run directory. Stdout carries `ready` once, then `alive`
+every second while the loop runs, and `note` lines with messages for people. From these the supervisor knows which
+processes are ready and which one hangs. The parent calls `die_with_parent` in each child that it forks, so that the
+kernel kills the child with its parent. A process with arms to stop or outcomes to send calls `Process.end_with_parent`
+instead. This module knows neither messages nor kinds of processes.
 """
 
 from __future__ import annotations
@@ -43,20 +43,22 @@ from rtc.runtime.settings import Bounds
 READY, ALIVE, NOTE = b"ready", b"alive", b"note "
 BEAT_S = 1.0
 IPC = "ipc://"
-QUEUE_LENGTH = 10_000  # messages per peer that ZeroMQ holds before it drops (ROUTER, PUB) or says no (DEALER)
-LINGER_MS = 200  # how long the last words of a process may take to leave it
-RECONNECT_MS, RECONNECT_MAX_MS = 10, 30  # a restarted peer is found again within this
-# As plain numbers, and frame by frame: pyzmq's own multipart calls cost several times as much as what they do.
+QUEUE_LENGTH = (
+    10_000  # messages per peer that ZeroMQ queues; then it drops (ROUTER, PUB) or refuses (DEALER) further ones
+)
+LINGER_MS = 200  # time limit for sending the rest of the queues at the end
+RECONNECT_MS, RECONNECT_MAX_MS = 10, 30  # interval of connecting again to a restarted peer
+# Plain numbers, and frames sent one by one: pyzmq's multipart calls and flag enums cost several times as much.
 AT_ONCE, MORE = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE)
 OPEN_LIMIT_S = 0.2
 ORPHANED = signal.SIGUSR1  # not SIGTERM: the dead parent may keep its pid for a moment, while its threads end
 PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
-Secure = Callable[[zmq.Socket[Any]], None] | None  # what is done to a socket before it binds or connects
-_libc = ctypes.CDLL(None)  # opened here: between fork and exec as little as can be is done
+Secure = Callable[[zmq.Socket[Any]], None] | None  # sets the keys of a socket before it binds or connects
+_libc = ctypes.CDLL(None)  # opened at import: between fork and exec little may be done
 
 
 class Process:
-    """One process's sockets, its wake-up call and whether it is to end. Made by `start`; by hand only in tests."""
+    """Sockets, wake-up pipe and stop flag of one process. Made by `start`; directly only in tests."""
 
     def __init__(self, name: str, run_dir: Path) -> None:
         self.name = name
@@ -72,9 +74,9 @@ class Process:
         self.poller.register(self.wake_fd, zmq.POLLIN)
         self._beat = Every(BEAT_S)
         self.orphaned = False  # the parent has died since `end_with_parent`
-        # That we bind -> endpoint, inode of its file, inode of its directory.
-        self._doors: dict[zmq.Socket[bytes], tuple[str, int, int]] = {}
-        self._watched = zmq.Poller()  # holds our stdout, once somebody is known to listen there
+        # bound socket -> endpoint, inode of its file, inode of its directory
+        self._bound: dict[zmq.Socket[bytes], tuple[str, int, int]] = {}
+        self._watched = zmq.Poller()  # holds our stdout if it is a pipe to a supervisor
 
     def socket(
         self,
@@ -89,11 +91,11 @@ class Process:
         secure: Secure = None,
         handover: bool = True,
     ) -> zmq.Socket[bytes]:
-        """A bounded socket on `endpoint`, watched by `wait` unless `poll` is False. `bounds`: for one that is bound.
+        """A socket on `endpoint` with limited queues, polled by `wait` unless `poll` is False.
 
-        A ROUTER hands an identity over to its newest bearer, so that a restarted process is heard at once; without
-        `handover` it stays with the one who has it, and the newer peer is not heard. `secure` sees the socket before
-        it binds or connects.
+        `bounds`: limits per peer of a bound socket. `handover`: a ROUTER gives an identity to the newest peer that
+        uses it, so that a restarted process is served at once; without it the older peer keeps the identity.
+        `secure` is called with the socket before it binds or connects.
         Raises `zmq.ZMQError` when the endpoint cannot be bound.
         """
         made = open_socket(
@@ -110,34 +112,35 @@ class Process:
         if poll:
             self.poller.register(made, zmq.POLLIN)
         if bind and endpoint.startswith(IPC):
-            self._doors[made] = (endpoint, _inode(endpoint), _inode(os.path.dirname(endpoint)))
+            self._bound[made] = (endpoint, _inode(endpoint), _inode(os.path.dirname(endpoint)))
         return made
 
-    def _keep_doors(self) -> None:
-        """Bind again what somebody has deleted, or has put another socket in the place of. Connections stay.
+    def _rebind_lost(self) -> None:
+        """Bind an endpoint again if its file was deleted or replaced. Existing connections stay.
 
-        Not in another directory of the same name: it is not ours, and what is left there keeps `rtc up` out of it.
+        Not if the directory was replaced: the new one belongs to another cluster, and a socket of ours in it would
+        keep `rtc up` from using it.
         """
-        if self.stopping:  # the endpoints may be the successor's by now
+        if self.stopping:  # the endpoints may already belong to the successor
             return
-        for door, (endpoint, inode, directory) in self._doors.items():
-            if door.closed or _inode(endpoint) == inode or _inode(os.path.dirname(endpoint)) != directory:
+        for socket, (endpoint, inode, directory) in self._bound.items():
+            if socket.closed or _inode(endpoint) == inode or _inode(os.path.dirname(endpoint)) != directory:
                 continue
-            with contextlib.suppress(zmq.ZMQError):  # the directory is gone: that is the supervisor's business
-                door.bind(endpoint)
-                self._doors[door] = (endpoint, _inode(endpoint), directory)
-                self.log.warning("%s was not ours any more: bound again", endpoint)
+            with contextlib.suppress(zmq.ZMQError):  # the directory is gone: the supervisor acts on that
+                socket.bind(endpoint)
+                self._bound[socket] = (endpoint, _inode(endpoint), directory)
+                self.log.warning("the file of %s was deleted or replaced: bound again", endpoint)
 
     def open_anew(
         self, old: zmq.Socket[bytes], endpoint: str, bounds: Bounds | None = None, handover: bool = True
     ) -> zmq.Socket[bytes]:
-        """Another bound socket of the same kind in place of `old`, with nothing in it; peers come back by themselves.
+        """A new, empty bound socket of the same kind in place of `old`; its peers reconnect by themselves.
 
         Raises `zmq.ZMQError` when the endpoint cannot be bound again within `OPEN_LIMIT_S`.
         """
         kind = int(old.getsockopt(zmq.TYPE))
         self.poller.unregister(old)
-        self._doors.pop(old, None)
+        self._bound.pop(old, None)
         old.unbind(endpoint)
         limit_s = now_s() + OPEN_LIMIT_S
         # The old listener removes its file when it closes, in a thread of its own; it must not be the new one's.
@@ -148,8 +151,10 @@ class Process:
         return self.socket(kind, endpoint, bind=True, bounds=bounds, handover=handover)
 
     def wait(self, timeout_s: float | None = None) -> list[Any]:
-        """The sockets with something to read, in the order of their making; none: the time is up, a signal came, or
-        another second has passed."""
+        """The readable sockets, in the order of their creation.
+
+        Empty after `timeout_s`, at a signal, or when the next heartbeat to the supervisor is due.
+        """
         if self._watched.sockets:
             self.beat(now := now_s())
             left_s = self._beat.left_s(now)
@@ -157,11 +162,11 @@ class Process:
         timeout_ms = None if timeout_s is None else max(0, int(timeout_s * 1000 + 0.999))
         readable = dict(self.poller.poll(timeout_ms))
         if readable.pop(self.wake_fd, 0):
-            self.slept_enough()
+            self.clear_wake_up()
         return [socket for socket, _ in self.poller.sockets if socket in readable]
 
-    def slept_enough(self) -> None:
-        """Empty the wake-up call; for a poll of one's own that found `wake_fd` readable."""
+    def clear_wake_up(self) -> None:
+        """Empty the wake-up pipe, after a poll that found `wake_fd` readable."""
         with contextlib.suppress(BlockingIOError):
             while self._wake_end.recv(4096):
                 pass
@@ -173,18 +178,20 @@ class Process:
             self._wake_start.send(b"\0")
 
     def end_with_parent(self, limit_s: float) -> None:
-        """Stop when the parent dies, instead of being killed, and be ended by the kernel `limit_s` after that: for a
-        process that has arms to stop or outcomes to send first."""
+        """When the parent dies, stop in order instead of being killed; the kernel ends the process `limit_s` later.
+
+        For a process that must first stop arms or send outcomes.
+        """
         signal.signal(ORPHANED, lambda *_: self._stop_orphaned(limit_s))
         _libc.prctl(PR_SET_PDEATHSIG, ORPHANED, 0, 0, 0)
 
     def _stop_orphaned(self, limit_s: float) -> None:
-        end_within(limit_s)  # nobody kills an orphan that hangs
+        end_within(limit_s)  # an orphan that hangs has no supervisor to kill it
         self.orphaned = True
         self.stop()
 
     def ready(self) -> None:
-        """Tell the supervisor, once, that the sockets are there and work can begin."""
+        """Report to the supervisor, once, that the sockets exist and work can begin."""
         with contextlib.suppress(OSError, ValueError):
             sys.stdout.write(f"{READY.decode()}\n")
             sys.stdout.flush()
@@ -193,17 +200,19 @@ class Process:
         self.log.info("ready")
 
     def note(self, words: str) -> None:
-        """Tell people, by the supervisor and `rtc status`, what they should know of this process. One line."""
+        """Show one line about this process to people, through the supervisor and `rtc status`."""
         self.log.warning("%s", words)
         with contextlib.suppress(OSError):
             os.write(sys.stdout.fileno(), NOTE + words.replace("\n", " ").encode() + b"\n")
 
     def beat(self, now: float) -> None:
-        """Tell the supervisor, every second, that the loop turns; for a loop that does not `wait`. Never blocks: what
-        nobody reads is not said."""
+        """Report to the supervisor, every second, that the loop runs. Never blocks: skipped if the pipe is full.
+
+        `wait` calls it; a loop that does not `wait` calls it itself.
+        """
         if not self._beat.due(now):
             return
-        self._keep_doors()
+        self._rebind_lost()
         if self._watched.poll(0):
             with contextlib.suppress(OSError):
                 os.write(sys.stdout.fileno(), ALIVE + b"\n")
@@ -258,7 +267,7 @@ def open_socket(
     secure: Secure = None,
     handover: bool = True,
 ) -> zmq.Socket[bytes]:
-    """A socket with our limits set: length of its queues, size of a frame, time to linger, pace of reconnecting."""
+    """A socket with limits: length of its queues, size of a frame, time to linger, interval of reconnecting."""
     made: zmq.Socket[bytes] = context.socket(kind)
     bounds = bounds or Bounds(wire.MAX_BYTES, queue_length, queue_length)
     made.setsockopt(zmq.MAXMSGSIZE, bounds.frame)
@@ -281,7 +290,7 @@ def open_socket(
 
 
 def send(socket: zmq.Socket[bytes], message: Any, to: bytes | None = None) -> bool:
-    """Put a message on its way (to one peer of a ROUTER), never wait. False: no room in the queue, or no such peer."""
+    """Queue a message for sending (to one peer of a ROUTER); never wait. False: the queue is full, or no such peer."""
     try:
         if to is not None:
             socket.send(to, MORE)
@@ -295,8 +304,7 @@ def send(socket: zmq.Socket[bytes], message: Any, to: bytes | None = None) -> bo
 
 
 def send_together(socket: zmq.Socket[bytes], messages: Sequence[Any], to: bytes) -> None:
-    """Put the messages of one turn for one peer of a ROUTER on their way, as arrays; the peer reads these. What finds
-    no room is dropped, as by `send`."""
+    """Queue the messages of one batch for one peer of a ROUTER, as arrays; without room they are dropped."""
     for protocol, body in wire.together(messages):
         try:
             socket.send(to, MORE)
@@ -308,7 +316,7 @@ def send_together(socket: zmq.Socket[bytes], messages: Sequence[Any], to: bytes)
 
 
 def inbox(socket: zmq.Socket[bytes], limit: int = 1000) -> Iterator[Sequence[bytes]]:
-    """The messages that lie ready, as their frames; at most `limit`, so that no peer can keep a loop to itself."""
+    """The received messages, as frames; at most `limit`, so that one busy peer cannot block the loop."""
     for _ in range(limit):
         try:
             first = socket.recv(AT_ONCE, copy=False)
@@ -318,7 +326,7 @@ def inbox(socket: zmq.Socket[bytes], limit: int = 1000) -> Iterator[Sequence[byt
 
 
 def _frames(socket: zmq.Socket[bytes], part: zmq.Frame) -> list[bytes]:
-    """A message as its frames, of which the first has been read."""
+    """All frames of a message whose first one has been read."""
     parts = [part.bytes]
     while part.more:
         part = socket.recv(AT_ONCE, copy=False)
@@ -327,7 +335,7 @@ def _frames(socket: zmq.Socket[bytes], part: zmq.Frame) -> list[bytes]:
 
 
 def _inode(endpoint: str) -> int:
-    """Of the file of an ipc endpoint, or of a directory in one; 0 when there is none."""
+    """The inode of the file of an ipc endpoint, or of a directory; 0 if there is none."""
     try:
         return os.stat(endpoint.removeprefix(IPC)).st_ino
     except OSError:
@@ -335,7 +343,7 @@ def _inode(endpoint: str) -> int:
 
 
 class Reconnections:
-    """Tells when the peer of a connecting socket was found again: most likely it is a new process, and knows us not."""
+    """Detects that a connecting socket has reconnected: the peer is probably a new process without our state."""
 
     def __init__(self, me: Process, socket: zmq.Socket[bytes]) -> None:
         self._socket = socket
@@ -344,13 +352,13 @@ class Reconnections:
         me.poller.register(self._monitor, zmq.POLLIN)
 
     def happened(self) -> bool:
-        """True once after every time but the first."""
+        """True once after each reconnection; the first connection does not count."""
         found = sum(1 for _ in inbox(self._monitor))
         again, self._first = found > (1 if self._first else 0), self._first and not found
         return again
 
     def close(self) -> None:
-        """Before the socket's context ends: the monitor would hold that up."""
+        """Must be called before the context ends, because an open monitor blocks its end."""
         self._socket.disable_monitor()
         self._monitor.close(linger=0)
 
@@ -369,17 +377,17 @@ class Every:
         return True
 
     def left_s(self, now_s: float) -> float:
-        """How long to wait for the next time; never negative."""
+        """The time until the next call is due (s); never negative."""
         return max(0.0, self._next_s - now_s)
 
 
 def now_s() -> float:
-    """CLOCK_MONOTONIC, in which all `_at_s` of messages are given."""
+    """Time of CLOCK_MONOTONIC (s), used for all `_at_s` fields of messages."""
     return time.monotonic()
 
 
 def nice(by: int) -> bool:
-    """Make this process yield more (by > 0) or less (by < 0, needs leave) than others. Best effort."""
+    """Change the niceness of this process; a negative `by` needs permission. False if it is not permitted."""
     try:
         os.nice(by)
     except OSError:
@@ -388,36 +396,40 @@ def nice(by: int) -> bool:
 
 
 def come_first(rank: int, niceness: int) -> str:
-    """Be served before whoever may wait, as far as the system gives leave: with a real-time priority, or else a
-    better niceness. Among those of real time a higher `rank` comes first. Children begin without it. In words."""
+    """Raise the priority of this process: real-time with priority `rank`, or else `niceness`, if permitted.
+
+    Children start without it. Returns the result as text.
+    """
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(rank))
         return f"real-time, rank {rank}"
-    return f"niceness {niceness}" if nice(niceness) else "no leave for a better priority"
+    return f"niceness {niceness}" if nice(niceness) else "a better priority is not permitted"
 
 
 def freeze_heap() -> None:
-    """Take all that is imported and built so far out of the garbage collector's rounds, and make these rare: what a
-    loop makes is freed when nobody refers to it any more, and seldom goes in circles."""
+    """Exclude all existing objects from garbage collection and make collections rare.
+
+    Objects that a loop creates are freed by reference counting; few of them form cycles.
+    """
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 50)
 
 
 def adopt_orphans() -> None:
-    """Become the parent of processes that a child of ours forks away, so that we can wait for them."""
+    """Become the parent of processes whose own parent, a child of ours, has ended, so that we can wait for them."""
     _libc.prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def show_name(name: str) -> None:
-    """What `top` and `ps -o comm` call this process (15 bytes)."""
+    """Set the name of this process in `top` and `ps -o comm` (at most 15 bytes)."""
     _libc.prctl(PR_SET_NAME, name.encode()[:15], 0, 0, 0)
 
 
 def die_with_parent(parent: int) -> None:
-    """In a child just forked by `parent`'s main thread: let the kernel kill it when the parent dies. Survives exec."""
+    """Let the kernel kill this process, just forked by `parent`'s main thread, when that dies. Survives exec."""
     _libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:  # it died between fork and prctl
+    if os.getppid() != parent:  # the parent died between fork and prctl
         os._exit(1)
 
 

@@ -41,7 +41,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
         return 1 << (self.dim - 2) if self.least_workers is None else self.least_workers
 
     @property
-    def patience(self) -> float:
+    def timeout_scale(self) -> float:
         """Seconds of ours per simulated second, at least 1: the factor of limits on our clock for motions."""
         return 1.0 / self.speed if 0.0 < self.speed < 1.0 else 1.0
 

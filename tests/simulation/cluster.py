@@ -119,7 +119,7 @@ class Broker:
         if any(socket.readable for socket in self.sockets.values()):  # a turn takes some, not all
             self.wake()
         else:
-            self._turn_at(self.cluster.clock.now_s + self.router._patience_s() + 1e-6)
+            self._turn_at(self.cluster.clock.now_s + self.router._wait_s() + 1e-6)
 
     def die(self) -> None:
         self.alive = False
