@@ -26,7 +26,8 @@ from rtc.protocol.wire import frames, reader
 from rtc.runtime.keys import Endpoints
 
 CONNECT_S, FAR_CONNECT_S = 0.5, 3.0  # time limit of the first connection, local and over tcp
-# Time in which the broker may decline a scope that is unknown to it; the MCM reports rest for one at once.
+# Time in which the broker may decline an unknown scope, and in which both copies of an order are answered. The MCM
+# reports rest at once, for an unknown scope too.
 UNKNOWN_S, FAR_UNKNOWN_S = 0.1, 0.5
 ASK_S, FAR_ASK_S = 1.0, 3.0  # time limit of the query whether a command exists, local and over tcp
 LONGEST_S = 3600.0  # maximum wait for rest
@@ -144,19 +145,27 @@ class HaltLine:
         return []
 
     def _await_rest(self, order: m.HaltOrder, sent_to: list[str], limit_s: float) -> HaltResult:
-        """Receive until rest is confirmed and the broker has the order, so that no queued command starts."""
+        """Receive until rest is confirmed and both copies are answered.
+
+        The broker must have the order, so that no queued command starts. A copy under way would stop the caller's next
+        command; so an unanswered copy is awaited too, for a short time.
+        """
         subsystems: dict[str, SubsystemHalt] = {}
+        unanswered = dict(self._sockets)
         declined = ""
         while (left_s := limit_s - time.monotonic()) > 0:
             if _at_rest(subsystems.values()) and "halt" in sent_to:
-                if order.scope == EVERYTHING or COMMAND.fullmatch(order.scope) or _reached(subsystems.values()):
+                known = order.scope == EVERYTHING or COMMAND.fullmatch(order.scope) or _reached(subsystems.values())
+                if known and not any(name in unanswered for name in sent_to):
                     break
                 limit_s = min(limit_s, order.called_at_s + self._unknown_s)
             unsent = {name: socket for name, socket in self._sockets.items() if name not in sent_to}
-            ready = self._poller.poll(_ms(min(left_s, RETRY_S) if unsent else left_s))
+            ready = {socket for socket, _ in self._poller.poll(_ms(min(left_s, RETRY_S) if unsent else left_s))}
             sent_to += self._send(order, unsent)
-            for socket, _ in ready:
-                declined = self._take(socket, order, subsystems) or declined
+            for name, socket in self._sockets.items():
+                if socket in ready and (answer := self._receive(socket, order)) is not None:
+                    unanswered.pop(name, None)
+                    declined = self._take(answer, order, subsystems) or declined
             if declined and not _reached(subsystems.values()) and len(sent_to) == len(HALT_ENDPOINTS):
                 break
         doubt = ""
@@ -192,16 +201,19 @@ class HaltLine:
         finally:
             front.close()
 
-    def _take(self, socket: zmq.Socket[bytes], order: m.HaltOrder, subsystems: dict[str, SubsystemHalt]) -> str:
-        """Receive one answer; the message of the refusal, if it is one."""
+    def _receive(self, socket: zmq.Socket[bytes], order: m.HaltOrder) -> m.FromHalt | None:
+        """The next answer; None if it is invalid, or late and of an earlier halt."""
         try:
             answer: m.FromHalt = _read(socket.recv_multipart())
         except WireError:
-            return ""
+            return None
+        halt = answer.request or order.halt if isinstance(answer, m.Declined) else answer.halt
+        return answer if halt == order.halt else None
+
+    def _take(self, answer: m.FromHalt, order: m.HaltOrder, subsystems: dict[str, SubsystemHalt]) -> str:
+        """Note one answer; the message of the refusal, if it is one."""
         if isinstance(answer, m.Declined):
-            return answer.refusal.message if answer.request in ("", order.halt) else ""
-        if answer.halt != order.halt:
-            return ""  # late answer to an earlier halt
+            return answer.refusal.message
         found = subsystems.setdefault(answer.subsystem, SubsystemHalt(name=answer.subsystem))
         if isinstance(answer, m.HaltStarted):
             if found.latency_s is None:
