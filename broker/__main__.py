@@ -14,10 +14,9 @@ from pathlib import Path
 from broker.decisions.events import BrokerRestarted, JournalLost, ProgramInstalled
 from broker.decisions.state import State
 from broker.persistence.journal import Journal
-from broker.persistence.program_loads import ProgramLoads
 from broker.persistence.program_store import ProgramStore
 from broker.persistence.replay import replay
-from broker.router.loop import ALONE_S, Router
+from broker.router.loop import ORPHAN_LIMIT_S, Router
 from rtc.programs import sandbox
 from rtc.protocol.messages import CommandRecord, WorkerKind
 from rtc.protocol.outcomes import RtcError
@@ -79,24 +78,22 @@ def _serve(
     lost = lost_turns(journal, state, given, now, secrets.token_hex(2))
     store = ProgramStore(journal, state.programs)
     journal.written = lambda turn: given.remember("broker", state.life.encode(), turn, state.accepted)
-    router = Router(me, settings, journal, state, store, given)
-    router.guard = MemoryGuard()
+    router = Router(me, settings, journal, state, store, given, start_check=sandbox.Process, guard=MemoryGuard())
     if given.fd >= 0:  # started by a supervisor
-        me.end_with_parent(ALONE_S * settings.timeout_scale + LAST_S)
-    router.loads = ProgramLoads(store, sandbox.Process)
+        me.end_with_parent(ORPHAN_LIMIT_S * settings.timeout_scale + LAST_S)
     restarted = bool(state.programs)
     if restarted:
         me.log.info("restarted: %d commands live, %d ended in the journal", len(state.commands), len(ended))
         journal.keep_stories(ended.values())
-        router.hear(BrokerRestarted(at_s=now))
+        router.enqueue(BrokerRestarted(at_s=now))
     else:
         for installed in _first_programs(settings, store, now):
-            router.hear(installed)
+            router.enqueue(installed)
     if lost is not None:
         me.note(f"{lost.why}; what was under way has ended, facts of arms and things are suspect")
         _doubt_the_world(me, given, lost)
-        router.hear(lost)
-    router.turn()
+        router.enqueue(lost)
+    router.run_once()
     process.freeze_heap()
     me.log.info("priority: %s", priority)
     me.ready()

@@ -1,35 +1,55 @@
-"""The broker status for `rtc status`, in plain JSON types (layout: docs/protocol.md)."""
+"""Queries: answers to `rtc status` and `rtc trace`, made from a read-only view of the broker.
+
+The status consists of plain JSON types (layout: docs/protocol.md).
+"""
 
 from __future__ import annotations
 
-import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
+from broker.decisions.state import State
+from broker.dispatch.worker_registry import WorkerRegistry
+from broker.persistence.journal import number
+from rtc.protocol import messages as m
 from rtc.protocol.messages import Phase
+from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.wire import PROTOCOL
-
-if TYPE_CHECKING:
-    from broker.router.loop import Router
+from rtc.runtime.settings import Settings
 
 COMMANDS_SHOWN = 200
 TEXT_SHOWN = 200  # characters of a sentence
 
 
-def status(router: Router) -> dict[str, Any]:
-    now, state, registry = time.monotonic(), router.state, router.registry
+@dataclass(frozen=True)
+class BrokerView:
+    """What a query may read of the broker. Times are those of the broker's clock, in seconds."""
+
+    settings: Settings
+    state: State
+    registry: WorkerRegistry
+    began_s: float  # start of this broker process
+    loop_times_s: Collection[float]  # durations of the latest loop iterations
+    processes: Sequence[Mapping[str, Any]]  # the supervisor's latest process table
+    processes_at_s: float  # time of that table
+    dropped: Mapping[str, int]  # dropped messages by socket, of this and other processes
+
+
+def status(view: BrokerView, now: float) -> dict[str, Any]:
+    state, registry = view.state, view.registry
     resources = state.resources
-    dropped = {**router.dropped, **router.told_dropped}
     names = [*dict.fromkeys([*resources.holders, *resources.lines, *resources.quarantine])]
     executing = [c for c in state.commands.values() if c.phase in (Phase.EXECUTING, Phase.HALTING)]
     return {
-        "cluster": router.settings.run,
-        "run_dir": router.settings.run_dir,
+        "cluster": view.settings.run,
+        "run_dir": view.settings.run_dir,
         "version": PROTOCOL.decode(),
-        "uptime_s": now - (state.began_at_s or router.began_s),
-        "broker_uptime_s": now - router.began_s,
+        "uptime_s": now - (state.began_at_s or view.began_s),
+        "broker_uptime_s": now - view.began_s,
         "seq": state.seq,
-        "processes": router.processes,
-        "supervisor_silent_s": now - router.processes_at_s,
+        "processes": list(view.processes),
+        "supervisor_silent_s": now - view.processes_at_s,
         "workers": [
             {
                 "name": w.name,
@@ -78,8 +98,8 @@ def status(router: Router) -> dict[str, Any]:
             for name, s in state.subsystems.items()
         ],
         "halts": {"called": state.counts.get("halts", 0)},
-        "counters": {**state.counts, **{f"dropped_{name}": n for name, n in dropped.items()}},
-        "decision_ms": _spread_ms(router.turn_times_s),
+        "counters": {**state.counts, **{f"dropped_{name}": n for name, n in view.dropped.items()}},
+        "decision_ms": _spread_ms(view.loop_times_s),
         "programs": dict(state.programs),
         "program_files": {
             kind: {"file": found[0], "age_s": now - found[1]}
@@ -90,7 +110,7 @@ def status(router: Router) -> dict[str, Any]:
     }
 
 
-def _spread_ms(times_s: Any) -> dict[str, float]:
+def _spread_ms(times_s: Collection[float]) -> dict[str, float]:
     """Percentiles of the time from a message to its effects, in milliseconds, over the latest batches."""
     if not times_s:
         return {}
@@ -100,3 +120,28 @@ def _spread_ms(times_s: Any) -> dict[str, float]:
         "p99": ordered[int(len(ordered) * 0.99)] * 1e3,
         "max": ordered[-1] * 1e3,
     }
+
+
+def trace(
+    state: State, ended: Callable[[str], m.CommandRecord | None], query: m.TraceQuery
+) -> m.TraceReply | m.Declined:
+    """The record of a live or ended command. `ended` finds the record of an ended one in the journal."""
+    if (live := state.commands.get(query.command)) is not None:
+        record = m.CommandRecord(
+            command=live.id,
+            text=live.text,
+            source=live.source,
+            request=live.request,
+            accepted_at_s=live.accepted_at_s,
+            phase=live.phase,
+            notes=live.notes,
+        )
+        return m.TraceReply(request=query.request, record=record)
+    if (kept := ended(query.command)) is not None:
+        return m.TraceReply(request=query.request, record=kept)
+    if state.lost and 0 < number(query.command) <= state.accepted:
+        words = f"{query.command} is not in the journal: {state.lost}"
+    else:
+        last = f"the last one accepted is C-{state.accepted}" if state.accepted else "none was accepted yet"
+        words = f"there is no command {query.command}; {last}"
+    return m.Declined(request=query.request, refusal=Refusal(reason=RefusalReason.NAME, message=words))

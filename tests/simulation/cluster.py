@@ -72,10 +72,10 @@ class Broker:
         self.router = Router(me, SETTINGS, journal, state, ProgramStore(journal), cluster.handed, cluster.clock)  # type: ignore[arg-type]
         now_s = cluster.clock.now_s
         if state.programs:
-            self.router.hear(BrokerRestarted(at_s=now_s))
+            self.router.enqueue(BrokerRestarted(at_s=now_s))
         else:
             for kind in m.WorkerKind:
-                self.router.hear(ProgramInstalled(at_s=now_s, kind=kind, digest=kind.value))
+                self.router.enqueue(ProgramInstalled(at_s=now_s, kind=kind, digest=kind.value))
         cluster.broker_begins(self, journal)
         self._wakes_at_s = 0.0
 
@@ -111,7 +111,7 @@ class Broker:
 
     def turn(self) -> None:
         try:
-            self.router.turn([socket for socket in self.sockets.values() if socket.readable])
+            self.router.run_once([socket for socket in self.sockets.values() if socket.readable])
         except Crash:
             self.cluster.kill(self, "in the middle of a turn")
             return
@@ -119,7 +119,7 @@ class Broker:
         if any(socket.readable for socket in self.sockets.values()):  # a turn takes some, not all
             self.wake()
         else:
-            self._turn_at(self.cluster.clock.now_s + self.router._wait_s() + 1e-6)
+            self._turn_at(self.cluster.clock.now_s + self.router.wait_s() + 1e-6)
 
     def die(self) -> None:
         self.alive = False
@@ -342,7 +342,7 @@ class Cluster:
         self.broker = broker = Broker(self, self._db, next(self._pids))
         self.tell(f"broker {broker.pid} is up")
         if self.random.random() < 0.3:
-            broker.router.journal.events_since_snapshot = 10**9  # a snapshot with its first turn
+            broker.router.core.journal.events_since_snapshot = 10**9  # a snapshot with its first turn
         broker.turn()
         for socket, line in self._lines:
             self.clock.after(self.random.uniform(0.001, 0.1), self._connect, socket, line)

@@ -51,7 +51,7 @@ class LossyCluster(Cluster):
             self.tell(f"broker {broker.pid} notices: {lost.why}")
             self.world.answer(m.Doubt(request="d", lease=sign(KEY, f"{DOUBT}{lost.life}", []), why=lost.why), now_s)
             self.world.store.save()
-            broker.router.hear(lost)
+            broker.router.enqueue(lost)
 
     def _twin(self) -> None:
         """Not here: one that connects to the next broker first has the identity there (tests/simulation/cluster.py)."""

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from broker.decisions import decide, termination
 from broker.decisions.events import BrokerRestarted, Stimulus
 from broker.decisions.transitions import TABLE
-from broker.router import loop
+from broker.router import core, loop, subsystem_messages
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.messages import Phase
@@ -105,30 +105,23 @@ def test_a_broker_that_acts_before_it_remembers_is_found(monkeypatch):
     """Effects out before the journal has the events: a crash between them, and something is done that nobody knows."""
 
     def hasty(self, now):
-        events, self._events = self._events, []
+        events, self.core.events = self.core.events, []
         effects = [effect for event in events for effect in decide.decide(self.state, event)]
-        for effect in effects:
-            loop._PERFORM[type(effect)](self, effect)
-        self.journal.append(events, [e.record for e in effects if type(e).__name__ == "ReportEnd"])
-        self._give_out(now)
+        self.egress.perform(effects)
+        self.core.journal.append(events, [e.record for e in effects if type(e).__name__ == "ReportEnd"])
+        self.egress.assign_jobs(now)
 
     monkeypatch.setattr(loop.Router, "_settle", hasty)
     assert first_problem().problem
 
 
 def test_a_broker_that_does_not_listen_to_halts_of_its_mcm_is_found(monkeypatch):
-    read, listen = loop._DOORS["subsystems"]
-
-    def deaf(self, peer, message, now):
-        if not isinstance(message, m.HaltOrder):
-            listen(self, peer, message, now)
-
-    monkeypatch.setitem(loop._DOORS, "subsystems", (read, deaf))
+    monkeypatch.setitem(subsystem_messages.HANDLERS, m.HaltOrder, lambda *_: None)
     assert first_problem().problem
 
 
 def test_a_client_that_is_cut_off_by_a_twin_is_found(monkeypatch):
-    monkeypatch.setattr(loop, "NO_HANDOVER", ())
+    monkeypatch.setattr(core, "NO_HANDOVER", ())
     assert "not over after" in first_problem().problem
 
 

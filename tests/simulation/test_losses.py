@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from broker.router import loop
+from broker.router.subsystem_messages import SubsystemMessages
 from rtc.world import server
 from tests.simulation import losses
 from tests.simulation.losses import LossyCluster
@@ -44,7 +44,9 @@ def test_a_broker_that_does_not_notice_its_loss_is_found(monkeypatch):
 
 def test_a_broker_that_takes_any_mcm_is_found(monkeypatch):
     monkeypatch.setattr(
-        loop.Router, "_subsystem_name", lambda self, peer, message: peer.decode().removesuffix("@token")
+        SubsystemMessages,
+        "_name_of_sender",
+        lambda self, peer, message: peer.decode().removesuffix("@token"),
     )
     assert first_problem()
 

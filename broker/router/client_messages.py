@@ -1,0 +1,168 @@
+"""Messages of clients: sentences, queries, programs to load, the order to end the cluster."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from broker.decisions.decide import MAX_TEXT
+from broker.decisions.events import CommandReceived
+from broker.decisions.state import request_key
+from broker.router.core import Core, name_of
+from broker.router.egress import Egress
+from broker.router.health import Health
+from broker.router.queries import BrokerView, status, trace
+from broker.router.shutdown import Shutdown
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.runtime.process import Every
+
+QUERIES_PER_S = 100  # of one client: replies are large, and are buffered while the client does not read
+LOAD_QUERIES = 20  # a program to load counts as so many queries
+QUERIES = (m.StatusQuery, m.TraceQuery, m.ProgramQuery, m.ProgramText)
+MEANT_FOR_ONE = (m.CommandText, m.ProgramText)  # they name the cluster that they are meant for
+
+read_ended = wire.decoder(m.CommandEnded)
+
+
+class ClientMessages:
+    def __init__(self, core: Core, egress: Egress, health: Health, shutdown: Shutdown) -> None:
+        self._core, self._egress, self._health, self._shutdown = core, egress, health, shutdown
+        self._queries: Counter[bytes] = Counter()  # of each client in this second
+        self._second = Every(1.0)
+
+    def receive(self, peer: bytes, message: Any, now: float) -> None:
+        if isinstance(message, QUERIES) and self._exceeds_rate(peer, message, now):
+            return
+        if isinstance(message, MEANT_FOR_ONE) and message.cluster not in ("", self._core.settings.run):
+            self._decline_for_another_cluster(peer, message)
+            return
+        HANDLERS[type(message)](self, peer, message, now)
+
+    # --- sentences ------------------------------------------------------------------------------------
+
+    def _take_sentence(self, peer: bytes, message: m.CommandText, now: float) -> None:
+        if known := self._reused_request(peer, message):
+            words = f"the request {message.request} was another sentence before, {known}; nothing is done"
+            self._decline(peer, message.request, RefusalReason.STATE, words, "give each sentence a request of its own")
+            return
+        if self._shutdown.begun and not self._is_known(peer, message):
+            self._decline(peer, message.request, RefusalReason.STATE, "the cluster is being stopped", "rtc up")
+            return
+        name = name_of(peer)
+        if message.halt_if_lost:
+            self._health.client_seen_s[name] = now
+        self._core.enqueue(
+            CommandReceived(
+                at_s=now,
+                client=name,
+                request=message.request,
+                text=message.text[:MAX_TEXT],
+                source=message.source,
+                progress=message.progress,
+                halt_if_lost=message.halt_if_lost,
+                sent_at_s=message.sent_at_s,
+                known_as=message.known_as,
+            )
+        )
+
+    def _is_known(self, peer: bytes, message: m.CommandText) -> bool:
+        return request_key(name_of(peer), message.request) in self._core.state.requests
+
+    def _reused_request(self, peer: bytes, message: m.CommandText) -> str:
+        """The command already accepted under this (client, request) if its text differs: a restarted client reused a
+        request id. Otherwise empty."""
+        state = self._core.state
+        command = state.requests.get(request_key(name_of(peer), message.request), "")
+        if (live := state.commands.get(command)) is not None:
+            text = live.text
+        elif (ended := state.ended.get(command)) is not None:
+            text = read_ended(ended.message).text
+        else:
+            return ""
+        return command if text != message.text[:MAX_TEXT] else ""
+
+    def _mark_alive(self, peer: bytes, message: m.Heartbeat, now: float) -> None:
+        if message.name in self._health.client_seen_s:
+            self._health.client_seen_s[message.name] = now
+
+    # --- queries --------------------------------------------------------------------------------------
+
+    def _greet(self, peer: bytes, message: m.ClientHello, now: float) -> None:
+        self._egress.clients.set_arrays(peer, message.arrays)
+        self._welcome(peer)
+
+    def _send_status(self, peer: bytes, message: m.StatusQuery, now: float) -> None:
+        core = self._core
+        view = BrokerView(
+            settings=core.settings,
+            state=core.state,
+            registry=core.registry,
+            began_s=core.began_s,
+            loop_times_s=core.loop_times_s,
+            processes=core.processes,
+            processes_at_s=core.processes_at_s,
+            dropped={**core.dropped, **core.reported_drops},
+        )
+        self._egress.answer(peer, m.StatusReply(request=message.request, status=status(view, core.clock())))
+
+    def _send_trace(self, peer: bytes, message: m.TraceQuery, now: float) -> None:
+        self._egress.answer(peer, trace(self._core.state, self._core.journal.story, message))
+
+    def _send_program(self, peer: bytes, message: m.ProgramQuery, now: float) -> None:
+        digest = self._core.state.programs.get(message.kind, "")
+        body = self._core.store.body(digest) or b""
+        self._egress.answer(peer, m.ProgramReply(request=message.request, kind=message.kind, digest=digest, body=body))
+
+    def _load_program(self, peer: bytes, message: m.ProgramText, now: float) -> None:
+        if (too_many := self._core.loads.add(peer, message)) is not None:
+            self._egress.answer(peer, m.Declined(request=message.request, refusal=too_many))
+
+    def _end_cluster(self, peer: bytes, message: m.Shutdown, now: float) -> None:
+        self._core.me.log.info("a client orders the end of the cluster")
+        self._egress.send_supervisor(m.Shutdown(request=message.request))
+
+    # --- refusals -------------------------------------------------------------------------------------
+
+    def _exceeds_rate(self, peer: bytes, message: Any, now: float) -> bool:
+        if self._second.due(now):
+            self._queries.clear()
+        self._queries[peer] += LOAD_QUERIES if isinstance(message, m.ProgramText) else 1
+        if self._queries[peer] <= QUERIES_PER_S:
+            return False
+        self._core.dropped["questions"] += 1
+        words = f"a client may ask {QUERIES_PER_S} times a second; a program counts as {LOAD_QUERIES}"
+        self._decline(peer, message.request, RefusalReason.OVERLOAD, words, "ask again a second later")
+        return True
+
+    def _decline_for_another_cluster(self, peer: bytes, message: m.CommandText | m.ProgramText) -> None:
+        """A message for an earlier cluster must not move anything now. The welcome comes first: it shows the client
+        that the answers it waits for will not come."""
+        run = self._core.settings.run
+        self._core.dropped["for_another_cluster"] += 1
+        self._welcome(peer)
+        words = f"meant for the cluster {message.cluster}, which is gone; this is {run or 'another'}"
+        clears = "connect again, and give it again if it is meant for this one"
+        self._decline(peer, message.request, RefusalReason.STATE, words, clears)
+
+    def _welcome(self, peer: bytes) -> None:
+        self._egress.answer(peer, m.Welcome(cluster=self._core.settings.run, pid=os.getpid(), arrays=True))
+
+    def _decline(self, peer: bytes, request: str, reason: RefusalReason, words: str, clears: str) -> None:
+        refusal = Refusal(reason=reason, message=words, clears=clears)
+        self._egress.answer(peer, m.Declined(request=request, refusal=refusal))
+
+
+HANDLERS: dict[type, Callable[[ClientMessages, bytes, Any, float], None]] = {
+    m.CommandText: ClientMessages._take_sentence,
+    m.Heartbeat: ClientMessages._mark_alive,
+    m.ClientHello: ClientMessages._greet,
+    m.StatusQuery: ClientMessages._send_status,
+    m.TraceQuery: ClientMessages._send_trace,
+    m.ProgramQuery: ClientMessages._send_program,
+    m.ProgramText: ClientMessages._load_program,
+    m.Shutdown: ClientMessages._end_cluster,
+}

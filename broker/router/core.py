@@ -1,0 +1,84 @@
+"""The core of the broker process: state, journal, sockets, queued events and counters, shared by all its parts.
+
+Must not know any message. The parts around it receive (ingress), send (egress), watch (health) and run (loop).
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import zmq
+
+from broker.decisions.events import Event, JobLost
+from broker.decisions.state import State
+from broker.dispatch.timers import Timers
+from broker.dispatch.worker_registry import LostJob, WorkerRegistry
+from broker.persistence.journal import Journal
+from broker.persistence.program_loads import Check, InProcessCheck, ProgramLoads
+from broker.persistence.program_store import ProgramStore
+from rtc.programs.sandbox import Asked
+from rtc.runtime.handover import Handed
+from rtc.runtime.process import Process
+from rtc.runtime.settings import BOUNDS, NO_HANDOVER, Settings
+
+LOOP_TIMES_KEPT = 4096  # durations of the latest loop iterations, for `rtc status`
+
+
+class Core:
+    """`clock`: CLOCK_MONOTONIC in seconds, or the clock of a simulated cluster."""
+
+    def __init__(
+        self,
+        me: Process,
+        settings: Settings,
+        journal: Journal,
+        state: State,
+        store: ProgramStore,
+        given: Handed,
+        clock: Callable[[], float],
+        start_check: Callable[[Asked], Check] = InProcessCheck,
+    ) -> None:
+        self.me, self.settings, self.journal, self.state = me, settings, journal, state
+        self.store, self.given, self.clock = store, given, clock
+        self.loads = ProgramLoads(store, start_check)
+        self.registry = WorkerRegistry()
+        self.timers = Timers()
+        self.events: list[Event] = []  # received in this iteration, not decided yet
+        self.began_s = clock()
+        self.loop_times_s: deque[float] = deque(maxlen=LOOP_TIMES_KEPT)
+        self.dropped: Counter[str] = Counter()  # unreadable or forbidden messages, by socket
+        self.reported_drops: dict[str, int] = {}  # the same at sockets of other processes, as they report it
+        self.supervisor_peer = peer_of(given.identity("supervisor"))
+        self.supervised = False  # the supervisor has sent a message
+        self.processes: list[dict[str, Any]] = []  # the supervisor's latest process table
+        self.processes_at_s = self.began_s  # time of that table
+        self.sockets: dict[str, zmq.Socket[bytes]] = {}
+        for name in ("halt", "subsystems", "supervisor", "workers", "front"):
+            self.sockets[name] = me.socket(
+                zmq.ROUTER, settings.endpoint(name), bind=True, bounds=BOUNDS[name], handover=name not in NO_HANDOVER
+            )
+        self.sockets["events"] = me.socket(zmq.XPUB, settings.endpoint("events"), bind=True, bounds=BOUNDS["events"])
+
+    def enqueue(self, event: Event) -> None:
+        """Add an event; it is decided in this loop iteration."""
+        self.events.append(event)
+
+    def lose_jobs(self, worker: str, lost: Iterable[LostJob], why: str, now: float) -> None:
+        """Enqueue the loss of the jobs that a lost worker had."""
+        for job, in_hand in lost:
+            self.enqueue(JobLost(at_s=now, job=job.job, attempt=job.attempt, node=worker, evidence=why, blamed=in_hand))
+
+    def subsystem_peer(self, name: str) -> bytes:
+        """The routing identity of a subsystem; that of the cluster's own subsystems contains a token."""
+        return peer_of(self.given.identity(name))
+
+
+def name_of(peer: bytes) -> str:
+    """A routing identity as text; `peer_of` reverses it for any bytes."""
+    return peer.decode("latin-1")
+
+
+def peer_of(name: str) -> bytes:
+    return name.encode("latin-1")

@@ -1,0 +1,130 @@
+"""Egress: the effects of decisions and the assigned jobs, sent as messages or performed on timers and queues."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from broker.decisions import effects as do
+from broker.decisions.events import ListenersChanged
+from broker.router.core import Core, peer_of
+from broker.router.outbox import Outbox
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.runtime.process import send
+from rtc.world.lease import sign
+
+
+class Egress:
+    def __init__(self, core: Core) -> None:
+        self._core = core
+        self.topics: set[bytes] = set()  # prefixes that the subscribers of the event stream want
+        self.clients = Outbox(lambda: core.sockets["front"])
+        self.subsystems = Outbox(lambda: core.sockets["subsystems"])
+        self._perform = {kind: perform.__get__(self) for kind, perform in PERFORM.items()}
+
+    def perform(self, effects: Iterable[do.Effect]) -> None:
+        """Perform effects in order. Their events must be in the journal."""
+        for effect in effects:
+            self._perform[type(effect)](effect)
+        self.clients.flush()
+        self.subsystems.flush()
+
+    def assign_jobs(self, now: float) -> None:
+        """Send queued jobs to workers that have room."""
+        core = self._core
+        for worker, jobs in core.registry.assign(now):
+            batch = [
+                m.Job(
+                    id=job.job,
+                    attempt=job.attempt,
+                    program=job.program,
+                    cell=job.cell,
+                    input=job.input,
+                    lease=None if not job.locations else sign(core.given.lease_key, job.job, job.locations),
+                )
+                for job in jobs
+            ]
+            if not send(core.sockets["workers"], m.JobBatch(jobs=batch), peer_of(worker)):
+                core.lose_jobs(worker, core.registry.remove(worker), "its connection is gone", now)
+
+    def answer(self, peer: bytes, message: m.BrokerToClient) -> None:
+        """Answer a client at once, after what it was sent before."""
+        self.clients.send_now(peer, message)
+
+    def send_supervisor(self, message: m.BrokerToSupervisor) -> None:
+        send(self._core.sockets["supervisor"], message, self._core.supervisor_peer)
+
+    def set_topics(self, topics: set[bytes], now: float) -> None:
+        """Replace the subscribed prefixes. The Decision Unit writes notes only while there are subscribers."""
+        changed = bool(topics) is not bool(self.topics)
+        self.topics = topics
+        if changed:
+            self._core.enqueue(ListenersChanged(at_s=now, listening=bool(topics)))
+
+    # --- one method per effect ------------------------------------------------------------------------
+
+    def _dispatch_job(self, effect: do.DispatchJob) -> None:
+        command = self._core.state.commands.get(effect.job.partition("/")[0])
+        self._core.registry.submit(effect, self._core.clock(), command.client if command else "")
+
+    def _cancel_job(self, effect: do.CancelJob) -> None:
+        if worker := self._core.registry.cancel(effect.job):
+            send(self._core.sockets["workers"], m.Drop(jobs=[effect.job]), peer_of(worker))
+
+    def _send_primitive(self, effect: do.SendPrimitive) -> None:
+        message = {
+            "type": "Execute",
+            "primitive": effect.primitive,
+            "issued_at_s": effect.issued_at_s,
+            "pid": effect.pid,
+        }
+        self.subsystems.put(self._core.subsystem_peer(effect.subsystem), message)
+
+    def _send_halt(self, effect: do.SendHalt) -> None:
+        order = m.HaltOrder(halt=effect.halt, scope=effect.scope, called_at_s=effect.called_at_s, call=effect.call)
+        self.subsystems.send_now(self._core.subsystem_peer(effect.subsystem), order)
+
+    def _acknowledge_report(self, effect: do.AcknowledgeReport) -> None:
+        self.subsystems.put(self._core.subsystem_peer(effect.subsystem), m.ReportAck(primitive=effect.primitive))
+
+    def _start_timer(self, effect: do.StartTimer) -> None:
+        self._core.timers.start(effect.timer, effect.at_s)
+
+    def _stop_timer(self, effect: do.StopTimer) -> None:
+        self._core.timers.stop(effect.timer)
+
+    def _send_client(self, effect: do.TellClient) -> None:
+        self.clients.put(peer_of(effect.client), effect.message)
+
+    def _publish_note(self, effect: do.PublishNote) -> None:
+        if effect.client:
+            self.clients.put(peer_of(effect.client), effect.note)
+        if self.topics:
+            send(self._core.sockets["events"], effect.note)
+
+    def _report_end(self, effect: do.ReportEnd) -> None:
+        kept = self._core.state.ended.get(effect.ended.command)
+        message = kept.message if kept else effect.ended  # encoded already, if it is kept
+        self.clients.put(peer_of(effect.client), message)
+        if self.topics:
+            send(self._core.sockets["events"], message)
+
+    def _decline_halt(self, effect: do.DeclineHalt) -> None:
+        refusal = Refusal(reason=RefusalReason.NAME, message=effect.message)
+        send(self._core.sockets["halt"], m.Declined(request=effect.halt, refusal=refusal), peer_of(effect.client))
+
+
+PERFORM: dict[type[do.Effect], Callable[[Egress, Any], None]] = {
+    do.DispatchJob: Egress._dispatch_job,
+    do.CancelJob: Egress._cancel_job,
+    do.SendPrimitive: Egress._send_primitive,
+    do.SendHalt: Egress._send_halt,
+    do.AcknowledgeReport: Egress._acknowledge_report,
+    do.StartTimer: Egress._start_timer,
+    do.StopTimer: Egress._stop_timer,
+    do.TellClient: Egress._send_client,
+    do.PublishNote: Egress._publish_note,
+    do.ReportEnd: Egress._report_end,
+    do.DeclineHalt: Egress._decline_halt,
+}

@@ -1,0 +1,111 @@
+"""Ingress: reads the sockets within limits, and hands each valid message to the handler of its socket.
+
+A loop iteration is short, however many messages are queued, so that the next halt is read soon.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from broker.router.client_messages import ClientMessages
+from broker.router.core import Core
+from broker.router.egress import Egress
+from broker.router.halts import Halts
+from broker.router.health import Health
+from broker.router.shutdown import Shutdown
+from broker.router.subsystem_messages import SubsystemMessages
+from broker.router.supervisor_messages import SupervisorMessages
+from broker.router.worker_messages import WorkerMessages
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
+from rtc.runtime.halt_admission import read_order
+from rtc.runtime.process import inbox, send
+
+# Maximum number of events per socket and iteration. The shares are those of a stream of short commands, so that none
+# of its messages waits for long (one message of a worker has several results).
+MOST_EVENTS = {"halt": 10, "subsystems": 16, "workers": 48, "front": 64}
+MOST_MESSAGES = 200  # maximum number of messages per socket and iteration; not all are events
+READ_S = 0.003  # time limit per socket and iteration: queries, long and invalid messages take time too
+WARNINGS = 20  # dropped messages of one socket that are logged; later only every thousandth is
+
+Read = Callable[[Sequence[bytes]], Sequence[Any]]
+
+_read_halt: Read = lambda parts: (read_order(parts),)  # noqa: E731
+_read_subsystem = wire.reader_of_many(m.SubsystemToBroker)
+_read_supervisor = wire.reader_of_many(m.SupervisorToBroker)
+_read_worker = wire.reader_of_many(m.WorkerToBroker)
+_read_client = wire.reader_of_many(m.ClientToBroker)
+
+
+class Source(NamedTuple):
+    """How the messages of one socket are read and handled. `handle(peer, message, now)` may raise WireError."""
+
+    read: Read
+    handle: Callable[[bytes, Any, float], None]
+
+
+class Ingress:
+    def __init__(self, core: Core, egress: Egress, halts: Halts, health: Health, shutdown: Shutdown) -> None:
+        self._core, self._egress = core, egress
+        self._sources = {
+            "halt": Source(_read_halt, halts.receive),
+            "subsystems": Source(_read_subsystem, SubsystemMessages(core, egress, halts, health, shutdown).receive),
+            "supervisor": Source(_read_supervisor, SupervisorMessages(core, shutdown).receive),
+            "workers": Source(_read_worker, WorkerMessages(core).receive),
+            "front": Source(_read_client, ClientMessages(core, egress, health, shutdown).receive),
+        }
+
+    def receive(self, name: str, now: float) -> bool:
+        """Handle the queued messages of one socket, within the limits. False: there may be more."""
+        core, source = self._core, self._sources[name]
+        most = MOST_EVENTS.get(name, MOST_MESSAGES)
+        messages, began = 0, core.clock()
+        for peer, *parts in inbox(core.sockets[name], MOST_MESSAGES):
+            messages += 1
+            self._handle(name, source, peer, parts, now)
+            if len(core.events) >= most or core.clock() - began > READ_S:
+                return False
+        return messages < MOST_MESSAGES
+
+    def receive_subscriptions(self, now: float) -> None:
+        """Subscriptions of the event stream: one frame each, 1 or 0 and the prefix that is wanted."""
+        topics = set(self._egress.topics)
+        for frame, *_ in inbox(self._core.sockets["events"], MOST_MESSAGES):
+            wanted, topic = frame[:1], frame[1:]
+            if wanted not in (b"\0", b"\1") or not wire.PROTOCOL.startswith(topic):
+                self._core.dropped["events"] += 1
+            elif wanted == b"\1":
+                topics.add(topic)
+            else:
+                topics.discard(topic)
+        self._egress.set_topics(topics, now)
+
+    def _handle(self, name: str, source: Source, peer: bytes, parts: Sequence[bytes], now: float) -> None:
+        """Handle one message, or an array of them. Of an array, only the invalid messages are dropped."""
+        try:
+            messages = source.read(parts)
+        except WireError as error:
+            alone = wire.apart(parts)
+            if len(alone) < 2:
+                self._drop(name, peer, parts, error)
+                return
+            for one in alone:
+                self._handle(name, source, peer, one, now)
+            return
+        for message in messages:
+            try:
+                source.handle(peer, message, now)
+            except WireError as error:
+                self._drop(name, peer, parts, error)
+
+    def _drop(self, name: str, peer: bytes, parts: Sequence[bytes], error: WireError) -> None:
+        """Count and log an invalid message. A client gets a refusal."""
+        core = self._core
+        core.dropped[name] += 1
+        if core.dropped[name] <= WARNINGS or core.dropped[name] % 1000 == 0:
+            core.me.log.warning("dropped a message on %s from %r: %s", name, peer[:40], error)
+        if name in ("front", "halt"):
+            refusal = Refusal(reason=RefusalReason.SENTENCE, message=f"not a message of this protocol: {error}")
+            send(core.sockets[name], m.Declined(request=wire.name_in(parts), refusal=refusal), peer)

@@ -1,0 +1,133 @@
+"""Messages of subsystems: hello, start and end of primitives, answers to halts, periodic reports."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from broker.decisions import reporting
+from broker.decisions.events import HaltConfirmed, PrimitiveEnded, PrimitiveStarted, SubsystemConnected
+from broker.decisions.state import Link
+from broker.router.core import Core, name_of, peer_of
+from broker.router.egress import Egress
+from broker.router.halts import Halts
+from broker.router.health import Health
+from broker.router.shutdown import Shutdown
+from broker.router.supervisor_messages import count_dropped
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
+from rtc.protocol.primitive_id import command_of
+from rtc.runtime.handover import TOKEN_BEARERS
+from rtc.runtime.process import Every, send
+
+DROP_COUNTERS = ("estop", "bench")  # of the MCM's own sockets
+
+
+class SubsystemMessages:
+    def __init__(self, core: Core, egress: Egress, halts: Halts, health: Health, shutdown: Shutdown) -> None:
+        self._core, self._egress, self._halts, self._health, self._shutdown = core, egress, halts, health, shutdown
+        self._forwarded: Counter[str] = Counter()  # periodic reports forwarded to a client in this second
+        self._second = Every(1.0)
+
+    def receive(self, peer: bytes, message: Any, now: float) -> None:
+        """Raises WireError for a message in the name of another subsystem."""
+        name = self._name_of_sender(peer, message)
+        if isinstance(message, m.SubsystemHello) or name in self._core.state.subsystems:
+            self._health.subsystem_seen_s[name] = now
+        HANDLERS[type(message)](self, name, peer, message, now)
+
+    def _name_of_sender(self, peer: bytes, message: Any) -> str:
+        """The name of the subsystem. Raises WireError for a stranger that uses the name of one of the cluster's own:
+        its identity lacks the token. Its hello is answered with a refusal."""
+        name = name_of(peer)
+        bare = name.removesuffix(f"@{self._core.given.token}")
+        if bare not in TOKEN_BEARERS or name == self._core.given.identity(bare):
+            return bare
+        if isinstance(message, m.SubsystemHello):
+            ours = self._core.state.subsystems.get(bare)
+            words = f"this cluster has its own {bare}" + (f", pid {ours.pid}" if ours else "")
+            refusal = Refusal(reason=RefusalReason.NOT_ALLOWED, message=words, clears="use another name")
+            send(self._core.sockets["subsystems"], m.Declined(request=bare, refusal=refusal), peer)
+        raise WireError(f"a stranger uses the name {bare}")
+
+    def _connect(self, name: str, peer: bytes, message: m.SubsystemHello, now: float) -> None:
+        _check_name(name, message.name)
+        self._egress.subsystems.set_arrays(peer, message.arrays)
+        self._core.me.log.info("%.80r is connected, pid %d, %.200s", name, message.pid, message.performers)
+        self._core.enqueue(
+            SubsystemConnected(
+                at_s=now,
+                subsystem=name,
+                pid=message.pid,
+                performers=message.performers,
+                outstanding=message.outstanding,
+                at_rest=message.at_rest,
+            )
+        )
+
+    def _mark_alive(self, name: str, peer: bytes, message: m.Heartbeat, now: float) -> None:
+        known = self._core.state.subsystems.get(name)
+        if known is None or known.link is not Link.CONNECTED:  # an empty acknowledgement requests a hello message
+            send(self._core.sockets["subsystems"], m.ReportAck(primitive=""), peer)
+
+    def _started(self, name: str, peer: bytes, message: m.Started, now: float) -> None:
+        self._core.enqueue(PrimitiveStarted(at_s=now, subsystem=name, primitive=message.primitive))
+
+    def _ended(self, name: str, peer: bytes, message: m.EndReport, now: float) -> None:
+        self._core.enqueue(PrimitiveEnded(at_s=now, subsystem=name, report=message))
+
+    def _call_halt(self, name: str, peer: bytes, message: m.HaltOrder, now: float) -> None:
+        self._halts.enqueue(name, message, now)
+
+    def _halt_started(self, name: str, peer: bytes, message: m.HaltStarted, now: float) -> None:
+        _check_name(name, message.subsystem)
+        self._halts.answer(message)
+        self._shutdown.record_motion(message)
+
+    def _confirm_rest(self, name: str, peer: bytes, message: m.HaltAtRest, now: float) -> None:
+        _check_name(name, message.subsystem)
+        self._halts.answer(message)
+        self._core.enqueue(
+            HaltConfirmed(
+                at_s=now,
+                subsystem=name,
+                halt=message.halt,
+                at_rest=message.at_rest,
+                performers=message.performers,
+            )
+        )
+
+    def _count_dropped(self, name: str, peer: bytes, message: m.Dropped, now: float) -> None:
+        count_dropped(self._core, message, DROP_COUNTERS)
+
+    def _forward_report(self, name: str, peer: bytes, report: m.ProgressReport, now: float) -> None:
+        """Send a report of REPORT EVERY to the command's client, without an event or a journal entry."""
+        command = self._core.state.commands.get(command_of(report.primitive))
+        if command is None or not reporting.wants_periodic(command, report, name):
+            return
+        if self._second.due(now):
+            self._forwarded.clear()
+        self._forwarded[command.client] += 1
+        if self._forwarded[command.client] > reporting.MOST_PER_S:
+            self._core.dropped["reports"] += 1
+            return
+        self._egress.answer(peer_of(command.client), reporting.periodic(command, report, now))
+
+
+def _check_name(sender: str, stated: str) -> None:
+    if stated != sender:
+        raise WireError(f"{sender!r:.80} speaks for {stated!r:.80}")
+
+
+HANDLERS: dict[type, Callable[[SubsystemMessages, str, bytes, Any, float], None]] = {
+    m.SubsystemHello: SubsystemMessages._connect,
+    m.Heartbeat: SubsystemMessages._mark_alive,
+    m.Started: SubsystemMessages._started,
+    m.EndReport: SubsystemMessages._ended,
+    m.HaltOrder: SubsystemMessages._call_halt,
+    m.HaltStarted: SubsystemMessages._halt_started,
+    m.HaltAtRest: SubsystemMessages._confirm_rest,
+    m.Dropped: SubsystemMessages._count_dropped,
+    m.ProgressReport: SubsystemMessages._forward_report,
+}

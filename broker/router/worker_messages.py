@@ -1,0 +1,88 @@
+"""Messages of workers: hello, results, signs of life, requests for programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from broker.decisions.events import Event, JobDeclined, JobFinished, JobLost
+from broker.router.core import Core, name_of
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import WireError
+from rtc.runtime.process import send
+
+
+class WorkerMessages:
+    def __init__(self, core: Core) -> None:
+        self._core = core
+
+    def receive(self, peer: bytes, message: Any, now: float) -> None:
+        """Raises WireError for a message in the name of another worker."""
+        HANDLERS[type(message)](self, peer, message, now)
+
+    def _take_results(self, peer: bytes, message: m.ResultBatch, now: float) -> None:
+        name, registry = name_of(peer), self._core.registry
+        known = registry.mark_alive(name, now)
+        for result in message.results:
+            # Only the worker that has the job now may answer it.
+            if registry.answered(name, result.id, result.attempt, getattr(result, "took_s", 0.0), now):
+                self._core.enqueue(RESULTS[type(result)](name, result, now))
+            else:
+                self._core.dropped["results"] += 1
+        if not known:
+            self._request_hello(peer)
+
+    def _mark_alive(self, peer: bytes, message: m.Heartbeat, now: float) -> None:
+        if not self._core.registry.mark_alive(name_of(peer), now):
+            self._request_hello(peer)
+
+    def _register(self, peer: bytes, message: m.WorkerHello, now: float) -> None:
+        name = name_of(peer)
+        if message.name != name:
+            raise WireError(f"{name!r:.80} introduces itself as {message.name!r:.80}")
+        lost = self._core.registry.register(name, message.node, message.kind, message.pid, now)
+        self._core.lose_jobs(name, lost, "its process was replaced", now)
+
+    def _remove(self, peer: bytes, message: m.WorkerGone, now: float) -> None:
+        name = name_of(peer)
+        if message.name != name:
+            raise WireError(f"{name!r:.80} reports that {message.name!r:.80} is gone")
+        self._core.lose_jobs(name, self._core.registry.remove(name), "its connection was lost", now)
+
+    def _send_program(self, peer: bytes, message: m.ProgramWanted, now: float) -> None:
+        body = self._core.store.body(message.digest)
+        send(self._core.sockets["workers"], m.ProgramBody(digest=message.digest, body=body), peer)
+
+    def _request_hello(self, peer: bytes) -> None:
+        """An empty batch requests a hello message from a worker that is not registered."""
+        send(self._core.sockets["workers"], m.JobBatch(jobs=[]), peer)
+
+
+def _finished(node: str, result: m.JobDone, now: float) -> Event:
+    return JobFinished(
+        at_s=now, job=result.id, attempt=result.attempt, node=node, product=result.product, took_s=result.took_s
+    )
+
+
+def _declined(node: str, result: m.JobRefused, now: float) -> Event:
+    return JobDeclined(at_s=now, job=result.id, attempt=result.attempt, node=node, refusal=result.refusal)
+
+
+def _crashed(node: str, result: m.JobCrashed, now: float) -> Event:
+    return JobLost(at_s=now, job=result.id, attempt=result.attempt, node=node, evidence=result.evidence)
+
+
+#: result of a job -> its event
+RESULTS: dict[type, Callable[[str, Any, float], Event]] = {
+    m.JobDone: _finished,
+    m.JobRefused: _declined,
+    m.JobCrashed: _crashed,
+}
+
+HANDLERS: dict[type, Callable[[WorkerMessages, bytes, Any, float], None]] = {
+    m.ResultBatch: WorkerMessages._take_results,
+    m.Heartbeat: WorkerMessages._mark_alive,
+    m.WorkerHello: WorkerMessages._register,
+    m.WorkerGone: WorkerMessages._remove,
+    m.ProgramWanted: WorkerMessages._send_program,
+}
