@@ -9,6 +9,7 @@ import pytest
 from broker.decisions.state import State
 from broker.persistence.journal import Journal
 from broker.persistence.replay import replay
+from rtc.protocol import wire
 from rtc.runtime.damaged_database import damaged, open_or_set_aside
 from rtc.world.store import Store
 
@@ -65,6 +66,17 @@ def test_a_row_that_is_no_event_is_damage(tmp_path):
     _, state, _ = open_or_set_aside(path, lambda: journal(path), notes.append)
     assert state == State()
     assert len(notes) == 1
+
+
+def test_a_snapshot_of_another_layout_is_put_aside_rather_than_read_wrongly(tmp_path):
+    path = tmp_path / "journal.db"
+    opened = Journal.open(path, "r", State())
+    opened.db.execute("UPDATE snapshot SET state = ?", (wire.encode(State(accepted=7)),))
+    opened.close()
+    notes = []
+    _, state, _ = open_or_set_aside(path, lambda: journal(path), notes.append)
+    assert state == State()
+    assert "another release" in notes[0]
 
 
 def test_a_full_disk_is_no_damage(tmp_path):

@@ -11,6 +11,7 @@ import random
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from broker.decisions import action_stack
 from rtc.cells.cell import Cell
 from rtc.programs import loader
 from rtc.protocol.messages import (
@@ -87,22 +88,22 @@ class Story:
         script = self._ask(WorkerKind.ELABORATOR, ElaboratorInput(command=command, parsed=parsed))
         if not isinstance(script, Script):
             return False
-        bindings = dict(script.bindings)
-        for n, step in enumerate(script.steps, 1):
-            data = BinderInput(primitive_id=f"{command}.{n}", context=script.context, step=step, bindings=bindings)
+        actions = action_stack.begin(script)
+        while actions.refs:
+            actions.pop()
+            data = BinderInput(**actions.binder_input(f"{command}.{len(script.steps) - len(actions.refs)}"))
             bound = self._ask(WorkerKind.BINDER, data)
             if not isinstance(bound, BoundStep):
                 return False
-            bindings = bindings | bound.bindings
+            actions.assign(bound.bindings)
             if bound.primitive is None:
                 continue
-            assert bound.evaluation is not None
             report = self._perform(bound.primitive, bound.limit_s)
-            judged = self._ask(WorkerKind.ANALYZER, AnalyzerInput(evaluation=bound.evaluation, report=report))
+            judged = self._ask(WorkerKind.ANALYZER, AnalyzerInput(**actions.analyzer_input(bound.evaluation, report)))
             if not isinstance(judged, Assessment) or judged.verdict != "continue":
                 return False
             self.world = self.world.overlay(judged.changes, source=data.primitive_id)
-            bindings = bindings | judged.keep
+            actions.assign(judged.keep)
         return True
 
     def _ask(self, kind: WorkerKind, data: Any) -> Any:

@@ -9,10 +9,11 @@ from typing import Any
 
 import msgspec
 
+from broker.decisions.action_stack import NOMINAL
 from broker.decisions.effects import DispatchJob, Effect, PublishNote, StartTimer, StopTimer
 from broker.decisions.events import Stimulus
 from broker.decisions.resources import WORLD, Quarantine
-from broker.decisions.state import NOMINAL, NOTES_KEPT, Command, PendingJob, State, StepHead, StepRef
+from broker.decisions.state import NOTES_KEPT, Command, PendingJob, State, StepHead
 from rtc.protocol import wire
 from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
 from rtc.protocol.outcomes import Measured
@@ -149,20 +150,12 @@ class DecisionContext(msgspec.Struct, gc=False):
         self.effects.append(StopTimer(timer=command.id))
 
 
-def step_body(command: Command, step: StepRef) -> msgspec.Raw:
-    """The encoded step, as the elaborator made it."""
-    trim, index = step
-    assert command.script is not None
-    if trim == NOMINAL:
-        return command.script.steps[index]
-    return next(t for t in command.script.trims if t.n == trim).steps[index]
-
-
-def step_in_words(command: Command, step: StepRef) -> str:
-    """Describe a step: "5 of 9: feel one side", or "trim 2, 1 of 1: ..."."""
-    trim, index = step
-    assert command.script is not None
+def step_in_words(command: Command) -> str:
+    """Describe the current step: "5 of 9: feel one side", or "trim 2, 1 of 1: ..."."""
+    assert command.actions is not None
+    assert command.actions.step is not None
+    trim, index = command.actions.step
     if trim == NOMINAL:
         return f"{index + 1} of {len(command.labels)}: {command.labels[index]}"
-    entry = next(t for t in command.script.trims if t.n == trim)
-    return f"trim {trim}, {index + 1} of {len(entry.steps)}: {read_step(entry.steps[index]).label}"
+    steps = command.actions.trim(trim).steps
+    return f"trim {trim}, {index + 1} of {len(steps)}: {read_step(steps[index]).label}"

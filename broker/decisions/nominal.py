@@ -11,14 +11,13 @@ from typing import Any
 
 import msgspec
 
-from broker.decisions import reporting
-from broker.decisions.context import DecisionContext, read_step, step_body, step_in_words
+from broker.decisions import action_stack, reporting
+from broker.decisions.context import DecisionContext, read_step, step_in_words
 from broker.decisions.effects import AcknowledgeReport, SendHalt, SendPrimitive
 from broker.decisions.events import Stimulus
 from broker.decisions.resources import Claim, number
 from broker.decisions.state import (
     NIL,
-    NOMINAL,
     AssessmentHead,
     BoundHead,
     Command,
@@ -35,7 +34,6 @@ from rtc.protocol.primitive import Primitive
 from rtc.protocol.primitive_id import belongs_to, primitive_id
 
 LAST = "LAST"  # stands for the number of the client's previous command
-MAX_TRIMS = 6  # maximum number of trims per command (A17)
 MAX_ELABORATIONS = 20  # maximum per command, if its claim changes with each elaboration
 
 CONTROLS = {"PAUSE": Stimulus.PAUSE, "RESUME": Stimulus.RESUME, "ABORT": Stimulus.STOP}  # all control verbs except HALT
@@ -154,9 +152,9 @@ def _will_pause(command: Command) -> Answer:
         return False, "is paused already"
     if command.phase in (Phase.HALTING, Phase.CLOSING):
         return False, "is ending"
-    if command.step is None:
+    if command.actions is None or command.actions.step is None:
         return True, "pauses before its first step"
-    if command.stack:
+    if command.actions.refs:
         return True, f"pauses after step {command.step_words}"
     return False, f"is in its last step ({command.step_words}) and ends with it"
 
@@ -387,7 +385,7 @@ def elaborate(context: DecisionContext, command: Command) -> None:
 
 
 def on_elaborated(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
-    command.script = script = read_script(product)
+    script = read_script(product)
     claim: Claim = dict.fromkeys(script.reads, False)
     claim.update(dict.fromkeys(script.resources, True))
     claim.update(dict.fromkeys(script.writes, True))
@@ -398,9 +396,8 @@ def on_elaborated(context: DecisionContext, command: Command, product: msgspec.R
         return
     if not claim_or_wait(context, command, claim):
         return
-    command.bindings = dict(script.bindings)
+    command.actions = action_stack.begin(script)
     command.labels = [read_step(step).label for step in script.steps]
-    command.stack = [(NOMINAL, index) for index in reversed(range(len(script.steps)))]
     if script.notes:
         context.note(command, "; ".join(script.notes))
     next_step(context, command)
@@ -411,29 +408,26 @@ def on_elaborated(context: DecisionContext, command: Command, product: msgspec.R
 
 def next_step(context: DecisionContext, command: Command) -> None:
     """Bind the top of the Action_Stack, or end the command if the stack is empty (paper, main loop)."""
-    if not command.stack and command.given_up is not None:
+    actions = command.actions
+    assert actions is not None
+    if not actions.refs and command.given_up is not None:
         end_given_up(context, command)
-    elif not command.stack:
+    elif not actions.refs:
         end(context, command, OutcomeKind.SUCCEEDED)
     elif command.pause_wanted:
         context.enter(command, Phase.PAUSED, "paused between two steps")
     else:
-        assert command.script is not None
-        command.step = command.stack.pop()
-        command.step_words = step_in_words(command, command.step)
-        data = {
-            "primitive_id": primitive_id(command.id, command.primitives + 1, context.state.life),
-            "context": command.script.context,
-            "step": step_body(command, command.step),
-            "bindings": command.bindings,
-        }
-        context.create_job(command, WorkerKind.BINDER, data)
+        actions.pop()
+        command.step_words = step_in_words(command)
+        name = primitive_id(command.id, command.primitives + 1, context.state.life)
+        context.create_job(command, WorkerKind.BINDER, actions.binder_input(name))
         context.enter(command, Phase.BINDING)
 
 
 def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
+    assert command.actions is not None
     result = read_bound(product)
-    command.bindings.update(result.bindings)
+    command.actions.assign(result.bindings)
     if result.report != NIL:
         command.evaluation = result.evaluation
         analyze(context, command, result.report)
@@ -518,28 +512,18 @@ def acknowledge(context: DecisionContext, command: Command) -> None:
 
 
 def analyze(context: DecisionContext, command: Command, report: EndReport | msgspec.Raw) -> None:
-    assert command.script is not None
-    assert command.step is not None
-    data = {
-        "evaluation": command.evaluation,
-        "report": report,
-        "trims_used": command.trims_used.get(_step_key(command), []),
-        "closing": False,
-    }
-    context.create_job(command, WorkerKind.ANALYZER, data, locations=command.script.writes)
-
-
-def _step_key(command: Command) -> str:
-    assert command.step is not None
-    return f"{command.step[0]}/{command.step[1]}"
+    assert command.actions is not None
+    data = command.actions.analyzer_input(command.evaluation, report)
+    context.create_job(command, WorkerKind.ANALYZER, data, locations=command.actions.script.writes)
 
 
 # --- analysed ----------------------------------------------------------------------------------------
 
 
 def on_assessed(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
+    assert command.actions is not None
     assessment = read_assessment(product)
-    command.bindings.update(assessment.keep)
+    command.actions.assign(assessment.keep)
     if assessment.verdict == "continue":
         command.steps_done += 1
         context.note(command, assessment.message or f"{assessment.reason.value}: as expected")
@@ -563,27 +547,14 @@ def failure(assessment: AssessmentHead) -> PendingOutcome:
 
 
 def push_trim(context: DecisionContext, command: Command, assessment: AssessmentHead) -> bool:
-    """Push the steps of a trim on the Action_Stack (paper, trimming stack; A16, A17). False: no trim is allowed."""
-    assert command.script is not None
-    assert command.step is not None
-    trim = next((t for t in command.script.trims if t.n == assessment.trim), None)
-    used = command.trims_used.setdefault(_step_key(command), [])
-    if trim is None or trim.n in used or (len(command.trim_labels) >= MAX_TRIMS and trim.then != "give_up"):
+    """Continue with the steps of the trim that the analyzer proposes. False: the trim is not allowed."""
+    assert command.actions is not None
+    trim = command.actions.push_trim(assessment.trim)
+    if trim is None:
         return False
-    used.append(trim.n)
-    command.trim_labels.append(trim.label)
     context.count("trims")
-    if trim.then == "retry_step":
-        command.stack.append(command.step)
-    elif trim.then == "restart_script":
-        command.stack = [(NOMINAL, index) for index in reversed(range(len(command.script.steps)))]
-        command.bindings = dict(command.script.bindings)
-    elif trim.then == "replace_rest":
-        command.stack = []
-    elif trim.then == "give_up":
-        command.stack = []
+    if trim.then == "give_up":
         command.given_up = failure(assessment)
-    command.stack += [(trim.n, index) for index in reversed(range(len(trim.steps)))]
     context.note(command, f"{assessment.message or assessment.reason.value}: trim {trim.n}, {trim.label}")
     return True
 

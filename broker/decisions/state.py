@@ -10,16 +10,14 @@ from enum import StrEnum
 
 import msgspec
 
+from broker.decisions.action_stack import ActionStack
 from broker.decisions.resources import Resources
 from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
 from rtc.protocol.outcomes import Measured, OutcomeKind, Refusal, StopReason
 
 NOTES_KEPT = 400  # maximum length of one command's trace; entries in the middle are dropped
-NOMINAL = 0  # stands for the script's own steps in the place of a trim number
 
 NIL = msgspec.Raw(b"\xc0")  # MessagePack nil: the value is absent
-
-StepRef = tuple[int, int]  # (NOMINAL or number of a trim, index of the step in it)
 
 
 class ReportHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
@@ -145,14 +143,9 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     job: PendingJob | None = None  # the job that a worker has, or that waits for one
     parsed: msgspec.Raw = NIL  # the whole ParsedCommand, input of the elaborator
     head: ParsedHead | None = None  # the fields of `parsed` that the Decision Unit reads
-    script: ScriptHead | None = None  # product of the elaborator
+    actions: ActionStack[ScriptHead, msgspec.Raw] | None = None  # its plan; None until its resources are granted
     labels: list[str] = []  # labels of the nominal steps
-    bindings: dict[str, msgspec.Raw] = {}  # variables of the script with their values
-    stack: list[StepRef] = []  # the Action_Stack; the last element is the next step
-    step: StepRef | None = None  # the step that is bound, executed or analysed now
-    step_words: str = ""  # the same for people: "5 of 9: feel one side"
-    trims_used: dict[str, list[int]] = {}  # "trim/index" of a step -> numbers of the trims already used for it
-    trim_labels: list[str] = []  # labels of all trims used, for the outcome
+    step_words: str = ""  # the current step for people: "5 of 9: feel one side"
     given_up: PendingOutcome | None = None  # the outcome once the steps of a `give_up` trim are done
     steps_done: int = 0  # number of successful steps
     elaborations: int = 0  # number of elaborations, limited by `journey.MAX_ELABORATIONS`

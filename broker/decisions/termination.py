@@ -68,7 +68,7 @@ def end(
         stop=stop,
         refusal=refusal,
         step=command.step_words if kind is not OutcomeKind.SUCCEEDED else "",
-        trims=command.trim_labels,
+        trims=command.actions.trim_labels if command.actions else [],
         steps_done=command.steps_done,
         measured=command.measured,
     )
@@ -343,11 +343,11 @@ def missing_report(
 
 def close(context: DecisionContext, command: Command, report: EndReport, note: str) -> None:
     """Start the last analysis, which only updates the world facts."""
-    assert command.script is not None
+    assert command.actions is not None
     context.stop_timer(command)
     command.primitive_body = NIL
     data = {"evaluation": command.evaluation, "report": report, "closing": True}
-    context.create_job(command, WorkerKind.ANALYZER, data, locations=command.script.writes)
+    context.create_job(command, WorkerKind.ANALYZER, data, locations=command.actions.script.writes)
     context.start_timer(command, CLOSING_LIMIT_S)
     context.enter(command, Phase.CLOSING, note)
 

@@ -14,16 +14,19 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Literal
 
 from broker.decisions.events import AnyEvent, Event
 from broker.decisions.state import State
 from rtc.protocol import wire
 from rtc.protocol.messages import CommandRecord
+from rtc.protocol.outcomes import WireError
 
 STORIES_KEPT = 20_000
 STORIES_AT_ONCE = 64
 FORGOTTEN_AT_ONCE = 400  # turns: forgetting all of a snapshot at once would hold up what comes meanwhile
 CHECKPOINT_PAGES = 128  # of the WAL, brought home little by little for the same reason
+SNAPSHOT = 2  # layout of the stored state; one of another layout is refused, because it would be read wrongly
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS about (key TEXT PRIMARY KEY, value TEXT);
 CREATE TABLE IF NOT EXISTS turns (n INTEGER PRIMARY KEY, events BLOB NOT NULL);
@@ -37,7 +40,7 @@ INSERT INTO stories (n, record) VALUES (?, ?) ON CONFLICT (n) DO UPDATE SET reco
 """
 
 read_events = wire.decoder(list[AnyEvent])
-read_state = wire.decoder(State)
+read_snapshot = wire.decoder(tuple[Literal[2], State])  # SNAPSHOT, and the state
 read_record = wire.decoder(CommandRecord)
 
 
@@ -94,7 +97,7 @@ class Journal:
         self._write_stories()
         with self.transaction():
             last = self.db.execute("SELECT coalesce(max(n), 0) FROM turns").fetchone()[0]
-            self.db.execute("INSERT OR REPLACE INTO snapshot VALUES (1, ?, ?)", (last, wire.encode(state)))
+            self.db.execute("INSERT OR REPLACE INTO snapshot VALUES (1, ?, ?)", (last, wire.encode((SNAPSHOT, state))))
         self._forget_before = last  # that one stays: SQLite must not number the next turn below the snapshot's
         self.events_since_snapshot = 0
 
@@ -122,7 +125,10 @@ class Journal:
         """(the number of the last turn in it, the state)."""
         n, state = self.db.execute("SELECT n, state FROM snapshot").fetchone()
         self._forget_before = n
-        return n, read_state(state)
+        try:
+            return n, read_snapshot(state)[1]
+        except WireError as error:
+            raise WireError(f"its snapshot is damaged or of another release: {error}") from error
 
     def last_turn(self) -> int:
         """The number of the last turn; 0 of a new journal."""

@@ -358,8 +358,8 @@ def test_a_trim_goes_on_the_stack_and_the_step_is_tried_again():
     s.answers("C-1", bound("C-1.2"))
     s.reports("C-1")
     s.answers("C-1", go_on())
-    assert s.state.commands["C-1"].step == (0, 0)  # the step itself, once more
-    assert s.state.commands["C-1"].trim_labels == ["trim 1"]
+    assert s.state.commands["C-1"].actions.step == (0, 0)  # the step itself, once more
+    assert s.state.commands["C-1"].actions.trim_labels == ["trim 1"]
 
 
 @pytest.mark.parametrize(
@@ -376,8 +376,8 @@ def test_what_follows_a_trim(then, stack):
     s = Story()
     s.analyzing(script(steps=2, trims=[trim(1, then)]))
     s.answers("C-1", mend(1))
-    assert s.state.commands["C-1"].step == (1, 0)
-    assert s.state.commands["C-1"].stack == stack
+    assert s.state.commands["C-1"].actions.step == (1, 0)
+    assert s.state.commands["C-1"].actions.refs == stack
 
 
 def test_a_trim_is_used_once_for_a_step():

@@ -83,7 +83,7 @@ class Surroundings(Story):
             then = ("retry_step", "restart_script", "skip", "replace_rest", "give_up")[choice % 5]
             return script(choice % 4, ARMS[choice // 4 % len(ARMS)], [trim(1, then), trim(2, "retry_step", 0)])
         if kind is WorkerKind.BINDER:
-            performer = next((r for r in command.script.resources if r.endswith("ARM")), "RIGHT-ARM")
+            performer = next((r for r in command.actions.script.resources if r.endswith("ARM")), "RIGHT-ARM")
             if choice % 5 == 0:
                 return BoundStep() if choice % 2 else told()
             return bound(f"{command.id}.{command.primitives + 1}", performer)
@@ -155,7 +155,7 @@ class Surroundings(Story):
 
     def sensible(self, command):
         if command.job.kind is WorkerKind.BINDER:
-            performer = next((r for r in command.script.resources if r.endswith("ARM")), "RIGHT-ARM")
+            performer = next((r for r in command.actions.script.resources if r.endswith("ARM")), "RIGHT-ARM")
             return bound(f"{command.id}.{command.primitives + 1}", performer)
         return {WorkerKind.PARSER: record(), WorkerKind.ELABORATOR: script()}.get(command.job.kind, go_on())
 

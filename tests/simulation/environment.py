@@ -119,7 +119,8 @@ def _work(model: Model, scenario: Scenario, command: str, product: str) -> heard
     live = model.du.commands[command]
     assert live.job is not None
     del model.given[live.job.id]
-    body = _product(sentence_of(command, scenario), live.job.kind, command, live.primitives + 1, live.step, product)
+    step = live.actions.step if live.actions else None
+    body = _product(sentence_of(command, scenario), live.job.kind, command, live.primitives + 1, step, product)
     return heard.JobFinished(at_s=model.now, job=live.job.id, attempt=live.job.attempt, node="w", product=body)
 
 

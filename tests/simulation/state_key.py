@@ -50,13 +50,15 @@ def _essence(model: Model) -> list[Any]:
 
 
 def _of_command(model: Model, c: Command) -> list[Any]:
+    actions = c.actions
     begun = sum(p.partition(".")[0] == c.id for p in model.begun)
     halted = [r for r, at_s in model.du.halted_at_s.items() if at_s > c.given_at_s]
     return [
         [c.id, c.phase, c.pause_wanted, c.pending_outcome, c.elaborations, c.at_rest, c.due_s > 0.0],
         c.job
         and [c.job.kind, len(c.job.deaths), c.job.program, at_work(model, c), model.now - c.job.since_s > LIMIT_S],
-        [c.head is not None, c.script is not None, c.stack, c.step, c.trims_used, len(c.trim_labels), c.steps_done],
+        [c.head is not None, actions and [actions.refs, actions.step, actions.trims_used, len(actions.trim_labels)]],
+        c.steps_done,
         [bool(c.primitive), min(c.primitives, 2), c.primitive_body != NIL, c.performers],
         [c.primitives - begun, begun - model.goals.get(c.id, 0), c.primitive in model.begun],
         halted,

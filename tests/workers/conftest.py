@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from broker.decisions import action_stack
 from rtc.cells.cell import Cell
 from rtc.language.record import ParsedCommand
 from rtc.programs import loader
@@ -45,8 +46,6 @@ from workers.planning.robot_models import CellModel
 CELL = Cell.load("swapout")
 MODEL = CellModel(CELL)
 GRAMMAR = loader.default("parser").decode()
-NOMINAL = 0
-MOST_TRIMS = 6
 
 
 def record(sentence: str) -> ParsedCommand:
@@ -192,7 +191,6 @@ class Run:
     assessments: list[Assessment] = field(default_factory=list)
     reports: list[EndReport] = field(default_factory=list)
     trims: list[int] = field(default_factory=list)
-    bindings: dict[str, Binding] = field(default_factory=dict)
     failure: Assessment | None = None  # the one that nothing has mended
 
     @property
@@ -235,12 +233,18 @@ class Bench:
     def bind(self, script: Script, step: Step, bindings: dict[str, Binding] | None = None, n: int = 1) -> Any:
         given = script.bindings if bindings is None else bindings
         name = f"C-{self.commands}.{n}"
-        data = BinderInput(primitive_id=name, context=script.context, step=step, bindings=given)
+        return self._bind(BinderInput(primitive_id=name, context=script.context, step=step, bindings=given))
+
+    def _bind(self, data: BinderInput) -> Any:
         return binder.run(binder.compile(self.programs["binder"]), MODEL, self.world, data)
 
     def analyze(self, bound: BoundStep, report: EndReport, used: list[int] | None = None, closing: bool = False) -> Any:
         assert bound.evaluation is not None
-        data = AnalyzerInput(evaluation=bound.evaluation, report=report, trims_used=used or [], closing=closing)
+        return self._analyze(
+            AnalyzerInput(evaluation=bound.evaluation, report=report, trims_used=used or [], closing=closing)
+        )
+
+    def _analyze(self, data: AnalyzerInput) -> Any:
         return analyzer.run(analyzer.compile(self.programs["analyzer"]), MODEL, self.world, data)
 
     def do(self, sentence: str) -> Run:
@@ -250,19 +254,17 @@ class Bench:
         if isinstance(script, Refusal):
             run.refusal = script
             return run
-        run.script, run.bindings = script, dict(script.bindings)
-        trims = {trim.n: trim for trim in script.trims}
-        stack = [(NOMINAL, n) for n in reversed(range(len(script.steps)))]
-        used: dict[tuple[int, int], list[int]] = {}
-        while stack:
-            ref = stack.pop()
-            step = (script.steps if ref[0] == NOMINAL else trims[ref[0]].steps)[ref[1]]
-            bound = self.bind(script, step, run.bindings, n=len(run.labels) + 1)
+        run.script = script
+        actions = action_stack.begin(script)
+        while actions.refs:
+            step = actions.pop()
+            name = f"C-{self.commands}.{len(run.labels) + 1}"
             run.labels.append(step.label)
+            bound = self._bind(BinderInput(**actions.binder_input(name)))
             if isinstance(bound, Refusal):
                 run.refusal = bound
                 return run
-            run.bindings |= bound.bindings
+            actions.assign(bound.bindings)
             report = bound.told
             if bound.primitive is not None:
                 run.primitives.append(bound.primitive)
@@ -270,30 +272,21 @@ class Bench:
             if report is None:
                 continue
             run.reports.append(report)
-            judged = self.analyze(bound, report, used.get(ref))
+            judged = self._analyze(AnalyzerInput(**actions.analyzer_input(bound.evaluation, report)))
             if isinstance(judged, Refusal):
                 run.refusal = judged
                 return run
             assert isinstance(judged, Assessment), judged
             run.assessments.append(judged)
             self.world = self.world.overlay(judged.changes, source=f"C-{self.commands}/{len(run.assessments)}")
-            run.bindings |= judged.keep
-            if judged.verdict == "abort":
+            actions.assign(judged.keep)
+            trim = actions.push_trim(judged.trim) if judged.verdict == "trim" else None
+            if judged.verdict != "continue" and (trim is None or trim.then == "give_up"):
                 run.failure = run.failure or judged
-                return run
-            if judged.verdict == "trim":
-                trim = trims[judged.trim]
-                used.setdefault(ref, []).append(trim.n)
+            if trim is not None:
                 run.trims.append(trim.n)
-                assert len(run.trims) <= MOST_TRIMS
-                if trim.then == "retry_step":
-                    stack.append(ref)
-                elif trim.then == "restart_script":
-                    stack = [(NOMINAL, n) for n in reversed(range(len(script.steps)))]
-                    run.bindings = dict(script.bindings)
-                elif trim.then == "give_up":
-                    stack, run.failure = [], judged
-                stack += [(trim.n, n) for n in reversed(range(len(trim.steps)))]
+            elif judged.verdict != "continue":
+                return run
         return run
 
 

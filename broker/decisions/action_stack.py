@@ -1,0 +1,139 @@
+"""The Action_Stack of one command: the steps still to do, the values of its variables, and the trims used (R94). Pure.
+
+The broker runs every command from it; the test bench and the benchmarks run the workers from it in memory. It needs no
+more of a script than `ScriptLike` states, so steps and values may be encoded bytes (the broker) or typed (the others).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Generic, Protocol, TypeVar
+
+import msgspec
+
+NOMINAL = 0  # stands for the script's own steps in the place of a trim number
+MAX_TRIMS = 6  # maximum number of trims per command (A17); a trim that gives up is allowed above it
+
+StepRef = tuple[int, int]  # (NOMINAL or number of a trim, index of the step in it)
+
+
+class TrimLike(Protocol):
+    """One entry of the trimming stack."""
+
+    @property
+    def n(self) -> int: ...
+    @property
+    def label(self) -> str: ...
+    @property
+    def steps(self) -> Sequence[Any]: ...
+    @property
+    def then(self) -> str: ...
+
+
+class ScriptLike(Protocol):
+    """A plan of the elaborator: `rtc.protocol.messages.Script`, or the head of one."""
+
+    @property
+    def context(self) -> Any: ...
+    @property
+    def steps(self) -> Sequence[Any]: ...
+    @property
+    def trims(self) -> Sequence[TrimLike]: ...
+    @property
+    def bindings(self) -> Mapping[str, Any]: ...
+
+
+ScriptT = TypeVar("ScriptT", bound=ScriptLike)
+ValueT = TypeVar("ValueT")
+
+
+class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_defaults=True, gc=False):
+    """The paper's main loop: pop a step, bind it, execute it, assess it, and push a trim if the assessment asks."""
+
+    script: ScriptT
+    """The plan that the steps and trims come from."""
+    refs: list[StepRef] = []
+    """The steps still to do; the last element is the next step."""
+    step: StepRef | None = None
+    """The step that was popped last: it is bound, executed or assessed now. None before the first step."""
+    bindings: dict[str, ValueT] = {}
+    """The variables of the script with their present values."""
+    trims_used: dict[str, list[int]] = {}
+    """"trim/index" of a step -> numbers of the trims already used for it; each is used once per step."""
+    trim_labels: list[str] = []
+    """Labels of all trims used, in order; for the outcome."""
+
+    def restart(self) -> None:
+        """Put all nominal steps on the stack, with the values that the script begins with."""
+        self.refs = [(NOMINAL, index) for index in reversed(range(len(self.script.steps)))]
+        self.bindings = dict(self.script.bindings)
+
+    def pop(self) -> Any:
+        """Make the next step the current one; its body. The stack must not be empty."""
+        self.step = self.refs.pop()
+        return self.step_body
+
+    def assign(self, values: Mapping[str, ValueT]) -> None:
+        """Set variables. Earlier payloads keep their values."""
+        if values:
+            self.bindings = {**self.bindings, **values}
+
+    @property
+    def step_body(self) -> Any:
+        """The current step, as the elaborator made it."""
+        assert self.step is not None
+        trim, index = self.step
+        if trim == NOMINAL:
+            return self.script.steps[index]
+        return self.trim(trim).steps[index]
+
+    def trim(self, n: int) -> TrimLike:
+        """The trim with this number. Raises StopIteration if the script has none."""
+        return next(trim for trim in self.script.trims if trim.n == n)
+
+    def push_trim(self, n: int) -> TrimLike | None:
+        """Push the steps of a trim for the current step; the trim (paper, trimming stack; A16, A17).
+
+        None: the trim is not in the script, was used for this step before, or MAX_TRIMS are used. Then the command has
+        failed. After a trim that gives up, the command fails when the stack is empty."""
+        assert self.step is not None
+        trim = next((t for t in self.script.trims if t.n == n), None)
+        used = self.trims_used.setdefault(self._step_key, [])
+        if trim is None or n in used or (len(self.trim_labels) >= MAX_TRIMS and trim.then != "give_up"):
+            return None
+        used.append(n)
+        self.trim_labels.append(trim.label)
+        if trim.then == "retry_step":
+            self.refs.append(self.step)
+        elif trim.then == "restart_script":
+            self.restart()
+        elif trim.then in ("replace_rest", "give_up"):
+            self.refs = []
+        self.refs += [(n, index) for index in reversed(range(len(trim.steps)))]
+        return trim
+
+    def binder_input(self, primitive_id: str) -> dict[str, Any]:
+        """The fields of a `BinderInput` for the current step."""
+        return {
+            "primitive_id": primitive_id,
+            "context": self.script.context,
+            "step": self.step_body,
+            "bindings": self.bindings,
+        }
+
+    def analyzer_input(self, evaluation: Any, report: Any) -> dict[str, Any]:
+        """The fields of an `AnalyzerInput` for the current step."""
+        used = self.trims_used.get(self._step_key, [])
+        return {"evaluation": evaluation, "report": report, "trims_used": used, "closing": False}
+
+    @property
+    def _step_key(self) -> str:
+        assert self.step is not None
+        return f"{self.step[0]}/{self.step[1]}"
+
+
+def begin(script: ScriptT) -> ActionStack[ScriptT, Any]:
+    """The Action_Stack of a new command: all nominal steps, none done."""
+    stack: ActionStack[ScriptT, Any] = ActionStack(script=script)
+    stack.restart()
+    return stack
