@@ -239,6 +239,12 @@ def test_an_object_is_told_to_be_in_a_seat(bench):
     assert "MACS-OLD is believed to be" in refused(bench, "SET MACS-NEW SEAT RACK-2").message
 
 
+def test_a_held_thing_gets_no_seat_and_the_advice_names_the_command_that_lets_it_go(bench):
+    bench.do(GRASP)
+
+    assert refused(bench, "SET MACS-NEW SEAT RACK-1").clears == "RELEASE MACS-NEW"
+
+
 def test_a_seat_that_is_told_to_be_elsewhere_is_where_things_are_placed(bench):
     bench.do(GRASP)
     bench.do("LIFT MACS-NEW BY 15 CM")

@@ -92,14 +92,14 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> Refusal | None:
         return None
     rows = candidate.program.needs
     thing = lack.thing or lack.held
-    clears = rows.get(lack.row or need, "").replace("{let_go}", _let_go(rows, candidate.query, thing))
+    clears = rows.get(lack.row or need, "").replace("{let_go}", let_go(rows, candidate.query, thing))
     clears = candidate.say(clears).replace("{held}", lack.held)
     doubt = candidate.query.distrusted(f"{candidate.thing.name}.held_by", {}) if candidate.thing is not None else None
     message = lack.message + (f", but {doubt.message}" if doubt else "")
     return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
 
 
-def _let_go(rows: dict[str, str], query: WorldQuery, thing: str) -> str:
+def let_go(rows: dict[str, str], query: WorldQuery, thing: str) -> str:
     """The command that empties the hand: in place if the object stays there; else into a free seat."""
     if thing not in {known.name for known in query.cell.objects} or seat_of(query, thing):
         return rows.get("let_go", "").replace("{held}", thing)

@@ -16,7 +16,7 @@ from rtc.protocol.messages import Script, ScriptContext, Step
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
-from workers.elaborator import command_fields
+from workers.elaborator import command_fields, preconditions
 from workers.planning import suggestions
 from workers.planning.world_query import WorldQuery
 
@@ -184,7 +184,8 @@ def _seat(program: ElaboratorProgram, values: list[Any], thing: Thing, query: Wo
     holder = query.held_by(thing.name)
     if holder:
         message = f"{thing.name} is held by {holder}"
-        clears = program.needs["object_free"].replace("{object}", thing.name)
+        let_go = preconditions.let_go(program.needs, query, thing.name)
+        clears = program.needs["object_free"].replace("{let_go}", let_go).replace("{object}", thing.name)
         return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
     seated = query.seated_pose(values[0])
     return _pose(seated[:3], seated[3:], thing)
