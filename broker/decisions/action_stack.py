@@ -59,7 +59,7 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
     bindings: dict[str, ValueT] = {}
     """The variables of the script with their present values."""
     trims_used: dict[str, list[int]] = {}
-    """"trim/index" of a step -> numbers of the trims already used for it; each is used once per step."""
+    """Step, as "trim/index" -> numbers of the trims already used for it; each is used once per step."""
     trim_labels: list[str] = []
     """Labels of all trims used, in order; for the outcome."""
 

@@ -101,13 +101,21 @@ class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     """The current job of a command. Its input is kept, because the job may have to be dispatched again."""
 
     id: str
+    """C-n/k: the k-th job of command C-n."""
     attempt: int
+    """Rises with each dispatch; an answer to an earlier attempt is stale."""
     kind: WorkerKind
+    """The kind of worker that does it."""
     program: str
+    """Digest of the program that the worker uses."""
     input: msgspec.Raw
+    """The encoded input of the worker function."""
     locations: list[str] | None = None
+    """Names that an analyzer may write; None for the other kinds, which write nothing."""
     since_s: float = 0.0
-    deaths: list[str] = []  # evidence of each worker that died while it processed this job
+    """Time when the job was created."""
+    deaths: list[str] = []
+    """Evidence of each worker that died while it processed this job."""
 
 
 class DeferredAnalysis(msgspec.Struct, frozen=True):
@@ -129,42 +137,78 @@ class PendingOutcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
 class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """One live command. All times are CLOCK_MONOTONIC, in seconds."""
 
-    id: str  # C-n, numbered in order of acceptance
-    client: str  # identity of the client that gave it
-    request: str  # the client's name of its request
-    text: str  # the sentence, cut to `decision_unit.MAX_TEXT` characters
-    source: str  # "operator", "aip" or another origin that the client states
-    progress: bool  # the client wants progress notes
-    halt_if_lost: bool  # the command is halted when its client disappears
-    accepted_at_s: float  # time of acceptance
-    given_at_s: float = 0.0  # time at the client; a halt after this time stops the command before it starts
-    phase: Phase = Phase.PARSING  # row of the transition table
-    jobs: int = 0  # number of jobs created so far; the next job id is one higher
-    job: PendingJob | None = None  # the job that a worker has, or that waits for one
-    parsed: msgspec.Raw = NIL  # the whole ParsedCommand, input of the elaborator
-    head: ParsedHead | None = None  # the fields of `parsed` that the Decision Unit reads
-    actions: ActionStack[ScriptHead, msgspec.Raw] | None = None  # its plan; None until its resources are granted
-    labels: list[str] = []  # labels of the nominal steps
-    step_words: str = ""  # the current step for people: "5 of 9: feel one side"
-    given_up: PendingOutcome | None = None  # the outcome once the steps of a `give_up` trim are done
-    steps_done: int = 0  # number of successful steps
-    elaborations: int = 0  # number of elaborations, limited by `journey.MAX_ELABORATIONS`
-    primitive: str = ""  # id of the latest primitive; empty before the first
-    primitives: int = 0  # number of primitives sent so far
-    primitive_body: msgspec.Raw = NIL  # the encoded primitive until its end report, because it may be sent again
-    subsystem: str = ""  # name of the subsystem that executes the latest primitive
-    performers: list[str] = []  # arms or hands of that subsystem that move
-    evaluation: msgspec.Raw = NIL  # expected result of the step, input of the analyzer
-    sent_at_s: float = 0.0  # time when the latest primitive was sent
-    limit_s: float = 0.0  # time limit of the latest primitive, in simulated seconds
-    due_s: float = 0.0  # expiry time of its timer; 0 = the timer is stopped
-    at_rest: bool = True  # nothing moves for it: before the first primitive, or after a report or confirmed rest
-    pause_wanted: bool = False  # a pause takes effect before the next step
-    pending_outcome: PendingOutcome | None = None  # the outcome after HALTING and CLOSING
-    unconfirmed: list[str] = []  # HALT sentence only: subsystems that have not confirmed rest yet
-    notes: list[ProgressNote] = []  # its trace, at most NOTES_KEPT entries
-    previous: str = ""  # the preceding command of the same client, for AFTER LAST
-    measured: Measured | None = None  # values at the end of the latest primitive that REPORT asks for
+    id: str
+    """C-n, numbered in order of acceptance."""
+    client: str
+    """Identity of the client that gave it."""
+    request: str
+    """The client's name of its request."""
+    text: str
+    """The sentence, cut to `decide.MAX_TEXT` characters."""
+    source: str
+    """Origin that the client states: operator, aip or another."""
+    progress: bool
+    """The client wants progress notes."""
+    halt_if_lost: bool
+    """The command is halted when its client disappears."""
+    accepted_at_s: float
+    """Time of acceptance."""
+    given_at_s: float = 0.0
+    """Time at the client; a halt after this time stops the command before it starts."""
+    phase: Phase = Phase.PARSING
+    """Row of the transition table."""
+    jobs: int = 0
+    """Number of jobs created so far; the next job id is one higher."""
+    job: PendingJob | None = None
+    """The job that a worker has, or that waits for one."""
+    parsed: msgspec.Raw = NIL
+    """The whole ParsedCommand, input of the elaborator."""
+    head: ParsedHead | None = None
+    """The fields of `parsed` that the Decision Unit reads."""
+    actions: ActionStack[ScriptHead, msgspec.Raw] | None = None
+    """Its plan; None until its resources are granted."""
+    labels: list[str] = []
+    """Labels of the nominal steps."""
+    step_words: str = ""
+    """The current step for people: "5 of 9: feel one side"."""
+    given_up: PendingOutcome | None = None
+    """The outcome once the steps of a `give_up` trim are done."""
+    steps_done: int = 0
+    """Number of successful steps."""
+    elaborations: int = 0
+    """Number of elaborations, limited by `MAX_ELABORATIONS`."""
+    primitive: str = ""
+    """Id of the latest primitive; empty before the first."""
+    primitives: int = 0
+    """Number of primitives sent so far."""
+    primitive_body: msgspec.Raw = NIL
+    """The encoded primitive until its end report, because it may be sent again."""
+    subsystem: str = ""
+    """Name of the subsystem that executes the latest primitive."""
+    performers: list[str] = []
+    """Arms or hands of that subsystem that move."""
+    evaluation: msgspec.Raw = NIL
+    """Expected result of the step, input of the analyzer."""
+    sent_at_s: float = 0.0
+    """Time when the latest primitive was sent."""
+    limit_s: float = 0.0
+    """Time limit of the latest primitive, in simulated seconds."""
+    due_s: float = 0.0
+    """Expiry time of its timer; 0 = the timer is stopped."""
+    at_rest: bool = True
+    """Nothing moves for it: before the first primitive, or after a report or confirmed rest."""
+    pause_wanted: bool = False
+    """A pause takes effect before the next step."""
+    pending_outcome: PendingOutcome | None = None
+    """The outcome after HALTING and CLOSING."""
+    unconfirmed: list[str] = []
+    """HALT sentence only: subsystems that have not confirmed rest yet."""
+    notes: list[ProgressNote] = []
+    """Its trace, at most NOTES_KEPT entries."""
+    previous: str = ""
+    """The preceding command of the same client, for AFTER LAST."""
+    measured: Measured | None = None
+    """Values at the end of the latest primitive that REPORT asks for."""
 
 
 class Link(StrEnum):
@@ -206,30 +250,57 @@ def request_key(client: str, request: str) -> str:
 class State(msgspec.Struct, kw_only=True):
     """The whole state of the Decision Unit. Only `decide` changes it."""
 
-    commands: dict[str, Command] = {}  # live commands by id, in order of acceptance
-    live: dict[str, int] = {}  # client -> number of its live commands
-    intake_order: dict[str, dict[str, bool]] = {}  # client -> {command not yet taken up: parsed?}, in order
-    accepted: int = 0  # highest command number so far
-    last_given: dict[str, str] = {}  # client -> its latest command; the most recent client is last
-    life: str = ""  # id of this journal, part of every primitive id (`rtc.protocol.primitive_id`)
-    lost: str = ""  # why the journal lacks decisions, in words; empty = it is complete
-    lost_at_s: float = 0.0  # time when the loss was noticed; sentences sent earlier do not start
-    began_at_s: float = 0.0  # start of the cluster, not of this broker process
-    seq: int = 0  # sequence number of the latest published event
-    requests: dict[str, str] = {}  # `request_key` -> command, live or recently ended
-    ended: dict[str, Result] = {}  # results of recently ended commands, the oldest first
-    resources: Resources = msgspec.field(default_factory=Resources)  # claims, waiting lines, quarantine
-    awaiting: dict[str, list[str]] = {}  # command -> commands that start after its success (AFTER)
-    joining: dict[str, list[str]] = {}  # command -> commands that start when it begins to move (TOGETHER-WITH)
-    subsystems: dict[str, Subsystem] = {}  # by name, lost ones included
-    programs: dict[str, str] = {}  # worker kind (or "cell") -> digest of the program in use
-    program_files: dict[str, tuple[str, float]] = {}  # digest -> (name of the file loaded last, time)
-    deferred_analyses: dict[str, DeferredAnalysis] = {}  # ended command -> its unfinished analysis
-    trials: dict[str, Trial] = {}  # worker kind -> trial of its newest program
-    proven: dict[str, list[str]] = {}  # worker kind -> programs that have done a job, the latest last
-    rolled_back: dict[str, str] = {}  # worker kind -> why its newest program was rolled back, until the next load
-    halted_at_s: dict[str, float] = {}  # halt scope -> time; sentences sent earlier do not start
-    halts: dict[str, float] = {}  # the latest halts -> time; a halt received twice is counted once, obeyed twice
-    has_subscribers: bool = False  # a client subscribes to the event stream
-    timeout_scale: float = 1.0  # wall seconds per simulated second: limits of primitives are in simulated time
-    counts: dict[str, int] = {}  # counters: outcomes, stale results, trims, ...
+    commands: dict[str, Command] = {}
+    """Live commands by id, in order of acceptance."""
+    live: dict[str, int] = {}
+    """Client -> number of its live commands."""
+    intake_order: dict[str, dict[str, bool]] = {}
+    """Client -> {command not yet taken up: parsed?}, in order."""
+    accepted: int = 0
+    """Highest command number so far."""
+    last_given: dict[str, str] = {}
+    """Client -> its latest command; the most recent client is last."""
+    life: str = ""
+    """Id of this journal, part of every primitive id (`rtc.protocol.primitive_id`)."""
+    lost: str = ""
+    """Why the journal lacks decisions, in words; empty = it is complete."""
+    lost_at_s: float = 0.0
+    """Time when the loss was noticed; sentences sent earlier do not start."""
+    began_at_s: float = 0.0
+    """Start of the cluster, not of this broker process."""
+    seq: int = 0
+    """Sequence number of the latest published event."""
+    requests: dict[str, str] = {}
+    """`request_key` -> command, live or recently ended."""
+    ended: dict[str, Result] = {}
+    """Results of recently ended commands, the oldest first."""
+    resources: Resources = msgspec.field(default_factory=Resources)
+    """Claims, waiting lines, quarantine."""
+    awaiting: dict[str, list[str]] = {}
+    """Command -> commands that start after its success (AFTER)."""
+    joining: dict[str, list[str]] = {}
+    """Command -> commands that start when it begins to move (TOGETHER-WITH)."""
+    subsystems: dict[str, Subsystem] = {}
+    """By name, lost ones included."""
+    programs: dict[str, str] = {}
+    """Worker kind (or "cell") -> digest of the program in use."""
+    program_files: dict[str, tuple[str, float]] = {}
+    """Digest -> (name of the file loaded last, time)."""
+    deferred_analyses: dict[str, DeferredAnalysis] = {}
+    """Ended command -> its unfinished analysis."""
+    trials: dict[str, Trial] = {}
+    """Worker kind -> trial of its newest program."""
+    proven: dict[str, list[str]] = {}
+    """Worker kind -> programs that have done a job, the latest last."""
+    rolled_back: dict[str, str] = {}
+    """Worker kind -> why its newest program was rolled back, until the next load."""
+    halted_at_s: dict[str, float] = {}
+    """Halt scope -> time; sentences sent earlier do not start."""
+    halts: dict[str, float] = {}
+    """The latest halts -> time; a halt received twice is counted once, obeyed twice."""
+    has_subscribers: bool = False
+    """A client subscribes to the event stream."""
+    timeout_scale: float = 1.0
+    """Wall seconds per simulated second: limits of primitives are in simulated time."""
+    counts: dict[str, int] = {}
+    """Counters: outcomes, stale results, trims, ..."""

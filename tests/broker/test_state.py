@@ -1,0 +1,23 @@
+"""Every attribute of the broker's stored state has a docstring below it."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+
+import pytest
+
+from broker.decisions.action_stack import ActionStack
+from broker.decisions.state import Command, PendingJob, State
+
+
+@pytest.mark.parametrize("kind", [State, Command, PendingJob, ActionStack])
+def test_every_attribute_has_a_docstring(kind):
+    (body,) = (node.body for node in ast.parse(textwrap.dedent(inspect.getsource(kind))).body)
+    documented = {
+        field.target.id
+        for field, below in zip(body, body[1:], strict=False)
+        if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+    }
+    assert set(kind.__struct_fields__) - documented == set()
