@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import itertools
 import textwrap
 
 import pytest
@@ -17,7 +18,7 @@ def test_every_attribute_has_a_docstring(kind):
     (body,) = (node.body for node in ast.parse(textwrap.dedent(inspect.getsource(kind))).body)
     documented = {
         field.target.id
-        for field, below in zip(body, body[1:], strict=False)
+        for field, below in itertools.pairwise(body)
         if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
     }
     assert set(kind.__struct_fields__) - documented == set()
