@@ -1,0 +1,68 @@
+"""Admission: answers the ZAP requests of CURVE handshakes (rfc.zeromq.org/spec/27) by key and role."""
+
+from __future__ import annotations
+
+import zmq
+from zmq.utils import z85
+
+from broker.gateway.endpoints import HALTS, Endpoints
+from broker.gateway.halts import HaltForwarder
+from rtc.protocol.roles import admits
+from rtc.runtime.keys import KeyRing, KnownKey
+from rtc.runtime.process import Every, Process, inbox
+
+HANDSHAKES = 10  # maximum number per loop iteration
+RELOAD_S, EXTRA_RELOADS = 0.2, 10  # period of key reloads, and extra reloads per period for unknown keys
+
+
+class Admission:
+    """`known`: public key -> key with its name and role."""
+
+    def __init__(self, me: Process, ring: KeyRing, endpoints: Endpoints, halts: HaltForwarder) -> None:
+        self._me, self._ring, self._endpoints, self._halts = me, ring, endpoints, halts
+        self.known = {key.public: key for key in ring.known()}
+        self._removed: dict[str, KnownKey] = {}  # not reported by `take_removed` yet
+        self._reloads, self._reloads_left = Every(RELOAD_S), EXTRA_RELOADS
+        self.socket: zmq.Socket[bytes] = me.socket(zmq.REP, "inproc://zeromq.zap.01", bind=True)
+
+    def reload_if_due(self, now: float) -> None:
+        if self._reloads.due(now):
+            self._reloads_left = EXTRA_RELOADS
+            self._reload()
+
+    def take_removed(self) -> dict[str, KnownKey]:
+        """The keys removed since the last call, by public key. Their connections must be cut."""
+        removed, self._removed = self._removed, {}
+        return removed
+
+    def answer_handshakes(self) -> None:
+        for parts in inbox(self.socket, HANDSHAKES):
+            version, number, endpoint, where, _, mechanism, *credentials = parts
+            public = z85.encode(credentials[0]).decode() if mechanism == b"CURVE" and credentials else ""
+            key = self._find(public)
+            name, text = endpoint.decode(), b"no key that is known here"
+            if key is not None and admits(name, key.role):
+                if name in HALTS:
+                    self._halts.connect(name, key)
+                else:
+                    self._me.log.info(
+                        "%s (%s) comes from %.60r to %s", key.name, key.role, where.decode("latin-1"), name
+                    )
+                answer = [b"200", b"", public.encode(), b""]
+            else:
+                who = key.name if key else "a stranger"
+                self._endpoints.count("strangers", f"{who} from {where!r:.60} at {name}")
+                answer = [b"400", text, b"", b""]
+            self.socket.send_multipart([version, number, *answer])
+
+    def _find(self, public: str) -> KnownKey | None:
+        """The key. An unknown key may be new, so the keys are read again: a refusal would be final."""
+        if public not in self.known and self._reloads_left > 0:
+            self._reloads_left -= 1
+            self._reload()
+        return self.known.get(public)
+
+    def _reload(self) -> None:
+        known = {key.public: key for key in self._ring.known()}
+        self._removed |= {public: key for public, key in self.known.items() if known.get(public) != key}
+        self.known = known

@@ -1,0 +1,172 @@
+"""Sessions: one connection into the cluster per remote peer, and the rules for the peers' internal names.
+
+Rule 1: the connection's key identifies a peer ("User-Id" of each frame, checked for each message), never the message.
+Rule 2: a peer's internal name contains its key's name, so a peer cannot take another's place, answers or commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable
+from typing import Any
+
+import zmq
+
+from broker.gateway.endpoints import Endpoints, close, push
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.outcomes import RefusalReason
+from rtc.runtime import process
+from rtc.runtime.keys import KnownKey
+from rtc.runtime.process import Process, now_s
+from rtc.runtime.settings import BOUNDS, Settings
+
+NAMED = ("front", "workers", "subsystems")  # endpoints whose peers introduce themselves with a hello message
+HELLOS = (m.ClientHello, m.WorkerHello, m.SubsystemHello)
+PEERS_OF_KEY = 32  # maximum per endpoint; the one silent for longest is disconnected
+UNSENT = 1_000  # maximum queued messages of one peer to the cluster
+IDLE_S = 600.0  # a peer silent for so long is removed; it must send its hello again
+OWN_SUBSYSTEM = "MCM"
+PROBE = wire.frames(m.Drop(jobs=[]))  # without effect; the send fails if the peer is lost
+
+
+class Link:
+    """Connection of one remote peer into the cluster."""
+
+    def __init__(self, endpoint: str, name: str, key: KnownKey, session: bytes, socket: zmq.Socket[bytes]) -> None:
+        self.endpoint, self.name, self.key, self.socket = endpoint, name, key, socket
+        self.session = session  # identity of its tcp connection
+        self.last_seen_s = now_s()
+        self.behind_s = float("inf")  # upper bound of local clock minus peer clock: the smallest difference seen
+
+
+class Sessions:
+    def __init__(self, me: Process, settings: Settings, endpoints: Endpoints) -> None:
+        self._me, self._settings, self._endpoints = me, settings, endpoints
+        self._links: dict[tuple[str, bytes], Link] = {}  # by endpoint and session
+        self._named: dict[tuple[str, str], Link] = {}  # by endpoint and internal name, for NAMED
+        self._by_socket: dict[Any, Link] = {}
+
+    def by_name(self, endpoint: str, name: str) -> Link | None:
+        return self._named.get((endpoint, name))
+
+    def readable(self, sockets: Iterable[Any]) -> list[Link]:
+        """The links that have an answer of the cluster."""
+        return [link for socket in sockets if (link := self._by_socket.get(socket)) is not None]
+
+    def find_or_connect(self, endpoint: str, key: KnownKey, session: bytes, message: Any) -> Link | None:
+        """The peer's link. It is created by its hello, or by its first message at an endpoint without names. None:
+        the message is refused, or must be repeated after a hello."""
+        link = self._links.get((endpoint, session))
+        if link is not None and link.key.public != key.public:  # another peer that chose the same identity
+            self.remove(link)
+            link = None
+        if link is not None and not isinstance(message, HELLOS):
+            return link
+        if endpoint not in NAMED:
+            return self._connect(endpoint, "", key, session)
+        if not isinstance(message, HELLOS):
+            self._request_hello(endpoint, session)
+            return None
+        name = _internal_name(key, message)
+        if wrong := self._name_fault(endpoint, key, name, message):
+            self._endpoints.count("refused", f"{key.name} at {endpoint}: {wrong}")
+            if endpoint == "workers":
+                self._endpoints.send(endpoint, session, wire.frames(m.Shutdown()))
+            return None
+        if link is not None and link.name != name:
+            self.remove(link)
+        before = self._named.get((endpoint, name))
+        if before is None:
+            return self._connect(endpoint, name, key, session)
+        if before.session != session:  # the same peer, on a new connection
+            self._links.pop((endpoint, before.session), None)
+            before.session = session
+            self._links[endpoint, session] = before
+        return before
+
+    def _name_fault(self, endpoint: str, key: KnownKey, name: str, hello: Any) -> str:
+        """The reason why a peer must not have this name; empty if it may."""
+        if endpoint == "subsystems" and (name != key.name or name == OWN_SUBSYSTEM):
+            return f"a subsystem is called as its key is, {key.name}, and not {OWN_SUBSYSTEM}"
+        if endpoint == "workers":
+            if name != f"{hello.kind}@{hello.node}" or list(m.WorkerKind)[hello.node & 3] is not hello.kind:
+                return f"{name!r:.60} is not a name of a {hello.kind} at node {hello.node}"
+            if hello.node < (first := first_far_node(self._settings)):
+                return f"node {hello.node} is one of the cluster's own machine; others begin at {first}"
+        other = self._named.get((endpoint, name))
+        if other is not None and other.key.public != key.public:
+            return f"{name!r:.60} is there already, with the key {other.key.name}"
+        return ""
+
+    def _request_hello(self, endpoint: str, session: bytes) -> None:
+        """Request a hello message, as the broker does."""
+        if endpoint == "workers":
+            self._endpoints.send(endpoint, session, wire.frames(m.JobBatch(jobs=[])))
+        elif endpoint == "subsystems":
+            self._endpoints.send(endpoint, session, wire.frames(m.ReportAck(primitive="")))
+        else:
+            self._endpoints.count("nameless", "a message before a ClientHello")
+            words = "over tcp send ClientHello first"
+            self._endpoints.refuse(endpoint, session, None, words, RefusalReason.STATE)
+
+    def _connect(self, endpoint: str, name: str, key: KnownKey, session: bytes) -> Link | None:
+        of_key = [link for link in self._links.values() if link.endpoint == endpoint and link.key.public == key.public]
+        if len(of_key) >= PEERS_OF_KEY:
+            self.remove(min(of_key, key=lambda link: link.last_seen_s))
+        try:
+            socket = self._me.socket(
+                zmq.DEALER,
+                self._settings.endpoint(endpoint),
+                identity=name,
+                queue_length=max(UNSENT, BOUNDS[endpoint].unsent),
+            )
+        except zmq.ZMQError as error:  # no file descriptors left
+            self._endpoints.count("unsent", f"no connection for {key.name}: {error}")
+            return None
+        link = Link(endpoint, name, key, session, socket)
+        self._links[endpoint, session] = self._by_socket[socket] = link
+        if name:
+            self._named[endpoint, name] = link
+        return link
+
+    def remove(self, link: Link, linger_ms: int = 0) -> None:
+        if self._links.pop((link.endpoint, link.session), None) is not None:
+            self._named.pop((link.endpoint, link.name), None)
+            del self._by_socket[link.socket]
+            close(self._me, link.socket, linger_ms)
+
+    def remove_lost(self, link: Link) -> None:
+        """Remove a lost peer. For a worker, report the loss at once, so that its jobs do not wait for a time limit."""
+        if link.endpoint == "workers":
+            self._me.log.info("%s is gone", link.name)
+            push(link.socket, wire.frames(m.WorkerGone(name=link.name)))
+        self.remove(link, linger_ms=process.LINGER_MS)
+
+    def remove_of_keys(self, public: Collection[str]) -> None:
+        self._remove_where(lambda link: link.key.public in public)
+
+    def remove_at(self, endpoints: Collection[str]) -> None:
+        self._remove_where(lambda link: link.endpoint in endpoints)
+
+    def remove_idle(self, now: float) -> None:
+        self._remove_where(lambda link: now - link.last_seen_s > IDLE_S)
+
+    def probe_workers(self) -> None:
+        """Find lost workers by a message without effect."""
+        for link in [link for link in self._links.values() if link.endpoint == "workers"]:
+            if not self._endpoints.send("workers", link.session, PROBE):
+                self.remove_lost(link)
+
+    def _remove_where(self, wanted: Callable[[Link], bool]) -> None:
+        for link in [link for link in self._links.values() if wanted(link)]:
+            self.remove(link)
+
+
+def first_far_node(settings: Settings) -> int:
+    """The lowest node address that local workers never use."""
+    return max(1 << settings.dim, len(m.WorkerKind) * max(settings.most_workers, settings.least))
+
+
+def _internal_name(key: KnownKey, hello: Any) -> str:
+    """A worker or subsystem keeps its name; a client's name is prefixed with its key's."""
+    return f"{key.name}/{hello.client}" if isinstance(hello, m.ClientHello) else str(hello.name)
