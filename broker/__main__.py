@@ -75,16 +75,16 @@ def _serve(
 ) -> None:
     """Continue from the replayed state."""
     settings, now = given.settings, time.monotonic()
-    lost = lost_turns(journal, state, given, now, secrets.token_hex(2))
+    lost = lost_batches(journal, state, given, now, secrets.token_hex(2))
     store = ProgramStore(journal, state.programs)
-    journal.written = lambda turn: given.remember("broker", state.life.encode(), turn, state.accepted)
+    journal.written = lambda batch: given.remember("broker", state.life.encode(), batch, state.accepted)
     router = Router(me, settings, journal, state, store, given, start_check=sandbox.Process, guard=MemoryGuard())
     if given.fd >= 0:  # started by a supervisor
         me.end_with_parent(ORPHAN_LIMIT_S * settings.timeout_scale + LAST_S)
     restarted = bool(state.programs)
     if restarted:
         me.log.info("restarted: %d commands live, %d ended in the journal", len(state.commands), len(ended))
-        journal.keep_stories(ended.values())
+        journal.keep_records(ended.values())
         router.enqueue(BrokerRestarted(at_s=now))
     else:
         for installed in _first_programs(settings, store, now):
@@ -103,17 +103,17 @@ def _serve(
     journal.close()
 
 
-def lost_turns(journal: Journal, state: State, given: handover.Handed, now: float, life: str) -> JournalLost | None:
+def lost_batches(journal: Journal, state: State, given: handover.Handed, now: float, life: str) -> JournalLost | None:
     """The event of a journal that lacks decisions of this run; None if it is complete. `life`: its new id."""
     kept = given.remembered("broker")
     if kept is None:
         return None
-    before, turn, accepted = kept
-    missing = turn - journal.last_turn()
+    before, batch, accepted = kept
+    missing = batch - journal.last_batch()
     same = before == state.life.encode()
     if same and missing <= 0:
         return None
-    why = f"the journal lost its last {missing} turns" if same else "the journal was lost"
+    why = f"the journal lost its last {missing} batches" if same else "the journal was lost"
     return JournalLost(at_s=now, why=why, life=life, accepted=accepted)
 
 

@@ -1,12 +1,12 @@
-"""The write-ahead journal: every event of the Decision Unit, before its effects go out (invariant 7).
+"""The write-ahead journal in SQLite: every event of the Decision Unit, before its effects are performed (invariant 7).
 
-One row per turn of the broker's loop holds that turn's events as one MessagePack list, in one SQLite transaction
-(WAL, so a commit is some microseconds). A killed process loses nothing that was committed; a crash of the operating
-system ends the run, whose journal nobody continues, so nothing waits for the disk. A snapshot of the whole state now
-and then lets the events before it go, so the journal stays bounded, and so does the time to replay it.
+One row of the table `turns` holds the events of one batch of the broker's loop as one MessagePack list, written in one
+transaction (WAL, so a commit takes some microseconds). A killed process loses nothing that was committed. A crash of
+the operating system ends the run, and its journal is not continued, so nothing waits for the disk. Snapshots of the
+whole state make earlier events unnecessary: they bound the size of the journal and the time of a replay.
 
-The stories of commands are kept beside it, of the `STORIES_KEPT` that ended last, however old they became. They are
-written some at a time: until a snapshot takes the place of the events, whoever replays these is told the stories again.
+The table `stories` holds the records of the `RECORDS_KEPT` commands that ended last. They are written some at a time.
+Unwritten records are recovered by replay: their events are kept until the next snapshot, which writes the records.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from rtc.protocol import wire
 from rtc.protocol.messages import CommandRecord
 from rtc.protocol.outcomes import WireError
 
-STORIES_KEPT = 20_000
-STORIES_AT_ONCE = 64
-FORGOTTEN_AT_ONCE = 400  # turns: forgetting all of a snapshot at once would hold up what comes meanwhile
-CHECKPOINT_PAGES = 128  # of the WAL, brought home little by little for the same reason
+RECORDS_KEPT = 20_000  # maximum number of records of ended commands
+RECORDS_AT_ONCE = 64  # unwritten records that are written together
+DELETED_AT_ONCE = 400  # batches; to delete all those of a snapshot together would delay the loop
+CHECKPOINT_PAGES = 128  # of the WAL, copied to the database in small parts for the same reason
 SNAPSHOT = 2  # layout of the stored state; one of another layout is refused, because it would be read wrongly
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS about (key TEXT PRIMARY KEY, value TEXT);
@@ -34,8 +34,8 @@ CREATE TABLE IF NOT EXISTS snapshot (one INTEGER PRIMARY KEY CHECK (one = 1), n 
 CREATE TABLE IF NOT EXISTS stories (ended INTEGER PRIMARY KEY, n INTEGER UNIQUE NOT NULL, record BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS programs (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
 """
-# One that is told again keeps its place.
-KEEP_STORY = """
+# A record that is written again keeps its place.
+KEEP_RECORD = """
 INSERT INTO stories (n, record) VALUES (?, ?) ON CONFLICT (n) DO UPDATE SET record = excluded.record;
 """
 
@@ -47,15 +47,15 @@ read_record = wire.decoder(CommandRecord)
 class Journal:
     def __init__(self, db: sqlite3.Connection) -> None:
         self.db = db
-        self.written: Callable[[int], None] = lambda turn: None  # hears the number of every turn that is written
+        self.written: Callable[[int], None] = lambda batch: None  # called with the number of each written batch
         self.events_since_snapshot = 0
-        self._stories: dict[str, CommandRecord] = {}  # not written yet
-        self._forget_before = 0  # turns that a snapshot has made needless
+        self._records: dict[str, CommandRecord] = {}  # not written yet
+        self._forget_before = 0  # batches that a snapshot has made unnecessary
 
     @staticmethod
     def open(path: Path, run: str, first: State) -> Journal:
-        """Open or make the journal of this run; what another run left there is not continued. `first` is the state
-        a new run begins with."""
+        """Open or make the journal of this run; the journal of another run is not continued. `first` is the initial
+        state of a new run."""
         journal = Journal(sqlite3.connect(path, isolation_level=None))
         db = journal.db
         db.execute("PRAGMA journal_mode=WAL")
@@ -66,7 +66,7 @@ class Journal:
         if before is None or before[0] != run:
             with journal.transaction():
                 for table in ("turns", "snapshot", "stories", "programs", "about"):
-                    db.execute(f"DROP TABLE {table}")  # another release's may look different
+                    db.execute(f"DROP TABLE {table}")  # another release may have another schema
                 for statement in SCHEMA.split(";"):
                     db.execute(statement)
                 db.execute("INSERT INTO about VALUES ('run', ?)", (run,))
@@ -75,54 +75,54 @@ class Journal:
 
     @staticmethod
     def read_only(path: Path) -> Journal:
-        """For looking at a journal, also while its broker writes it."""
+        """For reading a journal, also while its broker writes it."""
         return Journal(sqlite3.connect(f"file:{path}?mode=ro", uri=True, isolation_level=None))
 
     def transaction(self) -> sqlite3.Connection:
         self.db.execute("BEGIN")
         return self.db  # as a context manager: commits, or rolls back on an exception
 
-    def append(self, events: list[Event], stories: list[CommandRecord]) -> None:
-        """One turn: its events, and the stories of the commands that ended in it."""
-        turn = self.db.execute("INSERT INTO turns (events) VALUES (?)", (wire.encode(events),)).lastrowid
-        self.written(turn or 0)
+    def append(self, events: list[Event], records: list[CommandRecord]) -> None:
+        """Write one batch: its events, and the records of the commands that ended in it."""
+        batch = self.db.execute("INSERT INTO turns (events) VALUES (?)", (wire.encode(events),)).lastrowid
+        self.written(batch or 0)
         self.events_since_snapshot += len(events)
-        if stories:
-            self._stories.update((story.command, story) for story in stories)
-            if len(self._stories) >= STORIES_AT_ONCE:
-                self._write_stories()
+        if records:
+            self._records.update((record.command, record) for record in records)
+            if len(self._records) >= RECORDS_AT_ONCE:
+                self._write_records()
 
     def snapshot(self, state: State) -> None:
-        """Keep the state as it is now; the events that led there are needed no longer."""
-        self._write_stories()
+        """Write the state as it is now; the events up to now are not needed any more."""
+        self._write_records()
         with self.transaction():
             last = self.db.execute("SELECT coalesce(max(n), 0) FROM turns").fetchone()[0]
             self.db.execute("INSERT OR REPLACE INTO snapshot VALUES (1, ?, ?)", (last, wire.encode((SNAPSHOT, state))))
-        self._forget_before = last  # that one stays: SQLite must not number the next turn below the snapshot's
+        self._forget_before = last  # this batch stays, so that SQLite numbers the next one above it
         self.events_since_snapshot = 0
 
     def tidy(self) -> None:
-        """Now and then, when there is time: write what is not written yet, forget some of what is not needed."""
-        self._write_stories()
+        """Write unwritten records and delete some unnecessary batches; call it periodically."""
+        self._write_records()
         some = "SELECT n FROM turns WHERE n < ? ORDER BY n LIMIT ?"
-        self.db.execute(f"DELETE FROM turns WHERE n IN ({some})", (self._forget_before, FORGOTTEN_AT_ONCE))
+        self.db.execute(f"DELETE FROM turns WHERE n IN ({some})", (self._forget_before, DELETED_AT_ONCE))
 
-    def keep_stories(self, stories: Iterable[CommandRecord]) -> None:
-        """Those that a replay has told: some may have been written already."""
-        self._stories.update((story.command, story) for story in stories)
-        self._write_stories()
+    def keep_records(self, records: Iterable[CommandRecord]) -> None:
+        """Write the records that a replay has made; some may have been written before."""
+        self._records.update((record.command, record) for record in records)
+        self._write_records()
 
-    def _write_stories(self) -> None:
-        stories, self._stories = self._stories, {}
-        if stories:
-            rows = [(number(story.command), wire.encode(story)) for story in stories.values()]
+    def _write_records(self) -> None:
+        records, self._records = self._records, {}
+        if records:
+            rows = [(number(record.command), wire.encode(record)) for record in records.values()]
             with self.transaction():
-                self.db.executemany(KEEP_STORY, rows)
+                self.db.executemany(KEEP_RECORD, rows)
                 newest = self.db.execute("SELECT max(ended) FROM stories").fetchone()[0]
-                self.db.execute("DELETE FROM stories WHERE ended <= ?", (newest - STORIES_KEPT,))
+                self.db.execute("DELETE FROM stories WHERE ended <= ?", (newest - RECORDS_KEPT,))
 
     def last_snapshot(self) -> tuple[int, State]:
-        """(the number of the last turn in it, the state)."""
+        """(number of its last batch, state)."""
         n, state = self.db.execute("SELECT n, state FROM snapshot").fetchone()
         self._forget_before = n
         try:
@@ -130,18 +130,18 @@ class Journal:
         except WireError as error:
             raise WireError(f"its snapshot is damaged or of another release: {error}") from error
 
-    def last_turn(self) -> int:
-        """The number of the last turn; 0 of a new journal."""
+    def last_batch(self) -> int:
+        """The number of the last batch; 0 in a new journal."""
         newest: int = self.db.execute("SELECT coalesce(max(n), 0) FROM turns").fetchone()[0]
         return max(newest, self._forget_before)
 
-    def turns(self, after: int = 0) -> Iterator[list[Event]]:
+    def batches(self, after: int = 0) -> Iterator[list[Event]]:
         for (events,) in self.db.execute("SELECT events FROM turns WHERE n > ? ORDER BY n", (after,)):
             yield read_events(events)
 
-    def story(self, command: str) -> CommandRecord | None:
-        if command in self._stories:
-            return self._stories[command]
+    def record(self, command: str) -> CommandRecord | None:
+        if command in self._records:
+            return self._records[command]
         row = self.db.execute("SELECT record FROM stories WHERE n = ?", (number(command),)).fetchone()
         return None if row is None else read_record(row[0])
 
@@ -152,11 +152,11 @@ class Journal:
         return dict(self.db.execute("SELECT digest, body FROM programs"))
 
     def close(self) -> None:
-        self._write_stories()
+        self._write_records()
         self.db.close()
 
 
 def number(command: str) -> int:
-    """7 of C-7; -1 for what is no command's name."""
+    """7 for C-7; -1 for other text."""
     number = command.removeprefix("C-")
     return int(number) if number.isascii() and number.isdigit() and len(number) < 18 else -1

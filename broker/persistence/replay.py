@@ -26,8 +26,8 @@ def replay(journal: Journal) -> tuple[State, dict[str, CommandRecord]]:
     executed: they were executed before, or a restart repeats them."""
     after, state = journal.last_snapshot()
     ended = {}
-    for turn in journal.turns(after):
-        for event in turn:
+    for batch in journal.batches(after):
+        for event in batch:
             for effect in decide(state, event):
                 if isinstance(effect, ReportEnd):
                     ended[effect.record.command] = effect.record
@@ -52,7 +52,7 @@ def main(argv: list[str]) -> int:
     except (sqlite3.DatabaseError, TypeError, WireError):
         print(f"{path} is not a journal of a broker (RUN_DIR/journal.db is one)")
         return 2
-    differing = [name for name, record in ended.items() if (kept := journal.story(name)) and kept != record]
+    differing = [name for name, record in ended.items() if (kept := journal.record(name)) and kept != record]
     took_s = time.perf_counter() - began
     same = wire.encode(first) == wire.encode(second) and not differing
     print(f"{len(ended)} commands ended in the journal, {len(first.commands)} live; decided twice in {took_s:.2f} s")

@@ -110,7 +110,7 @@ class ClientMessages:
         self._egress.answer(peer, m.StatusReply(request=message.request, status=status(view, core.clock())))
 
     def _send_trace(self, peer: bytes, message: m.TraceQuery, now: float) -> None:
-        self._egress.answer(peer, trace(self._core.state, self._core.journal.story, message))
+        self._egress.answer(peer, trace(self._core.state, self._core.journal.record, message))
 
     def _send_program(self, peer: bytes, message: m.ProgramQuery, now: float) -> None:
         digest = self._core.state.programs.get(message.kind, "")

@@ -1,7 +1,7 @@
-"""What the broker sends to one peer in one turn of its loop leaves as one message.
+"""Outbox: all messages for one peer in one iteration of the broker's loop are sent as one.
 
-A peer that has not announced that it reads arrays gets each message alone. Halts do not pass through here, but what
-was to be sent before a halt still is (`flush`).
+A peer that has not announced that it reads arrays gets each message alone. A halt is sent at once, after the messages
+that were put before it.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import zmq
 
 from rtc.runtime.process import send, send_together
 
-PEERS_KEPT = 10_000  # that read arrays; one that is forgotten gets its messages alone
+PEERS_KEPT = 10_000  # maximum number of peers known to read arrays; others get their messages alone
 
 
 class Outbox:
-    """Of one ROUTER socket. `socket()` is that socket now: it may be opened anew."""
+    """Outbox of one ROUTER socket. `socket()` is the current socket: it may be opened anew."""
 
     def __init__(self, socket: Callable[[], zmq.Socket[bytes]]) -> None:
         self._socket = socket
@@ -26,7 +26,7 @@ class Outbox:
         self._read_arrays: OrderedDict[bytes, None] = OrderedDict()
 
     def set_arrays(self, peer: bytes, reads_arrays: bool) -> None:
-        """What a peer has announced in its hello."""
+        """Record what a peer has announced in its hello."""
         self._read_arrays.pop(peer, None)
         if reads_arrays:
             self._read_arrays[peer] = None
@@ -34,7 +34,7 @@ class Outbox:
                 self._read_arrays.popitem(last=False)
 
     def put(self, peer: bytes, message: Any) -> None:
-        """Send this to `peer` at the end of the turn. `message` may be encoded already (`msgspec.Raw`)."""
+        """Send this to `peer` at the end of the iteration. `message` may be encoded already (`msgspec.Raw`)."""
         if peer in self._waiting:
             self._waiting[peer].append(message)
         else:

@@ -31,7 +31,7 @@ def test_many_commands_at_once_all_succeed_and_are_on_record():
             record = rtc.trace("C-300")
         assert [note.phase.value for note in record.notes][::6] == ["parsing", "ended"]
         journal = Journal.read_only(running.run_dir / "journal.db")
-        assert journal.story("C-1") is not None
+        assert journal.record("C-1") is not None
         assert sum(running.cpu_s().values()) > 0
 
 

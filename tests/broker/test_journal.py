@@ -70,40 +70,40 @@ def test_the_story_of_an_ended_command_is_kept(path):
     s = Journalled(Journal.open(path, "run", State()))
     s.analyzing()
     s.answers("C-1", go_on())
-    story = s.journal.story("C-1")
+    story = s.journal.record("C-1")
     assert story.outcome.kind == "succeeded"
     assert [n.phase.value for n in story.notes][-1] == "ended"
-    assert s.journal.story("C-2") is None
-    assert s.journal.story("C-" + "9" * 30) is None
-    assert s.journal.story("X") is None
+    assert s.journal.record("C-2") is None
+    assert s.journal.record("C-" + "9" * 30) is None
+    assert s.journal.record("X") is None
 
 
 def test_a_story_not_written_yet_is_told_again_by_the_replay(path):
     s = Journalled(Journal.open(path, "run", State()))
     s.analyzing()
     s.answers("C-1", go_on())
-    story = s.journal.story("C-1")
+    story = s.journal.record("C-1")
     s.journal.db.close()  # killed
     journal = Journal.open(path, "run", State())
-    assert journal.story("C-1") is None
-    journal.keep_stories(replay.replay(journal)[1].values())
-    assert journal.story("C-1") == story
+    assert journal.record("C-1") is None
+    journal.keep_records(replay.replay(journal)[1].values())
+    assert journal.record("C-1") == story
     journal.tidy()
-    assert journal.story("C-1") == story
+    assert journal.record("C-1") == story
 
 
 def test_no_more_stories_are_kept_than_the_newest(path, monkeypatch):
-    monkeypatch.setattr("broker.persistence.journal.STORIES_KEPT", 2)
+    monkeypatch.setattr("broker.persistence.journal.RECORDS_KEPT", 2)
     s = Journalled(Journal.open(path, "run", State()))
     for n in range(1, 5):
         s.analyzing()
         s.answers(f"C-{n}", go_on())
         s.journal.tidy()
-    assert [s.journal.story(f"C-{n}") is not None for n in range(1, 5)] == [False, False, True, True]
+    assert [s.journal.record(f"C-{n}") is not None for n in range(1, 5)] == [False, False, True, True]
 
 
 def test_of_a_command_that_lived_long_the_story_is_kept_as_long_as_any_others(path, monkeypatch):
-    monkeypatch.setattr("broker.persistence.journal.STORIES_KEPT", 2)
+    monkeypatch.setattr("broker.persistence.journal.RECORDS_KEPT", 2)
     s = Journalled(Journal.open(path, "run", State()))
     s.executing(script(resources=("LEFT-ARM",)), hand="LEFT-ARM")
     for n in range(2, 6):
@@ -113,12 +113,12 @@ def test_of_a_command_that_lived_long_the_story_is_kept_as_long_as_any_others(pa
     s.reports("C-1")
     s.answers("C-1", go_on())
     s.journal.tidy()
-    s.journal.keep_stories([s.journal.story("C-5"), s.journal.story("C-1")])  # told again by a replay
-    assert [s.journal.story(f"C-{n}") is not None for n in range(1, 6)] == [True, False, False, False, True]
+    s.journal.keep_records([s.journal.record("C-5"), s.journal.record("C-1")])  # told again by a replay
+    assert [s.journal.record(f"C-{n}") is not None for n in range(1, 6)] == [True, False, False, False, True]
     s.analyzing()
     s.answers("C-6", go_on())
     s.journal.tidy()
-    assert [s.journal.story(f"C-{n}") is not None for n in (1, 5, 6)] == [True, False, True]
+    assert [s.journal.record(f"C-{n}") is not None for n in (1, 5, 6)] == [True, False, True]
 
 
 def test_what_another_run_left_may_look_different(path):
@@ -130,7 +130,7 @@ def test_what_another_run_left_may_look_different(path):
     s.analyzing()
     s.answers("C-1", go_on())
     s.journal.tidy()
-    assert s.journal.story("C-1").outcome.kind == "succeeded"
+    assert s.journal.record("C-1").outcome.kind == "succeeded"
 
 
 def test_programs_outlive_a_restart(path):
@@ -152,7 +152,7 @@ def test_the_command_finds_a_changed_story(path, capsys):
     s = Journalled(Journal.open(path, "run", State()))
     s.analyzing()
     s.answers("C-1", go_on())
-    story = s.journal.story("C-1")
+    story = s.journal.record("C-1")
     s.journal.tidy()
     s.journal.db.execute("UPDATE stories SET record = ?", (wire.encode(type(story)(**{**dump(story), "text": "Y"})),))
     assert replay.main([str(path)]) == 1

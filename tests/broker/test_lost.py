@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from broker.__main__ import lost_turns
+from broker.__main__ import lost_batches
 from broker.decisions import events as heard
 from broker.decisions.effects import PublishNote, ReportEnd, SendPrimitive, TellClient
 from broker.decisions.state import State
@@ -139,8 +139,8 @@ class Life:
         self.given = given
         self.journal = Journal.open(self.path, "r", State(life=life))
         _, self.state = self.journal.last_snapshot()
-        self.lost = lost_turns(self.journal, self.state, given, 5.0, "cccc")
-        self.journal.written = lambda turn: given.remember("broker", self.state.life.encode(), turn, 7)
+        self.lost = lost_batches(self.journal, self.state, given, 5.0, "cccc")
+        self.journal.written = lambda batch: given.remember("broker", self.state.life.encode(), batch, 7)
 
     def turns(self, n):
         for _ in range(n):
@@ -161,11 +161,11 @@ def test_a_journal_that_is_new_in_an_old_run_was_lost(given):
     assert (lost.why, lost.accepted) == ("the journal was lost", 7)
 
 
-def test_a_journal_that_is_older_than_it_was_lost_turns(given):
+def test_a_journal_that_is_older_than_it_was_lost_batches(given):
     first = Life(given).turns(3)
     first.journal.db.execute("DELETE FROM turns WHERE n > 1")
     first.journal.close()
-    assert Life(given).lost.why == "the journal lost its last 2 turns"
+    assert Life(given).lost.why == "the journal lost its last 2 batches"
 
 
 def test_of_a_journal_that_was_condensed_nothing_is_missing(given):

@@ -11,7 +11,7 @@ import sqlite3
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from broker.__main__ import lost_turns
+from broker.__main__ import lost_batches
 from broker.decisions.state import State
 from broker.persistence.journal import SCHEMA, Journal
 from rtc.protocol import messages as m
@@ -45,8 +45,8 @@ class LossyCluster(Cluster):
 
     def broker_begins(self, broker: Broker, journal: Journal) -> None:
         state, now_s = broker.state, self.clock.now_s
-        lost = lost_turns(journal, state, self.handed, now_s, f"life{broker.pid}")
-        journal.written = lambda turn: self.handed.remember("broker", state.life.encode(), turn, state.accepted)
+        lost = lost_batches(journal, state, self.handed, now_s, f"life{broker.pid}")
+        journal.written = lambda batch: self.handed.remember("broker", state.life.encode(), batch, state.accepted)
         if lost is not None:
             self.tell(f"broker {broker.pid} notices: {lost.why}")
             self.world.answer(m.Doubt(request="d", lease=sign(KEY, f"{DOUBT}{lost.life}", []), why=lost.why), now_s)

@@ -38,7 +38,7 @@ def test_no_loss_and_no_stranger_makes_anything_untrue():
 
 
 def test_a_broker_that_does_not_notice_its_loss_is_found(monkeypatch):
-    monkeypatch.setattr(losses, "lost_turns", lambda *_: None)
+    monkeypatch.setattr(losses, "lost_batches", lambda *_: None)
     assert first_problem()
 
 
