@@ -94,14 +94,14 @@ def test_a_planner_controls_its_own_commands_and_halts_all(sentence: str, allowe
 def test_the_page_on_security_shows_this_table() -> None:
     page = (Path(__file__).parents[1] / "docs" / "security.md").read_text()
 
-    def cell(door: str, role: Role) -> str:
-        kinds = MAY[door].get(role)
+    def cell(socket: str, role: Role) -> str:
+        kinds = MAY[socket].get(role)
         if kinds is None:
             return ""
-        if door in ("events", "telemetry"):
-            return "hears"
-        return ", ".join(f"`{kind.__name__}`" for kind in kinds) or "is told no"
+        if socket in ("events", "telemetry"):
+            return "receives"
+        return ", ".join(f"`{kind.__name__}`" for kind in kinds) or "declined"
 
-    for n, door in enumerate(MAY):
-        row = f"| +{n} | {door} | " + " | ".join(cell(door, role) for role in Role) + " |"
+    for n, socket in enumerate(MAY):
+        row = f"| +{n} | {socket} | " + " | ".join(cell(socket, role) for role in Role) + " |"
         assert row in page
