@@ -77,9 +77,9 @@ def _cell(text: str) -> str:
 
 def _up(settings: Settings, detach: bool) -> int:
     if detach:
-        cluster.up_detached(settings, say)
+        cluster.up_detached(settings, show)
     else:
-        cluster.up(settings, say)
+        cluster.up(settings, show)
     return 0
 
 
@@ -95,7 +95,7 @@ def _down(run_dir: Path) -> int:
     return 0
 
 
-def say(line: str) -> None:
+def show(line: str) -> None:
     print(line, flush=True)
 
 

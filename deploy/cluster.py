@@ -117,7 +117,7 @@ def _spec(name: str, module: str, settings: Settings, *more: str, **about: Any) 
 # --- up ------------------------------------------------------------------------------------------------
 
 
-def up(settings: Settings, say: Callable[[str], None], detach_output: bool = False) -> None:
+def up(settings: Settings, show: Callable[[str], None], detach_output: bool = False) -> None:
     """Starts the cluster and runs it until SIGTERM, SIGINT or a shutdown request.
 
     `detach_output`: redirect stdout and stderr to the log when the cluster is ready. Raises ClusterError, with all
@@ -155,7 +155,7 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
                 pid=os.getpid(),
                 new_worker=lambda address: _hand(worker(settings, address), given.fd),
                 identity=given.identity("supervisor"),
-                say=say,
+                show=show,
                 save=report.save,
                 look=directory.look,
                 halt=lambda: _halt_arms(settings),
@@ -163,7 +163,7 @@ def up(settings: Settings, say: Callable[[str], None], detach_output: bool = Fal
             files[process_table.FILE] = lambda: report.save(supervisor.table())
             try:
                 _start(supervisor, settings)
-                say(f"ready in {process.now_s() - begun_s:.2f} s: cluster {report.cluster} in {run_dir}")
+                show(f"ready in {process.now_s() - begun_s:.2f} s: cluster {report.cluster} in {run_dir}")
                 if detach_output:
                     _let_go(logs / "supervisor.log")
                 process.freeze_heap()
@@ -208,22 +208,22 @@ def _start(supervisor: Supervisor, settings: Settings) -> None:
         raise
 
 
-def up_detached(settings: Settings, say: Callable[[str], None]) -> None:
+def up_detached(settings: Settings, show: Callable[[str], None]) -> None:
     """Runs `up` in a forked process with its own session; returns when the cluster is ready.
 
-    Passes its output to `say`. Raises ClusterError when it does not start.
+    Passes its output to `show`. Raises ClusterError when it does not start.
     """
     read, write = os.pipe()
     pid = os.fork()
     if pid == 0:
         os.close(read)
-        _be_detached(settings, say, write)
+        _be_detached(settings, show, write)
     os.close(write)
     ready = False
     try:
         with open(read) as lines:
             for line in lines:  # ends when the child redirects its output or dies
-                say(line.rstrip())
+                show(line.rstrip())
                 ready = ready or line.startswith("ready in")
     except KeyboardInterrupt:
         os.kill(pid, signal.SIGTERM)
@@ -232,7 +232,7 @@ def up_detached(settings: Settings, say: Callable[[str], None]) -> None:
         raise ClusterError(f"the cluster did not come up (status {os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])})")
 
 
-def _be_detached(settings: Settings, say: Callable[[str], None], output: int) -> NoReturn:
+def _be_detached(settings: Settings, show: Callable[[str], None], output: int) -> NoReturn:
     status = 1
     try:
         os.setsid()
@@ -241,7 +241,7 @@ def _be_detached(settings: Settings, say: Callable[[str], None], output: int) ->
             os.dup2(mine, standard)
         os.close(null)
         os.close(output)
-        up(settings, say, detach_output=True)
+        up(settings, show, detach_output=True)
         status = 0
     except RtcError as error:
         print(error, file=sys.stderr)

@@ -37,11 +37,11 @@ from rtc.runtime.process import Every, Process, adopt_orphans, inbox, now_s, sen
 
 START_LIMIT_S = 600.0  # limit for a process to become ready; normally some seconds, more on a slow machine
 IDLE_S = 20.0  # a starting process without use of the processor for this time is hung
-TELL_WAITING_S = 10.0  # period of messages about processes that are not ready
+REPORT_WAITING_S = 10.0  # period of messages about processes that are not ready
 END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL
 TABLE_S = 1.0  # period of the process table for the broker and of the health checks
 STOOD_STILL_S = 3.0  # longer gap between health checks: the supervisor itself, or the machine, was stopped
-SILENCE_S = 4.0  # a process with `beats` and without output for this time is hung
+SILENT_S = 4.0  # a process with `beats` and without output for this time is hung
 STOPPED_S = 2.0  # a process stopped by a signal for this time is hung
 OUTCOMES_S, OUTCOMES_AGAIN_S = 3.0, 0.2  # limit for the outcomes of all commands at the end; period of requests
 SHOWN = 10  # maximum number of stopped commands in a message
@@ -70,7 +70,7 @@ class Stopped:
 class Supervisor:
     """Call `start`, `run` and `stop`, and `stop` also after an exception.
 
-    `say` gets each line for people; `save` gets the process table after each change. `look` checks the run directory
+    `show` gets each line for people; `save` gets the process table after each change. `look` checks the run directory
     every second: it returns the files written again, and a reason to end the cluster or "".
     """
 
@@ -83,7 +83,7 @@ class Supervisor:
         *,
         pid: int,
         new_worker: Callable[[int], Spec],
-        say: Callable[[str], None] = lambda line: None,
+        show: Callable[[str], None] = lambda line: None,
         save: Callable[[Sequence[Mapping[str, object]]], None] = lambda table: None,
         policy: Policy = DEFAULT,
         identity: str = "supervisor",
@@ -93,7 +93,7 @@ class Supervisor:
         self._me = me
         self._logs = logs
         self._pid = pid
-        self._new_worker, self._print, self._save = new_worker, say, save
+        self._new_worker, self._print, self._save = new_worker, show, save
         self._look = look
         self._halt = halt
         self._all_ended: AllEnded | None = None
@@ -119,12 +119,12 @@ class Supervisor:
         self._send(SupervisorHello(pid=self._pid))
         adopt_orphans()  # workers are forked by their fork server
         self._start_waiting()
-        tell = Every(TELL_WAITING_S, now_s() + TELL_WAITING_S)
+        report_due = Every(REPORT_WAITING_S, now_s() + REPORT_WAITING_S)
         while waiting := [c for c in self._children.values() if c.state != State.READY and not c.spec.later]:
             if self._me.stopping:
-                raise ClusterError("told to stop before the cluster was ready")
-            if tell.due(now_s()):
-                self._say(f"waiting for {', '.join(child.spec.name for child in waiting)}")
+                raise ClusterError("stopped before the cluster was ready")
+            if report_due.due(now_s()):
+                self._show(f"waiting for {', '.join(child.spec.name for child in waiting)}")
             self._once()
         self._up = self._changes = True
         self._send_changes()
@@ -136,7 +136,7 @@ class Supervisor:
 
     def stop(self, limit_s: float = END_LIMIT_S) -> Stopped:
         """Halt everything, wait for rest and for the outcomes of all commands, then end all processes: SIGTERM, and
-        SIGKILL for whoever has not ended within the limit."""
+        SIGKILL for each that has not ended within the limit."""
         stopped = self._halt_all() if self._up else Stopped()
         self._up = False
         running = [child for child in self._children.values() if child.pid]
@@ -150,8 +150,10 @@ class Supervisor:
         return stopped
 
     def _halt_all(self) -> Stopped:
-        """The broker ends its commands, which its clients then know; the arms are halted past it as well, because it
-        may be dead. Each wait has a limit: the MCM brakes by itself, too, when it is told to end."""
+        """Let the broker end its commands and report them; halt the arms also directly, because the broker may be dead.
+
+        Each wait has a limit. The MCM also brakes by itself when it receives SIGTERM.
+        """
         self._all_ended = None
         self._send(Shutdown())
         arms = self._halt()
@@ -161,7 +163,7 @@ class Supervisor:
         ask_again, limit_s = Every(OUTCOMES_AGAIN_S), now_s() + OUTCOMES_S
         while self._all_ended is None and now_s() < limit_s:
             if ask_again.due(now_s()):
-                self._send(Shutdown())  # a broker that was restarted meanwhile has not heard it
+                self._send(Shutdown())  # a broker that was restarted meanwhile has not received it
             self._handle_pending(OUTCOMES_AGAIN_S)
             self._start_waiting()
         ended = self._all_ended or AllEnded(commands=[])
@@ -169,7 +171,7 @@ class Supervisor:
         if self._all_ended is None:
             stopped.doubt = f"the broker has not ended its commands within {OUTCOMES_S:.0f} s"
         if words := stopped.in_words():
-            self._say(words)
+            self._show(words)
         return stopped
 
     # --- one turn of the loop --------------------------------------------------------------------------
@@ -258,15 +260,15 @@ class Supervisor:
     def _look_at_directory(self, now: float) -> None:
         again, why = self._look(now)
         if again:
-            self._say(f"{', '.join(again)} was deleted: written again")
+            self._show(f"{', '.join(again)} was deleted: written again")
         if why and not self._me.stopping:
-            self._say(f"{why}: everything is halted, and the cluster ends")
+            self._show(f"{why}: everything is halted, and the cluster ends")
             self._me.stop()
 
     def _kill_hung(self, child: Child, why: str) -> None:
         if not self._up:
             raise ClusterError(f"{child.spec.name} is {why}.\n{_log_of(child)}")
-        self._say(f"{child.spec.name} (pid {child.pid}) is killed: {why}")
+        self._show(f"{child.spec.name} (pid {child.pid}) is killed: {why}")
         child.signal(signal.SIGKILL)
 
     # --- what happens to processes ---------------------------------------------------------------------
@@ -286,7 +288,7 @@ class Supervisor:
     def _not_started(self, child: Child, template: Child | None, error: OSError) -> None:
         name = child.spec.name
         if template is not None:
-            self._say(f"the fork server does not fork {name} ({error}); killing it")
+            self._show(f"the fork server does not fork {name} ({error}); killing it")
             template.signal(signal.SIGKILL)  # it may be in the middle of the order
             child.start_at_s = now_s() + FORK_AGAIN_S
         elif not self._up:
@@ -297,17 +299,17 @@ class Supervisor:
             self._schedule_restart(child, f"{name} cannot be started: {error}", delay)
 
     def _read_output(self, child: Child) -> None:
-        said = child.read_output()
+        is_ready = child.read_output()
         for words in child.take_news():
-            self._say(f"{child.spec.name}: {words}")
+            self._show(f"{child.spec.name}: {words}")
             self._changes = True
         if child.output_over:
             self._forget(child.output_fd)
-        if said and child.state == State.STARTING:
+        if is_ready and child.state == State.STARTING:
             took_s = now_s() - (self._begun_s if not self._up else child.since_s)
             child.become(State.READY)
             child.was_ready = True
-            self._say(f"{child.spec.name:<14} ready  {took_s:5.2f} s  pid {child.pid}")
+            self._show(f"{child.spec.name:<14} ready  {took_s:5.2f} s  pid {child.pid}")
             self._changes = True
             if child.spec.name == "broker" and self._up:
                 self._send(SupervisorHello(pid=self._pid))
@@ -324,7 +326,7 @@ class Supervisor:
             self._send(ProcessExited(name=name, pid=pid, status=status, restarting=False))
             if self._up:  # a worker that has retired
                 del self._children[name]
-                self._say(f"{name} has retired")
+                self._show(f"{name} has retired")
                 self._changes = True
             return
         child.deaths.append(Death(now_s(), was_ready=state == State.READY, lived_s=lived_s))
@@ -337,12 +339,12 @@ class Supervisor:
     def _schedule_restart(self, child: Child, what: str, delay: float | None) -> None:
         if delay is None:
             child.become(State.FAILED)
-            self._say(f"{what}; given up after {len(child.deaths)} deaths, see {child.log}")
+            self._show(f"{what}; given up after {len(child.deaths)} deaths, see {child.log}")
         else:
             child.become(State.LOOPING if delay else State.WAITING)
             child.restarts += 1
             child.start_at_s = now_s() + delay
-            self._say(f"{what}; restarting" + (f" in {delay:g} s" if delay else ""))
+            self._show(f"{what}; restarting" + (f" in {delay:g} s" if delay else ""))
         self._changes = True
 
     def _forget(self, fd: int) -> None:
@@ -377,12 +379,12 @@ class Supervisor:
             self._save(self.table())
         except OSError as error:
             if not self._unsaved:
-                self._say(f"the process table cannot be saved until there is room again: {error}")
+                self._show(f"the process table cannot be saved until there is room again: {error}")
             self._unsaved = True
         else:
             self._unsaved = False
 
-    def _say(self, line: str) -> None:
+    def _show(self, line: str) -> None:
         with contextlib.suppress(OSError):  # a full disk or a closed output
             self._print(line)
 
@@ -412,7 +414,7 @@ class Supervisor:
             case KillProcess(name=name, pid=pid, why=why):
                 child = self._children.get(name)
                 if child and child.pid == pid:  # otherwise it has ended meanwhile
-                    self._say(f"{name} (pid {pid}) is killed: {why}")
+                    self._show(f"{name} (pid {pid}) is killed: {why}")
                     child.signal(signal.SIGKILL)
             case SpawnWorker(kind=kind):
                 taken = {c.spec.node for c in self._children.values() if c.spec.node is not None}
@@ -423,7 +425,7 @@ class Supervisor:
                 if child and child.spec.node is not None:
                     self._retire(child)
             case Shutdown():
-                self._say("the broker asks the cluster to end")
+                self._show("the broker asks the cluster to end")
                 self._me.stop()
             case AllEnded():
                 self._all_ended = order
@@ -452,7 +454,7 @@ def _hung(child: Child, now: float) -> str:
         return ""
     if child.stopped_since_s and (stopped_s := now - child.stopped_since_s) >= STOPPED_S:
         return f"hung, stopped for {stopped_s:.1f} s"
-    if child.spec.beats and silent_s > SILENCE_S:
+    if child.spec.beats and silent_s > SILENT_S:
         return f"hung, silent for {silent_s:.1f} s"
     return ""
 

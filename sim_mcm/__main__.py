@@ -194,8 +194,7 @@ def main() -> None:
 
 def live(run_dir: str, fd: int = -1, simulation: Simulation | None = None) -> None:
     """Run the MCM until it is stopped. `fd`: handover from the supervisor (rtc.runtime.handover); `simulation`: a
-    prepared one
-    in its initial state."""
+    prepared one in its initial state."""
     process.show_name(NAME)
     given = handover.begin(NAME, Path(run_dir), fd)
     settings = given.settings

@@ -80,7 +80,7 @@ def test_where_belief_is_right_it_says_so(cell: Cell, facts: dict[str, m.Fact]) 
     scene = believed(cell, facts, {}, truth(cell, {}))
 
     assert not any(map(differs, scene.objects))
-    assert in_words(scene) == ["nothing moves; everything is where it is believed to be"]
+    assert in_words(scene) == ["nothing moves; every object is at its believed place"]
     assert scene.arms[0].tcp is None
     assert scene.scene.joints["RIGHT-ARM"] == cell.arm("RIGHT-ARM").home_rad
 

@@ -1,7 +1,7 @@
 """Commands sent with `&` in the shell: a thread reports how each of them ends.
 
-It has a client of its own, because a client belongs to one thread, and asks the broker instead of listening to it: so
-nothing is missed while a broker is restarted.
+It has a client of its own, because a client belongs to one thread. It queries the broker instead of receiving events,
+so that nothing is missed while a broker restarts.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ ASK_S = 0.25
 
 
 class Background:
-    """`watch` a command; `tell` is called in another thread with the record of each that has ended."""
+    """`watch` a command; `report` is called in another thread with the record of each that has ended."""
 
-    def __init__(self, run_dir: Path | None, key: Path | None, tell: Callable[[m.CommandRecord], None]) -> None:
-        self._run_dir, self._key, self._tell = run_dir, key, tell
+    def __init__(self, run_dir: Path | None, key: Path | None, report: Callable[[m.CommandRecord], None]) -> None:
+        self._run_dir, self._key, self._report = run_dir, key, report
         self._waiting: list[str] = []
         self._changed = threading.Condition()
         self._closed = False
@@ -55,7 +55,7 @@ class Background:
                 self._waiting.clear()
 
     def _awaited(self) -> bool:
-        """Wait until there is something to ask for; False once closed."""
+        """Wait until a command is watched; False once closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._closed or self._waiting)
             self._changed.wait_for(lambda: self._closed, ASK_S)
@@ -73,7 +73,7 @@ class Background:
                     continue  # there are more live commands than a status shows
                 with self._changed:
                     self._waiting.remove(command)
-                self._tell(record)
+                self._report(record)
         except NoCluster:
             raise
         except RtcError:

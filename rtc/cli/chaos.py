@@ -67,24 +67,26 @@ def _run(maker: Chaos, kind: str, word: str, begun_s: float, every_s: float, for
         if now >= next_s:
             next_s += every_s
             strike = maker.strike(kind)
-            _tell(begun_s, f"{word} {strike.name} (pid {strike.pid})" if strike else f"no {kind} is there to be {word}")
-        _tell_returned(maker, begun_s)
+            _report(
+                begun_s, f"{word} {strike.name} (pid {strike.pid})" if strike else f"there is no {kind} to be {word}"
+            )
+        _report_returned(maker, begun_s)
         time.sleep(LOOK_S)
 
 
 def _await(maker: Chaos, begun_s: float) -> None:
     limit_s = time.monotonic() + BACK_LIMIT_S
     while maker.missing and time.monotonic() < limit_s:
-        _tell_returned(maker, begun_s)
+        _report_returned(maker, begun_s)
         time.sleep(LOOK_S)
 
 
-def _tell_returned(maker: Chaos, begun_s: float) -> None:
+def _report_returned(maker: Chaos, begun_s: float) -> None:
     for strike in maker.returned():
-        _tell(begun_s, f"    {strike.name} is back after {seconds(strike.back_s or 0.0)} (pid {strike.new_pid})")
+        _report(begun_s, f"    {strike.name} is back after {seconds(strike.back_s or 0.0)} (pid {strike.new_pid})")
 
 
-def _tell(begun_s: float, text: str) -> None:
+def _report(begun_s: float, text: str) -> None:
     console.print(Text(f"{time.monotonic() - begun_s:6.1f} s  ", style="dim") + Text(text))
 
 

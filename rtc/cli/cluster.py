@@ -41,8 +41,8 @@ SILENT = (
     "the broker does not answer; one that hangs or has died is replaced within seconds: ask again "
     "(its log is logs/broker.log in the run directory; rtc halt works meanwhile)"
 )
-SUPERVISOR_SILENT_S = 3.0  # without a table, which it sends every second
-SAME_AGE_S = 1.0  # a broker that is younger than its cluster by more was restarted
+SUPERVISOR_SILENT_S = 3.0  # maximum age of the process table, which it sends every second
+SAME_AGE_S = 1.0  # maximum age difference of a cluster and a broker that was not restarted
 
 
 def up(
@@ -83,14 +83,14 @@ def down(run_dir: RunDir = None) -> None:
 
 
 def status(
-    watch: Annotated[bool, typer.Option("--watch", help="Again and again, until Ctrl-C.")] = False,
-    every: Annotated[str, typer.Option(help="With --watch: how often, as 1s or 500ms.")] = "1s",
+    watch: Annotated[bool, typer.Option("--watch", help="Repeat until Ctrl-C.")] = False,
+    every: Annotated[str, typer.Option(help="With --watch: the period, such as 1s or 500ms.")] = "1s",
     for_: Annotated[str, typer.Option("--for", help="With --watch: how long.", show_default="for ever")] = "",
     run_dir: RunDir = None,
     key: With = None,
     json: AsJson = False,
 ) -> None:
-    """What runs: processes and their cube addresses, queues, resources and owners, commands, programs, counters.
+    """Show what runs: processes and their cube addresses, queues, resources and owners, commands, programs, counters.
 
     Exit status 4 when the broker does not answer; then it shows the supervisor's process table.
 
@@ -128,7 +128,7 @@ def _status(run_dir: Path | None, key: Path | None) -> tuple[dict[str, Any], boo
 
 
 def _watch(run_dir: Path | None, key: Path | None, every_s: float, for_s: float) -> None:
-    """Show the status repeatedly: on a terminal in place, else one below the other. Raises NoCluster."""
+    """Show the status repeatedly: on a terminal in place, otherwise one below the other. Raises NoCluster."""
     until_s = time.monotonic() + for_s
     # a console of its own: the live view must not treat the captured text below as printed above it
     with Live(console=Console(), auto_refresh=False) if console.is_terminal else nullcontext() as live:
@@ -170,7 +170,9 @@ def show_status(report: dict[str, Any]) -> None:
     for why in report.get("rolled_back", {}).values():
         console.print(Text("program taken back: ", style="bold red") + Text(why))
     if (silent_s := report.get("supervisor_silent_s", 0.0)) > SUPERVISOR_SILENT_S:
-        words = f"silent for {seconds(silent_s)}: nothing that dies is started again, and the table below is as old"
+        words = (
+            f"silent for {seconds(silent_s)}: a process that dies is not started again, and the table below is as old"
+        )
         console.print(Text("supervisor: ", style="bold red") + Text(words))
     for row in report.get("processes") or []:
         for note in row.get("notes") or []:
@@ -191,10 +193,10 @@ def show_status(report: dict[str, Any]) -> None:
 
 
 def programs_in_words(report: dict[str, Any]) -> str:
-    """The file that each kind of worker loaded last, and its age."""
+    """The file loaded last for each kind of worker, and its age."""
     files = report.get("program_files", {})
     words = [f"{kind} {one['file']} (loaded {age(one['age_s'])} ago)" for kind, one in files.items()]
-    rest = "all as they come with rtc" if not words else "the others as they come with rtc"
+    rest = "all as they come with rtc" if not words else "the others: default programs"
     return ", ".join([*words, rest])
 
 
@@ -204,7 +206,7 @@ def age(value_s: float) -> str:
 
 
 def folded(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The processes, with all ready fork servers as one row."""
+    """The rows of the process table, with all ready fork servers in one row."""
     templates = [row for row in rows if row["name"].endswith("template") and row.get("state") == "ready"]
     if len(templates) < 2:
         return rows

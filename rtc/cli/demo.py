@@ -1,4 +1,4 @@
-"""rtc demo: runs a scenario on its own cluster. Each scenario is a file in rtc/demos/."""
+"""rtc demo: run a scenario on its own cluster. Each scenario is a file in rtc/demos/."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import typer
 from rtc.cli.cluster import check_speed
 from rtc.cli.output import console, exits_with, trouble
 
-DEMOS = ["grasp", "faults"]  # modules of rtc.demos, each with `tell(console, speed, out) -> passed`
+DEMOS = ["grasp", "faults"]  # modules of rtc.demos, each with `run(console, speed, out) -> passed`
 
 
 def demo(
@@ -29,6 +29,6 @@ def demo(
         raise trouble(f"there is no demo {name}; there are: {', '.join(DEMOS)}", 2)
     check_speed(speed)
     with exits_with(1):
-        passed = import_module(f"rtc.demos.{name}").tell(console, speed, out)
+        passed = import_module(f"rtc.demos.{name}").run(console, speed, out)
     if not passed:
         raise typer.Exit(1)

@@ -7,12 +7,12 @@ import signal
 from importlib import import_module
 from typing import NoReturn
 
-INTERRUPTED = 130  # exit status, as shells have it
+INTERRUPTED = 130  # exit status, as in shells
 
 
 def main() -> None:
     """Import and run the command line."""
-    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as it is for `rtc do ... &` in a script
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # ignored, for example, for `rtc do ... &` in a script
         signal.signal(signal.SIGINT, leave)
     import_module("rtc.cli.main").main()
 
@@ -24,7 +24,7 @@ def leave(*_: object) -> NoReturn:
 
 
 def begun() -> None:
-    """A command begins: from here on SIGINT is a KeyboardInterrupt."""
+    """Called when a command begins: from then on SIGINT raises KeyboardInterrupt."""
     if signal.getsignal(signal.SIGINT) is leave:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -22,7 +22,7 @@ from rtc.runtime.settings import Settings, default_run_dir
 
 NOT_CONFIRMED = 3
 SETTLED_S, SETTLED = 0.05, " (but a hand still pressed, or a touch still gave way)"
-LATE_S = 0.2  # an MCM that answers later may have been restarted, and not know of a motion
+LATE_S = 0.2  # an MCM that answers later may have been restarted and have lost a motion
 
 
 def halt(
@@ -32,10 +32,10 @@ def halt(
     run_dir: RunDir = None,
     key: With = None,
 ) -> None:
-    """Stop motion now, past every queue; works with a dead broker too. Exit status 0 only when rest is confirmed.
+    """Stop motion now, past every queue; this works without a broker too. Exit status 0 only when rest is confirmed.
 
-    The latency it prints is from this order to the first decelerating tick of a joint (with a cluster on another
-    machine: until its report arrived).
+    The printed latency is the time from this order to the first decelerating tick of a joint. For a cluster on another
+    machine it ends with the arrival of its report.
 
     Example:  rtc halt
     Example:  rtc halt RIGHT-ARM
@@ -53,7 +53,7 @@ def halt(
 
 @contextmanager
 def _halt_line(run_dir: Path, key: Path | None) -> Iterator[HaltLine]:
-    """A halt line. For a local cluster it needs the two sockets and no file, so deleted files cannot prevent a halt.
+    """A halt line. For a local cluster it needs two sockets but no files, so deleted files cannot prevent a halt.
 
     Raises NoCluster if no process listens.
     """
@@ -90,7 +90,7 @@ def _print(result: HaltResult, out: Console) -> None:
     elif result.latency_s is None:
         line.append(f"REST NOT CONFIRMED: {result.message}", style="bold white on red")
     else:
-        nothing = f"nothing of {result.scope} moves: it has ended, or not begun"
+        nothing = f"nothing of {result.scope} moves: it has ended, or has not begun"
         late = "nothing moves; it is not known whether something moved at the call"
         rest = max((sub.rest_s for sub in result.subsystems if sub.rest_s is not None), default=None)
         resting = "no joint was moving" + (SETTLED if (rest or 0.0) > SETTLED_S else "")

@@ -1,4 +1,4 @@
-"""The interpreter behind `rtc shell`: sentences and a few words about them, typed with history and completion."""
+"""The interpreter of `rtc shell`: sentences and some commands about them, with history and completion."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rtc.cli.halt import print_halt
 from rtc.cli.offers import CellNames
 from rtc.cli.output import console, errors
 from rtc.cli.progress import Board, print_result
-from rtc.cli.sentences import LeftRunning, Signalled, asked_on_interrupt, gone_away, say_silence
+from rtc.cli.sentences import LeftRunning, Signalled, asked_on_interrupt, gone_away, show_silence
 from rtc.client.client import Client
 from rtc.language.completion import Names, complete
 from rtc.language.fastpath import halt_scope
@@ -34,19 +34,19 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import NoCluster, RequestDeclined, RtcError
 
 LOGGED = 20  # commands that :log shows
-LEAVE = (":quit", ":q", "quit", "exit")  # no verbs of the language
-HELP = """Type a sentence (rtc dictionary lists the verbs), end it with & to send it and go on typing. Or one of:
+LEAVE = (":quit", ":q", "quit", "exit")  # these are not verbs of the language
+HELP = """Type a sentence (rtc dictionary lists the verbs); with & at its end you can type on at once. Or one of:
   :status            what runs           :trace [C-7]  every phase of a command, or of the last one
-  :world [LOCATION]  what is believed    :why [C-7]    the chain of causes
-  :names [KIND]      names to be used    :log          the last commands
-  :help              this                :quit, exit   leave (Ctrl-D); commands go on
-The colon may be left out. HALT and STOP go past everything. Ctrl-C while a command runs asks; twice halts.
-Tab completes; Ctrl-R looks for an earlier line."""
+  :world [LOCATION]  facts of the world  :why [C-7]    the chain of causes
+  :names [KIND]      names for sentences :log          the last commands
+  :help              this                :quit, exit   leave (Ctrl-D); commands continue
+The colon may be omitted. HALT and STOP pass every queue. Ctrl-C while a command runs asks; twice halts.
+Tab completes; Ctrl-R searches earlier lines."""
 
 
 def interpret(run_dir: Path | None, key: Path | None = None) -> None:
-    """Read and obey lines until the operator leaves. Raises NoCluster."""
-    with Client(run_dir, on_silence=say_silence, key=key) as rtc:
+    """Read and execute lines until the operator leaves. Raises NoCluster."""
+    with Client(run_dir, on_silence=show_silence, key=key) as rtc:
         history = FileHistory(str(key.with_suffix(".history") if key else Path(rtc.run_dir) / "history"))
         session: PromptSession[str] = PromptSession(
             history=history,
@@ -63,7 +63,7 @@ def interpret(run_dir: Path | None, key: Path | None = None) -> None:
 
 def obey_lines(lines: Iterable[str], run_dir: Path | None, key: Path | None = None) -> None:
     """Execute lines from a file (`rtc shell < file`), without a prompt; comments begin with #. Raises NoCluster."""
-    with Client(run_dir, on_silence=say_silence, key=key) as rtc, _background(run_dir, key) as background:
+    with Client(run_dir, on_silence=show_silence, key=key) as rtc, _background(run_dir, key) as background:
         for line in map(str.strip, lines):
             if line.lower() in LEAVE:
                 break
@@ -82,7 +82,7 @@ def _background(run_dir: Path | None, key: Path | None) -> Iterator[Background]:
 
 
 def _print_end(record: m.CommandRecord) -> None:
-    """How a command ended that was sent with &."""
+    """Print the outcome of a command that was sent with &."""
     assert record.outcome is not None
     assert record.ended_at_s is not None
     ended = m.CommandEnded(
@@ -98,7 +98,7 @@ def _print_end(record: m.CommandRecord) -> None:
 
 
 class Sentences(Completer):
-    """Words that may come next: those of the grammar, and the names the world knows."""
+    """Words that may come next: words of the grammar, and names in the world."""
 
     def __init__(self, names: Names) -> None:
         self._names = names
@@ -117,7 +117,7 @@ class Sentences(Completer):
 def _read(session: PromptSession[str]) -> str | None:
     """One line; None at the end. Ctrl-C on an empty prompt clears the line, as in any shell."""
     try:
-        with patch_stdout(raw=True):  # what ends meanwhile is reported above the prompt
+        with patch_stdout(raw=True):  # outcomes are printed above the prompt
             return session.prompt("rtc> ").strip()
     except KeyboardInterrupt:
         return ""
@@ -152,7 +152,7 @@ def _obey(rtc: Client, background: Background, line: str) -> None:
 
 
 def _own_word(line: str) -> Callable[[Client, list[str]], None] | None:
-    """What a line means that is no sentence: :help or help (none of these words is a verb); None for a sentence."""
+    """The action of a line that is not a sentence, such as :help or help; None for a sentence."""
     first = line.split()[0].lower()
     if first.startswith(":"):
         return WORDS.get(first, _unknown)
@@ -202,7 +202,7 @@ def _unknown(_: Client, __: list[str]) -> None:
 
 
 def _command(rtc: Client, words: list[str]) -> str:
-    """The number that was typed; without one, of the last command."""
+    """The number of a command that was typed; without one, that of the last command."""
     if len(words) > 1:
         raise ValueError("name one command, such as C-7, or none: the last one")
     name = trace.number(words[0]) if words else trace.last_number(rtc)
@@ -217,8 +217,7 @@ def _cell(rtc: Client) -> str:
 
 
 def _names(rtc: Client, far: bool) -> Names:
-    """Those of the cell; over tcp, what the world knows by name. None when it does not answer, which is no reason not
-    to start."""
+    """The names of the cell; over tcp, those in the world. None if it does not answer: the shell starts anyway."""
     try:
         if not far:
             return CellNames(Cell.load(_cell(rtc)))

@@ -35,7 +35,7 @@ def new(
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
-    """Make a key: one file for the other machine, with all it needs. Hand it over as you would a password.
+    """Make a key: one file with all that the other machine needs. Keep it as secret as a password.
 
     It is valid at once, also for a running cluster.
 
@@ -50,7 +50,7 @@ def new(
     if json:
         emit_json({"name": key.name, "role": key.role, "address": key.address, "file": str(file)})
         return
-    console.print(Text(f"{file} lets its holder into {key.address} as {key.role}; nobody else may read it"))
+    console.print(Text(f"{file} gives its holder access to {key.address} as {key.role}; keep it secret"))
     use = f"rtc status --with {file}"
     if key.role is Role.WORKER:
         use = f"python -m workers --kind binder --node 18 --with {file}"
@@ -88,13 +88,15 @@ def revoke(name: Annotated[str, typer.Argument(help="Of the key.")], run_dir: Ru
 
 
 def _address(run_dir: Path) -> str:
-    """Of the cluster that is or was there."""
+    """The address of the cluster that is or was in this directory."""
     try:
         listen = Settings.load(run_dir).listen
     except FileNotFoundError:
         listen = ""
     if not listen:
-        raise trouble("where will the cluster listen? Give --at tcp://HOST:PORT, or first: rtc up --listen …", 2)
+        raise trouble(
+            "the address of the cluster is not known: give --at tcp://HOST:PORT, or first: rtc up --listen …", 2
+        )
     if is_everywhere(listen):
-        raise trouble(f"the cluster listens everywhere ({listen}); by which name do others reach it? Give --at", 2)
+        raise trouble(f"the cluster listens at all addresses ({listen}); give the one that others use with --at", 2)
     return listen

@@ -1,6 +1,6 @@
 """`rtc parse`, `rtc dictionary`, `rtc grammar`: the language, without a cluster.
 
-Plain functions; the app registers them. They print, and decide nothing.
+They are plain functions that the app registers. They only print.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import Refusal
 
 REFUSED = 2  # exit status
-CONTROLS = {"HALT", "PAUSE", "RESUME", "ABORT"}  # done by the broker itself, without a script
+CONTROLS = {"HALT", "PAUSE", "RESUME", "ABORT"}  # performed by the broker, without a script
 
 
 def parse(
     sentence: Annotated[str, typer.Argument(help="One sentence of the command language, in quotes.")],
     json: Annotated[bool, typer.Option("--json", help="Print the record or the refusal as JSON.")] = False,
 ) -> None:
-    """Parse a sentence and show how it is understood, or where it is wrong.
+    """Parse a sentence and show the result, or the place of the error.
 
-    Nothing is sent anywhere, and no cluster is needed. Exit status: 0 a sentence, 2 none.
+    It needs no cluster and sends nothing. Exit status: 0 valid, 2 not valid.
 
     Example: rtc parse "grasp Macs_old with Right_arm maintain speed 10 cm/s."
     """
@@ -75,7 +75,7 @@ def dictionary(
 
 
 def _unscripted(verb: str) -> bool:
-    """Nothing does it yet, by the programs as they come."""
+    """True if no default program performs this verb yet."""
     return verb not in CONTROLS and all(row.verb != verb or not row.enabled for row in _elaborator().decision_tree)
 
 
@@ -102,7 +102,7 @@ def grammar(
 
 
 def understood(record: ParsedCommand) -> str:
-    """The record as lines `field: value`, only what the sentence said (SI units)."""
+    """The record as lines `field: value`, only fields of the sentence (SI units)."""
     fields = msgspec.to_builtins(record)
     lines = [f"{fields.pop('verb')} ({fields.pop('kind')})"]
     fields.pop("type", None)

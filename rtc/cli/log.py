@@ -28,7 +28,7 @@ def log(
     run_dir: RunDir = None,
     key: With = None,
 ) -> None:
-    """The last commands: number, when it was given, how long it took, how it ended, the sentence.
+    """The last commands: number, time of submission, duration, outcome, sentence.
 
     After `rtc down` it reads the journal of the run that has ended. A halt by `rtc halt` is not a command.
 
@@ -78,13 +78,15 @@ def from_cluster(rtc: Client, last: int) -> list[m.CommandRecord]:
         try:
             records.append(rtc.trace(f"C-{number}"))
         except RequestDeclined:
-            continue  # so old that its record was deleted
+            continue  # its record was deleted because of its age
     return records
 
 
 def as_row(record: m.CommandRecord, run: Past | None, *, far: bool = False) -> dict[str, Any]:
-    """A command for --json. `at` is local ISO time; null when it is not known: of a cluster that is `far`, with a clock
-    of its own, or of a run before the machine was started."""
+    """A command for --json. `at` is local ISO time, or null if unknown.
+
+    It is unknown for a `far` cluster, which has another clock, and for a run before the last boot.
+    """
     boot = time.time() - time.monotonic()
     at = run.wall_s(record.accepted_at_s) if run else None if far else boot + record.accepted_at_s
     now = time.monotonic() if run is None and not far else record.notes[-1].at_s if record.notes else 0.0

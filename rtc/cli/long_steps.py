@@ -1,7 +1,7 @@
 """Question on a terminal whether a step of more than a minute may continue; without an answer it continues.
 
-The step runs meanwhile, so the question is watched by a thread of its own, which halts by the client's halt line: that
-one may be used from any thread.
+The step runs meanwhile. So a thread of its own waits for the answer, and halts by the client's halt line, which any
+thread may use.
 """
 
 from __future__ import annotations
@@ -14,28 +14,28 @@ from collections.abc import Callable
 from rtc.cli.measured import duration
 from rtc.protocol.messages import ProgressNote
 
-LONG_S = 60.0  # of a step: from here on it is worth a question
-LOOK_S = 0.2  # how soon the thread sees that nobody needs its answer any more
-NO = ("n", "h")  # how an answer that halts begins
+LONG_S = 60.0  # a step that takes longer is worth a question
+LOOK_S = 0.2  # period in which the thread checks that its answer is still needed
+NO = ("n", "h")  # first letters of an answer that halts
 
 
 class LongSteps:
-    """`say` prints a line; `halt` stops one command; `stdin` is the descriptor that the answer is read from."""
+    """`show` prints a line; `halt` stops one command; `stdin` is the descriptor of the answers."""
 
-    def __init__(self, say: Callable[[str], None], halt: Callable[[str], None], stdin: int) -> None:
-        self._say, self._halt, self._stdin = say, halt, stdin
-        self._asked = ""  # the command that the open question is about
+    def __init__(self, show: Callable[[str], None], halt: Callable[[str], None], stdin: int) -> None:
+        self._show, self._halt, self._stdin = show, halt, stdin
+        self._asked = ""  # the command of the open question
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
 
-    def heard(self, note: ProgressNote) -> None:
-        """Ask, once for a command at a time, when this note begins a long step."""
+    def take(self, note: ProgressNote) -> None:
+        """Ask if this note begins a long step; one question per command at a time."""
         if note.expected_s <= LONG_S or self._asked:
             if note.command == self._asked and note.phase.value in ("analyzing", "ended", "halting"):
                 self.drop()
             return
         self._asked = note.command
-        self._say(f"{note.command}: this step takes about {duration(note.expected_s)}: go on? [Y/n]  (n halts it)")
+        self._show(f"{note.command}: this step takes about {duration(note.expected_s)}: go on? [Y/n]  (n halts it)")
         self._over.clear()
         self._thread = threading.Thread(target=self._listen, args=(note.command,), daemon=True)
         self._thread.start()

@@ -32,17 +32,17 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import KeyTrouble, TimedOut
 from rtc.runtime.renderer import Renderer
 
-MEASURED_S = 1.0  # longest wait for a sample of the arms; there are 50 in a second
-SEEN_M, SEEN_RAD = 0.002, math.radians(1.0)  # a difference that is worth an outline
-REPORTED_M = 0.0005  # a difference that is worth words
+MEASURED_S = 1.0  # maximum wait for a telemetry sample of the arms; there are 50 per second
+SEEN_M, SEEN_RAD = 0.002, math.radians(1.0)  # differences above these get an outline
+REPORTED_M = 0.0005  # differences above this are printed
 
 
 def look(
     out: Annotated[Path, typer.Option("-o", "--out", help="The PNG file to write.")] = Path("scene.png"),
-    watch: Annotated[bool, typer.Option("--watch", help="Draw it again and again, until Ctrl-C.")] = False,
-    every: Annotated[str, typer.Option(help="With --watch: how often, as 1s or 500ms.")] = "1s",
+    watch: Annotated[bool, typer.Option("--watch", help="Draw it repeatedly, until Ctrl-C.")] = False,
+    every: Annotated[str, typer.Option(help="With --watch: the period, such as 1s or 500ms.")] = "1s",
     for_: Annotated[
-        str, typer.Option("--for", help="With --watch: how long, as 60s or 5m.", show_default="for ever")
+        str, typer.Option("--for", help="With --watch: the duration, such as 60s or 5m.", show_default="for ever")
     ] = "",
     camera: Annotated[
         str, typer.Option(help=f"{', '.join(VIEWS)}; or an arm, object, seat or place: a close view.")
@@ -51,11 +51,11 @@ def look(
     run_dir: RunDir = None,
     key: With = None,
 ) -> None:
-    """A picture of the scene now, and a table of where everything is (cm, deg).
+    """A picture of the current scene, and a table of all positions (cm, deg).
 
-    The left half is what the cluster believes. With a simulated MCM the right half is the truth; magenta outlines show
-    where an object is believed to be that is elsewhere. With --watch the file is written anew every second, which most
-    picture viewers follow.
+    The left half shows the believed scene. With a simulated MCM the right half shows the true one; a magenta outline
+    marks the believed place of an object that is elsewhere. With --watch the file is rewritten every second, and most
+    picture viewers reload it.
 
     Example:  rtc look
     Example:  rtc look -o hand.png --camera RIGHT-ARM
@@ -79,18 +79,18 @@ def look(
             try:
                 _watch(eye, renderer, name, out, view, every_s, for_s)
             except KeyboardInterrupt:
-                console.print(f"{out} shows what was seen last")
+                console.print(f"{out} shows the last scene")
 
 
 class _Eye:
-    """What there is to be seen of a cluster: facts, measurements, and the truth if there is a simulator."""
+    """The visible state of a cluster: facts, measurements, and the true state of a simulator."""
 
     def __init__(self, rtc: Client, cell: Cell) -> None:
         self._rtc, self._cell = rtc, cell
         self._bench = True
 
     def see(self) -> tuple[Believed, m.SimTruthReply | None]:
-        """Raises ClusterError when the world database does not answer."""
+        """Raises ClusterError if the world database does not answer."""
         facts = {fact.key: fact for fact in self._rtc.world.view().facts}
         sample = next(self._rtc.telemetry(silence_s=MEASURED_S), None)
         truth = self._truth()
@@ -101,9 +101,9 @@ class _Eye:
             return None
         try:
             return self._rtc.truth()
-        except (TimedOut, KeyTrouble) as trouble:  # real arms or an MCM that is being restarted; or a key
+        except (TimedOut, KeyTrouble) as trouble:  # real arms, an MCM that restarts, or access by a key
             self._bench = isinstance(trouble, TimedOut)
-            errors.print("rtc: the truth is not known; the picture shows what is believed")
+            errors.print("rtc: the true state is not known; the picture shows the believed one")
             return None
 
 
@@ -118,7 +118,7 @@ def _watch(eye: _Eye, renderer: Renderer, cell: str, out: Path, view: str, every
 
 
 def _camera(cell: Cell, wanted: str) -> str:
-    """A view or a name of the cell, as it was typed in whatever case. Raises typer.Exit."""
+    """A view or a name of the cell; case is ignored. Raises typer.Exit."""
     if wanted.lower() in VIEWS:
         return wanted.lower()
     name = wanted.upper().replace("_", "-")
@@ -139,7 +139,7 @@ def _camera(cell: Cell, wanted: str) -> str:
 def picture(
     cell: str, scene: Believed, truth: m.SimTruthReply | None, out: Path, camera: str, *, smooth: bool = True
 ) -> Picture:
-    """The request to the renderer: what is believed, and beside it what is true if that is known."""
+    """The request to the renderer: the believed scene and, if known, the true one beside it."""
     labels = {arm.name: arm.name + (f" holds {arm.holding}" if arm.holding else "") for arm in scene.arms}
     labels |= {row.name: row.name + _doubt(row) for row in scene.objects}
     doubtful = [row.name for row in scene.objects if _doubt(row)]
@@ -151,7 +151,7 @@ def picture(
         }
         labels |= {row.name: f"{row.name} {_off(row)}" if differs(row) else row.name for row in scene.objects}
         moved = [row.name for row in scene.objects if differs(row)]
-        title = "true (from the simulator)" + ("; magenta: where it is believed to be" if moved else "")
+        title = "true (from the simulator)" + ("; magenta: believed place" if moved else "")
         panels.append(Panel(title=title, scene=true_scene(truth), labels=labels, doubtful=moved, outlined=moved))
     return Picture(
         out=str(out.absolute()),
@@ -164,12 +164,12 @@ def picture(
 
 
 def differs(row: ObjectRow) -> bool:
-    """So far from the truth that it can be seen."""
+    """True if the difference to the truth is visible."""
     return (row.off_m or 0.0) > SEEN_M or (row.turned_rad or 0.0) > SEEN_RAD
 
 
 def in_words(scene: Believed) -> list[str]:
-    """What is worth a word: what moves, what is held, what is in doubt, what is elsewhere than believed."""
+    """Notable facts in words: motions, held objects, doubtful facts, differences from the believed state."""
     phrases = []
     for arm in scene.arms:
         parts = [f"moves ({arm.moving})"] if arm.moving else []
@@ -181,7 +181,7 @@ def in_words(scene: Believed) -> list[str]:
         words = [_doubt(row).strip()] if _doubt(row) else []
         words += [_off(row)] if (row.off_m or 0.0) > REPORTED_M or differs(row) else []
         phrases += [f"{row.name} {', '.join(words)}"] if words else []
-    return phrases or ["nothing moves" + ("; everything is where it is believed to be" if _known(scene) else "")]
+    return phrases or ["nothing moves" + ("; every object is at its believed place" if _known(scene) else "")]
 
 
 def _known(scene: Believed) -> bool:
@@ -193,7 +193,7 @@ def _doubt(row: ObjectRow) -> str:
 
 
 def _off(row: ObjectRow) -> str:
-    """31.0 mm off, turned 4.0 deg."""
+    """A difference as text: 31.0 mm off, turned 4.0 deg."""
     turned_deg = math.degrees(row.turned_rad or 0.0)
     return f"{1e3 * (row.off_m or 0.0):.1f} mm off" + (f", turned {turned_deg:.1f} deg" if turned_deg > 0.5 else "")
 

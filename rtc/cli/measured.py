@@ -1,4 +1,4 @@
-"""What was measured and how long a step takes, in words: centimetres, degrees, minutes."""
+"""Measurements and durations as text for people: centimetres, degrees, minutes."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Iterable
 
 from rtc.protocol.outcomes import Measured
 
-SHORTEST_S = 0.1  # of a step, as it is said
-POLE_RAD = 1e-4  # this near to straight up or down, roll and yaw cannot be told apart: the yaw is said to be 0
+SHORTEST_S = 0.1  # smallest printed duration of a step
+POLE_RAD = 1e-4  # nearer to straight up or down roll and yaw are ambiguous: the yaw is printed as 0
 
 
 def duration(value_s: float) -> str:
-    """As people say it: 4.2 s, 46 min, 2 h 46 min; at least 0.1 s."""
+    """A duration for people: 4.2 s, 46 min, 2 h 46 min; at least 0.1 s."""
     if value_s < SHORTEST_S:
         return f"{SHORTEST_S:g} s"
     if value_s < 60:
@@ -25,7 +25,7 @@ def duration(value_s: float) -> str:
 
 
 def in_words(measured: Measured) -> list[str]:
-    """One line for each thing that was asked for."""
+    """One line for each requested quantity."""
     lines = []
     if measured.tcp_pose is not None:
         lines.append(f"{measured.arm} pose: {_pose(measured.tcp_pose)}")
@@ -33,7 +33,7 @@ def in_words(measured: Measured) -> list[str]:
         force, torque = measured.wrench[:3], measured.wrench[3:]
         peaks = ""
         if measured.peak_force_n is not None:
-            peaks = f"; most on the way {measured.peak_force_n:.1f} N, {measured.peak_torque_nm or 0.0:.2f} Nm"
+            peaks = f"; peak on the way {measured.peak_force_n:.1f} N, {measured.peak_torque_nm or 0.0:.2f} Nm"
         felt = f"forces: {_numbers(force, '.1f')} N, torques: {_numbers(torque, '.2f')} Nm (tool axes)"
         lines.append(f"{measured.arm} {felt}{peaks}")
     if measured.joints is not None:
@@ -42,7 +42,7 @@ def in_words(measured: Measured) -> list[str]:
 
 
 def _numbers(values: Iterable[float], form: str) -> str:
-    return " ".join(format(value, "z" + form) for value in values)  # z: minus nothing is nothing
+    return " ".join(format(value, "z" + form) for value in values)  # z: no minus before a zero
 
 
 def _pose(pose: list[float]) -> str:
@@ -53,7 +53,7 @@ def _pose(pose: list[float]) -> str:
 
 
 def _rpy(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """As `rtc.robot.geometry.to_rpy`, without numpy: what prints a line need not load that."""
+    """As `rtc.robot.geometry.to_rpy`, but without numpy, whose import is slow."""
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
     if abs(abs(pitch) - math.pi / 2) < POLE_RAD:
         return 0.0, pitch, math.copysign(2.0, -pitch) * math.atan2(x, w)

@@ -21,7 +21,7 @@ OTHER_WORDS = {"axis": "axes", "hand": "arms", "hands": "arms", "end-effector": 
 
 
 class Named(NamedTuple):
-    """One name. `also`: other names for the same; `about`: what it is, for people (cm, deg)."""
+    """One name. `also`: other names of the same thing; `about`: its description for people (cm, deg)."""
 
     name: str
     about: str
@@ -41,7 +41,7 @@ def names(
 ) -> None:
     """The names a sentence may use: arms, objects, grasp points, seats, places, regions, attitudes, axes.
 
-    They are those of the running cluster's cell; without a cluster, of the cell `swapout`.
+    They come from the running cluster's cell; without a cluster, from the cell `swapout`.
 
     Example:  rtc names places
     """
@@ -74,7 +74,7 @@ def print_names(cell: str, kind: str) -> None:
 
 
 def kind_of(word: str) -> str:
-    """A row of KINDS for what was typed: also in the singular, and with any case. Raises typer.Exit."""
+    """The row of KINDS for a typed word, plural or singular, in any case. Raises typer.Exit."""
     kind = word.lower().replace("_", "-").replace(" ", "-")
     kind = OTHER_WORDS.get(kind, kind)
     match = next((name for name in KINDS if kind in (name, name.removesuffix("s"))), "")
@@ -178,7 +178,7 @@ def _xyz(point: tuple[float, ...] | list[float]) -> str:
     return " ".join(map(_cm, point)) + " cm"
 
 
-#: kind -> how it is read from a cell, and a sentence that uses one
+#: kind -> function that reads it from a cell, and an example sentence
 KINDS: dict[str, tuple[Callable[[Cell], list[Named]], str]] = {
     "arms": (_arms, "STOW RIGHT-ARM"),
     "objects": (_objects, "GRASP RIGHT-END-EFF MACS-NEW"),

@@ -1,11 +1,11 @@
-"""Which names of the cell fit behind the words of a sentence that is being typed. Knows the cell, no grammar."""
+"""Completion of names: which names of the cell may follow the words typed so far. It does not know the grammar."""
 
 from __future__ import annotations
 
 from rtc.cells.cell import Cell
 from rtc.robot.axis_names import AXES
 
-#: what is done to a thing that a hand takes hold of
+#: verbs whose object is held by a hand
 HANDLING = {
     *("GRASP", "APPROACH", "RELEASE", "LIFT", "PUSH", "PULL", "PLACE", "INSERT", "EXTRACT", "ALIGN"),
     *("CARRY", "HANDOFF"),
@@ -34,7 +34,7 @@ BEHIND = {
 
 
 class CellNames:
-    """Call it with the words so far (in capitals); it answers with the names that may come next."""
+    """Call it with the words so far (in capitals); it returns the names that may come next."""
 
     def __init__(self, cell: Cell) -> None:
         self._points = {thing.name: [point.name for point in thing.grasp_points] for thing in cell.objects}
@@ -60,7 +60,7 @@ class CellNames:
             return self._kinds[BEHIND[last]]
         if last == "TO":
             return self._kinds["seats" if verb == "ALIGN" else "places"]
-        if last in self._points:  # an object: what may follow is one of its grasp points
+        if last in self._points:  # an object: one of its grasp points may follow
             return self._points[last]
         if last == "AT":
             return self._points.get(given[-2], []) if verb != "VERIFY" else self._kinds["arms"] + self._kinds["seats"]

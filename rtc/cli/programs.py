@@ -1,4 +1,4 @@
-"""rtc load, outcomes: the workers' programs, in a running cluster and on paper."""
+"""rtc load, outcomes: load programs of workers, and show what each step of a script can lead to."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rtc.protocol.outcomes import NoCluster, ProgramError
 
 KINDS = ", ".join(kind.value for kind in WorkerKind)
 DEFAULTS = "the default programs (no cluster runs)"
-USAGE = f"say: rtc load FILE INTO KIND, where KIND is one of {KINDS}"
+USAGE = f"use: rtc load FILE INTO KIND, where KIND is one of {KINDS}"
 
 
 def load(
@@ -34,8 +34,8 @@ def load(
 ) -> None:
     """Change a program while the cluster runs; motions are not touched, and a program that fails is rolled back.
 
-    --check tells what is wrong with the file, or what it would change, against the programs of the running cluster;
-    when none runs, against the default ones. Exit status: 0 it may be loaded, 2 it may not.
+    --check shows the errors of the file, or what it would change in the programs of the running cluster (without one,
+    in the default programs). Exit status: 0 it may be loaded, 2 it may not.
 
     Example:  rtc load my-grasp.yaml INTO elaborator
     Example:  rtc load my-grasp.yaml INTO elaborator --check
@@ -76,12 +76,12 @@ def _loaded(loaded: ProgramLoaded, name: str, json: bool) -> None:
         emit_json(diffs)
         return
     console.print(Text(f"{name} is in the {loaded.kind.value}s' program, which is now {loaded.digest}"))
-    for change in loaded.changes or ["nothing has changed: all of it was there"]:
+    for change in loaded.changes or ["nothing has changed: the program had all of it"]:
         console.print(Text(f"  {change}"))
 
 
 def _programs(run_dir: Path | None, key: Path | None) -> tuple[dict[WorkerKind, bytes], str]:
-    """The programs in use, and whose they are; without a cluster the default ones."""
+    """The programs in use and their owner; without a cluster the default ones."""
     try:
         with Client(run_dir, key=key) as rtc:
             return {kind: rtc.program(kind).body for kind in WorkerKind}, f"the cluster in {rtc.where}"
@@ -104,12 +104,12 @@ def _check(file: Path, kind: WorkerKind, json: bool, run_dir: Path | None, key: 
         emit_json({"kind": kind.value, "file": file.name, "against": whose, "changes": would})
         return
     console.print(Text(f"{file.name} may be loaded into the {kind.value}s' program of {whose}"))
-    for change in would or ["nothing would change: all of it is there"]:
+    for change in would or ["nothing would change: the program has all of it"]:
         console.print(Text(f"  {change}"))
 
 
 def _list(json: bool, run_dir: Path | None, key: Path | None) -> None:
-    """What has been loaded, kind by kind, as differences from the default programs."""
+    """The differences from the default programs, kind by kind."""
     with Client(run_dir, key=key) as rtc:
         found = {kind: rtc.program(kind) for kind in WorkerKind}
         rolled_back = rtc.status()["rolled_back"]
@@ -125,19 +125,19 @@ def _list(json: bool, run_dir: Path | None, key: Path | None) -> None:
         if why := rolled_back.get(kind.value):
             errors.print(Text(f"  {why}", style="yellow"))
     if any(diffs.values()):
-        console.print(Text("rtc load --reset KIND takes it away again", style="dim"))
+        console.print(Text("rtc load --reset KIND restores the default", style="dim"))
 
 
 def outcomes(
     script: Annotated[str, typer.Argument(help="A script, or a verb: grasp-centering.")],
-    file: Annotated[Path | None, typer.Option("--file", help="A script file of yours, as if it were loaded.")] = None,
+    file: Annotated[Path | None, typer.Option("--file", help="Your script file, treated as if it were loaded.")] = None,
     json: AsJson = False,
     run_dir: RunDir = None,
     key: With = None,
 ) -> None:
-    """Every way that every step of a script can end, and what follows.
+    """Each possible end of each step of a script, and what follows.
 
-    By the programs of the running cluster; when none runs, by the default ones.
+    It uses the programs of the running cluster; without one, the default programs.
 
     Example:  rtc outcomes grasp-centering
     Example:  rtc outcomes carry --file carry.yaml

@@ -20,11 +20,11 @@ from rtc.cli.output import COLOUR, console, quoted, refusal_lines, seconds, tabl
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Measured, Outcome, OutcomeKind
 
-#: phases too short to be a line of their own (`rtc trace` has them); ENDED has its result line
+#: phases that are too short for their own line (`rtc trace` shows them); ENDED has the result line
 PASSING = {m.Phase.PARSING, m.Phase.ELABORATING, m.Phase.BINDING, m.Phase.ANALYZING, m.Phase.ENDED}
 
 
-REPORTS_KEPT = 1000  # of REPORT EVERY, of one command, for the JSON result
+REPORTS_KEPT = 1000  # maximum number of reports of REPORT EVERY per command in the JSON result
 
 
 @dataclass
@@ -32,20 +32,20 @@ class Row:
     text: str
     command: str = ""
     phase: str = "waiting"
-    step: str = ""  # as it is shown
-    of: str = ""  # as the last note has it
+    step: str = ""  # as displayed
+    of: str = ""  # as in the last note
     node: str = ""
     started_s: float = field(default_factory=time.monotonic)
 
 
 class Board:
-    """Context manager. `quiet` shows nothing (for --json); `out` is where to."""
+    """Context manager. `quiet`: show nothing (for --json); `out`: the output."""
 
     def __init__(self, texts: list[str], *, quiet: bool = False, out: Console = console) -> None:
         self._rows = [Row(text) for text in texts]
         self._row_of: dict[str, Row] = {}
-        self.reports: dict[str, deque[tuple[float, Measured]]] = {}  # command -> (at_s, what REPORT EVERY gave)
-        self.on_long: Callable[[m.ProgressNote], None] | None = None  # gets every note; asks when a step takes long
+        self.reports: dict[str, deque[tuple[float, Measured]]] = {}  # command -> (at_s, report of REPORT EVERY)
+        self.on_long: Callable[[m.ProgressNote], None] | None = None  # called with every note; asks about a long step
         self.kinds: list[OutcomeKind] = []  # outcomes of all ended commands
         self.quiet = quiet
         self._out = out
@@ -68,7 +68,7 @@ class Board:
             self._live.stop()
 
     def resume(self) -> None:
-        """Go on below what was printed meanwhile: a live view that is started again would overwrite it."""
+        """Continue below the printed lines, with a new live view: a restarted one would overwrite them."""
         if self._live:
             self._live = self._new_live()
             self._live.start()
@@ -78,7 +78,7 @@ class Board:
 
     @property
     def running(self) -> list[str]:
-        """Numbers of the commands that have not ended, as far as is known."""
+        """Numbers of the commands without a known end."""
         return list(self._row_of)
 
     def accepted(self, n: int, command: str) -> None:
@@ -109,7 +109,7 @@ class Board:
             self._line(f"{note.command}  {note.phase.value:<11} {note.step or note.note}{about}{done}".rstrip())
 
     def _report(self, note: m.ProgressNote) -> None:
-        """One of REPORT EVERY: a line on the screen, or kept for the JSON result."""
+        """A report of REPORT EVERY: a line on the screen, or kept for the JSON result."""
         assert note.measured is not None
         kept = self.reports.setdefault(note.command, deque(maxlen=REPORTS_KEPT))
         kept.append((note.at_s, note.measured))
@@ -118,7 +118,7 @@ class Board:
                 self._out.print(Text(f"{time.monotonic() - self._begun_s:7.2f} s  {note.command}  {line}"))
 
     def ended(self, n: int, ended: m.CommandEnded) -> None:
-        """Print the result line for good; it stays when the board goes."""
+        """Print the result line permanently, above the board."""
         row = self._rows[n]
         row.phase = "ended"
         self.kinds.append(ended.outcome.kind)
@@ -146,7 +146,7 @@ class Board:
 
 
 def print_result(ended: m.CommandEnded, text: str, out: Console = console) -> None:
-    """One line that says how a command ended; below it, when it did not succeed, why and what would clear it."""
+    """One line with the outcome of a command; below it, without success, the cause and what would clear it."""
     kind = ended.outcome.kind
     head = Text(f"{ended.command or '(not taken)'} ", style="bold")
     head.append(kind.value.upper().replace("_", " "), style=COLOUR[kind])
@@ -157,7 +157,7 @@ def print_result(ended: m.CommandEnded, text: str, out: Console = console) -> No
 
 
 def explain(ended: m.CommandEnded, text: str) -> list[str]:
-    """Why, in lines; empty on a plain success."""
+    """The cause, as lines; empty for a plain success."""
     outcome = ended.outcome
     lines = []
     if outcome.kind != OutcomeKind.SUCCEEDED and outcome.step:

@@ -38,7 +38,7 @@ from rtc.language.fastpath import halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind, RequestDeclined
 
-LABEL = re.compile(r"[A-Z]+\d+:\s+")  # "C12: GRASP ..." as in lists of sentences
+LABEL = re.compile(r"[A-Z]+\d+:\s+")  # such as "C12: GRASP ..." in lists of sentences
 
 
 class LeftRunning(Exception):
@@ -49,7 +49,7 @@ class Signalled(Exception):
     """SIGTERM or SIGHUP: this process ends, its commands continue."""
 
     def __init__(self, number: int) -> None:
-        self.exit_code = 128 + number  # as shells have it
+        self.exit_code = 128 + number  # as in shells
         super().__init__(f"ended by {signal.Signals(number).name}")
 
 
@@ -81,7 +81,7 @@ def do(
         raise trouble(f"--as is operator or aip, not {source}", 2)
     halts = [halt_scope(text) for text in texts]
     need_broker = not all(halts)
-    with Client(run_dir, source=_source(source), need_broker=need_broker, on_silence=say_silence, key=key) as rtc:
+    with Client(run_dir, source=_source(source), need_broker=need_broker, on_silence=show_silence, key=key) as rtc:
         if no_wait:
             code, results = _hand_in(rtc, texts)
         else:
@@ -95,7 +95,7 @@ def do(
 
 
 def quotes_forgotten(texts: list[str], results: list[dict[str, Any]]) -> str:
-    """A hint, when single words were refused that may have been meant as one sentence; else empty."""
+    """A hint if several refused single words were probably meant as one sentence; otherwise empty."""
     words = [text for text in texts if len(text.split()) == 1]
     if len(words) < 2 or all(one["kind"] != "refused" or one["text"] not in words for one in results):
         return ""
@@ -105,7 +105,7 @@ def quotes_forgotten(texts: list[str], results: list[dict[str, Any]]) -> str:
 def _see_through(
     rtc: Client, texts: list[str], parallel: bool, keep_going: bool, json: bool
 ) -> tuple[int, list[dict[str, Any]]]:
-    """Run them all; the exit code and a result for each."""
+    """Run all sentences; the exit status and a result for each."""
     kinds: list[OutcomeKind] = []
     results: list[dict[str, Any]] = []
     board = Board(texts, quiet=json)
@@ -142,7 +142,7 @@ def _see_through(
 
 
 def gone_away(why: OutputClosed | Signalled, board: Board, sentences: int) -> int:
-    """This process ends before its commands: print on stderr which continue. Returns the exit status."""
+    """Print on stderr which commands continue after the end of this process. Returns the exit status."""
     running, others = board.running, sentences - len(board.running) - len(board.kinds)
     parts = [str(why)]
     if running:
@@ -201,10 +201,10 @@ def _hand_in(rtc: Client, texts: list[str]) -> tuple[int, list[dict[str, Any]]]:
 
 @contextmanager
 def asked_on_interrupt(rtc: Client, board: Board) -> Iterator[None]:
-    """Ctrl-C asks; a second Ctrl-C, or nobody there to ask, halts: whoever presses it twice wants the arms to stop.
+    """Ctrl-C asks; a second Ctrl-C, or Ctrl-C without a terminal, halts.
 
-    The question is asked inside the signal handler. That is safe: the halt line shares nothing with what was
-    interrupted, and the wait goes on afterwards to hear how the commands ended.
+    The question is asked inside the signal handler. That is safe: the halt line shares nothing with the interrupted
+    code, and the wait continues afterwards to receive the outcomes.
     """
 
     steps = _long_steps(rtc, board)
@@ -222,7 +222,7 @@ def asked_on_interrupt(rtc: Client, board: Board) -> Iterator[None]:
         board.resume()
 
     def ended(number: int, _: object) -> None:
-        for other in (signal.SIGTERM, signal.SIGHUP):  # a second one must not interrupt the last words
+        for other in (signal.SIGTERM, signal.SIGHUP):  # a second signal must not interrupt the last message
             signal.signal(other, signal.SIG_IGN)
         raise Signalled(number)
 
@@ -240,7 +240,7 @@ def asked_on_interrupt(rtc: Client, board: Board) -> Iterator[None]:
 
 
 def _long_steps(rtc: Client, board: Board) -> LongSteps | None:
-    """Asks about long steps; None when nobody is there to be asked."""
+    """The question about long steps; None without a terminal."""
     if board.quiet or not (sys.stdin.isatty() and console.is_terminal):
         return None
     steps = LongSteps(
@@ -248,12 +248,12 @@ def _long_steps(rtc: Client, board: Board) -> LongSteps | None:
         lambda command: print_halt(rtc.halt(command), errors),
         sys.stdin.fileno(),
     )
-    board.on_long = steps.heard
+    board.on_long = steps.take
     return steps
 
 
-def say_silence(words: str) -> None:
-    """That the broker is silent, or answers again: beside the results."""
+def show_silence(words: str) -> None:
+    """Print on stderr that the broker is silent or answers again."""
     errors.print(Text(f"rtc: {words}", style="bold yellow"))
 
 
@@ -269,7 +269,7 @@ def _ask() -> str:
 
 
 def _lines(file: Path) -> list[str]:
-    """Sentences of a file: blank lines and # comments left out, labels such as C12: taken off."""
+    """Sentences of a file, without blank lines, # comments and labels such as C12:."""
     try:
         text = sys.stdin.read() if str(file) == "-" else file.read_text()
     except (OSError, UnicodeDecodeError) as error:
@@ -279,7 +279,7 @@ def _lines(file: Path) -> list[str]:
 
 
 def _result(ended: m.CommandEnded, text: str, board: Board) -> dict[str, Any]:
-    """One result of --json: flat where people look first. `reports`: those of REPORT EVERY, if it was said."""
+    """One result of --json. `reports`: the reports of REPORT EVERY, if the sentence has it."""
     outcome = msgspec.to_builtins(ended.outcome)
     result = {"command": ended.command, "text": text, **outcome, "took_s": round(ended.took_s, 6)}
     if reports := board.reports.get(ended.command):

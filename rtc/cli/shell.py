@@ -1,4 +1,4 @@
-"""rtc shell. The interpreter is loaded when it is wanted."""
+"""rtc shell: an interactive interpreter, loaded when the command runs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rtc.cli.output import RunDir, With
 def shell(run_dir: RunDir = None, key: With = None) -> None:
     """An interpreter: sentences with history, completion and progress; Ctrl-C asks, twice halts.
 
-    Lines from a pipe or a file are obeyed one after the other, without a prompt.
+    Lines from a pipe or a file are executed one after the other, without a prompt.
 
     Example:  rtc shell
     Example:  rtc shell < sentences.txt

@@ -27,7 +27,7 @@ NUMBER = re.compile(r"(?:C-)?(\d{1,17})", re.ASCII | re.IGNORECASE)
 Command = Annotated[
     str, typer.Argument(help="Number of a command, live or ended: C-7 or 7.", show_default="the last one")
 ]
-Previous = Annotated[bool, typer.Option("--previous", help="Of the run before the one in the run directory.")]
+Previous = Annotated[bool, typer.Option("--previous", help="Use the run before the one in the run directory.")]
 
 
 def trace(
@@ -50,8 +50,8 @@ def trace(
 def recall(command: str, previous: bool, run_dir: Path | None, key: Path | None) -> tuple[m.CommandRecord, Past | None]:
     """The record of a command, and the run it belongs to if that has ended. `command` "" is the last one.
 
-    Raises NoCluster when there is neither a cluster nor a journal, typer.Exit with the reason printed when there is no
-    such command.
+    Raises NoCluster if there is neither a cluster nor a journal, and typer.Exit, with the reason printed, if there is
+    no such command.
     """
     name = number(command) if command else ""
     where = run_dir or default_run_dir()
@@ -74,7 +74,7 @@ def recall(command: str, previous: bool, run_dir: Path | None, key: Path | None)
 
 
 def _before(run_dir: Path) -> list[Past]:
-    """The runs before the one whose journal lies in the run directory itself."""
+    """The runs before the one with its journal in the run directory itself."""
     return [past for past in runs(run_dir) if past.journal.parent != run_dir]
 
 
@@ -83,7 +83,7 @@ def _n(name: str) -> int:
 
 
 def last_number(rtc: Client) -> str:
-    """The number of the newest command of a cluster; empty when it has none."""
+    """The number of the newest command of a cluster; empty if there is none."""
     accepted = rtc.status().get("commands_accepted", 0)
     return f"C-{accepted}" if accepted else ""
 
@@ -115,7 +115,7 @@ def number(command: str) -> str:
 
 
 def print_trace(record: m.CommandRecord) -> None:
-    """Lines, not a table: what came of a phase may be long. A step's phases stand below its name."""
+    """Print lines, not a table, because a phase's result may be long. The phases of a step follow its name."""
     console.print(
         Text(f"{record.command}  {quoted(record.text)}  ", style="bold") + Text(f"({record.source})", style="dim")
     )
@@ -167,7 +167,7 @@ def print_why(record: m.CommandRecord) -> None:
 
 
 def address(node: str) -> str:
-    """binder@2 sits at 10 in the cube; a subsystem sits nowhere in it."""
+    """The cube address of a worker, 10 for binder@2; empty for other processes."""
     _, at, number = node.partition("@")
     return format(int(number), "02b") if at and number.isdigit() else ""
 
@@ -183,7 +183,7 @@ def as_json(record: m.CommandRecord) -> dict[str, Any]:
 
 
 def chain(record: m.CommandRecord) -> list[str]:
-    """The record in words: one line for each step that went well, every link for the one it ended in."""
+    """The record in words: one line for each successful step, all links for the last one."""
     lines = [f"{record.command} was given by the {record.source}: {quoted(record.text)}"]
     steps = [(step, list(notes)) for step, notes in groupby(_by_step(record.notes), key=lambda pair: pair[0])]
     last = len(steps) - 1
@@ -223,7 +223,7 @@ def _by_step(notes: list[m.ProgressNote]) -> list[tuple[str, m.ProgressNote]]:
 
 
 def _in_short(notes: list[m.ProgressNote]) -> str:
-    """How a step went: what its subsystem reported."""
+    """The result of a step, as its subsystem reported it."""
     reports = [note for note in notes if note.node and "@" not in note.node and note.note != "started"]
     shown = reports or [note for note in notes if note.note]
     if not shown:

@@ -19,7 +19,7 @@ from rtc.protocol.messages import Fact, Validity, View
 from rtc.world.client import WorldClient
 from rtc.world.spread import in_words
 
-HISTORY = 1000  # facts of one key that `at` looks through
+HISTORY = 1000  # maximum number of facts of one key that `at` searches
 COLOUR = {Validity.VALID: "green", Validity.SUSPECT: "bold yellow", Validity.INVALID: "red", Validity.CHANGING: "cyan"}
 
 Key = Annotated[str, typer.Argument(help="A fact (MACS-NEW.frame) or all of a location (MACS-NEW).")]
@@ -88,7 +88,7 @@ def _follow(rtc: Client, seen: View, keys: list[str] | None, every_s: float) -> 
 @app.command()
 def history(
     key: Annotated[str, typer.Argument(help="A fact (MACS-NEW.frame), or a location: all its facts.")],
-    limit: Annotated[int, typer.Option(min=1, max=HISTORY, help="At most so many, the newest first.")] = 20,
+    limit: Annotated[int, typer.Option(min=1, max=HISTORY, help="Maximum number, the newest first.")] = 20,
     json: AsJson = False,
     run_dir: RunDir = None,
     key_file: With = None,
@@ -133,13 +133,13 @@ def at(
 
 
 def spelt(key: str) -> str:
-    """A key as the database spells it: the location in capitals with '-', the attribute as it stands."""
+    """A key as in the database: the location in capitals with '-', the attribute unchanged."""
     place, dot, attribute = key.partition(".")
     return place.upper().replace("_", "-") + dot + attribute.lower()
 
 
 def shown(value: Any) -> str:
-    """A value for people: six numbers in a row are no riddle, sixteen digits are."""
+    """A value for people, with at most four decimals."""
     if isinstance(value, list | tuple):
         return "[" + " ".join(shown(item) for item in value) + "]"
     if isinstance(value, float):
@@ -148,7 +148,7 @@ def shown(value: Any) -> str:
 
 
 def stated(fact: Fact) -> str:
-    """The value, and for a pose how well it is known."""
+    """The value; for a pose also its spread."""
     words = in_words(fact.spread)
     value = UNITS.get(fact.key.rpartition(".")[2], shown)(fact.value)
     return f"{value} +- {words}" if words else value

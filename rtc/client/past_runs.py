@@ -1,8 +1,7 @@
 """Commands of a cluster that has ended, read from the journal that its broker left behind.
 
 Reads the table `stories` of `broker/persistence/journal.py` in the file itself, read-only, and needs no process.
-Times in a record
-are CLOCK_MONOTONIC seconds; `Past.wall_s` makes a date of them.
+Times in a record are CLOCK_MONOTONIC seconds; `Past.wall_s` converts them to Unix time.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Scenarios that bring their own cluster and tell their story."""
+"""Scenarios that start their own cluster, comment on its work and check the results."""

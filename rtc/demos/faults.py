@@ -1,8 +1,7 @@
 """Demo of faults: workers, broker and MCM are killed during motions, and a halt is sent under full load.
 
 Every chapter checks that the commands continue, or that their outcomes are true. The demo uses `rtc.client.client` as
-any user
-does; `rtc.runtime.chaos` kills processes from outside.
+any user does; `rtc.runtime.chaos` kills processes from outside.
 """
 
 from __future__ import annotations
@@ -34,23 +33,23 @@ STOWS = ["STOW RIGHT-ARM", "STOW LEFT-ARM"]
 FAR = {"RIGHT-ARM": "MOVE RIGHT-ARM TO JOINTS -60 110 -160 0 50 0 DEG JOINT-MOTION",
        "LEFT-ARM": "MOVE LEFT-ARM TO JOINTS 60 110 -160 0 50 0 DEG JOINT-MOTION"}  # fmt: skip
 PAIRS = [FAR["RIGHT-ARM"], FAR["LEFT-ARM"], *STOWS]
-REFUSED = "LIFT MACS-OLD BY 5 CM"  # nobody holds it; parsed and planned all the same
+REFUSED = "LIFT MACS-OLD BY 5 CM"  # no hand holds it; it is parsed and planned before it is refused
 
 COMMAND_S = 40.0  # time limit of a command
 BACK_S = 15.0
-JOB_AGAIN_S = 1.0  # until a killed worker's job is done by another; the figure itself is told
-HUNG_S = 6.0  # until a stopped worker is found and replaced
+JOB_AGAIN_S = 1.0  # limit until another worker has done the job of a killed one; the time is printed
+HUNG_S = 6.0  # limit until a stopped worker is detected and replaced
 BROKER_S = 1.0
 MCM_S = 3.0
 HALT_S = 0.05  # from the call to the first decelerating tick, all cores busy
 MOVING_RAD_S = 0.05
-AT_SPEED_RAD_S = 0.2  # well past the beginning of a motion, and far from its end
-JUDGED_S = 0.25  # how long an arm is looked at, at least: a broker may be back before the next sample of telemetry
-TRIES = 4  # of each, to catch a worker in the milliseconds of a bind
+AT_SPEED_RAD_S = 0.2  # reached only between the start and the end of a motion
+JUDGED_S = 0.25  # minimum time of observing an arm: a broker may be back before the next telemetry sample
+TRIES = 4  # attempts to meet a worker in the milliseconds of a bind
 
 
-def tell(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
-    """Run it all; True when every check passed. Leaves nothing running."""
+def run(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
+    """Run all chapters; True if every check passed. Ends all processes."""
     narrator = Narrator(console)
     narrator.chapter(
         "A cluster: broker, world database, eight workers (two of each kind), and two arms that move exactly"
@@ -66,7 +65,7 @@ def tell(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
 
 
 class _Faults:
-    """`rtc` gives the commands, `asking` looks at the cluster meanwhile."""
+    """`rtc` submits the commands; `asking` queries the cluster meanwhile."""
 
     def __init__(self, narrator: Narrator, rtc: Client, asking: Client, chaos: Chaos) -> None:
         self.narrator, self.rtc, self.asking, self.chaos = narrator, rtc, asking, chaos
@@ -83,13 +82,11 @@ class _Faults:
     # --- the chapters ----------------------------------------------------------------------------------
 
     def parallel(self) -> None:
-        self.narrator.chapter(
-            "Four commands at once: what needs different arms goes on at the same time, the rest waits"
-        )
+        self.narrator.chapter("Four commands at once: those for different arms run at the same time, the others wait")
         began_s = time.monotonic()
         ends = self.rtc.run_many([*STOWS, *PAIRS[:2]], timeout_s=COMMAND_S)
         took_s = time.monotonic() - began_s
-        alone_s = sum(end.took_s for end in ends[2:])  # each with the one it had to wait for
+        alone_s = sum(end.took_s for end in ends[2:])  # each includes the time of the command before it
         self.narrator.check("all four succeeded", all(end.outcome.kind is OutcomeKind.SUCCEEDED for end in ends))
         self.narrator.check(f"they took {took_s:.1f} s; one after the other {alone_s:.1f} s", took_s < 0.75 * alone_s)
 
@@ -97,13 +94,13 @@ class _Faults:
         self.narrator.chapter("kill -9 of a binder in the middle of a bind")
         caught = next(filter(None, map(self._strike_in_bind, TRIES * STOWS)), None)
         if caught is None:
-            self.narrator.check("a binder was met with a job in its hands", False)
+            self.narrator.check("a binder was killed while it had a job", False)
             return
-        strike, end, told, done = caught
+        strike, end, lost, done = caught
         self.narrator.line(f"{strike.name} (pid {strike.pid}) killed while it was binding {end.command}")
-        self.narrator.line(f"{_ms(told.at_s - strike.at_s)} later the broker knew and gave its job to another")
+        self.narrator.line(f"{_ms(lost.at_s - strike.at_s)} later the broker knew and assigned its job to another")
         took_s = done.at_s - strike.at_s
-        self.narrator.check(f"{done.node} had it done {_ms(took_s)} after the kill", took_s < JOB_AGAIN_S)
+        self.narrator.check(f"{done.node} finished it {_ms(took_s)} after the kill", took_s < JOB_AGAIN_S)
         self.narrator.check(f"{end.command} {end.outcome.kind.value}", end.outcome.kind is OutcomeKind.SUCCEEDED)
         self._check_back(strike, BACK_S)
 
@@ -112,7 +109,7 @@ class _Faults:
         stopper = Chaos(self.rtc.run_dir, random.Random(SEED), stop=True)
         strike = stopper.strike("worker", "binder@2")
         if strike is None:
-            self.narrator.check("there was a binder to be stopped", False)
+            self.narrator.check("a binder was stopped", False)
             return
         self.narrator.line(f"{strike.name} (pid {strike.pid}) stopped; now commands that need it")
         ends = self.rtc.run_many(PAIRS, timeout_s=COMMAND_S)
@@ -131,8 +128,8 @@ class _Faults:
             end = self.rtc.wait(command, COMMAND_S)
         self._check_back(strike, BROKER_S)
         slowest = judged_speed_rad_s(speeds.samples, strike.at_s, strike.back_s or 0.0)
-        self.narrator.check(f"the arm went on meanwhile, at {slowest:.2f} rad/s or more", slowest > MOVING_RAD_S)
-        self.narrator.check(f"the result arrived all the same: {end.command} {end.outcome.kind.value}",
+        self.narrator.check(f"the arm moved on meanwhile, at {slowest:.2f} rad/s or more", slowest > MOVING_RAD_S)
+        self.narrator.check(f"the result still arrived: {end.command} {end.outcome.kind.value}",
                          end.outcome.kind is OutcomeKind.SUCCEEDED)  # fmt: skip
         notes = [note.note for note in self.asking.trace(command).notes]
         self.narrator.check("it was sent to the arm once", sum(note == "started" for note in notes) == 1)
@@ -143,22 +140,22 @@ class _Faults:
         with _watch(self.rtc, arm) as speeds:
             command = self.rtc.submit("STOW RIGHT-ARM")
             speeds.await_motion()
-            time.sleep(0.5)  # let it come away from where it was last known to be
+            time.sleep(0.5)  # let it leave its last known position
             strike = self.chaos.strike("mcm")
             assert strike is not None
             end = self.rtc.wait(command, COMMAND_S)
         self.narrator.line(f"MCM (pid {strike.pid}) killed; {command}: {end.outcome.message}")
         self.narrator.check(
-            f"{command} is told as {end.outcome.kind.value}", end.outcome.kind is OutcomeKind.LOST_SUBSYSTEM
+            f"{command} is reported as {end.outcome.kind.value}", end.outcome.kind is OutcomeKind.LOST_SUBSYSTEM
         )
         fact = self.rtc.world.view(keys=[f"{arm}.joints"]).facts[0]
         self.narrator.check(
-            f"where {arm} is, the world calls {fact.validity.value}", fact.validity is m.Validity.SUSPECT
+            f"the world's position of {arm} is {fact.validity.value}", fact.validity is m.Validity.SUSPECT
         )
         self._check_back(strike, MCM_S)
         first = self.rtc.run("STOW RIGHT-ARM", timeout_s=COMMAND_S)
         if first.outcome.kind is OutcomeKind.FAILED:
-            self.narrator.line(f"{first.command}: {first.outcome.message[:100]}... so now it is known")
+            self.narrator.line(f"{first.command}: {first.outcome.message[:100]}... now the position is known")
             first = self.rtc.run("STOW RIGHT-ARM", timeout_s=COMMAND_S)
         self.narrator.check(f"the arm can be used again: {first.command} {first.outcome.kind.value}",
                          first.outcome.kind is OutcomeKind.SUCCEEDED)  # fmt: skip
@@ -178,8 +175,8 @@ class _Faults:
         )
         rest_s = max((sub.rest_s or 0.0 for sub in halted.subsystems), default=0.0)
         self.narrator.check(f"rest is confirmed, {_ms(rest_s)} after the call", halted.confirmed)
-        told = {end.outcome.kind for end in ends}
-        self.narrator.check("the commands are told as halted", told == {OutcomeKind.HALTED})
+        known = {end.outcome.kind for end in ends}
+        self.narrator.check("the commands are reported as halted", known == {OutcomeKind.HALTED})
         end = self.rtc.run("STOW RIGHT-ARM", timeout_s=COMMAND_S)
         self.narrator.check(f"a new command works at once: {end.command} {end.outcome.kind.value}",
                          end.outcome.kind is OutcomeKind.SUCCEEDED)  # fmt: skip
@@ -190,27 +187,29 @@ class _Faults:
             if row.restarts:
                 self.narrator.line(f"{row.name}: {row.restarts} restart{'s' * (row.restarts > 1)}, {row.state}")
         live = self.asking.status()["commands_live"]
-        self.narrator.check(f"{live} commands are left without an end", live == 0)
+        self.narrator.check(f"{live} commands have no end", live == 0)
 
     # --- inside ----------------------------------------------------------------------------------------
 
     def _strike_in_bind(self, text: str) -> tuple[Strike, m.CommandEnded, m.ProgressNote, m.ProgressNote] | None:
-        """Run this sentence, and kill the binder that has got its job: (who was killed, the end, the note that the job
-        was given out again, the note of who then did it). None when the binder was quicker."""
+        """Run this sentence, and kill the binder that has its job; None if the binder was faster.
+
+        Returns the strike, the end, the note about the new assignment, and the note of the worker that did the job.
+        """
         struck: list[Strike] = []
 
-        def heard(note: m.ProgressNote) -> None:
+        def on_note(note: m.ProgressNote) -> None:
             if note.phase is m.Phase.BINDING and not struck:
                 for worker in self.asking.status()["workers"]:
                     if worker["kind"] == "binder" and worker["busy_with"].partition("/")[0] == note.command:
                         strike = self.chaos.strike("worker", worker["name"])
                         struck.extend([strike] if strike else [])
 
-        end = self.rtc.run(text, heard, COMMAND_S)
+        end = self.rtc.run(text, on_note, COMMAND_S)
         notes = self.asking.trace(end.command).notes
-        for told, done in pairwise(notes):
-            if struck and told.note.startswith(f"{struck[0].name} lost"):
-                return struck[0], end, told, done
+        for lost, done in pairwise(notes):
+            if struck and lost.note.startswith(f"{struck[0].name} lost"):
+                return struck[0], end, lost, done
         return None
 
     def _check_back(self, strike: Strike, limit_s: float, chaos: Chaos | None = None) -> None:
@@ -227,11 +226,11 @@ class _Faults:
 
 
 class _Speeds:
-    """How fast an arm moved, sample by sample, heard beside everything else."""
+    """Speed of an arm, sample by sample, received in a thread of its own."""
 
     def __init__(self, rtc: Client, arm: str) -> None:
         self._client = Client(rtc.run_dir, need_broker=False)
-        self._arm, self.samples = arm, list[tuple[float, float]]()  # (when, rad/s)
+        self._arm, self.samples = arm, list[tuple[float, float]]()  # (time, rad/s)
         self._moves, self._over = threading.Event(), False
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
@@ -255,8 +254,10 @@ class _Speeds:
 
 
 def judged_speed_rad_s(samples: Iterable[tuple[float, float]], struck_s: float, back_s: float) -> float:
-    """The lowest speed of the samples (when, rad/s) from a strike until the process was back, and at least for a
-    quarter of a second; 0 when there is none."""
+    """The lowest speed of the samples (time, rad/s) from a strike until the process was back; 0 without samples.
+
+    At least JUDGED_S are observed.
+    """
     until_s = struck_s + max(back_s, JUDGED_S)
     return min((speed for at_s, speed in samples if struck_s <= at_s <= until_s), default=0.0)
 
@@ -272,19 +273,19 @@ def _watch(rtc: Client, arm: str) -> Iterator[_Speeds]:
 
 @contextmanager
 def _load(run_dir: Path) -> Iterator[None]:
-    """A busy process for every core, and sentences through parsers and elaborators, over and over."""
+    """A busy process per core, and a continuous stream of sentences through parsers and elaborators."""
     over = threading.Event()
 
-    def say() -> None:
+    def submit() -> None:
         with Client(run_dir) as other:
             while not over.is_set():
                 other.run_many([REFUSED] * 4, timeout_s=COMMAND_S)
 
-    talking = threading.Thread(target=say)
+    talker = threading.Thread(target=submit)
     me = os.getpid()
     burn = [sys.executable, "-c", "while True: pass"]
     burning = [subprocess.Popen(burn, preexec_fn=lambda: die_with_parent(me)) for _ in range(os.cpu_count() or 1)]
-    talking.start()
+    talker.start()
     try:
         yield
     finally:
@@ -292,7 +293,7 @@ def _load(run_dir: Path) -> Iterator[None]:
         for process in burning:
             process.kill()
             process.wait()
-        talking.join()
+        talker.join()
 
 
 def _ms(seconds: float) -> str:

@@ -1,8 +1,7 @@
 """Demo of the main task: two arms grasp and lift a module each, are halted in motion, continue, put back and stow.
 
 The results are checked against the simulator's true poses. The demo uses `rtc.client.client` as any user does; only
-the checks
-query the simulator.
+the checks query the simulator.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.robot import geometry
 
-HELD = {"RIGHT-ARM": "MACS-NEW", "LEFT-ARM": "MACS-OLD"}  # which arm carries what
+HELD = {"RIGHT-ARM": "MACS-NEW", "LEFT-ARM": "MACS-OLD"}  # module that each arm carries
 GRASPS = ["GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", "GRASP LEFT-END-EFF MACS-OLD HANDLE-B"]
 LIFTS = ["LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM", "LIFT MACS-OLD BY 15 CM WITH LEFT-ARM"]
 MOVE = "MOVE RIGHT-ARM TO BAY-2-FRONT"
@@ -32,20 +31,20 @@ VERIFY = "VERIFY MACS-NEW AT RIGHT-END-EFF"
 PLACES = ["PLACE MACS-NEW ON RACK-1 WITH RIGHT-ARM", "PLACE MACS-OLD ON RACK-2 WITH LEFT-ARM"]
 STOWS = ["STOW RIGHT-ARM", "STOW LEFT-ARM"]
 
-SLIP_M = 0.002  # how far a module may move in the hand while it is lifted
-BELIEF_M = 0.005  # how far the world's fact may be from the truth
-LIFTED_M = 0.14  # of the 0.15 that was asked for
-SEATED_M = 0.005  # how far from its seat a module may be in the end
+SLIP_M = 0.002  # maximum motion of a module in the hand during the lift
+WORLD_ERROR_M = 0.005  # maximum difference of the world's fact from the true pose
+LIFTED_M = 0.14  # minimum of the commanded 0.15
+SEATED_M = 0.005  # maximum distance of a module from its seat at the end
 STOWED_RAD = 0.01
-UNDER_WAY_M = 0.08  # how far the tool has gone when we call the halt
+UNDER_WAY_M = 0.08  # distance that the tool has moved at the call of the halt
 COMMAND_S = 90.0  # time limit of a command
 RENDER_S = 60.0
-REST_S = 5.0  # for the arm to come to rest, and say so
+REST_S = 5.0  # limit until the arm reports rest
 
 
 @dataclass
 class Overlap:
-    """Hears progress; knows whether two commands were executing at the same time."""
+    """Receives progress notes; knows whether two commands executed at the same time."""
 
     narrator: Narrator
     executing: set[str] = field(default_factory=set)
@@ -61,21 +60,21 @@ class Overlap:
         self.seen |= len(self.executing) > 1
 
 
-def tell(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
-    """Run it all; True when every check passed. Leaves pictures in `out`, and nothing running."""
+def run(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
+    """Run the demo; True if every check passed. Writes pictures to `out`; ends all processes."""
     narrator = Narrator(console)
     narrator.chapter("A cluster: broker, world database, four workers, and two PUMA 560 arms in a physics simulator")
     with own_cluster(speed=speed) as run_dir, Client(run_dir) as rtc:
         narrator.line(f"ready; {len(rtc.status().get('workers', []))} workers, run directory {run_dir}")
         pictures = Pictures(out)
-        _told(narrator, rtc, pictures)
+        _run(narrator, rtc, pictures)
     narrator.line("everything stopped")
     pictures.check(narrator)
     return narrator.passed()
 
 
-def _told(narrator: Narrator, rtc: Client, pictures: Pictures) -> None:
-    narrator.chapter("Two grasps at once; the cluster finds by itself that they need different arms")
+def _run(narrator: Narrator, rtc: Client, pictures: Pictures) -> None:
+    narrator.chapter("Two grasps at once; the cluster detects that they need different arms")
     if not _all(narrator, rtc, GRASPS, together=True):
         return
     gripped = rtc.truth()
@@ -85,13 +84,13 @@ def _told(narrator: Narrator, rtc: Client, pictures: Pictures) -> None:
     if not _all(narrator, rtc, LIFTS, together=True):
         return
     _check_followed(narrator, gripped, lifted := rtc.truth())
-    _check_belief(narrator, rtc, lifted)
+    _check_world(narrator, rtc, lifted)
     pictures.take("2-lifted", lifted)
 
     narrator.chapter(f"{MOVE}, and a halt in the middle of it")
     _check_halt(narrator, rtc)
 
-    narrator.chapter("After a halt what was carried is not trusted: feel whether it is still in the hand, then go on")
+    narrator.chapter("After a halt a carried object is in doubt: feel whether it is still in the hand, then continue")
     if not _all(narrator, rtc, [VERIFY]) or not _all(narrator, rtc, [MOVE]):
         return
 
@@ -101,16 +100,16 @@ def _told(narrator: Narrator, rtc: Client, pictures: Pictures) -> None:
     ended = rtc.truth()
     _check_put_back(narrator, gripped, ended)
     _check_stowed(narrator, rtc, ended)
-    _check_belief(narrator, rtc, ended)
+    _check_world(narrator, rtc, ended)
     pictures.take("3-put-back", ended)
 
 
 def _all(narrator: Narrator, rtc: Client, texts: list[str], *, together: bool = False) -> bool:
-    """Say these sentences and see them through; False (with the reason told) when one did not succeed."""
+    """Submit these sentences and wait for them; False, with the reason printed, if one did not succeed."""
     overlap = Overlap(narrator)
 
     def accepted(n: int, command: str) -> None:
-        narrator.line(f"{command}  said: {texts[n]}")
+        narrator.line(f"{command}  submitted: {texts[n]}")
 
     def ended(_: int, end: m.CommandEnded) -> None:
         narrator.line(
@@ -130,7 +129,7 @@ def _check_halt(narrator: Narrator, rtc: Client) -> None:
     samples = rtc.telemetry(silence_s=5.0)
     start = next(samples).arms["RIGHT-ARM"].tcp_pose
     command = rtc.submit(MOVE)
-    narrator.line(f"{command}  said: {MOVE}")
+    narrator.line(f"{command}  submitted: {MOVE}")
     for sample in samples:
         if math.dist(sample.arms["RIGHT-ARM"].tcp_pose[:3], start[:3]) > UNDER_WAY_M:
             break
@@ -154,16 +153,16 @@ def _check_followed(narrator: Narrator, before: m.SimTruthReply, after: m.SimTru
 
 
 def _in_hand(truth: m.SimTruthReply, arm: str, module: str) -> list[float]:
-    """Where the module's origin is in tool axes."""
+    """Position of the module's origin in tool axes."""
     return geometry.compose(geometry.inverse(truth.tcp[arm]), truth.poses[module])[:3].tolist()
 
 
-def _check_belief(narrator: Narrator, rtc: Client, truth: m.SimTruthReply) -> None:
+def _check_world(narrator: Narrator, rtc: Client, truth: m.SimTruthReply) -> None:
     for module in HELD.values():
         fact = rtc.world.view(keys=[f"{module}.frame"]).facts[0]
         off_m = math.dist(fact.value[:3], truth.poses[module][:3])
-        what = f"the world believes {module} {off_m * 1e3:.2f} mm from where it is ({fact.validity.value})"
-        narrator.check(what, off_m <= BELIEF_M and fact.validity is m.Validity.VALID)
+        what = f"the world's pose of {module} is {off_m * 1e3:.2f} mm off ({fact.validity.value})"
+        narrator.check(what, off_m <= WORLD_ERROR_M and fact.validity is m.Validity.VALID)
 
 
 def _check_put_back(narrator: Narrator, before: m.SimTruthReply, after: m.SimTruthReply) -> None:
@@ -180,7 +179,7 @@ def _check_stowed(narrator: Narrator, rtc: Client, truth: m.SimTruthReply) -> No
 
 
 class Pictures:
-    """Drawn by other processes, because drawing needs the simulator's library, and while the demo goes on."""
+    """Pictures, drawn by other processes: drawing needs the simulator's library, and the demo continues meanwhile."""
 
     def __init__(self, out: Path) -> None:
         self._out = out
@@ -192,12 +191,12 @@ class Pictures:
         file.unlink(missing_ok=True)
         data = file.with_suffix(".json")
         data.write_bytes(msgspec.json.encode(truth))
-        # nice: the simulator's ticks go first.
+        # nice: the simulator's ticks have priority.
         command = ["nice", "-n", "15", sys.executable, "-P", "-m", "sim_mcm.render", "--truth", str(data)]
         self._under_way.append((file, subprocess.Popen([*command, "--out", str(file)], stderr=subprocess.DEVNULL)))
 
     def check(self, narrator: Narrator) -> None:
-        """Wait for all of them."""
+        """Wait for all pictures."""
         for file, drawing in self._under_way:
             try:
                 drawing.wait(RENDER_S)

@@ -1,10 +1,9 @@
 """Worker programs: read from files, checked, merged by LOAD, encoded canonically.
 
 The program of the parser is its grammar. The other programs are documents of `rtc.programs.schema`, stored as YAML
-files
-under `programs/KIND/`. Each file holds sections of one document. A file in `scripts/` or `pieces/` holds one item and
-may add its own table rows, so that one file can add a skill. The canonical form is JSON with sorted keys, so that equal
-programs have equal digests. Each fault raises a ProgramError that names the place.
+files under `programs/KIND/`. Each file holds sections of one document. A file in `scripts/` or `pieces/` holds one item
+and may add its own table rows, so that one file can add a skill. The canonical form is JSON with sorted keys, so that
+equal programs have equal digests. Each fault raises a ProgramError that names the place.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 A grammar of a few hundred bytes can take minutes or overflow the stack when it is compiled, so the broker must not
 compile it. `check` is the check itself. `Process` runs it in a child (`python -m rtc.programs.sandbox`), which the
-kernel
-kills at its limits. A program that kills the child or exceeds the time is refused with the reason.
+kernel kills at its limits. A program that kills the child or exceeds the time is refused with the reason.
 """
 
 from __future__ import annotations

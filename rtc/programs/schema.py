@@ -22,14 +22,14 @@ Positive = Annotated[float, Meta(gt=0)]
 Then = Literal["retry_step", "restart_script", "skip", "replace_rest", "give_up"]
 
 
-class Part(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
+class ProgramPart(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
     """Base of all parts of a program: an unknown field is an error."""
 
 
 # --- elaborator ----------------------------------------------------------------------------------------
 
 
-class Check(Part, frozen=True, kw_only=True):
+class Check(ProgramPart, frozen=True, kw_only=True):
     """One condition of the decision tree: all fields that are set must hold. Paths are fields of ParsedCommand."""
 
     given: str = ""  # this field of the command must be set: place.joints
@@ -41,7 +41,7 @@ class Check(Part, frozen=True, kw_only=True):
     at_most: Expression | None = None
 
 
-class Branch(Part, frozen=True, kw_only=True):
+class Branch(ProgramPart, frozen=True, kw_only=True):
     """A verb, its conditions and its script. All branches that hold are candidates, the likeliest first (R28)."""
 
     verb: str
@@ -51,7 +51,7 @@ class Branch(Part, frozen=True, kw_only=True):
     enabled: bool = True
 
 
-class TableRow(Part, frozen=True, kw_only=True):
+class TableRow(ProgramPart, frozen=True, kw_only=True):
     """A cell of the command-object table (R88): parameters of a verb for a kind of object or one named object."""
 
     verb: str
@@ -60,7 +60,7 @@ class TableRow(Part, frozen=True, kw_only=True):
     values: dict[str, float]
 
 
-class PlanLine(Part, frozen=True, kw_only=True):
+class PlanLine(ProgramPart, frozen=True, kw_only=True):
     """How one binding is computed, backwards from the goal (R134): an anchor and an offset from it."""
 
     name: str
@@ -71,7 +71,7 @@ class PlanLine(Part, frozen=True, kw_only=True):
     near: str = ""  # line whose joint values the IK solution must be nearest to
 
 
-class ScriptStep(Part, frozen=True, kw_only=True):
+class ScriptStep(ProgramPart, frozen=True, kw_only=True):
     """One line of a script, as in Figure 4: do, resource, destination, stop class, space, and the pair of trims."""
 
     do: str
@@ -90,7 +90,7 @@ class ScriptStep(Part, frozen=True, kw_only=True):
     words: dict[str, str] = {}  # passed on unchanged: an axis, the effect of success
 
 
-class TrimEntry(Part, frozen=True, kw_only=True):
+class TrimEntry(ProgramPart, frozen=True, kw_only=True):
     """`1 "active_object vision"`: a corrective piece of script, and how to go on after it (A11, A16)."""
 
     n: Annotated[int, Meta(ge=1)]
@@ -100,7 +100,7 @@ class TrimEntry(Part, frozen=True, kw_only=True):
     fits: list[StopReason] = []
 
 
-class ScriptFile(Part, frozen=True, kw_only=True):
+class ScriptFile(ProgramPart, frozen=True, kw_only=True):
     script: str
     about: str = ""
     case: Case
@@ -114,7 +114,7 @@ class ScriptFile(Part, frozen=True, kw_only=True):
     trimming_stack: list[TrimEntry] = []
 
 
-class Piece(Part, frozen=True, kw_only=True):
+class Piece(ProgramPart, frozen=True, kw_only=True):
     """A corrective piece of script, named by the skill that trimming stacks refer to."""
 
     skill: str
@@ -122,7 +122,7 @@ class Piece(Part, frozen=True, kw_only=True):
     steps: list[ScriptStep]
 
 
-class Tellable(Part, frozen=True, kw_only=True):
+class SettableAttribute(ProgramPart, frozen=True, kw_only=True):
     """An attribute that SET may change, and the form of its value."""
 
     unit: str = ""  # SI unit, as in a record; empty: the value is a name
@@ -131,7 +131,7 @@ class Tellable(Part, frozen=True, kw_only=True):
     example: str  # "71.5 12 28 CM"
 
 
-class ActsOn(Part, frozen=True, kw_only=True):
+class ActsOn(ProgramPart, frozen=True, kw_only=True):
     """The steps that a constraint acts on: all fields that are set must match."""
 
     do: str = ""
@@ -139,7 +139,7 @@ class ActsOn(Part, frozen=True, kw_only=True):
     about: str  # the same as text
 
 
-class ElaboratorProgram(Part, frozen=True, kw_only=True):
+class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True):
     decision_tree: list[Branch]
     command_object_table: list[TableRow]
     scripts: list[ScriptFile]
@@ -149,7 +149,7 @@ class ElaboratorProgram(Part, frozen=True, kw_only=True):
     not_yet: dict[str, str] = {}  # field of the command -> reason for its refusal
     instead: dict[str, str] = {}  # verb without a script -> a command with the same or a similar effect
     needs: dict[str, str] = {}  # registered condition of the world -> a command that makes it true
-    told: dict[str, Tellable] = {}  # attribute that SET may change -> form of its value
+    told: dict[str, SettableAttribute] = {}  # attribute that SET may change -> form of its value
     told_of_seats: list[str] = []  # those of `told` that SET may change for a seat
     not_told: dict[str, str] = {}  # attribute that SET may not change -> the command that measures it
     clears: dict[str, str] = {}  # attribute of a fact -> a command that makes it valid again
@@ -159,7 +159,7 @@ class ElaboratorProgram(Part, frozen=True, kw_only=True):
 # --- binder --------------------------------------------------------------------------------------------
 
 
-class StopRow(Part, frozen=True, kw_only=True):
+class StopRow(ProgramPart, frozen=True, kw_only=True):
     """One row of F: a stop reason, the tag of a predicate of `rtc.protocol.primitive`, and its limit over the current
     values."""
 
@@ -172,7 +172,7 @@ class StopRow(Part, frozen=True, kw_only=True):
     back_off_m: float = 0.0
 
 
-class StopClass(Part, frozen=True, kw_only=True):
+class StopClass(ProgramPart, frozen=True, kw_only=True):
     """A stop class, the third column of a script: F, the default M (A14) and their parameters."""
 
     about: str = ""
@@ -184,7 +184,7 @@ class StopClass(Part, frozen=True, kw_only=True):
     values: dict[str, Expression] = {}  # speed_m_s, force_n, contact_n ..., over the numbers of the cell
 
 
-class BinderProgram(Part, frozen=True, kw_only=True):
+class BinderProgram(ProgramPart, frozen=True, kw_only=True):
     actions: dict[str, str]  # `do` of a step -> registered algorithm
     stop_classes: dict[str, StopClass]
     hand: dict[str, str]  # `op` of a hand (open, close) -> stop class
@@ -199,7 +199,7 @@ class BinderProgram(Part, frozen=True, kw_only=True):
 # --- analyzer ------------------------------------------------------------------------------------------
 
 
-class OutcomeClass(Part, frozen=True, kw_only=True):
+class OutcomeClass(ProgramPart, frozen=True, kw_only=True):
     """A failure class: its message, the facts that become suspect, and how to clear them.
 
     Texts may contain placeholders: {reason} {measured} {limit} {unit} {message} {arm} {object} {point} {target}.
@@ -215,7 +215,7 @@ class OutcomeClass(Part, frozen=True, kw_only=True):
     retriable: bool = True  # a trim may be tried
 
 
-class AnalyzerProgram(Part, frozen=True, kw_only=True):
+class AnalyzerProgram(ProgramPart, frozen=True, kw_only=True):
     outcomes: dict[str, dict[StopReason, str]]  # row (see program_fit.row_of) -> stop reason -> failure class
     derived: dict[str, dict[str, StopReason]] = {}  # row -> defect of a nominal end -> stop reason that it counts as
     classes: dict[str, OutcomeClass]

@@ -2,12 +2,11 @@
 
 Every message is a frozen struct, on the wire a MessagePack map whose key "type" holds the name of the class (see
 `rtc.protocol.wire`, the only module that encodes). Unknown keys are ignored and missing keys take their defaults, so
-that
-different versions can communicate (R42).
+that different versions can communicate (R42).
 
 Times that end in `_at_s` are CLOCK_MONOTONIC seconds of the machine they were taken on, comparable between
 the processes of one host; `_s` is a duration. Poses are [x y z qx qy qz qw] (m, unit quaternion), in world
-axes unless a `frame` says otherwise. A wrench is [Fx Fy Fz Tx Ty Tz] (N, N.m) that the environment exerts on
+axes unless a `frame` states another. A wrench is [Fx Fy Fz Tx Ty Tz] (N, N.m) that the environment exerts on
 the hand, in tool axes at the tcp. Names are upper case.
 """
 
@@ -386,7 +385,8 @@ class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     guarded: bool = False
     reflexes: list[ReflexItem] = []
     fits: dict[int, list[StopReason]] = {}  # entry of the trimming stack -> failures it may correct; empty = any
-    told: dict[str, Any] = {}  # facts stated by the sentence itself, by key, SI
+    # Facts stated by the sentence itself, by key, SI.
+    stated: dict[str, Any] = msgspec.field(default_factory=dict, name="told")
 
 
 class Script(Message, frozen=True, kw_only=True):
@@ -448,12 +448,14 @@ class AnalyzerInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
 
 
 class BoundStep(Message, frozen=True, kw_only=True):
-    """Product of a binder: a primitive and what is expected of it; or bindings, for a step without motion; or `told`,
-    a report made of facts that the operator stated, which needs no subsystem but an analyzer."""
+    """Product of a binder: a primitive with its expected result, or bindings for a step without motion, or `report`.
+
+    `report` has the facts that the operator stated; it goes to an analyzer without a subsystem.
+    """
 
     subsystem: str = ""  # "MCM"; empty = nothing to execute
     primitive: Primitive | None = None
-    told: EndReport | None = None
+    report: EndReport | None = msgspec.field(default=None, name="told")
     evaluation: EvaluationContext | None = None
     bindings: dict[str, Binding] = {}
     limit_s: float = 0.0  # time limit of the end report, above the time limit of the primitive itself

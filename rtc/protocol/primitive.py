@@ -1,13 +1,13 @@
 """The primitive T = (P, M, F, R): the only order for motion to a subsystem (paper, section 4; R60-R67).
 
-    P  trajectory      what to do: positions over time, or what the hand shall do
+    P  trajectory      what to do: positions over time, or a command of the hand
     M  control_law     how the servo follows it
     F  stop_functions  when to stop, and what to do then; complete, in fixed priority
-    R  reporting       what to tell beyond the standard report
+    R  reporting       what to report beyond the standard end report
 
-Frames and numbers only: no object, no verb, no sentence stands in a primitive (R15). All values SI.
+A primitive contains frames and numbers only, neither objects, verbs nor sentences (R15). All values are SI.
 Joint order is that of the arm's URDF. `tcp` is the tool centre point; tool z points out of the palm, the
-fingers close along tool y. A primitive checks itself when made: what the MCM gets is already whole.
+fingers close along tool y. A primitive checks itself when it is constructed, so the MCM never gets an incomplete one.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from rtc.protocol.outcomes import PRIORITY, Reflex, StopReason
 
 Vector = list[float]
 
-LONGEST_S = 1e6  # a primitive with a later end has none
-HEAVIEST_KG, FARTHEST_M, MOST_INERTIA_KG_M2 = 1000.0, 10.0, 1000.0  # a load beyond is an error of its unit
+LONGEST_S = 1e6  # maximum duration; a larger value counts as an error
+HEAVIEST_KG, FARTHEST_M, MOST_INERTIA_KG_M2 = 1000.0, 10.0, 1000.0  # a larger load is an error of its unit
 
 
 class JointTrajectory(msgspec.Struct, frozen=True, kw_only=True, tag="joint-trajectory"):
     """P for an arm: knots, joined by quintic Hermite polynomials. Starts and ends at rest.
 
     `positions[k][j]` rad at `time_s[k]`; velocities rad/s, accelerations rad/s^2 of the same shape.
-    `space` tells what the path is a line in; the knots are joint values in both cases.
+    `space`: the space in which the path is a line; the knots are joint values in both cases.
     """
 
     space: Literal["joint", "task"]
@@ -58,7 +58,7 @@ class JointTrajectory(msgspec.Struct, frozen=True, kw_only=True, tag="joint-traj
 class HandMotion(msgspec.Struct, frozen=True, kw_only=True, tag="hand-motion"):
     """P for a parallel gripper: bring the opening to `width_m` at `speed_m_s`, pressing with at most `force_n`.
 
-    Closing on something goes on until `force_n` is pressed by both fingers, which then is held.
+    Closing on an object continues until both fingers press with `force_n`; this force is then kept.
     """
 
     width_m: float
@@ -67,7 +67,7 @@ class HandMotion(msgspec.Struct, frozen=True, kw_only=True, tag="hand-motion"):
 
 
 class HoldStill(msgspec.Struct, frozen=True, kw_only=True, tag="hold-still"):
-    """P for an arm: stay where it is; None = until stopped or its time limit."""
+    """P for an arm: keep the position for `duration_s`; None = until it is stopped or its time limit passes."""
 
     duration_s: float | None = None
 
@@ -76,7 +76,7 @@ Trajectory = JointTrajectory | HandMotion | HoldStill
 
 
 class Load(msgspec.Struct, frozen=True, kw_only=True):
-    """What the hand carries, as a body: in tcp axes."""
+    """The load in the hand as a rigid body, in tcp axes."""
 
     mass_kg: float
     com_m: Vector  # centre of mass
@@ -97,9 +97,9 @@ class Load(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """M: the registered name of a control law ('position': computed torque) and what it may be given.
+    """M: the registered name of a control law ('position': computed torque) and its gains.
 
-    `load` is what the hand carries: an arm that does not know of it swings with it.
+    `load`: the body in the hand; without it the control law would let the arm swing.
     """
 
     name: str = "position"
@@ -111,7 +111,7 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class GoalReached(msgspec.Struct, frozen=True, tag="goal-reached"):
-    """The trajectory is done and the arm has settled; or the hand has its width, or presses with its force."""
+    """The trajectory is complete and the arm has settled; or the hand has its width, or presses with its force."""
 
 
 class TimeAbove(msgspec.Struct, frozen=True, tag="time-above"):
@@ -135,13 +135,13 @@ class TorqueAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
 
 
 class SpeedAbove(msgspec.Struct, frozen=True, tag="speed-above"):
-    """A joint is measured faster than `ratio` times its limit. The MCM watches one of its own in every primitive."""
+    """A measured joint speed exceeds `ratio` times its limit. The MCM adds one with its own ratio to each primitive."""
 
     ratio: float
 
 
 class FollowingErrorAbove(msgspec.Struct, frozen=True, tag="following-error-above"):
-    """A joint is measured farther than this from its command. The MCM watches one of its own in every primitive."""
+    """A measured joint is farther than this from its command. The MCM adds one with its own limit to each primitive."""
 
     limit_rad: float
 
@@ -159,7 +159,7 @@ class GripForceBelow(msgspec.Struct, frozen=True, tag="grip-force-below"):
 
 
 class HandWidthBelow(msgspec.Struct, frozen=True, tag="hand-width-below"):
-    limit_m: float  # narrower than the thing held: nothing is held
+    limit_m: float  # less than the width of the held object: a narrower hand holds nothing
 
 
 class TcpNear(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-near"):
@@ -188,20 +188,20 @@ class StopFunction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     reason: StopReason
     when: Predicate
     reflex: Reflex = Reflex.STOP
-    back_off_m: float = 0.0  # for BACK_OFF: along the way it came
+    back_off_m: float = 0.0  # for BACK_OFF: back along the path
 
 
 class Reporting(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """R: the standard end report always holds joints, wrench and reason (R65); this adds to it."""
+    """R: additions to the standard end report, which always has joints, wrench and reason (R65)."""
 
     every_s: float | None = None  # progress reports at this period
 
 
 class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="Primitive"):
-    """T = (P, M, F, R) for one performer. Refuses to exist without a goal and a time limit in F (R82)."""
+    """T = (P, M, F, R) for one performer. The constructor refuses F without a goal and a time limit (R82)."""
 
     id: str  # unique; echoed by every report. "C-7.5@k7f2": see rtc.protocol.primitive_id
-    performer: str  # which arm of the subsystem, e.g. RIGHT-ARM
+    performer: str  # the arm of the subsystem, e.g. RIGHT-ARM
     trajectory: Trajectory
     stop_functions: list[StopFunction]
     control_law: ControlLaw = ControlLaw()

@@ -1,7 +1,7 @@
 """The names of primitives: `C-3.1@k7f2` is the first primitive of command C-3, made in the life k7f2 of the journal.
 
-A broker that lost its journal may number commands as one before it did. The life keeps an old report from answering a
-new primitive. A journal without a life (in tests) makes plain names, `C-3.1`. Pure.
+A broker that lost its journal may use the command numbers of an earlier broker again. The life tells their primitives
+apart, so an old report does not answer a new primitive. Without a life (in tests) names are plain: `C-3.1`. Pure.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ def primitive_id(command: str, n: int, life: str = "") -> str:
 
 
 def command_of(primitive: str) -> str:
-    """C-3 of C-3.1@k7f2. Of a name of another form: what stands before its first point."""
+    """C-3 of C-3.1@k7f2; for a name of another form, the part before its first point."""
     return primitive.partition(".")[0]
 
 
 def belongs_to(primitive: str, command: str, n: int, life: str = "") -> bool:
-    """Whether this is the name that the broker asked the binder for."""
+    """Whether the binder used the name that the broker requested."""
     return primitive == primitive_id(command, n, life)
 
 
@@ -34,5 +34,5 @@ def number_of(primitive: str) -> int:
 
 
 def is_name(primitive: str) -> bool:
-    """Whether it has the form of a primitive's name, with or without a life."""
+    """Whether a text has the form of a primitive's name, with or without a life."""
     return len(primitive) <= LONGEST and _ID.fullmatch(primitive) is not None

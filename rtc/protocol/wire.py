@@ -1,11 +1,11 @@
-"""How messages become bytes, and nothing else: the only file that knows.
+"""Encoding of messages: the only module that converts between messages and bytes.
 
-A message travels as two frames, `PROTOCOL` and a MessagePack map (after the routing frame that ZeroMQ's
-ROUTER sockets add). A reader names the union it is willing to hear; anything else is a `WireError` that says
-what was wrong, never an exception of the codec.
+A message has two frames, `PROTOCOL` and a MessagePack map (after the routing frame that ROUTER sockets of ZeroMQ add).
+A reader is made for a union of message types. Anything else raises a `WireError` with the reason, never an exception
+of the codec.
 
-In place of the map there may be an array of up to `MOST_TOGETHER` maps: the messages that one process had for another
-in one turn of its loop, in their order. A process sends arrays only to a peer that has announced that it reads them.
+In place of the map there may be an array of up to `MOST_TOGETHER` maps: all messages of one loop iteration for one
+peer, in order. A process sends arrays only to a peer that has announced that it reads them.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import msgspec
 from rtc.protocol.outcomes import WireError
 
 PROTOCOL = b"RTC1"
-MAX_BYTES = 8 << 20  # of one frame; ZeroMQ drops the peer that sends more
-MOST_TOGETHER = 64  # messages in one array: it is read as a whole, so it must not hold up a halt
-MOST_BYTES_TOGETHER = 192 << 10  # of an array; below the frame limit of every socket that takes arrays
-NAME_CHARACTERS = 1_000  # of a message that is none; what is kept has shorter ones
+MAX_BYTES = 8 << 20  # maximum size of a frame; ZeroMQ disconnects a peer that sends a larger one
+MOST_TOGETHER = 64  # maximum number of messages in an array; it is read as a whole and must not delay a halt
+MOST_BYTES_TOGETHER = 192 << 10  # maximum size of an array; below the frame limit of every socket that takes arrays
+NAME_CHARACTERS = 1_000  # maximum length of a name read from an invalid message; valid ones are shorter
 
 _encoder = msgspec.msgpack.Encoder()
 _NO_MESSAGE = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, ValueError, OverflowError)
@@ -38,7 +38,7 @@ def raw(value: Any) -> msgspec.Raw:
 
 
 def frames(message: Any) -> list[bytes]:
-    """What to hand to `send_multipart`."""
+    """The frames for `send_multipart`."""
     return [PROTOCOL, _encoder.encode(message)]
 
 
@@ -60,8 +60,10 @@ def reader(union: Any) -> Callable[[Sequence[bytes]], Any]:
 
 
 def reader_of_many(union: Any) -> Callable[[Sequence[bytes]], Sequence[Any]]:
-    """As `reader`, but for a peer that may send arrays: the messages, in order. One bad map spoils its array; see
-    `apart`."""
+    """As `reader`, but for a peer that may send arrays: the messages, in order.
+
+    One invalid map makes its whole array invalid; `apart` separates them.
+    """
     read = reader(union | Annotated[list[union], msgspec.Meta(max_length=MOST_TOGETHER)])
 
     def read_many(parts: Sequence[bytes]) -> Sequence[Any]:
@@ -72,7 +74,7 @@ def reader_of_many(union: Any) -> Callable[[Sequence[bytes]], Sequence[Any]]:
 
 
 def apart(parts: Sequence[bytes]) -> list[Sequence[bytes]]:
-    """The maps of an array as messages of their own, so that each can be judged alone; of anything else, itself."""
+    """The maps of an array as separate messages, each to be decoded alone; any other message unchanged."""
     try:
         body = _body(parts)
         bodies = _read_array(body) if body[:1] in _ARRAY else ()
@@ -84,8 +86,10 @@ def apart(parts: Sequence[bytes]) -> list[Sequence[bytes]]:
 
 
 def together(messages: Sequence[Any]) -> list[list[bytes]]:
-    """The frames to send for these messages (or parts that are encoded already), in order: arrays as long as the
-    bounds allow, and maps for those that stay alone."""
+    """The frames to send for these messages (or already encoded parts), in order.
+
+    Messages are combined to arrays within the limits; a single one is sent as a map.
+    """
     found: list[list[bytes]] = []
     for first in range(0, len(messages), MOST_TOGETHER):
         some = messages[first : first + MOST_TOGETHER]
@@ -107,7 +111,7 @@ def _body(parts: Sequence[bytes]) -> bytes:
     return parts[1]
 
 
-_ARRAY = {*(bytes([first]) for first in range(0x91, 0xA0)), b"\xdc", b"\xdd"}  # how MessagePack begins one
+_ARRAY = {*(bytes([first]) for first in range(0x91, 0xA0)), b"\xdc", b"\xdd"}  # first byte of an array in MessagePack
 _read_array = msgspec.msgpack.Decoder(Annotated[list[msgspec.Raw], msgspec.Meta(max_length=MOST_TOGETHER)]).decode
 
 
@@ -120,8 +124,10 @@ _read_name = msgspec.msgpack.Decoder(_Named).decode
 
 
 def name_in(parts: Sequence[bytes]) -> str:
-    """What its sender calls a message that is none of the protocol, so that he learns which it was; empty when it
-    cannot be seen, or is too long to be said again."""
+    """The sender's name of an invalid message, so that an answer can refer to it.
+
+    Empty if it cannot be read or is longer than NAME_CHARACTERS.
+    """
     try:
         named = _read_name(parts[-1])
     except (*_NO_MESSAGE, IndexError):

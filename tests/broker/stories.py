@@ -223,7 +223,7 @@ def told(value: float = 2.1) -> BoundStep:
     """What somebody says of a thing: a report that no subsystem has made."""
     said = msgspec.structs.replace(report("C-1.1", performer="OPERATOR"), joints=[], facts={"MODULE.mass": value})
     evaluation = EvaluationContext(context=CONTEXT, step=Step(do="tell", label="x"))
-    return BoundStep(told=said, evaluation=evaluation, note="told")
+    return BoundStep(report=said, evaluation=evaluation, note="stated")
 
 
 def report(primitive: str, reason: StopReason = StopReason.GOAL, performer: str = "RIGHT-ARM") -> EndReport:

@@ -30,7 +30,7 @@ class Terminal:
         os.write(self._writes, text.encode())
 
     def hears(self, expected_s: float, phase: Phase = Phase.EXECUTING) -> None:
-        self.steps.heard(ProgressNote(seq=1, at_s=0.0, command="C-7", phase=phase, expected_s=expected_s))
+        self.steps.take(ProgressNote(seq=1, at_s=0.0, command="C-7", phase=phase, expected_s=expected_s))
 
     def close(self) -> None:
         self.steps.drop()

@@ -39,7 +39,7 @@ def test_all_of_it() -> None:
 
     assert lines == [
         "LEFT-ARM pose: x 48.0 y -8.5 z 70.0 cm, roll 5.7 pitch 11.5 yaw -17.2 deg",
-        "LEFT-ARM forces: 1.0 0.0 -2.0 N, torques: 0.00 0.50 0.00 Nm (tool axes); most on the way 3.0 N, 0.60 Nm",
+        "LEFT-ARM forces: 1.0 0.0 -2.0 N, torques: 0.00 0.50 0.00 Nm (tool axes); peak on the way 3.0 N, 0.60 Nm",
     ]
 
 

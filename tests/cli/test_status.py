@@ -24,6 +24,6 @@ def test_programs_are_named_by_file_and_age() -> None:
     loaded = {"elaborator": {"file": "my_lift.yaml", "age_s": 185.0}}
 
     assert programs_in_words({"program_files": loaded}) == (
-        "elaborator my_lift.yaml (loaded 3 min ago), the others as they come with rtc"
+        "elaborator my_lift.yaml (loaded 3 min ago), the others: default programs"
     )
     assert programs_in_words({}) == "all as they come with rtc"

@@ -62,7 +62,7 @@ class Cluster:
             endpoint,
             pid=os.getpid(),
             new_worker=new_worker or (lambda address: spec(f"new@{address}", GOOD, address)),
-            say=self.lines.append,
+            show=self.lines.append,
             save=self.saved.append,
             policy=policy,
         )
@@ -212,7 +212,7 @@ def test_while_a_template_hangs_no_two_workers_start_by_themselves_at_once(clust
 
 @pytest.fixture
 def quick(monkeypatch):
-    for name, value in (("TABLE_S", 0.05), ("IDLE_S", 0.4), ("TELL_WAITING_S", 0.1)):
+    for name, value in (("TABLE_S", 0.05), ("IDLE_S", 0.4), ("REPORT_WAITING_S", 0.1)):
         monkeypatch.setattr(f"deploy.supervisor.{name}", value)
 
 
@@ -255,7 +255,7 @@ def test_the_broker_has_a_hung_process_killed_but_never_its_successor(cluster):
 
 def test_one_that_should_say_that_it_is_alive_and_does_not_is_killed_and_replaced(cluster, monkeypatch):
     monkeypatch.setattr("deploy.supervisor.TABLE_S", 0.05)
-    monkeypatch.setattr("deploy.supervisor.SILENCE_S", 0.3)
+    monkeypatch.setattr("deploy.supervisor.SILENT_S", 0.3)
     hanging = "import signal\nprint('ready\\nalive', flush=True)\nsignal.pause()"
     it = cluster(Spec("world", (sys.executable, "-S", "-E", "-c", hanging), beats=True), spec("mute", GOOD)).go()
     pid = it.hear_table(lambda t: True)["world"]["pid"]

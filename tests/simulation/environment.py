@@ -140,7 +140,7 @@ def _product(
             if step[0] == 0 and step[1] < sentence.empty_steps:
                 return wire.raw(BoundStep(note="nothing to do"))
             if sentence.told:
-                return wire.raw(BoundStep(told=report("", StopReason.GOAL), evaluation=bound("").evaluation))
+                return wire.raw(BoundStep(report=report("", StopReason.GOAL), evaluation=bound("").evaluation))
             return wire.raw(bound(f"{command}.{primitive}", sentence.arms[(primitive - 1) % len(sentence.arms)]))
         case WorkerKind.ANALYZER:
             if product.startswith("trim"):

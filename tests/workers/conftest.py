@@ -265,7 +265,7 @@ class Bench:
                 run.refusal = bound
                 return run
             actions.assign(bound.bindings)
-            report = bound.told
+            report = bound.report
             if bound.primitive is not None:
                 run.primitives.append(bound.primitive)
                 report = self.subsystem.perform(bound.primitive, bound)

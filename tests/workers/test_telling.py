@@ -67,8 +67,8 @@ def test_it_is_an_analyzer_that_writes_what_was_told(bench):
     assert isinstance(bound, BoundStep)
     assert bound.primitive is None
     assert bound.subsystem == ""
-    assert bound.told.facts == {"MACS-NEW.mass": 2.1}
-    changes = bench.analyze(bound, bound.told).changes
+    assert bound.report.facts == {"MACS-NEW.mass": 2.1}
+    changes = bench.analyze(bound, bound.report).changes
     assert [(c.key, c.value, c.validity) for c in changes] == [("MACS-NEW.mass", 2.1, Validity.VALID)]
 
 
@@ -86,7 +86,7 @@ def test_what_is_told_of_a_thing_in_a_hand_is_within_what_the_script_writes(benc
     bench.do(GRASP)
     script = bench.elaborate("SET MACS-NEW ATTITUDE 0 0 0 DEG")
     bound = bench.bind(script, script.steps[0])
-    changes = bench.analyze(bound, bound.told).changes
+    changes = bench.analyze(bound, bound.report).changes
 
     assert {change.key.partition(".")[0] for change in changes} == {"MACS-NEW", "RIGHT-ARM"}
     assert set(script.writes) == set(script.resources) == {"MACS-NEW", "RIGHT-ARM"}

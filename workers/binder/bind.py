@@ -409,7 +409,7 @@ def bind_assignment(task: BindTask) -> BoundStep | Refusal:
 def bind_stated_facts(task: BindTask) -> BoundStep | Refusal:
     """The facts stated by the command, as a report (A24); the analyzer judges and writes them."""
     context = task.data.context
-    if not context.told:
+    if not context.stated:
         return refused_program("the command states no facts", "a script for a command that states facts")
     report = EndReport(
         primitive=task.data.primitive_id,
@@ -422,9 +422,9 @@ def bind_stated_facts(task: BindTask) -> BoundStep | Refusal:
         wrench=[],
         hand_width_m=0.0,
         hand_force_n=0.0,
-        facts=context.told,
+        facts=context.stated,
     )
-    return BoundStep(told=report, evaluation=EvaluationContext(context=context, step=task.data.step), note="told")
+    return BoundStep(report=report, evaluation=EvaluationContext(context=context, step=task.data.step), note="stated")
 
 
 def bind_procedure(task: BindTask) -> BoundStep | Refusal:

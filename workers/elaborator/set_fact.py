@@ -11,7 +11,7 @@ from typing import Any
 
 from rtc.cells import parts
 from rtc.language.record import ParsedCommand
-from rtc.programs.schema import ElaboratorProgram, ScriptFile, Tellable
+from rtc.programs.schema import ElaboratorProgram, ScriptFile, SettableAttribute
 from rtc.protocol.messages import Script, ScriptContext, Step
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
@@ -50,7 +50,7 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
             verb=parsed.verb,
             script=file.script,
             object=thing.name,
-            told=facts,
+            stated=facts,
         ),
         case=file.case,
         steps=[Step(do=step.do, label=_fill_in(step.label, texts), expect=step.expect) for step in file.steps],
@@ -125,7 +125,7 @@ def _facts(
     return {f"{thing.name}.{attribute}": values[0] if len(values) == 1 else values}
 
 
-def _fits(row: Tellable, parsed: ParsedCommand) -> bool:
+def _fits(row: SettableAttribute, parsed: ParsedCommand) -> bool:
     """Whether the values have the row's number and unit, or are a name, or a position with an attitude."""
     values, unit = parsed.value or [], parsed.value_unit
     if not row.unit:
@@ -144,7 +144,7 @@ def _word(attribute: str) -> str:
     return attribute.upper().replace("_", "-")
 
 
-def _misfit(row: Tellable, parsed: ParsedCommand, thing: Thing) -> Refusal:
+def _misfit(row: SettableAttribute, parsed: ParsedCommand, thing: Thing) -> Refusal:
     values = parsed.value or []
     what = "a name" if any(isinstance(v, str) for v in values) else f"{len(values)} number{'s' * (len(values) != 1)}"
     unit = f"in {parsed.value_unit}" if parsed.value_unit else "without a unit"

@@ -99,28 +99,28 @@ class Shell:
         self._results: list[JobResult] = []
         self._first_result_s = 0.0
         self._slow_s = 1.0  # slowly decaying maximum of recent job durations
-        self._wanted = ""  # the digest being fetched; `_came` collects its bodies
-        self._came: list[bytes | None] = []
+        self._wanted = ""  # the digest being fetched; `_bodies` collects its bodies
+        self._bodies: list[bytes | None] = []
         self._programs = Kept(function.compile, programs)
         self._cells = Kept(lambda body: build_cell(Cell.from_bytes(body)), cells)
         self._view = WorldView(world)
         self._retiring = False
         self._reconnections = Reconnections(me, socket)
         self._heartbeat = Every(HEARTBEAT_S)
-        self._said_hello_s = 0.0
-        self._listened_s = 0.0
+        self._hello_sent_s = 0.0
+        self._socket_read_s = 0.0
 
     def run(self) -> None:
         """Run until a stop is requested, or until the queue is empty after a Shutdown message."""
-        self._say_hello()
+        self._send_hello()
         while not self._me.stopping and not (self._retiring and not self._queue):
             if not self._queue:
                 self._me.wait(self._heartbeat.left_s(now_s()))
                 if self._reconnections.happened():
                     self._begin_anew()
                 if self._heartbeat.due(now_s()):
-                    self._say(Heartbeat(name=self._hello.name))
-            if not self._queue or now_s() - self._listened_s > LISTEN_S:
+                    self._send(Heartbeat(name=self._hello.name))
+            if not self._queue or now_s() - self._socket_read_s > LISTEN_S:
                 self._listen()
             if self._queue:
                 job, came_s = self._queue.popleft()
@@ -130,22 +130,22 @@ class Shell:
 
     # --- to and from the broker ------------------------------------------------------------------------
 
-    def _say(self, message: Any) -> None:
+    def _send(self, message: Any) -> None:
         if not send(self._socket, message):
             self._me.log.error("no room for %s: dropped", type(message).__name__)
 
     def _listen(self) -> None:
-        self._listened_s = now_s()
+        self._socket_read_s = now_s()
         for parts in inbox(self._socket):
             try:
-                self._hear(self._read(parts))
+                self._handle(self._read(parts))
             except WireError as error:
                 self._me.log.warning("dropped a message of the broker: %s", error)
 
-    def _hear(self, message: BrokerToWorker) -> None:
+    def _handle(self, message: BrokerToWorker) -> None:
         match message:
             case JobBatch(jobs=[]):
-                if now_s() - self._said_hello_s >= HELLO_AGAIN_S:  # otherwise the last hello crossed this request
+                if now_s() - self._hello_sent_s >= HELLO_AGAIN_S:  # otherwise the last hello crossed this request
                     self._begin_anew()
             case JobBatch(jobs=jobs):
                 came_s = now_s()
@@ -154,18 +154,18 @@ class Shell:
                 self._drop(unwanted)
             case ProgramBody(digest=digest, body=body):
                 if digest == self._wanted:
-                    self._came.append(body)
+                    self._bodies.append(body)
             case Shutdown():
                 self._retiring = True
 
     def _begin_anew(self) -> None:
         self._queue.clear()
         self._results.clear()
-        self._say_hello()
+        self._send_hello()
 
-    def _say_hello(self) -> None:
-        self._said_hello_s = now_s()
-        self._say(self._hello)
+    def _send_hello(self) -> None:
+        self._hello_sent_s = now_s()
+        self._send(self._hello)
 
     def _drop(self, unwanted: list[str]) -> None:
         """Refuse unwanted jobs that have not started, so that the broker can reuse their places in the queue."""
@@ -183,7 +183,7 @@ class Shell:
         if not self._results:
             return
         if late or self._slow_s > QUICK_S or now_s() - self._first_result_s > FLUSH_S:
-            self._say(ResultBatch(name=self._hello.name, results=self._results))
+            self._send(ResultBatch(name=self._hello.name, results=self._results))
             self._results = []
 
     # --- one job ---------------------------------------------------------------------------------------
@@ -250,20 +250,20 @@ class Shell:
 
     def _body(self, digest: str) -> bytes | Refusal:
         """Fetch a body from the broker and wait for it; other messages are handled as usual meanwhile."""
-        self._wanted, self._came = digest, []
+        self._wanted, self._bodies = digest, []
         end_s, again = now_s() + PROGRAM_LIMIT_S, Every(ASK_AGAIN_S)
-        while not self._came and now_s() < end_s:
+        while not self._bodies and now_s() < end_s:
             if self._me.stopping:
                 raise Stopped
             if again.due(now_s()):
-                self._say(ProgramWanted(digest=digest))
+                self._send(ProgramWanted(digest=digest))
             self._me.wait(again.left_s(now_s()))
             self._listen()
         self._wanted = ""
-        if not self._came:
+        if not self._bodies:
             message = f"the broker did not send program or cell {digest} within {PROGRAM_LIMIT_S:g} s"
             return Refusal(reason=RefusalReason.TIMEOUT, message=message, where=digest)
-        if (body := self._came[0]) is None:
+        if (body := self._bodies[0]) is None:
             message = f"the broker has no program or cell {digest}"
             return Refusal(reason=RefusalReason.PROGRAM, message=message, where=digest)
         return body
