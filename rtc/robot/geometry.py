@@ -93,6 +93,23 @@ def interpolate(a: Floats, b: Floats, s: float) -> Array:
     return normalise((*position, *(wa * m + wb * n for m, n in zip(qa, qb, strict=True))))
 
 
+def interpolate_all(a: Floats, b: Floats, fractions: Array) -> Array:
+    """`interpolate` at each of `fractions`, [fractions][7]."""
+    pa, pb = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    cosine = float(pa[3:] @ pb[3:])
+    qb = -pb[3:] if cosine < 0 else pb[3:]
+    wa, wb = 1.0 - fractions, fractions
+    poses = np.empty((len(fractions), 7))
+    poses[:, :3] = pa[:3] + np.outer(fractions, pb[:3] - pa[:3])
+    if abs(cosine) <= 0.99999:
+        angle = math.acos(abs(cosine))
+        wa, wb = np.sin(wa * angle) / math.sin(angle), np.sin(wb * angle) / math.sin(angle)
+    turns = np.outer(wa, pa[3:]) + np.outer(wb, qb)
+    norms = np.sqrt((turns * turns).sum(axis=1))
+    poses[:, 3:] = turns / np.where(turns[:, 3] < 0, -norms, norms)[:, None]
+    return poses
+
+
 def mean_pose(poses: Sequence[Floats]) -> Array:
     """The mean of poses: mean position and Markley's quaternion mean. Raises ValueError for an empty sequence."""
     if not poses:
@@ -125,6 +142,20 @@ def to_matrix(pose: Floats) -> Array:
             (0.0, 0.0, 0.0, 1.0),
         )
     )
+
+
+def to_matrices(poses: Sequence[Floats] | Array) -> Array:
+    """The 4x4 matrices of poses, [poses][4][4]."""
+    table = np.asarray(poses, dtype=float)
+    px, py, pz, x, y, z, w = table.T
+    zero, one = np.zeros(len(table)), np.ones(len(table))
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), px),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), py),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), pz),
+        (zero, zero, zero, one),
+    )
+    return np.array(rows).transpose(2, 0, 1)
 
 
 def from_matrix(matrix: Array) -> Array:

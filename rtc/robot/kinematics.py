@@ -76,6 +76,7 @@ class ArmModel:
             effort=model.effortLimit.copy(),
         )
         self._lower, self._upper = self.limits.lower.tolist(), self.limits.upper.tolist()
+        self._speeds = self.limits.velocity.tolist()
         self._base_inverse = np.linalg.inv(geometry.to_matrix(self.base_pose))
         tip = model.frames[self._tcp]
         self._tool_inverse = np.linalg.inv(tip.placement.homogeneous)
@@ -162,15 +163,24 @@ class ArmModel:
 
         For small steps along a line, where another branch would cause a jump.
         """
-        reference = np.asarray(near, dtype=float)
-        raws = self._branches(target, reference)
-        if not raws:
-            return None
-        table = np.array(raws)
-        table -= _TURN * np.round((table - reference) / _TURN)
-        costs = (np.abs(table - reference) / self.limits.velocity).max(axis=1)
-        best: Array = table[int(costs.argmin())]
-        return best
+        found = self.follow_all([target], near)
+        return found[0] if len(found) else None
+
+    def follow_all(self, targets: Sequence[Floats] | Array, near: Floats) -> Array:
+        """As `follow` for one target after the other, each near the one before, [targets][joints].
+
+        Ends before the first target that is out of reach.
+        """
+        now = np.asarray(near, dtype=float).tolist()
+        found: list[list[float]] = []
+        flanges = self._base_inverse @ geometry.to_matrices(targets) @ self._tool_inverse
+        for target, flange in zip(targets, flanges[:, :3].tolist(), strict=True):
+            branch = self._nearest_branch(target, flange, now)
+            if branch is None:
+                break
+            found.append(branch)
+            now = branch
+        return np.array(found, dtype=float).reshape(-1, len(self.joints))
 
     def why_no_ik(self, target: Floats, margin_rad: float = 0.0) -> Refusal | None:
         """The cause of an IK failure: the missing reach, or the exceeded joint limit. None: IK succeeds."""
@@ -204,6 +214,18 @@ class ArmModel:
             return puma_ik.branches(self._puma, last_link, float(reference[3]))
         goal = pin.SE3(self._base_inverse @ geometry.to_matrix(target))
         return numeric_ik.branches(self.model, self._data, self._tcp, goal, reference)
+
+    def _nearest_branch(self, target: Floats, flange: puma_ik.Rows, near: list[float]) -> list[float] | None:
+        """The branch of a tcp pose nearest to `near` (rad); `flange`: the same pose as frame 6 in frame 0."""
+        if self._puma is not None:
+            return puma_ik.nearest(self._puma, flange, near, self._speeds)
+        raws = self._branches(target, np.array(near))
+        if not raws:
+            return None
+        table = np.array(raws)
+        table -= _TURN * np.round((table - near) / _TURN)
+        best: list[float] = table[int((np.abs(table - near) / self.limits.velocity).max(axis=1).argmin())].tolist()
+        return best
 
     def _turns_within(self, raw: list[float], margin: float) -> list[Array]:
         """The same posture with each angle shifted by -1, 0 or 1 turn, as far as the limits allow."""

@@ -9,12 +9,15 @@ joint limits, base and tool.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import remainder
 
 import numpy as np
 from numpy.typing import NDArray
 
 TURN = 2 * math.pi
+Rows = Sequence[Sequence[float]]  # the upper three rows of a 4x4 matrix
 _RX = {s: np.array(((1, 0, 0), (0, 0, -s), (0, s, 0)), dtype=float) for s in (1, -1)}  # Rx(+90), Rx(-90)
 
 
@@ -54,45 +57,88 @@ def branches(g: PumaGeometry, flange: NDArray[np.float64], wrist_roll: float) ->
 
     If the wrist is straight, only joint 4 + joint 6 is determined; joint 4 becomes `wrist_roll`.
     """
-    (r00, r01, r02, x), (r10, r11, r12, y), (r20, r21, r22, z) = flange[:3].tolist()
-    z -= g.d1
+    rows = flange[:3].tolist()
+    return [
+        [remainder(q, TURN) for q in (q1, q2, q3, *wrist)]
+        for q1, u, q3 in _shoulders_and_elbows(g, rows)
+        for q2, wrists in (_upper_arm_and_wrists(g, rows, q1, u, q3, wrist_roll),)
+        for wrist in wrists
+    ]
+
+
+def nearest(g: PumaGeometry, flange: Rows, near: Sequence[float], speeds: Sequence[float]) -> list[float] | None:
+    """The branch with the shortest motion time from `near` (rad) at full `speeds` (rad/s), turns nearest to it.
+
+    `flange`: the upper three rows of the 4x4 matrix. None: out of reach. A branch whose shoulder or elbow alone takes
+    longer than the best one found is not completed, which saves most of the time of `branches`.
+    """
+    starts = []
+    for n, (q1, u, q3) in enumerate(_shoulders_and_elbows(g, flange)):
+        least_s = max(abs(_turned(q1, near[0]) - near[0]) / speeds[0], abs(_turned(q3, near[2]) - near[2]) / speeds[2])
+        starts.append((least_s, n, q1, u, q3))
+    starts.sort()
+    best, best_s, best_n = None, math.inf, 0
+    for least_s, n, q1, u, q3 in starts:
+        if least_s > best_s:
+            break
+        q2, wrists = _upper_arm_and_wrists(g, flange, q1, u, q3, near[3])
+        for wrist in wrists:
+            found = [_turned(q, to) for q, to in zip((q1, q2, q3, *wrist), near, strict=True)]
+            takes_s = max([abs(q - to) / speed for q, to, speed in zip(found, near, speeds, strict=True)])
+            if takes_s < best_s or (takes_s == best_s and n < best_n):
+                best, best_s, best_n = found, takes_s, n
+    return best
+
+
+def _turned(angle: float, near: float) -> float:
+    """The same angle with the turn nearest to `near`."""
+    angle = remainder(angle, TURN)
+    return angle - TURN * round((angle - near) / TURN)
+
+
+def _shoulders_and_elbows(g: PumaGeometry, flange: Rows) -> Iterator[tuple[float, float, float]]:
+    """(joint 1, horizontal distance of the wrist with its side, joint 3) of each branch."""
+    x, y, z = flange[0][3], flange[1][3], flange[2][3] - g.d1
     radial = x * x + y * y - g.d3 * g.d3
     if radial < 0:
-        return []
+        return
     bend = (radial + z * z - g.a2 * g.a2 - g.forearm**2) / (2 * g.a2 * g.forearm)
     if abs(bend) > 1:
-        return []
+        return
     phase, bend = math.atan2(g.d4, g.a3), math.acos(bend)
-    remainder, found = math.remainder, []
+    towards = math.atan2(y, x)
     for u in (math.sqrt(radial), -math.sqrt(radial)):
-        q1 = math.atan2(y, x) - math.atan2(-g.d3, u)
-        c1, s1 = math.cos(q1), math.sin(q1)
-        for q3 in (bend - phase, -bend - phase):
-            c3, s3 = math.cos(q3), math.sin(q3)
-            q2 = math.atan2(z, u) - math.atan2(g.a3 * s3 + g.d4 * c3, g.a2 + g.a3 * c3 - g.d4 * s3)
-            c, s = math.cos(q2 + q3), math.sin(q2 + q3)
-            # Rows of R03^T = (x3, y3, z3): x3 along the turned x, y3 against the elbow's axis, z3 along the forearm.
-            e00, e01, e02 = c1 * c, s1 * c, s
-            e10, e11 = -s1, c1
-            e20, e21, e22 = -c1 * s, -s1 * s, c
-            w02 = e00 * r02 + e01 * r12 + e02 * r22
-            w12 = e10 * r02 + e11 * r12
-            w22 = e20 * r02 + e21 * r12 + e22 * r22
-            s5 = math.hypot(w02, w12)
-            if s5 < 1e-9:  # wrist straight (or, beyond any limit, folded)
-                w00 = e00 * r00 + e01 * r10 + e02 * r20
-                w10 = e10 * r00 + e11 * r10
-                q5 = 0.0 if w22 > 0 else math.pi
-                sum46 = math.atan2(w10, w00) if w22 > 0 else -math.atan2(w10, -w00)
-                wrists = [(wrist_roll, q5, sum46 - wrist_roll if w22 > 0 else sum46 + wrist_roll)]
-            else:
-                w20 = e20 * r00 + e21 * r10 + e22 * r20
-                w21 = e20 * r01 + e21 * r11 + e22 * r21
-                q4, q5, q6 = math.atan2(-w12, -w02), math.atan2(s5, w22), math.atan2(-w21, w20)
-                wrists = [(q4, q5, q6), (q4 + math.pi, -q5, q6 + math.pi)]
-            arm = [remainder(n, TURN) for n in (q1, q2, q3)]
-            found += [[*arm, *(remainder(n, TURN) for n in wrist)] for wrist in wrists]
-    return found
+        q1 = towards - math.atan2(-g.d3, u)
+        yield q1, u, bend - phase
+        yield q1, u, -bend - phase
+
+
+def _upper_arm_and_wrists(
+    g: PumaGeometry, flange: Rows, q1: float, u: float, q3: float, wrist_roll: float
+) -> tuple[float, list[tuple[float, float, float]]]:
+    """Joint 2, and each (joint 4, joint 5, joint 6) of one shoulder and elbow."""
+    (r00, r01, r02, _), (r10, r11, r12, _), (r20, r21, r22, z) = flange
+    c1, s1, c3, s3 = math.cos(q1), math.sin(q1), math.cos(q3), math.sin(q3)
+    q2 = math.atan2(z - g.d1, u) - math.atan2(g.a3 * s3 + g.d4 * c3, g.a2 + g.a3 * c3 - g.d4 * s3)
+    c, s = math.cos(q2 + q3), math.sin(q2 + q3)
+    # Rows of R03^T = (x3, y3, z3): x3 along the turned x, y3 against the elbow's axis, z3 along the forearm.
+    e00, e01, e02 = c1 * c, s1 * c, s
+    e10, e11 = -s1, c1
+    e20, e21, e22 = -c1 * s, -s1 * s, c
+    w02 = e00 * r02 + e01 * r12 + e02 * r22
+    w12 = e10 * r02 + e11 * r12
+    w22 = e20 * r02 + e21 * r12 + e22 * r22
+    s5 = math.hypot(w02, w12)
+    if s5 < 1e-9:  # wrist straight (or, beyond any limit, folded)
+        w00 = e00 * r00 + e01 * r10 + e02 * r20
+        w10 = e10 * r00 + e11 * r10
+        if w22 > 0:
+            return q2, [(wrist_roll, 0.0, math.atan2(w10, w00) - wrist_roll)]
+        return q2, [(wrist_roll, math.pi, wrist_roll - math.atan2(w10, -w00))]
+    w20 = e20 * r00 + e21 * r10 + e22 * r20
+    w21 = e20 * r01 + e21 * r11 + e22 * r21
+    q4, q5, q6 = math.atan2(-w12, -w02), math.atan2(s5, w22), math.atan2(-w21, w20)
+    return q2, [(q4, q5, q6), (q4 + math.pi, -q5, q6 + math.pi)]
 
 
 def shortfall(g: PumaGeometry, wrist: NDArray[np.float64]) -> tuple[str, float]:

@@ -81,6 +81,34 @@ def test_solutions_differ_and_are_sorted(right):
     assert all(np.abs(a - b).max() > 0.1 for i, a in enumerate(solutions) for b in solutions[:i])
 
 
+def test_the_nearest_branch_is_that_of_all_branches(right):
+    """`follow` completes only branches that can be the nearest; with steps as long as those of a detour."""
+    rng = np.random.default_rng(8)
+    for joints in random_joints(right, 200, 6):
+        near = joints + rng.uniform(-1.5, 1.5, 6)
+        target = right.fk(joints)
+        table = np.array(right._branches(target, near))
+        table -= 2 * math.pi * np.round((table - near) / (2 * math.pi))
+        nearest_s = min(right.travel(near, q) for q in table)
+        found = right.follow(target, near)
+        assert any(np.allclose(found, q, atol=1e-9) for q in table)
+        assert right.travel(near, found) == pytest.approx(nearest_s, abs=1e-9)
+
+
+def test_a_line_is_followed_as_each_of_its_poses(right):
+    begin, end = right.fk([0.2, 0.9, -2.4, 0.7, 0.4, 0.4]), right.fk([0.3, 0.8, -2.3, 0.6, 0.5, 0.3])
+    fractions = np.linspace(0.1, 1.0, 7)
+    poses = geometry.interpolate_all(begin, end, fractions)
+    assert np.allclose(poses, [geometry.interpolate(begin, end, s) for s in fractions], atol=1e-12)
+    now, rows = [0.2, 0.9, -2.4, 0.7, 0.4, 0.4], []
+    for pose in poses:
+        now = right.follow(pose, now)
+        rows.append(now)
+    assert np.allclose(right.follow_all(poses, [0.2, 0.9, -2.4, 0.7, 0.4, 0.4]), rows, atol=1e-9)
+    far = geometry.make_pose((3.0, 0.0, 0.6), geometry.LEVEL)
+    assert len(right.follow_all([poses[0], far, poses[1]], [0.2, 0.9, -2.4, 0.7, 0.4, 0.4])) == 1
+
+
 def test_a_straight_wrist_keeps_the_roll_of_the_reference(right):
     joints = np.array([0.2, 0.9, -2.4, 0.7, 0.0, 0.4])
     assert np.allclose(right.ik(right.fk(joints), joints)[0], joints, atol=1e-6)

@@ -90,17 +90,23 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
     length = max(metres, METRES_PER_RAD * turn, 1e-9)
     count = max(4, math.ceil(metres / KNOT_M), math.ceil(turn / KNOT_RAD)) + 1
     fractions = np.linspace(0.0, 1.0, count)
-    knots = [np.asarray(start, dtype=float)]
-    for fraction in fractions[1:].tolist():
-        pose = geometry.interpolate(start_pose, goal_pose, fraction)
-        q = arm.follow(pose, knots[-1])
-        problem = _problem(arm, pose, q, knots[-1], margin_rad)
-        if problem is not None:
-            return _at(problem, fraction, fraction * metres)
-        assert q is not None
-        knots.append(q)
-    table = np.array(knots)
+    poses = geometry.interpolate_all(start_pose, goal_pose, fractions[1:])
+    table = np.concatenate(([start], arm.follow_all(poses, start)))
+    n = _first_problem(arm, table, margin_rad)
+    if n < count:
+        problem = _problem(arm, poses[n - 1], table[n] if n < len(table) else None, table[n - 1], margin_rad)
+        assert problem is not None
+        fraction = float(fractions[n])
+        return _at(problem, fraction, fraction * metres)
     return Path("task", fractions * length, table, Spline(fractions * length, table))
+
+
+def _first_problem(arm: ArmModel, table: Array, margin_rad: float) -> int:
+    """Index of the first row after the start that leaps or passes a limit; the number of rows if there is none."""
+    rows = table[1:]
+    bad = np.abs(np.diff(table, axis=0)).max(axis=1, initial=0.0) > LEAP_RAD
+    bad |= np.maximum(arm.limits.lower + margin_rad - rows, rows - arm.limits.upper + margin_rad).max(axis=1) > 0
+    return int(bad.argmax()) + 1 if bad.any() else len(table)
 
 
 def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_rad: float) -> Refusal | None:
