@@ -78,7 +78,18 @@ class PathCollision:
 
 AS_BUILT = Scene()
 LEAVING_STEPS = 10  # interpolation steps between configurations while an initial contact lasts
+KEPT_SCENES = 64  # maximum number of scenes whose active pairs and margins are kept
 DEEPER_M = 0.0002  # tolerance for noise of joint values and of penetration depths
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """The pairs to check in a scene and their margins (m), by pair and as matrices [piece][piece]."""
+
+    active: np.ndarray
+    margin: np.ndarray
+    active_matrix: np.ndarray
+    margin_matrix: np.ndarray
 
 
 class CollisionWorld:
@@ -97,9 +108,10 @@ class CollisionWorld:
         self._callback = pin.CollisionCallBackDefault(self._bodies.geometry, self._geometry_data, True)
         self._q = pin.neutral(self._bodies.model)
         self._scene: Scene | None = None
-        self._active = np.ones(len(self._bodies.pairs), dtype=bool)
-        self._margin = np.zeros(len(self._bodies.pairs))
+        self._placed: dict[str, tuple[str, tuple[float, ...]]] = {}  # body -> the arm that holds it, and its pose there
+        self._pairs_of_scene: dict[tuple[object, ...], Pairs] = {}  # by all that `_pairs_in` reads of a scene
         self._index()
+        self._put_in_force(self._pairs_in(AS_BUILT))
         self._arrange(AS_BUILT)
 
     def check(self, joints: Mapping[str, Floats], scene: Scene = AS_BUILT) -> Collision | None:
@@ -154,7 +166,7 @@ class CollisionWorld:
         """The pairs that are too near at the present configuration, with distances (m); `_ask` skips them."""
         data = self._geometry_data
         pin.computeCollisions(self._bodies.model, self._data, self._bodies.geometry, data, self._q, False)
-        active = np.flatnonzero(self._active).tolist()
+        active = np.flatnonzero(self._pairs.active).tolist()
         leaving = {n: self._describe(n).distance_m for n in active if data.collisionResults[n].isCollision()}
         for pair in leaving:
             data.deactivateCollisionPair(pair)
@@ -173,7 +185,7 @@ class CollisionWorld:
         start_m = self._describe(pair).distance_m
         self._q[slots] = here
         self._place()
-        if start_m > max(float(self._margin[pair]), 0.0) or hit.distance_m < start_m - DEEPER_M:
+        if start_m > max(float(self._pairs.margin[pair]), 0.0) or hit.distance_m < start_m - DEEPER_M:
             return False
         leaving[pair] = hit.distance_m
         self._geometry_data.deactivateCollisionPair(pair)
@@ -202,7 +214,7 @@ class CollisionWorld:
             if found.distance_m < greatest_m - DEEPER_M:
                 return found
             leaving[pair] = max(greatest_m, found.distance_m)
-            if found.distance_m > max(float(self._margin[pair]), 0.0) + DEEPER_M:
+            if found.distance_m > max(float(self._pairs.margin[pair]), 0.0) + DEEPER_M:
                 del leaving[pair]
                 self._geometry_data.activateCollisionPair(pair)
         return None
@@ -240,24 +252,48 @@ class CollisionWorld:
         self._scene = scene
 
     def _place_bodies(self, scene: Scene) -> None:
-        """Sets the poses, parents and openings of a scene."""
+        """Sets the openings, and the poses and parents of the bodies that are elsewhere than in the scene before."""
         for name, slots in self._bodies.arms.items():
             opening = scene.openings_m.get(name, self.cell.arm(name).gripper.max_opening_m)
             self._q[slots.fingers] = 0.5 * opening
-        for owner, pieces in self._pieces_of.items():
-            if owner in self._bodies.arms:
-                continue
+        for owner, built in self._built_pose.items():
             held = scene.held.get(owner)
-            parent, at = 0, scene.poses.get(owner)
-            pose = bodies.se3(self._built_pose[owner] if at is None else at)
-            if held is not None:
-                hand = self._bodies.arms[held.arm]
-                parent, pose = hand.hand_joint, hand.tcp * bodies.se3(held.pose)
-            for n in pieces:
-                item = self._bodies.geometry.geometryObjects[n]
-                item.parentJoint, item.placement = parent, pose * self._bodies.pieces[n].in_owner
+            pose = scene.poses.get(owner, built) if held is None else held.pose
+            wanted = ("" if held is None else held.arm, tuple(pose))
+            if self._placed.get(owner) != wanted:
+                self._placed.pop(owner, None)
+                self._place_body(owner, *wanted)
+                self._placed[owner] = wanted
+
+    def _place_body(self, owner: str, holder: str, pose: Floats) -> None:
+        """Places the pieces of a body: in the world, or in the hand of an arm."""
+        parent, at = 0, bodies.se3(pose)
+        if holder:
+            hand = self._bodies.arms[holder]
+            parent, at = hand.hand_joint, hand.tcp * at
+        for n in self._pieces_of.get(owner, ()):
+            item = self._bodies.geometry.geometryObjects[n]
+            item.parentJoint, item.placement = parent, at * self._bodies.pieces[n].in_owner
 
     def _switch(self, scene: Scene) -> None:
+        """Sets the active pairs and the margins of a scene."""
+        held = tuple((name, held.arm) for name, held in scene.held.items())
+        rules = (scene.moving, held, *map(tuple, (scene.ignore, scene.near, scene.keep_out)), scene.clearance_m)
+        pairs = self._pairs_of_scene.get(rules)
+        if pairs is None:
+            if len(self._pairs_of_scene) >= KEPT_SCENES:
+                del self._pairs_of_scene[next(iter(self._pairs_of_scene))]
+            pairs = self._pairs_of_scene[rules] = self._pairs_in(scene)
+        if pairs is not self._pairs:
+            self._put_in_force(pairs)
+
+    def _put_in_force(self, pairs: Pairs) -> None:
+        # Set as matrices: a loop over 1700 pairs would take 5 ms.
+        self._geometry_data.setActiveCollisionPairs(self._bodies.geometry, pairs.active_matrix)
+        self._geometry_data.setSecurityMargins(self._bodies.geometry, pairs.margin_matrix)
+        self._pairs = pairs
+
+    def _pairs_in(self, scene: Scene) -> Pairs:
         moving = self._arm_piece.copy()  # pieces that move with an arm
         carrier = self._owner.copy()  # number of the owner that moves each piece
         for name, held in scene.held.items():
@@ -275,12 +311,7 @@ class CollisionWorld:
             active &= ~self._between(self._matching(a), self._matching(b))
         margin = np.where(carrier[first] == carrier[second], 0.0, scene.clearance_m)
         margin[self._touches(scene.near)] = 0.0
-        # Set as matrices: a loop over 1700 pairs would take 5 ms.
-        if not np.array_equal(active, self._active):
-            self._geometry_data.setActiveCollisionPairs(self._bodies.geometry, self._as_matrix(active))
-        if not np.array_equal(margin, self._margin):
-            self._geometry_data.setSecurityMargins(self._bodies.geometry, self._as_matrix(margin))
-        self._active, self._margin = active, margin
+        return Pairs(active, margin, self._as_matrix(active), self._as_matrix(margin))
 
     def _index(self) -> None:
         """Builds arrays over pieces and pairs, so that a scene is applied by masks."""

@@ -91,7 +91,7 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
     count = max(4, math.ceil(metres / KNOT_M), math.ceil(turn / KNOT_RAD)) + 1
     fractions = np.linspace(0.0, 1.0, count)
     poses = geometry.interpolate_all(start_pose, goal_pose, fractions[1:])
-    table = np.concatenate(([start], arm.follow_all(poses, start)))
+    table = np.vstack((np.asarray(start, dtype=float), arm.follow_all(poses, start)))
     n = _first_problem(arm, table, margin_rad)
     if n < count:
         problem = _problem(arm, poses[n - 1], table[n] if n < len(table) else None, table[n - 1], margin_rad)
