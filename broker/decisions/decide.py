@@ -2,7 +2,7 @@
 
 Rule 1: it uses no clock, socket, log, random number or setting; the time is a field of the event. The same events give
 the same state and effects, so a restart needs only the journal of events.
-Rule 2: `broker.decisions.transitions` lists the allowed transitions; they are checked after every action.
+Rule 2: every machine runs from a table (`broker.decisions.machine`); the transitions are checked after every action.
 Rule 3: `state` is changed in place, by `decide` alone.
 
 A result of a cancelled job, or of an older attempt, is stale: it is counted and has no other effect. The same holds for
@@ -14,8 +14,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from broker.decisions import deferred_analysis, nominal, termination
+from broker.decisions import deferred_analysis, halt_request
 from broker.decisions import journal_loss as lost
+from broker.decisions.command import limits, nominal, scope, stopping, termination
+from broker.decisions.command.table import stimulate
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import AcknowledgeReport, DeclineHalt, Effect, SendHalt, TellClient
 from broker.decisions.events import (
@@ -39,7 +41,6 @@ from broker.decisions.events import (
     TimerFired,
 )
 from broker.decisions.state import NIL, Command, Link, PendingJob, PendingOutcome, State, Subsystem, Trial, request_key
-from broker.decisions.transitions import TABLE
 from rtc.language.fastpath import halt_scope
 from rtc.protocol.messages import Accepted, Declined, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
@@ -55,17 +56,6 @@ FILES_KEPT = 64  # programs whose file name is stored, for `rtc status`
 CLIENTS_KEPT = 1024  # clients whose latest command is stored, for AFTER LAST
 
 
-class InvalidTransition(AssertionError):
-    """A bug: an action led to a phase that the table does not allow. The message contains the command's trace."""
-
-    def __init__(self, command: Command, before: Phase, stimulus: Stimulus) -> None:
-        trace = "\n".join(f"  {n.at_s:.3f} {n.phase.value} {n.step} {n.note}" for n in command.notes[-20:])
-        super().__init__(
-            f"{command.id}: {stimulus.value} in {before.value} led to {command.phase.value}, "
-            f"which the table does not allow\n{trace}"
-        )
-
-
 def decide(state: State, event: Event) -> list[Effect]:
     """Handle one event: change `state` and return the effects in the order of execution."""
     context = DecisionContext(state, event.at_s)
@@ -76,20 +66,6 @@ def decide(state: State, event: Event) -> list[Effect]:
         if command is not None:
             stimulate(context, command, stimulus, payload)
     return context.effects
-
-
-def stimulate(context: DecisionContext, command: Command, stimulus: Stimulus, payload: Any = None) -> None:
-    """Run the action of the table for this stimulus, and check the phase it leads to."""
-    before = command.phase
-    cell = TABLE.get((before, stimulus))
-    if cell is None:
-        context.count("stale")
-        return
-    cell.action(context, command, payload)
-    if command.phase not in cell.following:
-        raise InvalidTransition(command, before, stimulus)
-    if before is Phase.PARSING and command.phase is not Phase.PARSING:
-        context.leave_intake(command)
 
 
 # --- clients -----------------------------------------------------------------------------------------
@@ -129,8 +105,8 @@ def on_command(context: DecisionContext, event: CommandReceived) -> None:
     state.live[event.client] = live + 1
     state.requests[key] = command.id
     context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
-    if scope := halt_scope(event.text):
-        nominal.halt_by_command(context, command, scope)
+    if named := halt_scope(event.text):
+        halt_request.halt_by_command(context, command, named)
     elif 0 < event.sent_at_s <= state.halted_at_s.get("ALL", 0.0):
         message = "sent before HALT ALL, so it does not start after it"
         termination.end(context, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)
@@ -146,9 +122,9 @@ def _decline(context: DecisionContext, event: CommandReceived, live: int) -> Non
     message = f"{len(context.state.commands)} commands are live, {live} of them yours; the limit is " + (
         f"{LIVE_PER_CLIENT} of one client" if live >= LIVE_PER_CLIENT else f"{MAX_COMMANDS} in all"
     )
-    if scope := halt_scope(event.text):
-        nominal.halt(context, f"declined-{context.state.counts['declined']}", scope, context.now)
-        message = f"{scope} is halted, but rest is not confirmed: {message}"
+    if named := halt_scope(event.text):
+        halt_request.halt(context, f"declined-{context.state.counts['declined']}", named, context.now)
+        message = f"{named} is halted, but rest is not confirmed: {message}"
     refusal = Refusal(reason=RefusalReason.OVERLOAD, message=message, clears="wait until some have ended")
     context.effects.append(TellClient(client=event.client, message=Declined(request=event.request, refusal=refusal)))
 
@@ -158,12 +134,12 @@ def on_halt(context: DecisionContext, event: HaltCalled) -> None:
     button may always send the same name."""
     from_subsystem = event.client in context.state.subsystems
     _count_halt(context, event)
-    known = nominal.halt(
+    known = halt_request.halt(
         context, event.halt, event.scope, event.called_at_s, call=event.call, received_at_s=event.received_at_s
     )
     # A halt of an ended command is valid: the subsystems confirm rest, so it is not declined.
-    if not known and not from_subsystem and not nominal.has_ended(context, event.scope):
-        message = nominal.no_target(context, event.scope).message
+    if not known and not from_subsystem and not scope.has_ended(context, event.scope):
+        message = scope.no_target(context, event.scope).message
         context.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
     if from_subsystem and not any(type(e) is SendHalt and e.subsystem == event.client for e in context.effects):
         # The subsystem starts nothing in the scope until it receives this acknowledgement.
@@ -353,9 +329,7 @@ def on_ended(context: DecisionContext, event: PrimitiveEnded) -> None:
 
 
 def on_halt_confirmed(context: DecisionContext, event: HaltConfirmed) -> None:
-    name = event.halt.removeprefix(
-        termination.STOP
-    )  # the number of a HALT sentence, or of the command that was stopped
+    name = event.halt.removeprefix(stopping.STOP)  # the number of a HALT sentence, or of the command that was stopped
     if event.at_rest:
         context.confirm_rest(event.subsystem, event.performers, name if name != event.halt else "")
     command = context.state.commands.get(name)
@@ -393,7 +367,7 @@ def on_subsystem(context: DecisionContext, event: SubsystemConnected) -> None:
     for command in state.commands.values():
         if command.subsystem == event.subsystem and command.primitive_body != NIL:
             if command.phase is Phase.HALTING:
-                termination.order_halt(context, command)
+                stopping.order_halt(context, command)
             elif command.phase is Phase.EXECUTING and command.primitive not in event.outstanding:
                 nominal.send(context, command)
 
@@ -425,7 +399,7 @@ def _lose_subsystem(context: DecisionContext, name: str, why: str) -> None:
         kind=OutcomeKind.LOST_SUBSYSTEM,
         message=message,
         stop=StopReason.SUBSYSTEM_LOST,
-        refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=termination.RETRY_ADVICE),
+        refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=stopping.RETRY_ADVICE),
     )
     for command in context.state.commands.values():
         if command.subsystem == name:
@@ -471,11 +445,11 @@ def on_restart(context: DecisionContext, event: BrokerRestarted) -> None:
         if command.phase is Phase.ANALYZING:
             command.due_s = 0.0  # its retry was dispatched above
         if command.phase is Phase.EXECUTING:
-            context.start_timer(command, termination.report_limit_s(context.state, command))
+            context.start_timer(command, limits.report_limit_s(context.state, command))
         elif command.phase is Phase.HALTING:
-            context.start_timer(command, termination.rest_limit_s(context.state, reconnecting=True))
+            context.start_timer(command, limits.rest_limit_s(context.state, reconnecting=True))
         elif command.phase is Phase.CLOSING:
-            context.start_timer(command, termination.CLOSING_LIMIT_S)
+            context.start_timer(command, limits.CLOSING_LIMIT_S)
 
 
 HANDLERS: dict[type[Event], Callable[[DecisionContext, Any], None]] = {

@@ -7,11 +7,11 @@ that outcome too. A sentence sent before the loss is not started, because it may
 
 from __future__ import annotations
 
+from broker.decisions.command.termination import end
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import PublishNote, TellClient
 from broker.decisions.events import CommandReceived, JournalLost, Stimulus
 from broker.decisions.state import Command, PendingOutcome, State, request_key
-from broker.decisions.termination import end
 from rtc.protocol.messages import Accepted, Phase, ProgressNote
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 

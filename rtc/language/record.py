@@ -68,6 +68,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     every_s: float | None = None  # period of event reports
 
 
+BOTH_ARMS = "BOTH-ARMS"  # in the place of a hand: every arm
+
+
 class ParsedCommand(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="ParsedCommand"):
     """The record of one sentence.
 

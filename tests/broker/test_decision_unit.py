@@ -6,9 +6,11 @@ import msgspec
 import pytest
 
 from broker.decisions import effects as do
-from broker.decisions import termination
+from broker.decisions.command import stopping, termination
+from broker.decisions.command.limits import CLOSING_LIMIT_S, REPORT_MARGIN_S
+from broker.decisions.command.table import COMMAND, stimulate
 from broker.decisions.context import DecisionContext
-from broker.decisions.decide import CLIENTS_KEPT, InvalidTransition, stimulate
+from broker.decisions.decide import CLIENTS_KEPT
 from broker.decisions.effects import PublishNote, SendHalt, SendPrimitive
 from broker.decisions.events import (
     BrokerRestarted,
@@ -21,10 +23,9 @@ from broker.decisions.events import (
     SubsystemConnected,
     TimerFired,
 )
+from broker.decisions.machine import InvalidTransition
 from broker.decisions.resources import WORLD
 from broker.decisions.state import State
-from broker.decisions.termination import CLOSING_LIMIT_S, REPORT_MARGIN_S
-from broker.decisions.transitions import TABLE
 from rtc.language.record import Report
 from rtc.protocol import wire
 from rtc.protocol.messages import AnalyzerInput, BoundStep, Phase, WorkerKind
@@ -834,7 +835,7 @@ def test_a_lost_subsystem_says_what_leads_on():
     s.answers("C-1", go_on())
     assert (s.outcome("C-1").kind, s.outcome("C-1").refusal.clears) == (
         OutcomeKind.LOST_SUBSYSTEM,
-        termination.RETRY_ADVICE,
+        stopping.RETRY_ADVICE,
     )
 
 
@@ -1440,7 +1441,7 @@ def test_a_restarted_broker_has_no_listeners_until_they_come_back():
 def test_every_empty_cell_counts_and_changes_nothing():
     for phase in Phase:
         for stimulus in Stimulus:
-            if (phase, stimulus) in TABLE:
+            if (phase, stimulus) in COMMAND.cells:
                 continue
             s = Story()
             s.says("X")
@@ -1455,8 +1456,8 @@ def test_an_action_that_leads_where_it_must_not_tells_the_story(monkeypatch):
     s = Story()
     s.parsed()
     cell = (Phase.ELABORATING, Stimulus.PRODUCT)
-    wrong = TABLE[cell]._replace(action=lambda context, command, _: context.enter(command, Phase.CLOSING))
-    monkeypatch.setitem(TABLE, cell, wrong)
+    wrong = COMMAND.cells[cell]._replace(action=lambda context, command, _: context.enter(command, Phase.CLOSING))
+    monkeypatch.setitem(COMMAND.cells, cell, wrong)
     with pytest.raises(
         InvalidTransition, match=r"C-1: product in elaborating led to closing(.|\n)*0\.00\d elaborating"
     ):

@@ -8,7 +8,8 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from broker.decisions import decide, deferred_analysis, nominal, termination
+from broker.decisions import decide, deferred_analysis, halt_request
+from broker.decisions.command import stopping
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendHalt
 from broker.decisions.events import HaltCalled, JobLost, JournalLost, SubsystemConnected
@@ -42,7 +43,7 @@ def test_without_faults_all_there_is_is_explored():
 
 
 def test_a_halt_that_forgets_what_is_in_line_is_found(monkeypatch):
-    monkeypatch.setattr(nominal, "in_scope", lambda turn, scope: [])
+    monkeypatch.setattr(halt_request, "in_scope", lambda turn, scope: [])
     found = explore(faults(SAME_ARM, 1))
     assert found.violation
     assert [move[0] for move in found.path] == ["hand in", "halt", "said", "work"]
@@ -67,7 +68,7 @@ def test_a_command_that_nothing_can_end_is_found(monkeypatch):
 
 
 def test_a_halt_that_waits_for_a_confirmation_it_never_asked_for_is_found(monkeypatch):
-    monkeypatch.setattr(termination, "order_halt", lambda turn, command: None)  # no halt goes out, and no timer runs
+    monkeypatch.setattr(stopping, "order_halt", lambda turn, command: None)  # no halt goes out, and no timer runs
     assert "nothing more happens, and" in explore(faults(SAME_ARM, 2)).violation
 
 

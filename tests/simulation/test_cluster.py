@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 
-from broker.decisions import decide, termination
+from broker.decisions import decide
+from broker.decisions.command import termination
+from broker.decisions.command.table import COMMAND
 from broker.decisions.events import BrokerRestarted, Stimulus
-from broker.decisions.transitions import TABLE
 from broker.router import core, loop, subsystem_messages
 from rtc.protocol import messages as m
 from rtc.protocol import wire
@@ -144,5 +145,5 @@ def test_an_mcm_that_tells_from_memory_that_it_rests_is_found(monkeypatch):
 
 def test_a_broker_that_forgets_what_happened_while_the_world_was_away_is_found(monkeypatch):
     cell = (Phase.ANALYZING, Stimulus.UNAVAILABLE)
-    monkeypatch.setitem(TABLE, cell, TABLE[cell]._replace(action=termination.refuse))
+    monkeypatch.setitem(COMMAND.cells, cell, COMMAND.cells[cell]._replace(action=termination.refuse))
     assert "and the world trusts" in first_problem().problem

@@ -1,0 +1,74 @@
+"""Claims of a command: the names in its sentence before it is planned, then all names of its plan. Pure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from broker.decisions.command.termination import refuse
+from broker.decisions.context import DecisionContext
+from broker.decisions.resources import Claim
+from broker.decisions.state import Command, ParsedHead
+from rtc.language.record import BOTH_ARMS
+from rtc.protocol.messages import Phase, WorkerKind
+from rtc.protocol.outcomes import Refusal, RefusalReason
+
+MAX_ELABORATIONS = 20  # maximum per command, if its claim changes with each elaboration
+
+
+def _named(context: DecisionContext, head: ParsedHead) -> Claim:
+    """The claim of the names in the sentence: hands exclusively, the object shared against changes by others."""
+    claim: Claim = {}
+    if head.kind == "task":
+        if head.object:
+            claim[head.object] = False
+        for hand in (head.hand, head.to_hand):
+            if hand == BOTH_ARMS:
+                claim.update({p: True for s in context.state.subsystems.values() for p in s.performers})
+            elif hand:
+                claim[hand] = True
+    return claim
+
+
+def claim_and_elaborate(context: DecisionContext, command: Command) -> None:
+    """Claim the named resources, then elaborate, so that no other command changes the facts of the plan."""
+    assert command.head is not None
+    if claim_or_wait(context, command, _named(context, command.head)):
+        elaborate(context, command)
+
+
+def claim_or_wait(context: DecisionContext, command: Command, claim: Claim) -> bool:
+    """True: the claim is granted. False: the command waits in line, or was refused because of NOW."""
+    assert command.head is not None
+    resources = context.state.resources
+    result = resources.take(command.id, claim)
+    if isinstance(result, list):
+        context.grant(result)
+        return True
+    name, owner = result
+    if command.head.now:
+        message = f"{name} is in use by {owner}, and the sentence contains NOW"
+        clears = f"wait for {owner}, abort it, or leave out NOW"
+        refuse(context, command, Refusal(reason=RefusalReason.RESOURCE, message=message, owner=owner, clears=clears))
+        return False
+    context.grant(resources.wait(command.id, claim))
+    context.enter(command, Phase.HELD, f"{name} is in use by {owner}")
+    return False
+
+
+def on_granted(context: DecisionContext, command: Command, _: Any) -> None:
+    """Take the granted claim and elaborate again, because the world may have changed during the wait."""
+    resources = context.state.resources
+    result = resources.take(command.id, resources.waiting.get(command.id, {}))
+    if isinstance(result, list):
+        context.grant(result)
+        elaborate(context, command)
+
+
+def elaborate(context: DecisionContext, command: Command) -> None:
+    command.elaborations += 1
+    if command.elaborations > MAX_ELABORATIONS:
+        message = f"its claim changed {MAX_ELABORATIONS} times while it waited for it"
+        refuse(context, command, Refusal(reason=RefusalReason.OVERLOAD, message=message))
+        return
+    context.create_job(command, WorkerKind.ELABORATOR, {"command": command.id, "parsed": command.parsed})
+    context.enter(command, Phase.ELABORATING)

@@ -1,0 +1,67 @@
+"""The last analysis of a command whose motion was stopped or lost: it updates the world facts (R138, R151). Pure.
+
+Its verdict is ignored. If it takes too long, it is deferred and the command ends.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from broker.decisions import deferred_analysis
+from broker.decisions.command.jobs import QUARANTINED, dispatch_again, retry_analysis
+from broker.decisions.command.limits import CLOSING_LIMIT_S
+from broker.decisions.command.termination import cancel, end
+from broker.decisions.context import DecisionContext
+from broker.decisions.events import JobLost
+from broker.decisions.state import NIL, Command, PendingOutcome
+from rtc.protocol.messages import EndReport, Phase, WorkerKind
+from rtc.protocol.outcomes import Refusal
+
+
+def close(context: DecisionContext, command: Command, report: EndReport, note: str) -> None:
+    """Start the last analysis, which only updates the world facts."""
+    assert command.actions is not None
+    context.stop_timer(command)
+    command.primitive_body = NIL
+    data = {"evaluation": command.evaluation, "report": report, "closing": True}
+    context.create_job(command, WorkerKind.ANALYZER, data, locations=command.actions.script.writes)
+    context.start_timer(command, CLOSING_LIMIT_S)
+    context.enter(command, Phase.CLOSING, note)
+
+
+def stop_after_analysis(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:
+    """Let the running analysis update the world facts, and ignore its verdict (R138)."""
+    command.pending_outcome = ending
+    if command.due_s:  # a retry was scheduled, because the world database was unavailable
+        retry_analysis(context, command, None)
+    context.start_timer(command, CLOSING_LIMIT_S)
+    context.enter(command, Phase.CLOSING, f"{ending.message}; the analysis continues, its verdict is ignored")
+
+
+def finish_closing(context: DecisionContext, command: Command, product: Any) -> None:
+    """End after the last analysis. `product`: its ignored verdict; None or a refusal if it failed."""
+    assert command.pending_outcome is not None
+    context.stop_timer(command)
+    cancel(context, command)
+    ending = command.pending_outcome
+    end(context, command, ending.kind, message=ending.message, stop=ending.stop, refusal=ending.refusal)
+
+
+def retry_last_analysis(context: DecisionContext, command: Command, loss: JobLost) -> None:
+    """Dispatch the lost last analysis again; end without it if the job is poison."""
+    if dispatch_again(context, command, loss):
+        finish_closing(context, command, None)
+
+
+def defer_closing_analysis(context: DecisionContext, command: Command, refusal: Refusal | None) -> None:
+    """Defer the last analysis and end the command. `refusal`: the world database is unavailable; None: time limit."""
+    assert command.pending_outcome is not None
+    job = command.job
+    assert job is not None
+    context.stop_timer(command)
+    ending = command.pending_outcome
+    message = f"{ending.message}; {QUARANTINED}"
+    end(context, command, ending.kind, message=message, stop=ending.stop, refusal=ending.refusal, defer_analysis=True)
+    if refusal is not None:
+        job.attempt += 1
+        deferred_analysis.schedule_retry(context, command.id)

@@ -1,0 +1,99 @@
+"""PAUSE, RESUME and ABORT of commands. A HALT sentence is passed to its own machine. Pure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from broker.decisions.command.nominal import next_step
+from broker.decisions.command.scope import in_scope, no_target, scope_of
+from broker.decisions.command.termination import end, refuse
+from broker.decisions.context import DecisionContext
+from broker.decisions.events import Stimulus
+from broker.decisions.halt_request import halt_by_command
+from broker.decisions.resources import number
+from broker.decisions.state import Command, ParsedHead, PendingOutcome
+from rtc.protocol.messages import Phase
+from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
+
+CONTROLS = {"PAUSE": Stimulus.PAUSE, "RESUME": Stimulus.RESUME, "ABORT": Stimulus.STOP}  # all control verbs except HALT
+
+
+def concerns_earlier(head: ParsedHead) -> bool:
+    """True for PAUSE, RESUME and ABORT of an arm: the client's earlier commands must be parsed to know which use it.
+    HALT does not wait; ALL and a number need no parsed commands."""
+    scope = scope_of(head)
+    return head.verb != "HALT" and scope != "ALL" and not scope.startswith("C-")
+
+
+def control(context: DecisionContext, command: Command, head: ParsedHead) -> None:
+    """Apply PAUSE, RESUME, ABORT or HALT to one command, to the users of a resource, or to all."""
+    scope = scope_of(head)
+    if head.verb == "HALT":
+        halt_by_command(context, command, scope)
+        return
+    if head.verb not in CONTROLS:
+        message = f"the grammar lists {head.verb!r:.80} as a control verb, which it is not"
+        refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message))
+        return
+    targets = [c.id for c in in_scope(context, scope) if c.id == scope or not _given_after(c, command)]
+    if not targets and scope != "ALL":
+        refuse(context, command, no_target(context, scope, command.id))
+        return
+    stimulus = CONTROLS[head.verb]
+    words = f"{head.verb} of {', '.join(targets)}" if targets else f"{head.verb} had nothing to act on"
+    if answer := PAUSE_ANSWERS.get(stimulus):
+        answers = {name: answer(context.state.commands[name]) for name in targets}
+        targets = [name for name, (will, _) in answers.items() if will]
+        words = "; ".join(f"{name} {what}" for name, (_, what) in answers.items()) or words
+        if answers and not targets:
+            clears = f"HALT {scope} stops now, and ends it" if stimulus is Stimulus.PAUSE else ""
+            refuse(context, command, Refusal(reason=RefusalReason.STATE, message=words, clears=clears))
+            return
+    ending = PendingOutcome(kind=OutcomeKind.ABORTED, message=f"aborted by {command.id}")
+    for target in targets:
+        context.follow(target, stimulus, ending if stimulus is Stimulus.STOP else None)
+    end(context, command, OutcomeKind.SUCCEEDED, message=words)
+
+
+def _given_after(other: Command, command: Command) -> bool:
+    """True if the same client gave `other` at or after `command`. A PAUSE does not concern it, even if it is parsed."""
+    return other.client == command.client and number(other.id) >= number(command.id)
+
+
+Answer = tuple[bool, str]  # (is the request accepted?, what the command does, in words)
+
+
+def _will_pause(command: Command) -> Answer:
+    """Whether a command can pause. It pauses between two steps only (R101), so not in its last step."""
+    if command.phase is Phase.PAUSED:
+        return False, "is paused already"
+    if command.phase in (Phase.HALTING, Phase.CLOSING):
+        return False, "is ending"
+    if command.actions is None or command.actions.step is None:
+        return True, "pauses before its first step"
+    if command.actions.refs:
+        return True, f"pauses after step {command.step_words}"
+    return False, f"is in its last step ({command.step_words}) and ends with it"
+
+
+def _will_resume(command: Command) -> Answer:
+    going = command.phase is not Phase.PAUSED and not command.pause_wanted
+    return (False, "was not paused") if going else (True, "goes on")
+
+
+PAUSE_ANSWERS = {Stimulus.PAUSE: _will_pause, Stimulus.RESUME: _will_resume}
+
+
+def request_pause(context: DecisionContext, command: Command, _: Any) -> None:
+    command.pause_wanted = True
+    context.note(command, "will pause before its next step")
+
+
+def withdraw_pause(context: DecisionContext, command: Command, _: Any) -> None:
+    command.pause_wanted = False
+
+
+def resume(context: DecisionContext, command: Command, _: Any) -> None:
+    command.pause_wanted = False
+    context.note(command, "resumed")
+    next_step(context, command)

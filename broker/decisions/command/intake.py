@@ -1,0 +1,69 @@
+"""Intake of a command: from its parsed record to its first claim, in the order of its client's commands. Pure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from broker.decisions.command.claims import claim_and_elaborate
+from broker.decisions.command.control import concerns_earlier, control
+from broker.decisions.command.dependencies import wait_for_another
+from broker.decisions.command.termination import refuse
+from broker.decisions.context import DecisionContext
+from broker.decisions.state import Command, ParsedHead
+from rtc.protocol import wire
+from rtc.protocol.outcomes import Refusal, RefusalReason
+
+LAST = "LAST"  # stands for the number of the client's previous command
+
+
+read_parsed = wire.decoder(ParsedHead)
+
+
+def on_parsed(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
+    command.parsed = product
+    command.head = head = _with_last(read_parsed(product), command.previous)
+    if head.test:  # checked first: TEST HALT must not halt
+        message = "hypothesis tests (TEST ...) are not in this release"
+        clears = "`rtc parse` shows how the sentence is read; without TEST it moves"
+        refuse(context, command, Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears=clears))
+    elif refusal := _broker_refusal(command, head):
+        refuse(context, command, refusal)
+    elif context.is_next(command) or (head.kind == "control" and not concerns_earlier(head)):
+        take_up(context, command)
+    else:
+        context.state.intake_order[command.client][command.id] = True
+
+
+def _with_last(head: ParsedHead, previous: str) -> ParsedHead:
+    """Replace LAST by the number of the client's previous command."""
+    if previous and head.after == LAST:
+        return msgspec.structs.replace(head, after=previous)
+    if previous and head.together_with == LAST:
+        return msgspec.structs.replace(head, together_with=previous)
+    return head
+
+
+def _broker_refusal(command: Command, head: ParsedHead) -> Refusal | None:
+    """Refuse what only the broker can check: LAST without a previous command, REPORT EVERY without a reader."""
+    if LAST in (head.after, head.together_with):
+        word = "AFTER" if head.after else "TOGETHER-WITH"
+        message = f"{word} {LAST}: this client has given no command before this one"
+        clears = f"give the number: {word} C-n (`rtc log` lists the commands), or leave it out"
+        return Refusal(reason=RefusalReason.NAME, message=message, where=LAST, clears=clears)
+    if head.report is not None and head.report.every_s is not None and not command.progress:
+        message = "REPORT EVERY: this client does not take progress notes, so the reports would not be delivered"
+        clears = "wait for the command (rtc do without --no-wait; on_progress in Python), or leave out EVERY"
+        return Refusal(reason=RefusalReason.STATE, message=message, where="EVERY", clears=clears)
+    return None
+
+
+def take_up(context: DecisionContext, command: Command, _: Any = None) -> None:
+    """Start the command after parsing. The commands of one client are taken up in the order given, however long each
+    takes to parse: the first of two commands for one arm is first in line."""
+    assert command.head is not None
+    if command.head.kind == "control":
+        control(context, command, command.head)
+    elif not wait_for_another(context, command, command.head):
+        claim_and_elaborate(context, command)

@@ -1,0 +1,80 @@
+"""Jobs that were not done: the worker was lost, or the world database or every worker is unavailable. Pure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from broker.decisions import deferred_analysis
+from broker.decisions.command.termination import end, refuse
+from broker.decisions.context import DecisionContext
+from broker.decisions.events import JobLost
+from broker.decisions.state import Command
+from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
+
+QUARANTINED = "the names it touched stay quarantined until the world database is updated"
+
+
+def fail_unavailable(context: DecisionContext, command: Command, refusal: Refusal) -> None:
+    """A job before a motion could not be done: refused before the first primitive, failed after it."""
+    if command.primitives:
+        end(context, command, OutcomeKind.FAILED, message=refusal.message, refusal=refusal)
+    else:
+        refuse(context, command, refusal)
+
+
+def schedule_analysis_retry(context: DecisionContext, command: Command, refusal: Refusal) -> None:
+    """Repeat an analysis while the world database is unavailable; after LIMIT_S defer it and end the command."""
+    job = command.job
+    assert job is not None
+    job.attempt += 1  # a late answer to the previous attempt is stale
+    if context.now - job.since_s <= deferred_analysis.LIMIT_S:
+        context.count("analyses_again")
+        context.start_timer(command, deferred_analysis.AGAIN_S)
+        context.note(command, f"{refusal.message}; the analysis is repeated")
+        return
+    message = (
+        f"the result could not be analysed within {deferred_analysis.LIMIT_S:.0f} s: {refusal.message}; {QUARANTINED}"
+    )
+    refusal = Refusal(reason=refusal.reason, message=message, clears="wait until the world database is back")
+    end(context, command, OutcomeKind.FAILED, message=message, refusal=refusal, defer_analysis=True)
+    deferred_analysis.schedule_retry(context, command.id)
+
+
+def retry_analysis(context: DecisionContext, command: Command, _: Any) -> None:
+    assert command.job is not None
+    context.dispatch(command.job)
+
+
+def retry_job(context: DecisionContext, command: Command, loss: JobLost) -> None:
+    """Dispatch a lost job before a motion again; refuse the command if the job is poison."""
+    if poison := dispatch_again(context, command, loss):
+        refuse(context, command, poison)
+
+
+def retry_lost_analysis(context: DecisionContext, command: Command, loss: JobLost) -> None:
+    """Dispatch a lost analysis again. The motion is done, so the command fails if the job is poison."""
+    if poison := dispatch_again(context, command, loss):
+        end(context, command, OutcomeKind.FAILED, message=poison.message, refusal=poison)
+
+
+def dispatch_again(context: DecisionContext, command: Command, loss: JobLost) -> Refusal | None:
+    """Dispatch the job again: jobs are stateless. The refusal, if three workers died of it: such a job is poison."""
+    job = command.job
+    assert job is not None
+    if loss.blamed:
+        job.deaths.append(f"{loss.node}: {loss.evidence}")
+    if len(job.deaths) < deferred_analysis.MAX_DEATHS:
+        job.attempt += 1
+        context.count("jobs_again")
+        context.note(
+            command, f"{loss.node} lost ({loss.evidence.splitlines()[-1] if loss.evidence else 'gone'}); job again"
+        )
+        context.dispatch(job)
+        return None
+    return Refusal(
+        reason=RefusalReason.POISON,
+        message=f"the {job.kind.value}'s job {job.id} killed its worker {len(job.deaths)} times",
+        where=command.step_words,
+        clears="the evidence is in the trace; change the sentence or the program",
+        detail={f"death {n}": evidence[-800:] for n, evidence in enumerate(job.deaths, 1)},
+    )

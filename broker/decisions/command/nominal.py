@@ -1,0 +1,198 @@
+"""The nominal path of a command from its plan to its success: elaborated, bound, executed, assessed. Pure.
+
+The actions know steps and primitives as opaque bytes. They do not know skills, geometry or sockets.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from broker.decisions import action_stack, reporting
+from broker.decisions.command.claims import claim_or_wait
+from broker.decisions.command.closing import close
+from broker.decisions.command.limits import report_limit_s
+from broker.decisions.command.termination import end, end_given_up, refuse
+from broker.decisions.context import DecisionContext, read_step, step_in_words
+from broker.decisions.effects import AcknowledgeReport, SendPrimitive
+from broker.decisions.events import Stimulus
+from broker.decisions.resources import Claim
+from broker.decisions.state import NIL, AssessmentHead, BoundHead, Command, Link, PendingOutcome, ScriptHead
+from rtc.protocol import wire
+from rtc.protocol.messages import EndReport, Phase, WorkerKind
+from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
+from rtc.protocol.primitive import Primitive
+from rtc.protocol.primitive_id import belongs_to, primitive_id
+
+read_script = wire.decoder(ScriptHead)
+read_bound = wire.decoder(BoundHead)
+read_primitive = wire.decoder(Primitive)  # read completely, so that a subsystem never receives an invalid primitive
+read_assessment = wire.decoder(AssessmentHead)
+
+
+def on_elaborated(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
+    script = read_script(product)
+    claim: Claim = dict.fromkeys(script.reads, False)
+    claim.update(dict.fromkeys(script.resources, True))
+    claim.update(dict.fromkeys(script.writes, True))
+    halted = [r for r in script.resources if context.state.halted_at_s.get(r, -1.0) > command.given_at_s]
+    if halted:
+        message = f"{halted[0]} was halted after this command was given"
+        end(context, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)
+        return
+    if not claim_or_wait(context, command, claim):
+        return
+    command.actions = action_stack.begin(script)
+    command.labels = [read_step(step).label for step in script.steps]
+    if script.notes:
+        context.note(command, "; ".join(script.notes))
+    next_step(context, command)
+
+
+def next_step(context: DecisionContext, command: Command) -> None:
+    """Bind the top of the Action_Stack, or end the command if the stack is empty (paper, main loop)."""
+    actions = command.actions
+    assert actions is not None
+    if not actions.refs and command.given_up is not None:
+        end_given_up(context, command)
+    elif not actions.refs:
+        end(context, command, OutcomeKind.SUCCEEDED)
+    elif command.pause_wanted:
+        context.enter(command, Phase.PAUSED, "paused between two steps")
+    else:
+        actions.pop()
+        command.step_words = step_in_words(command)
+        name = primitive_id(command.id, command.primitives + 1, context.state.life)
+        context.create_job(command, WorkerKind.BINDER, actions.binder_input(name))
+        context.enter(command, Phase.BINDING)
+
+
+def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
+    assert command.actions is not None
+    result = read_bound(product)
+    command.actions.assign(result.bindings)
+    if result.report != NIL:
+        command.evaluation = result.evaluation
+        analyze(context, command, result.report)
+        context.enter(command, Phase.ANALYZING, result.note)
+        return
+    if not result.subsystem or result.primitive == NIL:
+        command.steps_done += 1
+        context.note(command, result.note or "nothing to execute")
+        next_step(context, command)
+        return
+    subsystem = context.state.subsystems.get(result.subsystem)
+    if subsystem is None or subsystem.link is Link.LOST:
+        lost = f"{result.subsystem} is not connected; this step moved nothing: give the sentence again when it is back"
+        end(context, command, OutcomeKind.LOST_SUBSYSTEM, message=lost, stop=StopReason.SUBSYSTEM_LOST)
+        return
+    primitive = read_primitive(result.primitive)
+    if not context.state.resources.held.get(command.id, {}).get(primitive.performer):
+        message = f"the step moves {primitive.performer}, which its script has not claimed"
+        refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
+        return
+    if not belongs_to(primitive.id, command.id, command.primitives + 1, context.state.life):
+        message = f"the binder made a primitive called {primitive.id[:40]!r}, which is not the next one of {command.id}"
+        refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
+        return
+    if result.evaluation == NIL:
+        message = "the binder made a primitive without an evaluation for the analyzer"
+        refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
+        return
+    command.primitives += 1
+    command.primitive = primitive.id
+    command.primitive_body = result.primitive
+    command.performers = [primitive.performer]
+    command.subsystem = result.subsystem
+    command.evaluation = result.evaluation
+    command.limit_s = result.limit_s
+    send(context, command)
+    context.enter(command, Phase.EXECUTING, result.note, expected_s=result.predicted_s * context.state.timeout_scale)
+    if command.primitives == 1:
+        for waiting in context.state.joining.pop(command.id, ()):
+            context.follow(waiting, Stimulus.RELEASE, True)
+
+
+def send(context: DecisionContext, command: Command) -> None:
+    """Send the primitive to its subsystem, which is responsible for it from now on (R58); the broker watches the time
+    limit only. An awaited subsystem receives it when it reconnects."""
+    command.sent_at_s = context.now
+    command.at_rest = False
+    subsystem = context.state.subsystems[command.subsystem]
+    if subsystem.link is Link.CONNECTED:
+        context.effects.append(
+            SendPrimitive(
+                subsystem=command.subsystem,
+                id=command.primitive,
+                primitive=command.primitive_body,
+                issued_at_s=context.now,
+                pid=subsystem.pid,
+            )
+        )
+    context.start_timer(command, report_limit_s(context.state, command))
+
+
+def on_reported(context: DecisionContext, command: Command, report: EndReport) -> None:
+    context.stop_timer(command)
+    acknowledge(context, command)
+    command.measured = reporting.at_end(command, report)
+    note = f"ended: {report.reason.value}" + (f" ({report.message})" if report.message else "")
+    if report.reason is StopReason.HALT:
+        command.pending_outcome = PendingOutcome(
+            kind=OutcomeKind.HALTED, message="halted at its subsystem", stop=StopReason.HALT
+        )
+        close(context, command, report, note)
+        return
+    analyze(context, command, report)
+    context.enter(command, Phase.ANALYZING, note, measured=command.measured)
+
+
+def acknowledge(context: DecisionContext, command: Command) -> None:
+    """Acknowledge the end report. Effects follow the journal, so the report is not needed again."""
+    context.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
+    command.primitive_body = NIL
+    command.at_rest = True
+
+
+def analyze(context: DecisionContext, command: Command, report: EndReport | msgspec.Raw) -> None:
+    assert command.actions is not None
+    data = command.actions.analyzer_input(command.evaluation, report)
+    context.create_job(command, WorkerKind.ANALYZER, data, locations=command.actions.script.writes)
+
+
+def on_assessed(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
+    assert command.actions is not None
+    assessment = read_assessment(product)
+    command.actions.assign(assessment.keep)
+    if assessment.verdict == "continue":
+        command.steps_done += 1
+        context.note(command, assessment.message or f"{assessment.reason.value}: as expected")
+        next_step(context, command)
+    elif assessment.verdict == "trim" and push_trim(context, command, assessment):
+        next_step(context, command)
+    elif command.given_up is not None:
+        end_given_up(context, command, assessment.message)
+    else:
+        failed = failure(assessment)
+        end(context, command, failed.kind, message=failed.message, stop=failed.stop, refusal=failed.refusal)
+
+
+def failure(assessment: AssessmentHead) -> PendingOutcome:
+    """The outcome after a step without a usable trim."""
+    message = assessment.message or f"{assessment.reason.value} where it was not expected"
+    refusal = None
+    if assessment.clears:
+        refusal = Refusal(reason=RefusalReason.STATE, message=message, clears=assessment.clears)
+    return PendingOutcome(kind=OutcomeKind.FAILED, message=message, stop=assessment.reason, refusal=refusal)
+
+
+def push_trim(context: DecisionContext, command: Command, assessment: AssessmentHead) -> bool:
+    """Continue with the steps of the trim that the analyzer proposes. False: the trim is not allowed."""
+    assert command.actions is not None
+    trim = command.actions.push_trim(assessment.trim)
+    if trim is None:
+        return False
+    context.count("trims")
+    if trim.then == "give_up":
+        command.given_up = failure(assessment)
+    context.note(command, f"{assessment.message or assessment.reason.value}: trim {trim.n}, {trim.label}")
+    return True

@@ -1,0 +1,50 @@
+"""Scopes of HALT, PAUSE, RESUME and ABORT: which live commands and which subsystem a name stands for. Pure."""
+
+from __future__ import annotations
+
+from broker.decisions.context import DecisionContext
+from broker.decisions.state import Command, ParsedHead
+from rtc.language.record import BOTH_ARMS
+from rtc.protocol.outcomes import Refusal, RefusalReason
+
+
+def scope_of(head: ParsedHead) -> str:
+    """The scope that a control sentence names; without a name it is ALL."""
+    scope = head.object or head.hand or "ALL"
+    return "ALL" if scope == BOTH_ARMS else scope
+
+
+def in_scope(context: DecisionContext, scope: str) -> list[Command]:
+    """The live commands in a scope: all, one by its number, or those that hold, want or name a resource."""
+    state = context.state
+    if scope == "ALL":
+        return list(state.commands.values())
+    if scope in state.commands:
+        return [state.commands[scope]]
+    claim = {*state.resources.holders.get(scope, ()), *state.resources.lines.get(scope, ())}
+    hands = {scope, BOTH_ARMS} if subsystem_of(context, scope) else {scope} - {BOTH_ARMS}
+    return [c for c in state.commands.values() if c.id in claim or (c.head and _names(c.head, scope, hands))]
+
+
+def _names(head: ParsedHead, scope: str, hands: set[str]) -> bool:
+    return head.kind == "task" and (head.object == scope or head.hand in hands or head.to_hand in hands)
+
+
+def subsystem_of(context: DecisionContext, performer: str) -> str:
+    return next((n for n, s in context.state.subsystems.items() if performer in s.performers), "")
+
+
+def has_ended(context: DecisionContext, scope: str) -> bool:
+    """True if the scope is the number of an accepted command that is not live, however old."""
+    number = scope.removeprefix("C-")
+    named = scope not in context.state.commands and scope == f"C-{number}" and number.isascii() and number.isdigit()
+    return named and 0 < int(number[:18]) <= context.state.accepted
+
+
+def no_target(context: DecisionContext, scope: str, asker: str = "") -> Refusal:
+    """The refusal for an empty scope. `asker`: the command that named it, left out of the suggestions."""
+    if has_ended(context, scope):
+        return Refusal(reason=RefusalReason.STATE, message=f"{scope} has already ended")
+    live = [command for command in context.state.commands if command != asker]
+    known = [*(p for s in context.state.subsystems.values() for p in s.performers), *live]
+    return Refusal(reason=RefusalReason.NAME, message=f"nothing live is called {scope}", expected=["ALL", *known[:20]])

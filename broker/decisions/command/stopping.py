@@ -1,0 +1,130 @@
+"""The halt of a command's primitive: ordered, then confirmed by its end report, by rest, or not at all. Pure.
+
+A command that moves a subsystem ends only after that subsystem is at rest (HALTING) or given up.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from broker.decisions import reporting
+from broker.decisions.command.closing import close
+from broker.decisions.command.limits import rest_limit_s
+from broker.decisions.command.termination import end
+from broker.decisions.context import DecisionContext
+from broker.decisions.effects import AcknowledgeReport, SendHalt
+from broker.decisions.state import NIL, Command, PendingOutcome
+from rtc.protocol.messages import EndReport, Phase
+from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
+
+STOP = "stop-"  # prefix of the halt that stops a command's primitive; the command's number follows
+
+
+RETRY_ADVICE = "give the sentence again when the subsystem is back: the arm's position is read first"
+
+
+def stop_primitive(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:
+    """Halt the primitive that is being executed, and wait for rest."""
+    command.pending_outcome = ending
+    order_halt(context, command)
+    context.enter(command, Phase.HALTING, ending.message)
+
+
+def order_halt(context: DecisionContext, command: Command) -> None:
+    context.effects.append(
+        SendHalt(subsystem=command.subsystem, halt=f"{STOP}{command.id}", scope=command.id, called_at_s=context.now)
+    )
+    context.start_timer(command, rest_limit_s(context.state))
+
+
+def stop_overdue(context: DecisionContext, command: Command, _: Any) -> None:
+    """Stop a primitive without an end report in time. F always contains a time limit, so the subsystem is at fault."""
+    message = f"{command.subsystem} gave no end report within {command.limit_s:.1f} s"
+    stop_primitive(context, command, PendingOutcome(kind=OutcomeKind.FAILED, message=message, stop=StopReason.TIMEOUT))
+
+
+def on_rested(context: DecisionContext, command: Command, report: EndReport) -> None:
+    """Close after the end report. It proves rest whatever its reason: the motion may have ended by itself."""
+    context.stop_timer(command)
+    command.measured = reporting.at_end(command, report)
+    context.effects.append(AcknowledgeReport(subsystem=command.subsystem, primitive=command.primitive))
+    command.primitive_body = NIL
+    command.at_rest = True
+    close(context, command, report, f"at rest: {report.reason.value}")
+
+
+def on_rest_confirmed(context: DecisionContext, command: Command, at_rest: bool) -> None:
+    """Handle a confirmation of rest, for a HALT sentence or for the halt of this command's primitive.
+
+    A HALT sentence ends when all subsystems in its scope have confirmed. A subsystem sends the end report before it
+    confirms rest. Without an end report it never received the primitive.
+    """
+    assert command.pending_outcome is not None
+    if command.primitive:
+        if at_rest:
+            command.at_rest = True
+            close(context, command, missing_report(context, command, StopReason.HALT), "at rest: it had not begun")
+        return
+    if context.node not in command.unconfirmed:
+        return  # a duplicate, or a subsystem outside the scope
+    command.unconfirmed.remove(context.node)
+    if not at_rest:
+        context.stop_timer(command)
+        end(context, command, OutcomeKind.HALT_NOT_CONFIRMED, message=f"{context.node} is not at rest")
+    elif not command.unconfirmed:
+        context.stop_timer(command)
+        end(context, command, command.pending_outcome.kind, message=command.pending_outcome.message)
+
+
+def fail_unconfirmed(context: DecisionContext, command: Command, _: Any) -> None:
+    who = command.subsystem or ", ".join(command.unconfirmed) or "any subsystem"
+    message = f"halted, but rest was not confirmed by {who} within {rest_limit_s(context.state):.0f} s"
+    command.pending_outcome = PendingOutcome(kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
+    if command.primitive:
+        close(context, command, missing_report(context, command), message)
+    else:  # a HALT sentence: it touched nothing
+        end(context, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
+
+
+def on_subsystem_lost(context: DecisionContext, command: Command, why: str) -> None:
+    message = f"{command.subsystem} was lost while executing: {why}"
+    command.pending_outcome = PendingOutcome(
+        kind=OutcomeKind.LOST_SUBSYSTEM,
+        message=message,
+        stop=StopReason.SUBSYSTEM_LOST,
+        refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=RETRY_ADVICE),
+    )
+    command.at_rest = context.state.subsystems[command.subsystem].came_at_rest
+    close(context, command, missing_report(context, command), message)
+
+
+def on_lost_while_halting(context: DecisionContext, command: Command, why: str) -> None:
+    who = command.subsystem or "a subsystem"
+    message = f"{who} was lost before it confirmed rest: {why}"
+    command.pending_outcome = PendingOutcome(
+        kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST
+    )
+    if command.primitive:
+        command.at_rest = context.state.subsystems[command.subsystem].came_at_rest
+        close(context, command, missing_report(context, command), message)
+    else:  # a HALT sentence: it touched nothing
+        context.stop_timer(command)
+        end(context, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST)
+
+
+def missing_report(
+    context: DecisionContext, command: Command, reason: StopReason = StopReason.SUBSYSTEM_LOST
+) -> EndReport:
+    """A substitute for the end report of a lost subsystem: it carries the reason and no measurements."""
+    return EndReport(
+        primitive=command.primitive,
+        performer=command.performers[0],
+        reason=reason,
+        at_s=context.now,
+        duration_s=0.0,
+        joints=[],
+        tcp_pose=[],
+        wrench=[],
+        hand_width_m=0.0,
+        hand_force_n=0.0,
+    )

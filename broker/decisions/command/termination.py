@@ -1,0 +1,130 @@
+"""The end of a command: `end` releases its resources and reports its outcome; it is the only way to ENDED. Pure.
+
+A command has no effects after its end, except a deferred analysis.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+
+from broker.decisions import deferred_analysis
+from broker.decisions.context import DecisionContext
+from broker.decisions.effects import CancelJob, ReportEnd
+from broker.decisions.events import Stimulus
+from broker.decisions.resources import Quarantine
+from broker.decisions.state import Command, PendingOutcome, Result, request_key
+from rtc.protocol import wire
+from rtc.protocol.messages import CommandEnded, CommandRecord, Phase
+from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal, StopReason
+
+ENDED_KEPT = 4096  # minimum number of stored results, for clients that ask again
+FORGOTTEN_AT_ONCE = 512  # results deleted together: the search for a dict's oldest key slows down with deletions
+UNCONFIRMED = (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM)
+
+
+def end(
+    context: DecisionContext,
+    command: Command,
+    kind: OutcomeKind,
+    *,
+    message: str = "",
+    stop: StopReason | None = None,
+    refusal: Refusal | None = None,
+    defer_analysis: bool = False,
+) -> None:
+    """End a command: release its resources and report its outcome. This is the only way to ENDED.
+
+    `defer_analysis`: the last analysis continues after the command has ended; the names it will write stay quarantined.
+    """
+    state = context.state
+    outcome = Outcome(
+        kind=kind,
+        message=message,
+        stop=stop,
+        refusal=refusal,
+        step=command.step_words if kind is not OutcomeKind.SUCCEEDED else "",
+        trims=command.actions.trim_labels if command.actions else [],
+        steps_done=command.steps_done,
+        measured=command.measured,
+    )
+    if defer_analysis:
+        deferred_analysis.defer(context, command)
+    command.job = None
+    context.enter(command, Phase.ENDED, f"{kind.value}{': ' + message if message else ''}")
+    in_doubt = Quarantine(command.subsystem, command.primitive) if _in_doubt(command, kind) else None
+    granted = state.resources.release(command.id, in_doubt, frozenset(command.performers))
+    for waiting in state.awaiting.pop(command.id, ()):
+        context.follow(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
+    for waiting in state.joining.pop(command.id, ()):
+        context.follow(waiting, Stimulus.RELEASE, False)
+    context.grant(granted)  # last, so that commands that came AFTER it precede those given later
+    context.count(kind.value)
+    state.seq += 1
+    ended = CommandEnded(
+        seq=state.seq,
+        at_s=context.now,
+        command=command.id,
+        request=command.request,
+        text=command.text,
+        outcome=outcome,
+        took_s=context.now - command.accepted_at_s,
+    )
+    record = CommandRecord(
+        command=command.id,
+        text=command.text,
+        source=command.source,
+        request=command.request,
+        accepted_at_s=command.accepted_at_s,
+        phase=Phase.ENDED,
+        notes=command.notes,
+        outcome=outcome,
+        ended_at_s=context.now,
+    )
+    context.effects.append(ReportEnd(client=command.client, ended=ended, record=record))
+    del state.commands[command.id]
+    state.live[command.client] -= 1
+    if not state.live[command.client]:
+        del state.live[command.client]
+    _remember(context, command, ended)
+
+
+def _in_doubt(command: Command, kind: OutcomeKind) -> bool:
+    return kind in UNCONFIRMED and not command.at_rest
+
+
+def _remember(context: DecisionContext, command: Command, ended: CommandEnded) -> None:
+    """Store the result for a client that asks again, and delete the oldest ones."""
+    state = context.state
+    succeeded = ended.outcome.kind is OutcomeKind.SUCCEEDED
+    state.ended[command.id] = Result(wire.raw(ended), succeeded, request_key(command.client, command.request))
+    if len(state.ended) < ENDED_KEPT + FORGOTTEN_AT_ONCE:
+        return
+    for oldest in list(islice(state.ended, FORGOTTEN_AT_ONCE)):
+        del state.requests[state.ended.pop(oldest).request]
+
+
+def refuse(context: DecisionContext, command: Command, refusal: Refusal) -> None:
+    if command.given_up is not None:
+        end_given_up(context, command, refusal.message)
+        return
+    end(context, command, OutcomeKind.REFUSED, message=refusal.message, refusal=refusal)
+
+
+def end_given_up(context: DecisionContext, command: Command, after: str = "") -> None:
+    """End with the cause of the give-up. `after`: message of a later failure."""
+    cause = command.given_up
+    assert cause is not None
+    message = f"{cause.message}; after that: {after}" if after else cause.message
+    end(context, command, cause.kind, message=message, stop=cause.stop, refusal=cause.refusal)
+
+
+def stop(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:
+    """End a command for which nothing moves. A result that is still under way becomes stale."""
+    cancel(context, command)
+    end(context, command, ending.kind, message=ending.message, stop=ending.stop)
+
+
+def cancel(context: DecisionContext, command: Command) -> None:
+    if command.job is not None:
+        context.effects.append(CancelJob(job=command.job.id))
+        command.job = None

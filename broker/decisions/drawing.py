@@ -1,0 +1,99 @@
+"""The machines of the Decision Unit as a page: `python -m broker.decisions.drawing > docs/decision_unit.md`. Pure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from broker.decisions.command.table import COMMAND
+from broker.decisions.machine import Cell, Machine
+
+MACHINES: dict[str, tuple[Machine[Any, Any], str]] = {
+    "Command": (COMMAND, "broker/decisions/command/table.py"),
+}
+TEXT = {
+    "Command": """
+| stimulus | meaning |
+|---|---|
+| product, refusal, worker_lost | the result of the command's one pending job: done, refused, or its worker is lost |
+| unavailable | the job could not be done: the world database, or every worker of the kind, is unavailable |
+| grant | all resources of its claim are free |
+| release | the command it waits for has ended or begun; in *parsing*: the earlier commands of its client are parsed |
+| report | the end report of its primitive |
+| rest | a subsystem confirms rest for its halt |
+| stop | a HALT or ABORT reaches it |
+| pause, resume | they take effect between two steps |
+| timeout | its time limit for an end report, for rest or for the last analysis; in *analyzing*: time for a retry |
+| subsystem_lost | the subsystem that executes its primitive is lost |
+""",
+}
+
+
+def as_markdown(machine: Machine[Any, Any]) -> str:
+    """The table: one row per state, one column per stimulus; a number refers to the reasons below it."""
+    reasons: dict[str, int] = {}
+    stimuli = list(machine.stimuli.__members__.values())
+    head = "| state | " + " | ".join(stimuli) + " |"
+    lines = [head, "|" + "---|" * (len(stimuli) + 1)]
+    for state in machine.states:
+        row = []
+        for stimulus in stimuli:
+            cell = machine.cells.get((state, stimulus))
+            if cell is not None:
+                row.append(in_words(cell))
+            else:
+                reason = machine.ignored[state, stimulus]
+                row.append(f"*{reasons.setdefault(reason, len(reasons) + 1)}*")
+        lines.append(f"| **{state.value}** | " + " | ".join(row) + " |")
+    lines += ["", "Ignored, because:", ""]
+    lines += [f"{n}. {reason}" for reason, n in reasons.items()]
+    return "\n".join(lines)
+
+
+def in_words(cell: Cell[Any]) -> str:
+    return f"{cell.action.__name__} → {', '.join(sorted(state.value for state in cell.following))}"
+
+
+def as_mermaid(machine: Machine[Any, Any]) -> str:
+    """The same as a state diagram. Each pair of states has one arrow, labelled with all its stimuli."""
+    arrows: dict[tuple[Any, Any], list[str]] = {}
+    for (state, stimulus), cell in machine.cells.items():
+        for after in sorted(cell.following - {state}):
+            arrows.setdefault((state, after), []).append(stimulus.value)
+    lines = ["stateDiagram-v2", f"    [*] --> {machine.first.value}"]
+    lines += [f"    {a.value} --> {b.value}: {', '.join(s)}" for (a, b), s in arrows.items()]
+    leaving = {state for state, _ in arrows}
+    final = [state for state in machine.states if state not in leaving]
+    return "\n".join([*lines, *(f"    {state.value} --> [*]" for state in final)])
+
+
+def as_page() -> str:
+    return "\n".join([INTRODUCTION, *(_section(name) for name in MACHINES)])
+
+
+def _section(name: str) -> str:
+    machine, path = MACHINES[name]
+    return f"""## {name}
+
+Table: `{path}`.
+
+```mermaid
+{as_mermaid(machine)}
+```
+
+{as_markdown(machine)}
+{TEXT[name]}"""
+
+
+INTRODUCTION = """# The Decision Unit
+
+Drawn from the tables of `broker/decisions/` by `python -m broker.decisions.drawing > docs/decision_unit.md`; a test
+compares.
+
+`decide(state, event) -> effects` (`broker/decisions/decide.py`) is pure: the time is a field of the event, and the same
+events give the same effects. Each event becomes a stimulus of a machine. The cell of its present state names the action
+and the states that may follow; they are checked after the action. A number in a cell means that the stimulus changes
+nothing, and refers to the reason below the table. Such a stimulus is counted as *stale*.
+"""
+
+if __name__ == "__main__":
+    print(as_page(), end="")
