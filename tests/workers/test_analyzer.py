@@ -105,7 +105,7 @@ def test_nothing_felt_is_mended_once_and_then_told(either):
     assert run.refusal is None
     assert run.trims == [2, 3]
     assert run.failure.reason is StopReason.NO_CONTACT
-    assert "nothing was felt" in run.failure.message
+    assert "no touch" in run.failure.message
     assert "SET MACS-NEW FRAME 80 -78.5 60 CM" in run.failure.clears
     assert run.labels[-2:] == ["open again", "back off from HANDLE-A"]
     assert either.world.get("MACS-NEW.frame").validity is Validity.SUSPECT

@@ -234,7 +234,7 @@ def test_what_another_hand_holds_is_lifted_by_that_hand(bench):
     refusal = refusal_of(bench, "LIFT MACS-NEW WITH LEFT-ARM")
 
     assert refusal.message == "MACS-NEW is held by RIGHT-ARM, not by LEFT-ARM"
-    assert refusal.clears == "say RIGHT-ARM, or RELEASE MACS-NEW"
+    assert refusal.clears == "name RIGHT-ARM, or RELEASE MACS-NEW"
 
 
 def test_a_verb_without_a_script_is_told_what_to_do_instead(bench):

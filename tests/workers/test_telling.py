@@ -42,7 +42,7 @@ def test_what_the_refusal_says_would_clear_it_clears_it(bench):
     bench.told("MACS-NEW.frame", [0.7912, -0.8, 0.6, 0, 0, 0, 1], Validity.SUSPECT)
     advice = refused(bench, GRASP).clears
 
-    told(bench, advice.partition("tell it: ")[2].partition(",")[0])
+    told(bench, advice.partition("state it: ")[2].partition(",")[0])
 
     assert bench.world.value("MACS-NEW.frame") == pytest.approx([0.7912, -0.8, 0.6, 0, 0, 0, 1])
     assert isinstance(bench.elaborate(GRASP), Script)
@@ -51,7 +51,7 @@ def test_what_the_refusal_says_would_clear_it_clears_it(bench):
 def test_the_refusal_says_how_the_thing_is_turned(bench):
     askew = geometry.from_rpy([0.79, -0.80, 0.60], [0.0, 0.0, math.radians(12)])
     bench.told("MACS-NEW.frame", askew.tolist(), Validity.SUSPECT)
-    advice = refused(bench, GRASP).clears.partition("tell it: ")[2].partition(",")[0]
+    advice = refused(bench, GRASP).clears.partition("state it: ")[2].partition(",")[0]
 
     assert advice == "SET MACS-NEW FRAME 79 -80 60 CM 0 0 12 DEG"
     told(bench, advice)
