@@ -1,1 +1,1 @@
-"""How fast it is. Each is `python -m benchmarks.NAME`: states its question, shows progress, keeps its result."""
+"""Benchmarks of speed: `python -m benchmarks.NAME` prints the question, the progress and the result."""

@@ -1,15 +1,15 @@
-"""Does a grasp know where the module is, when that is far from where it is believed to be? And what follows from it?
+"""How well does a grasp locate a module that is far from its believed place, and what follows from it?
 
     python -m benchmarks.grasp [--runs 200] [--clusters 2]
 
-Each cluster makes two runs at a time, one with each arm, the modules displaced with their seats behind its back: along
-one axis by up to 31 mm to either side, by up to 4 deg of yaw, or along and about all of them at once (at most 14 mm,
-4 deg: within the straddle of the hand). Every other cluster has loads of 1.5 times the mass and pads with half the
-friction. A run grasps, lifts, and puts the module back, or (every third of the right arm) carries it to BAY-2. After a
-failure the advised sentences are said, the position being told as it is; then the arm must be able to stow.
+Each cluster makes two runs at a time, one with each arm. The modules are displaced with their seats, unknown to the
+cluster: along one axis by up to 31 mm to either side, by up to 4 deg of yaw, or along and about all axes at once (at
+most 14 mm and 4 deg, within the straddle of the hand). Every second cluster has loads of 1.5 times the mass and pads
+with half the friction. A run grasps and lifts the module, and puts it back; every third run of the right arm carries
+it to BAY-2. After a failure the advised sentences are submitted, with the true position; then the arm must stow.
 
-    within_straddle_rate  of the runs with x, y, z within 14 mm and yaw within 4 deg, how many grasped
-    wrong_valid_facts     places believed valid, after any command, that are off by more than their spread + 5 mm, 2 deg
+    within_straddle_rate  share of grasps in runs with x, y, z within 14 mm and yaw within 4 deg
+    wrong_valid_facts     valid positions, after any command, with an error above their spread + 5 mm, 2 deg
     stuck                 arms that the advised sentences did not free
     false_successes       PLACE that succeeded with the module more than 5 mm or 2 deg from its seat
 """
@@ -37,10 +37,10 @@ from rtc.world.spread import EXACT
 
 SEED = 7
 MODULES = {"RIGHT-ARM": ("MACS-NEW", "HANDLE-A", "RACK-1"), "LEFT-ARM": ("MACS-OLD", "HANDLE-B", "RACK-2")}
-ALONG_M = (0.003, 0.008, 0.014, 0.023, 0.031)  # either way, along one axis
+ALONG_M = (0.003, 0.008, 0.014, 0.023, 0.031)  # to either side, along one axis
 ABOUT_RAD = tuple(math.radians(n) for n in (2.0, 4.0))
 STRADDLE_M, STRADDLE_RAD = 0.014, math.radians(4.0)
-SLACK = [0.005] * 3 + [math.radians(2.0)] * 3  # beyond the spread that a fact states
+SLACK = [0.005] * 3 + [math.radians(2.0)] * 3  # tolerance added to the spread of a fact
 SEATED_M, SEATED_RAD = 0.005, math.radians(2.0)
 HEAVY, SMOOTH = 1.5, 0.5
 COMMAND_S = 300.0
@@ -57,7 +57,7 @@ class Run:
     into_bay: bool
     grasped: bool = False
     placed: bool = False
-    wrong: list[str] = field(default_factory=list)  # facts, in words
+    wrong: list[str] = field(default_factory=list)  # wrong facts, as text
     stuck: str = ""
     false_success: str = ""
     failed: str = ""
@@ -81,7 +81,7 @@ def main() -> None:
     arguments.add_argument("--speed", default="max")
     arguments.add_argument("--seed", type=int, default=SEED)
     given = arguments.parse_args()
-    question("grasp", "Does a grasp know where the module is that is far from where it is believed?", seed=given.seed)
+    question("grasp", "How well does a grasp locate a module that is far from its believed place?", seed=given.seed)
     pairs = list(_pairs(given.runs, given.seed))
     done: list[Run] = []
     context = multiprocessing.get_context("spawn")
@@ -108,7 +108,7 @@ def _finish(done: list[Run]) -> None:
 
 
 def _pairs(runs: int, seed: int) -> Iterator[list[Run]]:
-    """Two runs for each cluster, one per arm, going round all the offsets."""
+    """Two runs for each cluster, one per arm; the offsets repeat in a cycle."""
     rng = random.Random(seed)
     offsets = _offsets(rng)
     for n in range((runs + 1) // 2):
@@ -118,7 +118,7 @@ def _pairs(runs: int, seed: int) -> Iterator[list[Run]]:
 
 
 def _offsets(rng: random.Random) -> Iterator[list[float]]:
-    """x y z roll pitch yaw, without end: a single axis, then all within the straddle, in turn."""
+    """Endless offsets x y z roll pitch yaw: alternately on a single axis, and on all axes within the straddle."""
     singles = [
         [sign * size if axis == n else 0.0 for n in range(6)]
         for axis, sizes in ((0, ALONG_M), (1, ALONG_M), (2, ALONG_M), (5, ABOUT_RAD))
@@ -157,7 +157,7 @@ def _cluster(speed: str, runs: list[Run]) -> list[Run]:
 
 
 def _chain(rtc: Client, cell: Cell, run: Run, ended: CommandEnded, rack: list[float]) -> None:
-    """What follows a grasp: lift, carry, put down; or the way out of a failure."""
+    """The commands after a grasp: lift, carry, put down; or the advised ones after a failure."""
     module, _, seat = MODULES[run.arm]
     target = "BAY-2" if run.into_bay else seat
     ways = [f"MOVE {run.arm} TO CLEAR-POINT-1", f"MOVE {run.arm} TO BAY-2-FRONT"] if run.into_bay else []
@@ -184,7 +184,7 @@ def _good(ended: CommandEnded) -> bool:
 
 
 def _judge(rtc: Client, run: Run) -> None:
-    """Whether the place of the module, if it is believed valid, is within what the fact states."""
+    """Check that the module's position, if the fact is valid, is within the fact's spread."""
     module = MODULES[run.arm][0]
     fact = rtc.world.view(keys=[f"{module}.frame"]).facts[0]
     if fact.validity is not Validity.VALID:
@@ -198,18 +198,18 @@ def _judge(rtc: Client, run: Run) -> None:
 
 
 def _freed(rtc: Client, run: Run, ended: CommandEnded) -> str:
-    """Say what is advised, telling positions as they are; then stow. Empty, or what refused."""
+    """Submit the advised sentences with true positions, then stow. Returns the refusals; empty if it stowed."""
     module = MODULES[run.arm][0]
-    said = [ended.outcome.message]
+    results = [ended.outcome.message]
     for _ in range(3):
         clears = ended.outcome.refusal.clears if ended.outcome.refusal else ""
         for text in _advised(clears, rtc, module):
-            said.append(f"{text}: {rtc.run(text, timeout_s=COMMAND_S).outcome.kind.value}")
+            results.append(f"{text}: {rtc.run(text, timeout_s=COMMAND_S).outcome.kind.value}")
         ended = rtc.run(f"STOW {run.arm}", timeout_s=COMMAND_S)
         if _good(ended):
             return ""
-        said.append(f"{ended.text}: {ended.outcome.message}")
-    return f"STUCK: {' | '.join(said)[:600]}"
+        results.append(f"{ended.text}: {ended.outcome.message}")
+    return f"STUCK: {' | '.join(results)[:600]}"
 
 
 def _advised(clears: str, rtc: Client, module: str) -> Iterator[str]:

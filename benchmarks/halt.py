@@ -2,11 +2,15 @@
 
     python -m benchmarks.halt [--halts 200] [--mcm bullet]
 
-The right arm goes to and fro; at a random moment of each motion it is halted, so many times in each of five
-conditions: `idle` (nothing else goes on), `saturated` (every core has a busy process, and sentences stream through the
-workers), `planning` (the other arm is planned for all the time, and moves), `hung_worker` (a binder is stopped with a
-job in its hands), `broker_stopped` (SIGSTOP: only the estop socket is left). Before and after each halt it is looked
-whether the condition is there; a halt without it does not count and is repeated, and the table says how many were.
+The right arm moves to and fro and is halted at a random moment of each motion, `--halts` times in each condition:
+
+idle            nothing else runs
+saturated       every core has a busy process, and sentences stream through the workers
+planning        the other arm is planned for all the time, and moves
+hung_worker     a binder with a job is stopped
+broker_stopped  SIGSTOP: only the estop socket is left
+
+The condition is checked before and after each halt. A halt without it is repeated, and the table shows how many were.
 Latency is `decelerating_at_s - called_at_s`, both CLOCK_MONOTONIC of one machine.
 """
 
@@ -32,13 +36,13 @@ from rtc.runtime.process_table import processes
 
 SEED = 20
 PLACES = ("BAY-2-FRONT", "CLEAR-POINT-1")
-MOVING_RAD_S = 0.05  # a joint faster than this moves
-MOTION_S = 20.0  # longest wait until a motion is seen
-LATER_S = 0.15  # the halt comes at a random moment within this after the start
-LOOK_S = 0.02  # between two looks at what a worker has in its hands
-BUSY_S = 0.5  # within which the job is in the hands of a stopped worker; or another was started for it
+MOVING_RAD_S = 0.05  # a faster joint counts as moving
+MOTION_S = 20.0  # maximum wait for a motion
+LATER_S = 0.15  # the halt comes at a random time within this after the start
+LOOK_S = 0.02  # period of checking the job of a worker
+BUSY_S = 0.5  # limit until the stopped worker has a job; otherwise another worker has it
 
-Holds = Callable[[], bool]  # whether the condition is there
+Holds = Callable[[], bool]  # whether the condition holds
 Disturbance = Callable[[Client], AbstractContextManager[Holds]]
 
 
@@ -50,10 +54,10 @@ class Bench:
         self._rng = rng
         self._place = 0
         self.missed = 0  # halts without a latency, or without confirmed rest
-        self.undisturbed = 0  # halts that did not count, because the condition was not there
+        self.undisturbed = 0  # halts that did not count, because the condition did not hold
 
     def latencies_s(self, name: str, halts: int, disturbance: Disturbance, *, each: bool) -> list[float]:
-        """`each`: the disturbance begins when the arm moves, and ends with the halt; otherwise it lasts throughout."""
+        """`each`: the disturbance lasts from the start of each motion to its halt; otherwise all the time."""
         found: list[float] = []
         began_s = time.monotonic()
         with nullcontext() if each else disturbance(self._rtc) as holds:
@@ -66,8 +70,10 @@ class Bench:
         return found
 
     def _one(self, disturbance: Disturbance) -> list[float]:
-        """One halt of a moving arm; empty when it does not count: the arm had come to its goal before the halt reached
-        it, or the condition was not there."""
+        """One halt of a moving arm; empty if it does not count.
+
+        It does not count if the arm reached its goal before the halt, or if the condition did not hold.
+        """
         self._place = 1 - self._place
         samples = self._rtc.telemetry(silence_s=10.0)
         command = self._rtc.submit(f"MOVE RIGHT-ARM TO {PLACES[self._place]}")
@@ -88,7 +94,7 @@ class Bench:
         return [result.latency_s] if result.moving and held else []
 
     def _wait_for_motion(self, samples: Iterator[m.Telemetry], command: str) -> bool:
-        """False: it has come to its goal, which was near, without being seen in motion (or nothing came of it)."""
+        """False: no motion was seen, because the goal was near or the command failed."""
         limit_s = time.monotonic() + MOTION_S
         begun = False
         for sample in samples:
@@ -109,7 +115,7 @@ def nothing(_: Client) -> Iterator[Holds]:
 
 @contextmanager
 def saturated(rtc: Client) -> Iterator[Holds]:
-    """A busy process for every core, and a stream of sentences through parser and elaborator."""
+    """A busy process per core, and a stream of sentences through parser and elaborator."""
     busy = [multiprocessing.Process(target=_spin, daemon=True) for _ in range(os.cpu_count() or 1)]
     for process in busy:
         process.start()
@@ -122,7 +128,7 @@ def saturated(rtc: Client) -> Iterator[Holds]:
 
 @contextmanager
 def planning(rtc: Client) -> Iterator[Holds]:
-    """The other arm is sent about, and ways are sought for it to what it cannot reach, one after the other."""
+    """The other arm moves, and paths to unreachable goals are planned for it, one after the other."""
     motions = _stream(rtc.run_dir, "STOW LEFT-ARM", "MOVE LEFT-ARM TO RACK-2-FRONT")
     with motions as moves, _stream(rtc.run_dir, "GRASP MACS-NEW WITH LEFT-ARM") as plans:
         yield lambda: moves() and plans()
@@ -130,7 +136,7 @@ def planning(rtc: Client) -> Iterator[Holds]:
 
 @contextmanager
 def hung_worker(rtc: Client) -> Iterator[Holds]:
-    """Whoever binds stops (a pool may have grown); in the hands of one is a job of which it knows nothing yet."""
+    """Stop all binders (there may be more than at the start); one of them has a job that it has not begun."""
     with ExitStack() as stopped:
         names = [name for name in processes(rtc.run_dir) if name.startswith(f"{WorkerKind.BINDER}@")]
         hang = {name: stopped.enter_context(_stopped(rtc, name)) for name in names}
@@ -150,7 +156,7 @@ def broker_stopped(rtc: Client) -> Iterator[Holds]:
 
 @contextmanager
 def _stopped(rtc: Client, name: str) -> Iterator[Holds]:
-    """By a file descriptor: the supervisor may find it hung and kill it, and others may come to its name and number."""
+    """Signal by a file descriptor: the supervisor may kill the hung process, and its name and pid may be reused."""
     pid = processes(rtc.run_dir)[name].pid
     process = os.pidfd_open(pid)
     signal.pidfd_send_signal(process, signal.SIGSTOP)
@@ -169,16 +175,16 @@ def _is_stopped(pid: int) -> bool:
 
 
 def _who_has(rtc: Client, command: str, names: Iterable[str]) -> str:
-    """The one of these workers that has a job of this command in its hands, "" for none."""
+    """The worker among these that has a job of this command; empty if there is none."""
     busy = {worker["name"]: str(worker["busy_with"]) for worker in rtc.status()["workers"]}
     return next((name for name in names if busy.get(name, "").startswith(f"{command}/")), "")
 
 
 @contextmanager
 def _stream(run_dir: Path, *texts: str) -> Iterator[Holds]:
-    """A client of its own, in a process of its own, that says these sentences over and over."""
+    """A client in a process of its own that submits these sentences repeatedly."""
     over = multiprocessing.Event()
-    process = multiprocessing.Process(target=_say, args=(run_dir, texts, over), daemon=True)
+    process = multiprocessing.Process(target=_submit, args=(run_dir, texts, over), daemon=True)
     process.start()
     try:
         yield process.is_alive
@@ -187,7 +193,7 @@ def _stream(run_dir: Path, *texts: str) -> Iterator[Holds]:
         process.join()
 
 
-def _say(run_dir: Path, texts: tuple[str, ...], over: Event) -> None:
+def _submit(run_dir: Path, texts: tuple[str, ...], over: Event) -> None:
     with Client(run_dir) as rtc:
         while not over.is_set():
             rtc.run_many(texts, parallel=False, timeout_s=60.0)
@@ -198,7 +204,7 @@ def _spin() -> None:
         pass
 
 
-CONDITIONS: dict[str, tuple[Disturbance, bool]] = {  # name -> (what disturbs, for each halt anew?)
+CONDITIONS: dict[str, tuple[Disturbance, bool]] = {  # name -> (disturbance, whether it starts anew for each halt)
     "idle": (nothing, False),
     "saturated": (saturated, False),
     "planning": (planning, False),
@@ -225,7 +231,7 @@ def main() -> None:
             rows.append((name, spread(found, 1e3, "ms")))
         metrics["missed"] = bench.missed
         rows.append(("missed", str(bench.missed)))
-        rows.append(("repeated: the condition was not there", str(bench.undisturbed)))
+        rows.append(("repeated: the condition did not hold", str(bench.undisturbed)))
     finish("halt", metrics, rows)
 
 

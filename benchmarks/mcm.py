@@ -1,9 +1,9 @@
-"""Does the simulated MCM keep its 1 kHz beside busy workers, and how much quicker than real time can it go?
+"""Does the simulated MCM keep 1 kHz beside busy workers, and how much faster than real time can it run?
 
-The process is the real one, with a broker made of one socket. Late: a tick that begins more than a period (1 ms) after
-it was due, at `--speed 1`, while as many processes as there are cores burn all they can get at the workers' niceness.
-Real-time factor: simulated seconds per second at `--speed max`, both arms moving; and while one of them grips. The
-limit of both is what the physics library's step alone would allow, in the same run.
+The MCM process is the real one; one socket stands for the broker. A tick is late if it begins more than a period (1 ms)
+after it was due, at `--speed 1`, while one busy process per core runs at the workers' niceness. The real-time factor is
+the simulated seconds per second at `--speed max`, with both arms moving, and with one of them gripping. The limit of
+both is the speed of the physics library's step alone, measured in the same run.
 
     python -m benchmarks.mcm [--seconds 20] [--mcm bullet|kinematic]
 """
@@ -37,16 +37,16 @@ from sim_mcm.arms.bullet_world import STEP_S
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
 WORKERS_NICENESS = 5
 LIMIT_S = 300.0
-SWING_RAD, SWING_S = 0.4, 4.0  # of the first joint, there or back
-STEPS = 100  # of bare physics between two looks at the clock
+SWING_RAD, SWING_S = 0.4, 4.0  # of the first joint, in each direction
+STEPS = 100  # physics steps between two readings of the clock
 HANDLE, MODULE = "HANDLE-A", "MACS-NEW"
 
-_hear = reader(m.SubsystemToBroker)
+_decode = reader(m.SubsystemToBroker)
 _look = reader(m.Telemetry)
 
 
 class Station:
-    """A running MCM and the socket it reports to."""
+    """A running MCM, and the socket that receives its reports."""
 
     def __init__(self, mcm: str, speed: float, folder: str) -> None:
         settings = Settings(run_dir=str(prepare_run_dir(Path(folder))), mcm=mcm, speed=speed)
@@ -70,7 +70,7 @@ class Station:
         limit_s = time.monotonic() + LIMIT_S
         while time.monotonic() < limit_s:
             if self.broker.poll(1000):
-                message = _hear(self.broker.recv_multipart()[1:])
+                message = _decode(self.broker.recv_multipart()[1:])
                 if isinstance(message, kind) and getattr(message, "primitive", "") == primitive:
                     return message
         raise SystemExit(f"the MCM did not answer within {LIMIT_S:.0f} s")
@@ -122,7 +122,7 @@ def station(mcm: str, speed: float) -> Iterator[Station]:
 
 @contextlib.contextmanager
 def busy_cores() -> Iterator[None]:
-    """As many processes as cores, computing for ever as workers would."""
+    """One busy process per core, at the niceness of workers."""
     burn = f"import os; os.nice({WORKERS_NICENESS})\nwhile True: sum(range(10000))"
     burners = [subprocess.Popen([sys.executable, "-c", burn]) for _ in os.sched_getaffinity(0)]
     try:
@@ -144,7 +144,7 @@ def _path(knots: list[list[float]], each_s: float) -> p.JointTrajectory:
 
 
 def swings(cell: Cell, arm: str, duration_s: float) -> p.JointTrajectory:
-    """To and fro with the first joint, in free space."""
+    """Motions of the first joint to and fro, in free space."""
     home = cell.arm(arm).home_rad
     away = [home[0] - SWING_RAD * (1 if arm == ARMS[0] else -1), *home[1:]]
     count = max(2, 2 * round(duration_s / SWING_S / 2))
@@ -152,7 +152,7 @@ def swings(cell: Cell, arm: str, duration_s: float) -> p.JointTrajectory:
 
 
 def late_percent(mcm: str, cell: Cell, seconds: float, busy: bool) -> tuple[float, int]:
-    """Share of late ticks while both arms move, in real time; and how many ticks were looked at."""
+    """Share of late ticks while both arms move in real time, and the number of ticks."""
     with station(mcm, 1.0) as made, busy_cores() if busy else contextlib.nullcontext():
         begun = [made.begin(arm, swings(cell, arm, seconds + 10.0)) for arm in ARMS]
         time.sleep(1.0)
@@ -176,7 +176,7 @@ def free_factor(mcm: str, cell: Cell, seconds: float) -> float:
 
 
 def bare_factor(cell: Cell, seconds: float) -> float:
-    """The same of the physics step alone: no sensor read, no torque, no judgement, nobody who moves."""
+    """The same for the physics step alone: no sensors, no torques, no executor, no motion."""
     world = BulletCell(cell).world
     steps, began_s = 0, time.perf_counter()
     while (took_s := time.perf_counter() - began_s) < seconds:
@@ -187,7 +187,7 @@ def bare_factor(cell: Cell, seconds: float) -> float:
 
 
 def gripping_factor(mcm: str, cell: Cell, seconds: float) -> float:
-    """The same while the right hand holds a module in the air and carries it to and fro, and the left arm rests."""
+    """The same while the right arm carries a module to and fro in the air, and the left arm rests."""
     arm = ARMS[0]
     model = ArmModel.of(cell, arm)
     handle = geometry.compose(cell.object_pose(MODULE), cell.object(MODULE).grasp_point(HANDLE).frame.pose)
@@ -213,7 +213,7 @@ def gripping_factor(mcm: str, cell: Cell, seconds: float) -> float:
 
 
 def _lift(model: ArmModel, start: list[float], handle: geometry.Array, height_m: float = 0.3) -> p.JointTrajectory:
-    """Straight up out of the rack, by knots close enough together."""
+    """A trajectory straight up out of the rack, with dense knots."""
     knots = [start]
     for n in range(1, 31):
         pose = geometry.translate(handle, (0.0, 0.0, height_m * _smooth(n / 30)))
@@ -236,11 +236,11 @@ def _smooth(x: float) -> float:
 
 def main() -> None:
     words = argparse.ArgumentParser(description=__doc__)
-    words.add_argument("--seconds", type=float, default=20.0, help="of the clock on the wall, for each figure, about")
+    words.add_argument("--seconds", type=float, default=20.0, help="approximate wall-clock time for each figure")
     words.add_argument("--mcm", default="bullet")
     given = words.parse_args()
     cell = Cell.load("swapout")
-    question("mcm", f"does the {given.mcm} MCM keep 1 kHz beside busy workers, and how fast can it go?")
+    question("mcm", f"does the {given.mcm} MCM keep 1 kHz beside busy workers, and how fast can it run?")
     rows: list[tuple[str, str]] = []
 
     def measured(label: str, text: str) -> None:

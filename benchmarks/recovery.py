@@ -1,16 +1,16 @@
-"""How long is a cluster's work held up when a process of it is killed, and is anything lost, repeated or told wrongly?
+"""How long does a killed process delay the work of a cluster, and is anything lost, repeated or reported wrongly?
 
     python -m benchmarks.recovery [--kills 100]
 
-A real cluster (exact arms in real time; two workers of each kind) runs short commands on both arms all the
-time, and a client talks nonsense to the parser. One process after the other is killed with SIGKILL, at a random moment:
+A real cluster (exact arms in real time, two workers of each kind) runs short commands on both arms all the time, and a
+client sends invalid sentences. One process after the other is killed with SIGKILL at a random moment. Measured is:
 
-    worker   with a job in its hands: until that job runs on another worker
-    broker   until the new one hears of work that is done again (journal replayed, workers and MCM found)
+    worker   that has a job: until the job runs on another worker
+    broker   until the new one receives results again (journal replayed, workers and MCM connected)
     world    until a read of the world is answered
-    mcm      until the broker knows the new one and that it is at rest
+    mcm      until the broker is connected to the new one and knows that it is at rest
 
-Then what every client was told is held against the journal and the MCM's log (`benchmarks.load.verdict`).
+Then all reported outcomes are compared with the journal and the MCM's log (`benchmarks.load.verdict`).
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ from rtc.runtime.chaos import Chaos, Strike
 from rtc.runtime.process_table import processes
 
 SEED = 20
-PAUSE_S = (0.6, 0.9)  # between two kills: some work is done, nobody seems to be in a crash loop
+PAUSE_S = (0.6, 0.9)  # between two kills: some work is done, and no process counts as in a crash loop
 LIMIT_S = 20.0
 LOOK_S = 0.002
-IN_HAND_S = 0.004  # after a job was given out it is killed within this: most jobs of those kinds take longer
+IN_HAND_S = 0.004  # a worker is killed within this time after it got a job; most jobs of these kinds take longer
 PHASES = {m.Phase.ELABORATING: "elaborator", m.Phase.BINDING: "binder"}
 
 
 class Bench:
-    """One cluster under load, and one kill after the other."""
+    """One cluster under load; its processes are killed one after the other."""
 
     def __init__(self, run_dir: Path, rng: random.Random) -> None:
         self._run_dir, self._rng = run_dir, rng
         self.chaos = Chaos(run_dir, rng)
         self.journal = JournalReader(run_dir)
-        self.worker_told_s: list[float] = []
+        self.loss_known_s: list[float] = []
         self._marked = 0
 
     def run(self, kind: str, kills: int) -> list[float]:
-        """So many times from the kill until the work goes on, s."""
+        """Times (s) from a kill until the work continues."""
         found: list[float] = []
         kill = KILLS[kind]
         for took_s in kill(self):
@@ -66,7 +66,7 @@ class Bench:
     # --- one kind each ---------------------------------------------------------------------------------
 
     def worker(self) -> Iterator[float]:
-        """Kills that met a job in hand; the others do not count, they hold up nothing."""
+        """Kills of a worker with a job; others delay nothing and do not count."""
         with Client(self._run_dir) as rtc, Client(self._run_dir) as asking:
             for note in rtc.events(silence_s=LIMIT_S):
                 if (
@@ -82,7 +82,7 @@ class Bench:
                 self._mark()
                 strike = self.chaos.strike("worker", holder)
                 if strike is not None:
-                    self._await_back(strike)  # by then the broker knows long since
+                    self._await_back(strike)  # the broker knows long before
                     yield from self._begun_by_another(strike)
 
     def _holder(self, rtc: Client, note: m.ProgressNote) -> str | None:
@@ -92,13 +92,13 @@ class Bench:
         return None
 
     def _begun_by_another(self, strike: Strike) -> Iterator[float]:
-        """When the job that was in its hands was begun by another; nothing when there was none."""
+        """The time when another worker began its job; None if it had none."""
         self.journal.read()
         lost = next((e for e in self._events() if isinstance(e, JobLost) and e.node == strike.name and e.blamed), None)
         if lost is not None:
             done = self._await(strike, lambda e: isinstance(e, JobFinished | JobDeclined) and e.job == lost.job)
             if isinstance(done, JobFinished):
-                self.worker_told_s.append(lost.at_s - strike.at_s)
+                self.loss_known_s.append(lost.at_s - strike.at_s)
                 yield done.at_s - done.took_s - strike.at_s
 
     def broker(self) -> Iterator[float]:
@@ -140,7 +140,7 @@ class Bench:
             if (strike := self.chaos.strike(kind)) is not None:
                 return strike
             time.sleep(LOOK_S)
-        raise SystemExit(f"no {kind} came up within {LIMIT_S} s: {processes(self._run_dir)}")
+        raise SystemExit(f"no {kind} started within {LIMIT_S} s: {processes(self._run_dir)}")
 
     def _await_back(self, strike: Strike) -> None:
         limit_s = time.monotonic() + LIMIT_S
@@ -155,11 +155,11 @@ class Bench:
         self._marked = len(self.journal.events)
 
     def _events(self) -> list[Event]:
-        """Since the mark."""
+        """The events since the mark."""
         return self.journal.events[self._marked :]
 
     def _await(self, strike: Strike, wanted: Callable[[Event], bool]) -> Event:
-        """The first such event since the mark and the kill. SystemExit when none comes."""
+        """The first such event since the mark and the kill. Raises SystemExit if there is none in time."""
         limit_s = time.monotonic() + LIMIT_S
         while time.monotonic() < limit_s:
             for event in self._events():
@@ -167,7 +167,7 @@ class Bench:
                     return event
             time.sleep(LOOK_S)
             self.journal.read()
-        raise SystemExit(f"{strike.name} was killed, and the work did not go on within {LIMIT_S} s")
+        raise SystemExit(f"{strike.name} was killed, and the work did not continue within {LIMIT_S} s")
 
     def _rest(self) -> None:
         time.sleep(self._rng.uniform(*PAUSE_S))
@@ -189,13 +189,13 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=100, help="of each kind")
     parser.add_argument("--kinds", default=",".join(KILLS), help="some of: " + ",".join(KILLS))
     given = parser.parse_args()
-    question("recovery", "How long is work held up when a process is killed, and is anything lost?", seed=SEED)
+    question("recovery", "How long does a killed process delay the work, and is anything lost?", seed=SEED)
     metrics: dict[str, float | None] = {}
     rows: list[tuple[str, str]] = []
     with own_cluster(mcm="kinematic", dim=3) as run_dir:
         bench = Bench(run_dir, random.Random(SEED))
         with Errands(run_dir) as errands:
-            time.sleep(2.0)  # everything has been done once
+            time.sleep(2.0)  # each kind of job has run once
             for kind in given.kinds.split(","):
                 found = bench.run(kind, given.kills)
                 metrics |= {
@@ -204,10 +204,10 @@ def main() -> None:
                 }
                 rows.append((f"{kind} killed", spread(found, 1e3, "ms")))
                 if kind == "worker":
-                    rows.append(("  of which until the broker knows", spread(bench.worker_told_s, 1e3, "ms")))
+                    rows.append(("  of which until the broker knows", spread(bench.loss_known_s, 1e3, "ms")))
         bench.journal.read()
         verdict = judge(errands.done, bench.journal.events, run_dir, bench.chaos.strikes)
-    verdict.tell()
+    verdict.print_faults()
     metrics |= {
         "commands_lost": len(verdict.lost),
         "commands_repeated": len(verdict.repeated),
@@ -217,7 +217,7 @@ def main() -> None:
     }
     rows += [
         ("commands", f"{len(errands.done)}: {', '.join(f'{n} {kind}' for kind, n in verdict.outcomes.most_common())}"),
-        ("lost, repeated, told wrongly", f"{len(verdict.lost)}, {len(verdict.repeated)}, {len(verdict.wrong)}"),
+        ("lost, repeated, reported wrongly", f"{len(verdict.lost)}, {len(verdict.repeated)}, {len(verdict.wrong)}"),
     ]
     finish("recovery", metrics, rows)
     sys.exit(1 if verdict.lost or verdict.repeated or verdict.wrong else 0)

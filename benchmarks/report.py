@@ -1,10 +1,10 @@
-"""How every benchmark tells its result: a table for people, a file in results/, and one line of JSON at the end.
+"""Output of every benchmark: a table for people, a file in results/, and one line of JSON at the end.
 
     question("world", "How long does a grouped read of 50 facts take?")
     ...
     finish("world", {"read50_p50_us": 123.4, "vs_redis": None}, rows=[("read of 50", "123 us")])
 
-Latencies are given as percentiles of all samples, the worst among them; nothing is trimmed.
+Latencies are percentiles of all samples, including the worst; nothing is trimmed.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import Any
 
 RESULTS = Path(__file__).parent / "results"
-_before: dict[str, Any] = {}  # what the machine was doing when the question was asked
+_before: dict[str, Any] = {}  # state of the machine at the start
 
 
 def question(name: str, text: str, *, seed: int | None = None) -> None:
-    """Say what is asked, of which machine, with which seed."""
+    """Print the question, the machine and the seed."""
     _before.update(load=list(os.getloadavg()), processor_s=_processor_s())
     print(f"{name}: {text}")
     print(f"machine: {machine()['cpu']}, {machine()['cores']} cores, Python {platform.python_version()}", end="")
@@ -33,7 +33,7 @@ def question(name: str, text: str, *, seed: int | None = None) -> None:
 
 
 def percentile(samples: Sequence[float], percent: float) -> float:
-    """The sample that `percent` % of all do not exceed (nearest rank). Raises ValueError when there are none."""
+    """The sample that `percent` % of all do not exceed (nearest rank). Raises ValueError without samples."""
     if not samples:
         raise ValueError("a percentile of no samples")
     ranked = sorted(samples)
@@ -41,13 +41,13 @@ def percentile(samples: Sequence[float], percent: float) -> float:
 
 
 def spread(samples: Sequence[float], scale: float = 1.0, unit: str = "s") -> str:
-    """Median, p99 and worst in one phrase."""
+    """Median, p99 and worst as text."""
     p50, p99, worst = (scale * percentile(samples, p) for p in (50, 99, 100))
     return f"p50 {p50:.4g} {unit}, p99 {p99:.4g} {unit}, worst {worst:.4g} {unit} of {len(samples)}"
 
 
 def machine() -> dict[str, Any]:
-    """What the figures depend on."""
+    """Properties of the machine and versions on which the figures depend."""
     cpu = platform.processor() or platform.machine()
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text().splitlines():
@@ -72,7 +72,7 @@ def finish(
     rows: Iterable[tuple[str, str]] | None = None,
     folder: Path = RESULTS,
 ) -> None:
-    """Print the table, write `folder`/NAME.json, and end with one line of JSON for tools."""
+    """Print the table, write `folder`/NAME.json, and print one line of JSON for tools."""
     shown = list(rows) if rows is not None else [(key, _figure(value)) for key, value in metrics.items()]
     width = max((len(label) for label, _ in shown), default=0)
     print()
@@ -91,13 +91,13 @@ def _figure(value: float | None) -> str:
 
 
 def _processor_s() -> tuple[float, float]:
-    """(processor time that a virtual machine's host has kept from us, all processor time) since it began."""
+    """(processor time stolen by the host of a virtual machine, all processor time) since boot."""
     times = [int(word) for word in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
     return float(times[7]), float(sum(times))
 
 
 def _stolen_percent() -> float:
-    """Of all processor time since the question: what a host gives to others shows in everybody's worst figures."""
+    """Share of processor time stolen by the host since the question (%); it affects the worst figures."""
     if "processor_s" not in _before:
         return 0.0
     (stolen, total), (stolen_then, total_then) = _processor_s(), _before["processor_s"]

@@ -2,9 +2,9 @@
 
     python -m benchmarks.soak [--commands 100000] [--dim 2]
 
-Trivial commands (`benchmarks.load`), journal on. The first tenth fills what is bounded but not empty (results kept for
-clients that ask again, stories): growth is that from the second tenth to the last, each taken as the median of its
-samples, because every snapshot of the state comes and goes with some MB.
+Trivial commands (`benchmarks.load`), journal on. The first tenth fills the bounded stores (outcomes kept for repeated
+requests, records). Growth is counted from the second tenth to the last. Each is the median of its samples, because
+each snapshot of the state takes some MB for a moment.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def _sample(running: Running, done: int) -> Sample:
 
 
 def draw(samples: Sequence[Sample]) -> None:
-    """results/soak.png; nothing when matplotlib is not installed."""
+    """results/soak.png; skipped without matplotlib."""
     try:
         import matplotlib
 

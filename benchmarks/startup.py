@@ -1,7 +1,7 @@
-"""How long does `rtc up -d` take until the cluster is ready, as its user sees it?
+"""How long does `rtc up -d` take until the cluster is ready?
 
-Each run starts a whole cluster in a fresh run directory and ends it. The figure is the median of the runs, from before
-the command is started until it has returned; ending is timed beside it.
+Each run starts a whole cluster in a new run directory and ends it. The figure is the median of the runs, from the start
+of the command until it returns. The end is timed separately.
 
     python -m benchmarks.startup [--runs 5] [--mcm bullet|kinematic] [--dim 2]
 """
@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def _timed(*arguments: str) -> tuple[list[str], float]:
-    """The command's lines, and seconds until it has returned. SystemExit when it fails."""
+    """The command's output lines and its duration (s). Raises SystemExit if it fails."""
     began = time.perf_counter()
     command = [sys.executable, "-m", "rtc.cli.main", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)

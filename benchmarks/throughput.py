@@ -1,16 +1,16 @@
-"""How many commands go through all four phases per second, beside other people's machinery with the same chain?
+"""How many commands per second pass all four phases, compared with other frameworks with the same chain?
 
     python -m benchmarks.throughput [--rounds 3] [--seconds 3] [--dims 2 3 4 5] [--no-peers] [--profile FILE]
 
-Ours is the whole way of a command: accepted, journalled, parsed, elaborated, its performer reserved, bound, executed,
-reported, analysed, its end told; by the real broker and the real shells with functions that do next to nothing
-(`benchmarks.load`). The peers only pass bytes of the same sizes along a chain of four jobs (`benchmarks.peers`). Every
-round measures everybody once, one after the other, so that a busy neighbour is everybody's; a ratio is the median of
-the rounds' ratios. Nothing is trimmed.
+A command of ours passes the whole journey: accepted, journalled, parsed, elaborated, its performer reserved, bound,
+executed, reported, analysed, its end reported. Broker and worker loop are real, the worker functions trivial
+(`benchmarks.load`). The peers only pass bytes of the same sizes along a chain of four jobs (`benchmarks.peers`). Each
+round measures all of them once, one after the other, so that a busy machine affects all. A ratio is the median of the
+rounds' ratios. Nothing is trimmed.
 
-Two further questions to the same cluster: how long the broker takes from a message to its effects while all workers
-are saturated (jobs of BUSY_S each), and how many real sentences go as far as a bound motion: real parser, elaborator
-and binder on the real cell, two arms, a subsystem that is done at once and never moves, so every plan begins anew.
+Two more figures of the same cluster: the time from a message to its effects in the broker while all workers are
+saturated (jobs of BUSY_S each), and the rate of real sentences as far as a bound motion. The latter has the real
+parser, elaborator and binder on the real cell with two arms. Its subsystem ends each primitive without motion.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import OutcomeKind
 
 WARM_UP_S = 1.5
-BUSY_S = 0.002  # of work in every job, to saturate the workers
-SATURATING = 100  # commands under way are enough for that
+BUSY_S = 0.002  # duration of each job, to saturate the workers
+SATURATING = 100  # commands in progress; enough to saturate them
 PLANNERS = (WorkerKind.PARSER, WorkerKind.ELABORATOR, WorkerKind.BINDER)
 MOTIONS = ("MOVE RIGHT-ARM TO BAY-2-FRONT", "MOVE LEFT-ARM TO CLEAR-POINT-1")
 #: metric -> module and name of the peer
@@ -46,10 +46,10 @@ PEERS = {
 
 @dataclass(frozen=True)
 class Run:
-    """One measurement of ours."""
+    """One measurement of our cluster."""
 
     commands_per_s: float
-    turn_p50_ms: float  # of the broker's loop: from its messages to their effects, the last 4096
+    turn_p50_ms: float  # broker's loop, from messages to their effects, the last 4096 iterations
     turn_p99_ms: float
     latency_p50_ms: float
     cpu_us: dict[str, float]  # processor time per command, by process
@@ -62,9 +62,11 @@ def main() -> None:
     parser.add_argument("--dims", type=int, nargs="+", default=[2, 3, 4, 5], help="of the cube: 2^dim workers")
     parser.add_argument("--window", type=int, default=1000, help="commands under way at a time")
     parser.add_argument("--no-peers", action="store_true")
-    parser.add_argument("--profile", type=Path, help="keep the broker's cProfile here, and measure nothing else")
+    parser.add_argument(
+        "--profile", type=Path, help="write the broker's cProfile to this file, and measure nothing else"
+    )
     given = parser.parse_args()
-    text = f"how many trivial commands per second, {given.window} under way, journal on; and on other machinery?"
+    text = f"how many trivial commands per second, {given.window} in progress, journal on; and on other frameworks?"
     question("throughput", text)
     if given.profile:
         rate = flood(2, given.seconds, given.window, profile=given.profile).commands_per_s
@@ -79,7 +81,7 @@ def main() -> None:
 
 
 def measure(found: Found, given: argparse.Namespace) -> Iterator[tuple[str, str]]:
-    """One round; tells what it finds."""
+    """One round; prints its figures."""
     for dim in given.dims:
         run = flood(dim, given.seconds, given.window)
         found.floods.setdefault(dim, []).append(run)
@@ -116,7 +118,7 @@ def flood(
     real: Sequence[WorkerKind] = (),
     text: Callable[[int], str] = sentence,
 ) -> Run:
-    """One cluster, warmed up, measured, ended. SystemExit when a command did not succeed."""
+    """Start, warm up, measure and end one cluster. Raises SystemExit if a command did not succeed."""
     with (
         cluster(dim, profile=profile, busy_s=busy_s, real=real) as running,
         LoadClient(running.settings, text, window) as client,
@@ -142,17 +144,17 @@ def flood(
 
 @dataclass
 class Found:
-    """All that was measured, round by round."""
+    """All measurements, round by round."""
 
     floods: dict[int, list[Run]] = field(default_factory=dict)  # by dimension of the cube
     saturated: list[float] = field(default_factory=list)  # p99 of message to effects, ms
     sentences: list[float] = field(default_factory=list)  # per second
     peers: dict[str, list[float]] = field(default_factory=dict)  # metric -> commands per second
-    missing: dict[str, str] = field(default_factory=dict)  # metric -> why there is none
+    missing: dict[str, str] = field(default_factory=dict)  # metric -> reason for its absence
 
     @property
     def first(self) -> list[Run]:
-        """Those that are compared: of the smallest cube."""
+        """The measurements of the smallest cube, which are compared with the peers."""
         return next(iter(self.floods.values()))
 
     def ratios(self, metric: str) -> list[float]:
@@ -189,7 +191,7 @@ def spread(values: Sequence[float], digits: int = 0) -> str:
 
 
 def draw(found: Found) -> None:
-    """results/throughput.png; nothing when matplotlib is not installed."""
+    """results/throughput.png; skipped without matplotlib."""
     rates = {1 << dim: [run.commands_per_s for run in runs] for dim, runs in found.floods.items()}
     try:
         import matplotlib
@@ -208,7 +210,7 @@ def draw(found: Found) -> None:
     )
     for n, (metric, values) in enumerate(found.peers.items()):
         axes.axhline(median(values), linestyle=("--", "-.", ":")[n % 3], color="0.4", linewidth=1)
-        left = n % 2  # two may do equally well
+        left = n % 2  # alternately left and right
         at, side = (workers[0], "left") if left else (workers[-1], "right")
         axes.text(at, median(values), PEERS[metric][1], fontsize=8, va="bottom", ha=side)
     axes.set_xscale("log", base=2)

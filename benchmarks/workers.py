@@ -1,11 +1,11 @@
 """How long do the four workers take for one job each: a sentence, a script, a step, a report?
 
-    python -m benchmarks.workers [--stories 6] [--passes 3]
+    python -m benchmarks.workers [--scenarios 6] [--passes 3]
 
-The functions are the workers' own, with the cell swapout and its default programs, warm, in one process, without
-sockets. The jobs are real: they are collected while stories (`benchmarks.load.stories`) are carried out on exact arms,
-and each step is bound once more after arms and modules have come to stand elsewhere. A motion is bound: that is IK, a
-way that is free of collisions, and its timing. Refusals are told apart. Each pass asks all jobs in another order.
+It runs the real worker functions with the cell swapout and the default programs, warm, in one process, without sockets.
+The jobs are real: they are collected from scenarios (`benchmarks.load.scenarios`) on exact arms, and each step is bound
+again after arms and modules have moved. To bind a motion means IK, a collision-free path, and its timing. Refusals are
+counted separately. Each pass runs all jobs in another order.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from benchmarks.load.stories import FUNCTIONS, Job, Story, Workers, changed, sentences
+from benchmarks.load.scenarios import FUNCTIONS, Job, Scenario, Workers, changed, sentences
 from benchmarks.report import finish, percentile, question, spread
 from rtc.cells.cell import Cell
 from rtc.programs import loader
@@ -42,7 +42,7 @@ VERBS = {
 
 def main() -> None:
     words = argparse.ArgumentParser(prog="python -m benchmarks.workers", description=__doc__)
-    words.add_argument("--stories", type=int, default=6, help="a story is some 35 steps, and half a minute of work")
+    words.add_argument("--scenarios", type=int, default=6, help="a scenario has some 35 steps and takes half a minute")
     words.add_argument("--passes", type=int, default=3, help="over all jobs")
     given = words.parse_args()
     question("workers", "How long do the four workers take for one job each?", seed=SEED)
@@ -50,9 +50,9 @@ def main() -> None:
     cold = dict(_cold(cell))
     workers = Workers(cell)
     jobs = [Job(WorkerKind.PARSER, World(), ParserInput(text=text)) for text in SAMPLES]
-    for n in range(given.stories):
-        jobs += _told(workers, rng)
-        print(f"  story {n + 1} of {given.stories}: {len(jobs)} jobs", flush=True)
+    for n in range(given.scenarios):
+        jobs += _jobs_of_scenario(workers, rng)
+        print(f"  scenario {n + 1} of {given.scenarios}: {len(jobs)} jobs", flush=True)
     jobs += [changed(job, cell, rng) for job in jobs if job.kind is WorkerKind.BINDER]
     times_s = _timed(workers, jobs, given.passes, rng)
     bound = times_s["bind any motion"] = [t for label in times_s if label.startswith("bind a ") for t in times_s[label]]
@@ -73,7 +73,7 @@ def main() -> None:
 
 
 def _cold(cell: Cell) -> Iterator[tuple[str, float]]:
-    """What a worker makes before its first job, once (s); libraries are imported."""
+    """Time (s) of the work before a worker's first job, with all libraries imported."""
     for kind, function in FUNCTIONS.items():
         body = loader.default(kind)
         began_s = time.perf_counter()
@@ -88,12 +88,12 @@ def _cold(cell: Cell) -> Iterator[tuple[str, float]]:
     yield "bodies of the cell", time.perf_counter() - began_s
 
 
-def _told(workers: Workers, rng: random.Random) -> list[Job]:
-    """The jobs of one story. Its sentences are left out: those that are parsed here are the samples."""
-    story = Story(workers, rng)
+def _jobs_of_scenario(workers: Workers, rng: random.Random) -> list[Job]:
+    """The jobs of one scenario, without parser jobs: the samples of the language are parsed instead."""
+    scenario = Scenario(workers, rng)
     for sentence in sentences(rng):
-        story.say(sentence)
-    return [job for job in story.jobs if job.kind is not WorkerKind.PARSER]
+        scenario.run(sentence)
+    return [job for job in scenario.jobs if job.kind is not WorkerKind.PARSER]
 
 
 def _timed(workers: Workers, jobs: list[Job], passes: int, rng: random.Random) -> dict[str, list[float]]:

@@ -1,7 +1,7 @@
-"""How long does one grouped read of 50 facts from the world database take, through its socket, decoded?
+"""How long does one grouped read of 50 facts from the world database take, with socket and decoding?
 
-Beside it, in the same run: what a worker really asks for (only what is new since its last view), a commit to disk, and
-MGET of 50 keys from Redis through its own client, when a Redis server can be started here.
+In the same run it measures the usual read of a worker (only changes since its last view), a commit to disk, and, if a
+Redis server can be started, MGET of 50 keys from Redis through its own client.
 
     python -m benchmarks.world [--reads 5000]
 """
@@ -46,7 +46,7 @@ def main() -> None:
         assert len(client.view(keys=keys).facts) == FACTS
         version = client.view().version
         read = _timed("read of 50 facts", lambda _: client.view(keys=keys), reads)
-        delta = _timed("read of what is new (nothing)", lambda _: client.view(since=version), reads)
+        delta = _timed("read of changes (none)", lambda _: client.view(since=version), reads)
 
         def commit(n: int) -> None:
             client.commit(sign(key, f"job-{n}", ["THING-0"]), [WorldChange(key=keys[0], value=pose)], "benchmark")
@@ -86,7 +86,7 @@ def _timed(what: str, act: Callable[[int], object], count: int) -> list[float]:
 
 @contextlib.contextmanager
 def _server(folder: Path, key: bytes) -> Iterator[Settings]:
-    """A world database process of its own."""
+    """A separate world database process."""
     settings = Settings(run_dir=str(prepare_run_dir(folder)))
     settings.save()
     (folder / KEY_FILE).write_bytes(key)
@@ -98,7 +98,7 @@ def _server(folder: Path, key: bytes) -> Iterator[Settings]:
 
 
 def _redis(reads: int) -> list[float]:
-    """The same of Redis; empty when it or its client is not installed."""
+    """The same for Redis; empty if it or its client is not installed."""
     with contextlib.suppress(ImportError):
         redis = importlib.import_module("redis")
         if shutil.which("redis-server") is None:

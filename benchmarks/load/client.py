@@ -1,8 +1,7 @@
-"""A client that keeps many sentences under way at once, by the real protocol and without notes of progress.
+"""A load client that keeps many sentences in progress at once, by the real protocol and without progress notes.
 
-Of `rtc.client.client` it leaves out what a person needs (repeats after a lost broker, listeners), so that on few
-cores the
-load takes little from what is loaded.
+Unlike `rtc.client.client` it neither reconnects nor calls listeners, so that on few cores it takes little time from the
+processes under load.
 """
 
 from __future__ import annotations
@@ -21,15 +20,15 @@ from rtc.protocol.outcomes import OutcomeKind
 from rtc.runtime.process import inbox, open_socket
 from rtc.runtime.settings import Settings
 
-SILENCE_S = 5.0  # with sentences under way: the cluster is stuck
+STUCK_S = 5.0  # without a message for this long, with sentences in progress, the cluster is stuck
 
 
 class Stuck(Exception):
-    """Nothing was heard for SILENCE_S although sentences were under way."""
+    """No message for STUCK_S although sentences are in progress."""
 
 
 class LoadClient:
-    """`text(n)` is the n-th sentence; `window` of them are under way at any time."""
+    """`text(n)` is the n-th sentence; `window` of them are in progress at any time."""
 
     def __init__(self, settings: Settings, text: Callable[[int], str], window: int = 1000) -> None:
         self._text, self._window = text, window
@@ -42,32 +41,32 @@ class LoadClient:
         self._numbers = count(1)
         self._sent_at_s: dict[str, float] = {}
         self.outcomes: Counter[OutcomeKind] = Counter()
-        self.latencies_s: list[float] = []  # of the commands that ended since it was emptied last
+        self.latencies_s: list[float] = []  # of the commands that ended since the list was cleared
 
     def run(self, for_s: float) -> float:
-        """Keep the window full for so long; commands that ended per second."""
+        """Keep the window full for this time; returns the commands per second that ended."""
         began = time.monotonic()
         ended = 0
         while (now := time.monotonic()) - began < for_s:
             self._fill(now)
-            ended += self._hear()
+            ended += self._receive()
         return ended / (now - began)
 
     def finish(self, how_many: int) -> Iterator[int]:
-        """Have so many commands done; yields how many are, after every handful."""
+        """Run this many commands; yields the number done from time to time."""
         left, done = how_many, 0
         while done < how_many:
             left -= self._fill(time.monotonic(), left)
-            done += self._hear()
+            done += self._receive()
             yield done
 
     def drain(self) -> None:
-        """Wait for all that is under way."""
+        """Wait until no sentence is in progress."""
         while self._sent_at_s:
-            self._hear()
+            self._receive()
 
     def status(self) -> dict[str, Any]:
-        """The broker's status; only when nothing is under way."""
+        """The broker's status; only while no sentence is in progress."""
         assert not self._sent_at_s
         self._socket.send_multipart(wire.frames(m.StatusQuery(request="status")))
         (reply,) = self._read(self._socket.recv_multipart())
@@ -95,10 +94,10 @@ class LoadClient:
             self._socket.send_multipart(parts)
         return new
 
-    def _hear(self) -> int:
-        """How many commands have ended. Raises Stuck."""
-        if not self._socket.poll(int(SILENCE_S * 1000)):
-            raise Stuck(f"nothing heard for {SILENCE_S} s, {len(self._sent_at_s)} commands under way")
+    def _receive(self) -> int:
+        """Receive; the number of commands that ended. Raises Stuck."""
+        if not self._socket.poll(int(STUCK_S * 1000)):
+            raise Stuck(f"no message for {STUCK_S} s, {len(self._sent_at_s)} commands in progress")
         now, ended = time.monotonic(), 0
         for parts in inbox(self._socket):
             for message in self._read(parts):

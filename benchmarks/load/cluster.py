@@ -3,7 +3,7 @@
     with cluster(dim=2) as running:
         ...Client(running.run_dir)...
 
-Without the supervisor: nothing of it is measured here, and a process that dies is a failed benchmark.
+It has no supervisor: a process that dies makes the benchmark fail.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Running:
     processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
 
     def cpu_s(self) -> dict[str, float]:
-        """Processor time that each process has used so far (user and system), workers of a kind together."""
+        """Processor time used by each process so far (user and system); workers of a kind together."""
         used: dict[str, float] = {}
         for name, process in self.processes.items():
             fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
@@ -54,9 +54,11 @@ class Running:
 def cluster(
     dim: int = 2, *, profile: Path | None = None, busy_s: float = 0.0, real: Sequence[WorkerKind] = ()
 ) -> Iterator[Running]:
-    """2^dim workers. `profile`: a file for the broker's profile (cProfile; it then runs at about half its speed).
-    `busy_s`: work of every trivial job. `real`: kinds that have their real functions; the subsystem then has the arms
-    of the cell."""
+    """A cluster with 2^dim workers.
+
+    `profile`: a file for the broker's profile (cProfile, at about half the speed). `busy_s`: work of each trivial job.
+    `real`: kinds with their real functions; the subsystem then has the arms of the cell.
+    """
     with tempfile.TemporaryDirectory(prefix="rtc-bench-") as folder:
         run_dir = prepare_run_dir(Path(folder) / "run")
         settings = Settings(run_dir=str(run_dir), run=secrets.token_hex(4), dim=dim)

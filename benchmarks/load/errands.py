@@ -1,7 +1,7 @@
-"""Short real commands, one after the other on each arm, by clients that do not know what goes wrong meanwhile.
+"""Short real commands, one after the other on each arm, from clients that do not know of injected faults.
 
-Every arm goes to and fro between two postures, `far_deg` apart; what each command came to is kept, to be checked
-against what the journal and the MCM's own log say (`benchmarks.load.verdict`).
+Each arm moves to and fro between two postures, `far_deg` apart. The outcome of each command is kept. It is compared
+with the journal and the MCM's log by `benchmarks.load.verdict`.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from rtc.protocol.outcomes import Outcome, RtcError
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
 STOWED_DEG = (0, 110, -160, 0, 50, 0)
-OUTWARDS = {"RIGHT-ARM": -1, "LEFT-ARM": 1}  # the sense of the first joint that leads away from the other arm
-NONSENSE = "FLY TO THE MOON"  # refused by the parser: something that is always under way
-NONSENSE_S = 0.01  # between two of it
-LIMIT_S = 60.0  # for one command, whatever happens: longer, and it is lost
+OUTWARDS = {"RIGHT-ARM": -1, "LEFT-ARM": 1}  # direction of the first joint away from the other arm
+NONSENSE = "FLY TO THE MOON"  # refused by the parser; keeps the parser busy
+NONSENSE_S = 0.01  # pause between two of these
+LIMIT_S = 60.0  # a command without an outcome for this long is lost
 
 
 @dataclass(frozen=True)
 class Errand:
-    """One sentence and what became of it."""
+    """One sentence and its outcome."""
 
     arm: str  # empty: nonsense
     text: str
@@ -35,11 +35,11 @@ class Errand:
     sent_at_s: float
     ended_at_s: float
     command: str
-    outcome: Outcome | None  # None: nothing was heard of it within the limit
+    outcome: Outcome | None  # None: not received within the limit
 
 
 class Errands:
-    """`with Errands(run_dir) as errands:` they run until the block is left; `how_many` of them, if that is given."""
+    """A context manager: the commands run until the block ends, or until `how_many` are done."""
 
     def __init__(
         self, run_dir: Path, *, far_deg: float = 5, nonsense: bool = True, how_many: int | None = None

@@ -1,7 +1,7 @@
-"""A subsystem that has done every primitive the moment it gets it: `python -m benchmarks.load.subsystem --run-dir D`.
+"""A subsystem that ends every primitive at once: `python -m benchmarks.load.subsystem --run-dir D`.
 
-It speaks as the MCM does (hello, heartbeat, reports kept and said again until they are acknowledged, halts answered),
-and moves nothing.
+It has the protocol of the MCM (hello, heartbeat, reports repeated until they are acknowledged, answers to halts), and
+moves nothing.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ REPEAT_S = 0.5
 
 
 class Instant:
-    """What it says to what it hears. Pure."""
+    """The answers to each message. Pure."""
 
     def __init__(self, pid: int, performers: list[str]) -> None:
         self.pid, self.performers = pid, performers
-        self.kept: dict[str, tuple[m.EndReport, float]] = {}  # not acknowledged; when it was said last
+        self.kept: dict[str, tuple[m.EndReport, float]] = {}  # unacknowledged report, time of its last sending
 
-    def hear(self, message: m.BrokerToSubsystem, now: float) -> list[m.Message]:
+    def handle(self, message: m.BrokerToSubsystem, now: float) -> list[m.Message]:
         if isinstance(message, m.Execute):
             report = _done(message.primitive.id, message.primitive.performer, now)
             self.kept[report.primitive] = (report, now)
@@ -52,8 +52,8 @@ class Instant:
         )
         return [hello, *(report for report, _ in self.kept.values())]
 
-    def again(self, now: float) -> list[m.Message]:
-        """Reports that have waited long for their acknowledgement."""
+    def overdue(self, now: float) -> list[m.Message]:
+        """Reports to be repeated because they were not acknowledged in time."""
         due = [report for report, at_s in self.kept.values() if now - at_s > REPEAT_S]
         self.kept.update((report.primitive, (report, now)) for report in due)
         return list(due)
@@ -87,18 +87,18 @@ def main() -> None:
         instant, heartbeat = Instant(os.getpid(), given.performers), Every(HEARTBEAT_S)
         process.freeze_heap()
         me.ready()
-        said = instant.hello()
+        messages = instant.hello()
         while not me.stopping:
-            for parts in wire.together(said):
+            for parts in wire.together(messages):
                 socket.send_multipart(parts)
             me.wait(heartbeat.left_s(now_s()))
-            said = []
+            messages = []
             if heartbeat.due(now_s()):
-                said = [m.Heartbeat(name=SUBSYSTEM), *instant.again(now_s())]
+                messages = [m.Heartbeat(name=SUBSYSTEM), *instant.overdue(now_s())]
             for parts in inbox(socket):
                 try:
                     for message in read(parts):
-                        said += instant.hear(message, now_s())
+                        messages += instant.handle(message, now_s())
                 except WireError as error:
                     me.log.warning("dropped: %s", error)
 

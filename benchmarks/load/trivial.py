@@ -1,9 +1,10 @@
-"""Four worker functions that do as little as a worker can: one sentence of two words becomes one step, one primitive
-and one plain success. They are functions like the real ones, run by the real shell. Pure, but for `busy`.
+"""Four trivial worker functions: a sentence of two words becomes one step, one primitive and one success.
 
-    MOVE LOAD-17    moves the performer LOAD-17, which it holds from its plan to its end; writes nothing into the world
+They have the interface of the real functions and run in the real worker loop. Pure, except for `busy`.
 
-The subsystem has PERFORMERS of them, so that many commands can be under way at once and none need wait.
+    MOVE LOAD-17    moves the performer LOAD-17, which is reserved from the plan to the end; writes nothing to the world
+
+The subsystem has PERFORMERS of them, so that many commands run at once without waiting.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from rtc.protocol.primitive import GoalReached, HoldStill, Primitive, StopFuncti
 
 SUBSYSTEM = "MCM"
 PERFORMERS = 2048
-LIMIT_S = 5.0  # for the one primitive
+LIMIT_S = 5.0  # time limit of the primitive
 
 STEP = Step(do="hold", label="stay where it is", name="stay")
 F = [
@@ -41,7 +42,7 @@ F = [
 
 
 def sentence(n: int) -> str:
-    """The n-th sentence; PERFORMERS of them in a row need different performers."""
+    """The n-th sentence; PERFORMERS consecutive ones need different performers."""
     return f"MOVE {performer(n % PERFORMERS)}"
 
 
@@ -52,7 +53,7 @@ def performer(n: int) -> str:
 def parse(data: ParserInput) -> ParsedCommand | Refusal:
     words = data.text.split()
     if len(words) != 2:
-        return Refusal(reason=RefusalReason.SENTENCE, message="it takes two words: MOVE LOAD-n")
+        return Refusal(reason=RefusalReason.SENTENCE, message="a sentence has two words: MOVE LOAD-n")
     return ParsedCommand(kind="task", verb=words[0], hand=words[1])
 
 
@@ -76,7 +77,7 @@ def analyze(data: AnalyzerInput) -> Assessment:
 
 
 def busy(body: Callable[[Any], Any], for_s: float) -> Callable[[Any], Any]:
-    """The same, after so much work."""
+    """The same function, after this much work."""
 
     def work(data: Any) -> Any:
         until_s = time.perf_counter() + for_s
@@ -88,7 +89,7 @@ def busy(body: Callable[[Any], Any], for_s: float) -> Callable[[Any], Any]:
 
 
 class Function(NamedTuple):
-    """What a worker module offers, as the shell wants it."""
+    """The interface of a worker module, as the worker loop requires it."""
 
     INPUT: Any
     body: Callable[[Any], Any]

@@ -1,8 +1,7 @@
-"""Whether each command was done once and told truly: what clients were told, against the journal and the MCM's log.
+"""Check that each command ran once and that its reported outcome is true, by the journal and the MCM's log.
 
-The clients' word is an outcome. What happened is in three places that do not know of each other: the broker's journal
-(every event it heard), the MCM's log (every primitive it began, over all its lives), and the list of who was killed
-when.
+The outcomes that clients received are compared with three independent records: the broker's journal (all its events),
+the MCM's log (all primitives that it started, over all its processes), and the list of killed processes.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from rtc.protocol.outcomes import OutcomeKind, RefusalReason, StopReason
 from rtc.runtime.chaos import Strike
 
 GOAL_RAD = 0.01
-FOUND_S = 0.5  # until the broker and a new MCM know of each other
-NOT_WHERE = "does not start where"  # refused by an MCM that is not where the world believes it to be
+FOUND_S = 0.5  # limit until the broker and a new MCM are connected
+NOT_WHERE = "does not start where"  # an MCM refuses a trajectory that does not start at its position
 
 
 class JournalReader:
-    """The events of a journal that its broker is writing, as they come."""
+    """The events of a journal, read while its broker writes it."""
 
     def __init__(self, run_dir: Path) -> None:
         self._db = Journal.read_only(run_dir / "journal.db").db
@@ -33,7 +32,7 @@ class JournalReader:
         self.events: list[Event] = []
 
     def read(self) -> list[Event]:
-        """What is new since it was asked last. Often enough: what a snapshot has made needless is forgotten."""
+        """The events since the last call. Call it often: a snapshot of the broker deletes earlier events."""
         new: list[Event] = []
         for n, events in self._db.execute("SELECT n, events FROM turns WHERE n > ? ORDER BY n", (self._last,)):
             new += read_events(events)
@@ -47,19 +46,19 @@ class JournalReader:
 
 @dataclass
 class Verdict:
-    lost: list[str] = field(default_factory=list)  # no outcome was ever told
-    repeated: list[str] = field(default_factory=list)  # done, or taken, twice
-    wrong: list[str] = field(default_factory=list)  # an outcome that is not what happened
+    lost: list[str] = field(default_factory=list)  # commands without an outcome
+    repeated: list[str] = field(default_factory=list)  # executed or accepted twice
+    wrong: list[str] = field(default_factory=list)  # outcomes that are not true
     outcomes: Counter[str] = field(default_factory=Counter)
 
-    def tell(self) -> None:
+    def print_faults(self) -> None:
         for word, cases in (("LOST", self.lost), ("REPEATED", self.repeated), ("WRONG", self.wrong)):
             for case in cases[:10]:
                 print(f"  {word}: {case}")
 
 
 def judge(errands: Sequence[Errand], events: Sequence[Event], run_dir: Path, strikes: Iterable[Strike]) -> Verdict:
-    """`strikes`: who was killed when. A death of the MCM is the one that commands may end of."""
+    """`strikes`: the killed processes. Commands may end only because of a death of the MCM."""
     verdict = Verdict()
     ended = {e.report.primitive: e.report for e in events if isinstance(e, PrimitiveEnded)}
     begun = Counter(re.findall(r"begins (C-\S+)", _mcm_log(run_dir)))
@@ -67,7 +66,7 @@ def judge(errands: Sequence[Errand], events: Sequence[Event], run_dir: Path, str
     taken = Counter(errand.command for errand in errands if errand.command)
     verdict.repeated += [f"{command} is the outcome of {n} sentences" for command, n in taken.items() if n > 1]
     away = [(s.at_s, s.at_s + (s.back_s or 0.0) + FOUND_S) for s in strikes if s.name == "MCM"]
-    known_s: dict[str, float] = {}  # arm -> since when the world knows where it is
+    known_s: dict[str, float] = {}  # arm -> time since which the world knows its position
     for errand in sorted(errands, key=lambda e: e.sent_at_s):
         if errand.outcome is None:
             verdict.lost.append(f"{errand.text}, sent at {errand.sent_at_s:.3f}")
@@ -96,7 +95,7 @@ def judge(errands: Sequence[Errand], events: Sequence[Event], run_dir: Path, str
 
 
 def _number(primitive: str) -> int:
-    """2 of C-7.2"""
+    """The number of a primitive: 2 of C-7.2."""
     return int(primitive.partition(".")[2].partition("@")[0])
 
 

@@ -1,6 +1,6 @@
 """One worker process with a trivial function: `python -m benchmarks.load.worker --run-dir D --kind binder --node 2`.
 
-As `workers.__main__`, but for the function.
+As `workers.__main__`, except for the function.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rtc.runtime.settings import Settings
 from rtc.world.client import WorldClient
 from workers.runtime.worker_loop import Shell
 
-NICENESS = 5  # as the real ones
+NICENESS = 5  # as the real workers
 
 
 def main() -> None:

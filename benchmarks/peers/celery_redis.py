@@ -1,6 +1,6 @@
 """Celery with four prefork processes, Redis as broker and for the results: `chain` of four tasks.
 
-This module is also what the Celery worker imports: `SOCKET` is where its Redis is.
+The Celery worker imports this module too; the environment variable `SOCKET` names the socket of its Redis.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from typing import Any
 from benchmarks.peers import chain
 from rtc.runtime.process import die_with_parent
 
-WINDOW = 100  # commands under way
-SOCKET = "BENCH_REDIS"  # the environment variable that names the socket
+WINDOW = 100  # commands in progress
+SOCKET = "BENCH_REDIS"  # environment variable with the path of the socket
 START_S = 30.0
 PROCESSES = 4
 
 
 def application(socket: str) -> Any:
-    """The Celery application and its one task, for both ends."""
+    """The Celery application and its task, for both ends."""
     celery: Any = importlib.import_module("celery")
     made = celery.Celery("chain", broker=f"redis+socket://{socket}", backend=f"redis+socket://{socket}")
     made.conf.update(task_ignore_result=False, broker_connection_retry_on_startup=True)
@@ -64,7 +64,7 @@ def measure(sizes: Sequence[int], start: Callable[[], chain.Meter]) -> None:
             if not meter.ended():
                 break
             under_way.append(submit())
-        app.backend.result_consumer.stop()  # else it looks for its Redis for a long time
+        app.backend.result_consumer.stop()  # otherwise it tries to reach its Redis for a long time
         under_way.clear()
 
 
@@ -94,7 +94,7 @@ def _processes(folder: str) -> Iterator[str]:
         yield socket
     finally:
         for process in reversed(running):
-            os.killpg(process.pid, signal.SIGKILL)  # with the processes it has forked
+            os.killpg(process.pid, signal.SIGKILL)  # and the processes that it has forked
             process.wait()
 
 

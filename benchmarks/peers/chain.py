@@ -1,4 +1,4 @@
-"""What the peers share: how they are asked, how their commands are counted, how they answer."""
+"""Common parts of the peers: their start, the count of their commands, their answer."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 
-LIMIT_S = 120.0  # for a peer to start, warm up, be measured and end
+LIMIT_S = 120.0  # limit for start, warm-up, measurement and end of a peer
 SIZES = (19, 55, 146, 389, 46)  # bytes of a sentence and of the four products
 
 
 class Missing(Exception):
-    """The peer is not installed here."""
+    """The peer is not installed on this machine."""
 
 
 def work(size: int, payload: bytes) -> bytes:
-    """A trivial job: so many bytes in, so many out."""
+    """A trivial job: a number of bytes in, a number of bytes out."""
     assert payload is not None
     return bytes(size)
 
 
 class Meter:
-    """`ended()` at every end of a command; `rate` is what the benchmark wants to know."""
+    """Call `ended()` at each end of a command; `rate` is the result."""
 
     def __init__(self, warm_up_s: float, for_s: float) -> None:
         now = time.monotonic()
@@ -34,7 +34,7 @@ class Meter:
         self._count = 0
 
     def ended(self) -> bool:
-        """Count one; False when it is time to stop."""
+        """Count one command; False when the measurement is complete."""
         now = time.monotonic()
         if now >= self._from_s:
             self._first_s = self._first_s or now
@@ -44,12 +44,12 @@ class Meter:
 
     @property
     def rate(self) -> float:
-        """Commands per second, between the first and the last that counted."""
+        """Commands per second between the first and the last counted one."""
         return (self._count - 1) / (self._last_s - self._first_s)
 
 
 def ask(name: str, sizes: Sequence[int], warm_up_s: float, for_s: float) -> float | str:
-    """Commands per second of one peer, in processes of its own; or why there is none."""
+    """Commands per second of one peer, run in its own processes; or the reason why there is no figure."""
     command = [sys.executable, "-W", "ignore", "-m", f"benchmarks.peers.{name}"]
     command += ["--warm-up-s", str(warm_up_s), "--for-s", str(for_s), "--sizes", *map(str, sizes)]
     try:
@@ -59,13 +59,16 @@ def ask(name: str, sizes: Sequence[int], warm_up_s: float, for_s: float) -> floa
     try:
         answer = json.loads(done.stdout.splitlines()[-1])
     except (IndexError, ValueError):
-        return f"failed: {(done.stderr.strip().splitlines() or ['(it said nothing)'])[-1]}"
+        return f"failed: {(done.stderr.strip().splitlines() or ['(no output)'])[-1]}"
     return answer.get("rate") or answer["missing"]
 
 
 def main(measure: Callable[[Sequence[int], Callable[[], Meter]], None]) -> None:
-    """`measure(sizes, start)` starts what it needs, then the meter, and has commands done until that says stop; `sizes`
-    are those of the sentence and of each product. The last line of output is the answer."""
+    """Run a peer and print its rate as the last line of output.
+
+    `measure(sizes, start)` starts its processes, then the meter, and runs commands until the meter stops it. `sizes`
+    are the sizes of the sentence and of each product (bytes).
+    """
     parser = argparse.ArgumentParser()
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)
     parser.add_argument("--warm-up-s", type=float, default=1.0)
@@ -82,4 +85,4 @@ def main(measure: Callable[[Sequence[int], Callable[[], Meter]], None]) -> None:
         print(json.dumps({"rate": made[0].rate}), flush=True)
     except (Missing, ImportError) as error:
         print(json.dumps({"missing": str(error)}), flush=True)
-    os._exit(0)  # their own ways of ending take long, and are noisy, when commands are still under way
+    os._exit(0)  # an orderly end of a framework with commands in progress takes long and prints errors

@@ -1,4 +1,4 @@
-"""Dask distributed with four processes of one thread: each task is given the future before it."""
+"""Dask distributed with four processes of one thread: each task gets the future of the one before it."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 
 from benchmarks.peers import chain
 
-WINDOW = 200  # commands under way
+WINDOW = 200  # commands in progress
 
 
 def measure(sizes: Sequence[int], start: Callable[[], chain.Meter]) -> None:
     dask: Any = importlib.import_module("distributed")
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it complains of what is under way when we end
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it logs errors for commands in progress at the end
     stages = sizes[1:]
     options = {"n_workers": len(stages), "threads_per_worker": 1, "processes": True, "dashboard_address": None}
     with dask.LocalCluster(**options) as cluster, dask.Client(cluster) as client:

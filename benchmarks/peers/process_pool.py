@@ -8,7 +8,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 
 from benchmarks.peers import chain
 
-WINDOW = 200  # commands under way; more make it no quicker
+WINDOW = 200  # commands in progress; more do not make it faster
 
 
 def measure(sizes: Sequence[int], start: Callable[[], chain.Meter]) -> None:
@@ -16,7 +16,7 @@ def measure(sizes: Sequence[int], start: Callable[[], chain.Meter]) -> None:
     payload = bytes(sizes[0])
     over = threading.Event()
     with ProcessPoolExecutor(max_workers=len(stages)) as pool:
-        list(pool.map(chain.work, stages, [payload] * len(stages)))  # all processes are there
+        list(pool.map(chain.work, stages, [payload] * len(stages)))  # starts all processes
 
         def submit(stage: int, data: bytes) -> None:
             pool.submit(chain.work, stages[stage], data).add_done_callback(lambda done: go_on(stage, done))

@@ -2,7 +2,7 @@
 
     client -> broker -> worker 0 -> broker -> worker 1 -> ... -> broker -> client
 
-One message per job, as anybody would write it with pyzmq; nothing is decoded, decided, kept or journalled.
+One message per job, the simplest program with pyzmq: it neither decodes, decides, keeps nor journals anything.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import zmq
 from benchmarks.peers import chain
 from rtc.runtime.process import come_first, nice, open_socket
 
-WINDOW = 1000  # commands under way
+WINDOW = 1000  # commands in progress
 START_MS = 10_000
 
 
@@ -40,13 +40,13 @@ def measure(sizes: Sequence[int], start: Callable[[], chain.Meter]) -> None:
 
 
 def broker(folder: str, stages: int) -> None:
-    come_first(1, -5)  # as our broker is
+    come_first(1, -5)  # as for our broker
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     front = open_socket(context, zmq.ROUTER, _front(folder), bind=True, queue_length=100_000)
     back = open_socket(context, zmq.ROUTER, _back(folder), bind=True, queue_length=100_000)
     names = [b"%d" % stage for stage in range(stages)]
     for _ in names:
-        back.recv_multipart()  # a worker's first word: only now can it be sent anything
+        back.recv_multipart()  # a worker's first message: the ROUTER now knows its identity
     poller = zmq.Poller()
     poller.register(front, zmq.POLLIN)
     poller.register(back, zmq.POLLIN)

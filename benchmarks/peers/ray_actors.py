@@ -1,4 +1,4 @@
-"""Ray with four actors on two cores: each actor is given the reference of the result before it."""
+"""Ray with four actors on two cores: each actor gets the reference of the previous result."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 from benchmarks.peers import chain
 
-WINDOW = 200  # commands under way
+WINDOW = 200  # commands in progress
 CORES = 2
 
 
@@ -43,7 +43,7 @@ def measure(sizes: Sequence[int], start: Callable[[], chain.Meter]) -> None:
         under_way = deque(submit() for _ in range(WINDOW))
         meter = start()
         while True:
-            ray.get(under_way.popleft())  # they end in the order they began in
+            ray.get(under_way.popleft())  # they end in the order of their start
             if not meter.ended():
                 break
             under_way.append(submit())

@@ -38,7 +38,7 @@ def test_a_sentence_becomes_one_primitive_for_the_performer_it_names(bound):
 
 @pytest.mark.parametrize(("reason", "verdict"), [(StopReason.GOAL, "continue"), (StopReason.TIMEOUT, "abort")])
 def test_its_report_is_judged(bound, reason, verdict):
-    (report,) = Instant(1, ["LOAD-7"]).hear(m.Execute(primitive=bound.primitive), 0.0)
+    (report,) = Instant(1, ["LOAD-7"]).handle(m.Execute(primitive=bound.primitive), 0.0)
     report = m.EndReport(**{name: getattr(report, name) for name in report.__struct_fields__} | {"reason": reason})
     data = m.AnalyzerInput(evaluation=bound.evaluation, report=report)
     assert through(K.ANALYZER, data).verdict == verdict
@@ -60,15 +60,15 @@ def test_a_busy_function_gives_the_same_after_its_work():
 
 def test_the_instant_subsystem_keeps_a_report_until_it_is_acknowledged(bound):
     instant = Instant(1, ["LOAD-7"])
-    (report,) = instant.hear(m.Execute(primitive=bound.primitive), 1.0)
-    assert instant.again(1.0 + REPEAT_S / 2) == []
-    assert instant.again(1.1 + REPEAT_S) == [report]
+    (report,) = instant.handle(m.Execute(primitive=bound.primitive), 1.0)
+    assert instant.overdue(1.0 + REPEAT_S / 2) == []
+    assert instant.overdue(1.1 + REPEAT_S) == [report]
     assert instant.hello()[0].outstanding == ["C-1.1"]
-    assert instant.hear(m.ReportAck(primitive="C-1.1"), 2.0) == []
-    assert instant.again(9.0) == []
-    assert [type(x) for x in instant.hear(m.ReportAck(primitive=""), 2.0)] == [m.SubsystemHello]
+    assert instant.handle(m.ReportAck(primitive="C-1.1"), 2.0) == []
+    assert instant.overdue(9.0) == []
+    assert [type(x) for x in instant.handle(m.ReportAck(primitive=""), 2.0)] == [m.SubsystemHello]
 
 
 def test_a_halt_is_answered_at_once():
-    started, rest = Instant(1, ["LOAD-7"]).hear(m.HaltOrder(halt="h"), 1.0)
+    started, rest = Instant(1, ["LOAD-7"]).handle(m.HaltOrder(halt="h"), 1.0)
     assert (started.halt, rest.halt, rest.at_rest) == ("h", "h", True)

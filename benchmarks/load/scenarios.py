@@ -1,8 +1,8 @@
-"""What the four workers are really asked: their jobs, collected while sentences are carried out in memory.
+"""Real jobs of the four workers, collected while sentences are executed in memory.
 
-The functions are the workers' own, the reports those of the MCM's executor over exact arms. A story is seeded: where
-the modules truly are, how far hands are moved. Trims are not followed: what does not go on as planned ends its
-sentence.
+It uses the real worker functions, and reports of the MCM's executor with exact arms. A scenario is seeded: the seed
+gives the true places of the modules and the lengths of motions. Trims are not performed: the first deviation from the
+plan ends a sentence.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ FUNCTIONS: dict[WorkerKind, Any] = {
     WorkerKind.BINDER: bind,
     WorkerKind.ANALYZER: analyze,
 }
-OFF_M = 0.002  # modules are this far from where they are believed, at most, along each axis
-LATER_M, LATER_RAD = 0.10, 0.8  # the same of what has moved between two looks at the world
+OFF_M = 0.002  # maximum distance of a module from its believed place, along each axis
+LATER_M, LATER_RAD = 0.10, 0.8  # maximum displacement between two views of the world
 
 
 class Job(NamedTuple):
@@ -65,8 +65,8 @@ class Workers:
         return FUNCTIONS[job.kind].run(self._compiled[job.kind], self.model, job.world, job.data)
 
 
-class Story:
-    """Sentences carried out one after the other; `jobs` are what was asked, as it was asked."""
+class Scenario:
+    """Sentences executed one after the other; `jobs` are all jobs of the workers, in order."""
 
     def __init__(self, workers: Workers, rng: random.Random) -> None:
         self._workers, self._rng = workers, rng
@@ -80,49 +80,49 @@ class Story:
             if not thing.fixed:
                 self._sim.displace(thing.name, [*(rng.uniform(-OFF_M, OFF_M) for _ in range(3)), 0.0, 0.0, 0.0])
 
-    def say(self, sentence: str) -> bool:
-        """Whether it was done as planned."""
+    def run(self, sentence: str) -> bool:
+        """Execute a sentence; False if it was not completed as planned."""
         self._commands += 1
         command = f"C-{self._commands}"
-        parsed = self._ask(WorkerKind.PARSER, ParserInput(text=sentence))
-        script = self._ask(WorkerKind.ELABORATOR, ElaboratorInput(command=command, parsed=parsed))
+        parsed = self._do(WorkerKind.PARSER, ParserInput(text=sentence))
+        script = self._do(WorkerKind.ELABORATOR, ElaboratorInput(command=command, parsed=parsed))
         if not isinstance(script, Script):
             return False
         actions = action_stack.begin(script)
         while actions.refs:
             actions.pop()
             data = BinderInput(**actions.binder_input(f"{command}.{len(script.steps) - len(actions.refs)}"))
-            bound = self._ask(WorkerKind.BINDER, data)
+            bound = self._do(WorkerKind.BINDER, data)
             if not isinstance(bound, BoundStep):
                 return False
             actions.assign(bound.bindings)
             if bound.primitive is None:
                 continue
             report = self._perform(bound.primitive, bound.limit_s)
-            judged = self._ask(WorkerKind.ANALYZER, AnalyzerInput(**actions.analyzer_input(bound.evaluation, report)))
+            judged = self._do(WorkerKind.ANALYZER, AnalyzerInput(**actions.analyzer_input(bound.evaluation, report)))
             if not isinstance(judged, Assessment) or judged.verdict != "continue":
                 return False
             self.world = self.world.overlay(judged.changes, source=data.primitive_id)
             actions.assign(judged.keep)
         return True
 
-    def _ask(self, kind: WorkerKind, data: Any) -> Any:
+    def _do(self, kind: WorkerKind, data: Any) -> Any:
         self.jobs.append(Job(kind, self.world, data))
         return self._workers.do(self.jobs[-1])
 
     def _perform(self, primitive: Primitive, limit_s: float) -> EndReport:
-        said: list[Any] = list(self._executors[primitive.performer].accept(primitive, 0.0))
+        messages: list[Any] = list(self._executors[primitive.performer].accept(primitive, 0.0))
         for tick in range(round(limit_s / TICK_S)):
-            for message in said:
+            for message in messages:
                 if isinstance(message, EndReport):
                     return message
             self._sim.step()
-            said = [message for executor in self._executors.values() for message in executor.tick(tick * TICK_S)]
+            messages = [message for executor in self._executors.values() for message in executor.tick(tick * TICK_S)]
         raise AssertionError(f"no end of {primitive.id} within {limit_s} s")
 
 
 def changed(job: Job, cell: Cell, rng: random.Random) -> Job:
-    """The same to be bound after arms and modules have come to stand elsewhere than when it was planned."""
+    """The same bind job in a world where other arms and modules have moved since the planning."""
     arm = job.data.context.arm
     changes = []
     for other in cell.arms:
@@ -138,7 +138,7 @@ def changed(job: Job, cell: Cell, rng: random.Random) -> Job:
 
 
 def sentences(rng: random.Random) -> Iterator[str]:
-    """A morning's work of two arms: every verb that has a script, free motion, guarded motion, a module in the hand."""
+    """Sentences for two arms: each verb with a script, free and guarded motions, a module in the hand."""
     yield "MOVE LEFT-ARM TO BAY-2-FRONT"
     yield "MOVE RIGHT-ARM TO CLEAR-POINT-1"
     yield f"MOVE RIGHT-ARM BY {rng.uniform(2.0, 10.0):.1f} CM ALONG TOOL-Z MAINTAIN SPEED 10 CM/S"
@@ -159,4 +159,4 @@ def sentences(rng: random.Random) -> Iterator[str]:
     yield "HOLD RIGHT-ARM FOR 1 SEC"
     yield "MOVE RIGHT-ARM TO BAY-2-FRONT"
     yield "STOW RIGHT-ARM"
-    yield "MOVE LEFT-ARM TO RACK-1-FRONT"  # which it cannot reach
+    yield "MOVE LEFT-ARM TO RACK-1-FRONT"  # out of its reach
