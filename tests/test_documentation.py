@@ -60,3 +60,15 @@ def test_the_architecture_names_every_package():
 def test_a_page_names_files_that_exist(page):
     named = re.findall(r"`((?:rtc|broker|workers|sim_mcm|deploy|tests|benchmarks|docs)/[\w./-]*)`", page.read_text())
     assert [name for name in named if "NAME" not in name and not (ROOT / name).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_lines_of_a_page_are_short(page):
+    """Long lines make a diff unreadable. Tables, code blocks and links cannot be broken."""
+    code = False
+    long = []
+    for number, line in enumerate(page.read_text().splitlines(), 1):
+        code ^= line.startswith("```")
+        if len(line) > 120 and not code and not line.startswith(("|", "[", "!")):
+            long.append(number)
+    assert long == []
