@@ -14,9 +14,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from broker.decisions import deferred_analysis, halt_request
+from broker.decisions import deferred_analysis, halt_request, subsystem_link
 from broker.decisions import journal_loss as lost
-from broker.decisions.command import limits, nominal, scope, stopping, termination
+from broker.decisions.command import limits, scope, stopping, termination
 from broker.decisions.command.table import stimulate
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import AcknowledgeReport, DeclineHalt, Effect, SendHalt, TellClient
@@ -40,16 +40,15 @@ from broker.decisions.events import (
     SubsystemGone,
     TimerFired,
 )
-from broker.decisions.state import NIL, Command, Link, PendingJob, PendingOutcome, State, Subsystem, Trial, request_key
+from broker.decisions.state import Command, PendingJob, PendingOutcome, State, Trial, request_key
 from rtc.language.fastpath import halt_scope
 from rtc.protocol.messages import Accepted, Declined, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
-from rtc.protocol.primitive_id import command_of, number_of
+from rtc.protocol.primitive_id import command_of
 
 MAX_COMMANDS = 10_000  # maximum number of live commands; more are declined
 LIVE_PER_CLIENT = 2_000  # maximum per client, so that one client cannot use up MAX_COMMANDS
 MAX_TEXT = 4_000  # characters kept of a sentence; the parser refuses shorter ones already and names the place
-MAX_SUBSYSTEMS = 32  # maximum number of subsystems in the state, lost ones included
 HALTS_KEPT = 64  # latest halts stored, to count each once
 PROVEN_KEPT = 16  # proven programs stored per worker kind
 FILES_KEPT = 64  # programs whose file name is stored, for `rtc status`
@@ -338,77 +337,6 @@ def on_halt_confirmed(context: DecisionContext, event: HaltConfirmed) -> None:
         stimulate(context, command, Stimulus.REST, event.at_rest)
 
 
-def on_subsystem(context: DecisionContext, event: SubsystemConnected) -> None:
-    """Register a subsystem that connects or reconnects. A primitive it does not list never arrived or died with it."""
-    state = context.state
-    before = state.subsystems.get(event.subsystem)
-    if before is None and len(state.subsystems) >= MAX_SUBSYSTEMS and not _forget_a_subsystem(state):
-        context.count("subsystems_declined")
-        return
-    reborn = before is not None and before.pid != event.pid
-    if reborn:
-        _lose_subsystem(context, event.subsystem, "it was restarted")
-    state.subsystems[event.subsystem] = Subsystem(
-        pid=event.pid, performers=event.performers, came_at_rest=event.at_rest
-    )
-    for primitive in event.outstanding:
-        state.accepted = max(state.accepted, number_of(primitive))  # a journal after a loss may lack it
-        command_id = command_of(primitive)
-        command = state.commands.get(command_id)
-        # A live command may still execute a primitive that was given up; other entries are unacknowledged reports.
-        if command is None or (command.phase is Phase.CLOSING and not command.at_rest):
-            _order_halt(context, event.subsystem, f"orphan-{primitive}", command_id)
-    if event.at_rest:
-        context.confirm_rest(event.subsystem)
-    elif not event.outstanding:
-        _order_halt(context, event.subsystem, f"rejoin-{event.subsystem}-{context.now:.6f}", "ALL")
-    if reborn:
-        return
-    for command in state.commands.values():
-        if command.subsystem == event.subsystem and command.primitive_body != NIL:
-            if command.phase is Phase.HALTING:
-                stopping.order_halt(context, command)
-            elif command.phase is Phase.EXECUTING and command.primitive not in event.outstanding:
-                nominal.send(context, command)
-
-
-def _forget_a_subsystem(state: State) -> bool:
-    """Delete one lost subsystem that nothing waits for. False: there is none."""
-    wanted = {c.subsystem for c in state.commands.values()} | {q.subsystem for q in state.resources.quarantine.values()}
-    lost = (name for name, s in state.subsystems.items() if s.link is Link.LOST and name not in wanted)
-    return state.subsystems.pop(next(lost, ""), None) is not None
-
-
-def _order_halt(context: DecisionContext, subsystem: str, halt: str, scope: str) -> None:
-    context.effects.append(SendHalt(subsystem=subsystem, halt=halt, scope=scope, called_at_s=context.now))
-
-
-def on_subsystem_gone(context: DecisionContext, event: SubsystemGone) -> None:
-    subsystem = context.state.subsystems.get(event.subsystem)
-    if subsystem is not None and subsystem.link is not Link.LOST:
-        subsystem.link = Link.LOST
-        subsystem.came_at_rest = False
-        context.count("subsystems_lost")
-        _lose_subsystem(context, event.subsystem, event.why)
-
-
-def _lose_subsystem(context: DecisionContext, name: str, why: str) -> None:
-    """End every command that has used this subsystem: a global error (A30)."""
-    message = f"{name} was lost: {why}"
-    lost = PendingOutcome(
-        kind=OutcomeKind.LOST_SUBSYSTEM,
-        message=message,
-        stop=StopReason.SUBSYSTEM_LOST,
-        refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=stopping.RETRY_ADVICE),
-    )
-    for command in context.state.commands.values():
-        if command.subsystem == name:
-            moving = command.phase in (Phase.EXECUTING, Phase.HALTING)
-            context.follow(command.id, Stimulus.SUBSYSTEM_LOST if moving else Stimulus.STOP, why if moving else lost)
-        elif command.phase is Phase.HALTING and not command.primitive:
-            context.follow(command.id, Stimulus.SUBSYSTEM_LOST, why)
-
-
 def on_listeners(context: DecisionContext, event: ListenersChanged) -> None:
     if event.listening and not context.state.has_subscribers:
         lost.publish(context)
@@ -433,9 +361,7 @@ def on_restart(context: DecisionContext, event: BrokerRestarted) -> None:
     """Dispatch all pending jobs again and wait for the subsystems, which continue by themselves."""
     context.count("broker_restarts")
     context.state.has_subscribers = False  # subscribers subscribe again
-    for subsystem in context.state.subsystems.values():
-        if subsystem.link is Link.CONNECTED:
-            subsystem.link = Link.AWAITED
+    subsystem_link.on_broker_restarted(context, event)
     for name in context.state.deferred_analyses:
         deferred_analysis.retry(context, name)
     for command in context.state.commands.values():
@@ -461,8 +387,8 @@ HANDLERS: dict[type[Event], Callable[[DecisionContext, Any], None]] = {
     PrimitiveStarted: on_started,
     PrimitiveEnded: on_ended,
     HaltConfirmed: on_halt_confirmed,
-    SubsystemConnected: on_subsystem,
-    SubsystemGone: on_subsystem_gone,
+    SubsystemConnected: subsystem_link.on_hello,
+    SubsystemGone: subsystem_link.on_gone,
     ClientGone: on_client_gone,
     TimerFired: on_timer,
     ProgramInstalled: on_program,

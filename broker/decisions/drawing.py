@@ -6,9 +6,11 @@ from typing import Any
 
 from broker.decisions.command.table import COMMAND
 from broker.decisions.machine import Cell, Machine
+from broker.decisions.subsystem_link import LINK
 
 MACHINES: dict[str, tuple[Machine[Any, Any], str]] = {
     "Command": (COMMAND, "broker/decisions/command/table.py"),
+    "Subsystem link": (LINK, "broker/decisions/subsystem_link.py"),
 }
 TEXT = {
     "Command": """
@@ -23,7 +25,11 @@ TEXT = {
 | stop | a HALT or ABORT reaches it |
 | pause, resume | they take effect between two steps |
 | timeout | its time limit for an end report, for rest or for the last analysis; in *analyzing*: time for a retry |
-| subsystem_lost | the subsystem that executes its primitive is lost |
+| subsystem_lost | a subsystem that it has used is lost |
+""",
+    "Subsystem link": """
+A subsystem executes its primitives and stops by itself without the broker. The broker learns at each hello which ones
+it still has. *lost* ends every command that has used the subsystem.
 """,
 }
 
@@ -92,7 +98,7 @@ compares.
 `decide(state, event) -> effects` (`broker/decisions/decide.py`) is pure: the time is a field of the event, and the same
 events give the same effects. Each event becomes a stimulus of a machine. The cell of its present state names the action
 and the states that may follow; they are checked after the action. A number in a cell means that the stimulus changes
-nothing, and refers to the reason below the table. Such a stimulus is counted as *stale*.
+nothing, and refers to the reason below the table. `rtc status` counts such stimuli of commands as *stale*.
 """
 
 if __name__ == "__main__":

@@ -71,8 +71,7 @@ class Machine(Generic[S, T]):
         before = self.state_of(context.state, entity)
         cell = self.cells.get((before, stimulus))
         if cell is None:
-            context.count("stale")
-            return
+            return  # see `ignored`
         cell.action(context, entity, payload)
         after = self.state_of(context.state, entity)
         if after not in cell.following:

@@ -212,8 +212,9 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
 
 
 class Link(StrEnum):
-    """Connection of a subsystem to the broker."""
+    """Connection of a subsystem to the broker (`broker.decisions.subsystem_link`)."""
 
+    UNKNOWN = "unknown"  # it is not in the state
     CONNECTED = "connected"
     AWAITED = "awaited"  # the broker has restarted; the subsystem continues and has not reconnected yet
     LOST = "lost"

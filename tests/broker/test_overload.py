@@ -11,10 +11,10 @@ import pytest
 from broker.decisions import decide
 from broker.decisions.command.dependencies import _waits_for
 from broker.decisions.context import DecisionContext
-from broker.decisions.decide import MAX_SUBSYSTEMS
 from broker.decisions.events import HaltConfirmed, PrimitiveEnded, SubsystemConnected, SubsystemGone
 from broker.decisions.invariants import violations
 from broker.decisions.state import ParsedHead
+from broker.decisions.subsystem_link import MAX_SUBSYSTEMS
 from rtc.protocol.messages import Declined, Phase
 from tests.broker.stories import Story, bound, go_on, record, report, script
 

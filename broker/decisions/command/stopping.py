@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 from broker.decisions import reporting
-from broker.decisions.command.closing import close
+from broker.decisions.command.closing import close, stop_after_analysis
 from broker.decisions.command.limits import rest_limit_s
-from broker.decisions.command.termination import end
+from broker.decisions.command.termination import end, stop
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import AcknowledgeReport, SendHalt
 from broker.decisions.state import NIL, Command, PendingOutcome
@@ -86,14 +86,27 @@ def fail_unconfirmed(context: DecisionContext, command: Command, _: Any) -> None
         end(context, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
 
 
-def on_subsystem_lost(context: DecisionContext, command: Command, why: str) -> None:
-    message = f"{command.subsystem} was lost while executing: {why}"
-    command.pending_outcome = PendingOutcome(
+def stop_lost(context: DecisionContext, command: Command, why: str) -> None:
+    """End a command whose subsystem is lost while nothing moves for it."""
+    stop(context, command, _lost(f"{command.subsystem} was lost: {why}"))
+
+
+def stop_lost_after_analysis(context: DecisionContext, command: Command, why: str) -> None:
+    stop_after_analysis(context, command, _lost(f"{command.subsystem} was lost: {why}"))
+
+
+def _lost(message: str) -> PendingOutcome:
+    return PendingOutcome(
         kind=OutcomeKind.LOST_SUBSYSTEM,
         message=message,
         stop=StopReason.SUBSYSTEM_LOST,
         refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=RETRY_ADVICE),
     )
+
+
+def on_subsystem_lost(context: DecisionContext, command: Command, why: str) -> None:
+    message = f"{command.subsystem} was lost while executing: {why}"
+    command.pending_outcome = _lost(message)
     command.at_rest = context.state.subsystems[command.subsystem].came_at_rest
     close(context, command, missing_report(context, command), message)
 

@@ -63,6 +63,7 @@ _ROWS: dict[Phase, dict[Stimulus, Cell[Phase]]] = {
         S.STOP: cell(termination.stop, P.ENDED),
         S.PAUSE: cell(control.request_pause, P.BINDING),
         S.RESUME: cell(control.withdraw_pause, P.BINDING),
+        S.SUBSYSTEM_LOST: cell(stopping.stop_lost, P.ENDED),
     },
     P.EXECUTING: {
         S.REPORT: cell(nominal.on_reported, P.ANALYZING, P.CLOSING),
@@ -81,10 +82,12 @@ _ROWS: dict[Phase, dict[Stimulus, Cell[Phase]]] = {
         S.PAUSE: cell(control.request_pause, P.ANALYZING),
         S.RESUME: cell(control.withdraw_pause, P.ANALYZING),
         S.TIMEOUT: cell(jobs.retry_analysis, P.ANALYZING),
+        S.SUBSYSTEM_LOST: cell(stopping.stop_lost_after_analysis, P.CLOSING),
     },
     P.PAUSED: {
         S.STOP: cell(termination.stop, P.ENDED),
         S.RESUME: cell(control.resume, P.BINDING, P.ENDED),
+        S.SUBSYSTEM_LOST: cell(stopping.stop_lost, P.ENDED),
     },
     P.HALTING: {
         S.REPORT: cell(stopping.on_rested, P.CLOSING),
@@ -103,7 +106,6 @@ _ROWS: dict[Phase, dict[Stimulus, Cell[Phase]]] = {
 }
 
 _ANSWERS = (S.PRODUCT, S.REFUSAL, S.UNAVAILABLE, S.WORKER_LOST)  # of the worker that has the command's job
-_BY_WORKER = (P.PARSING, P.ELABORATING, P.BINDING, P.ANALYZING)
 _IGNORED: list[Ignored[Phase, Stimulus]] = [
     Ignored((P.HELD, P.EXECUTING, P.PAUSED, P.HALTING), _ANSWERS, "no job is pending; the answer is late"),
     Ignored([p for p in P if p not in (P.HELD, P.ENDED)], [S.GRANT], "it waits for no resource"),
@@ -115,8 +117,9 @@ _IGNORED: list[Ignored[Phase, Stimulus]] = [
         [S.TIMEOUT],
         "no timer runs: it was stopped as it fired",
     ),
-    Ignored([*_BY_WORKER, P.HELD, P.PAUSED, P.CLOSING], [S.SUBSYSTEM_LOST], "nothing moves for it; it gets *stop*"),
+    Ignored([P.PARSING, P.ELABORATING, P.HELD], [S.SUBSYSTEM_LOST], "it has not used a subsystem yet"),
     Ignored([P.HALTING, P.CLOSING], [S.STOP, S.PAUSE, S.RESUME], "it is ending already"),
+    Ignored([P.CLOSING], [S.SUBSYSTEM_LOST], "it is ending already"),
     Ignored([P.PAUSED], [S.PAUSE], "it is paused already"),
     Ignored([P.ENDED], S, "it is no longer in the state"),
 ]
