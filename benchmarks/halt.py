@@ -1,6 +1,6 @@
 """How long from the operator's halt to the first decelerating tick of a moving arm?
 
-    python -m benchmarks.halt [--halts 200] [--mcm bullet]
+    python -m benchmarks.halt [--halts 200] [--mcm bullet] [--only saturated]
 
 The right arm moves to and fro and is halted at a random moment of each motion, `--halts` times in each condition:
 
@@ -12,6 +12,9 @@ broker_stopped  SIGSTOP: only the estop socket is left
 
 The condition is checked before and after each halt. A halt without it is repeated, and the table shows how many were.
 Latency is `decelerating_at_s - called_at_s`, both CLOCK_MONOTONIC of one machine.
+Of the slowest halts it prints when they were called, and the time until the MCM received them. Before the receipt
+threads waited for a core; after it the MCM waited for its tick. Compare these times with a trace of the scheduler:
+`perf sched record -k CLOCK_MONOTONIC`.
 """
 
 from __future__ import annotations
@@ -40,6 +43,7 @@ MOVING_RAD_S = 0.05  # a faster joint counts as moving
 MOTION_S = 20.0  # maximum wait for a motion
 LATER_S = 0.15  # the halt comes at a random time within this after the start
 LOOK_S = 0.02  # period of checking the job of a worker
+SLOWEST = 5  # halts of each condition whose parts are printed
 BUSY_S = 0.5  # limit until the stopped worker has a job; otherwise another worker has it
 
 Holds = Callable[[], bool]  # whether the condition holds
@@ -55,6 +59,7 @@ class Bench:
         self._place = 0
         self.missed = 0  # halts without a latency, or without confirmed rest
         self.undisturbed = 0  # halts that did not count, because the condition did not hold
+        self.slowest: list[tuple[float, float, float]] = []  # latency, time until receipt, time of the call; s
 
     def latencies_s(self, name: str, halts: int, disturbance: Disturbance, *, each: bool) -> list[float]:
         """`each`: the disturbance lasts from the start of each motion to its halt; otherwise all the time."""
@@ -83,6 +88,7 @@ class Bench:
         with disturbance(self._rtc) as holds:
             time.sleep(self._rng.uniform(0.0, LATER_S))
             held = holds()
+            called_at_s = time.monotonic()
             result = self._rtc.halt("RIGHT-ARM")
             held = held and holds()
         self._rtc.wait(command, timeout_s=60.0)
@@ -91,6 +97,8 @@ class Bench:
             print(f"  missed: {result.message}", flush=True)
             return []
         self.undisturbed += not held
+        receipt_s = max((sub.receipt_s or 0.0 for sub in result.subsystems), default=0.0)
+        self.slowest = sorted([*self.slowest, (result.latency_s, receipt_s, called_at_s)], reverse=True)[:SLOWEST]
         return [result.latency_s] if result.moving and held else []
 
     def _wait_for_motion(self, samples: Iterator[m.Telemetry], command: str) -> bool:
@@ -217,6 +225,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(prog="python -m benchmarks.halt", description=__doc__)
     arguments.add_argument("--halts", type=int, default=200, help="in each condition")
     arguments.add_argument("--mcm", default="bullet", choices=("bullet", "kinematic"))
+    arguments.add_argument("--only", choices=tuple(CONDITIONS), help="one condition")
     given = arguments.parse_args()
     question("halt", "How long from the halt to the first decelerating tick of a moving arm?", seed=SEED)
     metrics: dict[str, float | None] = {}
@@ -225,9 +234,17 @@ def main() -> None:
         assert rtc.halt_ready()
         bench = Bench(rtc, random.Random(SEED))
         for name, (disturbance, each) in CONDITIONS.items():
+            if given.only not in (None, name):
+                continue
+            bench.slowest = []
             found = bench.latencies_s(name, given.halts, disturbance, each=each)
             metrics[f"{name}_p50_ms"] = percentile(found, 50) * 1e3
             metrics[f"{name}_p99_ms"] = percentile(found, 99) * 1e3
+            metrics[f"{name}_worst_ms"] = max(found) * 1e3
+            for latency_s, receipt_s, at_s in bench.slowest:
+                print(
+                    f"  {name}: {latency_s * 1e3:.2f} ms, {receipt_s * 1e3:.2f} of them until receipt, at {at_s:.6f} s"
+                )
             rows.append((name, spread(found, 1e3, "ms")))
         metrics["missed"] = bench.missed
         rows.append(("missed", str(bench.missed)))

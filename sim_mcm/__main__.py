@@ -33,6 +33,7 @@ END_S = 1.0  # simulated: maximum time for the arms to come to rest before the p
 LAST_S = 1.0  # for the rest of that end
 FARTHEST = 10.0  # m or rad, maximum of a belief error; pybullet fails at 1e300 m
 RANK, NICENESS = 2, -5  # above the broker and the workers, if the system permits it
+IO_RANK = 1  # of its I/O threads: below the servo tick, so that a flood of messages does not delay it
 
 SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": BulletCell, "kinematic": KinematicCell}
 
@@ -170,10 +171,14 @@ class Station:
         )
 
 
+def _in_real_time(settings: Settings) -> bool:
+    """Whether the process idles between its ticks. Faster than real time it would keep the core from others."""
+    return 0.0 < settings.speed <= 1.0
+
+
 def _come_first(settings: Settings) -> str:
-    """Request real-time priority, because a servo tick is short and cannot wait. Faster than real time it would keep
-    the core from other processes, so then only the niceness changes."""
-    if 0.0 < settings.speed <= 1.0:
+    """Request real-time priority, because a servo tick is short and cannot wait; otherwise only a lower niceness."""
+    if _in_real_time(settings):
         return process.come_first(RANK, NICENESS)
     return f"niceness {NICENESS}" if process.nice(NICENESS) else "no permission for a higher priority"
 
@@ -200,6 +205,8 @@ def live(run_dir: str, fd: int = -1, simulation: Simulation | None = None) -> No
     settings = given.settings
     with process.start(NAME, run_dir) as me:
         me.end_with_parent(END_S * settings.timeout_scale + LAST_S)
+        if _in_real_time(settings):
+            process.real_time_io(me.context, IO_RANK)
         station = Station(me, given, simulation or SIMULATIONS[settings.mcm](Cell.load(settings.cell)))
         me.log.info("scheduling: %s", _come_first(settings))
         station.run()

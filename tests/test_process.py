@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import textwrap
 import threading
 
@@ -238,6 +239,45 @@ def test_a_child_of_one_that_comes_first_does_not():
     """)
     words = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30).stdout
     assert words.endswith(" 0\n"), words
+
+
+def test_io_threads_run_in_real_time_where_that_is_permitted():
+    """Each thread is scheduled by itself: the priority of the process does not reach them."""
+    code = textwrap.dedent("""
+        import os, zmq
+        from rtc.runtime.process import real_time_io
+        permitted = True
+        try:
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        except OSError:
+            permitted = False
+        context, ends = zmq.Context(), []
+        assert real_time_io(context, 1) is permitted
+        for kind in (zmq.PULL, zmq.PUSH):
+            ends.append(context.socket(kind))
+        ends[0].bind("ipc://io.sock")
+        ends[1].connect("ipc://io.sock")
+        ends[1].send(b"")
+        ends[0].recv()  # so the I/O thread has begun
+        policies = [os.sched_getscheduler(int(task)) for task in os.listdir("/proc/self/task")]
+        assert os.sched_getscheduler(0) == os.SCHED_OTHER
+        print(permitted, policies.count(os.SCHED_RR))
+    """)
+    with tempfile.TemporaryDirectory() as folder:
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30, cwd=folder)
+    assert done.stdout in ("True 1\n", "True 2\n", "False 0\n"), done.stdout + done.stderr
+
+
+def test_without_the_permission_io_threads_keep_their_priority(monkeypatch):
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    with zmq.Context() as context:
+        assert process.real_time_io(context, 1) is False
+        with context.socket(zmq.DEALER) as socket, process.real_time(0):
+            assert socket.closed is False
 
 
 def test_a_run_directory_that_cannot_be_is_told_in_a_sentence(tmp_path):

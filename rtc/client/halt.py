@@ -24,6 +24,7 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import ClusterError, RefusalReason, WireError
 from rtc.protocol.wire import frames, reader
 from rtc.runtime.keys import Endpoints
+from rtc.runtime.process import real_time, real_time_io
 
 CONNECT_S, FAR_CONNECT_S = 0.5, 3.0  # time limit of the first connection, local and over tcp
 # Time in which the broker may decline an unknown scope, and in which both copies of an order are answered. The MCM
@@ -32,6 +33,7 @@ UNKNOWN_S, FAR_UNKNOWN_S = 0.1, 0.5
 ASK_S, FAR_ASK_S = 1.0, 3.0  # time limit of the query whether a command exists, local and over tcp
 LONGEST_S = 3600.0  # maximum wait for rest
 RETRY_S = 0.02  # period of sending the order again to a socket that was not connected
+RANK = 1  # real-time priority of the I/O thread of the halt sockets, and of a caller while it sends, if permitted
 HALT_ENDPOINTS = ("halt", "estop")  # of the broker, of the MCM
 COMMAND = re.compile(r"C-\d+", re.ASCII)  # a scope that only the broker can resolve
 
@@ -43,6 +45,7 @@ class SubsystemHalt(msgspec.Struct, kw_only=True):
 
     name: str
     latency_s: float | None = None  # call -> first decelerating tick
+    receipt_s: float | None = None  # call -> the subsystem received it: the first part of `latency_s`
     moving: list[str] = []  # performers that were in motion
     at_rest: bool | None = None  # None: not reported yet
     performers: list[str] = []  # that were in scope, in motion or not
@@ -77,13 +80,15 @@ class HaltLine:
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], endpoints: Endpoints) -> None:
         self._context, self._endpoints = context, endpoints
+        self._own_context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()  # so its I/O thread carries halts only
+        self._rank = RANK if real_time_io(self._own_context, RANK) else 0
         self._far = endpoints.far
         self._connect_s, self._unknown_s = (FAR_CONNECT_S, FAR_UNKNOWN_S) if self._far else (CONNECT_S, UNKNOWN_S)
         self._lock = threading.Lock()
         self._poller = zmq.Poller()
         self._sockets: dict[str, zmq.Socket[bytes]] = {}
         for name in HALT_ENDPOINTS:
-            socket = context.socket(zmq.DEALER)  # without an identity, so that no other process can use the same one
+            socket = self._own_context.socket(zmq.DEALER)  # without an identity: another process could use the same
             endpoints.secure(socket)
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.IMMEDIATE, 1)  # not queued: a stale halt would stop later commands
@@ -100,9 +105,10 @@ class HaltLine:
         timeout_s = min(LONGEST_S, timeout_s)  # in this order nan becomes LONGEST_S too
         with self._lock:
             called_at_s = time.monotonic()
-            scope = halt_scope(f"HALT {scope}") or scope.upper()
-            order = m.HaltOrder(halt=f"H-{uuid.uuid4().hex[:12]}", scope=scope, called_at_s=called_at_s)
-            sent_to = self._send(order, self._sockets)
+            with real_time(self._rank):  # else the caller may wait behind busy processes before it has sent
+                scope = halt_scope(f"HALT {scope}") or scope.upper()
+                order = m.HaltOrder(halt=f"H-{uuid.uuid4().hex[:12]}", scope=scope, called_at_s=called_at_s)
+                sent_to = self._send(order, self._sockets)
             if not sent_to:
                 sent_to = self._send_when_connected(order, called_at_s + self._connect_s)
             if not sent_to:
@@ -124,6 +130,7 @@ class HaltLine:
         """Close the sockets."""
         for socket in self._sockets.values():
             socket.close()
+        self._own_context.term()
 
     def _send(self, order: m.HaltOrder, sockets: dict[str, zmq.Socket[bytes]]) -> list[str]:
         parts, sent_to = frames(order), []
@@ -218,6 +225,7 @@ class HaltLine:
         if isinstance(answer, m.HaltStarted):
             if found.latency_s is None:
                 found.latency_s = self._at(answer.decelerating_at_s) - order.called_at_s
+                found.receipt_s = self._at(answer.received_at_s) - order.called_at_s
                 found.moving = answer.moving
         else:
             found.at_rest, found.performers = answer.at_rest, answer.performers
