@@ -154,7 +154,7 @@ def hand(**fields):
     return lambda arm: arm["gripper"].update(fields)
 
 
-#: what is changed in the first arm, or in the text of its model; what is said of it
+#: change of the first arm, or of the text of its model; the resulting problem
 MISFITS = {
     "joint": (
         lambda arm: arm["joints"].__setitem__(2, "elbow"),

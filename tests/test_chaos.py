@@ -71,7 +71,7 @@ def test_one_is_back_when_another_process_of_its_name_is_ready(cluster):
     assert maker.returned() == [strike]
     assert (strike.pid, strike.new_pid, maker.missing) == (pid, new, [])
     assert 0 < strike.back_s < 10
-    assert maker.returned() == []  # told once
+    assert maker.returned() == []  # reported once
 
 
 def test_a_process_that_ended_by_itself_is_not_taken_for_another(cluster):

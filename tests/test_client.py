@@ -1,4 +1,4 @@
-"""The client against a small broker of real sockets that speaks the real messages: what is said, repeated, and told."""
+"""The client against a small broker of real sockets with real messages: what it sends, repeats and reports."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ ENDED = "C-5"  # of which nothing moves; the broker has nothing to decline
 
 
 class SmallBroker(threading.Thread):
-    """Binds front and halt (as broker) and estop (as MCM); answers by plain functions; remembers what it heard."""
+    """Binds front and halt (as broker) and estop (as MCM); answers by plain functions; keeps what it received."""
 
     def __init__(self, run_dir: Path, answer: Answer, *, halts: bool = True, front: bool = True) -> None:
         super().__init__(daemon=True)
-        self.heard: list[m.ClientToBroker] = []
+        self.received: list[m.ClientToBroker] = []
         self.parcels: list[int] = []  # messages in each message of a client
         self.halted: list[tuple[str, m.HaltOrder]] = []
         self.at_rest: bool | None = True
@@ -40,45 +40,45 @@ class SmallBroker(threading.Thread):
         self._stop_in.bind("inproc://stop")
         self._stop_out = self._context.socket(zmq.PAIR)
         self._stop_out.connect("inproc://stop")
-        self._doors: dict[zmq.Socket[bytes], str] = {}
+        self._names: dict[zmq.Socket[bytes], str] = {}
         for name in (["front"] if front else []) + (["halt", "estop"] if halts else []):
             socket = self._context.socket(zmq.ROUTER)
             socket.bind(Settings.load(run_dir).endpoint(name))
-            self._doors[socket] = name
+            self._names[socket] = name
         self.start()
 
     def run(self) -> None:
         poller = zmq.Poller()
-        for socket in (self._stop_in, *self._doors):
+        for socket in (self._stop_in, *self._names):
             poller.register(socket, zmq.POLLIN)
         while self._stop_in not in (ready := dict(poller.poll())):
             for socket in ready:
                 who, *parts = socket.recv_multipart()
-                if self._doors[socket] == "front":
-                    said = read_client(parts)
-                    self.heard += said
-                    self.parcels.append(len(said))
-                    answers = [answer for message in said for answer in self._answer(message)]
-                    if len(said) > 1:  # it reads arrays, then
+                if self._names[socket] == "front":
+                    messages = read_client(parts)
+                    self.received += messages
+                    self.parcels.append(len(messages))
+                    answers = [answer for message in messages for answer in self._answer(message)]
+                    if len(messages) > 1:  # it reads arrays, then
                         (parts,) = together(answers)
                         socket.send_multipart([who, *parts])
                         continue
                 else:
                     order = read_halt(parts)
-                    self.halted.append((self._doors[socket], order))
-                    answers = self._obey(order, self._doors[socket])
+                    self.halted.append((self._names[socket], order))
+                    answers = self._obey(order, self._names[socket])
                 for answer in answers:
                     socket.send_multipart([who, *frames(answer)])
-        for socket in (self._stop_in, *self._doors):
+        for socket in (self._stop_in, *self._names):
             socket.close(linger=100)
 
-    def _obey(self, order: m.HaltOrder, door: str) -> list[object]:
+    def _obey(self, order: m.HaltOrder, name: str) -> list[object]:
         rest = m.HaltAtRest(halt=order.halt, subsystem="MCM", at_s=0.0, at_rest=True, performers=[])
         if order.scope == ENDED:
-            return [rest] if door == "estop" else []
+            return [rest] if name == "estop" else []
         if order.scope in NOBODY:  # the MCM cannot know; the broker does
             refusal = Refusal(reason=RefusalReason.NAME, message=f"nothing live is called {order.scope}")
-            return [rest if door == "estop" else m.Declined(request=order.halt, refusal=refusal)]
+            return [rest if name == "estop" else m.Declined(request=order.halt, refusal=refusal)]
         started = m.HaltStarted(
             halt=order.halt,
             subsystem="MCM",
@@ -100,7 +100,7 @@ class SmallBroker(threading.Thread):
         self._context.term()
 
     def sentences(self) -> list[m.CommandText]:
-        return [message for message in self.heard if isinstance(message, m.CommandText)]
+        return [message for message in self.received if isinstance(message, m.CommandText)]
 
 
 def ended(request: str, command: str, text: str = "", kind: OutcomeKind = OutcomeKind.SUCCEEDED) -> m.CommandEnded:
@@ -144,7 +144,7 @@ def broker(run_dir: Path) -> Iterator[SmallBroker]:
     broker.stop()
 
 
-def test_no_cluster_is_told_within_a_second_with_what_to_do(tmp_path: Path, run_dir: Path) -> None:
+def test_no_cluster_is_reported_within_a_second_with_what_to_do(tmp_path: Path, run_dir: Path) -> None:
     started_s = time.monotonic()
 
     with pytest.raises(NoCluster, match="rtc up -d"):
@@ -181,7 +181,7 @@ def test_bytes_that_are_no_text_travel_as_a_mark(broker: SmallBroker, run_dir: P
     with Client(run_dir) as rtc:
         rtc.run("GRASP MACS-\udcff")
 
-    assert [message.text for message in broker.heard if isinstance(message, m.CommandText)] == ["GRASP MACS-\ufffd"]
+    assert [message.text for message in broker.received if isinstance(message, m.CommandText)] == ["GRASP MACS-\ufffd"]
 
 
 def test_submit_then_wait(broker: SmallBroker, run_dir: Path) -> None:
@@ -223,7 +223,7 @@ def test_outcomes_come_in_the_order_of_the_sentences(run_dir: Path, parallel: bo
         held.append(message)
         if parallel and len(held) < 3:
             return [m.Accepted(request=message.request, command=f"C-{len(held)}")]
-        return [ended(said.request, f"C-{n}", said.text) for n, said in reversed(list(enumerate(held, 1)))]
+        return [ended(sentence.request, f"C-{n}", sentence.text) for n, sentence in reversed(list(enumerate(held, 1)))]
 
     broker = SmallBroker(run_dir, backwards)
     order: list[int] = []
@@ -255,7 +255,7 @@ def test_a_declined_sentence_is_an_exception_of_submit_and_a_refusal_of_run(run_
 
 def test_a_question_too_many_is_asked_again(run_dir: Path) -> None:
     def busy(message: m.ClientToBroker) -> list[object]:
-        asked = sum(isinstance(heard, m.StatusQuery) for heard in broker.heard)
+        asked = sum(isinstance(message, m.StatusQuery) for message in broker.received)
         if isinstance(message, m.StatusQuery) and asked < 3:
             refusal = Refusal(reason=RefusalReason.OVERLOAD, message="a client may ask 100 times a second")
             return [m.Declined(request=message.request, refusal=refusal)]
@@ -269,7 +269,7 @@ def test_a_question_too_many_is_asked_again(run_dir: Path) -> None:
         broker.stop()
 
 
-def test_a_command_that_does_not_end_in_time_is_told_and_goes_on(run_dir: Path) -> None:
+def test_a_command_that_does_not_end_in_time_is_reported_and_goes_on(run_dir: Path) -> None:
     broker = SmallBroker(run_dir, accepting)
     with Client(run_dir) as rtc:
         command = rtc.submit("STOW LEFT-ARM 1")
@@ -278,7 +278,7 @@ def test_a_command_that_does_not_end_in_time_is_told_and_goes_on(run_dir: Path) 
     broker.stop()
 
 
-def test_a_lost_broker_hears_the_same_requests_again(run_dir: Path) -> None:
+def test_a_new_broker_receives_the_same_requests_again(run_dir: Path) -> None:
     """Given a sentence accepted by a broker that dies, when a new one comes, then the same request reaches it."""
     first = SmallBroker(run_dir, accepting)
     with Client(run_dir) as rtc:
@@ -289,20 +289,20 @@ def test_a_lost_broker_hears_the_same_requests_again(run_dir: Path) -> None:
         assert rtc.status() == {"cluster": "test"}
 
     assert outcome.outcome.kind == OutcomeKind.SUCCEEDED
-    assert {said.request for said in second.sentences()} == {first.sentences()[0].request}
+    assert {sentence.request for sentence in second.sentences()} == {first.sentences()[0].request}
     assert first.sentences()[0].known_as == ""
-    assert {said.known_as for said in second.sentences()} == {"C-1"}  # a broker that lost it must not begin it
-    assert isinstance(second.heard[0], m.ClientHello)
+    assert {sentence.known_as for sentence in second.sentences()} == {"C-1"}  # a broker that lost it must not begin it
+    assert isinstance(second.received[0], m.ClientHello)
     second.stop()
 
 
 def of_cluster(name: str, answer: Answer) -> Answer:
-    return lambda said: [m.Welcome(cluster=name, pid=1)] if isinstance(said, m.ClientHello) else answer(said)
+    return lambda message: [m.Welcome(cluster=name, pid=1)] if isinstance(message, m.ClientHello) else answer(message)
 
 
-def test_another_cluster_in_its_place_hears_nothing_of_what_was_said_to_the_old_one(run_dir: Path) -> None:
+def test_another_cluster_in_its_place_receives_nothing_of_what_was_sent_to_the_old_one(run_dir: Path) -> None:
     """Given two sentences under way, when another cluster answers in the same directory, then they are gone for good,
-    and what is said afterwards is not for it either."""
+    and what is sent afterwards is not for it either."""
     first = SmallBroker(run_dir, of_cluster("old", accepting))
     with Client(run_dir) as rtc:
         commands = [rtc.submit("STOW LEFT-ARM 1"), rtc.submit("STOW RIGHT-ARM 2")]
@@ -315,9 +315,9 @@ def test_another_cluster_in_its_place_hears_nothing_of_what_was_said_to_the_old_
             rtc.run("STOW LEFT-ARM 3", timeout_s=5)
     second.stop()
 
-    assert {said.cluster for said in first.sentences()} == {"old"}
-    assert not {"STOW LEFT-ARM 1", "STOW RIGHT-ARM 2"} & {said.text for said in second.sentences()}
-    assert all(said.cluster == "old" for said in second.sentences())  # so that it is declined
+    assert {sentence.cluster for sentence in first.sentences()} == {"old"}
+    assert not {"STOW LEFT-ARM 1", "STOW RIGHT-ARM 2"} & {sentence.text for sentence in second.sentences()}
+    assert all(sentence.cluster == "old" for sentence in second.sentences())  # so that it is declined
 
 
 def test_a_cluster_that_was_started_while_we_came_is_taken_as_it_is(run_dir: Path) -> None:
@@ -326,7 +326,7 @@ def test_a_cluster_that_was_started_while_we_came_is_taken_as_it_is(run_dir: Pat
     broker = SmallBroker(run_dir, of_cluster("new", obliging))
     with Client(run_dir) as rtc:
         assert rtc.run("STOW LEFT-ARM 1", timeout_s=5).command == "C-1"
-    assert [said.cluster for said in broker.sentences()] == ["new"]
+    assert [sentence.cluster for sentence in broker.sentences()] == ["new"]
     broker.stop()
 
 
@@ -335,7 +335,7 @@ def test_a_sentence_waits_until_it_is_known_whom_it_is_for(run_dir: Path) -> Non
     broker = SmallBroker(run_dir, of_cluster("new", obliging))
     with Client(run_dir, need_broker=False) as rtc:
         assert rtc.run("STOW LEFT-ARM 1", timeout_s=5).command == "C-1"
-    assert [said.cluster for said in broker.sentences()] == ["new"]
+    assert [sentence.cluster for sentence in broker.sentences()] == ["new"]
     broker.stop()
 
 
@@ -343,11 +343,11 @@ def test_a_client_of_the_same_name_has_requests_of_its_own(broker: SmallBroker, 
     for _ in range(2):
         with Client(run_dir, name="planner") as rtc:
             rtc.run("STOW LEFT-ARM 1", timeout_s=5)
-    assert len({said.request for said in broker.sentences()}) == 2
+    assert len({sentence.request for sentence in broker.sentences()}) == 2
 
 
 def test_a_wait_ends_in_time_although_the_broker_is_long_away(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Given more to be said again than a queue takes, had it been said again into it all the time."""
+    """Given more to repeat than a queue holds, if it were repeated all the time."""
     monkeypatch.setattr(connection, "SILENCE_S", 0.01)
     broker = SmallBroker(run_dir, accepting)
     rtc = Client(run_dir)
@@ -367,7 +367,7 @@ def test_a_wait_ends_in_time_although_the_broker_is_long_away(run_dir: Path, mon
     rtc.close()
 
 
-def test_what_no_broker_would_take_is_told_at_once(broker: SmallBroker, run_dir: Path, tmp_path: Path) -> None:
+def test_what_no_broker_would_take_is_reported_at_once(broker: SmallBroker, run_dir: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="invalid source 'planner': it must be operator or aip"):
         Client(run_dir, source="planner")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="199 bytes; the limit is 128"):
@@ -380,17 +380,17 @@ def test_what_no_broker_would_take_is_told_at_once(broker: SmallBroker, run_dir:
         with pytest.raises(RequestDeclined, match=r"300,\d+ bytes, a request may have 262,144"):
             rtc.trace("C" * 300_000)
         assert rtc.run("STOW 1 " * 50_000, timeout_s=5).outcome.kind is OutcomeKind.SUCCEEDED  # by this broker
-    assert [len(said.text) for said in broker.sentences()] == [4_000]  # the parser's business
+    assert [len(sentence.text) for sentence in broker.sentences()] == [4_000]  # the parser's business
 
 
 def test_a_client_closes_although_its_broker_is_gone_for_good(run_dir: Path) -> None:
-    """Given a sentence said again to nobody, then closing does not wait for somebody to take it."""
+    """Given a repeated sentence without a receiver, then closing does not wait for one."""
     broker = SmallBroker(run_dir, accepting)
     rtc = Client(run_dir)
     command = rtc.submit("STOW LEFT-ARM 1")
     broker.stop()
     with pytest.raises(TimedOut):
-        rtc.wait(command, timeout_s=2.5)  # more than the silence after which it is said again
+        rtc.wait(command, timeout_s=2.5)  # longer than the silence after which it is repeated
     closing = threading.Thread(target=rtc.close, daemon=True)
     closing.start()
     closing.join(3)
@@ -410,7 +410,7 @@ def test_a_halt_goes_to_broker_and_mcm_with_one_name(broker: SmallBroker, run_di
     assert result.confirmed
     assert result.latency_s == pytest.approx(0.002)
     assert (result.scope, result.moving, result.sent_to) == ("RIGHT-ARM", ["RIGHT-ARM"], ["estop", "halt"])
-    assert {door for door, _ in broker.halted} == {"halt", "estop"}
+    assert {name for name, _ in broker.halted} == {"halt", "estop"}
     assert {order.halt for _, order in broker.halted} == {result.halt}
 
 
@@ -431,7 +431,7 @@ def test_a_halt_of_a_command_that_has_ended_is_confirmed(run_dir: Path) -> None:
     )
     broker = SmallBroker(
         run_dir,
-        lambda said: [m.TraceReply(request=said.request, record=record)] if isinstance(said, m.TraceQuery) else [],
+        lambda query: [m.TraceReply(request=query.request, record=record)] if isinstance(query, m.TraceQuery) else [],
     )
     with Client(run_dir, need_broker=False) as rtc:
         result = rtc.halt(ENDED)
@@ -439,7 +439,7 @@ def test_a_halt_of_a_command_that_has_ended_is_confirmed(run_dir: Path) -> None:
     broker.stop()
 
 
-def test_of_a_command_that_nobody_knows_nothing_is_confirmed(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_halt_of_an_unknown_command_is_not_confirmed(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Given a broker that takes the halt and says no word."""
     monkeypatch.setattr(halt, "ASK_S", 0.1)
     broker = SmallBroker(run_dir, lambda _: [])
@@ -464,14 +464,14 @@ def test_no_number_of_seconds_keeps_a_halt_from_being_sent(
 
 
 @pytest.mark.parametrize(
-    ("said", "scope"),
+    ("sentence", "scope"),
     [("", "ALL"), (" all ", "ALL"), ("both-arms", "ALL"), ("RIGHT-END-EFF", "RIGHT-ARM"), ("c-7", "C-7")],
 )
 def test_the_scope_of_a_halt_is_understood_as_in_a_sentence(
-    broker: SmallBroker, run_dir: Path, said: str, scope: str
+    broker: SmallBroker, run_dir: Path, sentence: str, scope: str
 ) -> None:
     with Client(run_dir) as rtc:
-        assert rtc.halt(said).scope == scope
+        assert rtc.halt(sentence).scope == scope
 
 
 @pytest.mark.parametrize(("at_rest", "why"), [(False, "has not come to rest"), (None, "has not come to rest")])

@@ -18,7 +18,7 @@ def test_a_name_of_the_brokers_own_is_changed(name: str) -> None:
 
 
 @pytest.mark.parametrize("at_s", [math.nan, math.inf, -math.inf, -1.0])
-def test_a_time_that_is_none_is_not_told(at_s: float) -> None:
+def test_an_invalid_time_is_not_passed_on(at_s: float) -> None:
     assert sanitize_halt(HaltOrder(halt="H-1", called_at_s=at_s)).called_at_s == 0.0
 
 
@@ -43,18 +43,18 @@ def test_an_honest_halt_is_left_alone() -> None:
     ],
 )
 def test_a_halt_whose_scope_can_be_read_is_obeyed_whatever_else_is_wrong_with_it(wrong) -> None:
-    said = {"type": "HaltOrder", "halt": "H-1", "scope": "RIGHT-ARM", "called_at_s": 12.5, **wrong}
-    order = read_order([wire.PROTOCOL, wire.encode(said)])
+    message = {"type": "HaltOrder", "halt": "H-1", "scope": "RIGHT-ARM", "called_at_s": 12.5, **wrong}
+    order = read_order([wire.PROTOCOL, wire.encode(message)])
     assert order.scope == "RIGHT-ARM"
     assert wire.reader(HaltOrder)(wire.frames(order)) == order  # and it can be passed on
 
 
-@pytest.mark.parametrize("said", [{"scope": 7}, {"type": "HaltStarted"}, {"scope": "x" * 201}, [], 7])
-def test_what_names_no_scope_is_no_halt(said) -> None:
-    if isinstance(said, dict):
-        said = {"type": "HaltOrder", "halt": "H-1", **said}
+@pytest.mark.parametrize("message", [{"scope": 7}, {"type": "HaltStarted"}, {"scope": "x" * 201}, [], 7])
+def test_what_names_no_scope_is_no_halt(message) -> None:
+    if isinstance(message, dict):
+        message = {"type": "HaltOrder", "halt": "H-1", **message}
     with pytest.raises(WireError):
-        read_order([wire.PROTOCOL, wire.encode(said)])
+        read_order([wire.PROTOCOL, wire.encode(message)])
 
 
 def test_a_caller_calls_exceeds_within_a_second_and_another_does_not() -> None:

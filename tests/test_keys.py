@@ -1,4 +1,4 @@
-"""Keys on disk: made once, for their owner alone, found, revoked; and what a wrong file is told."""
+"""Keys on disk: made once, for their owner alone, found, revoked; and the refusal of a wrong file."""
 
 from __future__ import annotations
 
@@ -79,13 +79,13 @@ def test_a_name_that_could_be_mistaken_is_none(ring: KeyRing, tmp_path: Path, na
         *("tcp://lab:65530", "tcp://lab:5555/x", "ipc:///tmp/x", "tcp://a@lab:5555"),
     ],
 )
-def test_what_is_no_address_is_told_with_one_that_is(address: str) -> None:
+def test_an_invalid_address_is_refused_with_an_example(address: str) -> None:
     with pytest.raises(KeyTrouble, match=r"tcp://|too high"):
         check_address(address)
 
 
-def test_each_door_has_its_port() -> None:
-    ports = [endpoint_address("tcp://[::1]:5555", door).rpartition(":")[2] for door in TCP_ENDPOINTS]
+def test_each_endpoint_has_its_port() -> None:
+    ports = [endpoint_address("tcp://[::1]:5555", endpoint).rpartition(":")[2] for endpoint in TCP_ENDPOINTS]
     assert ports == [str(5555 + n) for n in range(len(TCP_ENDPOINTS))]
     assert endpoint_address("tcp://*:5555", "front") == "tcp://*:5555"
 
@@ -98,16 +98,16 @@ def test_everywhere_is_no_address_for_others(address: str) -> None:
 def test_a_key_has_no_way_where_its_role_has_no_business(ring: KeyRing, tmp_path: Path) -> None:
     key = ring.new("w1", Role.WORKER, AT, tmp_path / "w1.key")
     assert key.endpoint("workers").startswith("tcp://lab:")
-    for door in ("front", "halt", "bench", "supervisor"):
+    for endpoint in ("front", "halt", "bench", "supervisor"):
         with pytest.raises(KeyTrouble, match="role worker"):
-            key.endpoint(door)
+            key.endpoint(endpoint)
 
 
 @pytest.mark.parametrize(
     "change",
     [{"secret": "x" * 40}, {"public": "short"}, {"cluster": "é"}, {"role": "king"}, {"address": "lab"}, {"name": None}],
 )
-def test_a_damaged_file_is_told_apart(ring: KeyRing, tmp_path: Path, change: dict[str, object]) -> None:
+def test_a_damaged_file_is_distinguished(ring: KeyRing, tmp_path: Path, change: dict[str, object]) -> None:
     path = tmp_path / "alice.key"
     ring.new("alice", Role.OPERATOR, AT, path)
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
@@ -116,7 +116,7 @@ def test_a_damaged_file_is_told_apart(ring: KeyRing, tmp_path: Path, change: dic
 
 
 @pytest.mark.parametrize("body", [b"", b"\xff\xfe", b"[]", b"{}", b"x" * 10_000])
-def test_what_is_no_key_file_is_told_so(tmp_path: Path, body: bytes) -> None:
+def test_a_file_that_is_not_a_key_file_is_refused(tmp_path: Path, body: bytes) -> None:
     path = tmp_path / "x.key"
     path.write_bytes(body)
     with pytest.raises(KeyTrouble, match="not a key file"):
@@ -125,7 +125,7 @@ def test_what_is_no_key_file_is_told_so(tmp_path: Path, body: bytes) -> None:
         KeyFile.load(tmp_path)
 
 
-def test_a_spoiled_file_in_the_ring_lets_nobody_in(ring: KeyRing, tmp_path: Path) -> None:
+def test_a_damaged_file_in_the_ring_gives_no_access(ring: KeyRing, tmp_path: Path) -> None:
     ring.new("alice", Role.OPERATOR, AT, tmp_path / "alice.key")
     (ring.path / "bob.known").write_bytes((ring.path / "alice.known").read_bytes())  # a name that is not its own
     (ring.path / "eve.known").write_bytes(b"nonsense")

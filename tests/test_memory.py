@@ -1,4 +1,4 @@
-"""Too much memory: which doors are opened anew, and that whoever was there comes back."""
+"""Too much memory: which sockets are reopened, and that their peers reconnect."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def test_a_process_of_usual_size_is_left_alone() -> None:
     assert [guard.alarm(now_s) for now_s in (0.0, 1.0, 2.0)] == [0, 0, 0]
 
 
-def test_doors_are_opened_in_two_stages_and_then_the_limit_is_raised() -> None:
+def test_sockets_are_reopened_in_two_stages_and_then_the_limit_is_raised() -> None:
     guard = MemoryGuard(limit_mb=1.0)
     assert guard.alarm(10.0) == 1
     assert guard.alarm(10.0 + SETTLE_S / 2) == 0  # it may still help
@@ -26,23 +26,23 @@ def test_doors_are_opened_in_two_stages_and_then_the_limit_is_raised() -> None:
     assert guard.alarm(20.0) == 0
 
 
-def test_a_door_opened_anew_is_empty_and_its_peers_come_back(tmp_path) -> None:
+def test_a_reopened_endpoint_is_empty_and_its_peers_come_back(tmp_path) -> None:
     me = Process("test", tmp_path)
     endpoint = f"ipc://{tmp_path}/x.sock"
-    door = me.socket(zmq.ROUTER, endpoint, bind=True)
+    old = me.socket(zmq.ROUTER, endpoint, bind=True)
     peer = me.socket(zmq.DEALER, endpoint, identity="ann", poll=False)
     for _ in range(5):
         send(peer, Heartbeat(name="before"))
-    assert me.wait(5) == [door]
+    assert me.wait(5) == [old]
 
-    opened = me.open_anew(door, endpoint)
-    heard = []
-    while not heard:
+    opened = me.open_anew(old, endpoint)
+    received = []
+    while not received:
         send(peer, Heartbeat(name="after"))
         me.wait(0.05)
-        heard = [(who, wire.reader(Heartbeat)(parts).name) for who, *parts in inbox(opened)]
+        received = [(who, wire.reader(Heartbeat)(parts).name) for who, *parts in inbox(opened)]
 
-    assert set(heard) == {(b"ann", "after")}
+    assert set(received) == {(b"ann", "after")}
     with pytest.raises(zmq.ZMQError):
-        door.getsockopt(zmq.TYPE)
+        old.getsockopt(zmq.TYPE)
     me.close()

@@ -50,13 +50,13 @@ def test_a_message_travels_to_a_named_peer_and_back(me, tmp_path):
 
 
 @pytest.mark.parametrize("taken", [False, True], ids=["deleted", "taken by another"])
-def test_a_door_whose_file_is_gone_is_bound_again_and_connections_stay(me, tmp_path, taken):
-    path = tmp_path / "door.sock"
-    door = me.socket(zmq.ROUTER, f"ipc://{path}", bind=True)
+def test_an_endpoint_whose_file_is_gone_is_bound_again_and_connections_stay(me, tmp_path, taken):
+    path = tmp_path / "bound.sock"
+    bound = me.socket(zmq.ROUTER, f"ipc://{path}", bind=True)
     known = me.socket(zmq.DEALER, f"ipc://{path}", identity="known")
     assert send(known, Heartbeat(name="known"))
-    assert door.poll(5000)
-    door.recv_multipart()
+    assert bound.poll(5000)
+    bound.recv_multipart()
     path.unlink()
     other = me.context.socket(zmq.ROUTER)
     if taken:
@@ -68,14 +68,14 @@ def test_a_door_whose_file_is_gone_is_bound_again_and_connections_stay(me, tmp_p
     new = me.socket(zmq.DEALER, f"ipc://{path}", identity="new")
     for dealer in (known, new):
         assert send(dealer, Heartbeat(name="x"))
-        assert door.poll(5000)
-        assert door.recv_multipart()[0] in (b"known", b"new")
+        assert bound.poll(5000)
+        assert bound.recv_multipart()[0] in (b"known", b"new")
 
 
-def test_no_door_is_bound_in_another_directory_of_the_same_name(me, tmp_path):
+def test_no_endpoint_is_bound_in_another_directory_of_the_same_name(me, tmp_path):
     ours = tmp_path / "run"
     ours.mkdir()
-    me.socket(zmq.ROUTER, f"ipc://{ours}/door.sock", bind=True)
+    me.socket(zmq.ROUTER, f"ipc://{ours}/bound.sock", bind=True)
     ours.rename(tmp_path / "away")
     ours.mkdir()
 
@@ -85,13 +85,13 @@ def test_no_door_is_bound_in_another_directory_of_the_same_name(me, tmp_path):
 
 
 def test_sending_never_waits(me, tmp_path):
-    nobody = me.socket(zmq.DEALER, f"ipc://{tmp_path}/nobody.sock", queue_length=2)
-    said = [send(nobody, Heartbeat(name="x")) for _ in range(10)]
-    assert said[0] is True
-    assert said[-1] is False
+    unconnected = me.socket(zmq.DEALER, f"ipc://{tmp_path}/nobody.sock", queue_length=2)
+    results = [send(unconnected, Heartbeat(name="x")) for _ in range(10)]
+    assert results[0] is True
+    assert results[-1] is False
 
 
-def test_a_newer_bearer_of_an_identity_is_the_one_that_is_heard(me, tmp_path):
+def test_a_newer_bearer_of_an_identity_is_served(me, tmp_path):
     endpoint = f"ipc://{tmp_path}/x.sock"
     router = me.socket(zmq.ROUTER, endpoint, bind=True)
     old = me.socket(zmq.DEALER, endpoint, identity="w")
@@ -280,7 +280,7 @@ def test_without_the_permission_io_threads_keep_their_priority(monkeypatch):
             assert socket.closed is False
 
 
-def test_a_run_directory_that_cannot_be_is_told_in_a_sentence(tmp_path):
+def test_an_impossible_run_directory_is_refused_in_a_sentence(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(ClusterError, match="choose another"):
         prepare_run_dir(tmp_path / "file")

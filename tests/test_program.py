@@ -53,7 +53,7 @@ STAY = "case: 1\nuses: [hand]\nsteps: [{do: hold, stop: hold, label: stay, args:
 
 
 @pytest.mark.parametrize(
-    ("kind", "text", "told"),
+    ("kind", "text", "message"),
     [
         ("elaborator", f"script: stow\n{STAY}", ["scripts: stow is changed"]),
         (
@@ -78,10 +78,10 @@ STAY = "case: 1\nuses: [hand]\nsteps: [{do: hold, stop: hold, label: stay, args:
         ("binder", "values: {}", []),
     ],
 )
-def test_what_a_file_changes_is_told_item_by_item(kind, text, told):
+def test_what_a_file_changes_is_reported_item_by_item(kind, text, message):
     before = loader.default(kind)
 
-    assert loader.changes(kind, before, loader.merge(kind, before, "x.yaml", text.encode())) == told
+    assert loader.changes(kind, before, loader.merge(kind, before, "x.yaml", text.encode())) == message
 
 
 def test_a_value_of_the_binder_is_changed_alone():
@@ -158,21 +158,23 @@ def test_no_cell_is_empty(script):
 
 def test_the_traced_outcomes_of_line_5():
     """requirements.md, 2.4."""
-    told = {row.reason: row.response for row in outcomes(*defaults(), "grasp-centering") if row.step.startswith("5 ")}
+    message = {
+        row.reason: row.response for row in outcomes(*defaults(), "grasp-centering") if row.step.startswith("5 ")
+    }
 
-    assert told[StopReason.CONTACT].startswith("continue")
-    assert told[StopReason.GOAL] == "counts as no_contact"
-    assert told[StopReason.NO_CONTACT].startswith("trim 2 (grasp), restart_script")
-    assert told[StopReason.FORCE_LIMIT].startswith("trim 2 (grasp), restart_script")
+    assert message[StopReason.CONTACT].startswith("continue")
+    assert message[StopReason.GOAL] == "counts as no_contact"
+    assert message[StopReason.NO_CONTACT].startswith("trim 2 (grasp), restart_script")
+    assert message[StopReason.FORCE_LIMIT].startswith("trim 2 (grasp), restart_script")
     for reason in (StopReason.JOINT_LIMIT, StopReason.COLLISION, StopReason.TIMEOUT, StopReason.HALT):
-        assert told[reason].startswith("fail"), reason
+        assert message[reason].startswith("fail"), reason
 
 
 def test_a_verb_means_its_likeliest_script():
     assert outcomes(*defaults(), "GRASP") == outcomes(*defaults(), "grasp-feeling")
 
 
-def test_an_unknown_script_is_told():
+def test_an_unknown_script_is_reported():
     with pytest.raises(ProgramError, match="no script waltz"):
         outcomes(*defaults(), "waltz")
 
@@ -190,7 +192,7 @@ GOOD = "{do: move, to: HERE, stop: move_free, space: move_task, label: x}"
 
 
 @pytest.mark.parametrize(
-    ("step", "more", "said"),
+    ("step", "more", "message"),
     [
         (
             GOOD.replace("move_free", "move_fast"),
@@ -219,11 +221,11 @@ GOOD = "{do: move, to: HERE, stop: move_free, space: move_task, label: x}"
         (GOOD, "plan: [{name: A, at: seat, along: SIDEWAYS}]", r"line 4: .*no axis SIDEWAYS; .*WAY-OUT"),
     ],
 )
-def test_a_script_that_asks_for_what_is_not_there_is_not_loaded(step, more, said):
-    """The words that are known are told, and the line of the file."""
+def test_a_script_that_asks_for_what_is_not_there_is_not_loaded(step, more, message):
+    """The message has the known words and the line of the file."""
     text = SCRIPT.format(step=step, more=more).encode()
 
-    with pytest.raises(ProgramError, match=rf"^s\.yaml, {said}"):
+    with pytest.raises(ProgramError, match=rf"^s\.yaml, {message}"):
         loader.merge("elaborator", loader.default("elaborator"), "s.yaml", text, OTHERS)
 
 
@@ -235,7 +237,7 @@ def test_the_line_is_that_of_the_file_whatever_it_brings():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (
             b"stop_classes:\n  mine:\n    stops: [{reason: goal, when: wished}]",
@@ -246,8 +248,8 @@ def test_the_line_is_that_of_the_file_whatever_it_brings():
         (b"actions: {grip: motion}", "it is incompatible with the elaborator's program: .*no stop class"),
     ],
 )
-def test_so_with_the_binder(text, said):
-    with pytest.raises(ProgramError, match=said):
+def test_so_with_the_binder(text, message):
+    with pytest.raises(ProgramError, match=message):
         loader.merge("binder", loader.default("binder"), "b.yaml", text, OTHERS)
 
 
@@ -316,7 +318,7 @@ LAUGHS = "a0: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}, *a{n 
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("[" * 100_000, "nested deeper"),  # would overflow the C stack of the YAML loader
         ("- " * 60_000, "nested deeper"),
@@ -328,8 +330,8 @@ LAUGHS = "a0: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}, *a{n 
         ("", "a program document is a map"),
     ],
 )
-def test_a_file_that_means_harm_is_told_so(text, said):
-    with pytest.raises(ProgramError, match=re.escape(said)):
+def test_a_harmful_file_is_refused(text, message):
+    with pytest.raises(ProgramError, match=re.escape(message)):
         loader.merge(WorkerKind.ELABORATOR, loader.default("elaborator"), "bad.yaml", text.encode())
 
 
@@ -348,7 +350,7 @@ def test_an_alias_may_be_used():
         ("elaborator", b"scripts:\n  - [\n", "mine.yaml, line 3: "),
     ],
 )  # fmt: skip
-def test_a_file_of_the_wrong_shape_is_told_what_is_expected(kind, text, complaint):
+def test_the_refusal_of_a_file_of_the_wrong_shape_names_what_is_expected(kind, text, complaint):
     with pytest.raises(ProgramError, match=complaint) as caught:
         loader.merge(kind, loader.default(kind), "mine.yaml", text)
 

@@ -44,21 +44,21 @@ class Bare:
             self.socket.subscribe(b"")
         self.socket.connect(f"ipc://{run_dir}/{file}")
 
-    def say(self, **message: Any) -> None:
+    def send(self, **message: Any) -> None:
         self.socket.send_multipart([b"RTC1", msgpack.packb(message)])
 
-    def hear(self) -> dict[str, Any]:
-        assert self.socket.poll(LIMIT_MS), "nothing was heard"
+    def recv(self) -> dict[str, Any]:
+        assert self.socket.poll(LIMIT_MS), "nothing was received"
         protocol, body = self.socket.recv_multipart()
         assert protocol == b"RTC1"
         message: dict[str, Any] = msgpack.unpackb(body)
         return message
 
-    def hear_until(self, kind: str) -> list[dict[str, Any]]:
-        heard = [self.hear()]
-        while heard[-1]["type"] != kind:
-            heard.append(self.hear())
-        return heard
+    def recv_until(self, kind: str) -> list[dict[str, Any]]:
+        received = [self.recv()]
+        while received[-1]["type"] != kind:
+            received.append(self.recv())
+        return received
 
 
 @pytest.fixture
@@ -71,14 +71,14 @@ def context() -> Iterator[zmq.Context[zmq.Socket[bytes]]]:
 @pytest.fixture
 def front(context: zmq.Context[zmq.Socket[bytes]], run_dir: Path) -> Bare:
     front = Bare(context, run_dir, "front.sock")
-    front.say(type="ClientHello", client="bare")
-    assert front.hear()["type"] == "Welcome"
+    front.send(type="ClientHello", client="bare")
+    assert front.recv()["type"] == "Welcome"
     return front
 
 
 def test_a_sentence_and_its_outcome(front: Bare) -> None:
-    front.say(type="CommandText", request="1", text="STOW LEFT-ARM")
-    accepted, *notes, ended = front.hear_until("CommandEnded")
+    front.send(type="CommandText", request="1", text="STOW LEFT-ARM")
+    accepted, *notes, ended = front.recv_until("CommandEnded")
 
     assert (accepted["type"], accepted["request"]) == ("Accepted", "1")
     assert [note["type"] for note in notes] == ["ProgressNote"] * len(notes)
@@ -88,8 +88,8 @@ def test_a_sentence_and_its_outcome(front: Bare) -> None:
 
 
 def test_a_wrong_sentence_is_refused_with_its_column(front: Bare) -> None:
-    front.say(type="CommandText", request="1", text="STOW LEFT-LEG", progress=False)
-    ended = front.hear_until("CommandEnded")[-1]
+    front.send(type="CommandText", request="1", text="STOW LEFT-LEG", progress=False)
+    ended = front.recv_until("CommandEnded")[-1]
 
     assert ended["outcome"]["kind"] == "refused"
     assert ended["outcome"]["refusal"]["reason"] == "sentence"
@@ -98,45 +98,45 @@ def test_a_wrong_sentence_is_refused_with_its_column(front: Bare) -> None:
 
 def test_the_same_request_again_is_the_same_command(front: Bare) -> None:
     for _ in range(2):
-        front.say(type="CommandText", request="1", text="STOW RIGHT-ARM", progress=False)
-    first = front.hear_until("CommandEnded")
-    front.say(type="CommandText", request="1", text="STOW RIGHT-ARM", progress=False)
-    again = front.hear_until("CommandEnded")
+        front.send(type="CommandText", request="1", text="STOW RIGHT-ARM", progress=False)
+    first = front.recv_until("CommandEnded")
+    front.send(type="CommandText", request="1", text="STOW RIGHT-ARM", progress=False)
+    again = front.recv_until("CommandEnded")
 
     assert len({message["command"] for message in [*first, *again]}) == 1
 
 
 def test_messages_in_one_array(front: Bare) -> None:
     """Announced by `arrays`, the answers may come in arrays too; each is a message like any other."""
-    front.say(type="ClientHello", client="bare", arrays=True)
-    assert front.hear()["arrays"] is True
+    front.send(type="ClientHello", client="bare", arrays=True)
+    assert front.recv()["arrays"] is True
     sentences = [
         {"type": "CommandText", "request": str(n), "text": "STOW LEFT-LEG", "progress": False} for n in range(1, 4)
     ]
     front.socket.send_multipart([b"RTC1", msgpack.packb(sentences)])
-    heard: list[dict[str, Any]] = []
-    while sum(message["type"] == "CommandEnded" for message in heard) < len(sentences):
-        assert front.socket.poll(LIMIT_MS), "nothing was heard"
+    received: list[dict[str, Any]] = []
+    while sum(message["type"] == "CommandEnded" for message in received) < len(sentences):
+        assert front.socket.poll(LIMIT_MS), "nothing was received"
         body = msgpack.unpackb(front.socket.recv_multipart()[1])
-        heard += body if isinstance(body, list) else [body]
+        received += body if isinstance(body, list) else [body]
 
     for kind in ("Accepted", "CommandEnded"):
-        assert [message["request"] for message in heard if message["type"] == kind] == ["1", "2", "3"]
+        assert [message["request"] for message in received if message["type"] == kind] == ["1", "2", "3"]
 
 
 def test_bytes_that_are_no_message_get_a_clear_answer(front: Bare) -> None:
     for parts in ([b"RTC1", b"\xc1"], [b"RTC0", msgpack.packb({"type": "StatusQuery"})], [b"RTC1", msgpack.packb([1])]):
         front.socket.send_multipart(parts)
-        answer = front.hear()
+        answer = front.recv()
         assert (answer["type"], answer["request"]) == ("Declined", "")
 
-    front.say(type="StatusQuery", request="2", a_key_of_the_future=1)
-    assert front.hear()["type"] == "StatusReply"
+    front.send(type="StatusQuery", request="2", a_key_of_the_future=1)
+    assert front.recv()["type"] == "StatusReply"
 
 
 def test_status_has_the_layout_of_the_page(front: Bare) -> None:
-    front.say(type="StatusQuery", request="1")
-    status = front.hear()["status"]
+    front.send(type="StatusQuery", request="1")
+    status = front.recv()["status"]
 
     assert {"processes", "workers", "queues", "resources", "commands", "subsystems", "counters", "programs"} <= set(
         status
@@ -145,33 +145,33 @@ def test_status_has_the_layout_of_the_page(front: Bare) -> None:
 
 
 def test_a_trace_tells_every_phase(front: Bare) -> None:
-    front.say(type="CommandText", request="1", text="STOW LEFT-ARM", progress=False)
-    command = front.hear_until("CommandEnded")[-1]["command"]
-    front.say(type="TraceQuery", request="2", command=command)
-    record = front.hear()["record"]
+    front.send(type="CommandText", request="1", text="STOW LEFT-ARM", progress=False)
+    command = front.recv_until("CommandEnded")[-1]["command"]
+    front.send(type="TraceQuery", request="2", command=command)
+    record = front.recv()["record"]
 
     assert record["text"] == "STOW LEFT-ARM"
     assert record["notes"][-1]["phase"] == "ended"
     assert {note.get("node", "") for note in record["notes"]} >= {"parser@0", "elaborator@1", "binder@2"}
 
 
-@pytest.mark.parametrize("door", ["halt.sock", "estop.sock"])
-def test_a_halt_by_either_door_is_confirmed(
-    context: zmq.Context[zmq.Socket[bytes]], front: Bare, run_dir: Path, door: str
+@pytest.mark.parametrize("endpoint", ["halt.sock", "estop.sock"])
+def test_a_halt_by_either_endpoint_is_confirmed(
+    context: zmq.Context[zmq.Socket[bytes]], front: Bare, run_dir: Path, endpoint: str
 ) -> None:
-    bare = Bare(context, run_dir, door)
+    bare = Bare(context, run_dir, endpoint)
     called_at_s = time.monotonic()
-    bare.say(type="HaltOrder", halt=f"H-{os.getpid()}-{door}", scope="ALL", called_at_s=called_at_s)
-    heard = {message["type"]: message for message in bare.hear_until("HaltAtRest")}
+    bare.send(type="HaltOrder", halt=f"H-{os.getpid()}-{endpoint}", scope="ALL", called_at_s=called_at_s)
+    received = {message["type"]: message for message in bare.recv_until("HaltAtRest")}
 
-    assert heard["HaltStarted"]["decelerating_at_s"] >= called_at_s
-    assert heard["HaltAtRest"]["at_rest"] is True
+    assert received["HaltStarted"]["decelerating_at_s"] >= called_at_s
+    assert received["HaltAtRest"]["at_rest"] is True
 
 
 def test_the_world_can_be_read(context: zmq.Context[zmq.Socket[bytes]], run_dir: Path) -> None:
     world = Bare(context, run_dir, "world.sock")
-    world.say(type="ReadView", request="1", keys=["MACS-NEW.frame"])
-    view = world.hear()
+    world.send(type="ReadView", request="1", keys=["MACS-NEW.frame"])
+    view = world.recv()
 
     assert view["type"] == "View"
     assert [fact["key"] for fact in view["facts"]] == ["MACS-NEW.frame"]
@@ -182,15 +182,15 @@ def test_events_can_be_listened_to_by_anybody(
     context: zmq.Context[zmq.Socket[bytes]], front: Bare, run_dir: Path
 ) -> None:
     events = Bare(context, run_dir, "events.sock", zmq.SUB)
-    heard: list[dict[str, Any]] = []
+    received: list[dict[str, Any]] = []
     request = 0
-    while not heard:  # the subscription takes effect some time after it was made
+    while not received:  # the subscription takes effect some time after it was made
         request += 1
-        front.say(type="CommandText", request=f"e{request}", text="STOW LEFT-ARM", progress=False)
-        command = front.hear_until("CommandEnded")[-1]["command"]
+        front.send(type="CommandText", request=f"e{request}", text="STOW LEFT-ARM", progress=False)
+        command = front.recv_until("CommandEnded")[-1]["command"]
         while events.socket.poll(50):
-            heard.append(events.hear())
+            received.append(events.recv())
 
-    assert heard[-1]["type"] == "CommandEnded"
-    assert heard[-1]["command"] == command
-    assert [message["seq"] for message in heard] == list(range(heard[0]["seq"], heard[-1]["seq"] + 1))
+    assert received[-1]["type"] == "CommandEnded"
+    assert received[-1]["command"] == command
+    assert [message["seq"] for message in received] == list(range(received[0]["seq"], received[-1]["seq"] + 1))

@@ -1,4 +1,4 @@
-"""The table of roles: what it lets through, and that it names every door and every message with care."""
+"""The table of roles: what it permits, and that it has every endpoint and every message."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COMMIT = m.Commit(request="r", lease=m.Lease(job="j", locations=[], signature=b"
 
 
 @pytest.mark.parametrize(
-    ("door", "message", "roles"),
+    ("endpoint", "message", "roles"),
     [
         ("front", STATUS, {Role.OBSERVER, Role.PLANNER, Role.OPERATOR}),
         ("front", SENTENCE, {Role.PLANNER, Role.OPERATOR}),
@@ -34,22 +34,22 @@ COMMIT = m.Commit(request="r", lease=m.Lease(job="j", locations=[], signature=b"
         ("subsystems", m.Heartbeat(name="MCM2"), {Role.SUBSYSTEM}),
     ],
 )
-def test_who_may_say_what(door: str, message: object, roles: set[Role]) -> None:
-    assert {role for role in Role if may_send(door, role, message)} == roles
+def test_who_may_say_what(endpoint: str, message: object, roles: set[Role]) -> None:
+    assert {role for role in Role if may_send(endpoint, role, message)} == roles
 
 
-def test_whoever_may_say_something_is_let_in_and_nobody_else() -> None:
-    for door, row in MAY.items():
-        assert {role for role in Role if admits(door, role)} == set(row)
+def test_only_roles_that_may_send_something_get_access() -> None:
+    for endpoint, row in MAY.items():
+        assert {role for role in Role if admits(endpoint, role)} == set(row)
 
 
-def test_there_is_no_way_to_the_supervisor_and_the_simulator_and_none_by_a_wrong_door() -> None:
+def test_no_role_reaches_supervisor_or_simulator_or_a_wrong_endpoint() -> None:
     assert not {"supervisor", "bench"} & MAY.keys()
     assert not may_send("supervisor", Role.OPERATOR, m.Shutdown())
     assert not may_send("workers", Role.WORKER, SENTENCE)
 
 
-def test_whoever_can_move_an_arm_can_stop_it() -> None:
+def test_each_role_that_can_move_an_arm_can_stop_it() -> None:
     for role in Role:
         if may_send("front", role, SENTENCE):
             assert may_send("halt", role, HALT)
@@ -57,7 +57,7 @@ def test_whoever_can_move_an_arm_can_stop_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("door", "union"),
+    ("endpoint", "union"),
     [
         ("front", m.ClientToBroker),
         ("world", m.ToWorld),
@@ -65,8 +65,8 @@ def test_whoever_can_move_an_arm_can_stop_it() -> None:
         ("subsystems", m.SubsystemToBroker),
     ],
 )
-def test_the_table_allows_only_what_the_door_inside_can_read(door: str, union: object) -> None:
-    for kinds in MAY[door].values():
+def test_the_table_allows_only_what_the_inner_endpoint_can_read(endpoint: str, union: object) -> None:
+    for kinds in MAY[endpoint].values():
         assert set(kinds) <= set(get_args(union))
 
 

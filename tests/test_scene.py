@@ -56,7 +56,7 @@ def test_what_is_held_is_where_its_hand_is_measured(cell: Cell, facts: dict[str,
     assert in_words(scene) == ["RIGHT-ARM moves (C-7.2), holds MACS-NEW"]
 
 
-def test_a_difference_is_measured_said_and_outlined(cell: Cell, facts: dict[str, m.Fact], tmp_path: Any) -> None:
+def test_a_difference_is_measured_printed_and_outlined(cell: Cell, facts: dict[str, m.Fact], tmp_path: Any) -> None:
     there = geometry.compose(
         geometry.translate(cell.object_pose("MACS-OLD"), (0.03, 0.0, 0.04)),
         geometry.from_rpy((0, 0, 0), (0, 0, math.radians(4.0))),

@@ -23,14 +23,14 @@ def run_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_silence_and_its_end_are_told_once(tmp_path: Path) -> None:
-    told: list[str] = []
-    silence = BrokerLiveness(None, told.append)
+def test_silence_and_its_end_are_reported_once(tmp_path: Path) -> None:
+    reports: list[str] = []
+    liveness = BrokerLiveness(None, reports.append)
 
     for unanswered in (0, 1, 2, 3, 1, 2, 0, 0, 1, 0):
-        silence.check(unanswered)
+        liveness.check(unanswered)
 
-    assert [words.split(";")[0] for words in told] == ["the broker does not answer", "the broker answers again"]
+    assert [words.split(";")[0] for words in reports] == ["the broker does not answer", "the broker answers again"]
 
 
 def test_a_supervisor_is_known_by_its_lock(tmp_path: Path) -> None:
@@ -47,12 +47,12 @@ def test_a_broker_that_is_restarted_is_waited_for(run_dir: Path) -> None:
     again: list[SmallBroker] = []
     silent = threading.Event()
 
-    def told(words: str) -> None:
+    def report(words: str) -> None:
         if not silent.is_set():
             silent.set()
             again.append(SmallBroker(run_dir, obliging))
 
-    with open(run_dir / LOCK, "a") as lock, Client(run_dir, on_silence=told) as rtc:
+    with open(run_dir / LOCK, "a") as lock, Client(run_dir, on_silence=report) as rtc:
         fcntl.flock(lock, fcntl.LOCK_EX)
         command = rtc.submit("STOW LEFT-ARM 7")
         first.stop()

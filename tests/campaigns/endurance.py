@@ -28,7 +28,7 @@ from tests.campaigns import RESULTS
 SEED = 20
 FAR_DEG = 50  # a command moves for more than a second
 LOOK_S = 0.005
-BELIEF_RAD = 0.01
+WORLD_ERROR_RAD = 0.01
 BACK_LIMIT_S = 30.0
 
 
@@ -74,7 +74,7 @@ def main() -> None:
         verdict = judge(errands.done, journal.events, run_dir, chaos.strikes)
         with Client(run_dir) as rtc:
             verdict.wrong += _false_beliefs(rtc)
-    verdict.tell()
+    verdict.print_faults()
     _report(given.commands, took_s, chaos.strikes, errands, verdict)
 
 
@@ -85,7 +85,7 @@ def _false_beliefs(rtc: Client) -> list[str]:
     for arm in ARMS:
         fact = next(fact for fact in rtc.world.view(keys=[f"{arm}.joints"]).facts)
         off = max(abs(a - b) for a, b in zip(fact.value, truth.joints[arm], strict=True))
-        if fact.validity is Validity.VALID and off > BELIEF_RAD:
+        if fact.validity is Validity.VALID and off > WORLD_ERROR_RAD:
             false.append(f"{arm} is {off:.3f} rad from where the world believes it to be")
     return false
 

@@ -50,10 +50,10 @@ def endpoint(settings: Settings, rng: random.Random, name: str) -> None:
     attacker = hostile.Attacker(context, settings, name, rng)
     while True:
         for _ in range(10):
-            attacker.say(PART)
+            attacker.send(PART)
             hostile.stream_garbage(settings, name, rng)
             time.sleep(0.001)
-        attacker.say(1, hostile.heavy_messages(rng))
+        attacker.send(1, hostile.heavy_messages(rng))
         attacker.come_anew()
 
 
@@ -102,7 +102,7 @@ def large(settings: Settings, rng: random.Random) -> None:
     heavy = hostile.heavy_messages(rng)
     while True:
         for attacker in attackers:
-            attacker.say(5, heavy)
+            attacker.send(5, heavy)
         time.sleep(0.001)
 
 

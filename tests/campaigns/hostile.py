@@ -234,16 +234,16 @@ class Attacker:
         self._context, self._rng, self._identities = context, rng, identities
         self._kind = {"events": zmq.XSUB, "telemetry": zmq.XSUB}.get(endpoint, zmq.DEALER)
         self._socket = self._connect()
-        self.said = 0
+        self.sent_count = 0
 
-    def say(self, many: int, messages: Iterator[list[bytes]] | None = None) -> int:
+    def send(self, many: int, messages: Iterator[list[bytes]] | None = None) -> int:
         """Send up to `many` messages; return how many were queued."""
         sent = 0
         for parts in itertools.islice(messages or self._messages, many):
             with contextlib.suppress(zmq.Again):
                 self._socket.send_multipart(parts, zmq.NOBLOCK)
                 sent += 1
-        self.said += sent
+        self.sent_count += sent
         return sent
 
     def come_anew(self) -> None:

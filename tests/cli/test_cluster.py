@@ -111,7 +111,7 @@ def test_halt_prints_a_latency_and_confirms_rest(rtc: Run) -> None:
     assert sorted(result["told"]) == ["estop", "halt"]
 
 
-def test_a_lone_halt_said_to_do_is_that_halt(rtc: Run) -> None:
+def test_a_lone_halt_submitted_to_do_is_that_halt(rtc: Run) -> None:
     done = rtc("do", "HALT ALL")
 
     assert done.returncode == 0
@@ -119,7 +119,7 @@ def test_a_lone_halt_said_to_do_is_that_halt(rtc: Run) -> None:
     assert "rest confirmed" in done.stdout
 
 
-def test_a_halt_of_nobody_is_not_confirmed(rtc: Run) -> None:
+def test_a_halt_of_an_unknown_arm_is_not_confirmed(rtc: Run) -> None:
     assert rtc("halt", "C-9999").returncode != 0
 
 
@@ -166,11 +166,11 @@ def test_a_command_of_the_run_before_is_found_with_previous(rtc: Run, run_dir: P
 
 
 def test_status_names_every_worker(rtc: Run) -> None:
-    shown, said = rtc("status"), last_json(rtc("status", "--json"))
+    shown, result = rtc("status"), last_json(rtc("status", "--json"))
 
     for name in ("parser@0", "elaborator@1", "binder@2", "analyzer@3", "broker", "MCM", "world"):
         assert name in shown.stdout
-    assert {worker["name"] for worker in said["workers"]} == {"parser@0", "elaborator@1", "binder@2", "analyzer@3"}
+    assert {worker["name"] for worker in result["workers"]} == {"parser@0", "elaborator@1", "binder@2", "analyzer@3"}
 
 
 def test_status_names_the_file_of_a_program_and_may_be_watched(rtc: Run, tmp_path: Path) -> None:
@@ -265,10 +265,10 @@ def test_a_status_that_the_broker_does_not_give_the_supervisor_gives(run_dir: Pa
     new_pid = broker["pid"]
     while new_pid == broker["pid"]:
         done = rtc("status", "--json")
-        said = last_json(done)
-        assert done.returncode == (4 if "error" in said else 0)
+        result = last_json(done)
+        assert done.returncode == (4 if "error" in result else 0)
         assert "Traceback" not in done.stderr
-        rows = {row["name"]: row for row in said["processes"]}
+        rows = {row["name"]: row for row in result["processes"]}
         assert "MCM" in rows  # although a new broker hears of it a little later
         new_pid = rows.get("broker", broker)["pid"] or broker["pid"]
 
@@ -301,7 +301,7 @@ def test_a_signal_leaves_the_commands_running_and_names_them(
     assert command in live
 
 
-def test_interrupted_with_nobody_to_ask_the_commands_are_halted(run_dir: Path) -> None:
+def test_without_a_terminal_an_interrupt_halts_the_commands(run_dir: Path) -> None:
     """A HOLD without an end; stdin is no terminal, so Ctrl-C can not be asked about."""
     words = [*RTC, "do", "HOLD LEFT-ARM", "--run-dir", str(run_dir)]
     doing = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -19,7 +19,7 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Outcome, OutcomeKind
 
 
-def to_nobody() -> io.TextIOWrapper:
+def without_reader() -> io.TextIOWrapper:
     """A pipe whose reader has gone."""
     read, write = os.pipe()
     os.close(read)
@@ -30,37 +30,37 @@ def to_a_full_disk() -> io.TextIOWrapper:
     return os.fdopen(os.open("/dev/full", os.O_WRONLY), "w")
 
 
-def test_what_is_heard_is_written() -> None:
-    heard = io.StringIO()
-    outlet = OutputStream(heard)
-    outlet.write("C-7 SUCCEEDED\n")
-    outlet.flush()
-    assert heard.getvalue() == "C-7 SUCCEEDED\n"
+def test_what_is_printed_is_written() -> None:
+    written = io.StringIO()
+    output = OutputStream(written)
+    output.write("C-7 SUCCEEDED\n")
+    output.flush()
+    assert written.getvalue() == "C-7 SUCCEEDED\n"
 
 
 @pytest.mark.parametrize(
     ("stream", "gone", "words"),
     [
-        (to_nobody, True, "the reader of stdout has closed it"),
+        (without_reader, True, "the reader of stdout has closed it"),
         (to_a_full_disk, False, "cannot print: No space left on device"),
         (lambda: None, False, "cannot print: stdout is closed"),
     ],
 )
-def test_a_loss_is_told_once_and_the_rest_is_dropped(stream, gone: bool, words: str) -> None:
-    outlet = OutputStream(stream())
+def test_a_loss_is_reported_once_and_the_rest_is_dropped(stream, gone: bool, words: str) -> None:
+    output = OutputStream(stream())
     with pytest.raises(OutputClosed, match=words) as closed:
-        print("one", file=outlet, flush=True)
+        print("one", file=output, flush=True)
     assert closed.value.reader_gone == gone
 
-    outlet.write("two\n")
-    outlet.flush()
-    outlet.close()  # nothing is left in a buffer that could fail when Python ends
+    output.write("two\n")
+    output.flush()
+    output.close()  # nothing is left in a buffer that could fail when Python ends
 
 
-def test_of_a_stream_that_need_not_be_there_nobody_is_told() -> None:
-    outlet = OutputStream(to_a_full_disk(), needed=False)
-    outlet.write("one\n")
-    outlet.flush()
+def test_the_loss_of_an_optional_stream_is_not_reported() -> None:
+    output = OutputStream(to_a_full_disk(), needed=False)
+    output.write("one\n")
+    output.flush()
 
 
 def ended(command: str) -> m.CommandEnded:
@@ -68,7 +68,7 @@ def ended(command: str) -> m.CommandEnded:
     return m.CommandEnded(seq=1, at_s=0, command=command, request="r", text="", outcome=outcome, took_s=1.0)
 
 
-def test_whose_reader_has_gone_is_told_what_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
+def test_after_the_loss_of_stdout_stderr_names_what_continues(capsys: pytest.CaptureFixture[str]) -> None:
     board = Board(["STOW LEFT-ARM", "STOW RIGHT-ARM"], quiet=True)
     board.accepted(0, "C-7")
     assert gone_away(OutputClosed(BrokenPipeError()), board, 1) == sentences.LEFT_RUNNING
@@ -81,7 +81,7 @@ def test_whose_reader_has_gone_is_told_what_goes_on(capsys: pytest.CaptureFixtur
     assert "not sent: 1 more" in capsys.readouterr().err
 
 
-def test_a_halt_is_told_on_stderr_when_stdout_is_lost(
+def test_a_halt_is_reported_on_stderr_when_stdout_is_lost(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result = HaltResult(
@@ -105,7 +105,7 @@ def rtc(words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("words", "status", "said"),
+    ("words", "status", "message"),
     [
         ("grammar | head -1 >/dev/null; exit ${PIPESTATUS[0]}", 0, ""),
         ("dictionary >/dev/full", 1, "rtc: cannot print: No space left on device\n"),
@@ -115,6 +115,6 @@ def rtc(words: str) -> subprocess.CompletedProcess[str]:
         ("dictionary >/dev/null 2>&- <&-", 0, ""),
     ],
 )
-def test_a_lost_stdout_is_a_sentence_and_a_status(words: str, status: int, said: str) -> None:
+def test_a_lost_stdout_is_a_sentence_and_a_status(words: str, status: int, message: str) -> None:
     done = rtc(words)
-    assert (done.returncode, done.stderr) == (status, said)
+    assert (done.returncode, done.stderr) == (status, message)

@@ -107,7 +107,7 @@ def test_without_a_broker_the_supervisors_report_is_what_is_known(
     assert "command under way" not in printed
 
 
-def test_what_somebody_has_named_does_nothing_to_the_terminal() -> None:
+def test_names_from_outside_do_nothing_to_the_terminal() -> None:
     """The argument of rtc halt, a subsystem's performers, labels of a loaded program: whatever is printed."""
     evil = "ARM\x1b]0;title\x07\x1b[2J\x9b31m"
     row = Table()

@@ -17,7 +17,7 @@ def test_labels_comments_and_blank_lines_are_left_out(tmp_path: Path) -> None:
     assert _lines(file) == ["STOW LEFT-ARM", "MOVE RIGHT-ARM TO BAY-2-FRONT"]
 
 
-def test_a_file_that_is_not_there_is_told_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_that_is_not_there_is_reported_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(typer.Exit) as left:
         _lines(tmp_path / "none.txt")
 

@@ -75,7 +75,7 @@ def test_a_worker_has_an_address_in_the_cube_and_a_subsystem_has_none() -> None:
 
 
 def test_json_has_times_since_acceptance_and_addresses() -> None:
-    said = as_json(failed_in_step_2())
-    assert said["notes"][4]["since_accept_s"] == 0.5
-    assert said["notes"][4]["address"] == "10"
-    assert said["outcome"]["kind"] == "failed"
+    record_json = as_json(failed_in_step_2())
+    assert record_json["notes"][4]["since_accept_s"] == 0.5
+    assert record_json["notes"][4]["address"] == "10"
+    assert record_json["outcome"]["kind"] == "failed"

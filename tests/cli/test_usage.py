@@ -19,7 +19,7 @@ from rtc.runtime.settings import Settings
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("demo grasp --speed abc", "--speed is a number above 0, or max; not abc"),
         ("demo grasp --speed 0", "--speed is a number above 0, or max; not 0"),
@@ -35,19 +35,19 @@ from rtc.runtime.settings import Settings
     ],
 )
 def test_a_wrong_word_is_2_in_a_sentence(
-    words: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert status_of(shlex.split(words.replace("DIR", str(tmp_path))), monkeypatch) == 2
-    assert said in " ".join(capsys.readouterr().err.split())
+    assert message in " ".join(capsys.readouterr().err.split())
 
 
 def test_chaos_without_a_cluster_announces_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert status_of(["chaos", "--run-dir", str(tmp_path)], monkeypatch) == 4
-    heard = capsys.readouterr()
-    assert heard.out == ""
-    assert "no cluster is running" in " ".join(heard.err.split())
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "no cluster is running" in " ".join(captured.err.split())
 
 
 def test_a_status_that_no_broker_gives_the_supervisor_gives(
@@ -61,12 +61,12 @@ def test_a_status_that_no_broker_gives_the_supervisor_gives(
     with open(tmp_path / LOCK, "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         assert status_of(["status", "--json", "--run-dir", str(tmp_path)], monkeypatch) == 4
-        heard = capsys.readouterr()
-    known = json.loads(heard.out)
+        captured = capsys.readouterr()
+    known = json.loads(captured.out)
 
     assert (known["cluster"], known["processes"]) == ("abc", rows)
     assert "the broker does not answer" in known["error"]
-    assert "the broker does not answer" in " ".join(heard.err.split())
+    assert "the broker does not answer" in " ".join(captured.err.split())
 
 
 def test_version_and_help_as_people_try_them(

@@ -89,11 +89,11 @@ def test_up_work_down_and_again(run_dir):
         started = up(run_dir)
         assert started.returncode == 0, started.stdout + started.stderr
         assert [line.split()[0] for line in started.stdout.splitlines()[-1:]] == ["ready"]
-        said = report(run_dir)
+        table = report(run_dir)
         assert sorted(rows(run_dir)) == sorted(NAMES)
-        pids = [said["pid"], *(row["pid"] for row in said["processes"])]
+        pids = [table["pid"], *(row["pid"] for row in table["processes"])]
         ended = deploy("down", run_dir=run_dir)
-        assert (ended.returncode, str(said["pid"]) in ended.stdout) == (0, True)
+        assert (ended.returncode, str(table["pid"]) in ended.stdout) == (0, True)
         gone(pids)
         assert list(run_dir.glob("*.sock")) == []
         assert not (run_dir / "supervisor.json").exists()
@@ -144,14 +144,14 @@ def test_two_clusters_are_independent(run_dir, tmp_path):
     assert deploy("down", run_dir=run_dir).returncode == 0
 
 
-def test_a_bad_cell_is_told_in_the_first_line_that_matters(run_dir):
+def test_a_bad_cell_is_reported_in_the_first_line_that_matters(run_dir):
     failed = up(run_dir, "--cell", "moon-base")
     assert failed.returncode == 2
     assert "no cell moon-base" in failed.stdout + failed.stderr
     assert not (run_dir / "supervisor.json").exists()
 
 
-def test_a_directory_that_takes_no_files_is_told_in_one_line(run_dir):
+def test_a_directory_that_takes_no_files_is_reported_in_one_line(run_dir):
     (run_dir / "supervisor.lock").touch()  # it was a run directory before
     (run_dir / "settings.json").symlink_to("/dev/full")
     failed = up(run_dir)
@@ -186,7 +186,7 @@ def test_a_settings_file_of_old_does_not_matter(run_dir):
         pass
 
 
-def test_a_new_cluster_in_the_directory_does_nothing_of_what_the_old_one_was_told(run_dir):
+def test_a_new_cluster_in_the_directory_does_nothing_of_what_was_sent_to_the_old_one(run_dir):
     """Given a client that waits for one command and has said another to nobody, when another cluster comes up there."""
     assert deploy("up", "-d", "--mcm", "kinematic", run_dir=run_dir).returncode == 0
     with Client(run_dir) as rtc:
@@ -234,7 +234,7 @@ def tcp_x_m(run_dir):
         return wire.reader(Telemetry)(telemetry.recv_multipart()).arms["RIGHT-ARM"].tcp_pose[0]
 
 
-def test_databases_that_were_lost_or_damaged_are_got_over_and_told(cluster_of_its_own):
+def test_databases_that_were_lost_or_damaged_are_got_over_and_reported(cluster_of_its_own):
     run_dir = cluster_of_its_own
     with Client(run_dir) as rtc:
         for distance_cm in (-8, 1):

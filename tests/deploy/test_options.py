@@ -22,7 +22,7 @@ README = Path(__file__).parents[2] / "README.md"
         (["--listen", "foo"], "'foo' is not an address"),
     ],
 )
-def test_a_wrong_option_is_told_before_anything_is_started(
+def test_a_wrong_option_is_reported_before_anything_is_started(
     options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run_dir = tmp_path / "none"

@@ -75,6 +75,6 @@ def test_a_plain_halt_is_the_same_halt_to_the_parser(words: list[str], between: 
 
 @given(st.text())
 @settings(max_examples=200, derandomize=True)
-def test_any_text_is_told(text: str) -> None:
+def test_any_text_has_an_answer(text: str) -> None:
     scope = halt_scope(text)
     assert scope is None or text.strip()[:4].upper() in ("HALT", "STOP")

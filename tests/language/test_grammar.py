@@ -45,10 +45,10 @@ def test_a_grammar_with_a_new_verb_is_only_another_text() -> None:
     text = TEXT.replace("handle: ", "handle: WIPE NAME amount with maintain reflex -> command\n      | ", 1)
     grammar = Grammar(text + '\nWIPE: "WIPE" | "POLISH"\n')
 
-    said = parse(grammar, "polish PANEL-1 BY 3 TURNS WITH LEFT-ARM GUARDED")
+    parsed = parse(grammar, "polish PANEL-1 BY 3 TURNS WITH LEFT-ARM GUARDED")
 
-    assert isinstance(said, ParsedCommand)
-    assert (said.verb, said.object, said.hand, said.guarded) == ("WIPE", "PANEL-1", "LEFT-ARM", True)
+    assert isinstance(parsed, ParsedCommand)
+    assert (parsed.verb, parsed.object, parsed.hand, parsed.guarded) == ("WIPE", "PANEL-1", "LEFT-ARM", True)
     assert isinstance(parse(default_grammar(), "POLISH PANEL-1"), Refusal)
 
 

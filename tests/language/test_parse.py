@@ -259,8 +259,8 @@ def test_sample_in_other_letters_and_as_bytes(number: str) -> None:
 
 @pytest.mark.parametrize("number", SAMPLES)
 def test_record_survives_the_wire(number: str) -> None:
-    said = record(SAMPLES[number])
-    assert msgspec.msgpack.decode(msgspec.msgpack.encode(said), type=ParsedCommand) == said
+    parsed = record(SAMPLES[number])
+    assert msgspec.msgpack.decode(msgspec.msgpack.encode(parsed), type=ParsedCommand) == parsed
 
 
 EQUAL = [
@@ -315,14 +315,14 @@ def test_different_meanings_give_different_records(one: str, other: str) -> None
 
 
 def test_grip_force_is_a_limit_and_a_measure() -> None:
-    said = record("LIFT X MAINTAIN GRIP-FORCE 30 N UNLESS GRIP-FORCE BELOW 15 N THEN STOP")
-    assert said.constraints == [slot("GRIP-FORCE", 30, "N")]
-    assert said.reflexes == [reflex(beyond("GRIP-FORCE", "below", 15, "N"), "stop")]
+    parsed = record("LIFT X MAINTAIN GRIP-FORCE 30 N UNLESS GRIP-FORCE BELOW 15 N THEN STOP")
+    assert parsed.constraints == [slot("GRIP-FORCE", 30, "N")]
+    assert parsed.reflexes == [reflex(beyond("GRIP-FORCE", "below", 15, "N"), "stop")]
 
 
 def test_a_force_along_an_axis_has_a_sign() -> None:
-    said = record("MOVE LEFT-ARM TO P UNLESS FORCE ALONG Z BELOW -5 N THEN STOP")
-    assert said.reflexes[0].condition == beyond("FORCE", "below", -5, "N", "Z")
+    parsed = record("MOVE LEFT-ARM TO P UNLESS FORCE ALONG Z BELOW -5 N THEN STOP")
+    assert parsed.reflexes[0].condition == beyond("FORCE", "below", -5, "N", "Z")
 
 
 def test_a_list_of_numbers_may_be_as_long_as_a_sentence() -> None:
@@ -342,8 +342,8 @@ def test_comment_characters_within_quotes_are_words() -> None:
 
 @pytest.mark.parametrize("unit", UNITS)
 def test_every_unit_is_known_to_the_grammar(unit: str) -> None:
-    said = record(f"SET A B 1 {unit}")
-    assert said.value_unit == UNITS[unit].si
+    parsed = record(f"SET A B 1 {unit}")
+    assert parsed.value_unit == UNITS[unit].si
 
 
 # --- whatever the text -----------------------------------------------------------------------------------

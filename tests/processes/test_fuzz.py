@@ -51,26 +51,28 @@ def context() -> Iterator[zmq.Context[Any]]:
     context.destroy(linger=0)
 
 
-@pytest.mark.parametrize("door", ACCEPTED)
-def test_bad_input_at_a_door_hurts_nobody(run_dir: Path, others: Others, context: zmq.Context[Any], door: str) -> None:
+@pytest.mark.parametrize("endpoint", ACCEPTED)
+def test_bad_input_at_an_endpoint_hurts_no_one(
+    run_dir: Path, others: Others, context: zmq.Context[Any], endpoint: str
+) -> None:
     settings, rng = Settings.load(run_dir), random.Random(SEED)
-    before, pids, memory_mb = dropped(others.rtc, door), others.pids(), others.memory_mb()
-    attacker = Attacker(context, settings, door, rng)
+    before, pids, memory_mb = dropped(others.rtc, endpoint), others.pids(), others.memory_mb()
+    attacker = Attacker(context, settings, endpoint, rng)
     for _ in range(10):
-        attacker.say(MESSAGES // 10)
-        stream_garbage(settings, door, rng)
-    attacker.say(3, heavy_messages(rng))
+        attacker.send(MESSAGES // 10)
+        stream_garbage(settings, endpoint, rng)
+    attacker.send(3, heavy_messages(rng))
     attacker.close()
-    attacker = Attacker(context, settings, door, rng)
-    attacker.say(50)
+    attacker = Attacker(context, settings, endpoint, rng)
+    attacker.send(50)
 
     noticed = others.notice(0.5)
 
     assert not noticed.wrong
     assert not [name for name, pid in others.pids().items() if pids.get(name, pid) != pid]
     assert all(others.memory_mb()[name] - memory_mb[name] < GROWTH_MB for name in memory_mb)
-    if door in COUNTED:
-        wait_for(lambda: dropped(others.rtc, door) > before)
+    if endpoint in COUNTED:
+        wait_for(lambda: dropped(others.rtc, endpoint) > before)
     attacker.close()
 
 
@@ -87,10 +89,10 @@ def test_a_flood_from_one_leaves_the_others_served(run_dir: Path, others: Others
 
 
 @pytest.mark.parametrize(
-    ("door", "name"), [(door, name) for door in ("workers", "supervisor") for name in IMPOSTORS[door]]
+    ("endpoint", "name"), [(endpoint, name) for endpoint in ("workers", "supervisor") for name in IMPOSTORS[endpoint]]
 )
 def test_after_an_impostor_has_gone_all_is_well(
-    run_dir: Path, context: zmq.Context[Any], door: str, name: bytes
+    run_dir: Path, context: zmq.Context[Any], endpoint: str, name: bytes
 ) -> None:
     """Given somebody who takes the name of one of ours, and its place (here only the directory's owner can), when he
     goes, then the one whose name it is comes back."""
@@ -101,8 +103,8 @@ def test_after_an_impostor_has_gone_all_is_well(
     }
     impostor = context.socket(zmq.DEALER)
     impostor.setsockopt(zmq.IDENTITY, name)
-    impostor.connect(Settings.load(run_dir).endpoint(door))
-    impostor.send_multipart(wire.frames(hello[door]))
+    impostor.connect(Settings.load(run_dir).endpoint(endpoint))
+    impostor.send_multipart(wire.frames(hello[endpoint]))
     impostor.poll(200)
     impostor.close(linger=0)
 
@@ -111,8 +113,8 @@ def test_after_an_impostor_has_gone_all_is_well(
         wait_for(lambda: rtc.run("STOW LEFT-ARM", timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED)
 
 
-def dropped(rtc: Client, door: str) -> int:
-    return int(rtc.status()["counters"].get(f"dropped_{door}", 0))
+def dropped(rtc: Client, endpoint: str) -> int:
+    return int(rtc.status()["counters"].get(f"dropped_{endpoint}", 0))
 
 
 def wait_for(condition: Any, tries: int = 200) -> None:

@@ -34,7 +34,7 @@ from tests.campaigns.fuzz import Others
 pytestmark = pytest.mark.slow
 
 LIMIT_S = 60.0
-SILENCE_MS = 300  # who has got nothing by then gets nothing
+QUIET_MS = 300  # who has got nothing by then gets nothing
 SEED = 3
 PAUSE = threading.Event()
 STOW = "STOW RIGHT-ARM"
@@ -52,8 +52,8 @@ def free_ports() -> int:
     """The first of as many free ports in a row as there are doors; others may be looking for some too."""
     for first in random.SystemRandom().sample(range(20_000, 32_000, len(TCP_ENDPOINTS)), k=100):
         with contextlib.ExitStack() as held, contextlib.suppress(OSError):
-            for door in range(len(TCP_ENDPOINTS)):
-                held.enter_context(sockets.socket()).bind(("127.0.0.1", first + door))
+            for endpoint in range(len(TCP_ENDPOINTS)):
+                held.enter_context(sockets.socket()).bind(("127.0.0.1", first + endpoint))
             return first
     raise AssertionError("no free ports")
 
@@ -130,14 +130,14 @@ def test_an_observer_sees_all_and_commands_nothing(new_key: Callable[[str], Path
     with Client(run_dir) as here, Client(key=new_key("observer")) as rtc:
         assert here.run(STOW, timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
         events = rtc.events(silence_s=LIMIT_S)
-        heard: list[Any] = []
-        listening = threading.Thread(target=lambda: heard.append(next(events)))
+        received: list[Any] = []
+        listening = threading.Thread(target=lambda: received.append(next(events)))
         listening.start()
         while listening.is_alive():  # its subscription has to arrive first
             here.run(STOW, timeout_s=LIMIT_S)
         events.close()  # type: ignore[attr-defined]
 
-        assert isinstance(heard[0], m.ProgressNote | m.CommandEnded)
+        assert isinstance(received[0], m.ProgressNote | m.CommandEnded)
         assert next(rtc.telemetry(silence_s=LIMIT_S)).arms
         assert rtc.world.view(keys=["RIGHT-ARM"]).facts
         assert refusal_of(rtc, STOW) is RefusalReason.NOT_ALLOWED
@@ -220,11 +220,11 @@ def worker(key: Path, node: int) -> Iterator[Any]:
 def test_a_subsystem_comes_under_the_name_of_its_key_alone(
     new_key: Callable[..., Path], run_dir: Path, context: zmq.Context[Any]
 ) -> None:
-    door = Door(context, KeyFile.load(new_key("subsystem", "TOOLS")), "subsystems")
+    endpoint = Peer(context, KeyFile.load(new_key("subsystem", "TOOLS")), "subsystems")
     with Client(run_dir) as here:
-        door.say(m.SubsystemHello(name="MCM", pid=1, performers=["LEFT-ARM"]))
-        door.say(m.SubsystemHello(name="OTHER", pid=1, performers=[]))
-        door.say(m.SubsystemHello(name="TOOLS", pid=1, performers=["TOOL-1"]))
+        endpoint.send(m.SubsystemHello(name="MCM", pid=1, performers=["LEFT-ARM"]))
+        endpoint.send(m.SubsystemHello(name="OTHER", pid=1, performers=[]))
+        endpoint.send(m.SubsystemHello(name="TOOLS", pid=1, performers=["TOOL-1"]))
         wait_for(lambda: "TOOLS" in {row["name"] for row in here.status()["subsystems"]})
 
         names = {row["name"]: row["performers"] for row in here.status()["subsystems"]}
@@ -236,40 +236,40 @@ def test_a_subsystem_comes_under_the_name_of_its_key_alone(
 # --- strangers -----------------------------------------------------------------------------------------
 
 
-class Door:
+class Peer:
     """A bare peer at one door: with a key, with a key that nobody knows, or in plain tcp."""
 
-    def __init__(self, context: zmq.Context[Any], key: KeyFile, door: str, *, plain: bool = False) -> None:
-        self._socket = context.socket(zmq.SUB if door in ("events", "telemetry") else zmq.DEALER)
+    def __init__(self, context: zmq.Context[Any], key: KeyFile, endpoint: str, *, plain: bool = False) -> None:
+        self._socket = context.socket(zmq.SUB if endpoint in ("events", "telemetry") else zmq.DEALER)
         self._socket.setsockopt(zmq.LINGER, 0)
-        if door in ("events", "telemetry"):
+        if endpoint in ("events", "telemetry"):
             self._socket.subscribe(b"")
         if not plain:
             key.secure(self._socket)
-        self._socket.connect(endpoint_address(key.address, door))
+        self._socket.connect(endpoint_address(key.address, endpoint))
 
-    def say(self, message: Any) -> None:
+    def send(self, message: Any) -> None:
         self._socket.send_multipart(wire.frames(message))
 
-    def hear(self, limit_ms: int = SILENCE_MS) -> list[bytes] | None:
+    def recv(self, limit_ms: int = QUIET_MS) -> list[bytes] | None:
         return self._socket.recv_multipart() if self._socket.poll(limit_ms) else None
 
 
 @pytest.mark.parametrize("plain", [True, False], ids=["without any key", "with a key that nobody knows"])
-def test_a_stranger_gets_nothing_at_any_door(
+def test_a_stranger_gets_nothing_at_any_endpoint(
     run_dir: Path, context: zmq.Context[Any], tmp_path: Path, plain: bool
 ) -> None:
     ring = KeyRing(tmp_path)  # of another cluster
     stranger = ring.new("eve", Role.OPERATOR, address_of(run_dir), tmp_path / "eve.key")
     stranger = KeyFile(**{**as_dict(stranger), "cluster": KeyRing(run_dir).cluster().public})
-    doors = {door: Door(context, stranger, door, plain=plain) for door in TCP_ENDPOINTS}
+    peers = {endpoint: Peer(context, stranger, endpoint, plain=plain) for endpoint in TCP_ENDPOINTS}
     for name in ("front", "halt", "estop"):
         for message in (*FRONT_WORDS, m.HaltOrder(halt="H-eve")):
-            doors[name].say(message)
+            peers[name].send(message)
 
     with Client(run_dir) as here:
         before = here.status()
-        answers = {name: door.hear() for name, door in doors.items()}
+        answers = {name: endpoint.recv() for name, endpoint in peers.items()}
         after = here.status()
 
     assert answers == dict.fromkeys(TCP_ENDPOINTS)
@@ -280,7 +280,7 @@ def as_dict(key: KeyFile) -> dict[str, Any]:
     return {field: getattr(key, field) for field in key.__struct_fields__}
 
 
-def test_an_unknown_key_is_told_what_to_do(run_dir: Path, tmp_path: Path) -> None:
+def test_the_refusal_of_an_unknown_key_has_advice(run_dir: Path, tmp_path: Path) -> None:
     path = tmp_path / "eve.key"
     known = KeyRing(run_dir).new("eve", Role.OPERATOR, address_of(run_dir), path)
     KeyRing(run_dir).revoke("eve")
@@ -320,13 +320,13 @@ def test_a_revoked_key_is_cut_off_in_the_middle_of_its_work(new_key: Callable[[s
 # --- harm ----------------------------------------------------------------------------------------------
 
 
-def test_random_bytes_at_every_port_hurt_nobody(run_dir: Path, new_key: Callable[[str], Path]) -> None:
+def test_random_bytes_at_every_port_hurt_no_one(run_dir: Path, new_key: Callable[[str], Path]) -> None:
     rng, before = random.Random(SEED), pids(run_dir)
     address = address_of(run_dir)
     with Client(key=new_key("operator")) as rtc:
         for _ in range(5):
-            for door in TCP_ENDPOINTS:
-                stream_garbage(endpoint_address(address, door), rng)
+            for endpoint in TCP_ENDPOINTS:
+                stream_garbage(endpoint_address(address, endpoint), rng)
             assert rtc.halt(timeout_s=LIMIT_S).confirmed
 
     assert pids(run_dir) == before
@@ -339,23 +339,23 @@ def stream_garbage(address: str, rng: random.Random) -> None:
         greeting = b"\xff" + bytes(8) + b"\x7f\x03\x00" + mechanism.ljust(20, b"\0") + bytes(32)
         hello = b"\x04\xc8\x05HELLO\x01\x00" + rng.randbytes(192)
         endless = b"\x02" + (1 << 62).to_bytes(8, "big")
-        for said in (rng.randbytes(500), greeting[:20], greeting + rng.randbytes(300), greeting + hello + endless):
+        for garbage in (rng.randbytes(500), greeting[:20], greeting + rng.randbytes(300), greeting + hello + endless):
             with contextlib.suppress(OSError), sockets.create_connection((host, port), timeout=1.0) as line:
-                line.sendall(said)
+                line.sendall(garbage)
 
 
-@pytest.mark.parametrize("door", ["front", "halt", "estop", "world", "workers", "subsystems"])
-def test_nonsense_from_one_who_has_a_key_hurts_nobody(
-    run_dir: Path, new_key: Callable[[str], Path], context: zmq.Context[Any], door: str
+@pytest.mark.parametrize("endpoint", ["front", "halt", "estop", "world", "workers", "subsystems"])
+def test_nonsense_from_one_who_has_a_key_hurts_no_one(
+    run_dir: Path, new_key: Callable[[str], Path], context: zmq.Context[Any], endpoint: str
 ) -> None:
-    role = {"workers": "worker", "subsystems": "subsystem"}.get(door, "operator")
+    role = {"workers": "worker", "subsystems": "subsystem"}.get(endpoint, "operator")
     before, others = pids(run_dir), Others(run_dir)
     rng = random.Random(SEED)
-    peer = Door(context, KeyFile.load(new_key(role)), door)
+    peer = Peer(context, KeyFile.load(new_key(role)), endpoint)
     for _ in range(300):
         peer._socket.send_multipart([rng.randbytes(rng.choice((0, 4, 300))) for _ in range(rng.choice((1, 2, 5)))])
         peer._socket.send_multipart([wire.PROTOCOL, rng.randbytes(30)])
-    peer.say(m.TraceQuery(request="r", command="C-1"))
+    peer.send(m.TraceQuery(request="r", command="C-1"))
     wait_for(lambda: int(others.rtc.status()["counters"].get("dropped_gate_unreadable", 0)) >= 600)
 
     noticed = others.notice(0.3)
@@ -369,7 +369,7 @@ def pids(run_dir: Path) -> dict[str, int]:
     return {name: row.pid for name, row in processes(run_dir).items() if "template" not in name and "@" not in name}
 
 
-def test_a_killed_gate_is_back_and_what_was_open_is_answered(new_key: Callable[[str], Path], run_dir: Path) -> None:
+def test_a_killed_gateway_is_back_and_what_was_open_is_answered(new_key: Callable[[str], Path], run_dir: Path) -> None:
     with Client(run_dir) as here, Client(key=new_key("operator")) as rtc:
         command = rtc.submit("HOLD LEFT-ARM")
         os.kill(pids(run_dir)["gate"], signal.SIGKILL)

@@ -53,7 +53,7 @@ class Running:
     def _endpoint(self, name: str) -> str:
         return f"ipc://{self.run_dir / ENDPOINTS[name]}"
 
-    def door(self, name: str, identity: str = "") -> zmq.Socket[bytes]:
+    def endpoint(self, name: str, identity: str = "") -> zmq.Socket[bytes]:
         """As somebody's client opens it."""
         made = self.context.socket(zmq.DEALER)
         if identity:
@@ -65,9 +65,9 @@ class Running:
         """Of the fastest joint, in the next sample that is not old. Raises AssertionError when there is none."""
         asked_s = time.monotonic()
         while self._telemetry.poll(2000):
-            told = msgpack.unpackb(self._telemetry.recv_multipart()[-1])
-            if told["at_s"] >= asked_s:
-                return fastest(told)
+            rest = msgpack.unpackb(self._telemetry.recv_multipart()[-1])
+            if rest["at_s"] >= asked_s:
+                return fastest(rest)
         raise AssertionError("no telemetry")
 
     def last_speed(self) -> float:
@@ -103,8 +103,8 @@ def all_ended(pidfds: list[int]) -> bool:
     return set(select.select(pidfds, [], [], 0.0)[0]) == set(pidfds)
 
 
-def fastest(told: dict) -> float:
-    return max(abs(v) for arm in told["arms"].values() for v in arm["velocities"])
+def fastest(rest: dict) -> float:
+    return max(abs(v) for arm in rest["arms"].values() for v in arm["velocities"])
 
 
 def until(done: Callable[[], bool], limit_s: float = 20.0) -> None:
@@ -113,19 +113,19 @@ def until(done: Callable[[], bool], limit_s: float = 20.0) -> None:
         assert time.monotonic() < end_s, "it does not come to that"
 
 
-def say(door: zmq.Socket[bytes], **message: object) -> None:
-    door.send_multipart([b"RTC1", msgpack.packb(message)])
+def send(endpoint: zmq.Socket[bytes], **message: object) -> None:
+    endpoint.send_multipart([b"RTC1", msgpack.packb(message)])
 
 
-def hear(door: zmq.Socket[bytes], limit_s: float = 3.0) -> dict | None:
-    return msgpack.unpackb(door.recv_multipart()[-1]) if door.poll(limit_s * 1000) else None
+def recv(endpoint: zmq.Socket[bytes], limit_s: float = 3.0) -> dict | None:
+    return msgpack.unpackb(endpoint.recv_multipart()[-1]) if endpoint.poll(limit_s * 1000) else None
 
 
-def rest_told(door: zmq.Socket[bytes]) -> dict:
+def recv_rest(endpoint: zmq.Socket[bytes]) -> dict:
     """What is said last of one halt."""
-    while (said := hear(door)) is not None:
-        if said["type"] in ("HaltAtRest", "Declined"):
-            return said
+    while (answer := recv(endpoint)) is not None:
+        if answer["type"] in ("HaltAtRest", "Declined"):
+            return answer
     raise AssertionError("no answer")
 
 
@@ -144,23 +144,25 @@ def stops(running: Running, press: Callable[[], None]) -> None:
     assert running.client.wait(command, 20).outcome.kind is OutcomeKind.HALTED
 
 
-@pytest.mark.parametrize("doors", [["estop"], ["halt"], ["halt", "estop"]], ids="+".join)
-def test_a_button_that_always_says_the_same_stops_the_arm_at_every_press(running: Running, doors: list[str]) -> None:
-    opened = [running.door(name) for name in doors]
+@pytest.mark.parametrize("endpoints", [["estop"], ["halt"], ["halt", "estop"]], ids="+".join)
+def test_a_button_that_always_says_the_same_stops_the_arm_at_every_press(
+    running: Running, endpoints: list[str]
+) -> None:
+    opened = [running.endpoint(name) for name in endpoints]
 
     def press() -> None:
-        for door in opened:
-            say(door, type="HaltOrder", halt="THE-BUTTON", scope="ALL", called_at_s="soon")
-        for door in opened:
-            told = rest_told(door)
-            assert running.speed() < REST_RAD_S or not told["at_rest"]
-            assert set(told["performers"]) == {"RIGHT-ARM", "LEFT-ARM"}
+        for endpoint in opened:
+            send(endpoint, type="HaltOrder", halt="THE-BUTTON", scope="ALL", called_at_s="soon")
+        for endpoint in opened:
+            rest = recv_rest(endpoint)
+            assert running.speed() < REST_RAD_S or not rest["at_rest"]
+            assert set(rest["performers"]) == {"RIGHT-ARM", "LEFT-ARM"}
 
     for _ in range(3):
         stops(running, press)
 
 
-def test_two_clients_of_one_name_are_each_heard_and_answered(running: Running) -> None:
+def test_two_clients_of_one_name_are_each_served_and_answered(running: Running) -> None:
     with Client(running.run_dir, name="panel") as first:
         with Client(running.run_dir, name="panel") as second:
             assert first.status()["cluster"] == second.status()["cluster"]
@@ -170,43 +172,43 @@ def test_two_clients_of_one_name_are_each_heard_and_answered(running: Running) -
         stops(running, lambda: first.halt())
 
 
-def test_a_client_whose_identity_somebody_else_takes_is_still_answered(running: Running) -> None:
-    first, second = (running.door("front", identity="panel"), running.door("front", identity="panel"))
-    for told in range(3):
-        say(first, type="StatusQuery", request=str(told))
-        answer = hear(first)
+def test_a_client_whose_identity_another_takes_is_still_answered(running: Running) -> None:
+    first, second = (running.endpoint("front", identity="panel"), running.endpoint("front", identity="panel"))
+    for rest in range(3):
+        send(first, type="StatusQuery", request=str(rest))
+        answer = recv(first)
         assert answer is not None
-        assert answer["request"] == str(told)
-        say(second, type="ClientHello", client="panel")
-        if told == 1:
+        assert answer["request"] == str(rest)
+        send(second, type="ClientHello", client="panel")
+        if rest == 1:
             second.close(linger=0)
-            second = running.door("front")
+            second = running.endpoint("front")
     first.close(linger=0)
-    again = running.door("front", identity="panel")  # its bearer has gone
+    again = running.endpoint("front", identity="panel")  # its bearer has gone
     until(lambda: _welcome(again))
 
 
-def _welcome(door: zmq.Socket[bytes]) -> bool:
-    say(door, type="ClientHello", client="panel")
-    return hear(door, 0.2) is not None
+def _welcome(endpoint: zmq.Socket[bytes]) -> bool:
+    send(endpoint, type="ClientHello", client="panel")
+    return recv(endpoint, 0.2) is not None
 
 
-@pytest.mark.parametrize("door", ["halt", "estop"])
-def test_who_takes_an_identity_that_is_in_use_does_not_silence_its_bearer(running: Running, door: str) -> None:
-    first = running.door(door, identity="panel")
-    say(first, type="HaltOrder", halt="1", scope="LEFT-ARM", called_at_s=0.0)
-    assert rest_told(first)["at_rest"]
-    second = running.door(door, identity="panel")
-    say(second, type="HaltOrder", halt="1", scope="LEFT-ARM", called_at_s=0.0)
+@pytest.mark.parametrize("endpoint", ["halt", "estop"])
+def test_who_takes_an_identity_that_is_in_use_does_not_silence_its_bearer(running: Running, endpoint: str) -> None:
+    first = running.endpoint(endpoint, identity="panel")
+    send(first, type="HaltOrder", halt="1", scope="LEFT-ARM", called_at_s=0.0)
+    assert recv_rest(first)["at_rest"]
+    second = running.endpoint(endpoint, identity="panel")
+    send(second, type="HaltOrder", halt="1", scope="LEFT-ARM", called_at_s=0.0)
     for _ in range(2):
-        stops(running, lambda: say(first, type="HaltOrder", halt=uuid.uuid4().hex, scope="ALL", called_at_s=0.0))
+        stops(running, lambda: send(first, type="HaltOrder", halt=uuid.uuid4().hex, scope="ALL", called_at_s=0.0))
         second.close(linger=0)
     first.close(linger=0)
 
 
 def test_rtc_halt_needs_nothing_but_the_two_sockets(running: Running, tmp_path: Path) -> None:
-    for door in ("halt", "estop"):
-        (tmp_path / ENDPOINTS[door]).symlink_to(running.run_dir / ENDPOINTS[door])
+    for endpoint in ("halt", "estop"):
+        (tmp_path / ENDPOINTS[endpoint]).symlink_to(running.run_dir / ENDPOINTS[endpoint])
 
     def press() -> None:
         command = [sys.executable, "-P", "-m", "rtc.cli.main", "halt", "--run-dir", str(tmp_path)]
@@ -257,10 +259,10 @@ def test_a_cluster_that_ends_brakes_its_arms_and_tells_its_clients(how: str, tmp
 def test_a_cluster_that_ends_brakes_in_physics_too(tmp_path_factory) -> None:
     running = Running(tmp_path_factory.mktemp("b"), mcm="bullet")
     running.moving()
-    button = running.door("estop")
+    button = running.endpoint("estop")
     for _ in range(2):
-        say(button, type="HaltOrder", halt="THE-BUTTON", scope="ALL", called_at_s=True)
-        assert rest_told(button)["at_rest"]
+        send(button, type="HaltOrder", halt="THE-BUTTON", scope="ALL", called_at_s=True)
+        assert recv_rest(button)["at_rest"]
         assert running.speed() < 0.02
         running.moving()
     os.kill(running.supervisor.pid, signal.SIGTERM)

@@ -136,23 +136,23 @@ class Rig:
     def __init__(self, cell: Cell) -> None:
         self.arm = SteeredArm(cell)
         self.executor = Executor(self.arm)
-        self.said: list[m.Started | m.ProgressReport | m.EndReport] = []
+        self.sent: list[m.Started | m.ProgressReport | m.EndReport] = []
         self.home = cell.arm(ARM).home_rad
         self.away = [self.home[0] + 0.5, *self.home[1:]]
 
     def accept(self, wanted: p.Primitive) -> m.Started | m.ProgressReport | m.EndReport:
         answers = self.executor.accept(wanted, 0.0)
-        self.said += answers
+        self.sent += answers
         assert len(answers) == 1
         return answers[0]
 
     def tick(self, ticks: int = 1) -> list[m.Started | m.ProgressReport | m.EndReport]:
-        said = []
+        sent = []
         for _ in range(ticks):
-            said += self.executor.tick(0.0)
+            sent += self.executor.tick(0.0)
             self.arm.move_hand()
-        self.said += said
-        return said
+        self.sent += sent
+        return sent
 
     def until_end(self, limit: int = 60_000) -> m.EndReport:
         for _ in range(limit):
@@ -173,33 +173,33 @@ class Bench:
         self.simulation = simulation
         self.subsystem = Subsystem(simulation.arms, pid=1)  # type: ignore[attr-defined]
         self.now_s = 100.0
-        self.heard: list[tuple[bytes, m.Message]] = []
+        self.sent: list[tuple[bytes, m.Message]] = []
 
     def handle(
         self, message: m.Execute | m.HaltOrder | m.ReportAck, sender: bytes = BROKER
     ) -> list[tuple[bytes, m.Message]]:
-        said = self.subsystem.handle(message, sender, self.now_s)
-        self.heard += said
-        return said
+        sent = self.subsystem.handle(message, sender, self.now_s)
+        self.sent += sent
+        return sent
 
     def tick(self, ticks: int = 1) -> list[tuple[bytes, m.Message]]:
-        said = []
+        sent = []
         for _ in range(ticks):
-            said += self.subsystem.tick(self.now_s)
+            sent += self.subsystem.tick(self.now_s)
             self.simulation.step()  # type: ignore[attr-defined]
             self.now_s += TICK_S
-        self.heard += said
-        return said
+        self.sent += sent
+        return sent
 
     def perform(self, wanted: p.Primitive, limit: int = 60_000, watch: Callable[[], None] | None = None) -> m.EndReport:
         """Execute it, acknowledge its end report, and return that."""
-        said = self.handle(m.Execute(primitive=wanted))
+        sent = self.handle(m.Execute(primitive=wanted))
         for _ in range(limit):
-            for _, message in said:
+            for _, message in sent:
                 if isinstance(message, m.EndReport) and message.primitive == wanted.id:
                     self.handle(m.ReportAck(primitive=wanted.id))
                     return message
-            said = self.tick()
+            sent = self.tick()
             if watch is not None:
                 watch()
         raise AssertionError(f"no end report of {wanted.id} in {limit} ticks")

@@ -20,7 +20,7 @@ from sim_mcm.control.executor import AFTER_STOP, MOVING, TRANSITIONS, Event, Sta
 # --- the table -------------------------------------------------------------------------------------------
 
 
-def test_every_state_has_its_row_and_hears_a_halt() -> None:
+def test_every_state_has_its_row_and_obeys_a_halt() -> None:
     assert set(TRANSITIONS) == set(State)
     assert all(Event.HALTED in row for row in TRANSITIONS.values())
     assert all(row[Event.HALTED] in (State.STOPPING, state) for state, row in TRANSITIONS.items())
@@ -105,14 +105,14 @@ def test_hold_still_for_a_time_and_for_ever(rig, make) -> None:
 def test_progress_is_reported_at_its_period_and_only_if_asked(rig) -> None:
     rig.accept(rig.swing(reporting=p.Reporting(every_s=0.1)))
     rig.until_end()
-    assert sum(isinstance(message, m.ProgressReport) for message in rig.said) == 10
+    assert sum(isinstance(message, m.ProgressReport) for message in rig.sent) == 10
 
-    rig.said.clear()
+    rig.sent.clear()
     back = rig.executor._command[0]
     rig.home, rig.away = back, rig.home
     rig.accept(rig.swing(id="C-7.2", duration_s=3.0))
     rig.until_end()
-    assert len(rig.said) == 2  # Started and the end, however long it takes (R57)
+    assert len(rig.sent) == 2  # Started and the end, however long it takes (R57)
 
 
 # --- refusals --------------------------------------------------------------------------------------------
@@ -300,7 +300,7 @@ def test_releasing_opens_the_hand_after_the_stop(rig, make) -> None:
     assert report.hand_width_m == pytest.approx(0.08, abs=0.001)
 
 
-def test_the_wrench_is_told_less_the_bias_at_the_start(rig, make) -> None:
+def test_the_wrench_is_reported_less_the_bias_at_the_start(rig, make) -> None:
     rig.arm.wrench = [0.0, 0.0, 4.0, 0.0, 0.0, 0.0]
     rig.accept(rig.swing(_feel(make)))
     rig.tick(300)
@@ -435,7 +435,7 @@ def test_a_halt_in_any_state_leads_to_rest_and_to_one_report_at_most(rig, make, 
     _bring_to(rig, make, state)
     rig.tick(5 if state in MOVING else 0)
     was = rig.executor.state
-    count = len(rig.said)
+    count = len(rig.sent)
 
     moving = rig.executor.halt()
     rig.executor.halt()  # twice is no more than once
@@ -445,7 +445,7 @@ def test_a_halt_in_any_state_leads_to_rest_and_to_one_report_at_most(rig, make, 
     assert moving is (was in MOVING)
     assert rig.executor.state is State.HOLDING
     assert rig.executor.at_rest
-    reports = [message for message in rig.said[count:] if isinstance(message, m.EndReport)]
+    reports = [message for message in rig.sent[count:] if isinstance(message, m.EndReport)]
     expected = {State.HOLDING: [], State.EXECUTING: [StopReason.HALT]}.get(state, [StopReason.CONTACT])
     assert [report.reason for report in reports] == expected
     assert len(brisk) == len(expected)

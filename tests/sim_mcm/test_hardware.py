@@ -38,7 +38,7 @@ def test_a_module_in_the_hand_is_in_the_hand_of_the_next_process_too(cell, make,
     up = geometry.translate(handle, (0.0, 0.0, 0.1))
     start = bench.subsystem.executors[ARM]._command[0]
     bench.perform(make.primitive(make.line_path(model, start, up, 0.1), id="C-1.4"))
-    told = bench.simulation.truth()
+    truth = bench.simulation.truth()
 
     # When its controller dies, and another process begins with what was kept
     memory("run 1").save(bench.simulation.state())
@@ -49,8 +49,8 @@ def test_a_module_in_the_hand_is_in_the_hand_of_the_next_process_too(cell, make,
 
     # Then all is where it was, and it can be carried on
     found = successor.truth()
-    assert found["joints"][ARM] == pytest.approx(told["joints"][ARM], abs=2e-4)
-    assert geometry.distance(found["poses"][MODULE], told["poses"][MODULE]) <= tolerance_m
+    assert found["joints"][ARM] == pytest.approx(truth["joints"][ARM], abs=2e-4)
+    assert geometry.distance(found["poses"][MODULE], truth["poses"][MODULE]) <= tolerance_m
     assert successor.held() == {ARM: [MODULE], "LEFT-ARM": []}
     start = bench.subsystem.executors[ARM]._command[0]
     bench.perform(make.primitive(make.line_path(model, start, handle, 0.1), id="C-2.2"))

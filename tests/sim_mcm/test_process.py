@@ -34,10 +34,10 @@ class Broker:
         self.socket.setsockopt(zmq.ROUTER_HANDOVER, 1)
         self.socket.bind(settings.endpoint("subsystems"))
 
-    def say(self, message: m.Message) -> None:
+    def send(self, message: m.Message) -> None:
         self.socket.send_multipart([b"MCM", *frames(message)])
 
-    def hear(self, kind: type, wanted: Callable[[m.Message], bool] = lambda _: True) -> m.Message:
+    def recv(self, kind: type, wanted: Callable[[m.Message], bool] = lambda _: True) -> m.Message:
         limit_s = time.monotonic() + LIMIT_S
         while (left_s := limit_s - time.monotonic()) > 0:
             if self.socket.poll(left_s * 1000):
@@ -80,20 +80,20 @@ def swing(cell, make):
 
 def test_a_primitive_from_execute_to_acknowledgement(mcm, swing) -> None:
     broker = Broker(mcm.context, mcm.settings)
-    hello = broker.hear(m.SubsystemHello)
+    hello = broker.recv(m.SubsystemHello)
     assert hello.performers == [ARM, "LEFT-ARM"]
     assert hello.pid == mcm.process.pid
 
-    broker.say(m.Execute(primitive=swing("C-1.1", 0.8)))
-    assert broker.hear(m.Started).primitive == "C-1.1"
-    first = broker.hear(m.EndReport)
-    again = broker.hear(m.EndReport)
+    broker.send(m.Execute(primitive=swing("C-1.1", 0.8)))
+    assert broker.recv(m.Started).primitive == "C-1.1"
+    first = broker.recv(m.EndReport)
+    again = broker.recv(m.EndReport)
     assert first == again
     assert first.reason is StopReason.GOAL
 
-    broker.say(m.ReportAck(primitive="C-1.1"))
-    broker.say(m.ReportAck(primitive=""))
-    assert broker.hear(m.SubsystemHello, lambda hello: hello.outstanding == []).outstanding == []
+    broker.send(m.ReportAck(primitive="C-1.1"))
+    broker.send(m.ReportAck(primitive=""))
+    assert broker.recv(m.SubsystemHello, lambda hello: hello.outstanding == []).outstanding == []
 
     mcm.process.send_signal(signal.SIGTERM)
     assert mcm.process.wait(LIMIT_S) == 0
@@ -101,9 +101,9 @@ def test_a_primitive_from_execute_to_acknowledgement(mcm, swing) -> None:
 
 def test_without_a_broker_it_finishes_stops_on_halt_and_tells_all_to_the_next(mcm, swing, make) -> None:
     broker = Broker(mcm.context, mcm.settings)
-    broker.hear(m.SubsystemHello)
-    broker.say(m.Execute(primitive=swing("C-1.1", 30.0, make.stop(StopReason.CONTACT, p.TimeAbove(0.5)))))
-    broker.hear(m.Started)
+    broker.recv(m.SubsystemHello)
+    broker.send(m.Execute(primitive=swing("C-1.1", 30.0, make.stop(StopReason.CONTACT, p.TimeAbove(0.5)))))
+    broker.recv(m.Started)
     broker.socket.close()  # in the middle of the motion
 
     halt_line = HaltLine(mcm.context, mcm.settings)
@@ -113,20 +113,20 @@ def test_without_a_broker_it_finishes_stops_on_halt_and_tells_all_to_the_next(mc
     assert not halt_line.halt("C-99").confirmed  # whether there is such a command only the broker knows
 
     broker = Broker(mcm.context, mcm.settings)
-    hello = broker.hear(m.SubsystemHello, lambda hello: "C-1.1" in hello.outstanding)
+    hello = broker.recv(m.SubsystemHello, lambda hello: "C-1.1" in hello.outstanding)
     assert hello.outstanding == ["C-1.1"]
-    report = broker.hear(m.EndReport)
+    report = broker.recv(m.EndReport)
     assert report.reason is StopReason.CONTACT  # the stop function tripped with nobody to hear of it
     assert report.measured == pytest.approx(0.5, abs=0.003)
     halt_line.close()
 
 
-def test_a_halt_past_the_broker_stops_the_arm_and_is_told_to_both(mcm, swing) -> None:
+def test_a_halt_past_the_broker_stops_the_arm_and_is_reported_to_both(mcm, swing) -> None:
     broker = Broker(mcm.context, mcm.settings)
-    broker.hear(m.SubsystemHello)
-    broker.say(m.Execute(primitive=swing("C-1.1", 10.0)))
-    broker.hear(m.Started)
-    broker.hear(m.Heartbeat)
+    broker.recv(m.SubsystemHello)
+    broker.send(m.Execute(primitive=swing("C-1.1", 10.0)))
+    broker.recv(m.Started)
+    broker.recv(m.Heartbeat)
 
     halt_line = HaltLine(mcm.context, mcm.settings)
     result = halt_line.halt("ALL")
@@ -135,13 +135,13 @@ def test_a_halt_past_the_broker_stops_the_arm_and_is_told_to_both(mcm, swing) ->
     assert result.moving == [ARM]
     assert result.latency_s is not None
     assert result.latency_s >= 0.0
-    assert broker.hear(m.EndReport).reason is StopReason.HALT
+    assert broker.recv(m.EndReport).reason is StopReason.HALT
     halt_line.close()
 
 
 def test_no_bytes_stop_it(mcm, swing) -> None:
     broker = Broker(mcm.context, mcm.settings)
-    broker.hear(m.SubsystemHello)
+    broker.recv(m.SubsystemHello)
     estop = mcm.context.socket(zmq.DEALER)
     estop.connect(mcm.settings.endpoint("estop"))
     bench = mcm.context.socket(zmq.DEALER)
@@ -166,8 +166,8 @@ def test_no_bytes_stop_it(mcm, swing) -> None:
     bench.send_multipart(frames(m.SimFactors(request="3", mass=1.5)))
     assert bench.poll(LIMIT_S * 1000)
     assert reader(m.FromSim)(bench.recv_multipart()).error in ("", "kinematic arms have neither mass nor friction")
-    broker.say(m.Execute(primitive=swing("C-1.1", 0.8)))
-    assert broker.hear(m.EndReport).reason is StopReason.GOAL
+    broker.send(m.Execute(primitive=swing("C-1.1", 0.8)))
+    assert broker.recv(m.EndReport).reason is StopReason.GOAL
 
 
 def test_telemetry_tells_where_the_arms_are(mcm, cell) -> None:
@@ -175,7 +175,7 @@ def test_telemetry_tells_where_the_arms_are(mcm, cell) -> None:
     ear.connect(mcm.settings.endpoint("telemetry"))
     ear.subscribe(b"")
     assert ear.poll(LIMIT_S * 1000)
-    told = reader(m.Telemetry)(ear.recv_multipart())
-    assert told.arms[ARM].joints == pytest.approx(cell.arm(ARM).home_rad, abs=1e-3)
-    assert told.arms[ARM].primitive == ""
-    assert told.ticks > 0
+    telemetry = reader(m.Telemetry)(ear.recv_multipart())
+    assert telemetry.arms[ARM].joints == pytest.approx(cell.arm(ARM).home_rad, abs=1e-3)
+    assert telemetry.arms[ARM].primitive == ""
+    assert telemetry.ticks > 0

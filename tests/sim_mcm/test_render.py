@@ -56,7 +56,7 @@ def test_a_picture_shows_what_has_moved(tmp_path, cell) -> None:
     assert 0.002 < changed < 0.2
 
 
-def test_a_bad_file_is_told_and_not_a_crash(tmp_path, capsys) -> None:
+def test_a_bad_file_is_reported_and_not_a_crash(tmp_path, capsys) -> None:
     (tmp_path / "truth.json").write_text("{")
     with pytest.raises(SystemExit) as ended:
         render.main(["--truth", str(tmp_path / "truth.json"), "--out", str(tmp_path / "a.png")])

@@ -31,17 +31,17 @@ def swing(cell, make):
     return build
 
 
-def kinds(said: list[tuple[bytes, m.Message]], kind: type) -> list[m.Message]:
-    return [message for _, message in said if isinstance(message, kind)]
+def kinds(sent: list[tuple[bytes, m.Message]], kind: type) -> list[m.Message]:
+    return [message for _, message in sent if isinstance(message, kind)]
 
 
 # --- primitives --------------------------------------------------------------------------------------------
 
 
-def test_an_end_report_is_said_until_it_is_acknowledged(bench, swing) -> None:
+def test_an_end_report_is_repeated_until_it_is_acknowledged(bench, swing) -> None:
     bench.handle(m.Execute(primitive=swing()))
-    said = bench.tick(1100 + int(3.5 * REPEAT_S * 1000))
-    reports = kinds(said, m.EndReport)
+    sent = bench.tick(1100 + int(3.5 * REPEAT_S * 1000))
+    reports = kinds(sent, m.EndReport)
     assert len(reports) == 4
     assert all(report == reports[0] for report in reports)
     assert bench.subsystem.outstanding == ["C-7.1"]
@@ -57,7 +57,7 @@ def test_the_same_primitive_is_never_executed_twice(bench, swing) -> None:
     bench.tick(500)
     assert bench.handle(order) == []  # it is being done
     bench.tick(700)
-    report = kinds(bench.heard, m.EndReport)[0]
+    report = kinds(bench.sent, m.EndReport)[0]
     assert bench.handle(order) == [(BROKER, report)]  # it has been done
     bench.handle(m.ReportAck(primitive="C-7.1"))
     assert bench.handle(order) == [(BROKER, report)]  # and stays done after the acknowledgement
@@ -119,19 +119,19 @@ def test_a_halt_of_all_stops_both_arms_and_tells_when(bench, swing) -> None:
     bench.tick(500)
     called = bench.now_s
     halt = m.HaltOrder(halt="H-1")
-    ((door, passed_on),) = bench.handle(halt, CALLER)  # passed on, in case nobody has told the broker
-    assert (door, passed_on.received_at_s) == (BROKER, called)
+    ((peer, passed_on),) = bench.handle(halt, CALLER)  # passed on, in case nobody has told the broker
+    assert (peer, passed_on.received_at_s) == (BROKER, called)
     assert msgspec.structs.replace(passed_on, call="", received_at_s=0.0) == halt
 
-    said = bench.tick(300)
+    sent = bench.tick(300)
 
-    (started,), (rest,) = kinds(said, m.HaltStarted), kinds(said, m.HaltAtRest)
+    (started,), (rest,) = kinds(sent, m.HaltStarted), kinds(sent, m.HaltAtRest)
     assert (started.received_at_s, started.decelerating_at_s) == (called, called)  # in the very next tick
     assert started.moving == [ARM, OTHER]
     assert rest.at_rest
     assert called < rest.at_s < called + 0.2
-    assert {door for door, message in said if isinstance(message, m.HaltStarted | m.HaltAtRest)} == {CALLER}
-    assert [report.reason for report in kinds(said, m.EndReport)] == [StopReason.HALT] * 2
+    assert {peer for peer, message in sent if isinstance(message, m.HaltStarted | m.HaltAtRest)} == {CALLER}
+    assert [report.reason for report in kinds(sent, m.EndReport)] == [StopReason.HALT] * 2
 
 
 @pytest.mark.parametrize(
@@ -142,21 +142,21 @@ def test_a_halt_stops_what_is_in_its_scope_and_nothing_else(bench, swing, scope:
     bench.handle(m.Execute(primitive=swing("C-7.1", ARM)))
     bench.handle(m.Execute(primitive=swing("C-77.1", OTHER)))
     bench.tick(500)
-    said = bench.handle(m.HaltOrder(halt="H-1", scope=scope), CALLER) + bench.tick(1500)
+    sent = bench.handle(m.HaltOrder(halt="H-1", scope=scope), CALLER) + bench.tick(1500)
 
-    assert kinds(said, m.HaltStarted)[0].moving == moving
-    halted = [report.performer for report in kinds(said, m.EndReport) if report.reason is StopReason.HALT]
-    gone_on = {report.performer for report in kinds(said, m.EndReport) if report.reason is StopReason.GOAL}
+    assert kinds(sent, m.HaltStarted)[0].moving == moving
+    halted = [report.performer for report in kinds(sent, m.EndReport) if report.reason is StopReason.HALT]
+    gone_on = {report.performer for report in kinds(sent, m.EndReport) if report.reason is StopReason.GOAL}
     assert sorted(set(halted)) == sorted(moving)
     assert gone_on == {ARM, OTHER} - set(moving)
 
 
-def test_a_halt_of_an_arm_that_is_not_there_is_not_told_to_be_at_rest(bench, swing) -> None:
+def test_a_halt_of_an_unknown_arm_is_not_reported_at_rest(bench, swing) -> None:
     bench.handle(m.Execute(primitive=swing("C-7.1", ARM)))
     bench.tick(500)
-    ((door, declined),) = bench.handle(m.HaltOrder(halt="H-1", scope="RIGHT-AMR"), CALLER)
+    ((peer, declined),) = bench.handle(m.HaltOrder(halt="H-1", scope="RIGHT-AMR"), CALLER)
 
-    assert door == CALLER
+    assert peer == CALLER
     assert isinstance(declined, m.Declined)
     assert (declined.request, declined.refusal.expected) == ("H-1", ["ALL", ARM, OTHER])
 
@@ -168,7 +168,7 @@ def test_a_halt_of_an_idle_arm_is_answered_at_once(bench) -> None:
     assert (started.moving, rest.at_rest) == ([], True)
 
 
-def test_the_same_halt_from_two_sides_is_one_halt_and_both_are_told(bench, swing) -> None:
+def test_the_same_halt_from_two_sides_is_one_halt_and_both_are_answered(bench, swing) -> None:
     bench.handle(m.Execute(primitive=swing()))
     bench.tick(500)
     bench.handle(m.HaltOrder(halt="H-1"), CALLER)
@@ -178,20 +178,20 @@ def test_the_same_halt_from_two_sides_is_one_halt_and_both_are_told(bench, swing
 
     (started,) = kinds(first, m.HaltStarted)
     assert late == (BROKER, started)
-    assert [door for door, message in rest if isinstance(message, m.HaltAtRest)] == [CALLER, BROKER]
+    assert [peer for peer, message in rest if isinstance(message, m.HaltAtRest)] == [CALLER, BROKER]
     again = bench.handle(m.HaltOrder(halt="H-1"), ANOTHER)
-    assert [message for door, message in again if door == ANOTHER] == [started, *kinds(rest, m.HaltAtRest)[:1]]
+    assert [message for peer, message in again if peer == ANOTHER] == [started, *kinds(rest, m.HaltAtRest)[:1]]
 
 
 # Of a halt whose name was used before: it is obeyed, and what was true then is not told as being true now.
 
 
-@pytest.mark.parametrize("door", [CALLER, ANOTHER, BROKER])
+@pytest.mark.parametrize("peer", [CALLER, ANOTHER, BROKER])
 @pytest.mark.parametrize("scope_before", ["ALL", ARM, OTHER, "C-7"])
-def test_a_halt_whose_name_was_used_before_stops_what_moves_now(bench, make, door, scope_before) -> None:
+def test_a_halt_whose_name_was_used_before_stops_what_moves_now(bench, make, peer, scope_before) -> None:
     bench.handle(m.HaltOrder(halt="THE-BUTTON", scope=scope_before), CALLER)
     bench.tick(10)
-    for order in kinds(bench.heard, m.HaltOrder):
+    for order in kinds(bench.sent, m.HaltOrder):
         bench.handle(order, BROKER)
     for n in (7, 8):  # and so for every press
         here = list(bench.simulation.arms[ARM].joints)
@@ -199,16 +199,16 @@ def test_a_halt_whose_name_was_used_before_stops_what_moves_now(bench, make, doo
         bench.handle(m.Execute(primitive=make.primitive(path, id=f"C-{n}.1")))
         bench.tick(500)
         assert fastest(bench) > 0.1
-        said = bench.handle(m.HaltOrder(halt="THE-BUTTON"), door)
-        assert kinds(said, m.HaltAtRest) == []  # it moves
-        said = bench.tick(400)
+        sent = bench.handle(m.HaltOrder(halt="THE-BUTTON"), peer)
+        assert kinds(sent, m.HaltAtRest) == []  # it moves
+        sent = bench.tick(400)
         assert fastest(bench) == pytest.approx(0.0, abs=1e-6)
-        (rest,) = [message for to, message in said if to == door and isinstance(message, m.HaltAtRest)]
+        (rest,) = [message for to, message in sent if to == peer and isinstance(message, m.HaltAtRest)]
         assert (rest.at_rest, rest.performers) == (True, [ARM, OTHER])
-        (report,) = {report.primitive: report.reason for report in kinds(said, m.EndReport)}.items()
+        (report,) = {report.primitive: report.reason for report in kinds(sent, m.EndReport)}.items()
         assert report == (f"C-{n}.1", StopReason.HALT)
         bench.handle(m.ReportAck(primitive=f"C-{n}.1"))
-        for order in kinds(bench.heard, m.HaltOrder):
+        for order in kinds(bench.sent, m.HaltOrder):
             bench.handle(order, BROKER)
 
 
@@ -219,10 +219,10 @@ def test_a_halt_of_all_under_the_open_name_of_a_halt_of_one_arm_stops_the_other_
     bench.handle(m.HaltOrder(halt="1", scope=OTHER), CALLER)
     bench.tick(3)
     bench.handle(m.HaltOrder(halt="1"), ANOTHER)
-    said = bench.tick(400)
+    sent = bench.tick(400)
     assert fastest(bench) == pytest.approx(0.0, abs=1e-6)
-    told = {door: message.performers for door, message in said if isinstance(message, m.HaltAtRest)}
-    assert told == {CALLER: [OTHER], ANOTHER: [ARM, OTHER]}  # each hears of its own halt
+    answers = {peer: message.performers for peer, message in sent if isinstance(message, m.HaltAtRest)}
+    assert answers == {CALLER: [OTHER], ANOTHER: [ARM, OTHER]}  # each hears of its own halt
 
 
 def test_the_broker_that_knows_of_one_halt_need_not_know_of_another_of_its_name(bench, swing) -> None:
@@ -245,9 +245,9 @@ def test_each_order_is_answered_with_its_number(bench, swing) -> None:
     bench.tick(500)
     bench.handle(m.HaltOrder(halt="1", call="7-1"), BROKER)
     bench.handle(m.HaltOrder(halt="1", call="7-2"), BROKER)
-    said = bench.tick(400)
+    sent = bench.tick(400)
     for kind in (m.HaltStarted, m.HaltAtRest):
-        assert [message.call for message in kinds(said, kind)] == ["7-1", "7-2"]
+        assert [message.call for message in kinds(sent, kind)] == ["7-1", "7-2"]
 
 
 def fastest(bench) -> float:
@@ -260,13 +260,13 @@ def test_a_halt_during_a_stop_waits_for_rest(bench, swing) -> None:
     bench.handle(m.HaltOrder(halt="H-1"), CALLER)
     bench.tick(10)
     bench.handle(m.HaltOrder(halt="H-2"), ANOTHER)
-    said = bench.tick(300)
-    (rest,) = [message for door, message in said if door == ANOTHER and isinstance(message, m.HaltAtRest)]
+    sent = bench.tick(300)
+    (rest,) = [message for peer, message in sent if peer == ANOTHER and isinstance(message, m.HaltAtRest)]
     assert rest.at_rest
-    assert len(kinds(said, m.EndReport)) == 1
+    assert len(kinds(sent, m.EndReport)) == 1
 
 
-def test_rest_that_does_not_come_is_told(cell, make) -> None:
+def test_rest_that_does_not_come_is_reported(cell, make) -> None:
     class Pushed:
         """Two arms one of which is pushed about by somebody."""
 
@@ -294,12 +294,12 @@ def test_what_was_sent_in_ignorance_of_a_halt_does_not_begin_after_it(bench, swi
     assert bench.subsystem.idle
 
 
-def test_a_halt_called_past_the_broker_is_told_with_every_hello_until_the_broker_knows_of_it(bench) -> None:
+def test_a_halt_called_past_the_broker_is_reported_with_every_hello_until_the_broker_knows_of_it(bench) -> None:
     halt = m.HaltOrder(halt="H-1", called_at_s=99.0)
     bench.handle(halt, CALLER)
-    (told,) = kinds(bench.subsystem.hello(), m.HaltOrder)
-    assert msgspec.structs.replace(told, call="", received_at_s=0.0) == halt
-    bench.handle(told, BROKER)
+    (repeated,) = kinds(bench.subsystem.hello(), m.HaltOrder)
+    assert msgspec.structs.replace(repeated, call="", received_at_s=0.0) == halt
+    bench.handle(repeated, BROKER)
     assert kinds(bench.subsystem.hello(), m.HaltOrder) == []
 
 
@@ -319,8 +319,8 @@ def test_rest_is_confirmed_after_the_end_has_been_reported(bench, swing) -> None
     bench.handle(m.Execute(primitive=swing()))
     bench.tick(500)
     bench.handle(m.HaltOrder(halt="H-1"), BROKER)
-    told = [type(message) for _, message in bench.tick(300)]
-    assert told.index(m.EndReport) < told.index(m.HaltAtRest)
+    order = [type(message) for _, message in bench.tick(300)]
+    assert order.index(m.EndReport) < order.index(m.HaltAtRest)
     home = bench.simulation.arms[ARM].joints
     hold = msgspec.structs.replace(swing("C-8.1"), trajectory=p.HoldStill(duration_s=0.1))
     assert kinds(bench.handle(m.Execute(primitive=hold)), m.Started)  # it can be given something new at once
@@ -328,8 +328,8 @@ def test_rest_is_confirmed_after_the_end_has_been_reported(bench, swing) -> None
 
 
 def test_a_primitive_meant_for_the_process_before_is_passed_over(bench, swing) -> None:
-    said = bench.handle(m.Execute(primitive=swing(), pid=bench.subsystem.pid + 1))
-    assert [type(message) for _, message in said] == [m.SubsystemHello]  # whoever sent it does not know us
+    sent = bench.handle(m.Execute(primitive=swing(), pid=bench.subsystem.pid + 1))
+    assert [type(message) for _, message in sent] == [m.SubsystemHello]  # whoever sent it does not know us
     assert bench.subsystem.idle
     assert kinds(bench.handle(m.Execute(primitive=swing(), pid=bench.subsystem.pid)), m.Started)
 
@@ -355,14 +355,14 @@ def test_a_name_used_up_beforehand_does_not_keep_the_brokers_halt_from_stopping(
     assert report.reason is StopReason.HALT
 
 
-def test_a_caller_with_many_open_halts_is_obeyed_and_told_so(bench, swing) -> None:
+def test_a_caller_with_many_open_halts_is_obeyed_and_declined(bench, swing) -> None:
     bench.handle(m.Execute(primitive=swing()))
     bench.tick(100)
-    said = [bench.subsystem.handle(m.HaltOrder(halt=f"H-{n}"), CALLER, bench.now_s) for n in range(OPEN_HALTS + 3)]
-    declined = [messages for messages in said if kinds(messages, m.Declined)]
+    sent = [bench.subsystem.handle(m.HaltOrder(halt=f"H-{n}"), CALLER, bench.now_s) for n in range(OPEN_HALTS + 3)]
+    declined = [messages for messages in sent if kinds(messages, m.Declined)]
     assert len(declined) == 3
     assert all(kinds(messages, m.HaltOrder) for messages in declined)  # the broker hears of each
-    ended = [message for door, message in bench.tick(600) if isinstance(message, m.HaltAtRest) and door == CALLER]
+    ended = [message for peer, message in bench.tick(600) if isinstance(message, m.HaltAtRest) and peer == CALLER]
     assert len(ended) == OPEN_HALTS
 
 
@@ -388,11 +388,11 @@ def test_a_stream_of_halts_stops_at_once_and_reaches_the_broker_as_one(bench, sw
     bench.handle(m.Execute(primitive=swing()))
     bench.tick(50)
     for n in range(20):
-        said = bench.subsystem.handle(m.HaltOrder(halt=f"H-x{n}"), CALLER, bench.now_s)
-        assert [(door, type(message)) for door, message in said] == [(CALLER, m.Declined)]
-    heard = bench.tick(600)
-    assert kinds(heard, m.EndReport)[0].reason is StopReason.HALT
-    assert [order.halt for order in kinds(heard, m.HaltOrder)] == ["H-x19"]
+        sent = bench.subsystem.handle(m.HaltOrder(halt=f"H-x{n}"), CALLER, bench.now_s)
+        assert [(peer, type(message)) for peer, message in sent] == [(CALLER, m.Declined)]
+    sent = bench.tick(600)
+    assert kinds(sent, m.EndReport)[0].reason is StopReason.HALT
+    assert [order.halt for order in kinds(sent, m.HaltOrder)] == ["H-x19"]
     bench.handle(m.HaltOrder(halt="H-x19"))
     assert kinds(bench.subsystem.hello(), m.HaltOrder) == []
 
@@ -431,8 +431,8 @@ LOAD = {"mass_kg": 1e308, "com_m": [float("nan")] * 3, "inertia_kg_m2": [-1.0] *
 def test_what_does_not_decode_is_refused_with_the_id_that_can_be_read(bench, change, words: str) -> None:
     order = invalid_order(_frames(change))
     assert order is not None
-    ((door, report),) = bench.handle(order)
-    assert (door, report.primitive, report.performer, report.reason) == (BROKER, "C-7.1", ARM, StopReason.REFUSED)
+    ((peer, report),) = bench.handle(order)
+    assert (peer, report.primitive, report.performer, report.reason) == (BROKER, "C-7.1", ARM, StopReason.REFUSED)
     assert words in report.message
     assert len(report.joints) == 6
     assert bench.subsystem.outstanding == ["C-7.1"]  # until it is acknowledged

@@ -160,13 +160,13 @@ class Kinematic:
         assert not self.sim.displace(name, offset)
 
     def perform(self, made: Primitive, bound: BoundStep) -> EndReport:
-        said: list[Any] = list(self.executors[made.performer].accept(made, 0.0))
+        messages: list[Any] = list(self.executors[made.performer].accept(made, 0.0))
         for tick in range(int(bound.limit_s * 1000)):
-            ends = [m for m in said if isinstance(m, EndReport)]
+            ends = [m for m in messages if isinstance(m, EndReport)]
             if ends:
                 return ends[0]
             self.sim.step()
-            said = [m for executor in self.executors.values() for m in executor.tick(tick * 0.001)]
+            messages = [m for executor in self.executors.values() for m in executor.tick(tick * 0.001)]
         raise AssertionError(f"no end report of {made.id} within {bound.limit_s} s")
 
 
@@ -222,7 +222,7 @@ class Bench:
     def load(self, kind: str, text: str, name: str = "test.yaml") -> None:
         self.programs[kind] = loader.merge(kind, self.programs[kind], name, text.encode())
 
-    def told(self, key: str, value: Any, validity: Validity = Validity.VALID) -> None:
+    def set_fact(self, key: str, value: Any, validity: Validity = Validity.VALID) -> None:
         self.world = self.world.overlay([WorldChange(key=key, value=value, validity=validity)])
 
     def elaborate(self, sentence: str, model: CellModel = MODEL) -> Script | Refusal:

@@ -30,7 +30,7 @@ def test_a_module_that_is_still_in_its_seat_is_lifted_first(bench, sentence):
     assert bench.do(sentence).refusal is None
 
 
-def test_a_goal_that_is_not_free_is_said_to_be_the_goal(bench):
+def test_a_blocked_goal_is_named_as_the_goal(bench):
     in_hand(bench, LIFT)
     refusal = bench.do("MOVE RIGHT-ARM TO POSITION 80 -80 70 CM").refusal
     assert refusal.clears == "another goal: RACK-1 is there"

@@ -95,7 +95,7 @@ def test_let_go_and_take_again(either):
 # --- trims -------------------------------------------------------------------------------------------------
 
 
-def test_nothing_felt_is_mended_once_and_then_told(either):
+def test_nothing_felt_is_mended_once_and_then_reported(either):
     """Without cameras: end-point reached, nothing felt; trim 2 starts over, 15 mm farther on. The second time it is
     a failure, and the hand is drawn back out of where the handle is believed to be."""
     either.subsystem.displace("MACS-NEW", [0.0, 0.0265, 0.0])
@@ -292,12 +292,12 @@ def test_a_stop_that_was_asked_for_reads_as_such(bench):
     assert "in the way" not in made.clears
 
 
-def test_what_was_done_after_the_stop_is_told(bench):
+def test_what_was_done_after_the_stop_is_reported(bench):
     made = _felt(bench, f"{FORWARD} THEN BACK-OFF BY 2 CM", StopReason.CONTACT, 5.0, 0.02)
     assert made.message.endswith("as asked: UNLESS CONTACT THEN BACK-OFF; backed off by 2.0 cm")
 
 
-def test_the_reason_is_the_one_that_won_and_what_was_done_is_told_beside_it(bench):
+def test_the_reason_is_the_one_that_won_and_what_was_done_is_reported_beside_it(bench):
     made = _felt(bench, f"{FORWARD} THEN BACK-OFF BY 2 CM", StopReason.FORCE_LIMIT, 40.0, 0.02)
     assert made.reason is StopReason.FORCE_LIMIT
     assert "47.4 N where 40 N is the limit" in made.message
@@ -313,7 +313,7 @@ def test_without_a_report_of_the_arm_its_joints_are_suspect(bench):
     assert (joints.validity, joints.keep_value) == (Validity.SUSPECT, True)
 
 
-def test_what_the_hand_holds_is_suspect_with_it_when_nobody_reports(bench):
+def test_what_the_hand_holds_is_suspect_with_it_without_a_report(bench):
     assert bench.do(GRASP).succeeded
     bound, report = bound_and_done(bench, "LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM")
     made = judged(bench, bound, ended(report, StopReason.SUBSYSTEM_LOST, joints=[], tcp_pose=[]), closing=True)
@@ -395,7 +395,7 @@ def test_every_reason_has_an_answer_for_every_step(bench, n):
 def test_what_a_halt_has_put_in_doubt_is_trusted_again_when_the_fingers_feel_it(either):
     either.do(GRASP)
     for key in ("MACS-NEW.grasp", "MACS-NEW.frame", "MACS-NEW.held_by", "RIGHT-ARM.holding"):
-        either.told(key, either.world.value(key), Validity.SUSPECT)
+        either.set_fact(key, either.world.value(key), Validity.SUSPECT)
     refusal = either.elaborate("PLACE MACS-NEW ON RACK-1")
     assert refusal.reason is RefusalReason.SUSPECT
 
@@ -470,6 +470,6 @@ def test_what_is_held_is_known_less_with_every_step_and_stays_valid(bench):
     assert fact.validity is Validity.VALID
 
 
-def test_what_somebody_tells_is_known_as_well_as_somebody_sees(bench):
+def test_a_stated_pose_has_the_accuracy_of_an_observation(bench):
     assert bench.do("SET MACS-NEW FRAME 80 -80 61 CM").succeeded
     assert bench.world.get("MACS-NEW.frame").spread == pytest.approx([0.005] * 3 + [0.035] * 3)

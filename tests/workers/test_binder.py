@@ -123,7 +123,7 @@ def test_a_pose_of_an_object_is_bound_where_the_object_is_now(bench):
     script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
     before = bench.bind(script, script.steps[7]).evaluation.goal_pose
     frame = bench.world.value("MACS-NEW.frame")
-    bench.told("MACS-NEW.frame", geometry.translate(frame, [0.0, 0.006, 0.0]).tolist())
+    bench.set_fact("MACS-NEW.frame", geometry.translate(frame, [0.0, 0.006, 0.0]).tolist())
 
     after = bench.bind(script, script.steps[7]).evaluation.goal_pose
 
@@ -135,7 +135,7 @@ def test_the_plan_is_laid_down_anew_when_the_object_has_moved(bench):
     step = next(s for s in script.steps if s.name == "grasp_plan")
     assert bench.bind(script, step).bindings == {}
     moved = geometry.translate(bench.world.value("MACS-NEW.frame"), [0.0, 0.01, 0.0])
-    bench.told("MACS-NEW.frame", moved.tolist())
+    bench.set_fact("MACS-NEW.frame", moved.tolist())
 
     anew = bench.bind(script, step).bindings
 
@@ -209,7 +209,7 @@ def test_a_hand_is_not_opened_wider_than_it_goes(bench):
     ],
 )
 def test_by_is_relative_to_the_present_width_and_to_is_the_width(bench, sentence, width_m):
-    bench.told("RIGHT-ARM.hand_width", 0.03)
+    bench.set_fact("RIGHT-ARM.hand_width", 0.03)
     script = bench.elaborate(sentence)
 
     bound = bench.bind(script, script.steps[0])
@@ -218,7 +218,7 @@ def test_by_is_relative_to_the_present_width_and_to_is_the_width(bench, sentence
 
 
 def test_closing_by_more_than_the_hand_is_open_is_refused(bench):
-    bench.told("RIGHT-ARM.hand_width", 0.03)
+    bench.set_fact("RIGHT-ARM.hand_width", 0.03)
     script = bench.elaborate("CLOSE RIGHT-ARM BY 5 CM")
 
     refusal = bench.bind(script, script.steps[0])
@@ -250,10 +250,10 @@ def test_a_free_motion_stops_on_any_touch(bench):
 def test_a_feeling_motion_stops_on_what_opposes_it(bench):
     _, bound = bound_to(bench, "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", "JAP")
     bench.subsystem.joints["RIGHT-ARM"] = np.array(bound.evaluation.goal_joints)
-    bench.told("RIGHT-ARM.joints", bound.evaluation.goal_joints)
+    bench.set_fact("RIGHT-ARM.joints", bound.evaluation.goal_joints)
     script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A GUARDED")
     jcm = bench.bind(script, script.steps[3])
-    bench.told("RIGHT-ARM.joints", jcm.evaluation.goal_joints)
+    bench.set_fact("RIGHT-ARM.joints", jcm.evaluation.goal_joints)
 
     one, other = (stops(bench.bind(script, script.steps[n])) for n in (4, 5))
 
@@ -265,19 +265,19 @@ def test_a_feeling_motion_stops_on_what_opposes_it(bench):
 
 
 def test_maintain_and_guarded_only_tighten(bench):
-    for said, limit_n in (
+    for clause, limit_n in (
         ("MAINTAIN FORCE-LIMIT 8 N", 8.0),
         ("MAINTAIN FORCE-LIMIT 90 N", 40.0),
         ("GUARDED", 20.0),
         ("MAINTAIN FORCE-LIMIT 8 N GUARDED", 8.0),
     ):
-        _, bound = bound_to(bench, f"RETRACT RIGHT-ARM {said}", "HERE")
-        assert stops(bound)[StopReason.FORCE_LIMIT].limit_n == limit_n, said
+        _, bound = bound_to(bench, f"RETRACT RIGHT-ARM {clause}", "HERE")
+        assert stops(bound)[StopReason.FORCE_LIMIT].limit_n == limit_n, clause
 
 
 def test_unless_runs_in_the_motion_loop(bench):
-    said = "UNLESS FORCE EXCEEDS 10 N THEN BACK-OFF BY 3 CM UNLESS TORQUE EXCEEDS 3 NM THEN RELEASE"
-    _, bound = bound_to(bench, f"MOVE RIGHT-ARM TO BAY-2-FRONT {said}", "GOAL")
+    clause = "UNLESS FORCE EXCEEDS 10 N THEN BACK-OFF BY 3 CM UNLESS TORQUE EXCEEDS 3 NM THEN RELEASE"
+    _, bound = bound_to(bench, f"MOVE RIGHT-ARM TO BAY-2-FRONT {clause}", "GOAL")
 
     made = bound.primitive.by_priority()
 
@@ -297,15 +297,15 @@ def _speed_m_s(bound: BoundStep) -> float:
     return max(float(np.linalg.norm(rate)) for rate in rates)
 
 
-@pytest.mark.parametrize("said", ["UNLESS FORCE EXCEEDS 8 N THEN STOP", "MAINTAIN FORCE-LIMIT 8 N"])
-def test_a_line_is_slowed_to_the_speed_at_which_the_force_can_be_kept(bench, said):
+@pytest.mark.parametrize("clause", ["UNLESS FORCE EXCEEDS 8 N THEN STOP", "MAINTAIN FORCE-LIMIT 8 N"])
+def test_a_line_is_slowed_to_the_speed_at_which_the_force_can_be_kept(bench, clause):
     """A rigid body takes up effective mass times speed in one tick: 4 to 8 kg there."""
-    _, bound = bound_to(bench, f"{LINE} {said}", "HERE")
+    _, bound = bound_to(bench, f"{LINE} {clause}", "HERE")
     assert 0.0008 < _speed_m_s(bound) < 0.0025
     assert re.search(r"slowed to \d\.\d+ mm/s: at 250 mm/s .* felt with \d{3,4} N; 8 N is kept up to", bound.note)
 
 
-def test_a_speed_that_is_said_is_kept_and_the_force_it_means_is_told(bench):
+def test_a_stated_speed_is_kept_and_its_force_is_reported(bench):
     _, bound = bound_to(bench, f"{LINE} MAINTAIN SPEED 3 CM/S UNLESS FORCE EXCEEDS 8 N THEN STOP", "HERE")
     assert _speed_m_s(bound) == pytest.approx(0.03, rel=0.05)
     assert "not slowed: at 30 mm/s" in bound.note
@@ -318,11 +318,11 @@ def test_a_way_on_which_no_touch_is_expected_is_not_slowed(bench):
 
 
 @pytest.mark.parametrize(
-    "said",
+    "clause",
     ["", "MAINTAIN FORCE-LIMIT 4000 N", "UNLESS CONTACT THEN STOP", "MAINTAIN SPEED 0.5 MM/S AND FORCE-LIMIT 8 N"],
 )
-def test_without_a_force_that_cannot_be_kept_nothing_is_said_of_it(bench, said):
-    _, bound = bound_to(bench, f"{LINE} {said}", "HERE")
+def test_a_force_that_can_be_kept_is_not_mentioned(bench, clause):
+    _, bound = bound_to(bench, f"{LINE} {clause}", "HERE")
     assert "slowed" not in bound.note
 
 
@@ -394,7 +394,7 @@ def test_a_module_in_its_rack_cannot_be_carried_off_sideways(bench):
     assert "MACS-NEW" in refusal.message
 
 
-def test_a_time_limit_that_cannot_be_kept_is_told_before_the_start(bench):
+def test_a_time_limit_that_cannot_be_kept_is_reported_before_the_start(bench):
     refusal = refused(bench, "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN TIME-LIMIT 1 SEC", "GOAL")
 
     assert refusal.detail["cause"] == "time"
@@ -459,7 +459,7 @@ def test_the_way_of_the_elaborator_is_not_tested_again(bench, monkeypatch):
     assert bench.bind(script, script.steps[0]) == anew
     assert not asked
 
-    bench.told("MACS-NEW.frame", [0.6, 0.6, 0.6, 0, 0, 0, 1])  # any fact of the scene
+    bench.set_fact("MACS-NEW.frame", [0.6, 0.6, 0.6, 0, 0, 0, 1])  # any fact of the scene
     assert bench.bind(script, script.steps[0]).primitive is not None
     assert asked
 
@@ -467,7 +467,7 @@ def test_the_way_of_the_elaborator_is_not_tested_again(bench, monkeypatch):
 def test_a_way_is_not_used_once_a_module_stands_in_it(bench):
     script = bench.elaborate("MOVE RIGHT-ARM TO BAY-2-FRONT")
     goal = bench.bind(script, script.steps[0]).evaluation.goal_pose
-    bench.told("MACS-NEW.frame", goal)
+    bench.set_fact("MACS-NEW.frame", goal)
     refusal = bench.bind(script, script.steps[0])
     assert isinstance(refusal, Refusal)
     assert "MACS-NEW" in refusal.message

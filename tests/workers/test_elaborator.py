@@ -60,7 +60,7 @@ def test_fig4_has_the_nine_lines_and_two_trims_of_the_paper_and_one_to_back_off(
     assert grasp.case == 4
 
 
-def test_a_trim_that_nothing_does_yet_is_left_out_and_told(bench):
+def test_a_trim_that_nothing_does_yet_is_left_out_and_reported(bench):
     script = script_of(bench, "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
 
     assert [t.n for t in script.trims] == [2, 3]
@@ -221,7 +221,7 @@ def test_what_is_not_held_can_be_neither_lifted_nor_let_go(bench, sentence):
 
 
 def test_whether_a_thing_is_held_may_be_in_doubt(bench):
-    bench.told("MACS-NEW.held_by", "", Validity.SUSPECT)
+    bench.set_fact("MACS-NEW.held_by", "", Validity.SUSPECT)
 
     refusal = refusal_of(bench, "LIFT MACS-NEW")
 
@@ -237,7 +237,7 @@ def test_what_another_hand_holds_is_lifted_by_that_hand(bench):
     assert refusal.clears == "name RIGHT-ARM, or RELEASE MACS-NEW"
 
 
-def test_a_verb_without_a_script_is_told_what_to_do_instead(bench):
+def test_the_refusal_of_a_verb_without_a_script_names_another_command(bench):
     insert, turn = refusal_of(bench, "INSERT MACS-NEW INTO BAY-2"), refusal_of(bench, "TURN CRANK-1 BY 90 DEG")
 
     assert (insert.reason, insert.message) == (RefusalReason.NO_SCRIPT, "there is no script for INSERT yet")
@@ -245,7 +245,7 @@ def test_a_verb_without_a_script_is_told_what_to_do_instead(bench):
     assert turn.clears == "load a script for TURN: rtc load FILE INTO elaborator"
 
 
-def test_a_sentence_that_no_script_of_its_verb_is_for_hears_what_they_are_for(bench):
+def test_the_refusal_of_a_sentence_without_a_script_names_the_forms_with_one(bench):
     refusal = refusal_of(bench, "VERIFY MACS-NEW AT RACK-1")
 
     assert refusal.clears == "VERIFY with a hand"
@@ -304,7 +304,7 @@ def test_a_constraint_that_acts_on_one_step_is_kept(bench):
 
 
 def test_a_width_that_is_not_known_is_not_built_upon(bench):
-    bench.told("RIGHT-ARM.hand_width", 0.03, Validity.SUSPECT)
+    bench.set_fact("RIGHT-ARM.hand_width", 0.03, Validity.SUSPECT)
 
     refusal = refusal_of(bench, "OPEN RIGHT-ARM BY 2 CM")
 
@@ -339,7 +339,7 @@ def test_holding_without_an_end_says_so(bench):
 
 
 def test_a_suspect_frame_is_not_planned_upon(bench):
-    bench.told("MACS-NEW.frame", bench.world.value("MACS-NEW.frame"), Validity.SUSPECT)
+    bench.set_fact("MACS-NEW.frame", bench.world.value("MACS-NEW.frame"), Validity.SUSPECT)
 
     refusal = refusal_of(bench, "GRASP MACS-NEW")
 
@@ -376,7 +376,7 @@ def test_nothing_is_carried_while_it_is_in_doubt_how_it_is_held(bench, sentence,
     )
     assert bench.do("GRASP MACS-NEW HANDLE-A").succeeded
     assert bench.do("LIFT MACS-NEW BY 5 CM").succeeded
-    bench.told("MACS-NEW.grasp", bench.world.value("MACS-NEW.grasp"), Validity.SUSPECT)
+    bench.set_fact("MACS-NEW.grasp", bench.world.value("MACS-NEW.grasp"), Validity.SUSPECT)
 
     made = bench.elaborate(sentence)
 
@@ -392,7 +392,7 @@ def test_nothing_is_carried_while_it_is_in_doubt_how_it_is_held(bench, sentence,
 
 @pytest.mark.parametrize("sentence", ["MOVE RIGHT-ARM TO BAY-2-FRONT", "STOW RIGHT-ARM"])
 def test_an_arm_moves_from_where_it_was_last_reported(bench, sentence):
-    bench.told("RIGHT-ARM.joints", bench.world.value("RIGHT-ARM.joints"), Validity.SUSPECT)
+    bench.set_fact("RIGHT-ARM.joints", bench.world.value("RIGHT-ARM.joints"), Validity.SUSPECT)
 
     assert isinstance(bench.elaborate(sentence), Script)
 
@@ -520,7 +520,7 @@ def test_the_same_input_gives_the_same_script(bench, parse):
 
 def test_an_arm_that_may_be_elsewhere_first_reads_where_it_stands(either):
     joints = list(either.world.value("RIGHT-ARM.joints"))
-    either.told("RIGHT-ARM.joints", [joints[0] + 0.3, *joints[1:]], Validity.SUSPECT)
+    either.set_fact("RIGHT-ARM.joints", [joints[0] + 0.3, *joints[1:]], Validity.SUSPECT)
 
     run = either.do("STOW RIGHT-ARM")
 

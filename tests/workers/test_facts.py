@@ -66,13 +66,13 @@ def test_what_is_seen_in_a_hand_tells_how_the_hand_holds_it(bench):
         {"MACS-NEW.frame": [0.81, -0.8, 0.6, *UPRIGHT]}, WorldQuery(bench.model, bench.world), VALUES
     )
 
-    told = {c.key: c.value for c in changes}
-    assert told["MACS-NEW.held_by"] == "RIGHT-ARM"
-    assert "MACS-NEW.seat" not in told
-    assert geometry.distance(told["MACS-NEW.grasp"], before) == pytest.approx(0.01, abs=1e-6)
+    changed = {c.key: c.value for c in changes}
+    assert changed["MACS-NEW.held_by"] == "RIGHT-ARM"
+    assert "MACS-NEW.seat" not in changed
+    assert geometry.distance(changed["MACS-NEW.grasp"], before) == pytest.approx(0.01, abs=1e-6)
 
 
-def test_what_is_held_is_not_told_to_be_far_from_the_hand(bench):
+def test_what_is_held_is_not_reported_to_be_far_from_the_hand(bench):
     bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
 
     refusal = changes_from({"MACS-NEW.frame": [0.5, 0.0, 0.5, *UPRIGHT]}, WorldQuery(bench.model, bench.world), VALUES)
@@ -104,5 +104,5 @@ def test_the_nearest_seat_if_it_is_near_enough(query, x_m, seat):
     assert seat_at([x_m, -0.8, 0.6, *UPRIGHT], query, 0.05) == seat
 
 
-def test_facts_that_nobody_reports_change_nothing(query):
+def test_facts_that_are_not_reported_change_nothing(query):
     assert changes_from({}, query, VALUES) == []

@@ -24,7 +24,7 @@ def feel(bench):
     bench.unsurveyed()
     script = bench.elaborate(GRASP)
     assert script.context.script == "grasp-feeling"
-    bench.told("RIGHT-ARM.joints", script.bindings["JCM"].joints)
+    bench.set_fact("RIGHT-ARM.joints", script.bindings["JCM"].joints)
 
     def judge(label, **changes):
         step = next(s for s in script.steps if s.label.startswith(label))
@@ -112,7 +112,7 @@ def test_a_finger_that_lands_on_the_handle_tells_on_which_side_it_is(bench, feel
     assert believed(bench).spread[1] >= 0.045  # nothing was measured
 
 
-def test_a_thing_told_within_a_few_millimetres_is_taken_as_in_figure_4(bench):
+def test_a_pose_stated_within_a_few_millimetres_is_taken_as_in_figure_4(bench):
     bench.unsurveyed()
     assert bench.do("SET MACS-NEW FRAME 80 -80 60 CM").succeeded
     assert bench.world.get("MACS-NEW.frame").spread == pytest.approx(even(0.005, 0.035))

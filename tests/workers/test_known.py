@@ -52,7 +52,7 @@ def test_a_measurement_of_one_axis_leaves_the_others_as_they_were():
     )
 
 
-def test_what_the_closing_fingers_felt_is_blurred_by_an_attitude_nobody_measured():
+def test_what_the_closing_fingers_felt_is_blurred_by_an_unmeasured_attitude():
     """The fingers know the handle, not the module's origin, 15 cm behind it."""
     before = [0.035, 0.035, 0.035, 0.0, 0.0, math.radians(5)]
     found = spread_after_measurement(geometry.IDENTITY, geometry.IDENTITY, before, HANDLE, {1: 0.001})

@@ -32,7 +32,7 @@ def test_out_of_a_handle_that_is_in_doubt(in_the_handle):
 @pytest.mark.parametrize(
     "sentence", ["RETRACT RIGHT-ARM BY 20 CM", "STOW RIGHT-ARM", "MOVE RIGHT-ARM BY -5 CM ALONG Y", GRASP]
 )
-def test_out_of_a_handle_that_is_said_to_be_there_after_all(in_the_handle, sentence):
+def test_out_of_a_handle_that_is_stated_to_be_there_after_all(in_the_handle, sentence):
     assert in_the_handle.do(SAME_PLACE).succeeded
     run = in_the_handle.do(sentence)
     assert run.refusal is None, run.refusal
@@ -55,7 +55,7 @@ def in_the_air(bench):
     return bench
 
 
-def test_nothing_is_let_go_of_in_the_air_unless_it_is_said(in_the_air):
+def test_nothing_is_released_in_the_air_unless_commanded(in_the_air):
     refusal = in_the_air.do("RELEASE MACS-NEW").refusal
 
     assert refusal.reason is RefusalReason.STATE
@@ -65,7 +65,7 @@ def test_nothing_is_let_go_of_in_the_air_unless_it_is_said(in_the_air):
     )
 
 
-def test_what_is_let_go_of_in_the_air_is_in_doubt_until_somebody_tells_where_it_is(in_the_air):
+def test_an_object_released_in_the_air_is_in_doubt_until_its_pose_is_stated(in_the_air):
     assert in_the_air.do("RELEASE MACS-NEW VIA FREE-DRIFT").succeeded
 
     assert in_the_air.world.value("RIGHT-ARM.holding") == ""
@@ -95,7 +95,7 @@ def test_free_drift_is_a_strategy_of_one_verb(bench):
         assert bench.do(sentence).refusal.reason is RefusalReason.NO_SCRIPT
 
 
-def test_a_full_hand_in_the_air_is_told_where_it_can_be_emptied(in_the_air):
+def test_the_refusal_for_a_full_hand_in_the_air_names_a_free_seat(in_the_air):
     refusal = in_the_air.do("GRASP MACS-OLD WITH RIGHT-ARM").refusal
     assert refusal.clears == "PLACE MACS-NEW ON RACK-1 or BAY-2, or another arm"
     assert in_the_air.do("PLACE MACS-NEW ON RACK-1").succeeded

@@ -71,7 +71,7 @@ def test_what_gives_way_to_a_tug_is_not_let_go(bench):
     )
 
 
-def test_a_seat_without_a_catch_is_tugged_at_by_nobody(bench):
+def test_a_seat_without_a_catch_needs_no_tug(bench):
     seats = [msgspec.structs.replace(seat, detent_n=0.0) for seat in CELL.seats]
     model = CellModel(msgspec.structs.replace(CELL, seats=seats))
     lifted(bench)
@@ -108,7 +108,7 @@ def true_pose(bench):
 
 
 @pytest.mark.slow
-def test_on_physics_a_module_that_is_short_of_its_seat_is_not_placed_until_somebody_tells_where_it_is(physical):
+def test_on_physics_a_module_short_of_its_seat_is_not_placed_until_its_pose_is_stated(physical):
     physical.subsystem.displace("MACS-NEW", [-0.023, 0.0, 0.0])
     failed = lifted(physical).do("PLACE MACS-NEW ON BAY-2")
 

@@ -14,7 +14,7 @@ from workers.planning import axes, segments
 
 
 @pytest.mark.parametrize(
-    ("told", "there"),
+    ("registered", "there"),
     [
         (extension_names.NEEDS, preconditions.NEEDS),
         (extension_names.STARTS, anchors.ANCHORS),
@@ -27,8 +27,8 @@ from workers.planning import axes, segments
         (extension_names.KEPT, analyze.SOURCES),
     ],
 )
-def test_every_name_that_is_told_has_its_code(told, there):
-    assert sorted(told) == sorted(there)
+def test_every_registered_name_has_its_code(registered, there):
+    assert sorted(registered) == sorted(there)
 
 
 def test_what_a_sentence_can_say_is_a_figure():
@@ -37,8 +37,8 @@ def test_what_a_sentence_can_say_is_a_figure():
 
 
 def test_every_placeholder_of_a_label_is_filled_in(bench):
-    told = {"attribute", "value"}  # of SET alone
-    label = " ".join(f"{{{name}}}" for name in extension_names.PLACEHOLDERS if name not in told)
+    registered = {"attribute", "value"}  # of SET alone
+    label = " ".join(f"{{{name}}}" for name in extension_names.PLACEHOLDERS if name not in registered)
     step = f"{{do: hold, stop: hold, label: '{label}', args: {{duration_s: 1}}}}"
     bench.load("elaborator", f"script: stow\ncase: 1\nuses: [hand]\nsteps: [{step}]")
 

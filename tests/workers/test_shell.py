@@ -89,7 +89,7 @@ class Broker:
         self.read = wire.reader(WorkerToBroker)
         self.asks = False  # who it is that sends heartbeats, as the broker asks a stranger
 
-    def hear(self):
+    def recv(self):
         """The next message that is no heartbeat."""
         for _ in range(40):
             assert self.process.wait(10), "the worker said nothing"
@@ -98,15 +98,15 @@ class Broker:
             if not isinstance(message, Heartbeat):
                 return message
             if self.asks:
-                self.say(JobBatch(jobs=[]))
+                self.send(JobBatch(jobs=[]))
         raise AssertionError("the worker said nothing but heartbeats")
 
-    def hear_heartbeat(self):
+    def recv_heartbeat(self):
         assert self.process.wait(10), "the worker said nothing"
         _, *parts = self.socket.recv_multipart()
         assert isinstance(self.read(parts), Heartbeat)
 
-    def say(self, message):
+    def send(self, message):
         assert send(self.socket, message, to=b"parser@0")
 
     def give(self, *texts, program="p1", lease=None, first=1):
@@ -114,17 +114,17 @@ class Broker:
             Job(id=f"C-1/{n}", attempt=1, program=program, input=wire.raw(ParserInput(text=text)), lease=lease)
             for n, text in enumerate(texts, first)
         ]
-        self.say(JobBatch(jobs=jobs))
+        self.send(JobBatch(jobs=jobs))
 
     def provide(self, body=b"v1"):
-        wanted = self.hear()
+        wanted = self.recv()
         assert isinstance(wanted, ProgramWanted)
-        self.say(ProgramBody(digest=wanted.digest, body=body))
+        self.send(ProgramBody(digest=wanted.digest, body=body))
 
     def results(self, count):
         found = []
         while len(found) < count:
-            batch = self.hear()
+            batch = self.recv()
             assert isinstance(batch, ResultBatch)
             found += batch.results
         return found
@@ -168,7 +168,7 @@ def at(tmp_path, world, monkeypatch):
     shell = Shell(process, HELLO, function, socket, client, lambda cell: None, {"made": "v0"})
     thread = threading.Thread(target=shell.run)
     thread.start()
-    assert broker.hear() == HELLO
+    assert broker.recv() == HELLO
     yield SimpleNamespace(
         broker=broker, function=function, thread=thread, process=process, process_of_broker=mine, path=tmp_path
     )
@@ -227,10 +227,10 @@ def test_a_program_that_never_comes_is_asked_for_again_and_then_refused(at, monk
     monkeypatch.setattr(shells, "PROGRAM_LIMIT_S", 0.1)
     monkeypatch.setattr(shells, "ASK_AGAIN_S", 0.03)
     at.broker.give("a")
-    assert [at.broker.hear() for _ in range(2)] == [ProgramWanted(digest="p1")] * 2
-    while isinstance(said := at.broker.hear(), ProgramWanted):
+    assert [at.broker.recv() for _ in range(2)] == [ProgramWanted(digest="p1")] * 2
+    while isinstance(answer := at.broker.recv(), ProgramWanted):
         pass
-    assert said.results[0].refusal.reason == RefusalReason.TIMEOUT  # the program is not to blame
+    assert answer.results[0].refusal.reason == RefusalReason.TIMEOUT  # the program is not to blame
 
 
 def test_a_refusal_and_a_crash_are_results_and_the_worker_lives_on(at):
@@ -245,7 +245,7 @@ def test_a_refusal_and_a_crash_are_results_and_the_worker_lives_on(at):
 
 def test_an_input_of_another_kind_is_a_crash_with_evidence(at):
     job = Job(id="C-1/1", attempt=1, program="p1", input=wire.raw({"text": 7}))
-    at.broker.say(JobBatch(jobs=[job]))
+    at.broker.send(JobBatch(jobs=[job]))
     at.broker.provide()
     (crashed,) = at.broker.results(1)
     assert "$.text" in crashed.evidence
@@ -278,7 +278,7 @@ def test_a_dropped_job_that_has_not_begun_is_not_done(at):
     at.broker.give("wait", "never", "last")
     at.broker.provide()
     assert at.function.began.wait(10)
-    at.broker.say(Drop(jobs=["C-1/2"]))
+    at.broker.send(Drop(jobs=["C-1/2"]))
     at.function.go_on.set()
     waited, dropped, last = sorted(at.broker.results(3), key=lambda r: r.id)
     assert (value(waited), value(last)) == ("waited", "last")
@@ -286,18 +286,18 @@ def test_a_dropped_job_that_has_not_begun_is_not_done(at):
 
 
 def test_a_broker_begun_anew_gets_a_hello_and_no_work_of_the_old_one(at):
-    at.broker.hear_heartbeat()
-    at.broker.hear_heartbeat()  # the second comes after half a second: the first hello is past
+    at.broker.recv_heartbeat()
+    at.broker.recv_heartbeat()  # the second comes after half a second: the first hello is past
     at.broker.give("wait", "old")
     at.broker.provide()
     assert at.function.began.wait(10)
     for _ in range(3):  # it has heard three heartbeats of a stranger
-        at.broker.say(JobBatch(jobs=[]))
+        at.broker.send(JobBatch(jobs=[]))
     at.broker.give("new", first=7)
     at.function.go_on.set()
-    heard = [at.broker.hear(), at.broker.hear(), at.broker.hear()]
-    assert heard.count(HELLO) == 1
-    done = [r.id for message in heard if isinstance(message, ResultBatch) for r in message.results]
+    received = [at.broker.recv(), at.broker.recv(), at.broker.recv()]
+    assert received.count(HELLO) == 1
+    done = [r.id for message in received if isinstance(message, ResultBatch) for r in message.results]
     assert done == ["C-1/1", "C-1/7"]
 
 
@@ -306,7 +306,7 @@ def test_a_broker_that_was_killed_and_is_back_gets_a_hello(at):
     at.broker.socket.close(linger=0)
     at.broker = Broker(at.process_of_broker, at.path)
     at.broker.asks = True  # the hello may have gone to the old one, which closes in its own time
-    assert at.broker.hear() == HELLO
+    assert at.broker.recv() == HELLO
     at.broker.give("new")
     at.broker.provide()
     assert [r.id for r in at.broker.results(1)] == ["C-1/1"]
@@ -320,7 +320,7 @@ def test_results_of_quick_jobs_travel_together_and_in_order(at):
     messages, results = 0, []
     while len(results) < 500:
         messages += 1
-        results += at.broker.hear().results
+        results += at.broker.recv().results
     assert [value(r) for r in results] == [str(n) for n in range(500)]
     assert messages < 250
 
@@ -328,15 +328,15 @@ def test_results_of_quick_jobs_travel_together_and_in_order(at):
 def test_a_retiring_worker_does_what_it_has_and_ends(at):
     at.broker.give("a", "b")
     at.broker.provide()
-    at.broker.say(Shutdown())
+    at.broker.send(Shutdown())
     assert [value(r) for r in at.broker.results(2)] == ["a", "b"]
     at.thread.join(5)
     assert not at.thread.is_alive()
 
 
-def test_a_worker_told_to_end_while_it_waits_for_a_program_answers_nothing(at):
+def test_a_worker_stopped_while_it_waits_for_a_program_answers_nothing(at):
     at.broker.give("a")
-    assert isinstance(at.broker.hear(), ProgramWanted)
+    assert isinstance(at.broker.recv(), ProgramWanted)
     at.process.stop()
     at.thread.join(5)
     assert not at.thread.is_alive()

@@ -13,7 +13,7 @@ from rtc.robot import geometry
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 
 
-def told(bench, sentence: str) -> None:
+def state(bench, sentence: str) -> None:
     run = bench.do(sentence)
     assert run.succeeded, (run.refusal, run.assessments)
     assert run.primitives == []  # nobody has moved
@@ -28,21 +28,21 @@ def refused(bench, sentence: str) -> Refusal:
 # --- believed ----------------------------------------------------------------------------------------------
 
 
-def test_a_suspect_frame_is_trusted_again_when_somebody_tells_it(bench):
-    bench.told("MACS-NEW.frame", bench.world.value("MACS-NEW.frame"), Validity.SUSPECT)
+def test_a_suspect_frame_is_trusted_again_when_it_is_stated(bench):
+    bench.set_fact("MACS-NEW.frame", bench.world.value("MACS-NEW.frame"), Validity.SUSPECT)
     assert refused(bench, GRASP).reason is RefusalReason.SUSPECT
 
-    told(bench, "SET MACS-NEW FRAME 80 -80 60 CM")
+    state(bench, "SET MACS-NEW FRAME 80 -80 60 CM")
 
     assert bench.world.get("MACS-NEW.frame").validity is Validity.VALID
     assert bench.do(GRASP).succeeded
 
 
 def test_what_the_refusal_says_would_clear_it_clears_it(bench):
-    bench.told("MACS-NEW.frame", [0.7912, -0.8, 0.6, 0, 0, 0, 1], Validity.SUSPECT)
+    bench.set_fact("MACS-NEW.frame", [0.7912, -0.8, 0.6, 0, 0, 0, 1], Validity.SUSPECT)
     advice = refused(bench, GRASP).clears
 
-    told(bench, advice.partition("state it: ")[2].partition(",")[0])
+    state(bench, advice.partition("state it: ")[2].partition(",")[0])
 
     assert bench.world.value("MACS-NEW.frame") == pytest.approx([0.7912, -0.8, 0.6, 0, 0, 0, 1])
     assert isinstance(bench.elaborate(GRASP), Script)
@@ -50,16 +50,16 @@ def test_what_the_refusal_says_would_clear_it_clears_it(bench):
 
 def test_the_refusal_says_how_the_thing_is_turned(bench):
     askew = geometry.from_rpy([0.79, -0.80, 0.60], [0.0, 0.0, math.radians(12)])
-    bench.told("MACS-NEW.frame", askew.tolist(), Validity.SUSPECT)
+    bench.set_fact("MACS-NEW.frame", askew.tolist(), Validity.SUSPECT)
     advice = refused(bench, GRASP).clears.partition("state it: ")[2].partition(",")[0]
 
     assert advice == "SET MACS-NEW FRAME 79 -80 60 CM 0 0 12 DEG"
-    told(bench, advice)
+    state(bench, advice)
 
     assert geometry.angle(bench.world.value("MACS-NEW.frame"), askew) < 1e-3
 
 
-def test_it_is_an_analyzer_that_writes_what_was_told(bench):
+def test_it_is_an_analyzer_that_writes_what_was_stated(bench):
     """A24: the binder makes a report of it, which changes nothing yet."""
     script = bench.elaborate("SET MACS-NEW MASS 2.1 KG")
     bound = bench.bind(script, script.steps[0])
@@ -81,7 +81,7 @@ def test_it_claims_the_thing_alone_and_no_arm(bench):
     assert script.context.arm == ""
 
 
-def test_what_is_told_of_a_thing_in_a_hand_is_within_what_the_script_writes(bench):
+def test_what_is_stated_of_a_thing_in_a_hand_is_within_what_the_script_writes(bench):
     """The world database takes no other change; the arm must not move meanwhile."""
     bench.do(GRASP)
     script = bench.elaborate("SET MACS-NEW ATTITUDE 0 0 0 DEG")
@@ -94,9 +94,9 @@ def test_what_is_told_of_a_thing_in_a_hand_is_within_what_the_script_writes(benc
 
 def test_a_position_keeps_the_attitude_believed_so_far(bench):
     askew = geometry.from_rpy([0.5, 0.1, 0.4], [0.0, 0.1, 0.3]).tolist()
-    bench.told("MACS-NEW.frame", askew, Validity.SUSPECT)
+    bench.set_fact("MACS-NEW.frame", askew, Validity.SUSPECT)
 
-    told(bench, "SET MACS-NEW FRAME 70 10 40 CM")
+    state(bench, "SET MACS-NEW FRAME 70 10 40 CM")
 
     assert bench.world.value("MACS-NEW.frame") == pytest.approx([0.7, 0.1, 0.4, *askew[3:]])
 
@@ -110,7 +110,7 @@ def test_a_position_keeps_the_attitude_believed_so_far(bench):
     ],
 )
 def test_where_a_thing_is_tells_which_seat_it_is_in(bench, sentence, seat):
-    told(bench, sentence)
+    state(bench, sentence)
 
     assert bench.world.value("MACS-NEW.seat") == seat
     assert bench.world.get("MACS-NEW.grasp").validity is Validity.VALID
@@ -124,10 +124,10 @@ def test_where_a_thing_is_tells_which_seat_it_is_in(bench, sentence, seat):
         ("SET MACS-NEW SIZE 30 20 20 CM", "size", [0.3, 0.2, 0.2]),
     ],
 )
-def test_a_new_attribute_is_kept_as_it_is_said(bench, sentence, key, value):
-    told(bench, sentence)
+def test_a_new_attribute_is_kept_as_it_is_stated(bench, sentence, key, value):
+    state(bench, sentence)
     assert bench.world.value(f"MACS-NEW.{key}") == (pytest.approx(value) if isinstance(value, list) else value)
-    told(bench, sentence)  # and again, now that it is known
+    state(bench, sentence)  # and again, now that it is known
 
 
 # --- refused -----------------------------------------------------------------------------------------------
@@ -149,7 +149,7 @@ def test_a_misspelt_attribute_is_no_new_one(bench):
 
 
 @pytest.mark.parametrize(
-    ("sentence", "said"),
+    ("sentence", "message"),
     [
         ("SET MACS-NEW FRAME 80 -80 CM", "2 numbers in m"),
         ("SET MACS-NEW FRAME 80 -80 60", "3 numbers without a unit"),
@@ -158,16 +158,16 @@ def test_a_misspelt_attribute_is_no_new_one(bench):
         ("SET MACS-NEW MASS 1 2 KG", "2 numbers in kg"),
     ],
 )
-def test_numbers_and_units_that_do_not_fit_are_refused_with_an_example(bench, sentence, said):
+def test_numbers_and_units_that_do_not_fit_are_refused_with_an_example(bench, sentence, message):
     refusal = refused(bench, sentence)
 
     assert refusal.reason is RefusalReason.SENTENCE
     assert refusal.where == sentence.split()[2]
-    assert said in refusal.message
+    assert message in refusal.message
     assert refusal.expected in (["71.5 12 28 CM"], ["2.1 KG"])
 
 
-def test_what_is_found_out_is_not_told(bench):
+def test_what_is_found_out_is_not_reported(bench):
     refusal = refused(bench, "SET MACS-NEW HELD-BY RACK-2")
 
     assert refusal.reason is RefusalReason.NOT_ALLOWED
@@ -176,9 +176,9 @@ def test_what_is_found_out_is_not_told(bench):
 
 def test_where_a_held_thing_is_tells_how_it_is_held(bench):
     bench.do(GRASP)
-    bench.told("MACS-NEW.grasp", bench.world.value("MACS-NEW.grasp"), Validity.SUSPECT)
+    bench.set_fact("MACS-NEW.grasp", bench.world.value("MACS-NEW.grasp"), Validity.SUSPECT)
 
-    told(bench, "SET MACS-NEW FRAME 78 -80 60 CM")
+    state(bench, "SET MACS-NEW FRAME 78 -80 60 CM")
 
     assert bench.world.value("MACS-NEW.held_by") == "RIGHT-ARM"
     assert bench.world.get("MACS-NEW.grasp").validity is Validity.VALID
@@ -186,7 +186,7 @@ def test_where_a_held_thing_is_tells_how_it_is_held(bench):
     assert bench.world.value("MACS-NEW.frame")[:3] == pytest.approx([0.78, -0.80, 0.80], abs=0.001)
 
 
-def test_a_held_thing_is_not_told_to_be_far_from_its_hand(bench):
+def test_a_held_thing_is_not_reported_to_be_far_from_its_hand(bench):
     bench.do(GRASP)
 
     refusal = refused(bench, "SET MACS-NEW FRAME 80 80 60 CM")
@@ -205,8 +205,8 @@ def test_a_held_thing_is_not_told_to_be_far_from_its_hand(bench):
         ("SET MACS-NEW ATTITUDE 0 0 4 DEG", [0.80, -0.80, 0.60], [0, 0, 4]),
     ],
 )
-def test_an_attitude_is_told_as_roll_pitch_and_yaw(bench, sentence, place, angles_deg):
-    told(bench, sentence)
+def test_an_attitude_is_stated_as_roll_pitch_and_yaw(bench, sentence, place, angles_deg):
+    state(bench, sentence)
 
     wanted = geometry.from_rpy(place, [math.radians(n) for n in angles_deg])
     frame = bench.world.value("MACS-NEW.frame")
@@ -214,13 +214,13 @@ def test_an_attitude_is_told_as_roll_pitch_and_yaw(bench, sentence, place, angle
     assert geometry.angle(frame, wanted) < 1e-6
 
 
-def test_the_step_says_what_was_told_with_its_units(bench):
+def test_the_step_says_what_was_stated_with_its_units(bench):
     script = bench.elaborate("SET MACS-NEW FRAME 80 77 60 CM 0 0 90 DEG")
     assert script.steps[0].label.endswith("MACS-NEW FRAME 0.8 0.77 0.6 m 0 0 1.5708 rad")
 
 
 def test_a_module_that_is_turned_is_grasped_as_it_is(bench):
-    told(bench, "SET MACS-NEW FRAME 78 -80 60 CM 0 0 12 DEG")
+    state(bench, "SET MACS-NEW FRAME 78 -80 60 CM 0 0 12 DEG")
 
     assert bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM").succeeded
 
@@ -229,9 +229,9 @@ def test_a_module_that_is_turned_is_grasped_as_it_is(bench):
     assert math.atan2(axis[1], axis[0]) == pytest.approx(math.radians(12), abs=1e-4)
 
 
-def test_an_object_is_told_to_be_in_a_seat(bench):
-    told(bench, "SET MACS-NEW FRAME 60 0 95 CM 0 0 30 DEG")
-    told(bench, "SET MACS-NEW SEAT BAY-2")
+def test_an_object_is_stated_to_be_in_a_seat(bench):
+    state(bench, "SET MACS-NEW FRAME 60 0 95 CM 0 0 30 DEG")
+    state(bench, "SET MACS-NEW SEAT BAY-2")
 
     assert bench.world.value("MACS-NEW.seat") == "BAY-2"
     assert bench.world.value("MACS-NEW.frame") == pytest.approx([0.93, 0, 0.70, 0, 0, 0, 1], abs=1e-9)
@@ -245,13 +245,13 @@ def test_a_held_thing_gets_no_seat_and_the_advice_names_the_command_that_lets_it
     assert refused(bench, "SET MACS-NEW SEAT RACK-1").clears == "RELEASE MACS-NEW"
 
 
-def test_a_seat_that_is_told_to_be_elsewhere_is_where_things_are_placed(bench):
+def test_a_seat_that_is_stated_to_be_elsewhere_is_where_things_are_placed(bench):
     bench.do(GRASP)
     bench.do("LIFT MACS-NEW BY 15 CM")
     script = bench.elaborate("SET RACK-1 FRAME 78 -81 61 CM")
     assert script.writes == ["RACK-1"]  # what is in the hand does not go with it
 
-    told(bench, "SET RACK-1 FRAME 78 -81 61 CM")
+    state(bench, "SET RACK-1 FRAME 78 -81 61 CM")
     assert bench.do("PLACE MACS-NEW ON RACK-1").succeeded
 
     placed = bench.world.value("MACS-NEW.frame")
@@ -263,21 +263,21 @@ def test_a_seat_takes_along_what_sits_in_it(bench):
     script = bench.elaborate("SET RACK-1 FRAME 79 -80 60 CM 0 0 3 DEG")
     assert script.writes == script.resources == ["RACK-1", "MACS-NEW"]
 
-    told(bench, "SET RACK-1 FRAME 79 -80 60 CM 0 0 3 DEG")
+    state(bench, "SET RACK-1 FRAME 79 -80 60 CM 0 0 3 DEG")
 
     wanted = geometry.from_rpy([0.79, -0.80, 0.60], [0, 0, math.radians(3)])
     assert geometry.distance(bench.world.value("MACS-NEW.frame"), wanted) < 1e-6
     assert geometry.angle(bench.world.value("MACS-NEW.frame"), wanted) < 1e-6
 
 
-def test_a_seat_is_an_obstacle_where_it_is_told_to_be(bench):
+def test_a_seat_is_an_obstacle_where_it_is_stated_to_be(bench):
     assert bench.do("MOVE RIGHT-ARM TO RACK-1-FRONT").succeeded
-    told(bench, "SET RACK-2 FRAME 45 -88 90 CM")
+    state(bench, "SET RACK-2 FRAME 45 -88 90 CM")
     assert refused(bench, "MOVE RIGHT-ARM BY 35 CM ALONG UP STRAIGHT-LINE").detail["body_b"].startswith("RACK-2")
 
 
 @pytest.mark.parametrize("sentence", ["SET RACK-1 MASS 3 KG", "SET RACK-1 SEAT RACK-2", "SET RACK-1 COLOUR RED"])
-def test_of_a_seat_only_its_place_is_told(bench, sentence):
+def test_of_a_seat_only_its_place_is_stated(bench, sentence):
     refusal = refused(bench, sentence)
     assert {"FRAME", "ATTITUDE"} == set(refusal.expected)
 

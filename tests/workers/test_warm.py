@@ -60,15 +60,15 @@ def test_the_first_job_of_a_worker_that_has_started_by_itself_waits_for_nothing(
         program=digest(loader.default(WorkerKind.PARSER)),
         input=wire.raw(ParserInput(text="STOW LEFT-ARM")),
     )
-    heard = []
+    received = []
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as worker:
-        while not heard or not isinstance(heard[-1], ResultBatch | ProgramWanted):
-            assert broker.wait(30), heard
+        while not received or not isinstance(received[-1], ResultBatch | ProgramWanted):
+            assert broker.wait(30), received
             for _, *parts in inbox(socket):
-                heard.append(wire.reader(WorkerToBroker)(parts))
-                if isinstance(heard[-1], WorkerHello):
+                received.append(wire.reader(WorkerToBroker)(parts))
+                if isinstance(received[-1], WorkerHello):
                     send(socket, JobBatch(jobs=[job]), to=b"parser@0")
         worker.terminate()
     broker.close()
-    assert isinstance(heard[-1], ResultBatch)
-    assert isinstance(heard[-1].results[0], JobDone)
+    assert isinstance(received[-1], ResultBatch)
+    assert isinstance(received[-1].results[0], JobDone)

@@ -85,7 +85,7 @@ def test_sound_changes(change):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "complaint"),
     [
         (WorldChange(key="A.frame", value=[*POSE[:6], math.nan]), "7 finite numbers"),
         (WorldChange(key="A.frame", value=POSE[:6]), "7 finite numbers"),
@@ -103,5 +103,5 @@ def test_sound_changes(change):
         (WorldChange(key=".frame", value=POSE), "not a key"),
     ],
 )
-def test_unsound_changes_are_named(change, said):
-    assert said in problem(change)
+def test_unsound_changes_are_named(change, complaint):
+    assert complaint in problem(change)

@@ -56,17 +56,17 @@ def test_the_same_job_again_writes_nothing(server):
 
 
 @pytest.mark.parametrize(
-    ("request_", "said"),
+    ("request_", "complaint"),
     [
         (commit("j", {"A.seat": "X"}, key=b"other" * 7), "not signed by this cluster's broker"),
         (commit("j", {"B.seat": "X"}), "B.seat is outside the lease of j, which is for A"),
         (commit("j", {"A.seat": "X", "A.frame": [0.0] * 7}), "unit quaternion"),
     ],
 )
-def test_a_refused_commit_writes_nothing_at_all(server, request_, said):
+def test_a_refused_commit_writes_nothing_at_all(server, request_, complaint):
     answer = server.answer(request_, 0.0)
     assert answer.refusal.reason == RefusalReason.NOT_ALLOWED
-    assert said in answer.refusal.message
+    assert complaint in answer.refusal.message
     assert (server.store.version, server.store.facts["A.seat"].value) == (1, "BAY-1")
 
 
@@ -80,8 +80,8 @@ def test_a_reader_from_another_database_gets_everything(server):
 
 def test_history(server):
     server.answer(commit("C-1/4", {"A.seat": "RACK-1"}), 0.0)
-    story = server.answer(WorldHistory(request="h", key="A.seat"), 0.0)
-    assert [f.value for f in story.facts] == ["RACK-1", "BAY-1"]
+    history = server.answer(WorldHistory(request="h", key="A.seat"), 0.0)
+    assert [f.value for f in history.facts] == ["RACK-1", "BAY-1"]
 
 
 def test_a_packed_view_is_the_same_on_the_wire_before_and_after_a_change(server):

@@ -39,7 +39,7 @@ def test_when_none_passes_the_nearest_tells_why(right, home):
     assert refusal.detail == {"cause": "test", "branches_tried": 6.0}
 
 
-def test_out_of_reach_is_told_in_figures(right, home):
+def test_out_of_reach_is_reported_in_figures(right, home):
     refusal = choose(right, level(0.65, 0.885, 0.6), home["RIGHT-ARM"])
     assert refusal.detail["cause"] == "reach"
     assert refusal.detail["distance_m"] > 0.5

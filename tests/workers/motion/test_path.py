@@ -98,7 +98,7 @@ def test_a_joint_limit_on_the_way_names_the_joint(right, home):
     assert 0 < refusal.detail["fraction"] < 1
 
 
-def test_a_singularity_on_the_way_is_told_as_such(right):
+def test_a_singularity_on_the_way_is_reported_as_such(right):
     """Nodding past a straight wrist, and a little aside of it: joints 4 and 6 would have to turn about at once."""
     before, after = [0.2, 0.9, -2.4, 0.0, 0.3, 0.0], [0.2, 0.9, -2.4, 0.0, -0.3, 0.0]
     goal = geometry.compose(right.fk(after), geometry.from_rpy((0, 0, 0), (0.02, 0, 0)))
