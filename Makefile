@@ -1,6 +1,6 @@
 # A newcomer needs two of these: `make demo` and `make test`. `make help` lists all.
 
-# 3.11 is what pybullet has wheels for; later versions compile it. Choose another with: make PYTHON=python3.12 test
+# pybullet has wheels for Python 3.11; later versions compile it. Choose another with: make PYTHON=python3.12 test
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
 VENV := .venv
@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 .PHONY: demo setup test fast check bench campaigns help clean
 .DEFAULT_GOAL := help
 
-demo: $(VENV)/.ready ## set up, then show the main job: two arms grasp, lift, are halted, go on, put back
+demo: $(VENV)/.ready ## set up, then show the main task: two arms grasp, lift, are halted, continue, put back
 	$(BIN)/rtc demo grasp
 
 setup: $(VENV)/.ready ## set up only: the Python environment, in .venv
@@ -18,10 +18,10 @@ setup: $(VENV)/.ready ## set up only: the Python environment, in .venv
 test: $(VENV)/.ready ## set up, then run all tests
 	$(BIN)/python -m pytest
 
-fast: $(VENV)/.ready ## the tests that start no process and no physics
+fast: $(VENV)/.ready ## the tests without processes and physics
 	$(BIN)/python -m pytest -m "not slow"
 
-check: $(VENV)/.ready ## lint, format, types, and the arrows of the architecture
+check: $(VENV)/.ready ## lint, format, types, and the import rules of the architecture
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -37,16 +37,16 @@ campaigns: $(VENV)/.ready ## run the correctness campaigns (about half an hour);
 	@for name in model_check simulation fuzz endurance; do \
 		echo "== $$name"; $(BIN)/python -m tests.campaigns.$$name || exit 1; done
 
-help: ## this list
+help: ## print this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 16
 
-clean: ## take away what was made, .venv too
+clean: ## remove everything that was built, .venv too
 	rm -rf $(VENV) build out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/.ready: pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "rtc needs Python 3.11 or later; name one with: make PYTHON=... $(MAKECMDGOALS)"; exit 1; }
-	@test -x $(BIN)/python || { echo "making $(VENV) with $(PYTHON)"; $(PYTHON) -m venv $(VENV); }
-	@$(BIN)/python -c 'import sys; sys.version_info < (3, 12) or print("pybullet has no wheel for this Python: it is compiled now, which takes some minutes and a C++ compiler")'
+	@test -x $(BIN)/python || { echo "creating $(VENV) with $(PYTHON)"; $(PYTHON) -m venv $(VENV); }
+	@$(BIN)/python -c 'import sys; sys.version_info < (3, 12) or print("pybullet has no wheel for this Python: it is compiled now; this takes some minutes and needs a C++ compiler")'
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[dev]"
 	@touch $@
