@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import zmq
 from zmq.utils import z85
 
@@ -16,12 +18,19 @@ RELOAD_S, EXTRA_RELOADS = 0.2, 10  # period of key reloads, and extra reloads pe
 
 
 class Admission:
-    """`known`: public key -> key with its name and role."""
+    """`known`: public key -> key with its name and role. `cut` must cut the connections of removed keys."""
 
-    def __init__(self, me: Process, ring: KeyRing, endpoints: Endpoints, halts: HaltForwarder) -> None:
+    def __init__(
+        self,
+        me: Process,
+        ring: KeyRing,
+        endpoints: Endpoints,
+        halts: HaltForwarder,
+        cut: Callable[[dict[str, KnownKey]], None],
+    ) -> None:
         self._me, self._ring, self._endpoints, self._halts = me, ring, endpoints, halts
         self.known = {key.public: key for key in ring.known()}
-        self._removed: dict[str, KnownKey] = {}  # not reported by `take_removed` yet
+        self._cut = cut
         self._reloads, self._reloads_left = Every(RELOAD_S), EXTRA_RELOADS
         self.socket: zmq.Socket[bytes] = me.socket(zmq.REP, "inproc://zeromq.zap.01", bind=True)
 
@@ -29,11 +38,6 @@ class Admission:
         if self._reloads.due(now):
             self._reloads_left = EXTRA_RELOADS
             self._reload()
-
-    def take_removed(self) -> dict[str, KnownKey]:
-        """The keys removed since the last call, by public key. Their connections must be cut."""
-        removed, self._removed = self._removed, {}
-        return removed
 
     def answer_handshakes(self) -> None:
         for parts in inbox(self.socket, HANDSHAKES):
@@ -63,6 +67,10 @@ class Admission:
         return self.known.get(public)
 
     def _reload(self) -> None:
+        """Read the keys. Connections of removed keys are cut before a handshake is answered: the cut renews whole
+        endpoints, and a peer that was just admitted would lose the messages it has sent."""
         known = {key.public: key for key in self._ring.known()}
-        self._removed |= {public: key for public, key in self.known.items() if known.get(public) != key}
+        removed = {public: key for public, key in self.known.items() if known.get(public) != key}
         self.known = known
+        if removed:
+            self._cut(removed)

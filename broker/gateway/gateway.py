@@ -59,7 +59,7 @@ class Gateway:
         self._endpoints = Endpoints(me, settings, ring.cluster())
         self._halts = HaltForwarder(me, settings, self._endpoints)
         self._sessions = Sessions(me, settings, self._endpoints)
-        self._admission = Admission(me, ring, self._endpoints, self._halts)
+        self._admission = Admission(me, ring, self._endpoints, self._halts, self._cut_removed)
         self._commands: dict[str, OrderedDict[str, None]] = {}  # public key of a planner -> its own C-n
         self._broker = me.socket(zmq.DEALER, settings.endpoint("supervisor"), identity="gate", poll=False)
         self._reported: dict[str, int] = {}  # counters as last sent
@@ -86,7 +86,6 @@ class Gateway:
         self._halts.retry(self._admission.known, now)
         if self._admission.socket in ready:
             self._admission.answer_handshakes()
-            self._cut_removed()
         for endpoint in TCP_ENDPOINTS:
             if endpoint in PUBLISHED:
                 self._endpoints.forward_published(endpoint, ready)
@@ -98,7 +97,6 @@ class Gateway:
 
     def _check(self, now: float) -> None:
         self._admission.reload_if_due(now)
-        self._cut_removed()
         counts = self._endpoints.counts
         if self._report.due(now) and counts != self._reported:
             self._reported = dict(counts)
@@ -113,11 +111,8 @@ class Gateway:
         self._sessions.remove_at(endpoints)
         self._endpoints.reopen(endpoints)
 
-    def _cut_removed(self) -> None:
+    def _cut_removed(self, removed: dict[str, KnownKey]) -> None:
         """Cut all connections of removed keys."""
-        removed = self._admission.take_removed()
-        if not removed:
-            return
         self._sessions.remove_of_keys(removed)
         self._halts.close(removed)
         for public in removed:
