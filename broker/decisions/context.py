@@ -115,13 +115,13 @@ class DecisionContext(msgspec.Struct, gc=False):
             self.effects.append(PublishNote(client=command.client if command.progress else "", note=note))
 
     def create_job(self, command: Command, kind: WorkerKind, data: Any, locations: list[str] | None = None) -> None:
-        """Create the next job of this command and dispatch it."""
+        """Create the next job of this command, with the programs the command began with, and dispatch it."""
         command.jobs += 1
         command.job = PendingJob(
             id=f"{command.id}/{command.jobs}",
             attempt=1,
             kind=kind,
-            program=self.state.programs.get(kind, ""),
+            program=command.programs.get(kind, ""),
             input=wire.raw(data),
             locations=locations,
             since_s=self.now,

@@ -95,6 +95,7 @@ def on_command(context: DecisionContext, event: CommandReceived) -> None:
         halt_if_lost=event.halt_if_lost,
         accepted_at_s=event.at_s,
         given_at_s=min(event.sent_at_s or event.at_s, event.at_s),
+        programs=dict(state.programs),
         previous=state.last_given.pop(event.client, ""),
     )
     state.last_given[event.client] = command.id  # the latest client last
@@ -235,30 +236,45 @@ def on_job_lost(context: DecisionContext, event: JobLost) -> None:
 
 
 def _with_another_program(context: DecisionContext, command: Command, job: PendingJob, why: str) -> bool:
-    """Repeat a failed job with another program, if there is one. Returns False if the failed program is still in use.
+    """Repeat a failed job with the program in use, if its own program has never done a job. `why`: text of the failure.
 
-    If this was the first job of a new program, that program is rolled back. `why`: error text of the failure."""
+    If this was the first job of the newest program, that program is rolled back. Returns False if the job's program is
+    in use or has worked: then the failure is of the job."""
     state = context.state
     trial = state.trials.get(job.kind)
     last_words = (why.strip().splitlines() or ["without an error message"])[-1]
     if trial is not None and trial.new == job.program:
-        del state.trials[job.kind]
-        state.programs[job.kind] = trial.old
-        context.count("programs_rolled_back")
-        told = f"the new {job.kind.value} program {trial.new} failed its first job ({last_words}); back to {trial.old}"
-        state.rolled_back[job.kind] = f"{told}. The job was of {command.id}"
+        _roll_back(context, job.kind, trial)
+        words = f"the new {job.kind.value} program {trial.new} failed its first job ({last_words}); back to {trial.old}"
+        state.rolled_back[job.kind] = f"{words}. The job was of {command.id}"
     else:
-        told = (
+        words = (
             f"the {job.kind.value} program {job.program}, which is no longer in use, failed ({last_words}); job again"
         )
-    current = state.programs.get(job.kind, job.program)
-    if current == job.program:
+    following = command.programs.get(job.kind, job.program)  # it differs if the job's program was rolled back
+    if following == job.program and job.program not in state.proven.get(job.kind, ()):
+        following = state.programs.get(job.kind, job.program)
+    if following == job.program:
         return False
-    job.program = current
+    command.programs[job.kind] = job.program = following
     job.attempt += 1
-    context.note(command, told, warning=True)
+    context.note(command, words, warning=True)
     context.dispatch(job)
     return True
+
+
+def _roll_back(context: DecisionContext, kind: WorkerKind, trial: Trial) -> None:
+    """Return to the last program that worked, also for the live commands that began with the failed one."""
+    state = context.state
+    del state.trials[kind]
+    state.programs[kind] = trial.old
+    context.count("programs_rolled_back")
+    for command in state.commands.values():
+        if command.programs.get(kind) == trial.new:
+            command.programs[kind] = trial.old
+    for deferred in state.deferred_analyses.values():
+        if deferred.job.program == trial.new:
+            deferred.job.program = trial.old
 
 
 def _keep_file(state: State, event: ProgramInstalled) -> None:

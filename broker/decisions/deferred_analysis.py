@@ -39,7 +39,6 @@ def schedule_retry(context: DecisionContext, command: str) -> None:
 def retry(context: DecisionContext, command: str) -> None:
     job = context.state.deferred_analyses[command].job
     job.attempt += 1  # a late answer to the previous attempt is stale
-    job.program = context.state.programs.get(job.kind, job.program)
     context.dispatch(job)
 
 

@@ -155,6 +155,8 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """Time of acceptance."""
     given_at_s: float = 0.0
     """Time at the client; a halt after this time stops the command before it starts."""
+    programs: dict[str, str] = {}
+    """Worker kind (or "cell") -> digest of the program in use when it was accepted: all its jobs use these."""
     phase: Phase = Phase.PARSING
     """Row of the transition table."""
     jobs: int = 0

@@ -1223,6 +1223,51 @@ def test_a_new_program_whose_first_job_is_done_stays():
     assert s.state.programs["parser"] == "new"
 
 
+def install(s, digest, *kinds):
+    for kind in kinds or WorkerKind:
+        s.hear(ProgramInstalled, kind=kind, digest=digest)
+
+
+def test_a_running_command_keeps_the_programs_it_began_with():
+    s = Story()
+    install(s, "old")
+    s.says("X")
+    install(s, "new")
+    s.says("Y")
+    assert s.state.commands["C-2"].job.program == "new"
+    used = [s.state.commands["C-1"].job]
+    s.answers("C-1", record())
+    used.append(s.state.commands["C-1"].job)
+    s.answers("C-1", script())
+    used.append(s.state.commands["C-1"].job)
+    s.answers("C-1", bound("C-1.1"))
+    s.reports("C-1")
+    used.append(s.state.commands["C-1"].job)
+    assert [(job.kind, job.program) for job in used] == [(kind, "old") for kind in WorkerKind]
+
+
+def test_a_failure_with_a_program_that_had_worked_is_not_tried_with_the_one_loaded_meanwhile():
+    s = Story()
+    install(s, "old")
+    s.says("X")
+    install(s, "new")
+    assert s.declines("C-1", RefusalReason.PROGRAM)[0] == "note C-1 ended"
+    assert s.state.programs["parser"] == "new"
+
+
+def test_a_roll_back_reaches_the_live_commands_that_began_with_the_program():
+    s = Story()
+    install(s, "old")
+    install(s, "new", WorkerKind.PARSER)
+    s.says("X")
+    s.says("Y")
+    s.loses_worker("C-1")
+    assert [s.state.commands[c].programs["parser"] for c in ("C-1", "C-2")] == ["old", "old"]
+    install(s, "newer", WorkerKind.PARSER)
+    s.loses_worker("C-2")
+    assert s.state.commands["C-2"].job.program == "old"
+
+
 # --- restart -----------------------------------------------------------------------------------------
 
 

@@ -6,10 +6,12 @@ import pytest
 
 from broker.decisions.decide import decide
 from broker.decisions.effects import ReportEnd
+from broker.decisions.events import ProgramInstalled
 from broker.decisions.state import State
 from broker.persistence import replay
 from broker.persistence.journal import Journal
 from rtc.protocol import wire
+from rtc.protocol.messages import WorkerKind
 from tests.broker.stories import Story, go_on, script
 
 
@@ -40,6 +42,22 @@ def test_replay_gives_the_state_the_broker_was_in(path):
     state, ended = replay.replay(Journal.open(path, "run", State()))
     assert wire.encode(state) == wire.encode(s.state)
     assert list(ended) == ["C-1"]
+
+
+@pytest.mark.parametrize("with_snapshot", [False, True])
+def test_after_a_restart_a_command_has_the_programs_it_began_with(path, with_snapshot):
+    s = Journalled(Journal.open(path, "run", State()))
+    bodies = {name: s.journal.keep_program(name, name.encode()) for name in ("old", "new")}
+    s.hear(ProgramInstalled, kind=WorkerKind.BINDER, digest="old")
+    s.executing()
+    s.hear(ProgramInstalled, kind=WorkerKind.BINDER, digest="new")
+    if with_snapshot:
+        s.journal.snapshot(s.state)
+    s.journal.close()
+    journal = Journal.open(path, "run", State())
+    state, _ = replay.replay(journal)
+    assert (state.commands["C-1"].programs["binder"], state.programs["binder"]) == ("old", "new")
+    assert journal.programs().keys() == bodies.keys()
 
 
 def test_replay_goes_on_from_a_snapshot(path):

@@ -11,6 +11,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -123,6 +124,32 @@ def test_a_motion_goes_on_while_the_broker_is_dead_and_its_result_arrives(
         assert status["counters"]["broker_restarts"] >= 1
         assert 0 < status["broker_uptime_s"] < status["uptime_s"]  # the cluster is older than its broker
         assert asking.trace(command).outcome == end.outcome
+
+
+def test_a_command_keeps_its_programs_when_one_is_loaded_and_the_broker_restarts(
+    rtc: Client, chaos: Chaos, run_dir: Path, tmp_path: Path
+) -> None:
+    """Given a command that waits for another, a script is loaded, then the broker is killed; the command is elaborated
+    after that, with the script it began with. A later command gets the new script."""
+    script = tmp_path / "stow.yaml"
+    script.write_text((files("rtc.programs") / f"default/elaborator/scripts/{script.name}").read_text())
+    script.write_text(script.read_text().replace('label: "stow', 'label: "newly stow'))
+    first = submit_and_move(rtc, f"{AWAY} MAINTAIN SPEED 10 CM/S")
+    waiting = rtc.submit(f"{STOW} AFTER {first}")
+    rtc.load("elaborator", script)
+    try:
+        with Client(run_dir) as asking:
+            assert first in {row["command"] for row in asking.status()["commands"]}  # so the other still waits
+        back(chaos, chaos.strike("broker"))
+        later = rtc.submit(f"{STOW} AFTER {waiting}")
+        labels = {}
+        for command in (waiting, later):
+            assert rtc.wait(command, LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
+            with Client(run_dir) as asking:
+                labels[command] = {note.step for note in asking.trace(command).notes if note.step}
+    finally:
+        rtc.reset("elaborator")
+    assert labels == {waiting: {"1 of 1: stow RIGHT-ARM"}, later: {"1 of 1: newly stow RIGHT-ARM"}}
 
 
 def test_the_world_comes_back_with_all_that_was_believed(rtc: Client, chaos: Chaos) -> None:
