@@ -16,10 +16,10 @@ from typing import Any
 
 from broker.decisions import deferred_analysis, halt_request, subsystem_link
 from broker.decisions import journal_loss as lost
-from broker.decisions.command import limits, scope, stopping, termination
+from broker.decisions.command import control, limits, stopping, termination
 from broker.decisions.command.table import stimulate
 from broker.decisions.context import DecisionContext
-from broker.decisions.effects import AcknowledgeReport, DeclineHalt, Effect, SendHalt, TellClient
+from broker.decisions.effects import AcknowledgeReport, Effect, TellClient
 from broker.decisions.events import (
     BrokerRestarted,
     ClientGone,
@@ -49,7 +49,6 @@ from rtc.protocol.primitive_id import command_of
 MAX_COMMANDS = 10_000  # maximum number of live commands; more are declined
 LIVE_PER_CLIENT = 2_000  # maximum per client, so that one client cannot use up MAX_COMMANDS
 MAX_TEXT = 4_000  # characters kept of a sentence; the parser refuses shorter ones already and names the place
-HALTS_KEPT = 64  # latest halts stored, to count each once
 PROVEN_KEPT = 16  # proven programs stored per worker kind
 FILES_KEPT = 64  # programs whose file name is stored, for `rtc status`
 CLIENTS_KEPT = 1024  # clients whose latest command is stored, for AFTER LAST
@@ -106,7 +105,7 @@ def on_command(context: DecisionContext, event: CommandReceived) -> None:
     state.requests[key] = command.id
     context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
     if named := halt_scope(event.text):
-        halt_request.halt_by_command(context, command, named)
+        control.halt_sentence(context, command, named)
     elif 0 < event.sent_at_s <= state.halted_at_s.get("ALL", 0.0):
         message = "sent before HALT ALL, so it does not start after it"
         termination.end(context, command, OutcomeKind.HALTED, message=message, stop=StopReason.HALT)
@@ -123,45 +122,10 @@ def _decline(context: DecisionContext, event: CommandReceived, live: int) -> Non
         f"{LIVE_PER_CLIENT} of one client" if live >= LIVE_PER_CLIENT else f"{MAX_COMMANDS} in all"
     )
     if named := halt_scope(event.text):
-        halt_request.halt(context, f"declined-{context.state.counts['declined']}", named, context.now)
+        halt_request.order(context, f"declined-{context.state.counts['declined']}", named, context.now)
         message = f"{named} is halted, but rest is not confirmed: {message}"
     refusal = Refusal(reason=RefusalReason.OVERLOAD, message=message, clears="wait until some have ended")
     context.effects.append(TellClient(client=event.client, message=Declined(request=event.request, refusal=refusal)))
-
-
-def on_halt(context: DecisionContext, event: HaltCalled) -> None:
-    """Stop everything in the scope of a halt. A reused name is obeyed too: two callers may both count from one, and a
-    button may always send the same name."""
-    from_subsystem = event.client in context.state.subsystems
-    _count_halt(context, event)
-    known = halt_request.halt(
-        context, event.halt, event.scope, event.called_at_s, call=event.call, received_at_s=event.received_at_s
-    )
-    # A halt of an ended command is valid: the subsystems confirm rest, so it is not declined.
-    if not known and not from_subsystem and not scope.has_ended(context, event.scope):
-        message = scope.no_target(context, event.scope).message
-        context.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
-    if from_subsystem and not any(type(e) is SendHalt and e.subsystem == event.client for e in context.effects):
-        # The subsystem starts nothing in the scope until it receives this acknowledgement.
-        context.effects.append(
-            SendHalt(
-                subsystem=event.client,
-                halt=event.halt,
-                scope=event.scope,
-                called_at_s=event.called_at_s,
-                call=event.call,
-            )
-        )
-
-
-def _count_halt(context: DecisionContext, event: HaltCalled) -> None:
-    """Count each halt once: most come twice, because a caller sends them to the broker and to the subsystem."""
-    halts, key = context.state.halts, f"{event.halt} {event.scope} {event.called_at_s}"
-    if key not in halts:
-        context.count("halts")
-    halts[key] = event.at_s
-    if len(halts) > HALTS_KEPT:
-        del halts[next(iter(halts))]
 
 
 def on_client_gone(context: DecisionContext, event: ClientGone) -> None:
@@ -344,13 +308,17 @@ def on_ended(context: DecisionContext, event: PrimitiveEnded) -> None:
 
 
 def on_halt_confirmed(context: DecisionContext, event: HaltConfirmed) -> None:
-    name = event.halt.removeprefix(stopping.STOP)  # the number of a HALT sentence, or of the command that was stopped
+    """Handle the answer to a halt: of a command's primitive, of a HALT sentence, or of a caller at a socket."""
+    state, context.node = context.state, event.subsystem
+    stopped = event.halt.removeprefix(stopping.STOP)
+    owner = "" if stopped == event.halt else stopped
     if event.at_rest:
-        context.confirm_rest(event.subsystem, event.performers, name if name != event.halt else "")
-    command = context.state.commands.get(name)
-    if command is not None and command.subsystem in ("", event.subsystem):  # "": a HALT sentence
-        context.node = event.subsystem
-        stimulate(context, command, Stimulus.REST, event.at_rest)
+        context.confirm_rest(event.subsystem, event.performers, owner)
+    if event.halt in state.halt_sentences:
+        halt_request.on_confirmed(context, event.halt, event.subsystem, event.at_rest)
+    command = state.commands.get(owner)
+    if command is not None and command.subsystem == event.subsystem and event.at_rest:
+        stimulate(context, command, Stimulus.REST)
 
 
 def on_listeners(context: DecisionContext, event: ListenersChanged) -> None:
@@ -370,7 +338,10 @@ def on_timer(context: DecisionContext, event: TimerFired) -> None:
         context.count("stale")  # stopped or restarted in the batch in which it fired
         return
     command.due_s = 0.0
-    stimulate(context, command, Stimulus.TIMEOUT)
+    if event.timer in context.state.halt_sentences:
+        halt_request.on_timeout(context, event.timer)
+    else:
+        stimulate(context, command, Stimulus.TIMEOUT)
 
 
 def on_restart(context: DecisionContext, event: BrokerRestarted) -> None:
@@ -396,7 +367,7 @@ def on_restart(context: DecisionContext, event: BrokerRestarted) -> None:
 
 HANDLERS: dict[type[Event], Callable[[DecisionContext, Any], None]] = {
     CommandReceived: on_command,
-    HaltCalled: on_halt,
+    HaltCalled: halt_request.on_call,
     JobFinished: on_job_finished,
     JobDeclined: on_job_declined,
     JobLost: on_job_lost,

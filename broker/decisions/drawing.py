@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from broker.decisions.command.table import COMMAND
+from broker.decisions.halt_request import HALT
 from broker.decisions.machine import Cell, Machine
 from broker.decisions.subsystem_link import LINK
 
 MACHINES: dict[str, tuple[Machine[Any, Any], str]] = {
     "Command": (COMMAND, "broker/decisions/command/table.py"),
+    "HALT request": (HALT, "broker/decisions/halt_request.py"),
     "Subsystem link": (LINK, "broker/decisions/subsystem_link.py"),
 }
 TEXT = {
@@ -21,11 +23,17 @@ TEXT = {
 | grant | all resources of its claim are free |
 | release | the command it waits for has ended or begun; in *parsing*: the earlier commands of its client are parsed |
 | report | the end report of its primitive |
-| rest | a subsystem confirms rest for its halt |
+| rest | its subsystem confirms rest for the halt of its primitive |
+| halt_settled | a HALT sentence only: rest is confirmed, or it is not |
 | stop | a HALT or ABORT reaches it |
 | pause, resume | they take effect between two steps |
 | timeout | its time limit for an end report, for rest or for the last analysis; in *analyzing*: time for a retry |
 | subsystem_lost | a subsystem that it has used is lost |
+""",
+    "HALT request": """
+The router sends each confirmation to the caller at a socket, which waits with a time limit of its own. A HALT sentence
+is a command: in *awaiting_rest* it is *halting*, and it ends when its request is *settled*. The halt of a command's own
+primitive is a part of that command's machine.
 """,
     "Subsystem link": """
 A subsystem executes its primitives and stops by itself without the broker. The broker learns at each hello which ones

@@ -26,7 +26,8 @@ class Stimulus(StrEnum):
     STOP = "stop"  # a HALT or ABORT reaches it
     PAUSE = "pause"
     RESUME = "resume"
-    REST = "rest"  # a subsystem confirms rest for its halt
+    REST = "rest"  # its subsystem confirms rest for the halt of its primitive
+    HALT_SETTLED = "halt_settled"  # a HALT sentence only: rest is confirmed, or it is not
     TIMEOUT = "timeout"  # its timer: the end report, the confirmation of rest or the analysis is late
     SUBSYSTEM_LOST = "subsystem_lost"  # the subsystem that executes its primitive is lost
 

@@ -1,39 +1,97 @@
-"""HALT requests: from a halt socket, or as a sentence. Pure."""
+"""The request of a halt: from a halt socket, or as a HALT sentence. Pure.
+
+Both halt the subsystems in scope and stop the commands there. The router forwards each confirmation to the caller at a
+socket. A HALT sentence is a command: it ends when every subsystem has confirmed rest, or one has failed to.
+"""
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 from broker.decisions.command.limits import rest_limit_s
 from broker.decisions.command.scope import has_ended, in_scope, no_target, subsystem_of
-from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
-from broker.decisions.effects import SendHalt
-from broker.decisions.events import Stimulus
-from broker.decisions.state import Command, Link, PendingOutcome
+from broker.decisions.effects import DeclineHalt, SendHalt
+from broker.decisions.events import HaltCalled, Stimulus
+from broker.decisions.machine import Cell, Ignored, Machine, cell
+from broker.decisions.state import Command, HaltPhase, HaltSentence, Link, PendingOutcome, State
 from rtc.protocol.messages import Phase
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 
-
-def halt_by_command(context: DecisionContext, command: Command, scope: str) -> None:
-    """Start a HALT sentence. It ends when rest is confirmed; its own halt does not stop it."""
-    if scope != "ALL" and not subsystem_of(context, scope) and not in_scope(context, scope):
-        if has_ended(context, scope):
-            end(context, command, OutcomeKind.SUCCEEDED, message=f"{scope} has already ended: it moves nothing")
-        else:
-            refuse(context, command, no_target(context, scope, command.id))
-        return
-    target = context.state.commands.get(scope)
-    if target is not None and not target.subsystem:
-        context.follow(scope, Stimulus.STOP, _halted(scope))
-        end(context, command, OutcomeKind.SUCCEEDED, message=f"{scope} had moved nothing yet")
-        return
-    command.pending_outcome = PendingOutcome(kind=OutcomeKind.SUCCEEDED, message=f"{scope} at rest")
-    context.enter(command, Phase.HALTING, f"halt {scope}")
-    context.start_timer(command, rest_limit_s(context.state))
-    halt(context, command.id, scope, context.now, spare=command.id)
-    command.unconfirmed = [e.subsystem for e in context.effects if type(e) is SendHalt and e.halt == command.id]
+HALTS_KEPT = 64  # latest halts from sockets stored, to count each once
 
 
-def halt(
+class HaltStimulus(StrEnum):
+    """What an event means to a request of a halt."""
+
+    CALL = "call"  # it arrives from a halt socket, or from a subsystem that received it at its own; payload: the event
+    SENTENCE = "sentence"  # it is a command; payload: the scope
+    REST = "rest"  # a subsystem confirms that all in scope is at rest; payload: its name
+    MOVING = "moving"  # a subsystem reports that something in scope still moves; payload: its name
+    SUBSYSTEM_LOST = "subsystem_lost"  # payload: why
+    TIMEOUT = "timeout"
+
+
+def on_call(context: DecisionContext, event: HaltCalled) -> None:
+    """Most calls arrive twice, because a caller sends them to the broker and to the subsystem."""
+    HALT.run(context, f"{event.halt} {event.scope} {event.called_at_s}", HaltStimulus.CALL, event)
+
+
+def on_sentence(context: DecisionContext, command: Command, scope: str) -> None:
+    HALT.run(context, command.id, HaltStimulus.SENTENCE, scope)
+
+
+def on_confirmed(context: DecisionContext, name: str, subsystem: str, at_rest: bool) -> None:
+    HALT.run(context, name, HaltStimulus.REST if at_rest else HaltStimulus.MOVING, subsystem)
+
+
+def on_subsystem_lost(context: DecisionContext, why: str) -> None:
+    for name in list(context.state.halt_sentences):
+        HALT.run(context, name, HaltStimulus.SUBSYSTEM_LOST, why)
+
+
+def on_timeout(context: DecisionContext, name: str) -> None:
+    HALT.run(context, name, HaltStimulus.TIMEOUT)
+
+
+# --- from a socket -----------------------------------------------------------------------------------
+
+
+def obey_call(context: DecisionContext, name: str, event: HaltCalled) -> None:
+    context.count("halts")
+    repeat_call(context, name, event)
+
+
+def repeat_call(context: DecisionContext, name: str, event: HaltCalled) -> None:
+    """Obey a halt, also one whose name was used before: two callers may both count from one, and a button may always
+    send the same name."""
+    from_subsystem = event.client in context.state.subsystems
+    known = order(
+        context, event.halt, event.scope, event.called_at_s, call=event.call, received_at_s=event.received_at_s
+    )
+    # A halt of an ended command is valid: the subsystems confirm rest, so it is not declined.
+    declined = not known and not from_subsystem and not has_ended(context, event.scope)
+    if declined:
+        message = no_target(context, event.scope).message
+        context.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
+    if from_subsystem and not any(type(e) is SendHalt and e.subsystem == event.client for e in context.effects):
+        # The subsystem starts nothing in the scope until it receives this acknowledgement.
+        context.effects.append(
+            SendHalt(
+                subsystem=event.client,
+                halt=event.halt,
+                scope=event.scope,
+                called_at_s=event.called_at_s,
+                call=event.call,
+            )
+        )
+    halts = context.state.halts
+    halts[name] = HaltPhase.DECLINED if declined else HaltPhase.FORWARDED
+    if len(halts) > HALTS_KEPT:
+        del halts[next(iter(halts))]
+
+
+def order(
     context: DecisionContext,
     halt_id: str,
     scope: str,
@@ -62,7 +120,7 @@ def halt(
             )
     for command in targets:
         if command.id != spare and not _was_sent_after(command, received_at_s):
-            context.follow(command.id, Stimulus.STOP, _halted(scope))
+            context.follow(command.id, Stimulus.STOP, halted(scope))
     return True
 
 
@@ -72,5 +130,92 @@ def _was_sent_after(command: Command, received_at_s: float) -> bool:
     return 0.0 < received_at_s < command.given_at_s < command.accepted_at_s
 
 
-def _halted(scope: str) -> PendingOutcome:
+def halted(scope: str) -> PendingOutcome:
     return PendingOutcome(kind=OutcomeKind.HALTED, message=f"halted ({scope})", stop=StopReason.HALT)
+
+
+# --- as a sentence -----------------------------------------------------------------------------------
+
+
+def order_sentence(context: DecisionContext, name: str, scope: str) -> None:
+    """Halt what is in scope, except the HALT sentence itself, and wait for rest."""
+    command = context.state.commands[name]
+    context.enter(command, Phase.HALTING, f"halt {scope}")
+    context.start_timer(command, rest_limit_s(context.state))
+    order(context, name, scope, context.now, spare=name)
+    ordered = [e.subsystem for e in context.effects if type(e) is SendHalt and e.halt == name]
+    context.state.halt_sentences[name] = HaltSentence(scope=scope, unconfirmed=ordered)
+
+
+def confirm(context: DecisionContext, name: str, subsystem: str) -> None:
+    """Settle the request when the last subsystem confirms rest. Others may confirm twice."""
+    request = context.state.halt_sentences[name]
+    if subsystem in request.unconfirmed:
+        request.unconfirmed.remove(subsystem)
+        if not request.unconfirmed:
+            _settle(context, name, PendingOutcome(kind=OutcomeKind.SUCCEEDED, message=f"{request.scope} at rest"))
+
+
+def fail_moving(context: DecisionContext, name: str, subsystem: str) -> None:
+    if subsystem in context.state.halt_sentences[name].unconfirmed:
+        _fail(context, name, f"{subsystem} is not at rest")
+
+
+def fail_lost(context: DecisionContext, name: str, why: str) -> None:
+    _fail(context, name, f"a subsystem was lost before it confirmed rest: {why}", StopReason.SUBSYSTEM_LOST)
+
+
+def fail_overdue(context: DecisionContext, name: str, _: None) -> None:
+    who = ", ".join(context.state.halt_sentences[name].unconfirmed) or "any subsystem"
+    limit_s = rest_limit_s(context.state)
+    _fail(context, name, f"halted, but rest was not confirmed by {who} within {limit_s:.0f} s", StopReason.HALT)
+
+
+def _fail(context: DecisionContext, name: str, message: str, stop: StopReason | None = None) -> None:
+    _settle(context, name, PendingOutcome(kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=stop))
+
+
+def _settle(context: DecisionContext, name: str, outcome: PendingOutcome) -> None:
+    """Let the command end. Its request is removed with it."""
+    context.state.halt_sentences[name].settled = True
+    context.stop_timer(context.state.commands[name])
+    context.follow(name, Stimulus.HALT_SETTLED, outcome)
+
+
+# --- table -------------------------------------------------------------------------------------------
+
+S, H = HaltStimulus, HaltPhase
+
+_ROWS: dict[HaltPhase, dict[HaltStimulus, Cell[HaltPhase]]] = {
+    H.NEW: {
+        S.CALL: cell(obey_call, H.FORWARDED, H.DECLINED),
+        S.SENTENCE: cell(order_sentence, H.AWAITING_REST),
+    },
+    H.FORWARDED: {S.CALL: cell(repeat_call, H.FORWARDED, H.DECLINED)},
+    H.DECLINED: {S.CALL: cell(repeat_call, H.FORWARDED, H.DECLINED)},
+    H.AWAITING_REST: {
+        S.REST: cell(confirm, H.AWAITING_REST, H.SETTLED),
+        S.MOVING: cell(fail_moving, H.AWAITING_REST, H.SETTLED),
+        S.SUBSYSTEM_LOST: cell(fail_lost, H.SETTLED),
+        S.TIMEOUT: cell(fail_overdue, H.SETTLED),
+    },
+    H.SETTLED: {},
+}
+_ANSWERS = (S.REST, S.MOVING, S.SUBSYSTEM_LOST, S.TIMEOUT)
+_IGNORED: list[Ignored[HaltPhase, HaltStimulus]] = [
+    Ignored([H.NEW], _ANSWERS, "nothing was ordered yet, or its command has ended"),
+    Ignored([H.FORWARDED, H.DECLINED], _ANSWERS, "its caller receives the answers, and has a time limit of its own"),
+    Ignored([H.FORWARDED, H.DECLINED], [S.SENTENCE], "a sentence has the name of its command, a call another one"),
+    Ignored([H.AWAITING_REST, H.SETTLED], [S.CALL, S.SENTENCE], "a command is taken up once"),
+    Ignored([H.SETTLED], _ANSWERS, "its outcome is decided"),
+]
+
+
+def phase_of(state: State, name: str) -> HaltPhase:
+    sentence = state.halt_sentences.get(name)
+    if sentence is not None:
+        return H.SETTLED if sentence.settled else H.AWAITING_REST
+    return state.halts.get(name, H.NEW)
+
+
+HALT = Machine(HaltPhase, HaltStimulus, _ROWS, _IGNORED, first=H.NEW, state_of=phase_of)

@@ -56,7 +56,7 @@ def _resources(state: State) -> Iterable[str]:
 def _motions(state: State) -> Iterable[str]:
     moving: dict[str, str] = {}
     for command in state.commands.values():
-        if command.phase in MOVING and command.primitive:
+        if command.phase in MOVING and command.id not in state.halt_sentences:
             for performer in command.performers:
                 if performer in moving:
                     yield f"{performer} executes for {moving[performer]} and {command.id}"
@@ -75,6 +75,9 @@ def _commands(state: State) -> Iterable[str]:
     for client, line in state.intake_order.items():
         if list(line) != sorted(line, key=number) or not line or next(iter(line.values())):
             yield f"{line} of {client} is empty, not in order, or its first is not taken up"
+    for name, request in state.halt_sentences.items():
+        if request.settled or name not in state.commands or state.commands[name].phase is not Phase.HALTING:
+            yield f"{name} is not a HALT sentence that waits for rest"
     joined = {c for waiting in [*state.awaiting.values(), *state.joining.values()] for c in waiting}
     for command in state.commands.values():
         waits_its_turn = state.intake_order.get(command.client, {}).get(command.id, False)
@@ -85,7 +88,8 @@ def _commands(state: State) -> Iterable[str]:
             yield f"{command.id} is held and in no line"
         if command.phase is Phase.EXECUTING and (not command.primitive or command.primitive_body == NIL):
             yield f"{command.id} is executing nothing"
-        if command.phase in (Phase.HALTING, Phase.CLOSING) and command.pending_outcome is None:
+        waits_for_rest = command.phase is Phase.HALTING and command.id in state.halt_sentences
+        if command.phase in (Phase.HALTING, Phase.CLOSING) and not waits_for_rest and command.pending_outcome is None:
             yield f"{command.id} is {command.phase.value} and does not know how it ends"
         if command.phase is Phase.ENDED:
             yield f"{command.id} has ended and is still here"

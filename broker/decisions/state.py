@@ -203,14 +203,33 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """A pause takes effect before the next step."""
     pending_outcome: PendingOutcome | None = None
     """The outcome after HALTING and CLOSING."""
-    unconfirmed: list[str] = []
-    """HALT sentence only: subsystems that have not confirmed rest yet."""
     notes: list[ProgressNote] = []
     """Its trace, at most NOTES_KEPT entries."""
     previous: str = ""
     """The preceding command of the same client, for AFTER LAST."""
     measured: Measured | None = None
     """Values at the end of the latest primitive that REPORT asks for."""
+
+
+class HaltPhase(StrEnum):
+    """State of a request of a halt (`broker.decisions.halt_request`)."""
+
+    NEW = "new"  # it is not in the state
+    FORWARDED = "forwarded"  # from a socket: the subsystems in scope are halted and answer its caller
+    DECLINED = "declined"  # from a socket: its scope is unknown
+    AWAITING_REST = "awaiting_rest"  # a sentence: the subsystems in scope are halted, not all have confirmed rest
+    SETTLED = "settled"  # a sentence: its outcome is decided, its command ends
+
+
+class HaltSentence(msgspec.Struct, kw_only=True):
+    """A HALT sentence that waits for rest."""
+
+    scope: str
+    """What it halts: ALL, an arm, an object or a command."""
+    unconfirmed: list[str]
+    """Subsystems that were ordered to halt and have not confirmed rest yet."""
+    settled: bool = False
+    """Its outcome is decided."""
 
 
 class Link(StrEnum):
@@ -299,8 +318,10 @@ class State(msgspec.Struct, kw_only=True):
     """Worker kind -> why its newest program was rolled back, until the next load."""
     halted_at_s: dict[str, float] = {}
     """Halt scope -> time; sentences sent earlier do not start."""
-    halts: dict[str, float] = {}
-    """The latest halts -> time; a halt received twice is counted once, obeyed twice."""
+    halts: dict[str, HaltPhase] = {}
+    """The latest halts from sockets; a halt received twice is counted once, obeyed twice."""
+    halt_sentences: dict[str, HaltSentence] = {}
+    """HALT sentences that wait for rest, by the id of their command."""
     has_subscribers: bool = False
     """A client subscribes to the event stream."""
     timeout_scale: float = 1.0

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from broker.decisions import halt_request
 from broker.decisions.command import nominal, stopping
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendHalt
@@ -107,10 +108,11 @@ def _order_halt(context: DecisionContext, subsystem: str, halt: str, scope: str)
 
 
 def _stop_users(context: DecisionContext, name: str, why: str) -> None:
-    """Stop every command that has used this subsystem: a global error (A30)."""
+    """Stop every command that has used this subsystem: a global error (A30). Its rest is not confirmed either."""
     for command in context.state.commands.values():
-        if command.subsystem == name or (command.phase is Phase.HALTING and not command.primitive):
+        if command.subsystem == name:
             context.follow(command.id, Stimulus.SUBSYSTEM_LOST, why)
+    halt_request.on_subsystem_lost(context, why)
 
 
 def _forget_one(state: State) -> bool:

@@ -1125,6 +1125,16 @@ def test_a_sentence_told_twice_is_one_command():
     assert s.says("X", client="bob", request="r1")[0] == "tell bob Accepted C-2"
 
 
+def test_the_rest_of_a_halt_that_its_caller_named_like_a_command_is_not_the_rest_of_that_command():
+    s = Story()
+    s.executing()
+    s.halts("C-1", halt="h1")
+    s.rests("C-1")
+    assert s.phase("C-1") == "halting"
+    s.rests("stop-C-1")
+    assert s.phase("C-1") == "closing"
+
+
 def test_a_result_is_kept_for_a_client_that_asks_again():
     s = Story()
     s.says("X", request="r1")

@@ -144,7 +144,7 @@ class Surroundings(Story):
                     self.answers(live.id, self.sensible(live))
                 elif live.phase in MOVING and live.primitive:
                     self.reports(live.id)
-                elif live.phase in MOVING and (live.primitive or live.unconfirmed):
+                elif live.phase in MOVING and self.state.halt_sentences[live.id].unconfirmed:
                     self.rests(live.id)
                 elif live.phase in MOVING:  # nobody was there to be told of its halt: nobody will confirm it
                     self.rings(live.id)

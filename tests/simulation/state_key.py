@@ -27,6 +27,7 @@ def _essence(model: Model) -> list[Any]:
         [(c, len(left.job.deaths), left.job.id in model.timers) for c, left in du.deferred_analyses.items()],
         untold_at_work(model),
         [du.awaiting, du.joining, {c: r.succeeded for c, r in du.ended.items()}],
+        [(name, request.unconfirmed) for name, request in du.halt_sentences.items()],
         [(s.pid, s.link, s.came_at_rest) for s in du.subsystems.values()],
         [du.programs, list(du.trials)],
         [model.handed_in, sorted(model.timers), model.stopped, model.estopped],

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from broker.decisions.command.nominal import next_step
-from broker.decisions.command.scope import in_scope, no_target, scope_of
+from broker.decisions.command.scope import has_ended, in_scope, no_target, scope_of, subsystem_of
 from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import Stimulus
-from broker.decisions.halt_request import halt_by_command
+from broker.decisions.halt_request import halted, on_sentence
 from broker.decisions.resources import number
 from broker.decisions.state import Command, ParsedHead, PendingOutcome
 from rtc.protocol.messages import Phase
@@ -29,7 +29,7 @@ def control(context: DecisionContext, command: Command, head: ParsedHead) -> Non
     """Apply PAUSE, RESUME, ABORT or HALT to one command, to the users of a resource, or to all."""
     scope = scope_of(head)
     if head.verb == "HALT":
-        halt_by_command(context, command, scope)
+        halt_sentence(context, command, scope)
         return
     if head.verb not in CONTROLS:
         message = f"the grammar lists {head.verb!r:.80} as a control verb, which it is not"
@@ -53,6 +53,28 @@ def control(context: DecisionContext, command: Command, head: ParsedHead) -> Non
     for target in targets:
         context.follow(target, stimulus, ending if stimulus is Stimulus.STOP else None)
     end(context, command, OutcomeKind.SUCCEEDED, message=words)
+
+
+def halt_sentence(context: DecisionContext, command: Command, scope: str) -> None:
+    """Start a HALT sentence; end it at once if its scope is unknown or has moved nothing."""
+    if scope != "ALL" and not subsystem_of(context, scope) and not in_scope(context, scope):
+        if has_ended(context, scope):
+            end(context, command, OutcomeKind.SUCCEEDED, message=f"{scope} has already ended: it moves nothing")
+        else:
+            refuse(context, command, no_target(context, scope, command.id))
+        return
+    target = context.state.commands.get(scope)
+    if target is not None and not target.subsystem:
+        context.follow(scope, Stimulus.STOP, halted(scope))
+        end(context, command, OutcomeKind.SUCCEEDED, message=f"{scope} had moved nothing yet")
+        return
+    on_sentence(context, command, scope)
+
+
+def end_halt(context: DecisionContext, command: Command, outcome: PendingOutcome) -> None:
+    """End a HALT sentence. It has touched nothing itself."""
+    del context.state.halt_sentences[command.id]
+    end(context, command, outcome.kind, message=outcome.message, stop=outcome.stop)
 
 
 def _given_after(other: Command, command: Command) -> bool:

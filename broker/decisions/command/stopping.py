@@ -10,7 +10,7 @@ from typing import Any
 from broker.decisions import reporting
 from broker.decisions.command.closing import close, stop_after_analysis
 from broker.decisions.command.limits import rest_limit_s
-from broker.decisions.command.termination import end, stop
+from broker.decisions.command.termination import stop
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import AcknowledgeReport, SendHalt
 from broker.decisions.state import NIL, Command, PendingOutcome
@@ -53,37 +53,18 @@ def on_rested(context: DecisionContext, command: Command, report: EndReport) -> 
     close(context, command, report, f"at rest: {report.reason.value}")
 
 
-def on_rest_confirmed(context: DecisionContext, command: Command, at_rest: bool) -> None:
-    """Handle a confirmation of rest, for a HALT sentence or for the halt of this command's primitive.
-
-    A HALT sentence ends when all subsystems in its scope have confirmed. A subsystem sends the end report before it
-    confirms rest. Without an end report it never received the primitive.
-    """
-    assert command.pending_outcome is not None
-    if command.primitive:
-        if at_rest:
-            command.at_rest = True
-            close(context, command, missing_report(context, command, StopReason.HALT), "at rest: it had not begun")
-        return
-    if context.node not in command.unconfirmed:
-        return  # a duplicate, or a subsystem outside the scope
-    command.unconfirmed.remove(context.node)
-    if not at_rest:
-        context.stop_timer(command)
-        end(context, command, OutcomeKind.HALT_NOT_CONFIRMED, message=f"{context.node} is not at rest")
-    elif not command.unconfirmed:
-        context.stop_timer(command)
-        end(context, command, command.pending_outcome.kind, message=command.pending_outcome.message)
+def on_rest_confirmed(context: DecisionContext, command: Command, _: Any) -> None:
+    """Close without an end report. A subsystem sends the report before it confirms rest, so without a report it never
+    received the primitive."""
+    command.at_rest = True
+    close(context, command, missing_report(context, command, StopReason.HALT), "at rest: it had not begun")
 
 
 def fail_unconfirmed(context: DecisionContext, command: Command, _: Any) -> None:
-    who = command.subsystem or ", ".join(command.unconfirmed) or "any subsystem"
-    message = f"halted, but rest was not confirmed by {who} within {rest_limit_s(context.state):.0f} s"
+    limit_s = rest_limit_s(context.state)
+    message = f"halted, but rest was not confirmed by {command.subsystem} within {limit_s:.0f} s"
     command.pending_outcome = PendingOutcome(kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
-    if command.primitive:
-        close(context, command, missing_report(context, command), message)
-    else:  # a HALT sentence: it touched nothing
-        end(context, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
+    close(context, command, missing_report(context, command), message)
 
 
 def stop_lost(context: DecisionContext, command: Command, why: str) -> None:
@@ -112,17 +93,12 @@ def on_subsystem_lost(context: DecisionContext, command: Command, why: str) -> N
 
 
 def on_lost_while_halting(context: DecisionContext, command: Command, why: str) -> None:
-    who = command.subsystem or "a subsystem"
-    message = f"{who} was lost before it confirmed rest: {why}"
+    message = f"{command.subsystem} was lost before it confirmed rest: {why}"
     command.pending_outcome = PendingOutcome(
         kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST
     )
-    if command.primitive:
-        command.at_rest = context.state.subsystems[command.subsystem].came_at_rest
-        close(context, command, missing_report(context, command), message)
-    else:  # a HALT sentence: it touched nothing
-        context.stop_timer(command)
-        end(context, command, OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST)
+    command.at_rest = context.state.subsystems[command.subsystem].came_at_rest
+    close(context, command, missing_report(context, command), message)
 
 
 def missing_report(

@@ -91,9 +91,10 @@ _ROWS: dict[Phase, dict[Stimulus, Cell[Phase]]] = {
     },
     P.HALTING: {
         S.REPORT: cell(stopping.on_rested, P.CLOSING),
-        S.REST: cell(stopping.on_rest_confirmed, P.HALTING, P.CLOSING, P.ENDED),
-        S.TIMEOUT: cell(stopping.fail_unconfirmed, P.CLOSING, P.ENDED),
-        S.SUBSYSTEM_LOST: cell(stopping.on_lost_while_halting, P.CLOSING, P.ENDED),
+        S.REST: cell(stopping.on_rest_confirmed, P.CLOSING),
+        S.HALT_SETTLED: cell(control.end_halt, P.ENDED),
+        S.TIMEOUT: cell(stopping.fail_unconfirmed, P.CLOSING),
+        S.SUBSYSTEM_LOST: cell(stopping.on_lost_while_halting, P.CLOSING),
     },
     P.CLOSING: {
         S.PRODUCT: cell(closing.finish_closing, P.ENDED),
@@ -112,6 +113,7 @@ _IGNORED: list[Ignored[Phase, Stimulus]] = [
     Ignored([p for p in P if p not in (P.PARSING, P.HELD, P.ENDED)], [S.RELEASE], "it waits for no other command"),
     Ignored([p for p in P if p not in (P.EXECUTING, P.HALTING, P.ENDED)], [S.REPORT], "no primitive is executing"),
     Ignored([p for p in P if p not in (P.HALTING, P.ENDED)], [S.REST], "no halt of it is open"),
+    Ignored([p for p in P if p not in (P.HALTING, P.ENDED)], [S.HALT_SETTLED], "it is not a HALT sentence"),
     Ignored(
         [P.PARSING, P.ELABORATING, P.HELD, P.BINDING, P.PAUSED],
         [S.TIMEOUT],
