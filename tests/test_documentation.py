@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import re
+import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
+
+from rtc.cli.main import build
+from rtc.language.parse import default_grammar, parse
+from rtc.protocol.outcomes import Refusal
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("rtc", "broker", "workers", "sim_mcm", "deploy")
@@ -72,3 +79,28 @@ def test_lines_of_a_page_are_short(page):
         if len(line) > 120 and not code and not line.startswith(("|", "[", "!")):
             long.append(number)
     assert long == []
+
+
+def shown_commands() -> list[tuple[str, ...]]:
+    """The words of each `rtc` command line in a code block of a page, without comments and `&`."""
+    blocks = [b for p in PAGES for b in re.findall(r"^```\n(.*?)^```", p.read_text(), re.MULTILINE | re.DOTALL)]
+    lines = [line for block in blocks for line in block.splitlines() if line.startswith("rtc ")]
+    words = [shlex.split(line.partition(" & ")[0], comments=True)[1:] for line in lines]
+    return sorted({tuple(each) for each in words})
+
+
+def parse_options(command: Any, words: list[str], parent: Any = None) -> None:
+    """Raise a usage error for an unknown subcommand, option or argument. Nothing is executed."""
+    context = command.make_context(command.name, words, parent=parent)
+    if hasattr(command, "resolve_command"):
+        _, subcommand, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+        parse_options(subcommand, rest, context)
+
+
+@pytest.mark.parametrize("words", shown_commands(), ids=" ".join)
+def test_a_command_line_of_a_page_is_valid(words: tuple[str, ...]):
+    parse_options(typer.main.get_command(build([words[0]])), list(words))
+    if words[0] in ("do", "parse"):
+        for sentence in (word for word in words[1:] if " " in word):
+            wrong = isinstance(parse(default_grammar(), sentence), Refusal)
+            assert wrong is sentence.startswith("GRAPS")
