@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from broker.decisions import effects as do
-from broker.decisions import events as heard
+from broker.decisions import events
 from broker.decisions.decide import decide
 from broker.decisions.state import State
 from rtc.language.record import ParsedCommand
@@ -55,7 +55,7 @@ def brief(effect: do.Effect) -> str:
             return f"no timer {effect.timer}"
         case do.TellClient():
             message = effect.message
-            return f"tell {effect.client} {'CommandEnded' if isinstance(message, msgspec.Raw) else _told(message)}"
+            return f"tell {effect.client} {'CommandEnded' if isinstance(message, msgspec.Raw) else _in_words(message)}"
         case do.PublishNote():
             return f"note {effect.note.command} {effect.note.phase.value}"
         case do.ReportEnd():
@@ -65,7 +65,7 @@ def brief(effect: do.Effect) -> str:
     raise AssertionError(effect)
 
 
-def _told(message: Any) -> str:
+def _in_words(message: Any) -> str:
     return type(message).__name__ + (f" {message.command}" if hasattr(message, "command") else "")
 
 
@@ -79,7 +79,7 @@ class Story:
         if mcm:
             self.mcm_hello()
 
-    def hear(self, what: type[heard.Event], /, **fields: Any) -> list[str]:
+    def handle(self, what: type[events.Event], /, **fields: Any) -> list[str]:
         self.now += 0.001
         effects = decide(self.state, what(at_s=self.now, **fields))
         self.log += effects
@@ -88,8 +88,8 @@ class Story:
     # --- who speaks ---
 
     def mcm_hello(self, pid: int = 1, outstanding: list[str] | None = None, at_rest: bool = True) -> list[str]:
-        return self.hear(
-            heard.SubsystemConnected,
+        return self.handle(
+            events.SubsystemConnected,
             subsystem="MCM",
             pid=pid,
             performers=["LEFT-ARM", "RIGHT-ARM"],
@@ -99,13 +99,13 @@ class Story:
 
     def says(self, text: str, client: str = "ann", request: str = "", **fields: Any) -> list[str]:
         request = request or f"r{self.state.accepted + 1}"
-        return self.hear(heard.CommandReceived, client=client, request=request, text=text, **fields)
+        return self.handle(events.CommandReceived, client=client, request=request, text=text, **fields)
 
     def answers(self, command: str, product: Any, attempt: int | None = None, job: str = "") -> list[str]:
         """The worker of this command's pending job delivers."""
         pending = self.state.commands[command].job if command in self.state.commands else None
-        return self.hear(
-            heard.JobFinished,
+        return self.handle(
+            events.JobFinished,
             job=job or pending.id,
             attempt=attempt or (pending.attempt if pending else 1),
             node="worker",
@@ -115,12 +115,12 @@ class Story:
     def declines(self, command: str, reason: RefusalReason = RefusalReason.INFEASIBLE) -> list[str]:
         job = self.state.commands[command].job
         refusal = Refusal(reason=reason, message="no")
-        return self.hear(heard.JobDeclined, job=job.id, attempt=job.attempt, node="worker", refusal=refusal)
+        return self.handle(events.JobDeclined, job=job.id, attempt=job.attempt, node="worker", refusal=refusal)
 
     def loses_worker(self, command: str, blamed: bool = True) -> list[str]:
         job = self.state.commands[command].job
-        return self.hear(
-            heard.JobLost, job=job.id, attempt=job.attempt, node="worker", evidence="exit -9", blamed=blamed
+        return self.handle(
+            events.JobLost, job=job.id, attempt=job.attempt, node="worker", evidence="exit -9", blamed=blamed
         )
 
     def tells(self, command: str, how: str = "done") -> list[str]:
@@ -131,28 +131,28 @@ class Story:
         match how:
             case "away":
                 refusal = Refusal(reason=RefusalReason.TIMEOUT, message="no")
-                return self.hear(heard.JobDeclined, refusal=refusal, **about)
+                return self.handle(events.JobDeclined, refusal=refusal, **about)
             case "dies":
-                return self.hear(heard.JobLost, evidence="exit -9", **about)
-        return self.hear(heard.JobFinished, product=wire.raw(go_on()), **about)
+                return self.handle(events.JobLost, evidence="exit -9", **about)
+        return self.handle(events.JobFinished, product=wire.raw(go_on()), **about)
 
     def reports(self, command: str, reason: StopReason = StopReason.GOAL, primitive: str = "") -> list[str]:
         live = self.state.commands.get(command)
-        return self.hear(heard.PrimitiveEnded, subsystem="MCM", report=report(primitive or live.primitive, reason))
+        return self.handle(events.PrimitiveEnded, subsystem="MCM", report=report(primitive or live.primitive, reason))
 
     def halts(self, scope: str = "ALL", halt: str = "h1") -> list[str]:
-        return self.hear(heard.HaltCalled, client="ann", halt=halt, scope=scope)
+        return self.handle(events.HaltCalled, client="ann", halt=halt, scope=scope)
 
     def rests(self, halt: str, at_rest: bool = True) -> list[str]:
-        return self.hear(heard.HaltConfirmed, subsystem="MCM", halt=halt, at_rest=at_rest)
+        return self.handle(events.HaltConfirmed, subsystem="MCM", halt=halt, at_rest=at_rest)
 
     def rings(self, command: str) -> list[str]:
         if live := self.state.commands.get(command):
             self.now = max(self.now, live.due_s)
-        return self.hear(heard.TimerFired, timer=command)
+        return self.handle(events.TimerFired, timer=command)
 
     def mcm_gone(self) -> list[str]:
-        return self.hear(heard.SubsystemGone, subsystem="MCM", why="killed")
+        return self.handle(events.SubsystemGone, subsystem="MCM", why="killed")
 
     # --- shortcuts to a phase ---
 
@@ -219,11 +219,13 @@ def bound(primitive: str, performer: str = "RIGHT-ARM") -> BoundStep:
     return BoundStep(subsystem="MCM", primitive=body, evaluation=evaluation, limit_s=5.0)
 
 
-def told(value: float = 2.1) -> BoundStep:
-    """What somebody says of a thing: a report that no subsystem has made."""
-    said = msgspec.structs.replace(report("C-1.1", performer="OPERATOR"), joints=[], facts={"MODULE.mass": value})
+def stated(value: float = 2.1) -> BoundStep:
+    """Facts stated by the operator: a report without a subsystem."""
+    facts_report = msgspec.structs.replace(
+        report("C-1.1", performer="OPERATOR"), joints=[], facts={"MODULE.mass": value}
+    )
     evaluation = EvaluationContext(context=CONTEXT, step=Step(do="tell", label="x"))
-    return BoundStep(report=said, evaluation=evaluation, note="stated")
+    return BoundStep(report=facts_report, evaluation=evaluation, note="stated")
 
 
 def report(primitive: str, reason: StopReason = StopReason.GOAL, performer: str = "RIGHT-ARM") -> EndReport:

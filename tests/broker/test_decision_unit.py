@@ -30,7 +30,7 @@ from rtc.language.record import Report
 from rtc.protocol import wire
 from rtc.protocol.messages import AnalyzerInput, BoundStep, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, RefusalReason, StopReason
-from tests.broker.stories import Story, bound, give_up, go_on, mend, record, report, script, told, trim
+from tests.broker.stories import Story, bound, give_up, go_on, mend, record, report, script, stated, trim
 
 # --- the nominal journey -----------------------------------------------------------------------------
 
@@ -95,11 +95,11 @@ def test_a_primitive_that_no_analyzer_could_judge_is_not_sent():
     assert s.outcome("C-1").refusal.reason is RefusalReason.PROGRAM
 
 
-def test_what_is_told_goes_straight_to_an_analyzer():
+def test_stated_facts_go_straight_to_an_analyzer():
     """A24: it is a report like any other, but nobody moves for it: no subsystem, no acknowledgement, no timer."""
     s = Story(mcm=False)
     s.elaborated(script(resources=("MODULE",)))
-    assert s.answers("C-1", told(2.1)) == ["job C-1/4 analyzer #1 lease MODULE", "note C-1 analyzing"]
+    assert s.answers("C-1", stated(2.1)) == ["job C-1/4 analyzer #1 lease MODULE", "note C-1 analyzing"]
     given = wire.decoder(AnalyzerInput)(s.state.commands["C-1"].job.input)
     assert given.report.facts == {"MODULE.mass": 2.1}
     assert given.evaluation.step.do == "tell"
@@ -110,7 +110,7 @@ def test_a_step_that_tells_may_stand_between_two_that_move():
     s = Story()
     s.analyzing(script(steps=3))
     s.answers("C-1", go_on())
-    assert s.answers("C-1", told())[-1] == "note C-1 analyzing"
+    assert s.answers("C-1", stated())[-1] == "note C-1 analyzing"
     assert s.answers("C-1", go_on())[1:] == ["job C-1/7 binder #1", "note C-1 binding"]
     assert s.answers("C-1", bound("C-1.2"))[0] == "primitive C-1.2 to MCM"
 
@@ -223,7 +223,7 @@ def test_the_order_given_outlives_the_broker():
     s.says("SECOND")
     s.answers("C-2", record())
     s.state = wire.decoder(State)(wire.encode(s.state))
-    assert s.hear(BrokerRestarted) == ["job C-1/1 parser #2"]
+    assert s.handle(BrokerRestarted) == ["job C-1/1 parser #2"]
     assert s.answers("C-1", record())[-1] == "note C-2 held"
 
 
@@ -237,7 +237,7 @@ def test_control_does_not_wait_for_its_turn():
 
 
 @pytest.mark.parametrize("verb", ["ABORT", "PAUSE"])
-def test_control_of_an_arm_reaches_what_its_client_said_before_and_not_what_it_said_after(verb):
+def test_control_of_an_arm_reaches_earlier_sentences_of_its_client_and_not_later_ones(verb):
     s = Story()
     s.says("MOVE RIGHT-ARM")
     s.says(f"{verb} RIGHT-ARM")
@@ -520,15 +520,15 @@ def test_an_analysis_under_way_is_let_finish_and_its_advice_ignored():
     assert s.answers("C-1", go_on()) == ["no timer C-1", "note C-1 ended", "end C-1 halted"]
 
 
-def test_what_is_told_is_written_although_its_command_is_halted():
+def test_stated_facts_are_written_although_the_command_is_halted():
     s = Story()
     s.elaborated(script(steps=2, resources=("MODULE",)))
-    s.answers("C-1", told())
+    s.answers("C-1", stated())
     assert s.halts() == ["halt ALL to MCM", "timer C-1", "note C-1 closing"]
     assert s.answers("C-1", go_on()) == ["no timer C-1", "note C-1 ended", "end C-1 halted"]
 
 
-def test_rest_that_nobody_confirms_is_told_apart_and_closes_the_arm():
+def test_rest_without_confirmation_is_distinguished_and_closes_the_arm():
     s = Story()
     s.executing()
     s.halts()
@@ -538,8 +538,8 @@ def test_rest_that_nobody_confirms_is_told_apart_and_closes_the_arm():
         "timer C-1",
         "note C-1 closing",
     ]
-    told = wire.decoder(AnalyzerInput)(s.state.commands["C-1"].job.input)
-    assert (told.report.joints, told.closing) == ([], True)  # where it is nobody knows, and the world is told so
+    stated = wire.decoder(AnalyzerInput)(s.state.commands["C-1"].job.input)
+    assert (stated.report.joints, stated.closing) == ([], True)  # where it is nobody knows, and the world is told so
     assert s.answers("C-1", go_on()) == ["no timer C-1", "note C-1 ended", "end C-1 halt_not_confirmed"]
     assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
     s.parsed()
@@ -584,7 +584,7 @@ def test_a_halt_that_a_subsystem_forwards_late_spares_what_was_sent_later(receiv
     s.now = 11.0
     s.says("X", sent_at_s=sent_at_s)
     s.now = 12.0
-    s.hear(HaltCalled, client="MCM", halt="h1", scope="ALL", called_at_s=9.0, received_at_s=received_at_s)
+    s.handle(HaltCalled, client="MCM", halt="h1", scope="ALL", called_at_s=9.0, received_at_s=received_at_s)
     assert s.phase("C-1") == ("gone" if halted else "parsing")
 
 
@@ -619,25 +619,25 @@ def test_a_halt_whose_name_was_used_before_stops_what_is_in_scope_now(caller):
     s = Story()
     s.halts("LEFT-ARM", "1")
     s.executing()
-    assert s.hear(HaltCalled, client=caller, halt="1", scope="ALL")[:2] == ["halt ALL to MCM", "halt C-1 to MCM"]
+    assert s.handle(HaltCalled, client=caller, halt="1", scope="ALL")[:2] == ["halt ALL to MCM", "halt C-1 to MCM"]
     s.reports("C-1", StopReason.HALT)
     s.answers("C-1", go_on())
     s.executing()
-    assert s.hear(HaltCalled, client=caller, halt="1", scope="ALL")[:2] == ["halt ALL to MCM", "halt C-2 to MCM"]
+    assert s.handle(HaltCalled, client=caller, halt="1", scope="ALL")[:2] == ["halt ALL to MCM", "halt C-2 to MCM"]
 
 
-def test_a_halt_that_came_by_both_doors_is_counted_once_and_a_new_command_works():
+def test_a_halt_by_both_endpoints_is_counted_once_and_a_new_command_works():
     s = Story()
     s.halts()
-    s.hear(HaltCalled, client="MCM", halt="h1", scope="ALL")
+    s.handle(HaltCalled, client="MCM", halt="h1", scope="ALL")
     assert s.state.counts["halts"] == 1
     assert s.phase(s.executing()) == "executing"
 
 
 def test_a_halt_is_answered_under_the_number_it_came_with():
     s = Story()
-    s.hear(HaltCalled, client="ann", halt="1", scope="ALL", call="7-1")
-    s.hear(HaltCalled, client="MCM", halt="1", scope="ALL", call="4-9")
+    s.handle(HaltCalled, client="ann", halt="1", scope="ALL", call="7-1")
+    s.handle(HaltCalled, client="MCM", halt="1", scope="ALL", call="4-9")
     assert [e.call for e in s.log if isinstance(e, SendHalt)] == ["7-1", "4-9"]
 
 
@@ -662,23 +662,23 @@ def test_halt_typed_and_not_confirmed():
     assert s.rests("C-1", at_rest=False)[-1] == "end C-1 halt_not_confirmed"
 
 
-def test_halt_typed_ends_when_all_that_were_told_have_confirmed():
+def test_halt_typed_ends_when_all_that_got_it_have_confirmed():
     s = Story()
-    s.hear(SubsystemConnected, subsystem="CAM", pid=2, performers=["CAMERA"])
+    s.handle(SubsystemConnected, subsystem="CAM", pid=2, performers=["CAMERA"])
     s.executing()
     s.says("HALT ALL")
     cam = {"subsystem": "CAM", "halt": "C-2", "at_rest": True}
-    assert s.hear(HaltConfirmed, **cam) == []  # C-1 still moves
-    assert s.hear(HaltConfirmed, **cam) == []
+    assert s.handle(HaltConfirmed, **cam) == []  # C-1 still moves
+    assert s.handle(HaltConfirmed, **cam) == []
     assert (s.phase("C-1"), s.phase("C-2")) == ("halting", "halting")
     assert s.rests("C-2")[-1] == "end C-2 succeeded"
 
 
 def test_halt_typed_names_who_has_not_confirmed():
     s = Story()
-    s.hear(SubsystemConnected, subsystem="CAM", pid=2, performers=["CAMERA"])
+    s.handle(SubsystemConnected, subsystem="CAM", pid=2, performers=["CAMERA"])
     s.says("HALT ALL")
-    s.hear(HaltConfirmed, subsystem="CAM", halt="C-1", at_rest=True)
+    s.handle(HaltConfirmed, subsystem="CAM", halt="C-1", at_rest=True)
     assert s.rings("C-1")[-1] == "end C-1 halt_not_confirmed"
     assert "rest was not confirmed by MCM" in s.outcome("C-1").message
 
@@ -727,7 +727,7 @@ def test_pause_takes_effect_between_two_steps_and_resume_goes_on():
 
 
 @pytest.mark.parametrize(
-    ("verb", "before", "said"),
+    ("verb", "before", "message"),
     [
         ("PAUSE", [], "C-1 pauses after step 1 of 2: step 1"),
         ("PAUSE", ["PAUSE"], "C-1 pauses after step 1 of 2: step 1"),
@@ -735,17 +735,17 @@ def test_pause_takes_effect_between_two_steps_and_resume_goes_on():
         ("RESUME", ["PAUSE"], "C-1 goes on"),
     ],
 )
-def test_who_pauses_or_resumes_is_told_what_will_happen(verb, before, said):
+def test_the_answer_to_pause_or_resume_states_what_will_happen(verb, before, message):
     s = Story()
     s.executing(script(steps=2))
     for word in [*before, verb]:
         command = s.parsed(kind="control", verb=word, object="C-1")
     outcome = s.outcome(command)
-    assert outcome.message == said
-    assert outcome.kind is (OutcomeKind.REFUSED if "not" in said else OutcomeKind.SUCCEEDED)
+    assert outcome.message == message
+    assert outcome.kind is (OutcomeKind.REFUSED if "not" in message else OutcomeKind.SUCCEEDED)
 
 
-def test_a_command_in_its_last_step_cannot_be_paused_and_that_is_said():
+def test_a_pause_in_the_last_step_is_refused():
     s = Story()
     s.executing(script(steps=1))
     outcome = s.outcome(s.parsed(kind="control", verb="PAUSE", object="C-1"))
@@ -883,7 +883,7 @@ def test_without_report_nothing_is_added():
     assert s.outcome("C-1").measured is None
 
 
-def test_periodic_reports_that_nobody_would_get_are_refused():
+def test_periodic_reports_without_a_receiver_are_refused():
     s = Story()
     s.says("X", progress=False)
     s.answers("C-1", record(report=Report(every_s=0.5)))
@@ -1029,7 +1029,7 @@ def test_between_two_steps_it_is_a_failure():
     assert s.state.deferred_analyses == {}  # the step before is written
 
 
-def test_an_analysis_that_the_world_did_not_hear_is_done_again_and_nobody_is_blamed():
+def test_an_analysis_that_the_world_did_not_get_is_repeated_without_blame():
     s = Story()
     s.analyzing(script(steps=2))
     for attempt in range(1, 11):  # six seconds each
@@ -1041,7 +1041,7 @@ def test_an_analysis_that_the_world_did_not_hear_is_done_again_and_nobody_is_bla
     assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "job C-1/5 binder #1", "note C-1 binding"]
 
 
-def test_after_a_minute_the_command_fails_and_what_it_touched_is_closed_until_the_world_has_been_told():
+def test_after_a_minute_the_command_fails_and_what_it_touched_is_closed_until_the_world_is_written():
     s = Story()
     s.analyzing(script(resources=("RIGHT-ARM", "MODULE")))
     s.now += 61.0
@@ -1056,18 +1056,18 @@ def test_after_a_minute_the_command_fails_and_what_it_touched_is_closed_until_th
     s.halts("RIGHT-ARM")
     s.rests("h1")  # that it is at rest is not what the world has to be told
     assert set(s.state.resources.quarantine) == {"RIGHT-ARM", "MODULE"}
-    assert s.hear(TimerFired, timer="C-1/4") == ["job C-1/4 analyzer #3 lease RIGHT-ARM+MODULE"]
+    assert s.handle(TimerFired, timer="C-1/4") == ["job C-1/4 analyzer #3 lease RIGHT-ARM+MODULE"]
     assert s.tells("C-1", "away") == ["timer C-1/4"]
-    assert s.hear(TimerFired, timer="C-1/4") == ["job C-1/4 analyzer #5 lease RIGHT-ARM+MODULE"]
+    assert s.handle(TimerFired, timer="C-1/4") == ["job C-1/4 analyzer #5 lease RIGHT-ARM+MODULE"]
     s.state = wire.decoder(State)(wire.encode(s.state))
-    assert s.hear(BrokerRestarted) == ["job C-1/4 analyzer #6 lease RIGHT-ARM+MODULE"]
+    assert s.handle(BrokerRestarted) == ["job C-1/4 analyzer #6 lease RIGHT-ARM+MODULE"]
     assert s.tells("C-1") == []
     assert s.state.resources.quarantine == {}
     assert s.parsed() == "C-3"
     assert s.phase("C-3") == "elaborating"
 
 
-def test_a_command_stopped_while_it_waits_for_the_world_ends_soon_and_the_world_is_told_later():
+def test_a_command_stopped_while_it_waits_for_the_world_ends_soon_and_the_world_is_written_later():
     s = Story()
     s.analyzing()
     away(s)
@@ -1076,7 +1076,7 @@ def test_a_command_stopped_while_it_waits_for_the_world_ends_soon_and_the_world_
     assert s.state.resources.quarantine == {"RIGHT-ARM": (WORLD, "C-1")}
 
 
-def test_an_arm_neither_at_rest_nor_told_of_is_closed_until_both_are():
+def test_an_arm_neither_at_rest_nor_analysed_is_closed_until_both_are():
     s = Story()
     s.executing()
     s.mcm_gone()
@@ -1084,7 +1084,7 @@ def test_an_arm_neither_at_rest_nor_told_of_is_closed_until_both_are():
     assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
     s.mcm_hello(pid=2)
     assert s.state.resources.quarantine == {"RIGHT-ARM": (WORLD, "C-1")}
-    s.hear(TimerFired, timer="C-1/4")
+    s.handle(TimerFired, timer="C-1/4")
     s.tells("C-1")
     assert s.state.resources.quarantine == {}
 
@@ -1105,11 +1105,11 @@ def test_a_restarted_broker_asks_the_world_at_once():
     s = Story()
     s.analyzing()
     away(s)
-    assert s.hear(BrokerRestarted) == ["job C-1/4 analyzer #3 lease RIGHT-ARM"]
+    assert s.handle(BrokerRestarted) == ["job C-1/4 analyzer #3 lease RIGHT-ARM"]
     assert s.rings("C-1") == []
 
 
-def test_a_report_told_twice_is_acknowledged_twice_and_heard_once():
+def test_a_repeated_report_is_acknowledged_twice_and_handled_once():
     s = Story()
     s.analyzing()
     assert s.reports("C-1", primitive="C-1.1") == ["ack C-1.1"]
@@ -1118,7 +1118,7 @@ def test_a_report_told_twice_is_acknowledged_twice_and_heard_once():
 # --- clients -----------------------------------------------------------------------------------------
 
 
-def test_a_sentence_told_twice_is_one_command():
+def test_a_repeated_sentence_is_one_command():
     s = Story()
     s.says("X", request="r1")
     assert s.says("X", request="r1") == ["tell ann Accepted C-1"]
@@ -1146,7 +1146,7 @@ def test_a_client_that_goes_away_halts_only_what_it_wanted_halted():
     s = Story()
     s.says("X")
     s.says("X", halt_if_lost=True)
-    s.hear(ClientGone, client="ann")
+    s.handle(ClientGone, client="ann")
     assert [s.phase(c) for c in ("C-1", "C-2")] == ["parsing", "gone"]
 
 
@@ -1155,26 +1155,26 @@ def test_a_client_that_goes_away_halts_only_what_it_wanted_halted():
 
 def test_a_new_program_whose_first_job_fails_is_rolled_back():
     s = Story()
-    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")
-    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="new")
+    s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")
+    s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="new")
     s.says("X")
     assert s.state.commands["C-1"].job.program == "new"
     assert s.loses_worker("C-1") == ["note C-1 parsing", "job C-1/1 parser #2"]
     assert s.state.commands["C-1"].job.program == "old"
     assert s.state.programs["parser"] == "old"
-    told, warning = s.state.commands["C-1"].notes[-1].note, s.state.commands["C-1"].notes[-1].warning
+    stated, warning = s.state.commands["C-1"].notes[-1].note, s.state.commands["C-1"].notes[-1].warning
     assert warning
-    assert told.startswith("the new parser program new failed its first job (")
-    assert s.state.rolled_back == {"parser": f"{told}. The job was of C-1"}
-    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="newer")
+    assert stated.startswith("the new parser program new failed its first job (")
+    assert s.state.rolled_back == {"parser": f"{stated}. The job was of C-1"}
+    s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="newer")
     assert not s.state.rolled_back
 
 
 @pytest.mark.parametrize("fail", [Story.loses_worker, lambda s, c: s.declines(c, RefusalReason.PROGRAM)])
 def test_what_else_was_under_way_with_a_program_that_was_rolled_back_is_done_again_with_the_old_one(fail):
     s = Story()
-    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")
-    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="new")
+    s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")
+    s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="new")
     s.says("X")
     s.says("Y")
     fail(s, "C-1")
@@ -1188,36 +1188,36 @@ def test_what_else_was_under_way_with_a_program_that_was_rolled_back_is_done_aga
 
 def test_the_file_of_a_program_is_known_and_after_a_roll_back_that_of_the_one_before():
     s = Story()
-    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="old", file="good.lark")
-    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="new", file="bad.lark")
+    s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="old", file="good.lark")
+    s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="new", file="bad.lark")
     s.says("X")
     assert s.state.program_files[s.state.programs["parser"]][0] == "bad.lark"
     s.loses_worker("C-1")
     assert s.state.program_files[s.state.programs["parser"]][0] == "good.lark"
     for n in range(100):
-        s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest=f"p{n}", file="many.lark")
+        s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest=f"p{n}", file="many.lark")
     assert len(s.state.program_files) == 64
 
 
 def test_back_from_a_new_program_is_to_one_that_has_done_a_job():
     s = Story()
     for digest in ("old", "new", "newer"):
-        s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
+        s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
     s.says("X")
     s.loses_worker("C-1")
     assert s.state.programs["parser"] == "old"
     for digest in ("new", "old"):
-        s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
+        s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
     assert s.state.trials == {}
 
 
 def test_back_is_to_the_last_program_that_has_worked_though_it_was_left_meanwhile():
     s = Story()
     for digest in ("default", "good", "other"):
-        s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
+        s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
         s.parsed()  # each does a job well
     for digest in ("good", "bad"):
-        s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
+        s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
     s.says("X")
     s.loses_worker("C-4")
     assert s.state.programs["parser"] == "good"
@@ -1225,8 +1225,8 @@ def test_back_is_to_the_last_program_that_has_worked_though_it_was_left_meanwhil
 
 def test_a_new_program_whose_first_job_is_done_stays():
     s = Story()
-    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")
-    s.hear(ProgramInstalled, kind=WorkerKind.PARSER, digest="new")
+    s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")
+    s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="new")
     s.parsed()
     s.says("X")
     s.loses_worker("C-2")
@@ -1286,7 +1286,7 @@ def test_a_restarted_broker_gives_out_what_was_given_out():
     s.says("X", client="bob")
     s.executing(hand="LEFT-ARM")
     s.state = wire.decoder(State)(wire.encode(s.state))  # as through a snapshot
-    assert s.hear(BrokerRestarted) == ["job C-1/1 parser #2", "timer C-2"]
+    assert s.handle(BrokerRestarted) == ["job C-1/1 parser #2", "timer C-2"]
     assert s.mcm_hello(outstanding=["C-2.1"]) == []  # it has gone on meanwhile
     assert s.reports("C-2")[2] == "job C-2/4 analyzer #1 lease RIGHT-ARM"
 
@@ -1294,14 +1294,14 @@ def test_a_restarted_broker_gives_out_what_was_given_out():
 def test_a_primitive_that_never_arrived_is_sent_again_after_a_restart():
     s = Story()
     s.executing()
-    s.hear(BrokerRestarted)
+    s.handle(BrokerRestarted)
     assert s.mcm_hello(outstanding=[]) == ["primitive C-1.1 to MCM", "timer C-1"]
 
 
-def test_a_primitive_bound_before_the_subsystem_is_heard_of_again_waits_for_it():
+def test_a_primitive_bound_before_the_subsystem_reconnects_waits_for_it():
     s = Story()
     s.elaborated()
-    s.hear(BrokerRestarted)
+    s.handle(BrokerRestarted)
     assert s.answers("C-1", bound("C-1.1")) == ["timer C-1", "note C-1 executing"]
     assert s.mcm_hello()[0] == "primitive C-1.1 to MCM"
 
@@ -1310,7 +1310,7 @@ def test_a_halt_lost_with_the_broker_is_ordered_again():
     s = Story()
     s.executing()
     s.halts()
-    s.hear(BrokerRestarted)
+    s.handle(BrokerRestarted)
     assert s.mcm_hello(outstanding=["C-1.1"]) == ["halt C-1 to MCM", "timer C-1"]
 
 
@@ -1318,10 +1318,10 @@ def test_a_halt_lost_with_the_broker_is_ordered_again():
 
 
 def told_by_mcm(s: Story, scope: str = "ALL", halt: str = "h1") -> list[str]:
-    return s.hear(HaltCalled, client="MCM", halt=halt, scope=scope)
+    return s.handle(HaltCalled, client="MCM", halt=halt, scope=scope)
 
 
-def test_a_halt_that_only_the_subsystem_heard_stops_everything_here_too():
+def test_a_halt_that_only_the_subsystem_received_stops_everything_here_too():
     s = Story()
     s.parsed()
     assert told_by_mcm(s) == ["halt ALL to MCM", "cancel C-1/2", "note C-1 ended", "end C-1 halted"]
@@ -1334,7 +1334,7 @@ def test_a_subsystem_that_tells_of_a_halt_is_always_answered_with_it_or_it_would
     assert told_by_mcm(s, "C-9", "h2") == ["halt C-9 to MCM"]  # means nothing here
 
 
-def test_a_primitive_is_meant_for_the_process_that_said_hello():
+def test_a_primitive_is_meant_for_the_process_that_sent_hello():
     s = Story()
     s.mcm_hello(pid=7)
     s.executing()
@@ -1347,9 +1347,9 @@ def test_rest_of_one_arm_says_nothing_about_the_other():
     s.halts("C-1")
     s.rings("C-1")
     s.answers("C-1", go_on())
-    s.hear(HaltConfirmed, subsystem="MCM", halt="h2", at_rest=True, performers=["LEFT-ARM"])
+    s.handle(HaltConfirmed, subsystem="MCM", halt="h2", at_rest=True, performers=["LEFT-ARM"])
     assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
-    s.hear(HaltConfirmed, subsystem="MCM", halt="h3", at_rest=True, performers=["RIGHT-ARM"])
+    s.handle(HaltConfirmed, subsystem="MCM", halt="h3", at_rest=True, performers=["RIGHT-ARM"])
     assert s.state.resources.quarantine == {}
 
 
@@ -1366,7 +1366,7 @@ def test_a_late_word_on_what_was_stopped_opens_its_arm(late):
     if late == "the report":
         s.reports("C-1", StopReason.HALT, primitive="C-1.1")
     else:  # the scope of the halt is the command: when it moved nothing, no arm is named
-        s.hear(HaltConfirmed, subsystem="MCM", halt="stop-C-1", at_rest=True, performers=[])
+        s.handle(HaltConfirmed, subsystem="MCM", halt="stop-C-1", at_rest=True, performers=[])
     assert s.state.resources.quarantine == {}
 
 
@@ -1424,19 +1424,19 @@ def test_a_timer_that_rings_in_the_turn_that_sets_it_anew_is_late():
     rung_s = s.state.commands["C-1"].due_s
     s.now = rung_s - 0.0005
     s.halts()
-    assert s.hear(TimerFired, timer="C-1") == []
+    assert s.handle(TimerFired, timer="C-1") == []
     assert s.phase("C-1") == "halting"
 
 
-def test_of_two_halts_the_later_counts_in_whatever_order_they_are_heard():
+def test_of_two_halts_the_later_counts_in_whatever_order_they_arrive():
     s = Story()
     s.now = 10.0
-    s.hear(HaltCalled, client="ann", halt="h2", scope="ALL", called_at_s=9.0)
-    s.hear(HaltCalled, client="ann", halt="h1", scope="ALL", called_at_s=7.0)
+    s.handle(HaltCalled, client="ann", halt="h2", scope="ALL", called_at_s=9.0)
+    s.handle(HaltCalled, client="ann", halt="h1", scope="ALL", called_at_s=7.0)
     assert s.says("X", sent_at_s=8.0)[-1] == "end C-1 halted"
 
 
-def test_what_was_said_before_the_halt_of_an_arm_and_came_after_it_does_not_move_that_arm():
+def test_a_sentence_sent_before_the_halt_of_an_arm_and_received_after_it_does_not_move_that_arm():
     s = Story()
     s.now = 10.0
     s.halts("RIGHT-ARM")
@@ -1448,9 +1448,9 @@ def test_what_was_said_before_the_halt_of_an_arm_and_came_after_it_does_not_move
 def test_a_halt_of_a_command_that_has_moved_nothing_is_over_at_once():
     s = Story()
     s.parsed()
-    told = s.says("HALT C-1")
-    assert told[0] == "tell ann Accepted C-2"
-    assert [line for line in told if line.startswith("end")] == ["end C-2 succeeded", "end C-1 halted"]
+    stated = s.says("HALT C-1")
+    assert stated[0] == "tell ann Accepted C-2"
+    assert [line for line in stated if line.startswith("end")] == ["end C-2 succeeded", "end C-1 halted"]
 
 
 def test_a_step_may_move_only_what_its_script_has_claimed():
@@ -1471,13 +1471,13 @@ def test_the_request_of_a_long_command_outlives_thousands_of_short_ones(monkeypa
     assert len(s.state.requests) <= 5 + len(s.state.commands)
 
 
-def test_notes_are_told_to_the_client_that_wants_them_and_to_listeners_and_kept_in_any_case():
+def test_notes_are_sent_to_the_client_that_wants_them_and_to_listeners_and_kept_in_any_case():
     s = Story()
     assert "note C-1 parsing" in s.says("X")
     assert [line for line in s.says("X", progress=False) if line.startswith("note")] == []
-    assert s.hear(ListenersChanged, listening=True) == []
+    assert s.handle(ListenersChanged, listening=True) == []
     assert "note C-3 parsing" in s.says("X", progress=False)
-    s.hear(ListenersChanged, listening=False)
+    s.handle(ListenersChanged, listening=False)
     assert [line for line in s.says("X", progress=False) if line.startswith("note")] == []
     assert all(len(command.notes) == 1 for command in s.state.commands.values())
     assert [e.client for e in s.log if isinstance(e, PublishNote)] == ["ann", ""]
@@ -1485,8 +1485,8 @@ def test_notes_are_told_to_the_client_that_wants_them_and_to_listeners_and_kept_
 
 def test_a_restarted_broker_has_no_listeners_until_they_come_back():
     s = Story()
-    s.hear(ListenersChanged, listening=True)
-    s.hear(BrokerRestarted)
+    s.handle(ListenersChanged, listening=True)
+    s.handle(BrokerRestarted)
     assert [line for line in s.says("X", progress=False) if line.startswith("note")] == []
 
 
@@ -1547,7 +1547,7 @@ def test_after_a_restart_a_halt_has_its_limit_and_time_to_reconnect():
     s.state.timeout_scale = 3.0
     s.executing()
     s.says("HALT ALL")
-    s.hear(BrokerRestarted)
+    s.handle(BrokerRestarted)
     assert time_left(s) == time_left(s, "C-2") == pytest.approx(6.0 + REPORT_MARGIN_S)
 
 
@@ -1557,5 +1557,5 @@ def test_after_a_restart_the_last_analysis_has_its_whole_limit():
     s.halts()
     s.reports("C-1", StopReason.HALT)
     assert s.phase("C-1") == "closing"
-    s.hear(BrokerRestarted)
+    s.handle(BrokerRestarted)
     assert time_left(s) == pytest.approx(CLOSING_LIMIT_S)

@@ -25,7 +25,7 @@ class Journalled(Story):
         self.journal = journal
         super().__init__()
 
-    def hear(self, what, /, **fields):
+    def handle(self, what, /, **fields):
         self.now += 0.001
         event = what(at_s=self.now, **fields)
         effects = decide(self.state, event)
@@ -96,7 +96,7 @@ def test_the_story_of_an_ended_command_is_kept(path):
     assert s.journal.record("X") is None
 
 
-def test_a_story_not_written_yet_is_told_again_by_the_replay(path):
+def test_a_record_not_written_yet_is_rebuilt_by_the_replay(path):
     s = Journalled(Journal.open(path, "run", State()))
     s.analyzing()
     s.answers("C-1", go_on())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from broker.__main__ import lost_batches
-from broker.decisions import events as heard
+from broker.decisions import events as received
 from broker.decisions.effects import PublishNote, ReportEnd, SendPrimitive, TellClient
 from broker.decisions.state import State
 from broker.persistence.journal import Journal
@@ -19,11 +19,11 @@ LIFE = "bbbb"
 
 
 def loses(s: Story, accepted: int = 0) -> None:
-    s.hear(heard.JournalLost, why="the journal was lost", life=LIFE, accepted=accepted)
+    s.handle(received.JournalLost, why="the journal was lost", life=LIFE, accepted=accepted)
 
 
 def asks(s: Story, request: str, text: str = "X", **more: object) -> None:
-    s.hear(heard.CommandReceived, client="ann", request=request, text=text, **more)
+    s.handle(received.CommandReceived, client="ann", request=request, text=text, **more)
 
 
 def test_the_numbers_go_on_above_the_highest_that_is_known():
@@ -63,7 +63,7 @@ def test_a_command_that_is_live_uses_no_number_of_a_job_again():
     assert int(s.state.commands[command].job.id.partition("/")[2]) > 10_000
 
 
-def test_a_client_that_waits_for_a_lost_command_hears_its_true_end():
+def test_a_client_that_waits_for_a_lost_command_receives_its_true_end():
     s = Story()
     loses(s)
     asks(s, "r17", known_as="C-17")
@@ -111,14 +111,14 @@ def test_a_number_far_out_is_not_believed():
 def test_the_mcm_knows_numbers_too():
     s = Story()
     loses(s)
-    s.hear(heard.SubsystemConnected, subsystem="MCM", pid=1, performers=["RIGHT-ARM"], outstanding=["C-17.2@aaaa"])
+    s.handle(received.SubsystemConnected, subsystem="MCM", pid=1, performers=["RIGHT-ARM"], outstanding=["C-17.2@aaaa"])
     assert s.parsed() == "C-18"
 
 
-def test_listeners_of_the_events_are_told():
+def test_listeners_of_the_events_are_informed():
     s = Story()
     loses(s)
-    s.hear(heard.ListenersChanged, listening=True)
+    s.handle(received.ListenersChanged, listening=True)
     (note,) = [e.note for e in s.log if isinstance(e, PublishNote) and not e.note.command]
     assert note.note == "the journal was lost"
 
@@ -144,7 +144,7 @@ class Life:
 
     def turns(self, n):
         for _ in range(n):
-            self.journal.append([heard.TimerFired(at_s=1.0, timer="x")], [])
+            self.journal.append([received.TimerFired(at_s=1.0, timer="x")], [])
         return self
 
 

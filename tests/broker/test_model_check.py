@@ -14,7 +14,7 @@ from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendHalt
 from broker.decisions.events import HaltCalled, JobLost, JournalLost, SubsystemConnected
 from broker.decisions.resources import Resources
-from tests.simulation.explore import explore, tell
+from tests.simulation.explore import describe, explore
 from tests.simulation.model import Scenario
 from tests.simulation.scenarios import SCENARIOS
 
@@ -28,7 +28,7 @@ def faults(scenario: Scenario, n: int) -> Scenario:
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda s: s.name.replace(" ", "-"))
 def test_nothing_near_the_start_breaks_a_rule(scenario):
     found = explore(faults(scenario, 2), states=400)
-    assert not found.violation, tell(found, scenario)
+    assert not found.violation, describe(found, scenario)
     assert found.states > 400
 
 
@@ -46,8 +46,8 @@ def test_a_halt_that_forgets_what_is_in_line_is_found(monkeypatch):
     monkeypatch.setattr(halt_request, "in_scope", lambda turn, scope: [])
     found = explore(faults(SAME_ARM, 1))
     assert found.violation
-    assert [move[0] for move in found.path] == ["hand in", "halt", "said", "work"]
-    assert "the shortest way there" in tell(found, SAME_ARM)
+    assert [move[0] for move in found.path] == ["hand in", "halt", "delivered", "work"]
+    assert "the shortest way there" in describe(found, SAME_ARM)
 
 
 def test_a_resource_given_twice_is_found(monkeypatch):
@@ -90,7 +90,7 @@ def test_a_halt_called_past_the_broker_and_not_passed_on_is_found(monkeypatch):
     assert explore(faults(SAME_ARM, 1)).violation
 
 
-def test_an_arm_that_stays_closed_because_nobody_tells_the_world_is_found(monkeypatch):
+def test_an_arm_that_stays_closed_because_the_world_is_never_written_is_found(monkeypatch):
     monkeypatch.setattr(deferred_analysis, "handle_timer", lambda turn, timer: False)
     assert "quarantine is not empty" in explore(faults(SAME_ARM, 1)).violation
 

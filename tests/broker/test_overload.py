@@ -41,29 +41,29 @@ def test_one_client_has_so_many_live_and_another_is_taken(story: Story) -> None:
 def test_a_halt_is_obeyed_also_from_one_who_has_too_many_live(story: Story) -> None:
     for n in range(3):
         story.says("X", request=str(n))
-    said = story.says("HALT ALL", request="halt")
-    assert "halt ALL to MCM" in said
-    assert [line for line in said if line.startswith("end")] == ["end C-1 halted", "end C-2 halted", "end C-3 halted"]
-    assert "tell ann Declined" in said
+    lines = story.says("HALT ALL", request="halt")
+    assert "halt ALL to MCM" in lines
+    assert [line for line in lines if line.startswith("end")] == ["end C-1 halted", "end C-2 halted", "end C-3 halted"]
+    assert "tell ann Declined" in lines
 
 
 def test_a_report_counts_only_from_the_subsystem_that_executes(story: Story) -> None:
     command = story.executing()
     primitive = story.state.commands[command].primitive
-    story.hear(SubsystemConnected, subsystem="EVIL", pid=6, performers=["RIGHT-ARM"])
-    story.hear(PrimitiveEnded, subsystem="EVIL", report=report(primitive))
+    story.handle(SubsystemConnected, subsystem="EVIL", pid=6, performers=["RIGHT-ARM"])
+    story.handle(PrimitiveEnded, subsystem="EVIL", report=report(primitive))
     assert story.phase(command) == Phase.EXECUTING
     story.halts()
-    story.hear(HaltConfirmed, subsystem="EVIL", halt=f"stop-{command}", at_rest=True, performers=["RIGHT-ARM"])
+    story.handle(HaltConfirmed, subsystem="EVIL", halt=f"stop-{command}", at_rest=True, performers=["RIGHT-ARM"])
     assert story.phase(command) == Phase.HALTING
     assert not violations(story.state)
 
 
 def test_subsystems_that_come_and_go_do_not_pile_up(story: Story) -> None:
     for n in range(3 * MAX_SUBSYSTEMS):
-        story.hear(SubsystemConnected, subsystem=f"S{n}", pid=n, performers=[f"P{n}"])
+        story.handle(SubsystemConnected, subsystem=f"S{n}", pid=n, performers=[f"P{n}"])
         if n % 2:
-            story.hear(SubsystemGone, subsystem=f"S{n}", why="silent")
+            story.handle(SubsystemGone, subsystem=f"S{n}", why="silent")
     assert len(story.state.subsystems) == MAX_SUBSYSTEMS
     assert "MCM" in story.state.subsystems
 

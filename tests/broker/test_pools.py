@@ -44,7 +44,7 @@ class Cluster:
         return list(self.autoscaler.orders(self.registry, self.processes, now))
 
 
-def test_a_kind_that_nobody_is_left_of_gets_a_worker_as_soon_as_a_job_waits():
+def test_a_kind_without_workers_gets_one_as_soon_as_a_job_waits():
     it = Cluster()
     assert it.look(0.0) == []
     it.submit(1, 1.0)
@@ -100,7 +100,7 @@ def test_surplus_retires_the_highest_address_first_and_gets_no_more_jobs():
     assert (list(it.registry.workers["binder@2"].assigned), it.registry.workers["binder@6"].assigned) == (["C-0/1"], {})
 
 
-def test_nobody_retires_while_jobs_wait_or_who_is_at_work():
+def test_no_worker_retires_while_jobs_wait_or_while_it_works():
     it = Cluster(2, 6, least=0)
     it.submit(3, 0.0)
     assert it.look(WAIT_S) == []

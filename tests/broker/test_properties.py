@@ -5,41 +5,41 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from broker.decisions import events as heard
+from broker.decisions import events
 from broker.decisions.decide import decide
 from broker.decisions.invariants import MOVING, forbidden, violations
 from broker.decisions.state import NIL, State
 from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, WorkerKind
 from rtc.protocol.outcomes import RefusalReason, StopReason
-from tests.broker.stories import Story, bound, give_up, go_on, mend, record, script, told, trim
+from tests.broker.stories import Story, bound, give_up, go_on, mend, record, script, stated, trim
 
 ARMS = (("RIGHT-ARM",), ("LEFT-ARM",), ("LEFT-ARM", "RIGHT-ARM"), ("RIGHT-ARM", "MODULE"))
 
 
-class Surroundings(Story):
+class Environment(Story):
     """Workers, MCM, clients and clock that do whatever the drawn numbers say, one event each."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.heard: list[heard.Event] = []
+        self.past: list[events.Event] = []
         self.pid = 1
 
-    def hear(self, what, /, **fields):
+    def handle(self, what, /, **fields):
         self.now += 0.001
         return self._decide(what(at_s=self.now, **fields))
 
-    def _decide(self, event: heard.Event):
+    def _decide(self, event: events.Event):
         live = set(self.state.commands)
         effects = decide(self.state, event)
         self.log += effects
-        if isinstance(event, heard.HaltCalled):
+        if isinstance(event, events.HaltCalled):
             self.halted = live
-        halt_all = isinstance(event, heard.HaltCalled) and event.scope == "ALL"
+        halt_all = isinstance(event, events.HaltCalled) and event.scope == "ALL"
         assert violations(self.state) == []
         assert forbidden(self.state, live, effects, halt_all=halt_all) == []
-        if not isinstance(event, heard.BrokerRestarted):
-            self.heard = [*getattr(self, "heard", [])[-30:], event]
+        if not isinstance(event, events.BrokerRestarted):
+            self.past = [*getattr(self, "past", [])[-30:], event]
         return effects
 
     def pick(self, n: int):
@@ -85,7 +85,7 @@ class Surroundings(Story):
         if kind is WorkerKind.BINDER:
             performer = next((r for r in command.actions.script.resources if r.endswith("ARM")), "RIGHT-ARM")
             if choice % 5 == 0:
-                return BoundStep() if choice % 2 else told()
+                return BoundStep() if choice % 2 else stated()
             return bound(f"{command.id}.{command.primitives + 1}", performer)
         return (go_on(), go_on(), mend(1 + choice % 3), give_up())[choice % 4]
 
@@ -118,15 +118,15 @@ class Surroundings(Story):
 
     def again(self, n: int) -> None:
         """An event heard before comes once more: late, double or stale."""
-        if self.heard:
-            self._decide(self.heard[n % len(self.heard)])
+        if self.past:
+            self._decide(self.past[n % len(self.past)])
 
     def client_gone(self, n: int) -> None:
-        self.hear(heard.ClientGone, client="ann")
+        self.handle(events.ClientGone, client="ann")
 
     def restart(self, n: int) -> None:
         self.state = wire.decoder(State)(wire.encode(self.state))
-        self.hear(heard.BrokerRestarted)
+        self.handle(events.BrokerRestarted)
 
     def settle(self) -> None:
         """The surroundings come to their senses: everything is answered well. Nothing may be left."""
@@ -161,23 +161,23 @@ class Surroundings(Story):
 
 
 ACTS = [
-    *[Surroundings.submit] * 3,
-    *[Surroundings.work] * 9,
-    *[Surroundings.report_end] * 3,
-    Surroundings.halt,
-    Surroundings.rest,
-    Surroundings.ring,
-    Surroundings.mcm,
-    Surroundings.again,
-    Surroundings.client_gone,
-    Surroundings.restart,
+    *[Environment.submit] * 3,
+    *[Environment.work] * 9,
+    *[Environment.report_end] * 3,
+    Environment.halt,
+    Environment.rest,
+    Environment.ring,
+    Environment.mcm,
+    Environment.again,
+    Environment.client_gone,
+    Environment.restart,
 ]
 
 
 @settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, len(ACTS) - 1), st.integers(0, 100_000)), max_size=120))
 def test_any_events_keep_the_invariants_and_every_command_ends(acts):
-    s = Surroundings()
+    s = Environment()
     for kind, n in acts:
         s.act(kind, n)
     s.settle()
@@ -191,19 +191,19 @@ def test_any_events_keep_the_invariants_and_every_command_ends(acts):
 @settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, len(ACTS) - 1), st.integers(0, 100_000)), max_size=80))
 def test_the_same_events_give_the_same_state_and_effects(acts):
-    s = Surroundings()
-    events: list[heard.Event] = []
-    decided, s._decide = s._decide, lambda event: (events.append(event), decided(event))[1]
+    s = Environment()
+    taken: list[events.Event] = []
+    decided, s._decide = s._decide, lambda event: (taken.append(event), decided(event))[1]
     for kind, n in acts:
-        if ACTS[kind] is not Surroundings.restart:
+        if ACTS[kind] is not Environment.restart:
             s.act(kind, n)
     twice = []
     for _ in range(2):
         state = State()
-        effects = [decide(state, event) for event in [first_hello(), *events]]
+        effects = [decide(state, event) for event in [first_hello(), *taken]]
         twice.append((wire.encode(state), effects))
     assert twice[0] == twice[1]
 
 
-def first_hello() -> heard.Event:
-    return heard.SubsystemConnected(at_s=0.001, subsystem="MCM", pid=1, performers=["LEFT-ARM", "RIGHT-ARM"])
+def first_hello() -> events.Event:
+    return events.SubsystemConnected(at_s=0.001, subsystem="MCM", pid=1, performers=["LEFT-ARM", "RIGHT-ARM"])

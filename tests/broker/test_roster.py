@@ -15,7 +15,7 @@ def job(n: int, kind: WorkerKind = BINDER, attempt: int = 1) -> DispatchJob:
     return DispatchJob(job=f"C-{n}/1", attempt=attempt, kind=kind, program="", cell="", input=msgspec.Raw(b"\xc0"))
 
 
-def roster(*names: str, mean_s: float = 0.1) -> WorkerRegistry:
+def registry(*names: str, mean_s: float = 0.1) -> WorkerRegistry:
     r = WorkerRegistry()
     for node, name in enumerate(names):
         r.register(name, node, BINDER, 100 + node, now=0.0)
@@ -31,7 +31,7 @@ def given_out(r: WorkerRegistry, now: float = 0.0) -> dict[str, list[str]]:
 
 
 def test_slow_jobs_go_one_to_a_worker_and_the_rest_wait():
-    r = roster("a", "b")
+    r = registry("a", "b")
     for n in range(3):
         r.submit(job(n), 0.0)
     assert given_out(r) == {"a": ["C-0/1"], "b": ["C-1/1"]}
@@ -40,7 +40,7 @@ def test_slow_jobs_go_one_to_a_worker_and_the_rest_wait():
 
 
 def test_quick_jobs_go_in_handfuls_and_one_handful_ahead():
-    r = roster("a", mean_s=0.0001)
+    r = registry("a", mean_s=0.0001)
     for n in range(100):
         r.submit(job(n), 0.0)
     assert len(given_out(r)["a"]) == 40  # twice 2 ms of work
@@ -48,14 +48,14 @@ def test_quick_jobs_go_in_handfuls_and_one_handful_ahead():
 
 
 def test_a_job_goes_only_to_its_kind():
-    r = roster("a")
+    r = registry("a")
     r.submit(job(1, WorkerKind.PARSER), 0.0)
     assert given_out(r) == {}
     assert len(r.queues[WorkerKind.PARSER]) == 1
 
 
 def test_of_a_lost_workers_jobs_only_the_first_was_in_its_hands():
-    r = roster("a", mean_s=0.0001)
+    r = registry("a", mean_s=0.0001)
     for n in range(3):
         r.submit(job(n), 0.0)
     given_out(r)
@@ -65,14 +65,14 @@ def test_of_a_lost_workers_jobs_only_the_first_was_in_its_hands():
 
 
 def test_a_worker_that_says_hello_again_has_lost_what_it_held():
-    r = roster("a")
+    r = registry("a")
     r.submit(job(1), 0.0)
     given_out(r)
     assert [lost.job.job for lost in r.register("a", 0, BINDER, 101, now=1.0)] == ["C-1/1"]
 
 
-def test_a_cancelled_job_is_never_given_out_and_its_holder_is_told():
-    r = roster("a")
+def test_a_cancelled_job_is_never_assigned_and_its_holder_is_informed():
+    r = registry("a")
     r.submit(job(1), 0.0)
     r.submit(job(2), 0.0)
     given_out(r)
@@ -83,7 +83,7 @@ def test_a_cancelled_job_is_never_given_out_and_its_holder_is_told():
 
 
 def test_a_job_cancelled_and_given_out_anew_is_wanted():
-    r = roster("a")
+    r = registry("a")
     r.submit(job(1), 0.0)
     r.cancel("C-1/1")
     r.submit(job(1, attempt=2), 0.0)
@@ -91,7 +91,7 @@ def test_a_job_cancelled_and_given_out_anew_is_wanted():
 
 
 def test_hung_is_a_job_beyond_its_deadline_or_an_idle_worker_that_is_silent():
-    r = roster("a", "b")
+    r = registry("a", "b")
     r.submit(job(1), 0.0)
     given_out(r)
     assert [w.name for w, _ in r.hung(SILENCE_S + 0.1)] == ["b"]
@@ -102,7 +102,7 @@ def test_hung_is_a_job_beyond_its_deadline_or_an_idle_worker_that_is_silent():
 
 
 def test_a_late_answer_to_an_earlier_attempt_frees_nothing():
-    r = roster("a")
+    r = registry("a")
     r.submit(job(1, attempt=2), 0.0)
     given_out(r)
     r.answered("a", "C-1/1", 1, 0.1, 0.1)
@@ -110,7 +110,7 @@ def test_a_late_answer_to_an_earlier_attempt_frees_nothing():
 
 
 def test_a_job_cancelled_after_its_answer_leaves_no_trace():
-    r = roster("a")
+    r = registry("a")
     r.submit(job(1), 0.0)
     given_out(r)
     r.answered("a", "C-1/1", 1, 0.1, 0.1)
@@ -122,7 +122,7 @@ def test_a_job_cancelled_after_its_answer_leaves_no_trace():
 
 
 def test_a_worker_that_hung_before_this_broker_came_is_found_by_its_silence():
-    r = roster("a")
+    r = registry("a")
     limit_s = DEADLINE_S[BINDER]
     assert not r.never_registered("a", 0.0, limit_s + 1)
     assert not r.never_registered("binder@6", 0.0, limit_s - 1)
@@ -130,15 +130,15 @@ def test_a_worker_that_hung_before_this_broker_came_is_found_by_its_silence():
     assert not r.never_registered("MCM", 0.0, 1000.0)
 
 
-def test_a_job_nobody_takes_is_given_back_at_the_limit():
+def test_a_job_without_a_worker_is_returned_at_the_limit():
     r = WorkerRegistry()
     r.submit(job(1), 0.0)
     assert r.waited_too_long(QUEUE_LIMIT_S - 1) == []
     assert [j.job for j in r.waited_too_long(QUEUE_LIMIT_S + 1)] == ["C-1/1"]
 
 
-def test_in_a_line_that_moves_nobody_waits_too_long():
-    r = roster("a", mean_s=0.4)
+def test_in_a_moving_queue_no_job_waits_too_long():
+    r = registry("a", mean_s=0.4)
     for n in range(300):
         r.submit(job(n), 0.0)
     now, refused = 0.0, []
@@ -151,7 +151,7 @@ def test_in_a_line_that_moves_nobody_waits_too_long():
 
 
 def test_a_line_that_moved_once_is_not_waited_in_for_ever():
-    r = roster("a")
+    r = registry("a")
     r.submit(job(1), 0.0)
     r.submit(job(2), 0.0)
     given_out(r)
@@ -162,7 +162,7 @@ def test_a_line_that_moved_once_is_not_waited_in_for_ever():
 
 
 def test_the_answers_of_one_kind_say_nothing_of_another():
-    r = roster("a")
+    r = registry("a")
     r.submit(job(1, WorkerKind.PARSER), 0.0)
     r.submit(job(2), 0.0)
     given_out(r)
@@ -170,7 +170,7 @@ def test_the_answers_of_one_kind_say_nothing_of_another():
     assert [j.job for j in r.waited_too_long(QUEUE_LIMIT_S + 1)] == ["C-1/1"]
 
 
-def test_nobody_of_that_name():
+def test_an_unknown_worker_name():
     r = WorkerRegistry()
     assert not r.mark_alive("ghost", 0.0)
     r.answered("ghost", "C-1/1", 1, 0.1, 0.1)
@@ -179,7 +179,7 @@ def test_nobody_of_that_name():
 
 def test_clients_take_turns():
     """One with thousands of commands keeps another's waiting for one job."""
-    r = roster()
+    r = registry()
     for n in range(100):
         r.submit(job(n), 0.0, "many")
     for n in (200, 201):
@@ -193,8 +193,8 @@ def test_clients_take_turns():
     assert len(order) == len(set(order)) == 102
 
 
-def test_an_answer_that_was_not_given_is_told_apart():
-    r = roster("a", "b")
+def test_a_missing_answer_is_distinguished():
+    r = registry("a", "b")
     r.submit(job(1), 0.0)
     assert given_out(r) == {"a": ["C-1/1"]}
     assert not r.answered("b", "C-1/1", 1, 0.1, 0.0)

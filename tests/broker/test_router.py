@@ -44,7 +44,7 @@ from rtc.runtime.settings import Settings
 from tests.broker.stories import Story, script
 from tests.campaigns import hostile
 
-DOORS = ("front", "halt", "workers", "subsystems", "supervisor", "events")
+ENDPOINTS = ("front", "halt", "workers", "subsystems", "supervisor", "events")
 SETTINGS = Settings(run_dir="/nowhere", run="this")
 SILENT = SimpleNamespace(info=lambda *_: None, warning=lambda *_: None)
 
@@ -108,16 +108,16 @@ class Bench:
             self.now += 0.001
             self.router.run_once(None)
 
-    def say(self, door: str, peer: bytes, *messages: Any) -> list[Any]:
+    def send(self, endpoint: str, peer: bytes, *messages: Any) -> list[Any]:
         """What comes back to this peer, when all has been heard."""
-        socket = self.sockets[door]
+        socket = self.sockets[endpoint]
         for message in messages:
             socket.put([peer, *wire.frames(message)])
         socket.sent.clear()
         while socket.inbox:
             self.turn()
         self.turn()
-        return [wire.reader(ANSWERS[door])(parts[1:]) for parts in socket.sent if parts[0] == peer]
+        return [wire.reader(ANSWERS[endpoint])(parts[1:]) for parts in socket.sent if parts[0] == peer]
 
     @property
     def state(self) -> State:
@@ -140,25 +140,25 @@ def bench() -> Bench:
 @pytest.fixture
 def working(bench: Bench) -> Bench:
     """With a subsystem, a parser, and a sentence that the parser has."""
-    bench.say("subsystems", b"MCM", MCM)
-    bench.say("workers", b"parser@0", PARSER)
-    bench.say("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
+    bench.send("subsystems", b"MCM", MCM)
+    bench.send("workers", b"parser@0", PARSER)
+    bench.send("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
     assert list(bench.router.core.registry.workers["parser@0"].assigned) == ["C-1/1"]
     return bench
 
 
 @given(seed=st.integers(0, 1 << 32))
 @tries(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-def test_nothing_that_is_said_at_any_door_breaks_it(seed: int) -> None:
+def test_no_message_at_any_endpoint_breaks_it(seed: int) -> None:
     bench, rng = Bench(), random.Random(seed)
-    bench.say("subsystems", b"MCM", MCM)
-    bench.say("workers", b"parser@0", PARSER)
+    bench.send("subsystems", b"MCM", MCM)
+    bench.send("workers", b"parser@0", PARSER)
     peers = [*hostile.IDENTITIES, *itertools.chain(*hostile.IMPOSTORS.values())]
-    sources = {door: hostile.bad_messages(door, rng) for door in DOORS}
+    sources = {endpoint: hostile.bad_messages(endpoint, rng) for endpoint in ENDPOINTS}
     for _ in range(150):
-        door = rng.choice(DOORS)
-        parts = next(sources[door])
-        bench.sockets[door].put(parts if door == "events" else [rng.choice(peers), *parts])
+        endpoint = rng.choice(ENDPOINTS)
+        parts = next(sources[endpoint])
+        bench.sockets[endpoint].put(parts if endpoint == "events" else [rng.choice(peers), *parts])
         if rng.random() < 0.3:
             bench.turn()
             bench.now += rng.choice((0.0, 0.1, 5.0))
@@ -168,15 +168,15 @@ def test_nothing_that_is_said_at_any_door_breaks_it(seed: int) -> None:
     assert wire.encode(wire.decoder(State)(snapshot)) == snapshot
 
 
-def test_what_cannot_be_read_is_counted_by_door(bench: Bench) -> None:
-    for door in ("front", "halt", "workers", "subsystems", "supervisor"):
-        bench.sockets[door].put([b"x", b"RTC0", b""])
+def test_unreadable_messages_are_counted_by_endpoint(bench: Bench) -> None:
+    for endpoint in ("front", "halt", "workers", "subsystems", "supervisor"):
+        bench.sockets[endpoint].put([b"x", b"RTC0", b""])
     bench.turn()
-    bench.say("supervisor", b"world", m.Dropped(counts={"world": 7, "front": 9}))
-    counters = bench.say("front", b"ann", m.StatusQuery(request="1"))[0].status["counters"]
+    bench.send("supervisor", b"world", m.Dropped(counts={"world": 7, "front": 9}))
+    counters = bench.send("front", b"ann", m.StatusQuery(request="1"))[0].status["counters"]
     dropped = {name: n for name, n in counters.items() if name.startswith("dropped_")}
     assert dropped == {
-        **{f"dropped_{door}": 1 for door in ("front", "halt", "workers", "subsystems", "supervisor")},
+        **{f"dropped_{endpoint}": 1 for endpoint in ("front", "halt", "workers", "subsystems", "supervisor")},
         "dropped_world": 7,
     }
 
@@ -188,14 +188,14 @@ def test_what_cannot_be_read_is_counted_by_door(bench: Bench) -> None:
         m.ProgramText(request="1", kind=m.WorkerKind.PARSER, name="p.yaml", body=b"", cluster="old"),
     ],
 )
-def test_what_was_said_to_another_cluster_is_not_done(bench: Bench, message: Any) -> None:
+def test_messages_for_another_cluster_are_not_obeyed(bench: Bench, message: Any) -> None:
     """Given a line on which something lay for the cluster that was here before."""
     programs = dict(bench.state.programs)
-    welcome, declined = bench.say("front", b"ann", message)
+    welcome, declined = bench.send("front", b"ann", message)
     assert welcome.cluster == SETTINGS.run
     assert (declined.request, declined.refusal.reason) == ("1", "state")
     assert (bench.state.accepted, bench.state.programs) == (0, programs)
-    assert bench.say("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM", cluster=SETTINGS.run))
+    assert bench.send("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM", cluster=SETTINGS.run))
     assert bench.state.accepted == 1
 
 
@@ -204,11 +204,11 @@ def test_a_known_request_with_another_text_is_declined(working: Bench, has_ended
     """Given a client that counts from one again, then it is not told the outcome of its former life."""
     if has_ended:
         refused = m.JobRefused(id="C-1/1", attempt=1, refusal=m.Refusal(reason="sentence", message="no"))
-        working.say("workers", b"parser@0", m.ResultBatch(name="parser@0", results=[refused]))
+        working.send("workers", b"parser@0", m.ResultBatch(name="parser@0", results=[refused]))
     assert ("C-1" in working.state.ended) is has_ended
-    (declined,) = working.say("front", b"ann", m.CommandText(request="1", text="STOW RIGHT-ARM"))
+    (declined,) = working.send("front", b"ann", m.CommandText(request="1", text="STOW RIGHT-ARM"))
     assert (type(declined), declined.request, working.state.accepted) == (m.Declined, "1", 1)
-    accepted, *_ = working.say("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
+    accepted, *_ = working.send("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
     assert accepted == m.Accepted(request="1", command="C-1")
 
 
@@ -219,7 +219,7 @@ def test_a_known_request_with_another_text_is_declined(working: Bench, has_ended
 def test_what_cannot_be_read_is_answered_by_its_name(bench: Bench, wrong: dict[str, Any]) -> None:
     """Or whoever has sent it would wait without end."""
     message = {"type": "CommandText", "request": "1", "text": "STOW LEFT-ARM", **wrong}
-    (declined,) = bench.say("front", b"ann", message)
+    (declined,) = bench.send("front", b"ann", message)
     assert (type(declined), declined.request) == (m.Declined, message["request"])
 
 
@@ -235,14 +235,14 @@ def test_what_has_no_name_is_answered_without(bench: Bench, data: bytes) -> None
 
 def test_an_answer_counts_only_from_whom_the_job_was_given_to(working: Bench) -> None:
     forged = m.JobRefused(id="C-1/1", attempt=1, refusal=m.Refusal(reason="sentence", message="forged"))
-    working.say("workers", b"parser@9", m.ResultBatch(name="parser@0", results=[forged]))
+    working.send("workers", b"parser@9", m.ResultBatch(name="parser@0", results=[forged]))
     assert working.state.commands["C-1"].phase is m.Phase.PARSING
-    working.say("workers", b"parser@0", m.ResultBatch(name="parser@0", results=[forged]))
+    working.send("workers", b"parser@0", m.ResultBatch(name="parser@0", results=[forged]))
     assert "C-1" not in working.state.commands
 
 
 @pytest.mark.parametrize(
-    ("door", "message"),
+    ("endpoint", "message"),
     [
         ("workers", PARSER),
         ("subsystems", MCM),
@@ -252,10 +252,10 @@ def test_an_answer_counts_only_from_whom_the_job_was_given_to(working: Bench) ->
         ("supervisor", m.Dropped(counts={"world": 1})),
     ],
 )
-def test_nobody_speaks_for_another(working: Bench, door: str, message: Any) -> None:
+def test_no_peer_speaks_for_another(working: Bench, endpoint: str, message: Any) -> None:
     before = wire.encode(working.state)
-    working.say(door, b"somebody", message)
-    assert working.router.core.dropped[door] == 1
+    working.send(endpoint, b"somebody", message)
+    assert working.router.core.dropped[endpoint] == 1
     assert wire.encode(working.state) == before
     assert list(working.router.core.registry.workers) == ["parser@0"]
 
@@ -263,7 +263,7 @@ def test_nobody_speaks_for_another(working: Bench, door: str, message: Any) -> N
 def test_a_table_that_is_none_is_dropped(bench: Bench) -> None:
     good = {"name": "a", "pid": 2, "state": "ready", "since_s": 1.0}
     for rows in ([{}], [{**good, "name": 1}], [{**good, "since_s": ""}]):
-        bench.say("supervisor", b"supervisor", {"type": "ProcessTable", "processes": rows})
+        bench.send("supervisor", b"supervisor", {"type": "ProcessTable", "processes": rows})
     assert bench.router.core.dropped["supervisor"] == 3
     bench.now += 1.0
     bench.turn()
@@ -274,29 +274,29 @@ def test_noise_at_the_event_stream_does_not_cut_listeners_off(bench: Bench) -> N
     for frame in (b"\1", b"junk", b"", b"\0other", b"\0other", b"\xff"):
         events.put([frame])
     bench.turn()
-    bench.say("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
+    bench.send("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
     assert events.sent
     events.put([b"\0"])
     bench.turn()
     events.sent.clear()
-    bench.say("front", b"ann", m.CommandText(request="2", text="STOW LEFT-ARM"))
+    bench.send("front", b"ann", m.CommandText(request="2", text="STOW LEFT-ARM"))
     assert not events.sent
 
 
 def test_one_client_asks_so_often_and_another_is_served(bench: Bench) -> None:
-    said = bench.say("front", b"x", *(m.StatusQuery(request=str(n)) for n in range(QUERIES_PER_S + 5)))
-    assert [type(answer) for answer in said] == [m.StatusReply] * QUERIES_PER_S + [m.Declined] * 5
-    assert "times a second" in said[-1].refusal.message
-    assert type(bench.say("front", b"ann", m.StatusQuery(request="1"))[0]) is m.StatusReply
+    answers = bench.send("front", b"x", *(m.StatusQuery(request=str(n)) for n in range(QUERIES_PER_S + 5)))
+    assert [type(answer) for answer in answers] == [m.StatusReply] * QUERIES_PER_S + [m.Declined] * 5
+    assert "times a second" in answers[-1].refusal.message
+    assert type(bench.send("front", b"ann", m.StatusQuery(request="1"))[0]) is m.StatusReply
     bench.now += 1.0
-    assert type(bench.say("front", b"x", m.StatusQuery(request="later"))[0]) is m.StatusReply
+    assert type(bench.send("front", b"x", m.StatusQuery(request="later"))[0]) is m.StatusReply
 
 
 def test_who_calls_halts_without_end_is_obeyed_and_folded(working: Bench) -> None:
     """Given a stream of halts of one caller, when another calls one, it is answered, and the last of the stream too
     has stopped what it meant."""
     calls = [m.HaltOrder(halt=f"H-{n}", scope=("LEFT-ARM", "RIGHT-ARM")[n % 2]) for n in range(PER_S + 50)]
-    working.say("halt", b"x", *calls)
+    working.send("halt", b"x", *calls)
     working.now += 0.2
     working.turn()
     passed_on = [wire.reader(m.BrokerToSubsystem)(parts[1:]) for parts in working.sockets["subsystems"].sent]
@@ -305,38 +305,38 @@ def test_who_calls_halts_without_end_is_obeyed_and_folded(working: Bench) -> Non
     assert (passed_on[-1].halt, passed_on[-1].scope) == (calls[-1].halt, "ALL")  # of two scopes
     assert len(working.router.halts.callers[b"x"]) == HALTS_OF_CALLER
 
-    working.say("halt", b"ann", m.HaltOrder(halt="H-ann", scope="LEFT-ARM"))
+    working.send("halt", b"ann", m.HaltOrder(halt="H-ann", scope="LEFT-ARM"))
     rest = m.HaltAtRest(halt="H-ann", subsystem="MCM", at_s=1.0, at_rest=True, performers=["LEFT-ARM"])
-    working.say("subsystems", b"MCM", rest)
+    working.send("subsystems", b"MCM", rest)
     assert working.sockets["halt"].sent[-1] == [b"ann", *wire.frames(rest)]
 
 
-def test_two_callers_of_one_name_are_each_told_of_their_own_halt(working: Bench) -> None:
+def test_two_callers_of_one_name_each_get_the_answer_to_their_own_halt(working: Bench) -> None:
     for caller, scope in ((b"ann", "LEFT-ARM"), (b"bob", "ALL")):
-        working.say("halt", caller, m.HaltOrder(halt="1", scope=scope))
+        working.send("halt", caller, m.HaltOrder(halt="1", scope=scope))
     sent = [wire.reader(m.BrokerToSubsystem)(parts[1:]) for parts in working.sockets["subsystems"].sent]
     of_bob = next(order for order in sent if isinstance(order, m.HaltOrder) and order.scope == "ALL")
     working.sockets["halt"].sent.clear()
     rest = m.HaltAtRest(halt="1", subsystem="MCM", at_s=1.0, at_rest=True, performers=[], call=of_bob.call)
-    working.say("subsystems", b"MCM", rest)
+    working.send("subsystems", b"MCM", rest)
     assert working.sockets["halt"].sent == [[b"bob", *wire.frames(msgspec.structs.replace(rest, call=""))]]
 
 
 def test_a_cluster_that_is_stopped_ends_its_commands_and_takes_no_more(working: Bench) -> None:
     supervisor = working.router.core.supervisor_peer
     for asked in range(2):  # the supervisor asks again until it has the answer
-        said = working.say("supervisor", supervisor, m.Shutdown())
-        assert m.AllEnded(commands=["C-1"]) in said, asked
-    (declined,) = working.say("front", b"ann", m.CommandText(request="2", text="STOW LEFT-ARM"))
+        answers = working.send("supervisor", supervisor, m.Shutdown())
+        assert m.AllEnded(commands=["C-1"]) in answers, asked
+    (declined,) = working.send("front", b"ann", m.CommandText(request="2", text="STOW LEFT-ARM"))
     assert "is being stopped" in declined.refusal.message
-    known = working.say("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
+    known = working.send("front", b"ann", m.CommandText(request="1", text="STOW LEFT-ARM"))
     assert [type(answer) for answer in known] == [m.Accepted, m.CommandEnded]
     assert known[1].outcome.kind is OutcomeKind.HALTED
 
 
 def test_without_its_supervisor_it_sends_every_client_an_outcome_in_time(bench: Bench) -> None:
     """Given one command whose subsystem is silent, one that waits for its analyzer and one for its parser."""
-    bench.say("subsystems", b"MCM", MCM)
+    bench.send("subsystems", b"MCM", MCM)
     story = Story(mcm=False)
     story.state, story.now = bench.state, bench.now
     silent = story.executing()
@@ -352,7 +352,7 @@ def test_without_its_supervisor_it_sends_every_client_an_outcome_in_time(bench: 
     me.stopping, me.orphaned, me.wait = True, True, wait  # type: ignore[misc, assignment, method-assign]
     bench.router.run()
 
-    ended = {said.command: said.outcome for said in forwarded(bench) if isinstance(said, m.CommandEnded)}
+    ended = {message.command: message.outcome for message in forwarded(bench) if isinstance(message, m.CommandEnded)}
     assert [(name, outcome.kind) for name, outcome in ended.items()] == [
         ("C-3", OutcomeKind.HALTED),
         (done, OutcomeKind.HALTED),
@@ -379,7 +379,7 @@ def test_callers_are_forgotten_some_time(bench: Bench) -> None:
 
 def test_the_names_of_the_brokers_own_halts_are_not_for_others(working: Bench) -> None:
     """Or somebody could have the rest of C-1 confirmed by a halt of something else."""
-    working.say("halt", b"x", m.HaltOrder(halt="stop-C-1", scope="RIGHT-ARM", called_at_s=float("nan")))
+    working.send("halt", b"x", m.HaltOrder(halt="stop-C-1", scope="RIGHT-ARM", called_at_s=float("nan")))
     order = wire.reader(m.BrokerToSubsystem)(working.sockets["subsystems"].sent[-1][1:])
     assert (order.halt, order.scope, order.called_at_s) == ("H-stop-C-1", "RIGHT-ARM", 0.0)
 
@@ -396,22 +396,22 @@ HELLO = m.SubsystemHello(name="MCM", pid=7, performers=["LEFT-ARM"])
 def supervised() -> Bench:
     bench = Bench(Handed(SETTINGS, b"k" * 32, TOKEN))
     row = {"name": "MCM", "pid": 7, "state": "ready", "since_s": 0.0}
-    bench.say("supervisor", SUPERVISOR, {"type": "ProcessTable", "processes": [row]})
-    bench.say("subsystems", OURS, HELLO)
+    bench.send("supervisor", SUPERVISOR, {"type": "ProcessTable", "processes": [row]})
+    bench.send("subsystems", OURS, HELLO)
     return bench
 
 
 def test_a_stranger_that_calls_itself_mcm_is_refused_in_words(supervised: Bench) -> None:
     stranger = m.SubsystemHello(name="MCM", pid=8, performers=["LEFT-ARM"])
-    (refused,) = supervised.say("subsystems", b"MCM", stranger, m.Heartbeat(name="MCM"))
+    (refused,) = supervised.send("subsystems", b"MCM", stranger, m.Heartbeat(name="MCM"))
     assert refused.refusal.message == "this cluster has its own MCM, pid 7"
     assert supervised.state.subsystems["MCM"].pid == 7
     supervised.router.enqueue(HaltCalled(at_s=supervised.now, client="x", halt="H", scope="ALL"))
-    assert [type(order) for order in supervised.say("subsystems", OURS, m.Heartbeat(name="MCM"))] == [m.HaltOrder]
+    assert [type(order) for order in supervised.send("subsystems", OURS, m.Heartbeat(name="MCM"))] == [m.HaltOrder]
 
 
 def test_a_stranger_that_calls_itself_supervisor_changes_nothing(supervised: Bench) -> None:
-    supervised.say("supervisor", b"supervisor", m.ProcessTable(processes=[]))
+    supervised.send("supervisor", b"supervisor", m.ProcessTable(processes=[]))
     assert [row["name"] for row in supervised.router.core.processes] == ["MCM"]
 
 
@@ -450,29 +450,29 @@ def forwarded(bench: Bench) -> list[Any]:
 def test_a_periodic_report_goes_to_the_client_and_past_the_journal(reporting: Bench) -> None:
     before = (reporting.router.core.journal.events_since_snapshot, reporting.state.seq)
 
-    reporting.say("subsystems", b"MCM", progress())
+    reporting.send("subsystems", b"MCM", progress())
 
     [note] = forwarded(reporting)
     assert (note.seq, note.command, note.measured.joints, note.measured.tcp_pose) == (0, "C-1", [0.5], None)
     assert (reporting.router.core.journal.events_since_snapshot, reporting.state.seq) == before
 
 
-def test_a_report_that_nobody_asked_for_is_dropped(reporting: Bench) -> None:
-    reporting.say("subsystems", b"MCM", progress("C-1.0"), progress("C-9.1"))
+def test_a_report_that_was_not_requested_is_dropped(reporting: Bench) -> None:
+    reporting.send("subsystems", b"MCM", progress("C-1.0"), progress("C-9.1"))
     reporting.state.commands["C-1"].head = ParsedHead(kind="task", verb="STOW", report=ReportHead(joints=True))
-    reporting.say("subsystems", b"MCM", progress())
+    reporting.send("subsystems", b"MCM", progress())
     assert forwarded(reporting) == []
 
 
 def test_periodic_reports_are_bounded(reporting: Bench) -> None:
-    reporting.say("subsystems", b"MCM", *[progress()] * (2 * MOST_PER_S))
+    reporting.send("subsystems", b"MCM", *[progress()] * (2 * MOST_PER_S))
     assert len(forwarded(reporting)) == MOST_PER_S
     assert reporting.router.core.dropped["reports"] == MOST_PER_S
 
 
 def test_the_status_tells_how_old_the_list_of_processes_is(supervised: Bench) -> None:
     supervised.now += 12.0
-    (reply,) = supervised.say("front", b"ann", m.StatusQuery(request="q"))
+    (reply,) = supervised.send("front", b"ann", m.StatusQuery(request="q"))
     assert reply.status["supervisor_silent_s"] == pytest.approx(12.0, abs=0.1)
 
 
@@ -503,20 +503,20 @@ def program_text(request: str, body: bytes = b"x") -> m.ProgramText:
     return m.ProgramText(request=request, kind=m.WorkerKind.PARSER, name="mine.lark", body=body)
 
 
-def test_nobody_waits_for_a_program_that_is_checked(slow: Bench) -> None:
-    assert slow.say("front", b"ann", program_text("1")) == []
-    (reply,) = slow.say("front", b"bob", m.StatusQuery(request="q"))
+def test_no_one_waits_for_a_program_that_is_checked(slow: Bench) -> None:
+    assert slow.send("front", b"ann", program_text("1")) == []
+    (reply,) = slow.send("front", b"bob", m.StatusQuery(request="q"))
     assert isinstance(reply, m.StatusReply)
     Slow.started[0].checked = Checked(error="mine.lark: it takes more than 3 s")
-    (declined,) = slow.say("front", b"ann", m.ClientHello(client="ann"))[1:]
+    (declined,) = slow.send("front", b"ann", m.ClientHello(client="ann"))[1:]
     assert declined.refusal.message == "mine.lark: it takes more than 3 s"
 
 
 def test_programs_are_checked_one_after_the_other_each_upon_the_one_before(slow: Bench) -> None:
-    slow.say("front", b"ann", program_text("1"), program_text("1"), program_text("2"))
+    slow.send("front", b"ann", program_text("1"), program_text("1"), program_text("2"))
     (first,) = Slow.started
     first.checked = Checked(merged=b"first", changes=["a change"])
-    loaded = [a for a in slow.say("front", b"ann", m.Heartbeat(name="ann")) if isinstance(a, m.ProgramLoaded)]
+    loaded = [a for a in slow.send("front", b"ann", m.Heartbeat(name="ann")) if isinstance(a, m.ProgramLoaded)]
     assert [answer.changes for answer in loaded] == [["a change"]]
     assert Slow.started[1].asked.program == b"first"
     assert slow.state.programs["parser"] == digest(b"first")
@@ -526,7 +526,7 @@ def test_too_many_programs_at_once_are_declined(slow: Bench) -> None:
     answers = []
     for n in range(MOST_WAITING + 1):
         slow.now += 1.0
-        answers += slow.say("front", b"ann", program_text(str(n)))
+        answers += slow.send("front", b"ann", program_text(str(n)))
     assert [answer.refusal.reason for answer in answers] == [RefusalReason.OVERLOAD]
 
 
@@ -542,7 +542,7 @@ def kinds(body: Any) -> Any:
 
 
 def test_a_client_that_reads_arrays_gets_all_of_a_turn_in_one(bench: Bench) -> None:
-    bench.say("front", b"ann", m.ClientHello(client="ann", arrays=True))
+    bench.send("front", b"ann", m.ClientHello(client="ann", arrays=True))
     front = bench.sockets["front"]
     for n in range(3):
         front.put([b"ann", *wire.frames(m.CommandText(request=str(n), text="X", progress=False))])
@@ -554,8 +554,8 @@ def test_a_client_that_reads_arrays_gets_all_of_a_turn_in_one(bench: Bench) -> N
 
 
 def test_a_hello_without_arrays_takes_the_word_back(bench: Bench) -> None:
-    bench.say("front", b"ann", m.ClientHello(client="ann", arrays=True))
-    bench.say("front", b"ann", m.ClientHello(client="ann"))
+    bench.send("front", b"ann", m.ClientHello(client="ann", arrays=True))
+    bench.send("front", b"ann", m.ClientHello(client="ann"))
     front = bench.sockets["front"]
     for n in range(2):
         front.put([b"ann", *wire.frames(m.CommandText(request=str(n), text="X", progress=False))])

@@ -16,7 +16,7 @@ import msgspec
 
 from benchmarks.report import finish, question
 from tests.campaigns import RESULTS
-from tests.simulation.explore import Found, explore, tell
+from tests.simulation.explore import Found, describe, explore
 from tests.simulation.scenarios import SCENARIOS
 
 
@@ -37,7 +37,7 @@ def main() -> int:
         found.append(seen)
         print(f"\r  {_row(seen)[0]:<30} {_row(seen)[1]:<90}", flush=True)
         if seen.violation:
-            print(tell(seen, scenario))
+            print(describe(seen, scenario))
     finish(
         "model_check",
         {

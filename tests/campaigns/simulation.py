@@ -38,9 +38,7 @@ def main() -> int:
         simulated_s += result.simulated_s
         if result.problem:
             failed.append(result.seed)
-            print(
-                f"  seed {result.seed}: {result.problem}\n    python -m tests.simulation --seed {result.seed} --story"
-            )
+            print(f"  seed {result.seed}: {result.problem}\n    python -m tests.simulation --seed {result.seed} --log")
         if sys.stderr.isatty() and n % 50 == 0:
             print(f"\r  {n} seeds, {len(failed)} failed", end="", file=sys.stderr, flush=True)
     took_s = time.perf_counter() - began

@@ -1,4 +1,4 @@
-"""A whole cluster on a simulated clock, driven by one seed: what is said, when, and what dies in the middle of it.
+"""A whole cluster on a simulated clock. One seed determines all messages, their times, and all failures.
 
 Real: the broker's shell (`broker.router.loop`) with its Decision Unit, roster, timers and journal, every byte on its
 sockets, replay after a crash, the MCM's subsystem and executors, the world database's server and store. Simulated:
@@ -40,7 +40,7 @@ from sim_mcm.control.executor import State as Doing
 from tests.simulation import network, skills
 from tests.simulation.processes import ARMS, Caller, Client, Mcm, Supervisor, Worker
 
-FAULTS_S = 1.2  # sentences are said and things go wrong for so long; then all may come to an end
+FAULTS_S = 1.2  # duration of sentences and faults; then everything may end
 LIMIT_S = 150.0  # of simulated time until everything must have ended
 KEY = bytes(32)
 SETTINGS = Settings(run_dir="/nowhere", run="simulated")
@@ -134,12 +134,12 @@ class FragileJournal(Journal):
         super().__init__(db)
         self._broker = broker
 
-    def append(self, events: list[Event], stories: list[m.CommandRecord]) -> None:
+    def append(self, events: list[Event], records: list[m.CommandRecord]) -> None:
         broker = self._broker
         if broker.dies_in_journal == "before":
             raise Crash
-        super().append(events, stories)
-        broker.cluster.journalled(events, stories)
+        super().append(events, records)
+        broker.cluster.journalled(events, records)
         if broker.dies_in_journal == "after":
             raise Crash
 
@@ -151,8 +151,8 @@ class Ledger:
         self.cluster = cluster
         self.begun: dict[str, float] = {}
         self.ended: dict[str, StopReason] = {}
-        self.halts: list[tuple[Mcm, m.HaltOrder, float]] = []  # heard by which process, when
-        self.last_halt_s: dict[str, float] = {}  # scope -> when anybody last heard of one that was called
+        self.halts: list[tuple[Mcm, m.HaltOrder, float]] = []  # process that received it, order, time
+        self.last_halt_s: dict[str, float] = {}  # scope -> when the last called one was received by any process
 
     def halted(self, mcm: Mcm, order: m.HaltOrder, now_s: float) -> None:
         self.halts.append((mcm, order, now_s))
@@ -160,14 +160,14 @@ class Ledger:
             self.last_halt_s[order.scope] = now_s
 
     def obeyed(self, mcm: Mcm, order: m.HaltOrder) -> None:
-        """Called when the MCM has just heard it: nothing in its scope goes on, whatever it is called."""
+        """Called when the MCM has just received a halt: nothing in its scope may continue, whatever its name."""
         for executor in mcm.subsystem.executors.values():
             primitive = executor.primitive_id
             in_scope = order.scope in ("ALL", executor.name, primitive.partition(".")[0])
             if in_scope and executor.state is Doing.EXECUTING:
-                self.cluster.wrong(f"halt {order.halt} of {order.scope} was heard, and {primitive} goes on")
+                self.cluster.wrong(f"halt {order.halt} of {order.scope} was received, and {primitive} continues")
 
-    def said(self, mcm: Mcm, message: m.Message) -> None:
+    def sent(self, mcm: Mcm, message: m.Message) -> None:
         if isinstance(message, m.Started):
             if message.primitive in self.begun:
                 self.cluster.wrong(f"{message.primitive} was executed twice")
@@ -176,7 +176,7 @@ class Ledger:
         elif isinstance(message, m.HaltAtRest) and message.at_rest:
             moving = [n for n in message.performers if mcm.subsystem.executors[n].primitive_id]
             if moving:
-                self.cluster.wrong(f"halt {message.halt}: {moving} told to be at rest, and executing")
+                self.cluster.wrong(f"halt {message.halt}: {moving} reported at rest, and executing")
         elif isinstance(message, m.EndReport):
             known = self.ended.setdefault(message.primitive, message.reason)
             if known is not message.reason:
@@ -184,13 +184,13 @@ class Ledger:
 
     def _not_after_a_halt(self, mcm: Mcm, started: m.Started) -> None:
         command = started.primitive.partition(".")[0]
-        said_s, accepted_s = self.cluster.given(command)
+        sent_s, accepted_s = self.cluster.given(command)
         executor = next(e for e in mcm.subsystem.executors.values() if e.primitive_id == started.primitive)
-        for heard_by, order, heard_at_s in self.halts:
-            if heard_by is not mcm or heard_at_s > started.at_s or order.scope not in ("ALL", executor.name, command):
+        for mcm_then, order, at_s in self.halts:
+            if mcm_then is not mcm or at_s > started.at_s or order.scope not in ("ALL", executor.name, command):
                 continue
             # A number means nothing before it is given out.
-            if (accepted_s if order.scope == command else said_s) < order.called_at_s:
+            if (accepted_s if order.scope == command else sent_s) < order.called_at_s:
                 self.cluster.wrong(
                     f"{started.primitive} began at {started.at_s:.4f}, after halt {order.halt} of {order.scope}"
                 )
@@ -202,11 +202,11 @@ class Ledger:
 class Cluster:
     LIFE = ""  # of the first journal
 
-    def __init__(self, seed: int, story: Callable[[str], None] | None = None) -> None:
+    def __init__(self, seed: int, log_line: Callable[[str], None] | None = None) -> None:
         self.seed = seed
         self.random = Random(seed)
         self.clock = network.Clock(self.random)
-        self.story = story
+        self.log_line = log_line
         self.over = False
         self.problems: list[str] = []
         self.faults: Counter[str] = Counter()
@@ -220,7 +220,7 @@ class Cluster:
         self.handed = self.hand_over()
         self.world = Server(Store(":memory:"), KEY)
         self.world_back_s = 0.0
-        self.stories: dict[str, m.CommandRecord] = {}
+        self.records: dict[str, m.CommandRecord] = {}
         self.broker: Broker | None = None
         self._start_broker()
         self.workers: dict[str, Worker] = {}
@@ -281,24 +281,24 @@ class Cluster:
                 clock.after(random.uniform(0.15, FAULTS_S * 0.8), client.submit, self._sentence())
         for n in range(random.choice((0, 0, 0, 1, 1, 2, 3))):
             scope = random.choice(("ALL", "ALL", "LEFT-ARM", "RIGHT-ARM", f"C-{random.randint(1, 4)}"))
-            halt = random.choice((f"H-{n}", "THE-BUTTON"))  # of two callers, or of one button that always says the same
+            halt = random.choice((f"H-{n}", "THE-BUTTON"))  # two callers, or one button with a fixed name
             clock.after(random.uniform(0.01, FAULTS_S), self._call_halt, halt, scope)
         for _ in range(random.choice((0, 1, 1, 2, 3, 5))):
             fault = random.choice(self.faults_there_are)
             clock.after(random.uniform(0.005, FAULTS_S), fault, self)
         if random.random() < 0.3:
-            clock.after(random.uniform(0.05, FAULTS_S / 2), self._twin)
+            clock.after(random.uniform(0.05, FAULTS_S / 2), self._impostor)
         self.dies_after_commit = random.choice((0.0, 0.0, 0.0, 0.2))
         clock.after(FAULTS_S, self._calm_down)
 
-    def _twin(self) -> None:
-        """Somebody chooses the identity of a client that is there, and goes away again. (It does not outlive the
+    def _impostor(self) -> None:
+        """A peer takes the identity of a connected client, and disconnects again. (It does not outlive the
         broker: one that connects to the next broker first has the identity there.)"""
         name = self.clients[0].name
-        self.tell(f"a twin of {name} comes, for a moment")
-        twin = network.Dealer(self.clock, name.encode(), lambda parts: None)
-        self.clock.after(0.0005, self._connect, "front", twin)
-        self.clock.after(self.random.uniform(0.01, 0.3), twin.close)
+        self.log(f"an impostor of {name} connects for a moment")
+        impostor = network.Dealer(self.clock, name.encode(), lambda parts: None)
+        self.clock.after(0.0005, self._connect, "front", impostor)
+        self.clock.after(self.random.uniform(0.01, 0.3), impostor.close)
 
     def _sentence(self) -> str:
         random = self.random
@@ -321,7 +321,7 @@ class Cluster:
 
     def _call_halt(self, halt: str, scope: str) -> None:
         knows_broker = self.random.random() < 0.7
-        self.tell(f"somebody calls HALT {scope} ({halt}){'' if knows_broker else ' at the door of the MCM alone'}")
+        self.log(f"HALT {scope} is called ({halt}){'' if knows_broker else ', at the estop socket of the MCM alone'}")
         number = len(self.callers) + 1
         self.callers.append(Caller(self, number, halt, scope, knows_broker=knows_broker))
 
@@ -340,7 +340,7 @@ class Cluster:
 
     def _start_broker(self) -> None:
         self.broker = broker = Broker(self, self._db, next(self._pids))
-        self.tell(f"broker {broker.pid} is up")
+        self.log(f"broker {broker.pid} is up")
         if self.random.random() < 0.3:
             broker.router.core.journal.events_since_snapshot = 10**9  # a snapshot with its first turn
         broker.turn()
@@ -351,11 +351,11 @@ class Cluster:
         kind = list(m.WorkerKind)[node % 4]
         name = f"{kind.value}@{node}"
         self.workers[name] = Worker(self, name, node, kind, next(self._pids))
-        self.supervisor.tell_table()
+        self.supervisor.send_table()
 
     def _start_mcm(self) -> None:
         self.mcm = Mcm(self, next(self._pids))
-        self.tell(f"MCM {self.mcm.pid} is up")
+        self.log(f"MCM {self.mcm.pid} is up")
 
     def process(self, name: str) -> Worker | Mcm | None:
         return self.mcm if name == "MCM" else self.workers.get(name)
@@ -364,7 +364,7 @@ class Cluster:
         """kill -9; the supervisor sees it and starts it anew."""
         if not process.alive:
             return
-        self.tell(f"{process.name} {process.pid} is killed {why}")
+        self.log(f"{process.name} {process.pid} is killed {why}")
         process.die()
         self.clock.after(0.0005, self.supervisor.died, process.name, process.pid)
         random, after = self.random, self.clock.after
@@ -392,28 +392,28 @@ class Cluster:
             self.world.store.save()
         return answer.refusal if isinstance(answer, m.WorldRefused) else None
 
-    def journalled(self, events: list[Event], stories: list[m.CommandRecord]) -> None:
+    def journalled(self, events: list[Event], records: list[m.CommandRecord]) -> None:
         """A turn of the broker is on record: what it decided must be right, and true."""
         assert self.broker is not None
-        if self.story:
+        if self.log_line:
             for event in events:
-                self.tell(f"  broker hears {_in_words(event)}")
+                self.log(f"  broker gets {_in_words(event)}")
         for event in events:
             scope = getattr(event, "scope", None) or halt_scope(getattr(event, "text", None))  # type: ignore[arg-type]
             if scope:
                 self.ledger.last_halt_s[scope] = event.at_s
         for problem in violations(self.broker.state):
             self.wrong(problem)
-        for record in stories:
+        for record in records:
             self._true(record)
 
     def _true(self, record: m.CommandRecord) -> None:
         command, outcome = record.command, record.outcome
         assert outcome is not None
-        self.tell(f"    {command} ends: {outcome.kind.value} {outcome.message}")
-        if command in self.stories:
+        self.log(f"    {command} ends: {outcome.kind.value} {outcome.message}")
+        if command in self.records:
             self.wrong(f"{command} ended twice")
-        self.stories[command] = record
+        self.records[command] = record
         begun, ended = self.ledger.of(command), self.ledger.ended
         kind = outcome.kind
         whole = len(begun) == skills.primitives_of(record.text) and all(primitive in ended for primitive in begun)
@@ -424,9 +424,9 @@ class Cluster:
             self.wrong(f"{command} ended {kind.value}, and {moving[0]} is still executed")
         if kind is OutcomeKind.HALTED and record.text.startswith("DO"):
             scopes = ("ALL", skills.ARMS[record.text.split()[1]], command)
-            said_s, _ = self.given(command, record)
-            if not any(self.ledger.last_halt_s.get(scope, 0.0) >= said_s for scope in scopes):
-                self.wrong(f"{command} ended halted, and no halt of it was heard after it was said")
+            sent_s, _ = self.given(command, record)
+            if not any(self.ledger.last_halt_s.get(scope, 0.0) >= sent_s for scope in scopes):
+                self.wrong(f"{command} ended halted, and no halt of it was received after it was sent")
         if kind in (OutcomeKind.HALT_NOT_CONFIRMED, OutcomeKind.LOST_SUBSYSTEM) and not (
             self.faults["MCM"] or (record.text.startswith("HALT") and self.faults["broker"])
         ):
@@ -436,9 +436,9 @@ class Cluster:
         return list(self.mcm.subsystem.executors.values()) if self.mcm is not None and self.mcm.alive else []
 
     def given(self, command: str, record: m.CommandRecord | None = None) -> tuple[float, float]:
-        """When its client said it, and when it was accepted."""
+        """When its client sent it, and when it was accepted."""
         assert self.broker is not None
-        known = record or self.broker.state.commands.get(command) or self.stories.get(command)
+        known = record or self.broker.state.commands.get(command) or self.records.get(command)
         if known is None:  # the journal lost it
             return self.clock.now_s, self.clock.now_s
         (sentence,) = (c.texts[known.request] for c in self.clients if known.request in c.texts)
@@ -449,15 +449,15 @@ class Cluster:
     def _check(self) -> None:
         assert self.broker is not None
         state = self.broker.state
-        said = {request: client for client in self.clients for request in client.texts}
-        for request, client in said.items():
+        sent = {request: client for client in self.clients for request in client.texts}
+        for request, client in sent.items():
             result = client.results.get(request)
             if not isinstance(result, m.CommandEnded):
                 self.wrong(f"{request} has no outcome: {result}")
-            elif (record := self.stories.get(result.command)) is None or record.outcome != result.outcome:
-                self.wrong(f"{request} was told {result.outcome}, the story says {record and record.outcome}")
-        if state.accepted != len(said) and not state.lost:
-            self.wrong(f"{len(said)} sentences became {state.accepted} commands")
+            elif (record := self.records.get(result.command)) is None or record.outcome != result.outcome:
+                self.wrong(f"{request} got {result.outcome}, the record has {record and record.outcome}")
+        if state.accepted != len(sent) and not state.lost:
+            self.wrong(f"{len(sent)} sentences became {state.accepted} commands")
         for what in ("held", "waiting", "holders", "lines", "quarantine"):
             if left := getattr(state.resources, what):
                 self.wrong(f"{what} is not empty: {left}")
@@ -480,23 +480,23 @@ class Cluster:
             last = facts[-1] if facts else None
             if moved and (last is None or (last.validity is m.Validity.VALID and last.value != moved[-1])):
                 self.wrong(f"{arm} did {moved[-1]} last, and the world trusts {last and last.value}")
-            for record in self.stories.values():
+            for record in self.records.values():
                 if record.outcome and record.outcome.kind is OutcomeKind.SUCCEEDED:
                     mine = [p for p in self.ledger.of(record.command) if f" {arm.partition('-')[0]} " in record.text]
                     if [p for p in written if p in mine] != mine:
                         self.wrong(f"{record.command} did {mine}, written is {written}")
 
     def _arm_of(self, primitive: str) -> str:
-        story = self.stories.get(primitive.partition(".")[0])
-        return f"{story.text.split()[1]}-ARM" if story else ""
+        log_line = self.records.get(primitive.partition(".")[0])
+        return f"{log_line.text.split()[1]}-ARM" if log_line else ""
 
     def wrong(self, what: str) -> None:
-        self.tell(f"!! {what}")
+        self.log(f"!! {what}")
         self.problems.append(what)
 
-    def tell(self, what: str) -> None:
-        if self.story:
-            self.story(f"{self.clock.now_s - network.START_S:9.4f}  {what}")
+    def log(self, what: str) -> None:
+        if self.log_line:
+            self.log_line(f"{self.clock.now_s - network.START_S:9.4f}  {what}")
 
 
 # --- what can go wrong -----------------------------------------------------------------------------------
@@ -508,7 +508,7 @@ def _kill_broker(cluster: Cluster) -> None:
         return
     cluster.faults["broker"] += 1
     way = random.choice(("now", "before", "after", "sending", "sending"))
-    cluster.tell(f"the broker is about to be killed: {way}")
+    cluster.log(f"the broker is about to be killed: {way}")
     if way == "now":
         cluster.kill(broker, "between two turns")
     elif way == "sending":
@@ -522,7 +522,7 @@ def _stop_broker(cluster: Cluster) -> None:
     if broker is not None and broker.alive and not broker.stopped:
         cluster.faults["broker stopped"] += 1
         for_s = cluster.random.choice((0.3, 2.5, 6.0))
-        cluster.tell(f"the broker stands still for {for_s} s")
+        cluster.log(f"the broker stands still for {for_s} s")
         broker.stopped = True
         cluster.clock.after(for_s, broker.resume)
 
@@ -538,7 +538,7 @@ def _hang_worker(cluster: Cluster) -> None:
     workers = [w for w in cluster.workers.values() if w.kind in (m.WorkerKind.PARSER, m.WorkerKind.ANALYZER)]
     worker = cluster.random.choice(workers)
     cluster.faults["worker"] += 1
-    cluster.tell(f"{worker.name} {worker.pid} hangs")
+    cluster.log(f"{worker.name} {worker.pid} hangs")
     worker.hung = True
 
 
@@ -553,22 +553,22 @@ def _stop_mcm(cluster: Cluster) -> None:
     if mcm is not None and mcm.alive and not mcm.stopped:
         cluster.faults["MCM"] += 1
         for_s = cluster.random.choice((0.05, 0.3, 2.5, 4.0))
-        cluster.tell(f"the MCM stands still for {for_s} s")
+        cluster.log(f"the MCM stands still for {for_s} s")
         mcm.stopped = True
         cluster.clock.after(for_s, mcm.resume)
 
 
 def _repeat(cluster: Cluster) -> None:
-    """A client says everything again without need."""
+    """A client repeats all its requests without need."""
     client = cluster.random.choice(cluster.clients)
-    cluster.tell(f"{client.name} says everything again")
+    cluster.log(f"{client.name} repeats all its requests")
     client.repeat()
 
 
 def _stop_world(cluster: Cluster) -> None:
     away_s = cluster.random.choice((0.2, 2.0, 6.0, 20.0, 80.0))
     cluster.faults["world"] += 1
-    cluster.tell(f"the world database stands still for {away_s:g} s")
+    cluster.log(f"the world database stands still for {away_s:g} s")
     cluster.world_back_s = max(cluster.world_back_s, cluster.clock.now_s + away_s)
 
 

@@ -16,9 +16,10 @@ from functools import cache
 from typing import Any
 
 import msgspec
+from tests.broker.records import bound, give_up, go_on, mend, record, report, script, trim
 
 from broker.decisions import effects as do
-from broker.decisions import events as heard
+from broker.decisions import events
 from broker.decisions.decide import decide
 from broker.decisions.deferred_analysis import LIMIT_S
 from broker.decisions.invariants import forbidden, violations
@@ -26,7 +27,6 @@ from broker.decisions.state import State
 from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, EndReport, Phase, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
-from tests.broker.stories import bound, give_up, go_on, mend, record, report, script, trim
 from tests.simulation.model import (
     ARMS,
     CLIENTS,
@@ -50,8 +50,8 @@ def first(scenario: Scenario) -> Model:
     """Before the first sentence: the subsystem is there and at rest."""
     model = Model(du=State(), mcm=Mcm(arms=dict.fromkeys(ARMS, "")), budget=dict(scenario.caps), faults=scenario.faults)
     for kind in WorkerKind:
-        _hear(model, heard.ProgramInstalled(at_s=0.0, kind=kind, digest="old"))
-    _hear(model, _hello(model))
+        _handle(model, events.ProgramInstalled(at_s=0.0, kind=kind, digest="old"))
+    _handle(model, _hello(model))
     return model
 
 
@@ -70,34 +70,34 @@ def happen(model: Model, scenario: Scenario, move: Move, *, paid: bool = True) -
         if out is None:
             _lose(model, inner)
         else:
-            _hear(model, event_of(model, scenario, inner), out=out)
+            _handle(model, event_of(model, scenario, inner), out=out)
         return _restart(model)
     if name == "broker restarts":
         return _restart(model)
     if name == "journal lost":
         return _lose_turns(model)
-    return _hear(model, event_of(model, scenario, move))
+    return _handle(model, event_of(model, scenario, move))
 
 
 def _lose_turns(model: Model) -> list[do.Effect]:
     """A broker comes that knows that turns are missing. Nothing that was live goes on."""
     done = _restart(model)
-    lost = heard.JournalLost(at_s=model.now, why="lost", life="", accepted=model.du.accepted)
-    done += _hear(model, lost)
+    lost = events.JournalLost(at_s=model.now, why="lost", life="", accepted=model.du.accepted)
+    done += _handle(model, lost)
     for command in model.du.commands.values():
         if command.phase not in (Phase.HALTING, Phase.CLOSING):
             raise Violation(f"{command.id} is {command.phase.value} after its journal was lost")
     return done
 
 
-def event_of(model: Model, scenario: Scenario, move: Move) -> heard.Event:
+def event_of(model: Model, scenario: Scenario, move: Move) -> events.Event:
     return EVENTS[move[0]](model, scenario, *move[1:])
 
 
-def _hand_in(model: Model, scenario: Scenario, n: int) -> heard.Event:
+def _hand_in(model: Model, scenario: Scenario, n: int) -> events.Event:
     model.handed_in = n + 1
     sentence = scenario.sentences[n]
-    return heard.CommandReceived(
+    return events.CommandReceived(
         at_s=model.now,
         client=_client(scenario, n),
         request=f"r{n}",
@@ -110,18 +110,18 @@ def _client(scenario: Scenario, n: int) -> str:
     return CLIENTS[0 if scenario.one_client else n]
 
 
-def _client_gone(model: Model, scenario: Scenario) -> heard.Event:
+def _client_gone(model: Model, scenario: Scenario) -> events.Event:
     tied = next(n for n, sentence in enumerate(scenario.sentences) if sentence.halt_if_lost)
-    return heard.ClientGone(at_s=model.now, client=_client(scenario, tied))
+    return events.ClientGone(at_s=model.now, client=_client(scenario, tied))
 
 
-def _work(model: Model, scenario: Scenario, command: str, product: str) -> heard.Event:
+def _work(model: Model, scenario: Scenario, command: str, product: str) -> events.Event:
     live = model.du.commands[command]
     assert live.job is not None
     del model.given[live.job.id]
     step = live.actions.step if live.actions else None
     body = _product(sentence_of(command, scenario), live.job.kind, command, live.primitives + 1, step, product)
-    return heard.JobFinished(at_s=model.now, job=live.job.id, attempt=live.job.attempt, node="w", product=body)
+    return events.JobFinished(at_s=model.now, job=live.job.id, attempt=live.job.attempt, node="w", product=body)
 
 
 @cache
@@ -139,7 +139,7 @@ def _product(
             assert step is not None
             if step[0] == 0 and step[1] < sentence.empty_steps:
                 return wire.raw(BoundStep(note="nothing to do"))
-            if sentence.told:
+            if sentence.stated:
                 return wire.raw(BoundStep(report=report("", StopReason.GOAL), evaluation=bound("").evaluation))
             return wire.raw(bound(f"{command}.{primitive}", sentence.arms[(primitive - 1) % len(sentence.arms)]))
         case WorkerKind.ANALYZER:
@@ -149,9 +149,9 @@ def _product(
 
 
 def _about_job(
-    kind: type[heard.JobFinished | heard.JobDeclined | heard.JobLost], **fields: Any
-) -> Callable[[Model, Scenario, str], heard.Event]:
-    def event(model: Model, scenario: Scenario, command: str) -> heard.Event:
+    kind: type[events.JobFinished | events.JobDeclined | events.JobLost], **fields: Any
+) -> Callable[[Model, Scenario, str], events.Event]:
+    def event(model: Model, scenario: Scenario, command: str) -> events.Event:
         job = model.du.commands[command].job
         assert job is not None
         del model.given[job.id]
@@ -160,15 +160,15 @@ def _about_job(
     return event
 
 
-def _away_for_long(model: Model, scenario: Scenario, command: str) -> heard.Event:
+def _away_for_long(model: Model, scenario: Scenario, command: str) -> events.Event:
     model.now += LIMIT_S + 1.0
-    return _about_job(heard.JobDeclined, refusal=AWAY)(model, scenario, command)
+    return _about_job(events.JobDeclined, refusal=AWAY)(model, scenario, command)
 
 
-def _about_untold(
-    kind: type[heard.JobFinished | heard.JobDeclined | heard.JobLost], **fields: Any
-) -> Callable[[Model, Scenario, str], heard.Event]:
-    def event(model: Model, scenario: Scenario, command: str) -> heard.Event:
+def _about_deferred(
+    kind: type[events.JobFinished | events.JobDeclined | events.JobLost], **fields: Any
+) -> Callable[[Model, Scenario, str], events.Event]:
+    def event(model: Model, scenario: Scenario, command: str) -> events.Event:
         job = model.du.deferred_analyses[command].job
         del model.given[job.id]
         return kind(at_s=model.now, job=job.id, attempt=job.attempt, node="w", **fields)
@@ -176,23 +176,23 @@ def _about_untold(
     return event
 
 
-def _call(model: Model, scenario: Scenario, scope: str) -> heard.Event:
+def _call(model: Model, scenario: Scenario, scope: str) -> events.Event:
     _called(model, scope).at_broker = True
-    return heard.HaltCalled(at_s=model.now, client=CLIENTS[0], halt=f"h-{scope}", scope=scope)
+    return events.HaltCalled(at_s=model.now, client=CLIENTS[0], halt=f"h-{scope}", scope=scope)
 
 
-def _call_again(model: Model, scenario: Scenario, scope: str) -> heard.Event:
-    return heard.HaltCalled(at_s=model.now, client=CLIENTS[1], halt=f"h-{scope}", scope=scope)
+def _call_again(model: Model, scenario: Scenario, scope: str) -> events.Event:
+    return events.HaltCalled(at_s=model.now, client=CLIENTS[1], halt=f"h-{scope}", scope=scope)
 
 
 def _called(model: Model, scope: str) -> Halt:
     return model.halts.setdefault(f"h-{scope}", Halt(scope, model.handed_in))
 
 
-def _hello(model: Model) -> heard.SubsystemConnected:
+def _hello(model: Model) -> events.SubsystemConnected:
     mcm = model.mcm
     executing = [primitive for primitive in mcm.arms.values() if primitive]
-    return heard.SubsystemConnected(
+    return events.SubsystemConnected(
         at_s=model.now,
         subsystem="MCM",
         pid=mcm.pid,
@@ -202,30 +202,30 @@ def _hello(model: Model) -> heard.SubsystemConnected:
     )
 
 
-def _gone(why: str) -> Callable[[Model, Scenario], heard.Event]:
-    def event(model: Model, scenario: Scenario) -> heard.Event:
-        model.mcm.exit_told = True
-        return heard.SubsystemGone(at_s=model.now, subsystem="MCM", why=why)
+def _gone(why: str) -> Callable[[Model, Scenario], events.Event]:
+    def event(model: Model, scenario: Scenario) -> events.Event:
+        model.mcm.exit_reported = True
+        return events.SubsystemGone(at_s=model.now, subsystem="MCM", why=why)
 
     return event
 
 
-def _next_said(model: Model, scenario: Scenario) -> heard.Event:
-    return msgspec.structs.replace(model.mcm.said.pop(0), at_s=model.now)
+def _next_sent(model: Model, scenario: Scenario) -> events.Event:
+    return msgspec.structs.replace(model.mcm.outbox.pop(0), at_s=model.now)
 
 
-def _ring(model: Model, scenario: Scenario, timer: str) -> heard.Event:
+def _ring(model: Model, scenario: Scenario, timer: str) -> events.Event:
     at_s = model.timers.pop(timer)
-    return heard.TimerFired(at_s=max(at_s, model.now), timer=timer)
+    return events.TimerFired(at_s=max(at_s, model.now), timer=timer)
 
 
-def _install(model: Model, scenario: Scenario) -> heard.Event:
-    return heard.ProgramInstalled(at_s=model.now, kind=WorkerKind.PARSER, digest="new")
+def _install(model: Model, scenario: Scenario) -> events.Event:
+    return events.ProgramInstalled(at_s=model.now, kind=WorkerKind.PARSER, digest="new")
 
 
-def _resume(model: Model, scenario: Scenario, command: str) -> heard.Event:
+def _resume(model: Model, scenario: Scenario, command: str) -> events.Event:
     """The operator gives up on a paused command: it need not go on, only end."""
-    return heard.HaltCalled(at_s=model.now, client=CLIENTS[0], halt=f"end-{command}", scope=command)
+    return events.HaltCalled(at_s=model.now, client=CLIENTS[0], halt=f"end-{command}", scope=command)
 
 
 NO = Refusal(reason=RefusalReason.INFEASIBLE, message="no")
@@ -234,22 +234,22 @@ NO = Refusal(reason=RefusalReason.INFEASIBLE, message="no")
 AWAY = Refusal(reason=RefusalReason.TIMEOUT, message="the world does not answer")
 
 
-EVENTS: dict[str, Callable[..., heard.Event]] = {
+EVENTS: dict[str, Callable[..., events.Event]] = {
     "hand in": _hand_in,
     "work": _work,
-    "refuse": _about_job(heard.JobDeclined, refusal=NO),
-    "nonsense": _about_job(heard.JobFinished, product=wire.raw({"no": "product"})),
-    "worker dies": _about_job(heard.JobLost, evidence="exit -9"),
-    "job lost in a queue": _about_job(heard.JobLost, evidence="exit -9", blamed=False),
-    "world away": _about_job(heard.JobDeclined, refusal=AWAY),
+    "refuse": _about_job(events.JobDeclined, refusal=NO),
+    "nonsense": _about_job(events.JobFinished, product=wire.raw({"no": "product"})),
+    "worker dies": _about_job(events.JobLost, evidence="exit -9"),
+    "job lost in a queue": _about_job(events.JobLost, evidence="exit -9", blamed=False),
+    "world away": _about_job(events.JobDeclined, refusal=AWAY),
     "world away for long": _away_for_long,
-    "world told": _about_untold(heard.JobFinished, product=wire.raw(go_on())),
-    "told badly": _about_untold(heard.JobDeclined, refusal=NO),
-    "teller dies": _about_untold(heard.JobLost, evidence="exit -9"),
-    "world still away": _about_untold(heard.JobDeclined, refusal=AWAY),
-    "said": _next_said,
+    "world written": _about_deferred(events.JobFinished, product=wire.raw(go_on())),
+    "write refused": _about_deferred(events.JobDeclined, refusal=NO),
+    "writer dies": _about_deferred(events.JobLost, evidence="exit -9"),
+    "world still away": _about_deferred(events.JobDeclined, refusal=AWAY),
+    "delivered": _next_sent,
     "mcm silent": _gone("silent"),
-    "exit told": _gone("exit -9"),
+    "exit reported": _gone("exit -9"),
     "timer": _ring,
     "halt": _call,
     "halt again": _call_again,
@@ -259,11 +259,11 @@ EVENTS: dict[str, Callable[..., heard.Event]] = {
 }
 
 
-def _hear(model: Model, event: heard.Event, out: int | None = None) -> list[do.Effect]:
+def _handle(model: Model, event: events.Event, out: int | None = None) -> list[do.Effect]:
     """The Decision Unit hears; its effects are carried out, or only the first `out` of those that leave the broker."""
     du = model.du
     live = set(du.commands)
-    halted = event.scope if isinstance(event, heard.HaltCalled) else ""
+    halted = event.scope if isinstance(event, events.HaltCalled) else ""
     effects = decide(du, event)
     for command in du.commands.values():
         command.notes.clear()  # told, and never read again
@@ -291,22 +291,22 @@ def _restart(model: Model) -> list[do.Effect]:
     model.du = _decode_state(_encode_state(model.du))
     model.timers.clear()
     model.given.clear()
-    model.mcm.said.clear()
-    effects = _hear(model, heard.BrokerRestarted(at_s=model.now))
+    model.mcm.outbox.clear()
+    effects = _handle(model, events.BrokerRestarted(at_s=model.now))
     if model.mcm.alive:
-        _say_hello(model)
+        _send_hello(model)
     return effects
 
 
 def _lose(model: Model, move: Move) -> None:
     """What the broker had read goes with it. Some of it is said again by whoever said it."""
-    if move[0] == "said":
-        model.mcm.said.pop(0)
+    if move[0] == "delivered":
+        model.mcm.outbox.pop(0)
     elif move[0] == "halt":
         _called(model, move[1]).at_broker = True
 
 
-def late(model: Model) -> Iterator[heard.Event]:
+def late(model: Model) -> Iterator[events.Event]:
     """What may still arrive, or arrive once more, and must change nothing: answers of workers thought dead, answers
     and reports told twice, requests repeated, a timer that was set anew. (A halt that is repeated is obeyed again.)"""
     now, body = model.now, wire.raw(go_on())
@@ -316,21 +316,21 @@ def late(model: Model) -> Iterator[heard.Event]:
         old.append((f"{live.id}/{live.jobs if live.job is None else live.jobs - 1}", 1))
         if live.job is not None:
             old.append((live.job.id, live.job.attempt - 1))
-        yield heard.TimerFired(at_s=live.due_s - 0.5 if live.due_s else now, timer=live.id)
+        yield events.TimerFired(at_s=live.due_s - 0.5 if live.due_s else now, timer=live.id)
     for job, attempt in old:
-        yield heard.JobFinished(at_s=now, job=job, attempt=attempt, node="late", product=body)
-        yield heard.JobDeclined(at_s=now, job=job, attempt=attempt, node="late", refusal=NO)
-        yield heard.JobLost(at_s=now, job=job, attempt=attempt, node="late", evidence="late")
+        yield events.JobFinished(at_s=now, job=job, attempt=attempt, node="late", product=body)
+        yield events.JobDeclined(at_s=now, job=job, attempt=attempt, node="late", refusal=NO)
+        yield events.JobLost(at_s=now, job=job, attempt=attempt, node="late", evidence="late")
     for primitive, reason in model.mcm.ended.items():
         if primitive not in model.mcm.kept:
-            yield heard.PrimitiveEnded(at_s=now, subsystem="MCM", report=report(primitive, reason))
+            yield events.PrimitiveEnded(at_s=now, subsystem="MCM", report=report(primitive, reason))
     for key in model.du.requests:
         client, _, request = key.partition(" ")
-        yield heard.CommandReceived(at_s=now, client=client, request=request, text="X")
+        yield events.CommandReceived(at_s=now, client=client, request=request, text="X")
 
 
-def _say(model: Model, event: heard.AnyEvent) -> None:
-    model.mcm.said.append(event)
+def _send(model: Model, event: events.AnyEvent) -> None:
+    model.mcm.outbox.append(event)
 
 
 def _execute(model: Model, effect: do.SendPrimitive) -> None:
@@ -344,7 +344,7 @@ def _execute(model: Model, effect: do.SendPrimitive) -> None:
     if mcm.arms[performer] == id_:
         return
     scopes = ("ALL", performer, id_.partition(".")[0])
-    if any(scope in scopes for scope in mcm.shadows):
+    if any(scope in scopes for scope in mcm.fences):
         mcm.ended[id_] = mcm.kept[id_] = StopReason.HALT
         _report(model, id_)
         return
@@ -362,7 +362,7 @@ def _report(model: Model, primitive: str) -> None:
     reason = model.mcm.ended[primitive]
     performer = model.begun.get(primitive, "RIGHT-ARM")
     body: EndReport = report(primitive, reason, performer)
-    _say(model, heard.PrimitiveEnded(at_s=0.0, subsystem="MCM", report=body))
+    _send(model, events.PrimitiveEnded(at_s=0.0, subsystem="MCM", report=body))
 
 
 def _end(model: Model, arm: str, reason: StopReason) -> None:
@@ -390,7 +390,7 @@ def _halt(model: Model, id_: str, scope: str, *, call: str) -> None:
     mcm = model.mcm
     if not mcm.alive:
         return
-    mcm.shadows = {s: c for s, c in mcm.shadows.items() if c != call}
+    mcm.fences = {s: c for s, c in mcm.fences.items() if c != call}
     reached = _brake(mcm, scope)
     in_scope = list(ARMS) if scope == "ALL" else [scope] if scope in ARMS else reached
     mcm.open.append(OpenHalt(id_, in_scope))
@@ -404,7 +404,7 @@ def _brake(mcm: Mcm, scope: str) -> list[str]:
 
 
 def _pass_on(model: Model, call: str, scope: str) -> None:
-    _say(model, heard.HaltCalled(at_s=0.0, client="MCM", halt=call.partition("#")[0], scope=scope, call=call))
+    _send(model, events.HaltCalled(at_s=0.0, client="MCM", halt=call.partition("#")[0], scope=scope, call=call))
 
 
 def _confirm(model: Model) -> None:
@@ -413,7 +413,7 @@ def _confirm(model: Model) -> None:
         if not any(mcm.arms[arm] for arm in halt.performers):
             mcm.open.remove(halt)
             rest = {"subsystem": "MCM", "halt": halt.id, "at_rest": True, "performers": halt.performers}
-            _say(model, heard.HaltConfirmed(at_s=0.0, **rest))
+            _send(model, events.HaltConfirmed(at_s=0.0, **rest))
 
 
 def _estop(model: Model, scope: str) -> None:
@@ -431,7 +431,7 @@ def _at_estop(model: Model, halt: Halt, handed_in: int) -> None:
     halt.estops += 1
     call = f"h-{halt.scope}#{halt.estops}"
     _brake(model.mcm, halt.scope)
-    model.mcm.shadows[halt.scope] = call
+    model.mcm.fences[halt.scope] = call
     _pass_on(model, call, halt.scope)
     before = [f"C-{n}" for n in range(1, handed_in + 1)]
     model.estopped += [c for c in before if halt.scope in ("ALL", c) and c not in model.estopped]
@@ -441,24 +441,24 @@ def _die(model: Model) -> None:
     """Killed. The arms stop where they are; what was said may still arrive. What nobody else knew is forgotten."""
     mcm = model.mcm
     model.estopped.clear()
-    model.mcm = Mcm(pid=mcm.pid, alive=False, exit_told=False, arms=dict.fromkeys(ARMS, ""), said=mcm.said)
+    model.mcm = Mcm(pid=mcm.pid, alive=False, exit_reported=False, arms=dict.fromkeys(ARMS, ""), outbox=mcm.outbox)
 
 
 def _born(model: Model) -> None:
     mcm = model.mcm
     mcm.pid, mcm.alive = mcm.pid + 1, True
-    _say_hello(model)
+    _send_hello(model)
 
 
-def _say_hello(model: Model) -> None:
-    _say(model, _hello(model))
+def _send_hello(model: Model) -> None:
+    _send(model, _hello(model))
     for primitive in model.mcm.kept:
         _report(model, primitive)
-    for scope, call in model.mcm.shadows.items():
+    for scope, call in model.mcm.fences.items():
         _pass_on(model, call, scope)
 
 
-def _say_again(model: Model, primitive: str) -> None:
+def _send_again(model: Model, primitive: str) -> None:
     _report(model, primitive)
 
 
@@ -469,8 +469,8 @@ OF_MCM: dict[str, Callable[..., None]] = {
     "estop again": _estop_again,
     "mcm dies": _die,
     "born": _born,
-    "hello": _say_hello,
-    "say again": _say_again,
+    "hello": _send_hello,
+    "send again": _send_again,
 }
 
 

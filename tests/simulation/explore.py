@@ -99,7 +99,7 @@ def nothing_late_counts(model: Model) -> None:
 def settle(model: Model, scenario: Scenario, settles: set[bytes]) -> None:
     """Nothing goes wrong any more: every command must end and let go of everything. Raises Violation."""
     trail: list[bytes] = []
-    told: list[Move] = []
+    moves: list[Move] = []
     while True:
         core, _ = key(model)
         if core in settles:
@@ -109,21 +109,21 @@ def settle(model: Model, scenario: Scenario, settles: set[bytes]) -> None:
         if move is None:
             left = _left_over(model)
             if left:
-                raise _after(told, Violation(f"nothing more happens, and {'; '.join(left)}"))
+                raise _after(moves, Violation(f"nothing more happens, and {'; '.join(left)}"))
             break
-        told.append(move)
+        moves.append(move)
         try:
             happen(model, scenario, move, paid=False)
             if len(trail) > SETTLE_LIMIT:
                 raise Violation("it goes on and on")
         except AssertionError as error:
-            raise _after(told, error) from None
+            raise _after(moves, error) from None
     settles.update(trail)
 
 
-def _after(told: list[Move], error: AssertionError) -> Violation:
+def _after(moves: list[Move], error: AssertionError) -> Violation:
     violation = Violation(str(error) or repr(error))
-    violation.after = told
+    violation.after = moves
     return violation
 
 
@@ -157,9 +157,9 @@ def in_words(move: Move) -> str:
     return " ".join(str(part) for part in move)
 
 
-def tell(found: Found, scenario: Scenario) -> str:
+def describe(found: Found, scenario: Scenario) -> str:
     """A violation, and the shortest way there: each move with what the Decision Unit did about it."""
-    from tests.broker.stories import brief
+    from tests.broker.records import brief
 
     model = first(scenario)
     lines = [f"{scenario.name}: {found.violation}", "the shortest way there:"]

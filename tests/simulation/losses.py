@@ -32,8 +32,8 @@ server.MOVED |= {"done"}  # the attribute of the simulated arms
 class LossyCluster(Cluster):
     LIFE = "first"
 
-    def __init__(self, seed: int, story: Callable[[str], None] | None = None) -> None:
-        super().__init__(seed, story)
+    def __init__(self, seed: int, log_line: Callable[[str], None] | None = None) -> None:
+        super().__init__(seed, log_line)
         _write_cell(self.world.store)
 
     def hand_over(self) -> Handed:
@@ -48,7 +48,7 @@ class LossyCluster(Cluster):
         lost = lost_batches(journal, state, self.handed, now_s, f"life{broker.pid}")
         journal.written = lambda batch: self.handed.remember("broker", state.life.encode(), batch, state.accepted)
         if lost is not None:
-            self.tell(f"broker {broker.pid} notices: {lost.why}")
+            self.log(f"broker {broker.pid} notices: {lost.why}")
             self.world.answer(m.Doubt(request="d", lease=sign(KEY, f"{DOUBT}{lost.life}", []), why=lost.why), now_s)
             self.world.store.save()
             broker.router.enqueue(lost)
@@ -74,10 +74,10 @@ class LossyCluster(Cluster):
         """Of a command that the journal lost nobody claims to know how far it came."""
         assert record.outcome is not None
         if self.faults["journal"] and record.outcome.kind is OutcomeKind.FAILED and "journal" in record.outcome.message:
-            self.tell(f"    {record.command} ends: {record.outcome.message}")
-            self.stories[record.command] = record
+            self.log(f"    {record.command} ends: {record.outcome.message}")
+            self.records[record.command] = record
         elif self.faults["journal"] and "this step moved nothing" in record.outcome.message:
-            self.stories[record.command] = record  # a broker that has lost all meets the MCM anew
+            self.records[record.command] = record  # a broker that has lost all meets the MCM anew
         else:
             super()._true(record)
 
@@ -107,14 +107,14 @@ def _lose_journal(cluster: LossyCluster) -> None:
 
 def _lose_world(cluster: LossyCluster) -> None:
     cluster.faults["world lost"] += 1
-    cluster.tell("the world database begins anew")
+    cluster.log("the world database begins anew")
     cluster.lose_world()
 
 
 def _stranger(cluster: LossyCluster) -> None:
     """Somebody uses the identity MCM, and says that all is at rest."""
     cluster.faults["stranger"] += 1
-    cluster.tell("a stranger calls itself MCM")
+    cluster.log("a stranger calls itself MCM")
     line = network.Dealer(cluster.clock, b"MCM", lambda parts: None)
     cluster.attach("subsystems", line)
     line.send(wire.frames(m.SubsystemHello(name="MCM", pid=1, performers=list(ARMS))))

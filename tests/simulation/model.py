@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from broker.decisions import events as heard
+from broker.decisions import events
 from broker.decisions.state import Command, State
 from rtc.protocol.outcomes import StopReason
 
@@ -34,7 +34,7 @@ class Sentence(msgspec.Struct, frozen=True, kw_only=True):
     parsed: tuple[tuple[str, Any], ...] = ()  # fields of its record
     steps: int = 1  # with a primitive each
     empty_steps: int = 0  # before them, without one
-    told: bool = False  # its steps are reports of somebody who tells: no subsystem is asked
+    stated: bool = False  # its steps are reports of somebody who tells: no subsystem is asked
     arms: tuple[str, ...] = ("RIGHT-ARM",)
     trims: int = 0
     halt_if_lost: bool = False
@@ -70,14 +70,14 @@ class Mcm(msgspec.Struct):
 
     pid: int = 1
     alive: bool = True
-    exit_told: bool = True
+    exit_reported: bool = True
     arms: dict[str, str] = {}
     braking: list[str] = []
     kept: dict[str, StopReason] = {}  # ended, not acknowledged
     ended: dict[str, StopReason] = {}
     open: list[OpenHalt] = []  # that the broker has ordered
-    shadows: dict[str, str] = {}  # scope -> call of a halt past the broker, which has not shown to know of it
-    said: list[heard.AnyEvent] = []  # to the broker, on its way
+    fences: dict[str, str] = {}  # scope -> call of a halt past the broker, which has not shown to know of it
+    outbox: list[events.AnyEvent] = []  # to the broker, on its way
 
 
 class Model(msgspec.Struct):
@@ -103,7 +103,7 @@ encode = msgspec.msgpack.Encoder().encode
 decode = msgspec.msgpack.Decoder(Model).decode
 
 
-NEVER_EXHAUSTED = frozenset({"hand in", "work", "world told", "said", "goal", "rest", "born", "hello"})
+NEVER_EXHAUSTED = frozenset({"hand in", "work", "world written", "delivered", "goal", "rest", "born", "hello"})
 
 
 def at_work(model: Model, command: Command) -> bool:
@@ -112,7 +112,7 @@ def at_work(model: Model, command: Command) -> bool:
     return job is not None and model.given.get(job.id) == job.attempt
 
 
-def untold_at_work(model: Model) -> list[str]:
+def deferred_at_work(model: Model) -> list[str]:
     """Commands that have ended, of which a worker is telling the world."""
     return [c for c, left in model.du.deferred_analyses.items() if model.given.get(left.job.id) == left.job.attempt]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from broker.decisions import effects as do
-from broker.decisions import events as heard
+from broker.decisions import events
 from broker.decisions.decide import decide
 from broker.decisions.state import Command, Link
 from rtc.protocol.messages import Phase, WorkerKind
@@ -17,9 +17,9 @@ from tests.simulation.model import (
     Scenario,
     at_work,
     decode,
+    deferred_at_work,
     encode,
     sentence_of,
-    untold_at_work,
 )
 
 
@@ -49,31 +49,31 @@ def _moves(model: Model, scenario: Scenario) -> Iterator[Move]:
                 "world away for long",
             ):
                 yield fault, command.id
-    for command in untold_at_work(model):
-        yield "world told", command
-        for fault in ("told badly", "teller dies", "world still away"):
+    for command in deferred_at_work(model):
+        yield "world written", command
+        for fault in ("write refused", "writer dies", "world still away"):
             yield fault, command
-    if mcm.said:
-        yield ("said",)
+    if mcm.outbox:
+        yield ("delivered",)
     for arm, primitive in mcm.arms.items():
         if not primitive:
             continue
         yield ("rest" if arm in mcm.braking else "goal"), arm
     if mcm.alive:
         yield ("mcm dies",)
-        if du.subsystems["MCM"].link is not Link.LOST and not mcm.said:
+        if du.subsystems["MCM"].link is not Link.LOST and not mcm.outbox:
             yield ("mcm silent",)
         if du.subsystems["MCM"].link is not Link.CONNECTED and not any(
-            type(said) is heard.SubsystemConnected for said in mcm.said
+            type(outbox) is events.SubsystemConnected for outbox in mcm.outbox
         ):
             yield ("hello",)
         for primitive in mcm.kept:
-            yield "say again", primitive
+            yield "send again", primitive
     else:
         yield ("born",)
-        if not mcm.exit_told:
-            yield ("exit told",)
-    if not mcm.said:  # limits are long: what is said arrives within them
+        if not mcm.exit_reported:
+            yield ("exit reported",)
+    if not mcm.outbox:  # limits are long: what is said arrives within them
         for timer in model.timers:
             yield "timer", timer
     for scope in scenario.halts:
@@ -117,10 +117,10 @@ def _moves_of_broker(model: Model, scenario: Scenario) -> Iterator[Move]:
         if at_work(model, command):
             for product in products(command, scenario):
                 yield "work", command.id, product
-    for command in untold_at_work(model):
-        yield "world told", command
-    if model.mcm.said:
-        yield ("said",)
+    for command in deferred_at_work(model):
+        yield "world written", command
+    if model.mcm.outbox:
+        yield ("delivered",)
     for scope in scenario.halts:
         halt = model.halts.get(f"h-{scope}")
         yield ("halt again" if halt is not None and halt.at_broker else "halt"), scope
@@ -139,9 +139,9 @@ def fair(model: Model, scenario: Scenario) -> Move | None:
     """What happens next when nothing goes wrong any more; a timer rings only when nothing else would happen."""
     mcm = model.mcm
     if not mcm.alive:
-        return ("born",) if mcm.exit_told else ("exit told",)
-    if mcm.said:
-        return ("said",)
+        return ("born",) if mcm.exit_reported else ("exit reported",)
+    if mcm.outbox:
+        return ("delivered",)
     if model.du.subsystems["MCM"].link is not Link.CONNECTED:
         return ("hello",)
     for arm, primitive in mcm.arms.items():
@@ -150,10 +150,10 @@ def fair(model: Model, scenario: Scenario) -> Move | None:
     for command in model.du.commands.values():
         if at_work(model, command):
             return "work", command.id, "go on"
-    for name in untold_at_work(model):
-        return "world told", name
+    for name in deferred_at_work(model):
+        return "world written", name
     if mcm.kept:
-        return "say again", next(iter(mcm.kept))
+        return "send again", next(iter(mcm.kept))
     if model.handed_in < len(scenario.sentences):
         return "hand in", model.handed_in
     for timer in model.timers:

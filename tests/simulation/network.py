@@ -114,14 +114,14 @@ class Dealer:
         self,
         clock: Clock,
         identity: bytes,
-        hear: Callable[[Frames], None],
+        receive: Callable[[Frames], None],
         connected: Callable[[], None] = lambda: None,
         *,
         immediate: bool = False,
     ) -> None:
         self._clock = clock
         self.identity = identity
-        self._hear = hear
+        self._receive = receive
         self._connected = connected
         self._immediate = immediate  # nothing is kept for later
         self.router: Router | None = None
@@ -178,4 +178,4 @@ class Dealer:
 
     def _deliver(self, parts: Frames) -> None:
         if not self.dead:
-            self._hear(parts)
+            self._receive(parts)

@@ -46,39 +46,39 @@ class Worker:
         self.since_s = cluster.clock.now_s
         self.queue: deque[m.Job] = deque()
         self.busy = False
-        self._said_hello_s = -1.0
-        self.line = Dealer(cluster.clock, name.encode(), self._hear)
+        self._hello_sent_s = -1.0
+        self.line = Dealer(cluster.clock, name.encode(), self._receive)
         cluster.attach("workers", self.line)
-        self._say_hello()
+        self._send_hello()
         cluster.clock.after(self.HEARTBEAT_S, self._beat)
 
     def die(self) -> None:
         self.alive = False
         self.line.close()
 
-    def _say(self, message: m.WorkerToBroker) -> None:
+    def _send(self, message: m.WorkerToBroker) -> None:
         if self.alive:
             self.line.send(wire.frames(message))
 
-    def _say_hello(self) -> None:
-        self._said_hello_s = self.cluster.clock.now_s
-        self._say(m.WorkerHello(name=self.name, node=self.node, kind=self.kind, pid=self.pid))
+    def _send_hello(self) -> None:
+        self._hello_sent_s = self.cluster.clock.now_s
+        self._send(m.WorkerHello(name=self.name, node=self.node, kind=self.kind, pid=self.pid))
 
     def _beat(self) -> None:
         if not self.alive or self.cluster.over:
             return
         if not self.hung and not self.busy:
-            self._say(m.Heartbeat(name=self.name))
+            self._send(m.Heartbeat(name=self.name))
         self.cluster.clock.after(self.HEARTBEAT_S, self._beat)
 
-    def _hear(self, parts: Frames) -> None:
+    def _receive(self, parts: Frames) -> None:
         if self.hung:
             return
         match read_worker(parts):
             case m.JobBatch(jobs=[]):
-                if self.cluster.clock.now_s - self._said_hello_s >= self.HELLO_AGAIN_S:
+                if self.cluster.clock.now_s - self._hello_sent_s >= self.HELLO_AGAIN_S:
                     self.queue.clear()
-                    self._say_hello()
+                    self._send_hello()
             case m.JobBatch(jobs=jobs):
                 self.queue.extend(jobs)
                 self._begin()
@@ -127,7 +127,7 @@ class Worker:
 
     def _answer(self, results: Sequence[m.JobResult]) -> None:
         if results:
-            self._say(m.ResultBatch(name=self.name, results=list(results)))
+            self._send(m.ResultBatch(name=self.name, results=list(results)))
 
 
 class TinyArm:
@@ -197,7 +197,7 @@ class Mcm:
         self.alive = False
         self.line.close()
 
-    def hear_estop(self, caller: bytes, order: m.HaltOrder, answer: Callable[[Frames], None]) -> None:
+    def recv_estop(self, caller: bytes, order: m.HaltOrder, answer: Callable[[Frames], None]) -> None:
         self._callers[caller] = answer
         self._wait(caller, order)
 
@@ -209,14 +209,14 @@ class Mcm:
     # --- inside ---
 
     def _greet(self) -> None:
-        self._say(self.subsystem.hello())
+        self._send(self.subsystem.hello())
 
     def _from_broker(self, parts: Frames) -> None:
         for order in read_mcm(parts):
             self._wait(BROKER, order)
 
-    def _wait(self, door: bytes, order: Any) -> None:
-        self._waiting.append((door, order))
+    def _wait(self, peer: bytes, order: Any) -> None:
+        self._waiting.append((peer, order))
         self._tick_soon()
 
     def _tick_soon(self) -> None:
@@ -231,14 +231,14 @@ class Mcm:
         now_s, subsystem = self.cluster.clock.now_s, self.subsystem
         waiting = sorted(self._waiting, key=lambda entry: entry[0] == BROKER)  # halts at the estop door first
         self._waiting.clear()
-        for door, order in waiting:
+        for peer, order in waiting:
             if isinstance(order, m.HaltOrder):
                 self.cluster.ledger.halted(self, order, now_s)
-            answers = subsystem.handle(order, door, now_s)
+            answers = subsystem.handle(order, peer, now_s)
             if isinstance(order, m.HaltOrder):
                 self.cluster.ledger.obeyed(self, order)
-            self._say(answers)
-        self._say(subsystem.tick(now_s))
+            self._send(answers)
+        self._send(subsystem.tick(now_s))
         if not subsystem.idle or subsystem._open_halts:
             self._ticking = True
             self.cluster.clock.after(self.TICK_S, self._tick)
@@ -253,14 +253,14 @@ class Mcm:
     def _beat(self) -> None:
         if self.alive and not self.cluster.over:
             if not self.stopped:
-                self._say([(BROKER, m.Heartbeat(name="MCM"))])
+                self._send([(BROKER, m.Heartbeat(name="MCM"))])
             self.cluster.clock.after(self.HEARTBEAT_S, self._beat)
 
-    def _say(self, said: list[tuple[bytes, m.Message]]) -> None:
-        for door, message in said:
-            self.cluster.ledger.said(self, message)
-            if door != BROKER:
-                self.cluster.clock.after(self.cluster.clock.delay_s(), self._callers[door], wire.frames(message))
+    def _send(self, sent: list[tuple[bytes, m.Message]]) -> None:
+        for peer, message in sent:
+            self.cluster.ledger.sent(self, message)
+            if peer != BROKER:
+                self.cluster.clock.after(self.cluster.clock.delay_s(), self._callers[peer], wire.frames(message))
             elif self.line.router is not None:
                 self.line.send(wire.frames(message))
 
@@ -269,7 +269,7 @@ class Client:
     """rtc/client/connection.py: hello, say open requests again to a new broker and after a silence, until the last
     answer."""
 
-    SILENCE_S = 2.0
+    PROBE_S = 2.0
 
     def __init__(self, cluster: Cluster, name: str) -> None:
         self.cluster, self.name = cluster, name
@@ -277,22 +277,22 @@ class Client:
         self.texts: dict[str, m.CommandText] = {}
         self.command_of: dict[str, str] = {}
         self.results: dict[str, m.CommandEnded | m.Declined] = {}
-        self._heard_at_s = cluster.clock.now_s
+        self._received_at_s = cluster.clock.now_s
         self._met = 0
-        self.line = Dealer(cluster.clock, name.encode(), self._hear, self._connected)
+        self.line = Dealer(cluster.clock, name.encode(), self._receive, self._connected)
         cluster.attach("front", self.line)
-        self._say(m.ClientHello(client=name, arrays=True))
-        cluster.clock.after(self.SILENCE_S, self._look)
+        self._send(m.ClientHello(client=name, arrays=True))
+        cluster.clock.after(self.PROBE_S, self._look)
 
     def submit(self, text: str) -> None:
         request = f"{self.name}/{len(self.texts) + 1}"
         sentence = m.CommandText(request=request, text=text, sent_at_s=self.cluster.clock.now_s)
         self.texts[request] = self.open[request] = sentence
-        self._say(sentence)
+        self._send(sentence)
 
     def repeat(self) -> None:
-        self._heard_at_s = self.cluster.clock.now_s
-        self._say(m.ClientHello(client=self.name, arrays=True))
+        self._received_at_s = self.cluster.clock.now_s
+        self._send(m.ClientHello(client=self.name, arrays=True))
         open_ones = [
             msgspec.structs.replace(sentence, known_as=self.command_of.get(request, ""))
             for request, sentence in self.open.items()
@@ -300,7 +300,7 @@ class Client:
         for parts in wire.together(open_ones):
             self.line.send(parts)
 
-    def _say(self, message: m.ClientToBroker) -> None:
+    def _send(self, message: m.ClientToBroker) -> None:
         self.line.send(wire.frames(message))
 
     def _connected(self) -> None:
@@ -311,12 +311,12 @@ class Client:
     def _look(self) -> None:
         if self.cluster.over:
             return
-        if self.open and self.cluster.clock.now_s - self._heard_at_s > self.SILENCE_S:
+        if self.open and self.cluster.clock.now_s - self._received_at_s > self.PROBE_S:
             self.repeat()
-        self.cluster.clock.after(self.SILENCE_S / 4, self._look)
+        self.cluster.clock.after(self.PROBE_S / 4, self._look)
 
-    def _hear(self, parts: Frames) -> None:
-        self._heard_at_s = self.cluster.clock.now_s
+    def _receive(self, parts: Frames) -> None:
+        self._received_at_s = self.cluster.clock.now_s
         for message in read_client(parts):
             self._take(message)
 
@@ -346,28 +346,28 @@ class Caller:
         now_s = cluster.clock.now_s
         self.order = m.HaltOrder(halt=halt, scope=scope, called_at_s=now_s)
         self.limit_s = now_s + self.LIMIT_S
-        self.told: set[str] = set() if knows_broker else {"halt"}
+        self.sent_to: set[str] = set() if knows_broker else {"halt"}
         self.at_rest = False
-        self.line = Dealer(cluster.clock, b"\0%d" % number, self._hear, immediate=True)
+        self.line = Dealer(cluster.clock, b"\0%d" % number, self._receive, immediate=True)
         cluster.attach("halt", self.line)
-        self._tell()
+        self._send_order()
 
-    def _tell(self) -> None:
+    def _send_order(self) -> None:
         cluster = self.cluster
-        if "halt" not in self.told and self.line.send(wire.frames(self.order)):
-            self.told.add("halt")
+        if "halt" not in self.sent_to and self.line.send(wire.frames(self.order)):
+            self.sent_to.add("halt")
         mcm = cluster.mcm
-        if "estop" not in self.told and mcm is not None and mcm.alive:
-            self.told.add("estop")
+        if "estop" not in self.sent_to and mcm is not None and mcm.alive:
+            self.sent_to.add("estop")
             cluster.clock.after(cluster.clock.delay_s(), self._at_estop, mcm)
-        if len(self.told) < 2 and cluster.clock.now_s < self.limit_s:
-            cluster.clock.after(self.RETRY_S, self._tell)
+        if len(self.sent_to) < 2 and cluster.clock.now_s < self.limit_s:
+            cluster.clock.after(self.RETRY_S, self._send_order)
 
     def _at_estop(self, mcm: Mcm) -> None:
         if mcm.alive:
-            mcm.hear_estop(self.line.identity, self.order, self._hear)
+            mcm.recv_estop(self.line.identity, self.order, self._receive)
 
-    def _hear(self, parts: Frames) -> None:
+    def _receive(self, parts: Frames) -> None:
         message = read_halt(parts)
         if isinstance(message, m.HaltAtRest) and message.halt == self.order.halt:
             self.at_rest |= message.at_rest
@@ -378,14 +378,16 @@ class Supervisor:
 
     def __init__(self, cluster: Cluster) -> None:
         self.cluster = cluster
-        self.line = Dealer(cluster.clock, cluster.handed.identity("supervisor").encode(), self._hear, self.tell_table)
+        self.line = Dealer(
+            cluster.clock, cluster.handed.identity("supervisor").encode(), self._receive, self.send_table
+        )
         cluster.attach("supervisor", self.line)
 
     def died(self, name: str, pid: int) -> None:
         self.line.send(wire.frames(m.ProcessExited(name=name, pid=pid, status=-9, restarting=True)))
-        self.tell_table()
+        self.send_table()
 
-    def tell_table(self) -> None:
+    def send_table(self) -> None:
         """What runs; also after every start."""
         rows = [
             {"name": worker.name, "pid": worker.pid, "state": "ready", "since_s": worker.since_s}
@@ -394,7 +396,7 @@ class Supervisor:
         ]
         self.line.send(wire.frames(m.ProcessTable(processes=rows)))
 
-    def _hear(self, parts: Frames) -> None:
+    def _receive(self, parts: Frames) -> None:
         message = read_supervisor(parts)
         if isinstance(message, m.KillProcess):
             process = self.cluster.process(message.name)

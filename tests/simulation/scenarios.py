@@ -19,7 +19,7 @@ SCENARIOS = (
     Scenario(name="same arm, a trim", sentences=(Sentence(trims=1), ONE)),
     Scenario(name="different arms", sentences=(ONE, Sentence(arms=LEFT))),
     Scenario(name="both arms, then one", sentences=(Sentence(arms=BOTH, steps=2), Sentence(arms=LEFT, empty_steps=1))),
-    Scenario(name="somebody tells", sentences=(ONE, Sentence(told=True, trims=1))),
+    Scenario(name="facts stated", sentences=(ONE, Sentence(stated=True, trims=1))),
     Scenario(name="after", sentences=(ONE, Sentence(parsed=(("after", "C-1"),)))),
     Scenario(name="together with", sentences=(ONE, Sentence(arms=LEFT, parsed=(("together_with", "C-1"),)))),
     Scenario(name="now", sentences=(ONE, Sentence(parsed=(("now", True),)))),

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 from typing import Any
 
-from broker.decisions import events as heard
+from broker.decisions import events
 from broker.decisions.deferred_analysis import LIMIT_S
 from broker.decisions.state import NIL, Command
-from tests.simulation.model import Model, at_work, encode, untold_at_work
+from tests.simulation.model import Model, at_work, deferred_at_work, encode
 
 
 def key(model: Model) -> tuple[bytes, bytes]:
@@ -25,7 +25,7 @@ def _essence(model: Model) -> list[Any]:
         [_of_command(model, command) for command in du.commands.values()],
         du.resources,
         [(c, len(left.job.deaths), left.job.id in model.timers) for c, left in du.deferred_analyses.items()],
-        untold_at_work(model),
+        deferred_at_work(model),
         [du.awaiting, du.joining, {c: r.succeeded for c, r in du.ended.items()}],
         [(name, request.unconfirmed) for name, request in du.halt_sentences.items()],
         [(s.pid, s.link, s.came_at_rest) for s in du.subsystems.values()],
@@ -38,14 +38,14 @@ def _essence(model: Model) -> list[Any]:
         [
             mcm.pid,
             mcm.alive,
-            mcm.exit_told,
+            mcm.exit_reported,
             [_name(model, p) for p in mcm.arms.values()],
             mcm.braking,
             [_name(model, p) for p in mcm.kept],
             [(c.id, mcm.ended.get(c.primitive)) for c in du.commands.values()],
             mcm.open,
-            mcm.shadows,
-            [_of_said(model, said) for said in mcm.said],
+            mcm.fences,
+            [_of_sent(model, outbox) for outbox in mcm.outbox],
         ],
     ]
 
@@ -72,14 +72,14 @@ def _name(model: Model, primitive: str) -> str:
     return primitive if command is None or command.primitive != primitive else f"{command.id} now"
 
 
-def _of_said(model: Model, said: heard.AnyEvent) -> list[Any]:
-    match said:
-        case heard.PrimitiveEnded():
-            return ["end", _name(model, said.report.primitive), said.report.reason]
-        case heard.SubsystemConnected():
-            return ["hello", said.pid, [_name(model, p) for p in said.outstanding], said.at_rest]
-        case heard.HaltConfirmed():
-            return ["rest", said.halt, said.performers]
-        case heard.HaltCalled():
-            return ["halt", said.call]
-    raise AssertionError(said)
+def _of_sent(model: Model, outbox: events.AnyEvent) -> list[Any]:
+    match outbox:
+        case events.PrimitiveEnded():
+            return ["end", _name(model, outbox.report.primitive), outbox.report.reason]
+        case events.SubsystemConnected():
+            return ["hello", outbox.pid, [_name(model, p) for p in outbox.outstanding], outbox.at_rest]
+        case events.HaltConfirmed():
+            return ["rest", outbox.halt, outbox.performers]
+        case events.HaltCalled():
+            return ["halt", outbox.call]
+    raise AssertionError(outbox)

@@ -1,4 +1,4 @@
-"""Some hundred simulated clusters; the same seed gives the same story; and broken rules would be found."""
+"""Some hundred simulated clusters; the same seed gives the same log; and broken rules are found."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_clusters_lose_repeat_and_misreport_nothing():
     faults, outcomes = Counter(), Counter()
     for seed in range(SEEDS):
         result = run(seed)
-        assert not result.problem, f"{result.problem}\n  python -m tests.simulation --seed {seed} --story"
+        assert not result.problem, f"{result.problem}\n  python -m tests.simulation --seed {seed} --log"
         faults += result.faults
         outcomes += result.outcomes
     assert min(faults[kind] for kind in ("broker", "worker", "MCM", "world")) > SEEDS / 10  # things did go wrong,
@@ -43,17 +43,17 @@ def test_clusters_lose_repeat_and_misreport_nothing():
     assert {"failed", "refused", "halted", "lost_subsystem"} <= set(outcomes)
 
 
-def test_a_seed_tells_the_same_story_every_time():
-    stories = []
+def test_a_seed_gives_the_same_log_every_time():
+    logs = []
     for _ in range(2):
         lines: list[str] = []
         run(26, lines.append)
-        stories.append(lines)
-    assert stories[0] == stories[1]
-    assert len(stories[0]) > 20
+        logs.append(lines)
+    assert logs[0] == logs[1]
+    assert len(logs[0]) > 20
 
 
-def test_a_report_that_lies_waiting_is_heard_before_the_timer_that_waits_for_it():
+def test_a_waiting_report_is_handled_before_the_timer_that_waits_for_it():
     """A broker that stood still for seconds, and finds more than it reads in one turn."""
     cluster = Cluster(3)
     broker, mcm, client = cluster.broker, cluster.mcm, cluster.clients[0]
@@ -88,10 +88,10 @@ def test_an_mcm_that_forgets_what_it_has_done_is_found(monkeypatch):
     end = Subsystem._end
 
     def forgetful(self, report, now_s):
-        said = end(self, report, now_s)
+        sent = end(self, report, now_s)
         self._ended.clear()
         self._kept.clear()
-        return said
+        return sent
 
     monkeypatch.setattr(Subsystem, "_end", forgetful)
     assert first_problem().problem
@@ -103,7 +103,7 @@ def test_a_restart_that_gives_nothing_out_again_is_found(monkeypatch):
 
 
 def test_a_broker_that_acts_before_it_remembers_is_found(monkeypatch):
-    """Effects out before the journal has the events: a crash between them, and something is done that nobody knows."""
+    """Effects out before the journal has the events: a crash between them leaves an action without a record."""
 
     def hasty(self, now):
         events, self.core.events = self.core.events, []
@@ -121,7 +121,7 @@ def test_a_broker_that_does_not_listen_to_halts_of_its_mcm_is_found(monkeypatch)
     assert first_problem().problem
 
 
-def test_a_client_that_is_cut_off_by_a_twin_is_found(monkeypatch):
+def test_a_client_that_is_cut_off_by_an_impostor_is_found(monkeypatch):
     monkeypatch.setattr(core, "NO_HANDOVER", ())
     assert "not over after" in first_problem().problem
 
@@ -129,18 +129,18 @@ def test_a_client_that_is_cut_off_by_a_twin_is_found(monkeypatch):
 def test_an_mcm_that_obeys_a_halt_once_by_its_name_is_found(monkeypatch):
     obey = Subsystem._halt
 
-    def only_once(self, order, door, now_s):
-        known = (door != BROKER, order.halt) in vars(self).setdefault("seen", set())
-        self.seen.add((door != BROKER, order.halt))
-        return [] if known and door != BROKER else obey(self, order, door, now_s)
+    def only_once(self, order, peer, now_s):
+        known = (peer != BROKER, order.halt) in vars(self).setdefault("seen", set())
+        self.seen.add((peer != BROKER, order.halt))
+        return [] if known and peer != BROKER else obey(self, order, peer, now_s)
 
     monkeypatch.setattr(Subsystem, "_halt", only_once)
-    assert "was heard, and" in first_problem().problem
+    assert "was received, and" in first_problem().problem
 
 
-def test_an_mcm_that_tells_from_memory_that_it_rests_is_found(monkeypatch):
+def test_an_mcm_that_reports_rest_from_memory_is_found(monkeypatch):
     monkeypatch.setattr(Subsystem, "_is_still_true", lambda self, halt, reached: True)
-    assert "told to be at rest, and executing" in first_problem().problem
+    assert "reported at rest, and executing" in first_problem().problem
 
 
 def test_a_broker_that_forgets_what_happened_while_the_world_was_away_is_found(monkeypatch):

@@ -13,7 +13,7 @@ from rtc.protocol.wire import PROTOCOL
 from rtc.runtime.process import inbox, open_socket, send
 from tests.simulation.network import Clock, Dealer, Router
 
-Heard = list[tuple[bytes, ...]]
+Received = list[tuple[bytes, ...]]
 
 
 class Simulated:
@@ -25,12 +25,12 @@ class Simulated:
         self.router = Router(self.clock, lambda: None, lambda: None)
         return self.router
 
-    def connect(self, name: str, heard: Heard) -> Dealer:
-        dealer = Dealer(self.clock, name.encode(), lambda parts: heard.append(tuple(parts)))
+    def connect(self, name: str, received: Received) -> Dealer:
+        dealer = Dealer(self.clock, name.encode(), lambda parts: received.append(tuple(parts)))
         dealer.connect(self.router)
         return dealer
 
-    def say(self, dealer: Dealer, word: str) -> None:
+    def send(self, dealer: Dealer, word: str) -> None:
         dealer.send([PROTOCOL, word.encode()])
 
     def restart(self, dealers: list[Dealer], between: Callable[[], None]) -> None:
@@ -52,18 +52,18 @@ class Real:
         self.context = zmq.Context()
         self.address = f"ipc://{folder}/s"
         self.router = self.bind()
-        self.heard: list[tuple[zmq.Socket[bytes], Heard]] = []
+        self.received: list[tuple[zmq.Socket[bytes], Received]] = []
 
     def bind(self) -> zmq.Socket[bytes]:
         self.router = open_socket(self.context, zmq.ROUTER, self.address, bind=True)
         return self.router
 
-    def connect(self, name: str, heard: Heard) -> zmq.Socket[bytes]:
+    def connect(self, name: str, received: Received) -> zmq.Socket[bytes]:
         dealer = open_socket(self.context, zmq.DEALER, self.address, identity=name)
-        self.heard.append((dealer, heard))
+        self.received.append((dealer, received))
         return dealer
 
-    def say(self, dealer: zmq.Socket[bytes], word: str) -> None:
+    def send(self, dealer: zmq.Socket[bytes], word: str) -> None:
         dealer.send_multipart([PROTOCOL, word.encode()])
 
     def restart(self, dealers: list[zmq.Socket[bytes]], between: Callable[[], None]) -> None:
@@ -80,8 +80,8 @@ class Real:
         end_s = time.monotonic() + 5
         while not done():
             assert time.monotonic() < end_s
-            for dealer, heard in self.heard:
-                heard += [tuple(parts) for parts in inbox(dealer)]
+            for dealer, received in self.received:
+                received += [tuple(parts) for parts in inbox(dealer)]
             self.router.poll(1)
 
     def close(self) -> None:
@@ -95,7 +95,7 @@ def net(request, tmp_path) -> Iterator[Simulated | Real]:
     made.close()
 
 
-def hears(net, words: list[tuple[bytes, bytes]]) -> Callable[[], bool]:
+def receives(net, words: list[tuple[bytes, bytes]]) -> Callable[[], bool]:
     """True once the ROUTER has read just these (who, word), in this order."""
     read: list[tuple[bytes, bytes]] = []
 
@@ -110,32 +110,32 @@ def hears(net, words: list[tuple[bytes, bytes]]) -> Callable[[], bool]:
 def test_messages_keep_their_order_and_name_their_sender(net):
     a = net.connect("a", [])
     for n in range(20):
-        net.say(a, str(n))
-    net.until(hears(net, [(b"a", str(n).encode()) for n in range(20)]))
+        net.send(a, str(n))
+    net.until(receives(net, [(b"a", str(n).encode()) for n in range(20)]))
 
 
-def test_what_is_sent_to_nobody_is_dropped_in_silence(net):
-    heard: Heard = []
-    a = net.connect("a", heard)
-    net.say(a, "hello")
-    net.until(hears(net, [(b"a", b"hello")]))
+def test_a_message_without_a_receiver_is_dropped(net):
+    received: Received = []
+    a = net.connect("a", received)
+    net.send(a, "hello")
+    net.until(receives(net, [(b"a", b"hello")]))
     assert send(net.router, {"to": "b"}, b"b")
     assert send(net.router, {"to": "a"}, b"a")
-    net.until(lambda: len(heard) == 1)
-    assert b"a" in heard[0][1]
+    net.until(lambda: len(received) == 1)
+    assert b"a" in received[0][1]
 
 
-def test_a_dealer_keeps_what_it_says_while_nobody_listens_and_a_new_router_does_not_know_it_before(net):
-    heard: Heard = []
-    a = net.connect("a", heard)
-    net.say(a, "one")
-    net.until(hears(net, [(b"a", b"one")]))
-    net.restart([a], lambda: net.say(a, "two"))
-    net.until(hears(net, [(b"a", b"two")]))
+def test_a_dealer_keeps_messages_without_a_router_and_a_new_router_does_not_know_it_before(net):
+    received: Received = []
+    a = net.connect("a", received)
+    net.send(a, "one")
+    net.until(receives(net, [(b"a", b"one")]))
+    net.restart([a], lambda: net.send(a, "two"))
+    net.until(receives(net, [(b"a", b"two")]))
     assert send(net.router, {}, b"a")
-    net.until(lambda: len(heard) == 1)
+    net.until(lambda: len(received) == 1)
 
 
-def test_nothing_to_read_is_told_as_zeromq_tells_it(net):
+def test_an_empty_queue_raises_as_zeromq_does(net):
     with pytest.raises(zmq.Again):
         net.router.recv(zmq.NOBLOCK, copy=False)
