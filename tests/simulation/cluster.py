@@ -487,8 +487,8 @@ class Cluster:
                         self.wrong(f"{record.command} did {mine}, written is {written}")
 
     def _arm_of(self, primitive: str) -> str:
-        log_line = self.records.get(primitive.partition(".")[0])
-        return f"{log_line.text.split()[1]}-ARM" if log_line else ""
+        record = self.records.get(primitive.partition(".")[0])
+        return f"{record.text.split()[1]}-ARM" if record else ""
 
     def wrong(self, what: str) -> None:
         self.log(f"!! {what}")

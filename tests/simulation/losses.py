@@ -53,7 +53,7 @@ class LossyCluster(Cluster):
             self.world.store.save()
             broker.router.enqueue(lost)
 
-    def _twin(self) -> None:
+    def _impostor(self) -> None:
         """Not here: one that connects to the next broker first has the identity there (tests/simulation/cluster.py)."""
 
     def lose_journal(self) -> None:
