@@ -525,7 +525,7 @@ def test_an_arm_that_may_be_elsewhere_first_reads_where_it_stands(either):
     run = either.do("STOW RIGHT-ARM")
 
     assert run.succeeded, run
-    assert run.labels == ["see where RIGHT-ARM stands", "stow RIGHT-ARM"]
+    assert run.labels == ["read the joints of RIGHT-ARM", "stow RIGHT-ARM"]
     assert either.world.get("RIGHT-ARM.joints").validity is Validity.VALID
     assert script_of(either, "STOW LEFT-ARM").steps[0].label == "stow LEFT-ARM"
 

@@ -66,7 +66,7 @@ def test_a_touch_that_comes_late_or_early_moves_the_thing_along_the_search_alone
     was = bench.world.value("MACS-NEW.frame")
     touch = at_the_handle(bench, [0.0, 0.0, 0.035 + off_m])
 
-    made = feel("feel how far", reason=StopReason.CONTACT, trip_pose=touch, tcp_pose=touch)
+    made = feel("feel the distance", reason=StopReason.CONTACT, trip_pose=touch, tcp_pose=touch)
 
     assert made.verdict == "continue"
     assert geometry.relative(was, believed(bench).value)[:3] == pytest.approx([off_m, 0.0, 0.0], abs=1e-3)
