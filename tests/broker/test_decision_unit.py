@@ -1235,7 +1235,7 @@ def test_a_new_program_whose_first_job_is_done_stays():
 
 def install(s, digest, *kinds):
     for kind in kinds or WorkerKind:
-        s.hear(ProgramInstalled, kind=kind, digest=digest)
+        s.handle(ProgramInstalled, kind=kind, digest=digest)
 
 
 def test_a_running_command_keeps_the_programs_it_began_with():

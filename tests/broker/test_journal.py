@@ -48,9 +48,9 @@ def test_replay_gives_the_state_the_broker_was_in(path):
 def test_after_a_restart_a_command_has_the_programs_it_began_with(path, with_snapshot):
     s = Journalled(Journal.open(path, "run", State()))
     bodies = {name: s.journal.keep_program(name, name.encode()) for name in ("old", "new")}
-    s.hear(ProgramInstalled, kind=WorkerKind.BINDER, digest="old")
+    s.handle(ProgramInstalled, kind=WorkerKind.BINDER, digest="old")
     s.executing()
-    s.hear(ProgramInstalled, kind=WorkerKind.BINDER, digest="new")
+    s.handle(ProgramInstalled, kind=WorkerKind.BINDER, digest="new")
     if with_snapshot:
         s.journal.snapshot(s.state)
     s.journal.close()
