@@ -63,6 +63,22 @@ def test_the_architecture_names_every_package():
     assert {folder for folder in folders if f"`{folder}`" not in page} == set()
 
 
+def test_the_architecture_names_functions_of_their_files():
+    page = (ROOT / "ARCHITECTURE.md").read_text()
+    named = [
+        (f, n) for f, names in re.findall(r"`([\w/]+\.py)` \(([^)]*)\)", page) for n in re.findall(r"`(\w+)`", names)
+    ]
+    assert named
+    wrong = [
+        each
+        for each in named
+        if not re.search(
+            rf"\b(def {each[1]}\b|class {each[1]}\b|^{each[1]}\b)", (ROOT / each[0]).read_text(), re.MULTILINE
+        )
+    ]
+    assert wrong == []
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_a_page_names_files_that_exist(page):
     named = re.findall(r"`((?:rtc|broker|workers|sim_mcm|deploy|tests|benchmarks|docs)/[\w./-]*)`", page.read_text())
