@@ -349,8 +349,7 @@ def on_restart(context: DecisionContext, event: BrokerRestarted) -> None:
     context.count("broker_restarts")
     context.state.has_subscribers = False  # subscribers subscribe again
     subsystem_link.on_broker_restarted(context, event)
-    for name in context.state.deferred_analyses:
-        deferred_analysis.retry(context, name)
+    deferred_analysis.on_broker_restarted(context, event)
     for command in context.state.commands.values():
         if command.job is not None:
             command.job.attempt += 1

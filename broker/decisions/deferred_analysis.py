@@ -1,4 +1,4 @@
-"""Deferred analyses: analyses that continue after their command has ended, because the world database is unavailable.
+"""The deferred analysis of a command that has ended, because the world database was unavailable. Pure.
 
 Every change must reach the world database, or the next command plans with wrong facts. The touched names therefore
 stay quarantined, and the analysis is repeated until its changes are written. Its verdict is not used. An analysis that
@@ -7,11 +7,14 @@ is refused, or that kills its workers, is given up, because a retry would fail t
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import StartTimer
-from broker.decisions.events import JobDeclined, JobFinished, JobLost
+from broker.decisions.events import BrokerRestarted, JobDeclined, JobFinished, JobLost
+from broker.decisions.machine import Cell, Ignored, Machine, cell
 from broker.decisions.resources import WORLD
-from broker.decisions.state import Command, DeferredAnalysis
+from broker.decisions.state import Command, Deferral, DeferredAnalysis, State
 from rtc.protocol.outcomes import RefusalReason
 
 AGAIN_S = 1.0  # pause before a retry; the analyzer itself also waits some seconds for the world database
@@ -19,27 +22,30 @@ LIMIT_S = 60.0  # time limit for a command that waits for its analysis; a restar
 MAX_DEATHS = 3  # worker deaths per job; then the job counts as poison
 
 
+class DeferralStimulus(StrEnum):
+    """What an event means to a deferred analysis."""
+
+    DEFER = "defer"  # its command ends before the analysis is done; payload: the command
+    DONE = "done"  # its changes are written
+    REFUSAL = "refusal"
+    UNAVAILABLE = "unavailable"  # the world database, or every analyzer, is unavailable
+    WORKER_LOST = "worker_lost"  # payload: the event
+    TIMEOUT = "timeout"  # time for a retry
+    BROKER_RESTARTED = "broker_restarted"
+
+
 def defer(context: DecisionContext, command: Command) -> None:
     """Keep the analysis of a command that ends. Call this before its resources are released."""
-    assert command.job is not None
-    touched = {*(command.job.locations or ()), *command.performers}
-    held = context.state.resources.held.get(command.id, {})
-    names = [name for name, exclusive in held.items() if exclusive and name in touched]
-    context.state.deferred_analyses[command.id] = DeferredAnalysis(job=command.job, names=names)
-    context.quarantine_deferred()
-    context.count("analyses_deferred")
+    DEFERRED.run(context, command.id, DeferralStimulus.DEFER, command)
 
 
-def schedule_retry(context: DecisionContext, command: str) -> None:
-    context.effects.append(
-        StartTimer(timer=context.state.deferred_analyses[command].job.id, at_s=context.now + AGAIN_S)
-    )
+def on_unavailable(context: DecisionContext, command: str) -> None:
+    DEFERRED.run(context, command, DeferralStimulus.UNAVAILABLE)
 
 
-def retry(context: DecisionContext, command: str) -> None:
-    job = context.state.deferred_analyses[command].job
-    job.attempt += 1  # a late answer to the previous attempt is stale
-    context.dispatch(job)
+def on_broker_restarted(context: DecisionContext, event: BrokerRestarted) -> None:
+    for name in context.state.deferred_analyses:
+        DEFERRED.run(context, name, DeferralStimulus.BROKER_RESTARTED)
 
 
 def handle_answer(context: DecisionContext, event: JobFinished | JobDeclined | JobLost) -> bool:
@@ -50,20 +56,17 @@ def handle_answer(context: DecisionContext, event: JobFinished | JobDeclined | J
     found = context.state.deferred_analyses.get(command)
     if found is None or (found.job.id, found.job.attempt) != (event.job, event.attempt):
         return False
-    job = found.job
-    if isinstance(event, JobDeclined) and event.refusal.reason is RefusalReason.TIMEOUT:
-        job.attempt += 1
-        schedule_retry(context, command)
-    elif isinstance(event, JobLost) and len(job.deaths) + event.blamed < MAX_DEATHS:
-        if event.blamed:
-            job.deaths.append(f"{event.node}: {event.evidence}")
-        retry(context, command)
-    else:
-        if not isinstance(event, JobFinished):
-            context.count("analyses_given_up")
-        del context.state.deferred_analyses[command]
-        context.grant(context.state.resources.confirm_rest(WORLD, moved=command, names=()))
+    DEFERRED.run(context, command, _stimulus(event), event)
     return True
+
+
+def _stimulus(event: JobFinished | JobDeclined | JobLost) -> DeferralStimulus:
+    if isinstance(event, JobFinished):
+        return DeferralStimulus.DONE
+    if isinstance(event, JobLost):
+        return DeferralStimulus.WORKER_LOST
+    away = event.refusal.reason is RefusalReason.TIMEOUT
+    return DeferralStimulus.UNAVAILABLE if away else DeferralStimulus.REFUSAL
 
 
 def handle_timer(context: DecisionContext, timer: str) -> bool:
@@ -72,5 +75,93 @@ def handle_timer(context: DecisionContext, timer: str) -> bool:
     found = context.state.deferred_analyses.get(command)
     if found is None or found.job.id != timer:
         return False
-    retry(context, command)
+    DEFERRED.run(context, command, DeferralStimulus.TIMEOUT)
     return True
+
+
+# --- actions -----------------------------------------------------------------------------------------
+
+
+def keep(context: DecisionContext, name: str, command: Command) -> None:
+    """Take over the job of the command, and close the names that it may still change."""
+    assert command.job is not None
+    touched = {*(command.job.locations or ()), *command.performers}
+    held = context.state.resources.held.get(name, {})
+    names = [held_name for held_name, exclusive in held.items() if exclusive and held_name in touched]
+    context.state.deferred_analyses[name] = DeferredAnalysis(job=command.job, names=names)
+    context.quarantine_deferred()
+    context.count("analyses_deferred")
+
+
+def schedule_retry(context: DecisionContext, name: str, _: object) -> None:
+    analysis = context.state.deferred_analyses[name]
+    analysis.phase = Deferral.WAITING
+    analysis.job.attempt += 1  # a late answer to the previous attempt is stale
+    context.effects.append(StartTimer(timer=analysis.job.id, at_s=context.now + AGAIN_S))
+
+
+def retry(context: DecisionContext, name: str, _: object) -> None:
+    analysis = context.state.deferred_analyses[name]
+    analysis.phase = Deferral.RUNNING
+    job = analysis.job
+    job.attempt += 1  # a late answer to the previous attempt is stale
+    job.program = context.state.programs.get(job.kind, job.program)
+    context.dispatch(job)
+
+
+def retry_or_give_up(context: DecisionContext, name: str, loss: JobLost) -> None:
+    """Retry, unless MAX_DEATHS workers have died of this job."""
+    job = context.state.deferred_analyses[name].job
+    if len(job.deaths) + loss.blamed >= MAX_DEATHS:
+        give_up(context, name, loss)
+        return
+    if loss.blamed:
+        job.deaths.append(f"{loss.node}: {loss.evidence}")
+    retry(context, name, loss)
+
+
+def give_up(context: DecisionContext, name: str, event: object) -> None:
+    context.count("analyses_given_up")
+    finish(context, name, event)
+
+
+def finish(context: DecisionContext, name: str, _: object) -> None:
+    """Open the names again."""
+    del context.state.deferred_analyses[name]
+    context.grant(context.state.resources.confirm_rest(WORLD, moved=name, names=()))
+
+
+# --- table -------------------------------------------------------------------------------------------
+
+S, D = DeferralStimulus, Deferral
+
+_ROWS: dict[Deferral, dict[DeferralStimulus, Cell[Deferral]]] = {
+    D.NONE: {
+        S.DEFER: cell(keep, D.RUNNING),
+    },
+    D.RUNNING: {
+        S.DONE: cell(finish, D.NONE),
+        S.REFUSAL: cell(give_up, D.NONE),
+        S.UNAVAILABLE: cell(schedule_retry, D.WAITING),
+        S.WORKER_LOST: cell(retry_or_give_up, D.RUNNING, D.NONE),
+        S.BROKER_RESTARTED: cell(retry, D.RUNNING),
+    },
+    D.WAITING: {
+        S.TIMEOUT: cell(retry, D.RUNNING),
+        S.BROKER_RESTARTED: cell(retry, D.RUNNING),
+    },
+}
+_IGNORED: list[Ignored[Deferral, DeferralStimulus]] = [
+    Ignored([D.NONE], [s for s in S if s is not S.DEFER], "no analysis is deferred, or it is over"),
+    Ignored([D.RUNNING, D.WAITING], [S.DEFER], "a command ends once"),
+    Ignored([D.RUNNING], [S.TIMEOUT], "a restart of the broker has retried it already"),
+    Ignored([D.WAITING], [S.DONE, S.REFUSAL, S.UNAVAILABLE, S.WORKER_LOST], "no worker has this attempt"),
+]
+
+
+def phase_of(state: State, name: str) -> Deferral:
+    found = state.deferred_analyses.get(name)
+    return D.NONE if found is None else found.phase
+
+
+DEFERRED = Machine(Deferral, DeferralStimulus, _ROWS, _IGNORED, first=D.NONE, state_of=phase_of)

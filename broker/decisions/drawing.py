@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from broker.decisions.command.table import COMMAND
+from broker.decisions.deferred_analysis import DEFERRED
 from broker.decisions.halt_request import HALT
 from broker.decisions.machine import Cell, Machine
 from broker.decisions.subsystem_link import LINK
 
 MACHINES: dict[str, tuple[Machine[Any, Any], str]] = {
     "Command": (COMMAND, "broker/decisions/command/table.py"),
+    "Deferred analysis": (DEFERRED, "broker/decisions/deferred_analysis.py"),
     "HALT request": (HALT, "broker/decisions/halt_request.py"),
     "Subsystem link": (LINK, "broker/decisions/subsystem_link.py"),
 }
@@ -29,6 +31,12 @@ TEXT = {
 | pause, resume | they take effect between two steps |
 | timeout | its time limit for an end report, for rest or for the last analysis; in *analyzing*: time for a retry |
 | subsystem_lost | a subsystem that it has used is lost |
+""",
+    "Deferred analysis": """
+Each change of the world is written in the end. An analysis that finds the world database unavailable is repeated every
+second for up to a minute; then the command ends *failed*. In *closing* the command ends with its pending outcome after
+ten seconds at most. In both cases the analysis is deferred: the touched names stay quarantined (`rtc status`:
+quarantine: the world database) until the world database has the changes.
 """,
     "HALT request": """
 The router sends each confirmation to the caller at a socket, which waits with a time limit of its own. A HALT sentence

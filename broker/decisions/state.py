@@ -118,11 +118,23 @@ class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     """Evidence of each worker that died while it processed this job."""
 
 
-class DeferredAnalysis(msgspec.Struct, frozen=True):
-    """The last analysis of a command that has ended, and the names quarantined until it is done."""
+class Deferral(StrEnum):
+    """State of a deferred analysis (`broker.decisions.deferred_analysis`)."""
+
+    NONE = "none"  # it is not in the state
+    RUNNING = "running"  # its job has a worker, or waits for one
+    WAITING = "waiting"  # a timer runs until its next attempt
+
+
+class DeferredAnalysis(msgspec.Struct, kw_only=True):
+    """The last analysis of a command that has ended."""
 
     job: PendingJob
+    """The job, taken over from the command."""
     names: list[str]
+    """Names that stay quarantined until it is done."""
+    phase: Deferral = Deferral.RUNNING
+    """Row of its transition table."""
 
 
 class PendingOutcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -244,10 +256,14 @@ class Link(StrEnum):
 class Subsystem(msgspec.Struct, kw_only=True):
     """One subsystem that has connected in this run."""
 
-    pid: int  # process id; a new one means that it was restarted
-    performers: list[str]  # names of its arms and hands
+    pid: int
+    """Process id; a new one means that it was restarted."""
+    performers: list[str]
+    """Names of its arms and hands."""
     link: Link = Link.CONNECTED
-    came_at_rest: bool = True  # it was at rest when it connected; False once it is lost
+    """Row of its transition table."""
+    came_at_rest: bool = True
+    """It was at rest when it connected; False once it is lost."""
 
 
 class Trial(msgspec.Struct, frozen=True):

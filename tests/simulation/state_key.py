@@ -24,7 +24,10 @@ def _essence(model: Model) -> list[Any]:
     return [
         [_of_command(model, command) for command in du.commands.values()],
         du.resources,
-        [(c, len(left.job.deaths), left.job.id in model.timers) for c, left in du.deferred_analyses.items()],
+        [
+            (c, len(left.job.deaths), left.phase, left.job.id in model.timers)
+            for c, left in du.deferred_analyses.items()
+        ],
         deferred_at_work(model),
         [du.awaiting, du.joining, {c: r.succeeded for c, r in du.ended.items()}],
         [(name, request.unconfirmed) for name, request in du.halt_sentences.items()],

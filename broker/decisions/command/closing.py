@@ -56,12 +56,9 @@ def retry_last_analysis(context: DecisionContext, command: Command, loss: JobLos
 def defer_closing_analysis(context: DecisionContext, command: Command, refusal: Refusal | None) -> None:
     """Defer the last analysis and end the command. `refusal`: the world database is unavailable; None: time limit."""
     assert command.pending_outcome is not None
-    job = command.job
-    assert job is not None
     context.stop_timer(command)
     ending = command.pending_outcome
     message = f"{ending.message}; {QUARANTINED}"
     end(context, command, ending.kind, message=message, stop=ending.stop, refusal=ending.refusal, defer_analysis=True)
     if refusal is not None:
-        job.attempt += 1
-        deferred_analysis.schedule_retry(context, command.id)
+        deferred_analysis.on_unavailable(context, command.id)

@@ -26,8 +26,8 @@ def schedule_analysis_retry(context: DecisionContext, command: Command, refusal:
     """Repeat an analysis while the world database is unavailable; after LIMIT_S defer it and end the command."""
     job = command.job
     assert job is not None
-    job.attempt += 1  # a late answer to the previous attempt is stale
     if context.now - job.since_s <= deferred_analysis.LIMIT_S:
+        job.attempt += 1  # a late answer to the previous attempt is stale
         context.count("analyses_again")
         context.start_timer(command, deferred_analysis.AGAIN_S)
         context.note(command, f"{refusal.message}; the analysis is repeated")
@@ -37,7 +37,7 @@ def schedule_analysis_retry(context: DecisionContext, command: Command, refusal:
     )
     refusal = Refusal(reason=refusal.reason, message=message, clears="wait until the world database is back")
     end(context, command, OutcomeKind.FAILED, message=message, refusal=refusal, defer_analysis=True)
-    deferred_analysis.schedule_retry(context, command.id)
+    deferred_analysis.on_unavailable(context, command.id)
 
 
 def retry_analysis(context: DecisionContext, command: Command, _: Any) -> None:
