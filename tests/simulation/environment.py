@@ -16,7 +16,6 @@ from functools import cache
 from typing import Any
 
 import msgspec
-from tests.broker.records import bound, give_up, go_on, mend, record, report, script, trim
 
 from broker.decisions import effects as do
 from broker.decisions import events
@@ -27,6 +26,7 @@ from broker.decisions.state import State
 from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, EndReport, Phase, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from tests.broker.stories import bound, give_up, go_on, mend, record, report, script, trim
 from tests.simulation.model import (
     ARMS,
     CLIENTS,
