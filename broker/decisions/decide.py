@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from broker.decisions import deferred_analysis, halt_request, subsystem_link
+from broker.decisions import deferred_analysis, halt_request, program_rollout, subsystem_link
 from broker.decisions import journal_loss as lost
 from broker.decisions.command import control, limits, stopping, termination
 from broker.decisions.command.table import stimulate
@@ -40,7 +40,7 @@ from broker.decisions.events import (
     SubsystemGone,
     TimerFired,
 )
-from broker.decisions.state import Command, PendingJob, PendingOutcome, State, Trial, request_key
+from broker.decisions.state import Command, PendingJob, PendingOutcome, State, request_key
 from rtc.language.fastpath import halt_scope
 from rtc.protocol.messages import Accepted, Declined, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason, WireError
@@ -49,8 +49,6 @@ from rtc.protocol.primitive_id import command_of
 MAX_COMMANDS = 10_000  # maximum number of live commands; more are declined
 LIVE_PER_CLIENT = 2_000  # maximum per client, so that one client cannot use up MAX_COMMANDS
 MAX_TEXT = 4_000  # characters kept of a sentence; the parser refuses shorter ones already and names the place
-PROVEN_KEPT = 16  # proven programs stored per worker kind
-FILES_KEPT = 64  # programs whose file name is stored, for `rtc status`
 CLIENTS_KEPT = 1024  # clients whose latest command is stored, for AFTER LAST
 
 
@@ -157,9 +155,7 @@ def on_job_finished(context: DecisionContext, event: JobFinished) -> None:
     command, job = found
     context.node, context.took_s = event.node, event.at_s - job.since_s
     command.job = None
-    if context.state.trials and (trial := context.state.trials.get(job.kind)) and trial.new == job.program:
-        del context.state.trials[job.kind]
-        _prove(context.state, job.kind, job.program)
+    program_rollout.on_job_done(context, job)
     try:
         stimulate(context, command, Stimulus.PRODUCT, event.product)
     except WireError as error:
@@ -178,7 +174,7 @@ def on_job_declined(context: DecisionContext, event: JobDeclined) -> None:
     if event.refusal.reason is RefusalReason.TIMEOUT:
         stimulate(context, command, Stimulus.UNAVAILABLE, event.refusal)
         return
-    if event.refusal.reason is RefusalReason.PROGRAM and _with_another_program(
+    if event.refusal.reason is RefusalReason.PROGRAM and program_rollout.repeat_with_another(
         context, command, job, event.refusal.message
     ):
         return
@@ -194,86 +190,9 @@ def on_job_lost(context: DecisionContext, event: JobLost) -> None:
         return
     command, job = found
     context.node, context.took_s = event.node, event.at_s - job.since_s
-    if event.blamed and _with_another_program(context, command, job, event.evidence):
+    if event.blamed and program_rollout.repeat_with_another(context, command, job, event.evidence):
         return
     stimulate(context, command, Stimulus.WORKER_LOST, event)
-
-
-def _with_another_program(context: DecisionContext, command: Command, job: PendingJob, why: str) -> bool:
-    """Repeat a failed job with the program in use, if its own program has never done a job. `why`: text of the failure.
-
-    If this was the first job of the newest program, that program is rolled back. Returns False if the job's program is
-    in use or has worked: then the failure is of the job."""
-    state = context.state
-    trial = state.trials.get(job.kind)
-    last_words = (why.strip().splitlines() or ["without an error message"])[-1]
-    if trial is not None and trial.new == job.program:
-        _roll_back(context, job.kind, trial)
-        words = f"the new {job.kind.value} program {trial.new} failed its first job ({last_words}); back to {trial.old}"
-        state.rolled_back[job.kind] = f"{words}. The job was of {command.id}"
-    else:
-        words = (
-            f"the {job.kind.value} program {job.program}, which is no longer in use, failed ({last_words}); job again"
-        )
-    following = command.programs.get(job.kind, job.program)  # it differs if the job's program was rolled back
-    if following == job.program and job.program not in state.proven.get(job.kind, ()):
-        following = state.programs.get(job.kind, job.program)
-    if following == job.program:
-        return False
-    command.programs[job.kind] = job.program = following
-    job.attempt += 1
-    context.note(command, words, warning=True)
-    context.dispatch(job)
-    return True
-
-
-def _roll_back(context: DecisionContext, kind: WorkerKind, trial: Trial) -> None:
-    """Return to the last program that worked, also for the live commands that began with the failed one."""
-    state = context.state
-    del state.trials[kind]
-    state.programs[kind] = trial.old
-    context.count("programs_rolled_back")
-    for command in state.commands.values():
-        if command.programs.get(kind) == trial.new:
-            command.programs[kind] = trial.old
-    for deferred in state.deferred_analyses.values():
-        if deferred.job.program == trial.new:
-            deferred.job.program = trial.old
-
-
-def _keep_file(state: State, event: ProgramInstalled) -> None:
-    """Store the file name of a program for people, who do not know digests. It stays valid after a rollback."""
-    state.program_files.pop(event.digest, None)
-    state.program_files[event.digest] = (event.file, event.at_s)
-    while len(state.program_files) > FILES_KEPT:
-        del state.program_files[next(iter(state.program_files))]
-
-
-def on_program(context: DecisionContext, event: ProgramInstalled) -> None:
-    kind = event.kind or "cell"
-    context.state.began_at_s = (
-        context.state.began_at_s or event.at_s
-    )  # a cluster starts with the installation of its programs
-    programs = context.state.programs
-    if event.kind and kind in programs and programs[kind] != event.digest:
-        untried = context.state.trials.pop(kind, None)  # an untried program is not a rollback target
-        old = untried.old if untried else programs[kind]
-        _prove(context.state, kind, old)
-        if event.digest not in context.state.proven[kind]:
-            context.state.trials[kind] = Trial(new=event.digest, old=old)
-    context.state.rolled_back.pop(kind, None)
-    programs[kind] = event.digest
-    if event.file:
-        _keep_file(context.state, event)
-
-
-def _prove(state: State, kind: str, digest: str) -> None:
-    """Record that a program works: it needs no further trial and is a rollback target."""
-    proven = state.proven.setdefault(kind, [])
-    if digest in proven:
-        proven.remove(digest)
-    proven.append(digest)
-    del proven[:-PROVEN_KEPT]
 
 
 # --- subsystems --------------------------------------------------------------------------------------
@@ -377,7 +296,7 @@ HANDLERS: dict[type[Event], Callable[[DecisionContext, Any], None]] = {
     SubsystemGone: subsystem_link.on_gone,
     ClientGone: on_client_gone,
     TimerFired: on_timer,
-    ProgramInstalled: on_program,
+    ProgramInstalled: program_rollout.on_installed,
     ListenersChanged: on_listeners,
     BrokerRestarted: on_restart,
     JournalLost: lost.on_journal_lost,

@@ -8,6 +8,7 @@ from broker.decisions.command.table import COMMAND
 from broker.decisions.deferred_analysis import DEFERRED
 from broker.decisions.halt_request import HALT
 from broker.decisions.machine import Cell, Machine
+from broker.decisions.program_rollout import ROLLOUT
 from broker.decisions.subsystem_link import LINK
 
 MACHINES: dict[str, tuple[Machine[Any, Any], str]] = {
@@ -15,6 +16,7 @@ MACHINES: dict[str, tuple[Machine[Any, Any], str]] = {
     "Deferred analysis": (DEFERRED, "broker/decisions/deferred_analysis.py"),
     "HALT request": (HALT, "broker/decisions/halt_request.py"),
     "Subsystem link": (LINK, "broker/decisions/subsystem_link.py"),
+    "Program roll-out": (ROLLOUT, "broker/decisions/program_rollout.py"),
 }
 TEXT = {
     "Command": """
@@ -46,6 +48,9 @@ primitive is a part of that command's machine.
     "Subsystem link": """
 A subsystem executes its primitives and stops by itself without the broker. The broker learns at each hello which ones
 it still has. *lost* ends every command that has used the subsystem.
+""",
+    "Program roll-out": """
+One per kind of worker. `rtc status` shows why a program was rolled back until the next one is loaded.
 """,
 }
 

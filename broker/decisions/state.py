@@ -266,11 +266,26 @@ class Subsystem(msgspec.Struct, kw_only=True):
     """It was at rest when it connected; False once it is lost."""
 
 
-class Trial(msgspec.Struct, frozen=True):
-    """A program that has not done a job yet, and the program to roll back to if its first job fails."""
+class RolloutPhase(StrEnum):
+    """State of the roll-out of programs for one kind of worker (`broker.decisions.program_rollout`)."""
 
-    new: str  # digest
-    old: str  # digest
+    NONE = "none"  # it is not in the state
+    PROVEN = "proven"  # the program in use has done a job, or is the first one
+    TRIAL = "trial"  # the program in use is new and has not done a job yet
+    ROLLED_BACK = "rolled_back"  # the newest program failed its first job; the one before is in use again
+
+
+class Rollout(msgspec.Struct, kw_only=True):
+    """The programs of one kind of worker. The one in use is in `State.programs`."""
+
+    phase: RolloutPhase = RolloutPhase.NONE
+    """Row of its transition table."""
+    fallback: str = ""
+    """Digest of the program to return to if the one on trial fails."""
+    proven: list[str] = []
+    """Digests of the programs that have done a job, the latest last; at most PROVEN_KEPT."""
+    why: str = ""
+    """Why the newest program was rolled back, in words, until the next load."""
 
 
 class Result(msgspec.Struct, frozen=True, gc=False):
@@ -326,12 +341,8 @@ class State(msgspec.Struct, kw_only=True):
     """Digest -> (name of the file loaded last, time)."""
     deferred_analyses: dict[str, DeferredAnalysis] = {}
     """Ended command -> its unfinished analysis."""
-    trials: dict[str, Trial] = {}
-    """Worker kind -> trial of its newest program."""
-    proven: dict[str, list[str]] = {}
-    """Worker kind -> programs that have done a job, the latest last."""
-    rolled_back: dict[str, str] = {}
-    """Worker kind -> why its newest program was rolled back, until the next load."""
+    rollouts: dict[str, Rollout] = {}
+    """Worker kind -> the roll-out of its programs."""
     halted_at_s: dict[str, float] = {}
     """Halt scope -> time; sentences sent earlier do not start."""
     halts: dict[str, HaltPhase] = {}

@@ -106,7 +106,7 @@ def status(view: BrokerView, now: float) -> dict[str, Any]:
             for kind, name in state.programs.items()
             if (found := state.program_files.get(name)) is not None
         },
-        "rolled_back": dict(state.rolled_back),
+        "rolled_back": {kind: rollout.why for kind, rollout in state.rollouts.items() if rollout.why},
     }
 
 

@@ -25,7 +25,7 @@ from broker.decisions.events import (
 )
 from broker.decisions.machine import InvalidTransition
 from broker.decisions.resources import WORLD
-from broker.decisions.state import State
+from broker.decisions.state import RolloutPhase, State
 from rtc.language.record import Report
 from rtc.protocol import wire
 from rtc.protocol.messages import AnalyzerInput, BoundStep, Phase, WorkerKind
@@ -1165,9 +1165,9 @@ def test_a_new_program_whose_first_job_fails_is_rolled_back():
     stated, warning = s.state.commands["C-1"].notes[-1].note, s.state.commands["C-1"].notes[-1].warning
     assert warning
     assert stated.startswith("the new parser program new failed its first job (")
-    assert s.state.rolled_back == {"parser": f"{stated}. The job was of C-1"}
+    assert s.state.rollouts["parser"].why == f"{stated}. The job was of C-1"
     s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="newer")
-    assert not s.state.rolled_back
+    assert not s.state.rollouts["parser"].why
 
 
 @pytest.mark.parametrize("fail", [Story.loses_worker, lambda s, c: s.declines(c, RefusalReason.PROGRAM)])
@@ -1181,7 +1181,7 @@ def test_what_else_was_under_way_with_a_program_that_was_rolled_back_is_done_aga
     assert fail(s, "C-2") == ["note C-2 parsing", "job C-2/1 parser #2"]
     assert s.state.commands["C-2"].job.program == "old"
     assert s.state.commands["C-2"].job.deaths == []
-    assert "C-1" in s.state.rolled_back["parser"]  # it is told of the first
+    assert "C-1" in s.state.rollouts["parser"].why  # it is told of the first
     assert fail(s, "C-2")[0] == ("note C-2 parsing" if fail is Story.loses_worker else "note C-2 ended")
     assert s.state.counts["programs_rolled_back"] == 1
 
@@ -1208,7 +1208,7 @@ def test_back_from_a_new_program_is_to_one_that_has_done_a_job():
     assert s.state.programs["parser"] == "old"
     for digest in ("new", "old"):
         s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
-    assert s.state.trials == {}
+    assert s.state.rollouts["parser"].phase is RolloutPhase.PROVEN
 
 
 def test_back_is_to_the_last_program_that_has_worked_though_it_was_left_meanwhile():

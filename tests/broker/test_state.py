@@ -10,10 +10,12 @@ import textwrap
 import pytest
 
 from broker.decisions.action_stack import ActionStack
-from broker.decisions.state import Command, DeferredAnalysis, HaltSentence, PendingJob, State, Subsystem
+from broker.decisions.state import Command, DeferredAnalysis, HaltSentence, PendingJob, Rollout, State, Subsystem
 
 
-@pytest.mark.parametrize("kind", [State, Command, PendingJob, ActionStack, DeferredAnalysis, HaltSentence, Subsystem])
+@pytest.mark.parametrize(
+    "kind", [State, Command, PendingJob, ActionStack, DeferredAnalysis, HaltSentence, Subsystem, Rollout]
+)
 def test_every_attribute_has_a_docstring(kind):
     (body,) = (node.body for node in ast.parse(textwrap.dedent(inspect.getsource(kind))).body)
     documented = {

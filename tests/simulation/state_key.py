@@ -32,7 +32,7 @@ def _essence(model: Model) -> list[Any]:
         [du.awaiting, du.joining, {c: r.succeeded for c, r in du.ended.items()}],
         [(name, request.unconfirmed) for name, request in du.halt_sentences.items()],
         [(s.pid, s.link, s.came_at_rest) for s in du.subsystems.values()],
-        [du.programs, list(du.trials)],
+        [du.programs, [(kind, rollout.phase) for kind, rollout in du.rollouts.items()]],
         [model.handed_in, sorted(model.timers), model.stopped, model.estopped],
         [
             (id_, halt.handed_in, halt.at_broker, halt.at_estop, halt.estops)
