@@ -67,7 +67,6 @@ class ScriptHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     trims: list[TrimHead] = []
     bindings: dict[str, msgspec.Raw] = {}
     resources: list[str] = []
-    queues: list[str] = []
     writes: list[str] = []
     reads: list[str] = []
     notes: list[str] = []

@@ -305,14 +305,13 @@ class ProgramWanted(Message, frozen=True, kw_only=True):
 
 
 class Binding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A named parameter of a script: joints, a pose (in the axes of the object `frame`, if one is named), a
-    number, or a name. Exactly one of `joints`, `pose`, `number` and `name` is set."""
+    """A named parameter of a script: joints, a pose (in the axes of the object `frame`, if one is named), or a
+    number. Exactly one of `joints`, `pose` and `number` is set."""
 
     joints: list[float] | None = None  # rad
     pose: list[float] | None = None  # of the tcp
     frame: str | None = None  # the object whose axes the pose is in; None = world
     number: float | None = None
-    name: str | None = None
 
 
 class Way(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -398,7 +397,6 @@ class Script(Message, frozen=True, kw_only=True):
     trims: list[Trim] = []
     bindings: dict[str, Binding] = {}  # decided backwards from the goal (R134)
     resources: list[str] = []  # non-sharable, all or none
-    queues: list[str] = []  # queue resources: one command at a time, in order
     writes: list[str] = []  # locations of the world that analyzers of this command may write
     reads: list[str] = []  # further locations that its plan relies on
     candidates: list[str] = []  # what was ranked, the chosen one first (R75)
@@ -417,7 +415,6 @@ class EvaluationContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults
     held: str = ""  # the object in the hand before the primitive, if any
     predicted_s: float = 0.0
     width_m: list[float] | None = None  # for a grip: [least, most] that count as success
-    force_n: float | None = None
     no_contact_is_failure: bool = False
     start_joints: list[float] | None = None
 

@@ -178,7 +178,6 @@ def test_hands(bench):
     assert isinstance(opened.primitive.trajectory, HandMotion)
     assert opened.primitive.trajectory.width_m == pytest.approx(0.05)
     assert closed.primitive.trajectory == HandMotion(width_m=0.0, force_n=25.0, speed_m_s=0.05)
-    assert closed.evaluation.force_n == 25.0
 
 
 def test_a_grip_beyond_the_hands_force_is_refused(bench):

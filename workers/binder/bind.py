@@ -134,7 +134,6 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         goal_joints=motion.goal_joints.tolist(),
         held=held,
         predicted_s=motion.timed.duration_s,
-        force_n=values.get("force_n"),
         no_contact_is_failure=StopReason.CONTACT in step.expect and StopReason.GOAL not in step.expect,
         start_joints=request.start.tolist(),
     )
@@ -265,7 +264,6 @@ def hand_motion(task: BindTask, op: str) -> BoundStep | Refusal:
         held=query.holding(task.arm),
         predicted_s=way_m / gripper.speed_m_s,
         width_m=[values.get("least_m", 0.0), values.get("most_m", gripper.max_opening_m + 0.001)],
-        force_n=grip_n,
         start_joints=list(query.joints(task.arm)),
     )
     motion = HandMotion(width_m=width_m, force_n=grip_n, speed_m_s=gripper.speed_m_s)
@@ -306,7 +304,6 @@ def bind_still(task: BindTask) -> BoundStep | Refusal:
         goal_joints=list(query.joints(task.arm)) if known else None,
         held=query.holding(task.arm),
         predicted_s=duration_s,
-        force_n=values.get("force_n"),
         start_joints=list(query.joints(task.arm)),
     )
     return primitive(task, stop_class, values, HoldStill(duration_s=duration_s), evaluation, None, "", timed=False)
