@@ -169,12 +169,11 @@ class Object(CellPart, frozen=True, kw_only=True):
 
 
 class Place(CellPart, frozen=True, kw_only=True):
-    """A named place, with a tcp pose (world frame) or a posture per arm. `object`: goal pose of a carried object."""
+    """A named place, with a tcp pose (world frame) or a posture per arm."""
 
     name: Name
     poses: dict[str, Frame] = {}
     joints_deg: dict[str, list[float]] = {}
-    object: Frame | None = None
 
     def joints_rad(self, arm: str) -> list[float] | None:
         degrees = self.joints_deg.get(arm)
