@@ -1,20 +1,23 @@
-"""`python -m deploy up|down`: what `rtc up` and `rtc down` run."""
+"""`python -m deploy up|down`: the process that `rtc up` and `rtc down` become.
+
+The options are declared in `rtc.cli.cluster`, which passes `Settings` as JSON.
+"""
 
 from __future__ import annotations
 
 import argparse
-import math
 import signal
 import sys
 from pathlib import Path
 
+import msgspec
+
 from deploy import cluster
 from rtc.protocol.outcomes import ClusterError, NoCluster, ProgramError, RtcError
 from rtc.runtime.keys import check_address
-from rtc.runtime.settings import Settings, default_run_dir
+from rtc.runtime.settings import Settings
 
-CELL = "swapout"  # default cell
-MOST_WORKERS = 64  # maximum number of workers of a kind
+CELL = Settings(run_dir="").cell  # default cell
 WRONG = 2  # exit status for an invalid option, as in argparse
 
 
@@ -23,40 +26,35 @@ def main(arguments: list[str] | None = None) -> int:
     given = _parser().parse_args(arguments)
     try:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # `rtc up` has blocked it until here
-        return _obey(given, (given.run_dir or default_run_dir()).absolute())
+        return _obey(given)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
 
 
-def _obey(given: argparse.Namespace, run_dir: Path) -> int:
+def _obey(given: argparse.Namespace) -> int:
     if given.what == "up":
         try:
-            settings = settings_of(given, run_dir)
-        except RtcError as error:
+            settings = checked(msgspec.json.decode(given.settings, type=Settings))
+        except (RtcError, msgspec.MsgspecError) as error:
             print(error, file=sys.stderr)
             return WRONG
     try:
-        return _down(run_dir) if given.what == "down" else _up(settings, given.detach)
+        return _down(given.run_dir.absolute()) if given.what == "down" else _up(settings, given.detach)
     except RtcError as error:
         print(error, file=sys.stderr)
         return 1
 
 
-def settings_of(given: argparse.Namespace, run_dir: Path) -> Settings:
-    """The checked options. Raises RtcError for an invalid option."""
-    if given.least is not None and given.least > given.most:
-        raise ClusterError(f"--least {given.least} is more than --most {given.most}: use --most {given.least} or more")
-    return Settings(
-        run_dir=str(run_dir),
-        cell=_cell(given.cell),
-        dim=given.dim,
-        least_workers=given.least,
-        most_workers=given.most,
-        mcm=given.mcm,
-        speed=given.speed,
-        listen=check_address(given.listen) if given.listen else "",
-    )
+def checked(settings: Settings) -> Settings:
+    """The settings with absolute paths. Raises RtcError for values that the types do not exclude."""
+    if (settings.least_workers or 0) > settings.most_workers:
+        least, most = settings.least_workers, settings.most_workers
+        raise ClusterError(f"--least {least} is more than --most {most}: use --most {least} or more")
+    if settings.listen:
+        check_address(settings.listen)
+    run_dir = str(Path(settings.run_dir).absolute())
+    return msgspec.structs.replace(settings, run_dir=run_dir, cell=_cell(settings.cell))
 
 
 def _cell(text: str) -> str:
@@ -100,37 +98,14 @@ def show(line: str) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m deploy", description="Start and stop a cluster.")
+    parser = argparse.ArgumentParser(prog="python -m deploy", description="Start and stop a cluster: see rtc up -h.")
     what = parser.add_subparsers(dest="what", required=True)
     up = what.add_parser("up", help="start a cluster and run it until Ctrl-C")
-    up.add_argument("--cell", default=CELL, help="name of a cell, or a cell file")
-    up.add_argument("--dim", type=int, default=2, choices=range(2, 9), help="dimension of the cube: 2^dim workers")
-    up.add_argument("--least", type=_count, default=None, help="minimum workers of each kind; default: the whole cube")
-    up.add_argument("--most", type=_count, default=4, help="maximum workers of each kind, while jobs wait")
-    up.add_argument("--mcm", default="bullet", choices=("bullet", "kinematic"))
-    up.add_argument("--speed", type=_speed, default=1.0, help="simulated seconds per second, or max")
-    up.add_argument("--listen", default="", help="tcp://HOST:PORT for clients on other machines, with known keys")
+    up.add_argument("settings", help="rtc.runtime.settings.Settings as JSON")
     up.add_argument("-d", "--detach", action="store_true", help="return when the cluster is ready")
     down = what.add_parser("down", help="stop the cluster in order")
-    for command in (up, down):
-        command.add_argument("--run-dir", type=Path, default=None)
+    down.add_argument("run_dir", type=Path)
     return parser
-
-
-def _count(text: str) -> int:
-    count = int(text)
-    if not 0 <= count <= MOST_WORKERS:
-        raise ValueError
-    return count
-
-
-def _speed(text: str) -> float:
-    if text == "max":
-        return 0.0
-    speed = float(text)
-    if not 0 <= speed < math.inf:
-        raise ValueError
-    return speed
 
 
 if __name__ == "__main__":

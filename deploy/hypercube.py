@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from rtc.protocol.messages import WorkerKind
+from rtc.runtime.settings import LEAST_DIM, MOST_DIM
 
 KINDS = tuple(WorkerKind)  # the two low bits of an address are an index into this
-KIND_BITS = 2
-LEAST_DIM, MOST_DIM = KIND_BITS, 8
 
 
 def kind_of(address: int) -> WorkerKind:

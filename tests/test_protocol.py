@@ -23,7 +23,7 @@ LIMIT_MS = 60_000
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     run_dir = tmp_path_factory.mktemp("rtc")
-    deploy = [sys.executable, "-P", "-m", "deploy"]
+    deploy = [sys.executable, "-P", "-m", "rtc.cli.entry"]
     options = ["--mcm", "kinematic", "--speed", "max", "--run-dir", str(run_dir)]
     subprocess.run([*deploy, "up", "-d", *options], check=True, timeout=60)
     yield run_dir
@@ -31,7 +31,7 @@ def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 class Bare:
-    """A client as somebody would write it from the page alone."""
+    """A client written from the page alone."""
 
     def __init__(
         self, context: zmq.Context[zmq.Socket[bytes]], run_dir: Path, file: str, kind: int = zmq.DEALER

@@ -9,7 +9,7 @@ import sys
 import time
 from contextlib import nullcontext, suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import msgspec
 import typer
@@ -35,28 +35,32 @@ from rtc.client.client import Client
 from rtc.client.liveness import supervised
 from rtc.protocol.outcomes import NoCluster, TimedOut
 from rtc.runtime import process_table
-from rtc.runtime.settings import default_run_dir
+from rtc.runtime.settings import LEAST_DIM, MCMS, MOST_DIM, MOST_WORKERS, Mcm, Settings, default_run_dir
 
 SILENT = (
     "the broker does not answer; one that hangs or has died is replaced within seconds: ask again "
     "(its log is logs/broker.log in the run directory; rtc halt works meanwhile)"
 )
+DEFAULT = Settings(run_dir="")  # the defaults of `rtc up`
 SUPERVISOR_SILENT_S = 3.0  # maximum age of the process table, which it sends every second
 SAME_AGE_S = 1.0  # maximum age difference of a cluster and a broker that was not restarted
 
 
 def up(
-    cell: Annotated[str, typer.Option(help="Name of a cell that comes with rtc, or a cell file.")] = "swapout",
-    dim: Annotated[int, typer.Option(min=2, max=8, help="Of the cube: 2^dim workers.")] = 2,
+    cell: Annotated[str, typer.Option(help="Name of a cell that comes with rtc, or a cell file.")] = DEFAULT.cell,
+    dim: Annotated[int, typer.Option(min=LEAST_DIM, max=MOST_DIM, help="Of the cube: 2^dim workers.")] = DEFAULT.dim,
     least: Annotated[
-        int | None, typer.Option(min=0, max=64, help="Workers of each kind when idle.", show_default="the cube's")
-    ] = None,
-    most: Annotated[int, typer.Option(min=1, max=64, help="Workers of each kind while jobs wait.")] = 4,
-    mcm: Annotated[str, typer.Option(help="bullet (physics) or kinematic (exact, no physics).")] = "bullet",
-    speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = "1",
+        int | None,
+        typer.Option(min=0, max=MOST_WORKERS, help="Workers of each kind when idle.", show_default="the cube's"),
+    ] = DEFAULT.least_workers,
+    most: Annotated[
+        int, typer.Option(min=1, max=MOST_WORKERS, help="Workers of each kind while jobs wait.")
+    ] = DEFAULT.most_workers,
+    mcm: Annotated[str, typer.Option(help="bullet (physics) or kinematic (exact, no physics).")] = DEFAULT.mcm,
+    speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = f"{DEFAULT.speed:g}",
     listen: Annotated[
         str, typer.Option(help="tcp://HOST:PORT: admit holders of a key (rtc keys) from other machines.")
-    ] = "",
+    ] = DEFAULT.listen,
     run_dir: RunDir = None,
     detach: Annotated[bool, typer.Option("-d", "--detach", help="Return once it is ready.")] = False,
 ) -> None:
@@ -65,13 +69,19 @@ def up(
     Example:  rtc up -d --mcm kinematic --speed max
     Example:  rtc up -d --listen tcp://192.168.1.5:5555
     """
-    if mcm not in ("bullet", "kinematic"):
-        raise trouble(f"--mcm is bullet or kinematic, not {mcm}", 2)
-    check_speed(speed)
-    arguments = ["up", "--cell", cell, "--dim", str(dim), "--most", str(most), "--mcm", mcm, "--speed", speed]
-    at_least = [] if least is None else ["--least", str(least)]
-    far = ["--listen", listen] if listen else []
-    _deploy([*arguments, *at_least, *far, *(["-d"] if detach else [])], run_dir)
+    if mcm not in MCMS:
+        raise trouble(f"--mcm is {' or '.join(MCMS)}, not {mcm}", 2)
+    settings = Settings(
+        run_dir=str(run_dir or default_run_dir()),
+        cell=cell,
+        dim=dim,
+        least_workers=least,
+        most_workers=most,
+        mcm=cast(Mcm, mcm),
+        speed=speed_of(speed),
+        listen=listen,
+    )
+    _become_deploy("up", *(["-d"] if detach else []), "--", msgspec.json.encode(settings).decode())
 
 
 def down(run_dir: RunDir = None) -> None:
@@ -79,7 +89,7 @@ def down(run_dir: RunDir = None) -> None:
 
     Example:  rtc down
     """
-    _deploy(["down"], run_dir)
+    _become_deploy("down", "--", str(run_dir or default_run_dir()))
 
 
 def status(
@@ -284,19 +294,19 @@ def _plain(value: Any) -> str:
     return str(value)
 
 
-def check_speed(speed: str) -> None:
-    """Raises typer.Exit, with the reason printed, if it is not a speed of simulated time."""
+def speed_of(text: str) -> float:
+    """Simulated seconds per second; 0 for `max`. Raises typer.Exit, with the reason printed, if it is not a speed."""
     try:
-        good = speed == "max" or 0 < float(speed) < math.inf
+        speed = 0.0 if text == "max" else float(text)
     except ValueError:
-        good = False
-    if not good:
-        raise trouble(f"--speed is a number above 0, or max; not {speed}", 2)
+        speed = math.nan
+    if not (0 < speed < math.inf or text == "max"):
+        raise trouble(f"--speed is a number above 0, or max; not {text}", 2)
+    return speed
 
 
-def _deploy(arguments: list[str], run_dir: Path | None) -> None:
-    """Become the supervisor's command line: same terminal, same Ctrl-C, same exit status."""
+def _become_deploy(*arguments: str) -> None:
+    """Become the supervisor's process: same terminal, same Ctrl-C, same exit status."""
     sys.stdout.flush()
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # the supervisor unblocks it when it can handle it
-    where = str(run_dir if run_dir is not None else default_run_dir())
-    os.execv(sys.executable, [sys.executable, "-P", "-m", "deploy", *arguments, "--run-dir", where])
+    os.execv(sys.executable, [sys.executable, "-P", "-m", "deploy", *arguments])

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from rtc.cli.cluster import check_speed
+from rtc.cli.cluster import speed_of
 from rtc.cli.output import console, exits_with, trouble
 
 DEMOS = ["grasp", "faults"]  # modules of rtc.demos, each with `run(console, speed, out) -> passed`
@@ -27,7 +27,7 @@ def demo(
     """
     if name not in DEMOS:
         raise trouble(f"there is no demo {name}; there are: {', '.join(DEMOS)}", 2)
-    check_speed(speed)
+    speed_of(speed)
     with exits_with(1):
         passed = import_module(f"rtc.demos.{name}").run(console, speed, out)
     if not passed:

@@ -40,7 +40,7 @@ def own_cluster(
 
 
 def _deploy(what: str, run_dir: Path, limit_s: float, *options: str) -> None:
-    command = [sys.executable, "-P", "-m", "deploy", what, "--run-dir", str(run_dir), *options]
+    command = [sys.executable, "-P", "-m", "rtc.cli.entry", what, "--run-dir", str(run_dir), *options]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=limit_s, start_new_session=True)
     except subprocess.TimeoutExpired:

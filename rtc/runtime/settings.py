@@ -7,26 +7,35 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple, get_args
 
 import msgspec
+from msgspec import Meta
 
 from rtc.protocol.outcomes import ClusterError
 
 SUN_PATH_LIMIT = 107  # bytes of a Unix socket's path on Linux
+LEAST_DIM, MOST_DIM = 2, 8  # limits of the cube's dimension; a smaller cube lacks kinds of workers
+MOST_WORKERS = 64  # maximum number of workers of a kind
+Mcm = Literal["bullet", "kinematic"]
+MCMS: tuple[str, ...] = get_args(Mcm)
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
-    """The configuration of one cluster. The supervisor writes it to `settings.json` in the run directory."""
+    """The configuration of one cluster. The supervisor writes it to `settings.json` in the run directory.
+
+    `rtc up` makes it from its options; the limits of values are checked when it is decoded.
+    """
 
     run_dir: str
     run: str = ""  # identifies this run; data of an earlier run in the directory are not continued
     cell: str = "swapout"  # name of a cell, or a file
-    dim: int = 2  # dimension of the cube: 2^dim workers
-    least_workers: int | None = None  # of each kind, when idle; None = as many as the cube has
-    most_workers: int = 4  # of each kind, when jobs wait
-    mcm: str = "bullet"  # or "kinematic"
-    speed: float = 1.0  # simulated seconds per second; 0 = as fast as possible
+    dim: Annotated[int, Meta(ge=LEAST_DIM, le=MOST_DIM)] = 2  # dimension of the cube: 2^dim workers
+    # Workers of each kind when idle; None = as many as the cube has.
+    least_workers: Annotated[int, Meta(ge=0, le=MOST_WORKERS)] | None = None
+    most_workers: Annotated[int, Meta(ge=1, le=MOST_WORKERS)] = 4  # of each kind, when jobs wait
+    mcm: Mcm = "bullet"
+    speed: Annotated[float, Meta(ge=0)] = 1.0  # simulated seconds per second; 0 = as fast as possible
     listen: str = ""  # tcp://HOST:PORT of the gateway for other machines; empty = no gateway
 
     far = False  # the cluster is on this machine and shares its clock

@@ -28,7 +28,7 @@ NAMES = [*TEMPLATES, "broker", "world", "MCM", *WORKERS]
 
 
 def deploy(*arguments, run_dir):
-    command = [sys.executable, "-m", "deploy", *arguments, "--run-dir", str(run_dir)]
+    command = [sys.executable, "-m", "rtc.cli.entry", *arguments, "--run-dir", str(run_dir)]
     return subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
 
 
@@ -161,7 +161,7 @@ def test_a_directory_that_takes_no_files_is_reported_in_one_line(run_dir):
 
 
 def test_a_foreground_cluster_ends_at_ctrl_c(run_dir):
-    command = [sys.executable, "-m", "deploy", "up", "--mcm", "kinematic", "--run-dir", str(run_dir)]
+    command = [sys.executable, "-m", "rtc.cli.entry", "up", "--mcm", "kinematic", "--run-dir", str(run_dir)]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert any(line.startswith("ready in") for line in running.stdout)
     pids = [row["pid"] for row in rows(run_dir).values()]

@@ -1,8 +1,10 @@
-"""The options of `up`, checked before anything is started."""
+"""The settings of `up`, checked before anything is started."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,27 +14,24 @@ README = Path(__file__).parents[2] / "README.md"
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("settings", "words"),
     [
-        (["--least", "5", "--most", "2"], "--least 5 is more than --most 2"),
-        (["--least", "5"], "--least 5 is more than --most 4"),
-        (["--cell", "moon-base"], "no cell moon-base"),
-        (["--cell", "moon-base.yaml"], "there is no file moon-base.yaml"),
-        (["--cell", str(README)], "README.md is not a cell: a cell is a .yaml file"),
-        (["--listen", "foo"], "'foo' is not an address"),
+        ({"least_workers": 5, "most_workers": 2}, "--least 5 is more than --most 2"),
+        ({"least_workers": 5}, "--least 5 is more than --most 4"),
+        ({"cell": "moon-base"}, "no cell moon-base"),
+        ({"cell": "moon-base.yaml"}, "there is no file moon-base.yaml"),
+        ({"cell": str(README)}, "README.md is not a cell: a cell is a .yaml file"),
+        ({"listen": "foo"}, "'foo' is not an address"),
+        ({"dim": 9}, "$.dim"),
+        ({"most_workers": 0}, "$.most_workers"),
+        ({"mcm": "steam"}, "$.mcm"),
+        ({"speed": -1}, "$.speed"),
     ],
 )
 def test_a_wrong_option_is_reported_before_anything_is_started(
-    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    settings: dict[str, Any], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run_dir = tmp_path / "none"
-    assert main(["up", "-d", *options, "--run-dir", str(run_dir)]) == WRONG
+    assert main(["up", "-d", json.dumps({"run_dir": str(run_dir), **settings})]) == WRONG
     assert words in capsys.readouterr().err
     assert not run_dir.exists()
-
-
-@pytest.mark.parametrize("speed", ["inf", "nan", "-1", "fast"])
-def test_a_speed_that_is_none_is_refused(speed: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["up", "--speed", speed])
-    assert left.value.code == WRONG

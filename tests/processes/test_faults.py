@@ -247,7 +247,7 @@ def test_all_at_once(rtc: Client, chaos: Chaos, run_dir: Path) -> None:
 
 def test_a_cluster_without_workers_gets_them_with_its_first_command(tmp_path_factory: pytest.TempPathFactory) -> None:
     where = ["--run-dir", str(tmp_path_factory.mktemp("p"))]
-    deploy = [sys.executable, "-P", "-m", "deploy"]
+    deploy = [sys.executable, "-P", "-m", "rtc.cli.entry"]
     subprocess.run([*deploy, "up", "-d", "--mcm", "kinematic", "--least", "0", *where], check=True, timeout=LIMIT_S)
     try:
         with Client(where[1]) as rtc:

@@ -39,7 +39,7 @@ class Running:
 
     def __init__(self, run_dir: Path, mcm: str = "kinematic") -> None:
         self.run_dir = run_dir
-        command = [sys.executable, "-m", "deploy", "up", "--mcm", mcm, "--run-dir", str(run_dir)]
+        command = [sys.executable, "-m", "rtc.cli.entry", "up", "--mcm", mcm, "--run-dir", str(run_dir)]
         self.supervisor = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
         assert self.supervisor.stdout is not None
         assert any(line.startswith("ready in") for line in self.supervisor.stdout), "it did not come up"
