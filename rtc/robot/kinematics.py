@@ -122,6 +122,13 @@ class ArmModel:
         turned: Array = self._to_world @ local
         return turned
 
+    def tcp_speeds(self, joints: Array, velocities: Array) -> Array:
+        """Speed of the tcp (m/s) at each row of joint values (rad) and joint velocities (rad/s)."""
+        model, data, tcp = self.model, self._data, self._tcp
+        linear = np.array([pin.computeFrameJacobian(model, data, q, tcp, pin.LOCAL)[:3] for q in joints])
+        speeds: Array = np.sqrt((np.einsum("nij,nj->ni", linear, velocities) ** 2).sum(axis=1))
+        return speeds
+
     def effective_mass_kg(self, joints: Floats, direction: Floats) -> float:
         """Effective mass of the unloaded tcp along a direction (unit vector, world axes): 1 / (d J M^-1 J' d)."""
         q = np.asarray(joints, dtype=float)
@@ -148,7 +155,10 @@ class ArmModel:
         """
         reference = np.asarray(near, dtype=float) if near is not None else self.middle
         within = [q for raw in self._branches(target, reference) for q in self._turns_within(raw, margin_rad)]
-        return sorted(within, key=lambda q: self.travel(reference, q))
+        if len(within) < 2:
+            return within
+        travels_s = (np.abs(np.array(within) - reference) / self.limits.velocity).max(axis=1)
+        return [within[n] for n in np.argsort(travels_s, kind="stable").tolist()]
 
     def travel(self, a: Floats, b: Floats) -> float:
         """Motion time (s) of the slowest joint from `a` to `b` at full speed; `ik` sorts by it."""

@@ -7,13 +7,15 @@ from toppra import SplineInterpolator
 from workers.planning.motion.spline import Spline
 
 
+@pytest.mark.parametrize("evenly", [False, True])
 @pytest.mark.parametrize("count", [4, 5, 9, 30])
-def test_it_equals_the_spline_of_toppra(count):
+def test_it_equals_the_spline_of_toppra(count, evenly):
     rng = np.random.default_rng(count)
-    s = np.concatenate(((0.0,), np.cumsum(rng.uniform(0.01, 0.03, count - 1))))
+    s = np.concatenate(((0.0,), np.cumsum(np.full(count - 1, 0.02) if evenly else rng.uniform(0.01, 0.03, count - 1))))
     rows = rng.normal(size=(count, 6))
     ours, theirs = Spline(s, rows), SplineInterpolator(s, rows)
     at = np.concatenate((s, np.linspace(0.0, s[-1], 101)))
     for order in range(3):
         wanted = theirs(at, order)
         assert np.abs(ours(at, order) - wanted).max() <= 1e-9 * np.abs(wanted).max()
+        assert (ours.at(at)[order] == ours(at, order)).all()

@@ -8,7 +8,6 @@ Versions of facts are not needed, because the digest covers the values of the fa
 from __future__ import annotations
 
 import hashlib
-from dataclasses import asdict, fields
 from typing import Any
 
 import msgspec
@@ -36,8 +35,8 @@ def request_digest(request: PlanningRequest, space: str, goal: Floats) -> bytes:
         np.asarray(goal, dtype=float),
         {arm: np.asarray(joints, dtype=float) for arm, joints in request.joints.items()},
         request.margin_rad,
-        {field.name: getattr(request.scene, field.name) for field in fields(request.scene)},
-        asdict(request.rules),
+        request.scene,
+        request.rules,
     )
     return hashlib.blake2b(_encoder.encode(asked), digest_size=DIGEST_BYTES).digest()
 
@@ -59,10 +58,8 @@ def from_message(way: Way) -> Found:
     return Found(Path(way.space, s, knots, curve), way.notes)
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return {field.name: getattr(value, field.name) for field in fields(value)}  # Held
+def _plain(array: Any) -> Any:
+    return array.tobytes()
 
 
 _encoder = msgspec.msgpack.Encoder(enc_hook=_plain)

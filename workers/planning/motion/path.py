@@ -45,27 +45,40 @@ class Path:
         """Joints, [len(s)][joints]."""
         if self.curve is not None:
             return self.curve(s)
-        return self.knots[0] + np.outer(s, (self.knots[-1] - self.knots[0]) / self.length)
+        return self.knots[0] + s[:, None] * ((self.knots[-1] - self.knots[0]) / self.length)
 
     def at(self, s: Array) -> tuple[Array, Array, Array]:
         """Joints, and their first and second derivative by s, each [len(s)][joints]."""
+        if isinstance(self.curve, Spline):
+            return self.curve.at(s)
         if self.curve is not None:
             return self.curve(s), self.curve(s, 1), self.curve(s, 2)
         slope = (self.knots[-1] - self.knots[0]) / self.length
-        return self.knots[0] + np.outer(s, slope), np.tile(slope, (len(s), 1)), np.zeros((len(s), len(slope)))
+        q = self.knots[0] + s[:, None] * slope
+        return q, np.broadcast_to(slope, q.shape), np.zeros(q.shape)
 
     def dense(self, step_rad: float = CHECK_RAD) -> tuple[Array, Array]:
         """(s, joints) at a spacing for collision checks.
 
         The first three joints move at most `step_rad` between neighbours, the wrist joints three times as much.
         """
-        weights = np.where(np.arange(self.knots.shape[1]) < 3, 1.0, 1.0 / 3.0)
-        turned = (np.abs(np.diff(self.knots, axis=0)) * weights).max(axis=1)
-        pieces = np.maximum(1, np.ceil(turned / step_rad)).astype(int)
+        turned = np.abs(self.knots[1:] - self.knots[:-1])
+        turned[:, 3:] *= 1.0 / 3.0
+        pieces = np.maximum(1, np.ceil(turned.max(axis=1) / step_rad)).astype(int)
+        if len(pieces) == 1:
+            s = even(0.0, self.length, int(pieces[0]))
+            return s, self.joints_at(s)
         steps = np.repeat(np.diff(self.s) / pieces, pieces)
         nth = np.arange(len(steps)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
         s = np.append(nth * steps + np.repeat(self.s[:-1], pieces), self.length)
         return s, self.joints_at(s)
+
+
+def even(first: float, last: float, count: int) -> Array:
+    """`count` + 1 evenly spaced values: `np.linspace` without its overhead."""
+    values: Array = np.arange(count + 1, dtype=float) * ((last - first) / count) + first
+    values[-1] = last
+    return values
 
 
 def joint_line(start: Floats, goal: Floats) -> Path:
@@ -89,7 +102,7 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
     metres, turn = geometry.distance(start_pose, goal_pose), geometry.angle(start_pose, goal_pose)
     length = max(metres, METRES_PER_RAD * turn, 1e-9)
     count = max(4, math.ceil(metres / KNOT_M), math.ceil(turn / KNOT_RAD)) + 1
-    fractions = np.linspace(0.0, 1.0, count)
+    fractions = even(0.0, 1.0, count - 1)
     poses = geometry.interpolate_all(start_pose, goal_pose, fractions[1:])
     table = np.vstack((np.asarray(start, dtype=float), arm.follow_all(poses, start)))
     n = _first_problem(arm, table, margin_rad)
@@ -104,7 +117,7 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
 def _first_problem(arm: ArmModel, table: Array, margin_rad: float) -> int:
     """Index of the first row after the start that leaps or passes a limit; the number of rows if there is none."""
     rows = table[1:]
-    bad = np.abs(np.diff(table, axis=0)).max(axis=1, initial=0.0) > LEAP_RAD
+    bad = np.abs(rows - table[:-1]).max(axis=1) > LEAP_RAD
     bad |= np.maximum(arm.limits.lower + margin_rad - rows, rows - arm.limits.upper + margin_rad).max(axis=1) > 0
     return int(bad.argmax()) + 1 if bad.any() else len(table)
 

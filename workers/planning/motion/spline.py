@@ -6,9 +6,13 @@ made for each way that is tried.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from rtc.robot.geometry import Array
+
+EVEN = 1e-9  # relative tolerance of the distances between evenly spaced knots
 
 
 class Spline:
@@ -18,18 +22,21 @@ class Spline:
         """`s` rises; at least four rows."""
         assert len(s) == len(rows) >= 4, (len(s), len(rows))
         self._s = s
-        width = np.diff(s)
-        slope = np.diff(rows, axis=0) / width[:, None]
+        width = s[1:] - s[:-1]
+        slope = (rows[1:] - rows[:-1]) / width[:, None]
         speeds = _speeds(width, slope)
         # Of each piece, by powers of the distance from its beginning.
         bend = (speeds[:-1] + speeds[1:] - 2 * slope) / width[:, None]
         self._powers = np.stack((rows[:-1], speeds[:-1], (slope - speeds[:-1]) / width[:, None] - bend, bend))
         self._powers[3] /= width[:, None]
 
+    def at(self, s: Array) -> tuple[Array, Array, Array]:
+        """The values and their first and second derivative by s, each [len(s)][joints]."""
+        t, (a, b, c, d) = self._piece(s)
+        return a + t * (b + t * (c + t * d)), b + t * (2 * c + t * 3 * d), 2 * c + t * 6 * d
+
     def __call__(self, s: Array, order: int = 0) -> Array:
-        piece = np.clip(np.searchsorted(self._s, s, side="right") - 1, 0, len(self._s) - 2)
-        t = (s - self._s[piece])[:, None]
-        a, b, c, d = self._powers[:, piece]
+        t, (a, b, c, d) = self._piece(s)
         found: Array
         if order == 0:
             found = a + t * (b + t * (c + t * d))
@@ -39,23 +46,43 @@ class Spline:
             found = 2 * c + t * 6 * d
         return found
 
+    def _piece(self, s: Array) -> tuple[Array, Array]:
+        """Of each s: the distance from the beginning of its piece, and the powers of that piece."""
+        piece = np.searchsorted(self._s[1:-1], s, side="right")
+        return (s - self._s[piece])[:, None], self._powers[:, piece]
+
 
 def _speeds(width: Array, slope: Array) -> Array:
     """The first derivative at each knot, [knots][joints]: the second one is continuous at every inner knot, and the
     third one at the knots next to the ends."""
+    wanted = np.empty((len(width) + 1, slope.shape[1]))
+    wanted[1:-1] = 3 * (width[1:, None] * slope[:-1] + width[:-1, None] * slope[1:])
+    both = width[0] + width[1]
+    wanted[0] = ((width[0] + 2 * both) * width[1] * slope[0] + width[0] ** 2 * slope[1]) / both
+    both = width[-1] + width[-2]
+    wanted[-1] = (width[-1] ** 2 * slope[-2] + (2 * both + width[-1]) * width[-2] * slope[-1]) / both
+    if np.abs(width - width[0]).max() < EVEN * width[0]:
+        speeds: Array = _inverse(len(width)) @ wanted / width[0]
+    else:
+        speeds = np.asarray(np.linalg.solve(_matrix(width), wanted), dtype=float)
+    return speeds
+
+
+def _matrix(width: Array) -> Array:
+    """The conditions on the speeds, [knots][knots]."""
     count = len(width) + 1
     matrix = np.zeros((count, count))
-    wanted = np.empty((count, slope.shape[1]))
     inner = np.arange(1, count - 1)
     matrix[inner, inner - 1] = width[1:]
     matrix[inner, inner] = 2 * (width[:-1] + width[1:])
     matrix[inner, inner + 1] = width[:-1]
-    wanted[1:-1] = 3 * (width[1:, None] * slope[:-1] + width[:-1, None] * slope[1:])
-    both = width[0] + width[1]
-    matrix[0, 0], matrix[0, 1] = width[1], both
-    wanted[0] = ((width[0] + 2 * both) * width[1] * slope[0] + width[0] ** 2 * slope[1]) / both
-    both = width[-1] + width[-2]
-    matrix[-1, -1], matrix[-1, -2] = width[-2], both
-    wanted[-1] = (width[-1] ** 2 * slope[-2] + (2 * both + width[-1]) * width[-2] * slope[-1]) / both
-    solved: Array = np.asarray(np.linalg.solve(matrix, wanted), dtype=float)
-    return solved
+    matrix[0, 0], matrix[0, 1] = width[1], width[0] + width[1]
+    matrix[-1, -1], matrix[-1, -2] = width[-2], width[-1] + width[-2]
+    return matrix
+
+
+@lru_cache(maxsize=128)
+def _inverse(pieces: int) -> Array:
+    """The inverse of the matrix of this number of pieces, each of length 1."""
+    inverse: Array = np.asarray(np.linalg.inv(_matrix(np.ones(pieces))), dtype=float)
+    return inverse

@@ -20,7 +20,7 @@ from rtc.protocol.primitive import JointTrajectory
 from rtc.robot import quintic
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
-from workers.planning.motion.path import Path
+from workers.planning.motion.path import Path, even
 from workers.planning.motion.rest_to_rest import rest_to_rest
 
 KNOT_S = 0.03  # knot spacing; the quintic Hermite error is some micrometres
@@ -76,9 +76,8 @@ def time_path(arm: ArmModel, path: Path, pace: Pace = FREE_PACE) -> Timed:
 
 
 def _time_line(arm: ArmModel, path: Path, pace: Pace) -> Timed:
-    s = np.linspace(0.0, path.length, SAMPLES)
-    q, slope, bend = path.at(s)
-    rate = 1.0 if path.space == "task" else float(_tcp_rate(arm, q, slope).max())
+    q, slope, bend = path.at(even(0.0, path.length, SAMPLES - 1))
+    rate = 1.0 if path.space == "task" else float(arm.tcp_speeds(q, slope).max())
     velocity, acceleration = arm.limits.velocity * pace.ratio, arm.limits.acceleration * pace.ratio
     slope, bend = np.abs(slope) + 1e-12, np.abs(bend) + 1e-12
     # Up to half of a joint's acceleration serves the curvature at full pace; the rest serves changes of pace.
@@ -105,7 +104,7 @@ def _time_curve(arm: ArmModel, path: Path, pace: Pace) -> Timed:
     velocity, acceleration = arm.limits.velocity * pace.ratio, arm.limits.acceleration * pace.ratio
     levers = np.max([np.linalg.norm(arm.jacobian(row)[:3], axis=0) for row in q[::4]], axis=0)
     acceleration = np.minimum(acceleration, pace.acceleration_m_s2 / np.maximum(levers, 0.05))
-    rate = np.maximum(_tcp_rate(arm, q, slope), 1e-6)
+    rate = np.maximum(arm.tcp_speeds(q, slope), 1e-6)
     grid = np.linspace(0.0, path.length, GRID)
     # Joint speeds are limited by the joints and by the tcp speed (2 % reserve between samples).
     tcp = np.abs(path.curve(grid, 1)) * 0.98 * pace.speed_m_s / np.interp(grid, s, rate)[:, None] + 1e-6
@@ -127,21 +126,14 @@ def _time_curve(arm: ArmModel, path: Path, pace: Pace) -> Timed:
     return _at_rest(Timed(path.space, time_s, curve(time_s), curve(time_s, 1), curve(time_s, 2)), path)
 
 
-def _tcp_rate(arm: ArmModel, q: Array, slope: Array) -> Array:
-    """Metres (or METRES_PER_RAD times rad) that the tcp moves per unit of s, at each row."""
-    linear = np.array([arm.jacobian(row)[:3] for row in q])
-    rate: Array = np.sqrt((np.einsum("nij,nj->ni", linear, slope) ** 2).sum(axis=1))
-    return rate
-
-
 def _knot_times(duration_s: float, ramp_s: float, speed_m_s: float) -> Array:
     """Knot times: dense in both ramps, where the pace changes, and sparse in between."""
     ramp_s = min(ramp_s, 0.5 * duration_s)
     n = max(2, math.ceil(ramp_s / KNOT_S))
     cruise_s = duration_s - 2 * ramp_s
     m = math.ceil(cruise_s / max(KNOT_S, KNOT_M / speed_m_s) - 1e-9)
-    ramp_up, ramp_down = np.linspace(0.0, ramp_s, n + 1), np.linspace(duration_s - ramp_s, duration_s, n + 1)
-    cruise = np.linspace(ramp_s, duration_s - ramp_s, m + 1)[1:] if m > 0 else ()
+    ramp_up, ramp_down = even(0.0, ramp_s, n), even(duration_s - ramp_s, duration_s, n)
+    cruise = even(ramp_s, duration_s - ramp_s, m)[1:] if m > 0 else ()
     return np.concatenate((ramp_up, cruise, ramp_down[1:]))
 
 
