@@ -68,10 +68,9 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
         self.refs = [(NOMINAL, index) for index in reversed(range(len(self.script.steps)))]
         self.bindings = dict(self.script.bindings)
 
-    def pop(self) -> Any:
-        """Make the next step the current one; its body. The stack must not be empty."""
+    def pop(self) -> None:
+        """Make the next step the current one. The stack must not be empty."""
         self.step = self.refs.pop()
-        return self.step_body
 
     def assign(self, values: Mapping[str, ValueT]) -> None:
         """Set variables. Earlier payloads keep their values."""
@@ -123,7 +122,7 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
 
     def analyzer_input(self, evaluation: Any, report: Any) -> dict[str, Any]:
         """The fields of an `AnalyzerInput` for the current step."""
-        used = self.trims_used.get(self._step_key, [])
+        used = self.trims_used.get(self._step_key, []) if self.trims_used else []
         return {"evaluation": evaluation, "report": report, "trims_used": used, "closing": False}
 
     @property

@@ -51,7 +51,8 @@ def is_on_trial(state: State, job: PendingJob) -> bool:
 
 
 def on_job_done(context: DecisionContext, job: PendingJob) -> None:
-    if is_on_trial(context.state, job):
+    rollout = context.state.rollouts.get(job.kind)
+    if rollout is not None and rollout.phase is RolloutPhase.TRIAL and is_on_trial(context.state, job):
         ROLLOUT.run(context, job.kind, RolloutStimulus.JOB_DONE)
 
 

@@ -14,7 +14,8 @@ def labels(actions: ActionStack) -> list[str]:
     """The labels of all steps that are left, in order."""
     left = []
     while actions.refs:
-        left.append(actions.pop().label)
+        actions.pop()
+        left.append(actions.step_body.label)
     return left
 
 

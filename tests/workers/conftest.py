@@ -257,9 +257,9 @@ class Bench:
         run.script = script
         actions = action_stack.begin(script)
         while actions.refs:
-            step = actions.pop()
+            actions.pop()
             name = f"C-{self.commands}.{len(run.labels) + 1}"
-            run.labels.append(step.label)
+            run.labels.append(actions.step_body.label)
             bound = self._bind(BinderInput(**actions.binder_input(name)))
             if isinstance(bound, Refusal):
                 run.refusal = bound

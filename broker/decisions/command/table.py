@@ -135,10 +135,13 @@ def phase_of(state: State, name: str) -> Phase:
 COMMAND = Machine(Phase, Stimulus, _ROWS, _IGNORED, first=P.PARSING, state_of=phase_of)
 
 
+_cells = COMMAND.cells
+
+
 def stimulate(context: DecisionContext, command: Command, stimulus: Stimulus, payload: Any = None) -> None:
     """Run the action of the table for this stimulus, and check the phase it leads to."""
     before = command.phase
-    found = COMMAND.cells.get((before, stimulus))
+    found = _cells.get((before, stimulus))
     if found is None:
         context.count("stale")
         return
