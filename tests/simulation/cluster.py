@@ -295,6 +295,8 @@ class Cluster:
         """A peer takes the identity of a connected client, and disconnects again. (It does not outlive the
         broker: one that connects to the next broker first has the identity there.)"""
         name = self.clients[0].name
+        if self.clients[0].line.router is None:  # not connected to this broker yet: the impostor would be the first
+            return
         self.log(f"an impostor of {name} connects for a moment")
         impostor = network.Dealer(self.clock, name.encode(), lambda parts: None)
         self.clock.after(0.0005, self._connect, "front", impostor)
