@@ -79,8 +79,6 @@ class StopReason(StrEnum):
     # The reasons below do not come from a servo tick.
     NO_CONTACT = "no_contact"  # derived by the analyzer: goal reached although contact was expected
     REFUSED = "refused"  # the subsystem did not start the primitive
-    OPERATOR_DONE = "operator_done"  # the operator reports the primitive as done
-    OPERATOR_CANNOT = "operator_cannot"  # the operator reports that it cannot be done
     SUBSYSTEM_LOST = "subsystem_lost"  # the subsystem was lost before its report
 
 

@@ -7,7 +7,9 @@ region) and a name, so that a message reads "RIGHT-ARM forearm collides with RAC
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import coal
 import pinocchio as pin
@@ -17,7 +19,8 @@ from rtc.cells import parts
 from rtc.protocol.outcomes import ProgramError
 from rtc.robot.geometry import Floats
 
-_SHAPES = {
+#: shape of a cell -> its geometry for coal
+COAL_SHAPES: dict[type, Callable[[Any], coal.ShapeBase]] = {
     parts.Box: lambda s: coal.Box(*s.size_m),
     parts.Cylinder: lambda s: coal.Cylinder(s.radius_m, s.length_m),
     parts.Sphere: lambda s: coal.Sphere(s.radius_m),
@@ -102,7 +105,7 @@ def _add(
 ) -> None:
     for shape in shapes:
         piece = Piece(owner, shape.name, kind, se3(shape.frame.pose))
-        solid = _SHAPES[type(shape)](shape)
+        solid = COAL_SHAPES[type(shape)](shape)
         geometry.addGeometryObject(pin.GeometryObject(piece.label, 0, se3(pose) * piece.in_owner, solid))
         pieces.append(piece)
 

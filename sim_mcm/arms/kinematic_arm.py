@@ -21,6 +21,7 @@ from rtc.cells import cell as cells
 from rtc.cells import parts
 from rtc.protocol.primitive import ControlLaw
 from rtc.robot import geometry
+from rtc.robot.bodies import COAL_SHAPES
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms import control_laws
@@ -388,14 +389,6 @@ def _placements(model: Any, data: Any, shapes: Any, shape_data: Any, spec: parts
 
 
 def _piece(owner: str, shape: parts.AnyShape) -> Piece:
-    made = SHAPES[type(shape)](shape)
+    made = COAL_SHAPES[type(shape)](shape)
     made.computeLocalAABB()
     return Piece(owner, made, geometry.to_matrix(shape.frame.pose), float(made.aabb_radius))
-
-
-SHAPES: dict[type, Callable[[Any], Any]] = {
-    parts.Box: lambda s: coal.Box(*s.size_m),
-    parts.Cylinder: lambda s: coal.Cylinder(s.radius_m, s.length_m),
-    parts.Sphere: lambda s: coal.Sphere(s.radius_m),
-    parts.Capsule: lambda s: coal.Capsule(s.radius_m, s.length_m),
-}
