@@ -218,3 +218,15 @@ def test_the_environment_is_read_in_one_place() -> None:
 
 def test_this_python_is_one_we_support() -> None:
     assert sys.version_info >= (3, 11)
+
+
+def test_the_architecture_page_names_every_module():
+    """ARCHITECTURE.md has a row for each package, and the row names each of its modules."""
+    rows = [line for line in (ROOT / "ARCHITECTURE.md").read_text().splitlines() if line.startswith("| `")]
+    by_package = {row.split("`")[1]: row for row in rows}
+    missing = [
+        place(path)
+        for path in sources(*PACKAGES)
+        if not path.stem.startswith("__") and f"`{path.stem}`" not in by_package.get(f"{place(path.parent)}/", "")
+    ]
+    assert missing == []
