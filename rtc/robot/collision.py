@@ -7,6 +7,7 @@ bodies. Geometry only: the caller decides which contacts are intended.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -18,6 +19,7 @@ from rtc.cells import cell as cells
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import bodies
 from rtc.robot.geometry import Array, Floats
+from rtc.robot.levers import ball, levers, of_pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +80,9 @@ class PathCollision:
 
 AS_BUILT = Scene()
 LEAVING_STEPS = 10  # interpolation steps between configurations while an initial contact lasts
+GROUP = 3  # configurations of a path that one check may prove free
+LEAST_GROUPED = 9  # a shorter path is checked one by one
+WIDER_M = 1e-4  # tolerance of distances in the check of a group
 KEPT_SCENES = 64  # maximum number of scenes whose active pairs and margins are kept
 DEEPER_M = 0.0002  # tolerance for noise of joint values and of penetration depths
 
@@ -106,6 +111,13 @@ class CollisionWorld:
             self._bodies.model, self._bodies.geometry, self._geometry_data
         )
         self._callback = pin.CollisionCallBackDefault(self._bodies.geometry, self._geometry_data, True)
+        # A second set of margins, wide enough to prove that neighbouring configurations are free too.
+        self._wide_data = self._bodies.geometry.createData()
+        self._wide_manager = pin.BroadPhaseManager_NaiveCollisionManager(
+            self._bodies.model, self._bodies.geometry, self._wide_data
+        )
+        self._wide_callback = pin.CollisionCallBackDefault(self._bodies.geometry, self._wide_data, True)
+        self._wide_pairs: Pairs | None = None  # those whose active pairs are set there
         self._q = pin.neutral(self._bodies.model)
         self._scene: Scene | None = None
         self._placed: dict[str, tuple[str, tuple[float, ...]]] = {}  # body -> the arm that holds it, and its pose there
@@ -131,14 +143,26 @@ class CollisionWorld:
         A pair that is too near at the start may separate: along the path its distance must not decrease by more than
         `DEEPER_M`. After separation it is checked like all others. So a world model with an error of millimetres can
         start a path in contact, but a path never moves deeper into contact.
+
+        Groups of neighbouring configurations are checked at once, with a margin as wide as any pair can come nearer
+        within the group (`rtc.robot.levers`). Only a group that is not free at that margin is checked one by one, so
+        the result is that of checking every configuration.
         """
         if not len(configurations):
             return None
         self._set({**others, arm: configurations[0]}, scene)
         slots = self._bodies.arms[arm].joints
         leaving: dict[int, float] = {}  # pair -> greatest distance so far
+        grouped, free_until = len(configurations) >= LEAST_GROUPED, 0
+        if grouped:
+            self._widen(slots, np.asarray(configurations))
         try:
             for index, configuration in enumerate(configurations):
+                if grouped and index % GROUP == 1 and not leaving:
+                    group = configurations[index : index + GROUP]
+                    free_until = index + len(group) if self._all_free(slots, group) else index
+                if index < free_until and not leaving:
+                    continue
                 self._q[slots] = configuration
                 hit = self._ask()
                 if hit is not None and index == 0:
@@ -161,6 +185,23 @@ class CollisionWorld:
         if not pin.computeCollisions(model, self._data, self._manager, self._callback, self._q):
             return None
         return self._describe(self._callback.collisionPairIndex)
+
+    def _widen(self, slots: list[int], configurations: Array) -> None:
+        """Sets the wide margins: by as much as each pair can come nearer within half a group of a path."""
+        pairs, levers = self._pairs, self._levers[:, slots]
+        steps = GROUP // 2 * np.abs(configurations[1:] - configurations[:-1]).max(axis=0)
+        nearer = of_pairs(levers[self._first], levers[self._second]) @ steps
+        if self._wide_pairs is not pairs:
+            self._wide_data.setActiveCollisionPairs(self._bodies.geometry, pairs.active_matrix)
+            self._wide_pairs = pairs
+        margins = self._as_matrix(pairs.margin + nearer + WIDER_M)
+        self._wide_data.setSecurityMargins(self._bodies.geometry, margins)
+
+    def _all_free(self, slots: list[int], group: Sequence[Floats] | Array) -> bool:
+        """True if one check in the middle of neighbouring configurations proves that all of them are free."""
+        self._q[slots] = group[len(group) // 2]
+        model = self._bodies.model
+        return not pin.computeCollisions(model, self._data, self._wide_manager, self._wide_callback, self._q)
 
     def _let_leave(self) -> dict[int, float]:
         """The pairs that are too near at the present configuration, with distances (m); `_ask` skips them."""
@@ -274,6 +315,9 @@ class CollisionWorld:
         for n in self._pieces_of.get(owner, ()):
             item = self._bodies.geometry.geometryObjects[n]
             item.parentJoint, item.placement = parent, at * self._bodies.pieces[n].in_owner
+        self._levers[self._owner == self._number.get(owner)] = levers(
+            self._bodies.model, parent, at.translation, self._radius_m.get(owner, 0.0)
+        )
 
     def _switch(self, scene: Scene) -> None:
         """Sets the active pairs and the margins of a scene."""
@@ -325,6 +369,17 @@ class CollisionWorld:
         self._region_piece = np.array([p.kind == "region" for p in pieces])
         pairs = np.array(self._bodies.pairs, dtype=int).reshape(-1, 2)
         self._first, self._second = pairs[:, 0], pairs[:, 1]
+        items = self._bodies.geometry.geometryObjects
+        balls = [ball(item.geometry, piece.in_owner) for item, piece in zip(items, pieces, strict=True)]
+        joints = [item.parentJoint for item in items]
+        self._levers = np.array(
+            [levers(self._bodies.model, joint, *around) for joint, around in zip(joints, balls, strict=True)]
+        )
+        #: radius of a ball around the origin of each owner, for a body that is held
+        self._radius_m = {
+            owner: max(math.hypot(*balls[n][0]) + balls[n][1] for n in numbers)
+            for owner, numbers in self._pieces_of.items()
+        }
         self._built_pose: dict[str, Floats] = {seat.name: seat.frame.pose for seat in self.cell.seats}
         self._built_pose |= {thing.name: self.cell.object_pose(thing.name) for thing in self.cell.objects}
         self._built_pose |= {region.name: region.frame.pose for region in self.cell.regions}
