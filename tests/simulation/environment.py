@@ -26,7 +26,7 @@ from broker.decisions.state import State
 from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, EndReport, Phase, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
-from tests.broker.stories import bound, give_up, go_on, mend, record, report, script, trim
+from tests.broker.harness import bound, give_up, go_on, mend, record, report, script, trim
 from tests.simulation.model import (
     ARMS,
     CLIENTS,

@@ -159,7 +159,7 @@ def in_words(move: Move) -> str:
 
 def describe(found: Found, scenario: Scenario) -> str:
     """A violation, and the shortest way there: each move with what the Decision Unit did about it."""
-    from tests.broker.stories import brief
+    from tests.broker.harness import brief
 
     model = first(scenario)
     lines = [f"{scenario.name}: {found.violation}", "the shortest way there:"]

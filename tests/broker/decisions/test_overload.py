@@ -16,16 +16,16 @@ from broker.decisions.invariants import violations
 from broker.decisions.state import ParsedHead
 from broker.decisions.subsystem_link import MAX_SUBSYSTEMS
 from rtc.protocol.messages import Declined, Phase
-from tests.broker.stories import Story, bound, go_on, record, report, script
+from tests.broker.harness import Harness, bound, go_on, record, report, script
 
 
 @pytest.fixture
-def story(monkeypatch: pytest.MonkeyPatch) -> Story:
+def story(monkeypatch: pytest.MonkeyPatch) -> Harness:
     monkeypatch.setattr(decide, "LIVE_PER_CLIENT", 3)
-    return Story()
+    return Harness()
 
 
-def test_one_client_has_so_many_live_and_another_is_taken(story: Story) -> None:
+def test_one_client_has_so_many_live_and_another_is_taken(story: Harness) -> None:
     for n in range(3):
         story.says("X", request=str(n))
     assert story.says("X", request="3") == ["tell ann Declined"]
@@ -38,7 +38,7 @@ def test_one_client_has_so_many_live_and_another_is_taken(story: Story) -> None:
     assert not violations(story.state)
 
 
-def test_a_halt_is_obeyed_also_from_one_who_has_too_many_live(story: Story) -> None:
+def test_a_halt_is_obeyed_also_from_one_who_has_too_many_live(story: Harness) -> None:
     for n in range(3):
         story.says("X", request=str(n))
     lines = story.says("HALT ALL", request="halt")
@@ -47,7 +47,7 @@ def test_a_halt_is_obeyed_also_from_one_who_has_too_many_live(story: Story) -> N
     assert "tell ann Declined" in lines
 
 
-def test_a_report_counts_only_from_the_subsystem_that_executes(story: Story) -> None:
+def test_a_report_counts_only_from_the_subsystem_that_executes(story: Harness) -> None:
     command = story.executing()
     primitive = story.state.commands[command].primitive
     story.handle(SubsystemConnected, subsystem="EVIL", pid=6, performers=["RIGHT-ARM"])
@@ -59,7 +59,7 @@ def test_a_report_counts_only_from_the_subsystem_that_executes(story: Story) -> 
     assert not violations(story.state)
 
 
-def test_subsystems_that_come_and_go_do_not_pile_up(story: Story) -> None:
+def test_subsystems_that_come_and_go_do_not_pile_up(story: Harness) -> None:
     for n in range(3 * MAX_SUBSYSTEMS):
         story.handle(SubsystemConnected, subsystem=f"S{n}", pid=n, performers=[f"P{n}"])
         if n % 2:
@@ -86,9 +86,9 @@ def calls(act: Callable[[], Any]) -> int:
     return made[0]
 
 
-def crowd(n: int, **head: Any) -> Story:
+def crowd(n: int, **head: Any) -> Harness:
     """C-1 executes; n more want the same arm and the same object."""
-    story = Story()
+    story = Harness()
     for k in range(1, n + 2):
         story.says("X", client=f"c{k % 8}", progress=False)
         story.answers(f"C-{k}", record(object="MODULE", **head))
@@ -98,7 +98,7 @@ def crowd(n: int, **head: Any) -> Story:
     return story
 
 
-def ended(story: Story) -> None:
+def ended(story: Harness) -> None:
     story.reports("C-1")
     story.answers("C-1", go_on())
 
@@ -111,13 +111,13 @@ FEW, MANY = 250, 1000
     [ended, lambda s: s.halts("ALL"), lambda s: s.halts("RIGHT-ARM"), lambda s: s.says("HALT ALL")],
     ids=["the end of one", "HALT ALL", "HALT of an arm", "HALT ALL, a sentence"],
 )
-def test_what_an_event_costs_grows_no_faster_than_the_crowd(act: Callable[[Story], Any]) -> None:
+def test_what_an_event_costs_grows_no_faster_than_the_crowd(act: Callable[[Harness], Any]) -> None:
     few, many = crowd(FEW), crowd(MANY)
     assert calls(lambda: act(many)) < 1.3 * (MANY / FEW) * calls(lambda: act(few))
 
 
 def test_one_more_costs_the_same_however_many_there_are() -> None:
-    def one_more(story: Story) -> None:
+    def one_more(story: Harness) -> None:
         story.says("X")
         story.answers(f"C-{story.state.accepted}", record(object="MODULE"))
 
@@ -144,7 +144,7 @@ class CountedId(str):
 
 def test_a_chain_of_afters_is_followed_with_few_comparisons_per_command() -> None:
     """A search in a list calls no Python function, so comparisons are counted instead of calls."""
-    n, story = 500, Story()
+    n, story = 500, Harness()
     for k in range(1, n + 1):
         story.says("X", client=f"c{k % 8}", progress=False)
         command = story.state.commands[f"C-{k}"]

@@ -13,27 +13,27 @@ from rtc.protocol.messages import Accepted
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.runtime.handover import Handed
 from rtc.runtime.settings import Settings
-from tests.broker.stories import Story, go_on
+from tests.broker.harness import Harness, go_on
 
 LIFE = "bbbb"
 
 
-def loses(s: Story, accepted: int = 0) -> None:
+def loses(s: Harness, accepted: int = 0) -> None:
     s.handle(received.JournalLost, why="the journal was lost", life=LIFE, accepted=accepted)
 
 
-def asks(s: Story, request: str, text: str = "X", **more: object) -> None:
+def asks(s: Harness, request: str, text: str = "X", **more: object) -> None:
     s.handle(received.CommandReceived, client="ann", request=request, text=text, **more)
 
 
 def test_the_numbers_go_on_above_the_highest_that_is_known():
-    s = Story()
+    s = Harness()
     loses(s, accepted=17)
     assert s.parsed() == "C-18"
 
 
 def test_primitives_get_names_of_another_life():
-    s = Story()
+    s = Harness()
     loses(s)
     command = s.elaborated()
     (job,) = [e for e in s.log if getattr(e, "job", "") == s.state.commands[command].job.id]
@@ -42,7 +42,7 @@ def test_primitives_get_names_of_another_life():
 
 @pytest.mark.parametrize("phase", ["parsed", "elaborated", "executing", "analyzing"])
 def test_what_is_live_ends_as_failed_and_tells_why(phase):
-    s = Story()
+    s = Harness()
     command = getattr(s, phase)()
     loses(s)
     if phase == "executing":
@@ -56,7 +56,7 @@ def test_what_is_live_ends_as_failed_and_tells_why(phase):
 
 
 def test_a_command_that_is_live_uses_no_number_of_a_job_again():
-    s = Story()
+    s = Harness()
     command = s.executing()
     loses(s)
     s.rests(f"stop-{command}")
@@ -64,7 +64,7 @@ def test_a_command_that_is_live_uses_no_number_of_a_job_again():
 
 
 def test_a_client_that_waits_for_a_lost_command_receives_its_true_end():
-    s = Story()
+    s = Harness()
     loses(s)
     asks(s, "r17", known_as="C-17")
     assert Accepted(request="r17", command="C-17") in [e.message for e in s.log if isinstance(e, TellClient)]
@@ -76,7 +76,7 @@ def test_a_client_that_waits_for_a_lost_command_receives_its_true_end():
 
 
 def test_asked_twice_it_ends_once():
-    s = Story()
+    s = Harness()
     loses(s)
     asks(s, "r17", known_as="C-17")
     asks(s, "r17", known_as="C-17")
@@ -84,7 +84,7 @@ def test_asked_twice_it_ends_once():
 
 
 def test_what_was_sent_before_the_loss_is_not_begun():
-    s = Story()
+    s = Harness()
     sent_at_s = s.now
     loses(s, accepted=4)
     asks(s, "r5", sent_at_s=sent_at_s)
@@ -94,7 +94,7 @@ def test_what_was_sent_before_the_loss_is_not_begun():
 
 
 def test_a_halt_sent_before_the_loss_is_obeyed():
-    s = Story()
+    s = Harness()
     command = s.executing()
     asks(s, "h", text="HALT", known_as="C-7")
     assert s.phase(command) == "halting"
@@ -102,21 +102,21 @@ def test_a_halt_sent_before_the_loss_is_obeyed():
 
 
 def test_a_number_far_out_is_not_believed():
-    s = Story()
+    s = Harness()
     loses(s)
     asks(s, "r", known_as="C-999999999999")
     assert s.outcome("C-1").kind is OutcomeKind.FAILED
 
 
 def test_the_mcm_knows_numbers_too():
-    s = Story()
+    s = Harness()
     loses(s)
     s.handle(received.SubsystemConnected, subsystem="MCM", pid=1, performers=["RIGHT-ARM"], outstanding=["C-17.2@aaaa"])
     assert s.parsed() == "C-18"
 
 
 def test_listeners_of_the_events_are_informed():
-    s = Story()
+    s = Harness()
     loses(s)
     s.handle(received.ListenersChanged, listening=True)
     (note,) = [e.note for e in s.log if isinstance(e, PublishNote) and not e.note.command]

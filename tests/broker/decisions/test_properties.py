@@ -12,12 +12,12 @@ from broker.decisions.state import NIL, State
 from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, WorkerKind
 from rtc.protocol.outcomes import RefusalReason, StopReason
-from tests.broker.stories import Story, bound, give_up, go_on, mend, record, script, stated, trim
+from tests.broker.harness import Harness, bound, give_up, go_on, mend, record, script, stated, trim
 
 ARMS = (("RIGHT-ARM",), ("LEFT-ARM",), ("LEFT-ARM", "RIGHT-ARM"), ("RIGHT-ARM", "MODULE"))
 
 
-class Environment(Story):
+class Environment(Harness):
     """Workers, MCM, clients and clock that do whatever the drawn numbers say, one event each."""
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ from broker.decisions.machine import Ignored, InvalidTransition, Machine, cell
 from broker.decisions.state import State
 from rtc.protocol.messages import Phase
 
-PAGE = Path(__file__).parents[2] / "docs" / "decision_unit.md"
+PAGE = Path(__file__).parents[3] / "docs" / "decision_unit.md"
 
 
 def test_the_docs_show_the_tables_as_they_are():

@@ -92,7 +92,7 @@ def test_a_planner_controls_its_own_commands_and_halts_all(sentence: str, allowe
 
 
 def test_the_page_on_security_shows_this_table() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "security.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
 
     def cell(socket: str, role: Role) -> str:
         kinds = MAY[socket].get(role)

@@ -13,7 +13,7 @@ from rtc.client.client import Client
 from rtc.client.liveness import BrokerLiveness, supervised
 from rtc.protocol.outcomes import NoCluster, OutcomeKind
 from rtc.runtime.settings import LOCK, Settings
-from tests.test_client import SmallBroker, accepting, obliging
+from tests.client.test_client import SmallBroker, accepting, obliging
 
 
 @pytest.fixture

@@ -30,13 +30,13 @@ from rtc.language.record import Report
 from rtc.protocol import wire
 from rtc.protocol.messages import AnalyzerInput, BoundStep, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, RefusalReason, StopReason
-from tests.broker.stories import Story, bound, give_up, go_on, mend, record, report, script, stated, trim
+from tests.broker.harness import Harness, bound, give_up, go_on, mend, record, report, script, stated, trim
 
 # --- the nominal journey -----------------------------------------------------------------------------
 
 
 def test_one_command_all_the_way():
-    s = Story()
+    s = Harness()
     assert s.says("GRASP") == ["tell ann Accepted C-1", "job C-1/1 parser #1", "note C-1 parsing"]
     assert s.answers("C-1", record()) == ["job C-1/2 elaborator #1", "note C-1 elaborating"]
     assert s.answers("C-1", script()) == ["job C-1/3 binder #1", "note C-1 binding"]
@@ -53,14 +53,14 @@ def test_one_command_all_the_way():
 
 
 def test_each_step_is_bound_after_the_one_before_was_analysed():
-    s = Story()
+    s = Harness()
     s.analyzing(script(steps=2))
     assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "job C-1/5 binder #1", "note C-1 binding"]
     assert s.answers("C-1", bound("C-1.2"))[0] == "primitive C-1.2 to MCM"
 
 
 def test_a_step_without_a_primitive_is_passed_through():
-    s = Story()
+    s = Harness()
     s.elaborated(script(steps=2))
     assert s.answers("C-1", BoundStep(note="GP set")) == ["note C-1 binding", "job C-1/4 binder #1", "note C-1 binding"]
 
@@ -68,7 +68,7 @@ def test_a_step_without_a_primitive_is_passed_through():
 @pytest.mark.parametrize("name", ["X-9.1", "C-2.1", "C-1.2", ""])
 def test_a_primitive_of_another_name_is_not_sent(name):
     """A halt of its command would not find it, and its report would belong to nobody."""
-    s = Story()
+    s = Harness()
     s.elaborated(script())
     assert not [line for line in s.answers("C-1", bound(name)) if line.startswith("primitive")]
     refusal = s.outcome("C-1").refusal
@@ -77,7 +77,7 @@ def test_a_primitive_of_another_name_is_not_sent(name):
 
 
 def test_a_primitive_that_no_subsystem_could_read_is_not_sent():
-    s = Story()
+    s = Harness()
     s.elaborated(script())
     product = msgspec.to_builtins(bound("C-1.1"))
     product["primitive"]["stop_functions"] = []
@@ -88,7 +88,7 @@ def test_a_primitive_that_no_subsystem_could_read_is_not_sent():
 
 
 def test_a_primitive_that_no_analyzer_could_judge_is_not_sent():
-    s = Story()
+    s = Harness()
     s.elaborated(script())
     product = msgspec.structs.replace(bound("C-1.1"), evaluation=None)
     assert not [line for line in s.answers("C-1", product) if line.startswith("primitive")]
@@ -97,7 +97,7 @@ def test_a_primitive_that_no_analyzer_could_judge_is_not_sent():
 
 def test_stated_facts_go_straight_to_an_analyzer():
     """A24: it is a report like any other, but nobody moves for it: no subsystem, no acknowledgement, no timer."""
-    s = Story(mcm=False)
+    s = Harness(mcm=False)
     s.elaborated(script(resources=("MODULE",)))
     assert s.answers("C-1", stated(2.1)) == ["job C-1/4 analyzer #1 lease MODULE", "note C-1 analyzing"]
     given = wire.decoder(AnalyzerInput)(s.state.commands["C-1"].job.input)
@@ -107,7 +107,7 @@ def test_stated_facts_go_straight_to_an_analyzer():
 
 
 def test_a_step_that_tells_may_stand_between_two_that_move():
-    s = Story()
+    s = Harness()
     s.analyzing(script(steps=3))
     s.answers("C-1", go_on())
     assert s.answers("C-1", stated())[-1] == "note C-1 analyzing"
@@ -116,7 +116,7 @@ def test_a_step_that_tells_may_stand_between_two_that_move():
 
 
 def test_a_script_without_steps_succeeds_at_once():
-    s = Story()
+    s = Harness()
     s.parsed()
     assert s.answers("C-1", script(steps=0)) == ["note C-1 ended", "end C-1 succeeded"]
 
@@ -126,32 +126,32 @@ def test_a_script_without_steps_succeeds_at_once():
 
 @pytest.mark.parametrize("reach", ["says", "parsed", "elaborated"])
 def test_a_refusal_ends_the_command(reach):
-    s = Story()
+    s = Harness()
     getattr(s, reach)(*["X"] if reach == "says" else [])
     assert s.declines("C-1") == ["note C-1 ended", "end C-1 refused"]
 
 
 def test_an_analyzer_that_refuses_ends_the_command():
-    s = Story()
+    s = Harness()
     s.analyzing()
     assert s.declines("C-1") == ["note C-1 ended", "end C-1 refused"]
 
 
 def test_a_product_that_is_none_is_a_refusal_and_no_crash():
-    s = Story()
+    s = Harness()
     s.says("X")
     assert s.answers("C-1", {"no": "record"}) == ["note C-1 ended", "end C-1 refused"]
     assert s.outcome("C-1").refusal.reason is RefusalReason.PROGRAM
 
 
 def test_a_hypothesis_test_reaches_no_subsystem():
-    s = Story()
+    s = Harness()
     s.says("TEST X")
     assert s.answers("C-1", record(test=True)) == ["note C-1 ended", "end C-1 refused"]
 
 
 def test_both_arms_of_a_control_are_all():
-    s = Story()
+    s = Harness()
     s.executing()
     s.says("ABORT BOTH-ARMS")
     assert "halt C-1 to MCM" in s.answers("C-2", record(kind="control", verb="ABORT", hand="BOTH-ARMS"))
@@ -161,7 +161,7 @@ def test_both_arms_of_a_control_are_all():
 
 @pytest.mark.parametrize("verb", ["HALT", "PAUSE", "ABORT"])
 def test_the_test_of_a_control_stops_nothing(verb):
-    s = Story()
+    s = Harness()
     s.executing()
     s.says(f"TEST {verb}")
     assert s.answers("C-2", record(test=True, kind="control", verb=verb)) == ["note C-2 ended", "end C-2 refused"]
@@ -172,7 +172,7 @@ def test_the_test_of_a_control_stops_nothing(verb):
 
 
 def test_what_one_client_gives_is_taken_up_in_the_order_given():
-    s = Story()
+    s = Harness()
     s.says("FIRST")
     s.says("SECOND")
     assert s.answers("C-2", record()) == []  # the parser was quicker with it
@@ -182,15 +182,15 @@ def test_what_one_client_gives_is_taken_up_in_the_order_given():
 
 
 def test_the_commands_of_others_do_not_wait():
-    s = Story()
+    s = Harness()
     s.says("FIRST")
     s.says("SECOND", client="bob")
     assert s.answers("C-2", record()) == ["job C-2/2 elaborator #1", "note C-2 elaborating"]
 
 
-@pytest.mark.parametrize("end", [Story.declines, lambda s, command: s.halts(command)], ids=["refused", "halted"])
+@pytest.mark.parametrize("end", [Harness.declines, lambda s, command: s.halts(command)], ids=["refused", "halted"])
 def test_a_sentence_that_ends_unread_lets_the_next_one_go(end):
-    s = Story()
+    s = Harness()
     s.says("FIRST")
     s.says("SECOND")
     s.answers("C-2", record())
@@ -198,7 +198,7 @@ def test_a_sentence_that_ends_unread_lets_the_next_one_go(end):
 
 
 def test_who_waits_behind_one_that_ends_still_waits_for_the_one_before_that():
-    s = Story()
+    s = Harness()
     for text in ("FIRST", "SECOND", "THIRD"):
         s.says(text)
     s.answers("C-3", record(hand="LEFT-ARM"))
@@ -207,7 +207,7 @@ def test_who_waits_behind_one_that_ends_still_waits_for_the_one_before_that():
 
 
 def test_what_is_parsed_and_waits_for_its_turn_can_be_paused_and_halted():
-    s = Story()
+    s = Harness()
     s.says("FIRST")
     s.says("SECOND")
     s.answers("C-2", record())
@@ -218,7 +218,7 @@ def test_what_is_parsed_and_waits_for_its_turn_can_be_paused_and_halted():
 
 
 def test_the_order_given_outlives_the_broker():
-    s = Story()
+    s = Harness()
     s.says("FIRST")
     s.says("SECOND")
     s.answers("C-2", record())
@@ -228,7 +228,7 @@ def test_the_order_given_outlives_the_broker():
 
 
 def test_control_does_not_wait_for_its_turn():
-    s = Story()
+    s = Harness()
     s.says("FIRST")
     s.parsed(kind="control", verb="ABORT", object="C-1")
     assert s.outcome("C-1").kind is OutcomeKind.ABORTED
@@ -238,7 +238,7 @@ def test_control_does_not_wait_for_its_turn():
 
 @pytest.mark.parametrize("verb", ["ABORT", "PAUSE"])
 def test_control_of_an_arm_reaches_earlier_sentences_of_its_client_and_not_later_ones(verb):
-    s = Story()
+    s = Harness()
     s.says("MOVE RIGHT-ARM")
     s.says(f"{verb} RIGHT-ARM")
     s.says("MOVE RIGHT-ARM")
@@ -252,7 +252,7 @@ def test_control_of_an_arm_reaches_earlier_sentences_of_its_client_and_not_later
 
 @pytest.mark.parametrize("target", [{"object": "C-1"}, {"hand": "BOTH-ARMS"}, {}])
 def test_control_of_all_or_of_a_command_waits_for_no_parser(target):
-    s = Story()
+    s = Harness()
     s.executing()
     s.says("A PARSER HANGS WITH THIS")
     s.parsed(kind="control", verb="ABORT", **target)
@@ -261,7 +261,7 @@ def test_control_of_all_or_of_a_command_waits_for_no_parser(target):
 
 
 def test_control_of_an_arm_does_not_wait_for_another_client():
-    s = Story()
+    s = Harness()
     s.executing()
     s.says("A PARSER HANGS WITH THIS", client="bob")
     s.parsed(kind="control", verb="ABORT", hand="RIGHT-ARM")
@@ -269,7 +269,7 @@ def test_control_of_an_arm_does_not_wait_for_another_client():
 
 
 def test_halt_of_an_arm_waits_for_no_parser_whichever_way_it_came():
-    s = Story()
+    s = Harness()
     s.executing()
     s.says("A PARSER HANGS WITH THIS")
     s.parsed("STOP THE RIGHT ONE", kind="control", verb="HALT", hand="RIGHT-ARM")
@@ -277,7 +277,7 @@ def test_halt_of_an_arm_waits_for_no_parser_whichever_way_it_came():
 
 
 def test_a_command_that_needs_more_than_it_names_is_not_overtaken():
-    s = Story()
+    s = Harness()
     s.executing(script(resources=("LEFT-ARM",)), hand="LEFT-ARM")
     s.parsed()
     s.parsed()
@@ -300,19 +300,19 @@ def test_a_command_that_needs_more_than_it_names_is_not_overtaken():
     ],
 )
 def test_a_lost_job_is_given_out_again(reach, job, phase):
-    s = Story()
+    s = Harness()
     getattr(s, reach)(*["X"] if reach == "says" else [])
     assert s.loses_worker("C-1") == [f"note C-1 {phase}", f"job {job} #2"]
 
 
 def test_a_lost_analysis_is_done_again_under_the_same_lease():
-    s = Story()
+    s = Harness()
     s.analyzing()
     assert s.loses_worker("C-1") == ["note C-1 analyzing", "job C-1/4 analyzer #2 lease RIGHT-ARM"]
 
 
 def test_three_deaths_are_poison_and_name_the_evidence():
-    s = Story()
+    s = Harness()
     s.says("X")
     s.loses_worker("C-1")
     s.loses_worker("C-1")
@@ -322,7 +322,7 @@ def test_three_deaths_are_poison_and_name_the_evidence():
 
 
 def test_a_job_that_only_lay_with_a_dead_worker_is_not_blamed():
-    s = Story()
+    s = Harness()
     s.says("X")
     for _ in range(10):
         s.loses_worker("C-1", blamed=False)
@@ -330,7 +330,7 @@ def test_a_job_that_only_lay_with_a_dead_worker_is_not_blamed():
 
 
 def test_a_poisoned_analysis_fails_the_command():
-    s = Story()
+    s = Harness()
     s.analyzing()
     for _ in range(3):
         s.loses_worker("C-1")
@@ -338,7 +338,7 @@ def test_a_poisoned_analysis_fails_the_command():
 
 
 def test_late_and_double_answers_change_nothing():
-    s = Story()
+    s = Harness()
     s.says("X")
     s.loses_worker("C-1")
     assert s.answers("C-1", record(), attempt=1) == []  # the worker thought dead
@@ -353,7 +353,7 @@ def test_late_and_double_answers_change_nothing():
 
 
 def test_a_trim_goes_on_the_stack_and_the_step_is_tried_again():
-    s = Story()
+    s = Harness()
     s.analyzing(script(trims=[trim(1)]), StopReason.GOAL)
     assert s.answers("C-1", mend(1)) == ["note C-1 analyzing", "job C-1/5 binder #1", "note C-1 binding"]
     s.answers("C-1", bound("C-1.2"))
@@ -374,7 +374,7 @@ def test_a_trim_goes_on_the_stack_and_the_step_is_tried_again():
     ],
 )
 def test_what_follows_a_trim(then, stack):
-    s = Story()
+    s = Harness()
     s.analyzing(script(steps=2, trims=[trim(1, then)]))
     s.answers("C-1", mend(1))
     assert s.state.commands["C-1"].actions.step == (1, 0)
@@ -382,7 +382,7 @@ def test_what_follows_a_trim(then, stack):
 
 
 def test_a_trim_is_used_once_for_a_step():
-    s = Story()
+    s = Harness()
     s.analyzing(script(trims=[trim(1, steps=0)]))
     s.answers("C-1", mend(1))
     s.answers("C-1", bound("C-1.2"))
@@ -391,7 +391,7 @@ def test_a_trim_is_used_once_for_a_step():
 
 
 def test_a_command_that_gives_up_first_does_what_it_has_to_and_then_fails_of_its_cause():
-    s = Story()
+    s = Harness()
     s.analyzing(script(steps=2, trims=[trim(1, "give_up", steps=2)]))
     s.answers("C-1", mend(1))
     for n in (2, 3):
@@ -404,7 +404,7 @@ def test_a_command_that_gives_up_first_does_what_it_has_to_and_then_fails_of_its
 
 @pytest.mark.parametrize("bound_first", [True, False])
 def test_the_first_failure_is_the_cause_of_what_follows_it(bound_first):
-    s = Story()
+    s = Harness()
     s.analyzing(script(trims=[trim(1, "give_up")]))
     s.answers("C-1", mend(1))
     if bound_first:
@@ -420,7 +420,7 @@ def test_the_first_failure_is_the_cause_of_what_follows_it(bound_first):
 
 
 def test_giving_up_reports_the_failure():
-    s = Story()
+    s = Harness()
     s.analyzing()
     assert s.answers("C-1", give_up()) == ["note C-1 ended", "end C-1 failed"]
     assert s.outcome("C-1").stop is StopReason.FORCE_LIMIT
@@ -432,14 +432,14 @@ def test_giving_up_reports_the_failure():
 
 
 def test_disjoint_arms_execute_at_once():
-    s = Story()
+    s = Harness()
     s.executing()
     s.executing(script(resources=("LEFT-ARM",)), hand="LEFT-ARM")
     assert [s.phase(c) for c in ("C-1", "C-2")] == ["executing", "executing"]
 
 
 def test_a_busy_arm_holds_the_command_until_it_is_free_and_then_plans_anew():
-    s = Story()
+    s = Harness()
     s.executing()
     s.says("X")
     assert s.answers("C-2", record()) == ["note C-2 held"]
@@ -454,7 +454,7 @@ def test_a_busy_arm_holds_the_command_until_it_is_free_and_then_plans_anew():
 
 
 def test_what_only_the_script_needs_is_waited_for_too():
-    s = Story()
+    s = Harness()
     s.executing(script(resources=("RIGHT-ARM", "MODULE")))
     s.parsed(hand="LEFT-ARM")
     assert s.answers("C-2", script(resources=("LEFT-ARM", "MODULE"))) == ["note C-2 held"]
@@ -462,7 +462,7 @@ def test_what_only_the_script_needs_is_waited_for_too():
 
 
 def test_now_is_refused_with_the_owner():
-    s = Story()
+    s = Harness()
     s.executing()
     s.says("X NOW")
     assert s.answers("C-2", record(now=True)) == ["note C-2 ended", "end C-2 refused"]
@@ -471,7 +471,7 @@ def test_now_is_refused_with_the_owner():
 
 
 def test_a_held_command_can_be_stopped():
-    s = Story()
+    s = Harness()
     s.executing()
     s.parsed()
     assert s.halts("C-2") == ["note C-2 ended", "end C-2 halted"]
@@ -482,7 +482,7 @@ def test_a_held_command_can_be_stopped():
 
 @pytest.mark.parametrize("reach", ["says", "parsed", "elaborated"])
 def test_halt_of_a_command_that_moves_nothing_ends_it_at_once(reach):
-    s = Story()
+    s = Harness()
     getattr(s, reach)(*["X"] if reach == "says" else [])
     job = s.state.commands["C-1"].job.id
     assert s.halts() == ["halt ALL to MCM", f"cancel {job}", "note C-1 ended", "end C-1 halted"]
@@ -490,7 +490,7 @@ def test_halt_of_a_command_that_moves_nothing_ends_it_at_once(reach):
 
 
 def test_halt_of_a_motion_waits_for_rest_and_puts_the_world_right():
-    s = Story()
+    s = Harness()
     s.executing()
     assert s.halts() == ["halt ALL to MCM", "halt C-1 to MCM", "timer C-1", "note C-1 halting"]
     assert s.reports("C-1", StopReason.HALT) == [
@@ -506,7 +506,7 @@ def test_halt_of_a_motion_waits_for_rest_and_puts_the_world_right():
 
 
 def test_halt_at_the_subsystem_itself_is_understood():
-    s = Story()
+    s = Harness()
     s.executing()
     s.reports("C-1", StopReason.HALT)  # somebody used the emergency stop; the broker was not asked
     assert s.phase("C-1") == "closing"
@@ -514,14 +514,14 @@ def test_halt_at_the_subsystem_itself_is_understood():
 
 
 def test_an_analysis_under_way_is_let_finish_and_its_advice_ignored():
-    s = Story()
+    s = Harness()
     s.analyzing(script(steps=2))
     assert s.halts() == ["halt ALL to MCM", "timer C-1", "note C-1 closing"]
     assert s.answers("C-1", go_on()) == ["no timer C-1", "note C-1 ended", "end C-1 halted"]
 
 
 def test_stated_facts_are_written_although_the_command_is_halted():
-    s = Story()
+    s = Harness()
     s.elaborated(script(steps=2, resources=("MODULE",)))
     s.answers("C-1", stated())
     assert s.halts() == ["halt ALL to MCM", "timer C-1", "note C-1 closing"]
@@ -529,7 +529,7 @@ def test_stated_facts_are_written_although_the_command_is_halted():
 
 
 def test_rest_without_confirmation_is_distinguished_and_closes_the_arm():
-    s = Story()
+    s = Harness()
     s.executing()
     s.halts()
     assert s.rings("C-1") == [
@@ -548,7 +548,7 @@ def test_rest_without_confirmation_is_distinguished_and_closes_the_arm():
 
 
 def test_halt_all_starts_nothing_that_was_in_line():
-    s = Story()
+    s = Harness()
     s.executing()
     s.parsed()
     s.parsed()
@@ -562,7 +562,7 @@ def test_halt_all_starts_nothing_that_was_in_line():
 
 
 def test_a_sentence_sent_before_halt_all_does_not_start_after_it():
-    s = Story()
+    s = Harness()
     s.now = 10.0
     s.halts()
     assert s.says("X", sent_at_s=9.0) == ["tell ann Accepted C-1", "note C-1 ended", "end C-1 halted"]
@@ -580,7 +580,7 @@ def test_a_sentence_sent_before_halt_all_does_not_start_after_it():
     ],
 )
 def test_a_halt_that_a_subsystem_forwards_late_spares_what_was_sent_later(received_at_s, sent_at_s, halted):
-    s = Story()
+    s = Harness()
     s.now = 11.0
     s.says("X", sent_at_s=sent_at_s)
     s.now = 12.0
@@ -589,7 +589,7 @@ def test_a_halt_that_a_subsystem_forwards_late_spares_what_was_sent_later(receiv
 
 
 def test_halt_of_one_arm_leaves_the_other():
-    s = Story()
+    s = Harness()
     s.executing()
     s.executing(script(resources=("LEFT-ARM",)), hand="LEFT-ARM")
     assert s.halts("LEFT-ARM") == ["halt LEFT-ARM to MCM", "halt C-2 to MCM", "timer C-2", "note C-2 halting"]
@@ -597,7 +597,7 @@ def test_halt_of_one_arm_leaves_the_other():
 
 
 def test_halt_of_an_ended_command_is_no_mistake():
-    s = Story()
+    s = Harness()
     s.says("X")
     s.declines("C-1")
     assert s.halts("C-1") == []  # the MCM confirms that nothing of it moves
@@ -606,17 +606,17 @@ def test_halt_of_an_ended_command_is_no_mistake():
 
 
 def test_halt_of_nothing_known_is_declined():
-    assert Story().halts("C-9") == ["decline halt h1"]
+    assert Harness().halts("C-9") == ["decline halt h1"]
 
 
 def test_halt_on_an_idle_system_still_reaches_the_subsystem():
-    assert Story().halts() == ["halt ALL to MCM"]
+    assert Harness().halts() == ["halt ALL to MCM"]
 
 
 @pytest.mark.parametrize("caller", ["ann", "bob", "MCM"])
 def test_a_halt_whose_name_was_used_before_stops_what_is_in_scope_now(caller):
     """Two callers may count their halts from one; a button may always say the same."""
-    s = Story()
+    s = Harness()
     s.halts("LEFT-ARM", "1")
     s.executing()
     assert s.handle(HaltCalled, client=caller, halt="1", scope="ALL")[:2] == ["halt ALL to MCM", "halt C-1 to MCM"]
@@ -627,7 +627,7 @@ def test_a_halt_whose_name_was_used_before_stops_what_is_in_scope_now(caller):
 
 
 def test_a_halt_by_both_endpoints_is_counted_once_and_a_new_command_works():
-    s = Story()
+    s = Harness()
     s.halts()
     s.handle(HaltCalled, client="MCM", halt="h1", scope="ALL")
     assert s.state.counts["halts"] == 1
@@ -635,14 +635,14 @@ def test_a_halt_by_both_endpoints_is_counted_once_and_a_new_command_works():
 
 
 def test_a_halt_is_answered_under_the_number_it_came_with():
-    s = Story()
+    s = Harness()
     s.handle(HaltCalled, client="ann", halt="1", scope="ALL", call="7-1")
     s.handle(HaltCalled, client="MCM", halt="1", scope="ALL", call="4-9")
     assert [e.call for e in s.log if isinstance(e, SendHalt)] == ["7-1", "4-9"]
 
 
 def test_halt_typed_as_a_sentence_ends_when_rest_is_confirmed():
-    s = Story()
+    s = Harness()
     s.executing()
     assert s.says("halt all.") == [
         "tell ann Accepted C-2",
@@ -657,13 +657,13 @@ def test_halt_typed_as_a_sentence_ends_when_rest_is_confirmed():
 
 
 def test_halt_typed_and_not_confirmed():
-    s = Story()
+    s = Harness()
     s.says("HALT")
     assert s.rests("C-1", at_rest=False)[-1] == "end C-1 halt_not_confirmed"
 
 
 def test_halt_typed_ends_when_all_that_got_it_have_confirmed():
-    s = Story()
+    s = Harness()
     s.handle(SubsystemConnected, subsystem="CAM", pid=2, performers=["CAMERA"])
     s.executing()
     s.says("HALT ALL")
@@ -675,7 +675,7 @@ def test_halt_typed_ends_when_all_that_got_it_have_confirmed():
 
 
 def test_halt_typed_names_who_has_not_confirmed():
-    s = Story()
+    s = Harness()
     s.handle(SubsystemConnected, subsystem="CAM", pid=2, performers=["CAMERA"])
     s.says("HALT ALL")
     s.handle(HaltConfirmed, subsystem="CAM", halt="C-1", at_rest=True)
@@ -684,7 +684,7 @@ def test_halt_typed_names_who_has_not_confirmed():
 
 
 def test_halt_of_an_arm_stops_what_names_it_alone_or_with_the_other_and_nothing_else():
-    s = Story()
+    s = Harness()
     s.elaborated()
     s.parsed(hand="LEFT-ARM", after="C-1")
     s.parsed(hand="BOTH-ARMS")
@@ -698,7 +698,7 @@ def test_halt_of_an_arm_stops_what_names_it_alone_or_with_the_other_and_nothing_
 
 
 def test_abort_stops_one_command():
-    s = Story()
+    s = Harness()
     s.executing()
     s.says("ABORT C-1")
     assert s.answers("C-2", record(kind="control", verb="ABORT", object="C-1")) == [
@@ -713,7 +713,7 @@ def test_abort_stops_one_command():
 
 
 def test_pause_takes_effect_between_two_steps_and_resume_goes_on():
-    s = Story()
+    s = Harness()
     s.executing(script(steps=2))
     s.parsed(kind="control", verb="PAUSE", object="C-1")
     s.reports("C-1")
@@ -736,7 +736,7 @@ def test_pause_takes_effect_between_two_steps_and_resume_goes_on():
     ],
 )
 def test_the_answer_to_pause_or_resume_states_what_will_happen(verb, before, message):
-    s = Story()
+    s = Harness()
     s.executing(script(steps=2))
     for word in [*before, verb]:
         command = s.parsed(kind="control", verb=word, object="C-1")
@@ -746,7 +746,7 @@ def test_the_answer_to_pause_or_resume_states_what_will_happen(verb, before, mes
 
 
 def test_a_pause_in_the_last_step_is_refused():
-    s = Story()
+    s = Harness()
     s.executing(script(steps=1))
     outcome = s.outcome(s.parsed(kind="control", verb="PAUSE", object="C-1"))
     assert outcome.refusal is not None
@@ -755,7 +755,7 @@ def test_a_pause_in_the_last_step_is_refused():
 
 
 def test_a_paused_command_can_be_halted():
-    s = Story()
+    s = Harness()
     s.executing(script(steps=2))
     s.parsed(kind="control", verb="PAUSE", object="ALL")
     s.reports("C-1")
@@ -764,7 +764,7 @@ def test_a_paused_command_can_be_halted():
 
 
 def test_control_of_a_command_that_is_not_there_is_refused():
-    s = Story()
+    s = Harness()
     s.parsed(kind="control", verb="ABORT", object="C-7")
     assert s.outcome("C-1").refusal.reason is RefusalReason.NAME
 
@@ -773,7 +773,7 @@ def test_control_of_a_command_that_is_not_there_is_refused():
 
 
 def test_after_waits_for_success():
-    s = Story()
+    s = Harness()
     s.analyzing()
     s.says("STOW AFTER C-1")
     assert s.answers("C-2", record(after="C-1")) == ["note C-2 held"]
@@ -781,7 +781,7 @@ def test_after_waits_for_success():
 
 
 def test_what_came_after_keeps_its_place_before_those_given_later():
-    s = Story()
+    s = Harness()
     s.analyzing()
     s.parsed(after="C-1")
     s.parsed()
@@ -790,7 +790,7 @@ def test_what_came_after_keeps_its_place_before_those_given_later():
 
 
 def test_after_last_is_the_command_that_the_same_client_gave_before():
-    s = Story()
+    s = Harness()
     s.analyzing()
     s.says("X", client="bob")
     s.says("STOW AFTER LAST", client="ann")
@@ -801,7 +801,7 @@ def test_after_last_is_the_command_that_the_same_client_gave_before():
 
 
 def test_after_last_of_one_that_has_failed_is_refused():
-    s = Story()
+    s = Harness()
     s.analyzing()
     s.answers("C-1", give_up())
     s.parsed(after="LAST")
@@ -809,7 +809,7 @@ def test_after_last_of_one_that_has_failed_is_refused():
 
 
 def test_after_last_without_one_before_is_refused():
-    s = Story()
+    s = Harness()
     s.says("X", client="bob")
     s.parsed(after="LAST")
 
@@ -819,7 +819,7 @@ def test_after_last_without_one_before_is_refused():
 
 
 def test_the_latest_commands_of_many_clients_are_bounded():
-    s = Story()
+    s = Harness()
     for n in range(CLIENTS_KEPT + 5):
         s.says("HALT", client=f"client-{n}")
     assert len(s.state.last_given) == CLIENTS_KEPT
@@ -829,7 +829,7 @@ def test_the_latest_commands_of_many_clients_are_bounded():
 
 
 def test_a_lost_subsystem_says_what_leads_on():
-    s = Story()
+    s = Harness()
     s.executing()
     s.mcm_gone()
     s.answers("C-1", go_on())
@@ -840,14 +840,14 @@ def test_a_lost_subsystem_says_what_leads_on():
 
 
 def test_a_step_of_a_trim_has_its_own_words():
-    s = Story()
+    s = Harness()
     s.analyzing(script(trims=[trim()]))
     s.answers("C-1", mend())
     assert s.state.commands["C-1"].step_words == "trim 1, 1 of 1: mend"
 
 
 def test_a_control_word_that_finds_nothing_says_so():
-    s = Story()
+    s = Harness()
     s.parsed(kind="control", verb="ABORT", object="ALL")
     assert s.outcome("C-1").message == "ABORT had nothing to act on"
 
@@ -856,7 +856,7 @@ def test_a_control_word_that_finds_nothing_says_so():
 
 
 def test_what_was_measured_is_in_the_outcome_and_in_the_note_as_far_as_it_was_asked_for():
-    s = Story()
+    s = Harness()
     s.executing(report=Report(pose=True, forces=True))
     s.reports("C-1")
     s.answers("C-1", go_on())
@@ -868,7 +868,7 @@ def test_what_was_measured_is_in_the_outcome_and_in_the_note_as_far_as_it_was_as
 
 
 def test_a_halted_command_reports_what_was_measured_too():
-    s = Story()
+    s = Harness()
     s.executing(report=Report(joints=True))
     s.halts("C-1")
     s.reports("C-1", StopReason.HALT)
@@ -877,21 +877,21 @@ def test_a_halted_command_reports_what_was_measured_too():
 
 
 def test_without_report_nothing_is_added():
-    s = Story()
+    s = Harness()
     s.analyzing()
     s.answers("C-1", go_on())
     assert s.outcome("C-1").measured is None
 
 
 def test_periodic_reports_without_a_receiver_are_refused():
-    s = Story()
+    s = Harness()
     s.says("X", progress=False)
     s.answers("C-1", record(report=Report(every_s=0.5)))
     assert s.outcome("C-1").refusal.where == "EVERY"
 
 
 def test_a_step_says_how_long_it_takes():
-    s = Story()
+    s = Harness()
     s.state.timeout_scale = 2.0
     s.elaborated()
     s.answers("C-1", msgspec.structs.replace(bound("C-1.1"), predicted_s=4.2))
@@ -899,7 +899,7 @@ def test_a_step_says_how_long_it_takes():
 
 
 def test_after_a_failure_is_refused():
-    s = Story()
+    s = Harness()
     s.analyzing()
     s.parsed(after="C-1")
     s.answers("C-1", give_up())
@@ -907,7 +907,7 @@ def test_after_a_failure_is_refused():
 
 
 def test_after_one_that_has_ended_already():
-    s = Story()
+    s = Harness()
     s.analyzing()
     s.answers("C-1", go_on())
     s.parsed(after="C-1")
@@ -915,7 +915,7 @@ def test_after_one_that_has_ended_already():
 
 
 def test_a_circle_of_afters_is_refused():
-    s = Story()
+    s = Harness()
     s.says("A AFTER C-2")
     s.says("B AFTER C-1")
     s.answers("C-1", record(after="C-2"))
@@ -924,7 +924,7 @@ def test_a_circle_of_afters_is_refused():
 
 
 def test_together_with_starts_when_the_other_begins_to_move():
-    s = Story()
+    s = Harness()
     s.elaborated()
     s.says("X TOGETHER-WITH C-1")
     assert s.answers("C-2", record(hand="LEFT-ARM", together_with="C-1")) == ["note C-2 held"]
@@ -935,7 +935,7 @@ def test_together_with_starts_when_the_other_begins_to_move():
 
 
 def test_a_lost_subsystem_ends_what_it_executed_and_closes_its_arms_until_it_confirms_rest():
-    s = Story()
+    s = Harness()
     s.executing()
     assert s.mcm_gone() == [
         "no timer C-1",
@@ -950,7 +950,7 @@ def test_a_lost_subsystem_ends_what_it_executed_and_closes_its_arms_until_it_con
 
 
 def test_a_subsystem_that_comes_back_before_the_command_is_closed_leaves_no_quarantine():
-    s = Story()
+    s = Harness()
     s.executing()
     s.mcm_hello(pid=2)
     assert s.phase("C-1") == "closing"
@@ -960,7 +960,7 @@ def test_a_subsystem_that_comes_back_before_the_command_is_closed_leaves_no_quar
 
 
 def test_a_subsystem_that_was_only_stopped_is_halted_when_it_comes_back():
-    s = Story()
+    s = Harness()
     s.executing()
     s.mcm_gone()
     s.answers("C-1", go_on())
@@ -971,14 +971,14 @@ def test_a_subsystem_that_was_only_stopped_is_halted_when_it_comes_back():
 
 
 def test_nothing_is_sent_to_a_subsystem_that_is_lost():
-    s = Story()
+    s = Harness()
     s.elaborated()
     s.mcm_gone()
     assert s.answers("C-1", bound("C-1.1")) == ["note C-1 ended", "end C-1 lost_subsystem"]
 
 
 def test_a_subsystem_lost_while_halting():
-    s = Story()
+    s = Harness()
     s.executing()
     s.halts()
     s.mcm_gone()
@@ -986,7 +986,7 @@ def test_a_subsystem_lost_while_halting():
 
 
 def test_no_end_report_within_the_limit_stops_the_subsystem_and_fails():
-    s = Story()
+    s = Harness()
     s.executing()
     assert s.rings("C-1") == ["halt C-1 to MCM", "timer C-1", "note C-1 halting"]
     s.reports("C-1", StopReason.HALT)
@@ -994,7 +994,7 @@ def test_no_end_report_within_the_limit_stops_the_subsystem_and_fails():
 
 
 def test_a_last_analysis_that_never_comes_does_not_keep_the_command_but_what_it_touched():
-    s = Story()
+    s = Harness()
     s.executing()
     s.halts()
     s.reports("C-1", StopReason.HALT)
@@ -1015,14 +1015,14 @@ def away(s, command="C-1"):
 
 @pytest.mark.parametrize("reach", ["says", "parsed", "elaborated"])
 def test_before_anything_has_moved_a_world_that_is_away_is_a_refusal(reach):
-    s = Story()
+    s = Harness()
     getattr(s, reach)(*["X"] if reach == "says" else [])
     assert away(s) == ["note C-1 ended", "end C-1 refused"]
     assert s.outcome("C-1").refusal.reason is RefusalReason.TIMEOUT
 
 
 def test_between_two_steps_it_is_a_failure():
-    s = Story()
+    s = Harness()
     s.analyzing(script(steps=2))
     s.answers("C-1", go_on())
     assert away(s) == ["note C-1 ended", "end C-1 failed"]
@@ -1030,7 +1030,7 @@ def test_between_two_steps_it_is_a_failure():
 
 
 def test_an_analysis_that_the_world_did_not_get_is_repeated_without_blame():
-    s = Story()
+    s = Harness()
     s.analyzing(script(steps=2))
     for attempt in range(1, 11):  # six seconds each
         s.now += 5.0
@@ -1042,7 +1042,7 @@ def test_an_analysis_that_the_world_did_not_get_is_repeated_without_blame():
 
 
 def test_after_a_minute_the_command_fails_and_what_it_touched_is_closed_until_the_world_is_written():
-    s = Story()
+    s = Harness()
     s.analyzing(script(resources=("RIGHT-ARM", "MODULE")))
     s.now += 61.0
     assert away(s) == ["note C-1 ended", "end C-1 failed", "timer C-1/4"]
@@ -1068,7 +1068,7 @@ def test_after_a_minute_the_command_fails_and_what_it_touched_is_closed_until_th
 
 
 def test_a_command_stopped_while_it_waits_for_the_world_ends_soon_and_the_world_is_written_later():
-    s = Story()
+    s = Harness()
     s.analyzing()
     away(s)
     assert s.halts() == ["halt ALL to MCM", "job C-1/4 analyzer #2 lease RIGHT-ARM", "timer C-1", "note C-1 closing"]
@@ -1077,7 +1077,7 @@ def test_a_command_stopped_while_it_waits_for_the_world_ends_soon_and_the_world_
 
 
 def test_an_arm_neither_at_rest_nor_analysed_is_closed_until_both_are():
-    s = Story()
+    s = Harness()
     s.executing()
     s.mcm_gone()
     away(s)
@@ -1090,7 +1090,7 @@ def test_an_arm_neither_at_rest_nor_analysed_is_closed_until_both_are():
 
 
 def test_an_analysis_left_that_kills_its_workers_is_given_up():
-    s = Story()
+    s = Harness()
     s.executing()
     s.mcm_gone()
     s.rings("C-1")
@@ -1102,7 +1102,7 @@ def test_an_analysis_left_that_kills_its_workers_is_given_up():
 
 
 def test_a_restarted_broker_asks_the_world_at_once():
-    s = Story()
+    s = Harness()
     s.analyzing()
     away(s)
     assert s.handle(BrokerRestarted) == ["job C-1/4 analyzer #3 lease RIGHT-ARM"]
@@ -1110,7 +1110,7 @@ def test_a_restarted_broker_asks_the_world_at_once():
 
 
 def test_a_repeated_report_is_acknowledged_twice_and_handled_once():
-    s = Story()
+    s = Harness()
     s.analyzing()
     assert s.reports("C-1", primitive="C-1.1") == ["ack C-1.1"]
 
@@ -1119,14 +1119,14 @@ def test_a_repeated_report_is_acknowledged_twice_and_handled_once():
 
 
 def test_a_repeated_sentence_is_one_command():
-    s = Story()
+    s = Harness()
     s.says("X", request="r1")
     assert s.says("X", request="r1") == ["tell ann Accepted C-1"]
     assert s.says("X", client="bob", request="r1")[0] == "tell bob Accepted C-2"
 
 
 def test_the_rest_of_a_halt_that_its_caller_named_like_a_command_is_not_the_rest_of_that_command():
-    s = Story()
+    s = Harness()
     s.executing()
     s.halts("C-1", halt="h1")
     s.rests("C-1")
@@ -1136,14 +1136,14 @@ def test_the_rest_of_a_halt_that_its_caller_named_like_a_command_is_not_the_rest
 
 
 def test_a_result_is_kept_for_a_client_that_asks_again():
-    s = Story()
+    s = Harness()
     s.says("X", request="r1")
     s.declines("C-1")
     assert s.says("X", request="r1") == ["tell ann Accepted C-1", "tell ann CommandEnded"]
 
 
 def test_a_client_that_goes_away_halts_only_what_it_wanted_halted():
-    s = Story()
+    s = Harness()
     s.says("X")
     s.says("X", halt_if_lost=True)
     s.handle(ClientGone, client="ann")
@@ -1154,7 +1154,7 @@ def test_a_client_that_goes_away_halts_only_what_it_wanted_halted():
 
 
 def test_a_new_program_whose_first_job_fails_is_rolled_back():
-    s = Story()
+    s = Harness()
     s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")
     s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="new")
     s.says("X")
@@ -1170,9 +1170,9 @@ def test_a_new_program_whose_first_job_fails_is_rolled_back():
     assert not s.state.rollouts["parser"].why
 
 
-@pytest.mark.parametrize("fail", [Story.loses_worker, lambda s, c: s.declines(c, RefusalReason.PROGRAM)])
+@pytest.mark.parametrize("fail", [Harness.loses_worker, lambda s, c: s.declines(c, RefusalReason.PROGRAM)])
 def test_what_else_was_under_way_with_a_program_that_was_rolled_back_is_done_again_with_the_old_one(fail):
-    s = Story()
+    s = Harness()
     s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")
     s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="new")
     s.says("X")
@@ -1182,12 +1182,12 @@ def test_what_else_was_under_way_with_a_program_that_was_rolled_back_is_done_aga
     assert s.state.commands["C-2"].job.program == "old"
     assert s.state.commands["C-2"].job.deaths == []
     assert "C-1" in s.state.rollouts["parser"].why  # it is told of the first
-    assert fail(s, "C-2")[0] == ("note C-2 parsing" if fail is Story.loses_worker else "note C-2 ended")
+    assert fail(s, "C-2")[0] == ("note C-2 parsing" if fail is Harness.loses_worker else "note C-2 ended")
     assert s.state.counts["programs_rolled_back"] == 1
 
 
 def test_the_file_of_a_program_is_known_and_after_a_roll_back_that_of_the_one_before():
-    s = Story()
+    s = Harness()
     s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="old", file="good.lark")
     s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="new", file="bad.lark")
     s.says("X")
@@ -1200,7 +1200,7 @@ def test_the_file_of_a_program_is_known_and_after_a_roll_back_that_of_the_one_be
 
 
 def test_back_from_a_new_program_is_to_one_that_has_done_a_job():
-    s = Story()
+    s = Harness()
     for digest in ("old", "new", "newer"):
         s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
     s.says("X")
@@ -1212,7 +1212,7 @@ def test_back_from_a_new_program_is_to_one_that_has_done_a_job():
 
 
 def test_back_is_to_the_last_program_that_has_worked_though_it_was_left_meanwhile():
-    s = Story()
+    s = Harness()
     for digest in ("default", "good", "other"):
         s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest=digest)
         s.parsed()  # each does a job well
@@ -1224,7 +1224,7 @@ def test_back_is_to_the_last_program_that_has_worked_though_it_was_left_meanwhil
 
 
 def test_a_new_program_whose_first_job_is_done_stays():
-    s = Story()
+    s = Harness()
     s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="old")
     s.handle(ProgramInstalled, kind=WorkerKind.PARSER, digest="new")
     s.parsed()
@@ -1239,7 +1239,7 @@ def install(s, digest, *kinds):
 
 
 def test_a_running_command_keeps_the_programs_it_began_with():
-    s = Story()
+    s = Harness()
     install(s, "old")
     s.says("X")
     install(s, "new")
@@ -1257,7 +1257,7 @@ def test_a_running_command_keeps_the_programs_it_began_with():
 
 
 def test_a_failure_with_a_program_that_had_worked_is_not_tried_with_the_one_loaded_meanwhile():
-    s = Story()
+    s = Harness()
     install(s, "old")
     s.says("X")
     install(s, "new")
@@ -1266,7 +1266,7 @@ def test_a_failure_with_a_program_that_had_worked_is_not_tried_with_the_one_load
 
 
 def test_a_roll_back_reaches_the_live_commands_that_began_with_the_program():
-    s = Story()
+    s = Harness()
     install(s, "old")
     install(s, "new", WorkerKind.PARSER)
     s.says("X")
@@ -1282,7 +1282,7 @@ def test_a_roll_back_reaches_the_live_commands_that_began_with_the_program():
 
 
 def test_a_restarted_broker_gives_out_what_was_given_out():
-    s = Story()
+    s = Harness()
     s.says("X", client="bob")
     s.executing(hand="LEFT-ARM")
     s.state = wire.decoder(State)(wire.encode(s.state))  # as through a snapshot
@@ -1292,14 +1292,14 @@ def test_a_restarted_broker_gives_out_what_was_given_out():
 
 
 def test_a_primitive_that_never_arrived_is_sent_again_after_a_restart():
-    s = Story()
+    s = Harness()
     s.executing()
     s.handle(BrokerRestarted)
     assert s.mcm_hello(outstanding=[]) == ["primitive C-1.1 to MCM", "timer C-1"]
 
 
 def test_a_primitive_bound_before_the_subsystem_reconnects_waits_for_it():
-    s = Story()
+    s = Harness()
     s.elaborated()
     s.handle(BrokerRestarted)
     assert s.answers("C-1", bound("C-1.1")) == ["timer C-1", "note C-1 executing"]
@@ -1307,7 +1307,7 @@ def test_a_primitive_bound_before_the_subsystem_reconnects_waits_for_it():
 
 
 def test_a_halt_lost_with_the_broker_is_ordered_again():
-    s = Story()
+    s = Harness()
     s.executing()
     s.halts()
     s.handle(BrokerRestarted)
@@ -1317,32 +1317,32 @@ def test_a_halt_lost_with_the_broker_is_ordered_again():
 # --- what exploring all interleavings found (tests/simulation) ---------------------------------------
 
 
-def told_by_mcm(s: Story, scope: str = "ALL", halt: str = "h1") -> list[str]:
+def told_by_mcm(s: Harness, scope: str = "ALL", halt: str = "h1") -> list[str]:
     return s.handle(HaltCalled, client="MCM", halt=halt, scope=scope)
 
 
 def test_a_halt_that_only_the_subsystem_received_stops_everything_here_too():
-    s = Story()
+    s = Harness()
     s.parsed()
     assert told_by_mcm(s) == ["halt ALL to MCM", "cancel C-1/2", "note C-1 ended", "end C-1 halted"]
 
 
 def test_a_subsystem_that_tells_of_a_halt_is_always_answered_with_it_or_it_would_begin_nothing_for_ever():
-    s = Story()
+    s = Harness()
     s.halts()
     assert told_by_mcm(s) == ["halt ALL to MCM"]  # known already
     assert told_by_mcm(s, "C-9", "h2") == ["halt C-9 to MCM"]  # means nothing here
 
 
 def test_a_primitive_is_meant_for_the_process_that_sent_hello():
-    s = Story()
+    s = Harness()
     s.mcm_hello(pid=7)
     s.executing()
     assert next(e.pid for e in s.log if isinstance(e, SendPrimitive)) == 7
 
 
 def test_rest_of_one_arm_says_nothing_about_the_other():
-    s = Story()
+    s = Harness()
     s.executing()
     s.halts("C-1")
     s.rings("C-1")
@@ -1355,7 +1355,7 @@ def test_rest_of_one_arm_says_nothing_about_the_other():
 
 @pytest.mark.parametrize("late", ["the report", "the confirmation"])
 def test_a_late_word_on_what_was_stopped_opens_its_arm(late):
-    s = Story()
+    s = Harness()
     s.executing()
     s.halts()
     s.rings("C-1")
@@ -1371,7 +1371,7 @@ def test_a_late_word_on_what_was_stopped_opens_its_arm(late):
 
 
 def test_rest_without_a_report_means_that_the_primitive_never_began():
-    s = Story()
+    s = Harness()
     s.executing()  # the broker died before the primitive was out, and now knows of a halt
     s.halts()
     assert s.rests("stop-C-1") == [
@@ -1384,7 +1384,7 @@ def test_rest_without_a_report_means_that_the_primitive_never_began():
 
 
 def test_what_is_being_analysed_moves_nothing_and_its_arm_stays_open_when_the_subsystem_is_lost():
-    s = Story()
+    s = Harness()
     s.analyzing()
     s.mcm_gone()
     assert s.answers("C-1", go_on())[-1] == "end C-1 lost_subsystem"
@@ -1393,7 +1393,7 @@ def test_what_is_being_analysed_moves_nothing_and_its_arm_stays_open_when_the_su
 
 @pytest.mark.parametrize("at_rest", [True, False])
 def test_what_a_new_process_says_of_rest_holds_for_what_the_old_one_moved(at_rest):
-    s = Story()
+    s = Harness()
     s.executing()
     s.mcm_hello(pid=2, at_rest=at_rest)
     s.mcm_gone()
@@ -1402,7 +1402,7 @@ def test_what_a_new_process_says_of_rest_holds_for_what_the_old_one_moved(at_res
 
 
 def test_an_unacknowledged_report_of_an_earlier_step_does_not_stop_the_step_that_moves():
-    s = Story()
+    s = Harness()
     s.analyzing(script(steps=2))
     s.answers("C-1", go_on())
     s.answers("C-1", bound("C-1.2"))
@@ -1410,7 +1410,7 @@ def test_an_unacknowledged_report_of_an_earlier_step_does_not_stop_the_step_that
 
 
 def test_a_subsystem_that_comes_back_moving_is_halted_anew_each_time():
-    s = Story()
+    s = Harness()
     for _ in range(2):
         s.mcm_gone()
         assert s.mcm_hello(at_rest=False) == ["halt ALL to MCM"]
@@ -1419,7 +1419,7 @@ def test_a_subsystem_that_comes_back_moving_is_halted_anew_each_time():
 
 
 def test_a_timer_that_rings_in_the_turn_that_sets_it_anew_is_late():
-    s = Story()
+    s = Harness()
     s.executing()
     rung_s = s.state.commands["C-1"].due_s
     s.now = rung_s - 0.0005
@@ -1429,7 +1429,7 @@ def test_a_timer_that_rings_in_the_turn_that_sets_it_anew_is_late():
 
 
 def test_of_two_halts_the_later_counts_in_whatever_order_they_arrive():
-    s = Story()
+    s = Harness()
     s.now = 10.0
     s.handle(HaltCalled, client="ann", halt="h2", scope="ALL", called_at_s=9.0)
     s.handle(HaltCalled, client="ann", halt="h1", scope="ALL", called_at_s=7.0)
@@ -1437,7 +1437,7 @@ def test_of_two_halts_the_later_counts_in_whatever_order_they_arrive():
 
 
 def test_a_sentence_sent_before_the_halt_of_an_arm_and_received_after_it_does_not_move_that_arm():
-    s = Story()
+    s = Harness()
     s.now = 10.0
     s.halts("RIGHT-ARM")
     s.says("X", sent_at_s=9.0)  # it was long under way: the broker was dead
@@ -1446,7 +1446,7 @@ def test_a_sentence_sent_before_the_halt_of_an_arm_and_received_after_it_does_no
 
 
 def test_a_halt_of_a_command_that_has_moved_nothing_is_over_at_once():
-    s = Story()
+    s = Harness()
     s.parsed()
     stated = s.says("HALT C-1")
     assert stated[0] == "tell ann Accepted C-2"
@@ -1454,7 +1454,7 @@ def test_a_halt_of_a_command_that_has_moved_nothing_is_over_at_once():
 
 
 def test_a_step_may_move_only_what_its_script_has_claimed():
-    s = Story()
+    s = Harness()
     s.elaborated()
     assert s.answers("C-1", bound("C-1.1", "LEFT-ARM")) == ["note C-1 ended", "end C-1 refused"]
     assert s.outcome("C-1").refusal.reason is RefusalReason.PROGRAM
@@ -1463,7 +1463,7 @@ def test_a_step_may_move_only_what_its_script_has_claimed():
 def test_the_request_of_a_long_command_outlives_thousands_of_short_ones(monkeypatch):
     monkeypatch.setattr(termination, "ENDED_KEPT", 5)
     monkeypatch.setattr(termination, "FORGOTTEN_AT_ONCE", 1)
-    s = Story()
+    s = Harness()
     s.says("X", request="long")
     for n in range(20):
         s.says("HALT C-99", request=f"short-{n}")
@@ -1472,7 +1472,7 @@ def test_the_request_of_a_long_command_outlives_thousands_of_short_ones(monkeypa
 
 
 def test_notes_are_sent_to_the_client_that_wants_them_and_to_listeners_and_kept_in_any_case():
-    s = Story()
+    s = Harness()
     assert "note C-1 parsing" in s.says("X")
     assert [line for line in s.says("X", progress=False) if line.startswith("note")] == []
     assert s.handle(ListenersChanged, listening=True) == []
@@ -1484,7 +1484,7 @@ def test_notes_are_sent_to_the_client_that_wants_them_and_to_listeners_and_kept_
 
 
 def test_a_restarted_broker_has_no_listeners_until_they_come_back():
-    s = Story()
+    s = Harness()
     s.handle(ListenersChanged, listening=True)
     s.handle(BrokerRestarted)
     assert [line for line in s.says("X", progress=False) if line.startswith("note")] == []
@@ -1498,7 +1498,7 @@ def test_every_empty_cell_counts_and_changes_nothing():
         for stimulus in Stimulus:
             if (phase, stimulus) in COMMAND.cells:
                 continue
-            s = Story()
+            s = Harness()
             s.says("X")
             command = s.state.commands["C-1"]
             command.phase = phase
@@ -1508,7 +1508,7 @@ def test_every_empty_cell_counts_and_changes_nothing():
 
 
 def test_an_action_that_leads_where_it_must_not_tells_the_story(monkeypatch):
-    s = Story()
+    s = Harness()
     s.parsed()
     cell = (Phase.ELABORATING, Stimulus.PRODUCT)
     wrong = COMMAND.cells[cell]._replace(action=lambda context, command, _: context.enter(command, Phase.CLOSING))
@@ -1520,20 +1520,20 @@ def test_an_action_that_leads_where_it_must_not_tells_the_story(monkeypatch):
 
 
 def test_reports_of_unknown_primitives_are_acknowledged():
-    assert Story().reports("C-9", primitive="C-9.1") == ["ack C-9.1"]
+    assert Harness().reports("C-9", primitive="C-9.1") == ["ack C-9.1"]
     assert report("C-9.1").reason is StopReason.GOAL
 
 
 # --- time limits -------------------------------------------------------------------------------------
 
 
-def time_left(s: Story, command: str = "C-1") -> float:
+def time_left(s: Harness, command: str = "C-1") -> float:
     return s.state.commands[command].due_s - s.now
 
 
 @pytest.mark.parametrize(("timeout_scale", "limit_s"), [(0.5, 2.0), (1.0, 2.0), (3.0, 6.0)])
 def test_every_kind_of_halt_has_the_same_time_limit(timeout_scale, limit_s):
-    by_sentence, by_socket = Story(), Story()
+    by_sentence, by_socket = Harness(), Harness()
     for s in (by_sentence, by_socket):
         s.state.timeout_scale = timeout_scale
         s.executing()
@@ -1543,7 +1543,7 @@ def test_every_kind_of_halt_has_the_same_time_limit(timeout_scale, limit_s):
 
 
 def test_after_a_restart_a_halt_has_its_limit_and_time_to_reconnect():
-    s = Story()
+    s = Harness()
     s.state.timeout_scale = 3.0
     s.executing()
     s.says("HALT ALL")
@@ -1552,7 +1552,7 @@ def test_after_a_restart_a_halt_has_its_limit_and_time_to_reconnect():
 
 
 def test_after_a_restart_the_last_analysis_has_its_whole_limit():
-    s = Story()
+    s = Harness()
     s.executing()
     s.halts()
     s.reports("C-1", StopReason.HALT)

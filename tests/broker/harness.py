@@ -69,7 +69,7 @@ def _in_words(message: Any) -> str:
     return type(message).__name__ + (f" {message.command}" if hasattr(message, "command") else "")
 
 
-class Story:
+class Harness:
     """One Decision Unit, its time, and everything it wanted done."""
 
     def __init__(self, *, mcm: bool = True) -> None:

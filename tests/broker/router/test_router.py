@@ -41,7 +41,7 @@ from rtc.protocol.outcomes import OutcomeKind, RefusalReason
 from rtc.runtime.halt_admission import PER_S
 from rtc.runtime.handover import Handed
 from rtc.runtime.settings import Settings
-from tests.broker.stories import Story, script
+from tests.broker.harness import Harness, script
 from tests.campaigns import hostile
 
 ENDPOINTS = ("front", "halt", "workers", "subsystems", "supervisor", "events")
@@ -337,7 +337,7 @@ def test_a_cluster_that_is_stopped_ends_its_commands_and_takes_no_more(working: 
 def test_without_its_supervisor_it_sends_every_client_an_outcome_in_time(bench: Bench) -> None:
     """Given one command whose subsystem is silent, one that waits for its analyzer and one for its parser."""
     bench.send("subsystems", b"MCM", MCM)
-    story = Story(mcm=False)
+    story = Harness(mcm=False)
     story.state, story.now = bench.state, bench.now
     silent = story.executing()
     done = story.executing(script(resources=("LEFT-ARM",)), hand="LEFT-ARM")

@@ -7,7 +7,7 @@ import pytest
 from broker.decisions import action_stack
 from broker.decisions.action_stack import MAX_TRIMS, ActionStack
 from rtc.protocol.messages import Binding
-from tests.broker.stories import script, trim
+from tests.broker.harness import script, trim
 
 
 def labels(actions: ActionStack) -> list[str]:

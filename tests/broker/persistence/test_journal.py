@@ -12,7 +12,7 @@ from broker.persistence import replay
 from broker.persistence.journal import Journal
 from rtc.protocol import wire
 from rtc.protocol.messages import WorkerKind
-from tests.broker.stories import Story, go_on, script
+from tests.broker.harness import Harness, go_on, script
 
 
 @pytest.fixture
@@ -20,7 +20,7 @@ def path(tmp_path):
     return tmp_path / "journal.db"
 
 
-class Journalled(Story):
+class Journalled(Harness):
     def __init__(self, journal: Journal) -> None:
         self.journal = journal
         super().__init__()
