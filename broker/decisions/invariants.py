@@ -37,17 +37,17 @@ def _resources(state: State) -> Iterable[str]:
             yield f"{command} has ended and still claims"
     for name, by in r.quarantine.items():
         if by.subsystem == WORLD and by.primitive not in state.deferred_analyses:
-            yield f"{name} is closed for {by.primitive}, of which nothing is left to tell"
+            yield f"{name} is quarantined for {by.primitive}, which has no deferred analysis"
     for command, left in state.deferred_analyses.items():
         if command in state.commands or any(name not in r.quarantine or name in r.holders for name in left.names):
-            yield f"the world has not been told of {command}, and {left.names} are open"
+            yield f"the analysis of {command} is deferred, and {left.names} are not quarantined"
     for name, line in r.lines.items():
         if line != sorted(line, key=number):
             yield f"{line} wait for {name}, not in order"
         if [command for command in line if r.waiting[command][name]] != r.alone.get(name, []):
-            yield f"{r.alone.get(name)} want {name} alone, which is not so"
+            yield f"{r.alone.get(name)} are not the exclusive waiters of {name}"
     if not r.alone.keys() <= r.lines.keys():
-        yield f"somebody wants one of {[*r.alone]} alone and is not in its line"
+        yield f"{[*r.alone]} have exclusive waiters that are not in their lines"
     for command in r.waiting:
         if command in r.held:
             yield f"{command} waits while holding"
@@ -90,7 +90,7 @@ def _commands(state: State) -> Iterable[str]:
             yield f"{command.id} is executing nothing"
         waits_for_rest = command.phase is Phase.HALTING and command.id in state.halt_sentences
         if command.phase in (Phase.HALTING, Phase.CLOSING) and not waits_for_rest and command.pending_outcome is None:
-            yield f"{command.id} is {command.phase.value} and does not know how it ends"
+            yield f"{command.id} is {command.phase.value} and has no pending outcome"
         if command.phase is Phase.ENDED:
             yield f"{command.id} has ended and is still here"
 

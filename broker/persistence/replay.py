@@ -49,7 +49,10 @@ def main(argv: list[str]) -> int:
     began = time.perf_counter()
     try:
         (first, ended), (second, _) = replay(journal), replay(journal)
-    except (sqlite3.DatabaseError, TypeError, WireError):
+    except WireError as error:
+        print(f"{path} cannot be replayed: {error}")
+        return 2
+    except (sqlite3.DatabaseError, TypeError):
         print(f"{path} is not a journal of a broker (RUN_DIR/journal.db is one)")
         return 2
     differing = [name for name, record in ended.items() if (kept := journal.record(name)) and kept != record]
