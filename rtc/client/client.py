@@ -28,6 +28,7 @@ from typing import Any, Literal, TypeVar, get_args
 import zmq
 
 from rtc.client.connection import LAST_WORDS_MS, BrokerConnection
+from rtc.client.context import ClientContext
 from rtc.client.halt import HaltLine, HaltResult
 from rtc.client.heartbeat import HeartbeatSender
 from rtc.client.liveness import BrokerLiveness, Report, is_listening, supervised
@@ -118,7 +119,7 @@ class Client:
         self._fetched: dict[str, None] = {}  # latest fetched requests, to recognise a repeated outcome
         self._queries: set[str] = set()  # requests that are queries, not sentences
         self._answers: dict[str, m.BrokerToClient] = {}  # request -> answer to a query
-        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._context = ClientContext()
         self._halt_line = HaltLine(self._context, self._endpoints)
         self._connection = BrokerConnection(
             self._context, self._endpoints, me, self._endpoints.run if isinstance(self._endpoints, Settings) else ""

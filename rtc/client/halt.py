@@ -19,6 +19,7 @@ import msgspec
 import zmq
 
 from rtc.client.connection import BrokerConnection
+from rtc.client.context import ClientContext
 from rtc.language.fastpath import EVERYTHING, halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import ClusterError, RefusalReason, WireError
@@ -80,7 +81,7 @@ class HaltLine:
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], endpoints: Endpoints) -> None:
         self._context, self._endpoints = context, endpoints
-        self._own_context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()  # so its I/O thread carries halts only
+        self._own_context = ClientContext()  # so that its I/O thread carries halts only
         self._rank = RANK if real_time_io(self._own_context, RANK) else 0
         self._far = endpoints.far
         self._connect_s, self._unknown_s = (FAR_CONNECT_S, FAR_UNKNOWN_S) if self._far else (CONNECT_S, UNKNOWN_S)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -499,3 +501,20 @@ def test_a_halt_works_from_another_thread_while_a_command_runs(run_dir: Path) ->
 
     assert [result.confirmed for result in results] == [True]
     broker.stop()
+
+
+def test_what_a_user_drops_without_closing_it_does_not_stop_the_garbage_collector(tmp_path):
+    code = f"""if True:
+        import gc
+        from rtc.client.context import ClientContext
+        from rtc.client.halt import HaltLine
+        from rtc.runtime.settings import Settings
+        for _ in range(5):
+            cycle = [HaltLine(ClientContext(), Settings(run_dir={str(tmp_path)!r}))]
+            cycle.append(cycle)
+            del cycle
+            gc.collect()
+        print("ended")
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert done.stdout == "ended\n", done.stderr
