@@ -81,7 +81,7 @@ class PathCollision:
 AS_BUILT = Scene()
 LEAVING_STEPS = 10  # interpolation steps between configurations while an initial contact lasts
 GROUP = 3  # configurations of a path that one check may prove free
-LEAST_GROUPED = 9  # a shorter path is checked one by one
+LEAST_GROUPED = 7  # a shorter path is checked one by one
 WIDER_M = 1e-4  # tolerance of distances in the check of a group
 KEPT_SCENES = 64  # maximum number of scenes whose active pairs and margins are kept
 DEEPER_M = 0.0002  # tolerance for noise of joint values and of penetration depths
@@ -117,11 +117,12 @@ class CollisionWorld:
             self._bodies.model, self._bodies.geometry, self._wide_data
         )
         self._wide_callback = pin.CollisionCallBackDefault(self._bodies.geometry, self._wide_data, True)
-        self._wide_pairs: Pairs | None = None  # those whose active pairs are set there
+        self._active = self._wide_active = np.ones(len(self._bodies.pairs), dtype=bool)
         self._q = pin.neutral(self._bodies.model)
         self._scene: Scene | None = None
         self._placed: dict[str, tuple[str, tuple[float, ...]]] = {}  # body -> the arm that holds it, and its pose there
         self._pairs_of_scene: dict[tuple[object, ...], Pairs] = {}  # by all that `_pairs_in` reads of a scene
+        self._pair_levers: dict[int, Array] = {}  # by the first joint of an arm
         self._index()
         self._put_in_force(self._pairs_in(AS_BUILT))
         self._arrange(AS_BUILT)
@@ -188,14 +189,22 @@ class CollisionWorld:
 
     def _widen(self, slots: list[int], configurations: Array) -> None:
         """Sets the wide margins: by as much as each pair can come nearer within half a group of a path."""
-        pairs, levers = self._pairs, self._levers[:, slots]
+        pairs = self._pairs
         steps = GROUP // 2 * np.abs(configurations[1:] - configurations[:-1]).max(axis=0)
-        nearer = of_pairs(levers[self._first], levers[self._second]) @ steps
-        if self._wide_pairs is not pairs:
+        nearer = self._levers_of_pairs(slots) @ steps
+        if not np.array_equal(self._wide_active, pairs.active):
             self._wide_data.setActiveCollisionPairs(self._bodies.geometry, pairs.active_matrix)
-            self._wide_pairs = pairs
+            self._wide_active = pairs.active
         margins = self._as_matrix(pairs.margin + nearer + WIDER_M)
         self._wide_data.setSecurityMargins(self._bodies.geometry, margins)
+
+    def _levers_of_pairs(self, slots: list[int]) -> Array:
+        """The levers of an arm's joints on the distance of each pair, [pairs][joints]."""
+        known = self._pair_levers.get(slots[0])
+        if known is None:
+            levers = self._levers[:, slots]
+            known = self._pair_levers[slots[0]] = of_pairs(levers[self._first], levers[self._second])
+        return known
 
     def _all_free(self, slots: list[int], group: Sequence[Floats] | Array) -> bool:
         """True if one check in the middle of neighbouring configurations proves that all of them are free."""
@@ -315,9 +324,10 @@ class CollisionWorld:
         for n in self._pieces_of.get(owner, ()):
             item = self._bodies.geometry.geometryObjects[n]
             item.parentJoint, item.placement = parent, at * self._bodies.pieces[n].in_owner
-        self._levers[self._owner == self._number.get(owner)] = levers(
-            self._bodies.model, parent, at.translation, self._radius_m.get(owner, 0.0)
-        )
+        rows = self._owner == self._number.get(owner)
+        if parent or self._levers[rows].any():
+            self._levers[rows] = levers(self._bodies.model, parent, at.translation, self._radius_m.get(owner, 0.0))
+            self._pair_levers.clear()
 
     def _switch(self, scene: Scene) -> None:
         """Sets the active pairs and the margins of a scene."""
@@ -333,7 +343,9 @@ class CollisionWorld:
 
     def _put_in_force(self, pairs: Pairs) -> None:
         # Set as matrices: a loop over 1700 pairs would take 5 ms.
-        self._geometry_data.setActiveCollisionPairs(self._bodies.geometry, pairs.active_matrix)
+        if not np.array_equal(self._active, pairs.active):
+            self._geometry_data.setActiveCollisionPairs(self._bodies.geometry, pairs.active_matrix)
+            self._active = pairs.active
         self._geometry_data.setSecurityMargins(self._bodies.geometry, pairs.margin_matrix)
         self._pairs = pairs
 

@@ -55,7 +55,7 @@ class Path:
             return self.curve(s), self.curve(s, 1), self.curve(s, 2)
         slope = (self.knots[-1] - self.knots[0]) / self.length
         q = self.knots[0] + s[:, None] * slope
-        return q, np.broadcast_to(slope, q.shape), np.zeros(q.shape)
+        return q, np.zeros(q.shape) + slope, np.zeros(q.shape)
 
     def dense(self, step_rad: float = CHECK_RAD) -> tuple[Array, Array]:
         """(s, joints) at a spacing for collision checks.
