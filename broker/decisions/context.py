@@ -93,7 +93,7 @@ class DecisionContext(msgspec.Struct, gc=False):
         measured: Measured | None = None,
         warning: bool = False,
     ) -> None:
-        state = self.state
+        state, notes = self.state, command.notes
         state.seq += 1
         note = ProgressNote(
             seq=state.seq,
@@ -108,16 +108,16 @@ class DecisionContext(msgspec.Struct, gc=False):
             measured=measured,
             warning=warning,
         )
-        command.notes.append(note)
-        if len(command.notes) > NOTES_KEPT:
-            del command.notes[NOTES_KEPT // 2]
+        notes.append(note)
+        if len(notes) > NOTES_KEPT:
+            del notes[NOTES_KEPT // 2]
         if command.progress or state.has_subscribers:
             self.effects.append(PublishNote(client=command.client if command.progress else "", note=note))
 
     def create_job(self, command: Command, kind: WorkerKind, data: Any, locations: list[str] | None = None) -> None:
         """Create the next job of this command, with the programs the command began with, and dispatch it."""
         command.jobs += 1
-        command.job = PendingJob(
+        command.job = job = PendingJob(
             id=f"{command.id}/{command.jobs}",
             attempt=1,
             kind=kind,
@@ -126,9 +126,10 @@ class DecisionContext(msgspec.Struct, gc=False):
             locations=locations,
             since_s=self.now,
         )
-        self.dispatch(command.job)
+        self.dispatch(job, command.client)
 
-    def dispatch(self, job: PendingJob) -> None:
+    def dispatch(self, job: PendingJob, client: str = "") -> None:
+        """`client`: the client of its command; empty for a command that has ended."""
         self.effects.append(
             DispatchJob(
                 job=job.id,
@@ -138,6 +139,7 @@ class DecisionContext(msgspec.Struct, gc=False):
                 cell=self.state.programs.get("cell", ""),
                 input=job.input,
                 locations=job.locations,
+                client=client,
             )
         )
 

@@ -11,7 +11,7 @@ every empty cell of the table.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from broker.decisions import deferred_analysis, halt_request, program_rollout, subsystem_link
@@ -54,14 +54,30 @@ CLIENTS_KEPT = 1024  # clients whose latest command is stored, for AFTER LAST
 
 def decide(state: State, event: Event) -> list[Effect]:
     """Handle one event: change `state` and return the effects in the order of execution."""
-    context = DecisionContext(state, event.at_s)
-    HANDLERS[type(event)](context, event)
-    for name, stimulus, payload in context.followups:  # actions append to this list during the loop
+    return decide_batch(state, (event,))
+
+
+def decide_batch(state: State, events: Iterable[Event]) -> list[Effect]:
+    """Handle the events of one batch in order; all their effects, in the order of execution."""
+    effects: list[Effect] = []
+    context = DecisionContext(state, 0.0)
+    for event in events:
+        context.now, context.effects, context.node, context.took_s = event.at_s, [], "", 0.0
+        HANDLERS[type(event)](context, event)
+        if context.followups:
+            _follow(context)
+        effects += context.effects
+    return effects
+
+
+def _follow(context: DecisionContext) -> None:
+    """Stimulate the other commands that the actions of this event named. These actions may name more."""
+    for name, stimulus, payload in context.followups:  # it grows during the loop
         context.node, context.took_s = "", 0.0
-        command = state.commands.get(name)
+        command = context.state.commands.get(name)
         if command is not None:
             stimulate(context, command, stimulus, payload)
-    return context.effects
+    context.followups = []
 
 
 # --- clients -----------------------------------------------------------------------------------------
@@ -272,7 +288,7 @@ def on_restart(context: DecisionContext, event: BrokerRestarted) -> None:
     for command in context.state.commands.values():
         if command.job is not None:
             command.job.attempt += 1
-            context.dispatch(command.job)
+            context.dispatch(command.job, command.client)
         if command.phase is Phase.ANALYZING:
             command.due_s = 0.0  # its retry was dispatched above
         if command.phase is Phase.EXECUTING:

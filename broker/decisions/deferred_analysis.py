@@ -103,10 +103,8 @@ def schedule_retry(context: DecisionContext, name: str, _: object) -> None:
 def retry(context: DecisionContext, name: str, _: object) -> None:
     analysis = context.state.deferred_analyses[name]
     analysis.phase = Deferral.RUNNING
-    job = analysis.job
-    job.attempt += 1  # a late answer to the previous attempt is stale
-    job.program = context.state.programs.get(job.kind, job.program)
-    context.dispatch(job)
+    analysis.job.attempt += 1  # a late answer to the previous attempt is stale
+    context.dispatch(analysis.job)
 
 
 def retry_or_give_up(context: DecisionContext, name: str, loss: JobLost) -> None:

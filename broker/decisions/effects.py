@@ -24,6 +24,7 @@ class DispatchJob(Effect, frozen=True, kw_only=True, gc=False):
     cell: str
     input: msgspec.Raw
     locations: list[str] | None = None  # names in the lease that is sent with the job
+    client: str = ""  # client of its command: the jobs of all clients are assigned in turn
 
 
 class CancelJob(Effect, frozen=True, kw_only=True, gc=False):

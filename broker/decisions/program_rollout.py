@@ -77,7 +77,7 @@ def repeat_with_another(context: DecisionContext, command: Command, job: Pending
     command.programs[kind] = job.program = following
     job.attempt += 1
     context.note(command, words, warning=True)
-    context.dispatch(job)
+    context.dispatch(job, command.client)
     return True
 
 

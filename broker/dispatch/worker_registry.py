@@ -39,12 +39,13 @@ class Queue:
     def __len__(self) -> int:
         return len(self._client_of)
 
-    def add(self, job: DispatchJob, client: str, now: float) -> None:
-        self._client_of[job.job] = client
+    def add(self, job: DispatchJob, now: float) -> None:
+        client, name = job.client, job.job
+        self._client_of[name] = client
         lane = self._lanes.get(client)
         if lane is None:
             lane = self._lanes[client] = OrderedDict()
-        lane[job.job] = (now, job)
+        lane[name] = (now, job)
 
     def next(self) -> DispatchJob:
         client, lane = next(iter(self._lanes.items()))
@@ -152,9 +153,9 @@ class WorkerRegistry:
 
     # --- jobs -----------------------------------------------------------------------------------------
 
-    def submit(self, job: DispatchJob, now: float, client: str = "") -> None:
-        """Queue a job. `client`: the client of its command."""
-        self.queues[job.kind].add(job, client, now)
+    def submit(self, job: DispatchJob, now: float) -> None:
+        """Queue a job."""
+        self.queues[job.kind].add(job, now)
 
     def cancel(self, job: str) -> str:
         """Remove a job from the queues. Returns the worker that has it and must drop it, or an empty name."""

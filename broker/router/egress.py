@@ -18,6 +18,7 @@ from rtc.world.lease import sign
 class Egress:
     def __init__(self, core: Core) -> None:
         self._core = core
+        self._now = core.clock()  # time of the batch that is performed
         self.topics: set[bytes] = set()  # prefixes that the subscribers of the event stream want
         self.clients = Outbox(lambda: core.sockets["front"])
         self.subsystems = Outbox(lambda: core.sockets["subsystems"])
@@ -25,8 +26,9 @@ class Egress:
 
     def perform(self, effects: Iterable[do.Effect]) -> None:
         """Perform effects in order. Their events must be in the journal."""
+        self._now, perform = self._core.clock(), self._perform
         for effect in effects:
-            self._perform[type(effect)](effect)
+            perform[type(effect)](effect)
         self.clients.flush()
         self.subsystems.flush()
 
@@ -65,8 +67,7 @@ class Egress:
     # --- one method per effect ------------------------------------------------------------------------
 
     def _dispatch_job(self, effect: do.DispatchJob) -> None:
-        command = self._core.state.commands.get(effect.job.partition("/")[0])
-        self._core.registry.submit(effect, self._core.clock(), command.client if command else "")
+        self._core.registry.submit(effect, self._now)
 
     def _cancel_job(self, effect: do.CancelJob) -> None:
         if worker := self._core.registry.cancel(effect.job):

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection
 from typing import Any
 
 from broker.decisions import effects as do
-from broker.decisions.decide import decide
+from broker.decisions.decide import decide_batch
 from broker.decisions.events import Event, JobDeclined, ProgramInstalled, SubsystemGone, TimerFired
 from broker.decisions.state import State
 from broker.persistence.journal import Journal
@@ -131,9 +131,7 @@ class Router:
         """Decide all events of this batch, journal them, then perform the effects."""
         core = self.core
         events, core.events = core.events, []
-        effects: list[do.Effect] = []
-        for event in events:
-            effects += decide(core.state, event)
+        effects = decide_batch(core.state, events)
         core.journal.append(events, [e.record for e in effects if type(e) is do.ReportEnd])
         self.egress.perform(effects)
         self.egress.assign_jobs(now)

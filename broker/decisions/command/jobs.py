@@ -42,7 +42,7 @@ def schedule_analysis_retry(context: DecisionContext, command: Command, refusal:
 
 def retry_analysis(context: DecisionContext, command: Command, _: Any) -> None:
     assert command.job is not None
-    context.dispatch(command.job)
+    context.dispatch(command.job, command.client)
 
 
 def retry_job(context: DecisionContext, command: Command, loss: JobLost) -> None:
@@ -69,7 +69,7 @@ def dispatch_again(context: DecisionContext, command: Command, loss: JobLost) ->
         context.note(
             command, f"{loss.node} lost ({loss.evidence.splitlines()[-1] if loss.evidence else 'gone'}); job again"
         )
-        context.dispatch(job)
+        context.dispatch(job, command.client)
         return None
     return Refusal(
         reason=RefusalReason.POISON,
