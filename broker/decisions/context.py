@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgspec
-
 from broker.decisions.action_stack import NOMINAL
 from broker.decisions.effects import DispatchJob, Effect, PublishNote, StartTimer, StopTimer
 from broker.decisions.events import Stimulus
@@ -21,15 +19,17 @@ from rtc.protocol.outcomes import Measured
 read_step = wire.decoder(StepHead)
 
 
-class DecisionContext(msgspec.Struct, gc=False):
+class DecisionContext:
     """State and time of one decision, with the effects collected so far."""
 
-    state: State
-    now: float
-    effects: list[Effect] = []
-    followups: list[tuple[str, Stimulus, Any]] = []  # (command, stimulus, payload)
-    node: str = ""  # worker or subsystem that caused the event
-    took_s: float = 0.0  # duration of its work
+    __slots__ = ("effects", "followups", "node", "now", "state", "took_s")
+
+    def __init__(self, state: State, now: float) -> None:
+        self.state, self.now = state, now
+        self.effects: list[Effect] = []
+        self.followups: list[tuple[str, Stimulus, Any]] = []  # (command, stimulus, payload)
+        self.node = ""  # worker or subsystem that caused the event
+        self.took_s = 0.0  # duration of its work
 
     def follow(self, command: str, stimulus: Stimulus, payload: Any = None) -> None:
         """Stimulate another command after this action."""
@@ -79,16 +79,23 @@ class DecisionContext(msgspec.Struct, gc=False):
     def count(self, what: str) -> None:
         self.state.counts[what] = self.state.counts.get(what, 0) + 1
 
-    def enter(self, command: Command, phase: Phase, note: str = "", **more: Any) -> None:
-        """Change the phase and write a note. `more`: expected_s, measured."""
+    def enter(
+        self,
+        command: Command,
+        phase: Phase,
+        text: str = "",
+        *,
+        expected_s: float = 0.0,
+        measured: Measured | None = None,
+    ) -> None:
+        """Change the phase and write a note."""
         command.phase = phase
-        self.note(command, note, **more)
+        self.note(command, text, expected_s, measured)
 
     def note(
         self,
         command: Command,
         text: str = "",
-        *,
         expected_s: float = 0.0,
         measured: Measured | None = None,
         warning: bool = False,

@@ -47,15 +47,20 @@ class Queue:
             lane = self._lanes[client] = OrderedDict()
         lane[name] = (now, job)
 
-    def next(self) -> DispatchJob:
-        client, lane = next(iter(self._lanes.items()))
-        name, (_, job) = lane.popitem(last=False)
-        del self._client_of[name]
-        if lane:
-            self._lanes.move_to_end(client)
-        else:
-            del self._lanes[client]
-        return job
+    def take(self, most: int) -> list[DispatchJob]:
+        """Remove the next jobs, one of each client in turn; at most this many."""
+        lanes, client_of = self._lanes, self._client_of
+        jobs: list[DispatchJob] = []
+        while lanes and len(jobs) < most:
+            client, lane = next(iter(lanes.items()))
+            name, (_, job) = lane.popitem(last=False)
+            del client_of[name]
+            jobs.append(job)
+            if not lane:
+                del lanes[client]
+            elif len(lanes) > 1:
+                lanes.move_to_end(client)
+        return jobs
 
     def drop(self, job: str) -> None:
         client = self._client_of.pop(job, None)
@@ -143,8 +148,8 @@ class WorkerRegistry:
         if worker is None:
             return False
         worker.last_seen_s = worker.since_s = self.answered_at_s[worker.kind] = now
-        held = worker.assigned.get(job)
-        if held is None or held.attempt != attempt:  # a late result of an earlier attempt
+        assigned = worker.assigned.get(job)
+        if assigned is None or assigned.attempt != attempt:  # a late result of an earlier attempt
             return False
         del worker.assigned[job]
         worker.done += 1
@@ -171,8 +176,7 @@ class WorkerRegistry:
                 if not free:
                     break
                 worker = min(free, key=lambda w: len(w.assigned))
-                most = min(worker.handful, worker.room, len(queue))
-                jobs = [queue.next() for _ in range(most)]
+                jobs = queue.take(min(worker.handful, worker.room))
                 if not worker.assigned:
                     worker.since_s = now
                 worker.assigned.update((job.job, job) for job in jobs)

@@ -21,14 +21,16 @@ class WorkerMessages:
         HANDLERS[type(message)](self, peer, message, now)
 
     def _take_results(self, peer: bytes, message: m.ResultBatch, now: float) -> None:
-        name, registry = name_of(peer), self._core.registry
-        known = registry.mark_alive(name, now)
+        name, core = name_of(peer), self._core
+        answered, events = core.registry.answered, core.events
+        known = core.registry.mark_alive(name, now)
         for result in message.results:
             # Only the worker that has the job now may answer it.
-            if registry.answered(name, result.id, result.attempt, getattr(result, "took_s", 0.0), now):
-                self._core.enqueue(RESULTS[type(result)](name, result, now))
+            took_s = 0.0 if isinstance(result, m.JobCrashed) else result.took_s
+            if answered(name, result.id, result.attempt, took_s, now):
+                events.append(RESULTS[type(result)](name, result, now))
             else:
-                self._core.dropped["results"] += 1
+                core.dropped["results"] += 1
         if not known:
             self._request_hello(peer)
 

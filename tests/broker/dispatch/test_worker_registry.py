@@ -11,8 +11,9 @@ from rtc.protocol.messages import WorkerKind
 BINDER = WorkerKind.BINDER
 
 
-def job(n: int, kind: WorkerKind = BINDER, attempt: int = 1) -> DispatchJob:
-    return DispatchJob(job=f"C-{n}/1", attempt=attempt, kind=kind, program="", cell="", input=msgspec.Raw(b"\xc0"))
+def job(n: int, kind: WorkerKind = BINDER, attempt: int = 1, client: str = "") -> DispatchJob:
+    data = msgspec.Raw(b"\xc0")
+    return DispatchJob(job=f"C-{n}/1", attempt=attempt, kind=kind, program="", cell="", input=data, client=client)
 
 
 def registry(*names: str, mean_s: float = 0.1) -> WorkerRegistry:
@@ -181,9 +182,9 @@ def test_clients_take_turns():
     """One with thousands of commands keeps another's waiting for one job."""
     r = registry()
     for n in range(100):
-        r.submit(job(n), 0.0, "many")
+        r.submit(job(n, client="many"), 0.0)
     for n in (200, 201):
-        r.submit(job(n), 1.0, "few")
+        r.submit(job(n, client="few"), 1.0)
     r.register("a", 0, BINDER, 1, 2.0)
     order = []
     while given := given_out(r, 2.0):
