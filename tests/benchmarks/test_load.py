@@ -1,4 +1,4 @@
-"""A real broker with real shells under load: every command ends, and is told in the journal."""
+"""A real broker with real worker loops under load: every command ends, and the journal has it."""
 
 from __future__ import annotations
 

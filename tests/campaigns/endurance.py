@@ -110,7 +110,10 @@ def _report(commands: int, took_s: float, strikes: list[Strike], errands: Errand
         ("kills", f"{len(strikes)}: {', '.join(f'{n} {name}' for name, n in killed.most_common())}"),
         ("back after", spread(back_s, 1e3, "ms")),
         ("a command took", spread(held_up_s)),
-        ("lost, repeated, told wrongly", f"{metrics['commands_lost']}, {len(verdict.repeated)}, {len(verdict.wrong)}"),
+        (
+            "lost, repeated, untrue",
+            f"{metrics['commands_lost']}, {len(verdict.repeated)}, {len(verdict.wrong)}",
+        ),
     ]
     finish("endurance", metrics, rows, RESULTS)
     sys.exit(1 if metrics["commands_lost"] or verdict.repeated or verdict.wrong else 0)

@@ -48,7 +48,7 @@ ACCEPTED: dict[str, Any] = {
 NAMES = [
     *("C-1", "C-1.1", "C-1/1", "C-0", "C-", "C--1", "C-1e9", "C-99999999999999999999999", f"C-{'9' * 5000}", "c-1"),
     *("ALL", "RIGHT-ARM", "LEFT-ARM", "MACS-OLD", "MACS-OLD.frame", "MACS-NEW.mass", ".", "", " ", "MCM", "broker"),
-    *("binder@2", "parser@0", "parser@", "@", "nobody@99", "supervisor", "world", "H-1", "stop-C-1", "orphan-C-1.1"),
+    *("binder@2", "parser@0", "parser@", "@", "unknown@99", "supervisor", "world", "H-1", "stop-C-1", "orphan-C-1.1"),
     *("\0", "a\nb", "‮", "😀", "[red]", "%s%n", "../../etc/passwd", "'; DROP TABLE facts;--", "x" * 300, "x" * 70_000),
 ]
 SENTENCES = ["STOW LEFT-ARM", "HALT C-1", "ABORT ALL", "PAUSE", "(" * 3000, "STOW " * 4000, "STOW LEFT-ARM\0", "é" * 99]

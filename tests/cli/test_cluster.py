@@ -259,7 +259,7 @@ def test_the_shell_obeys_a_pipe_and_reports_what_was_sent_with_an_ampersand(run_
 
 
 def test_a_status_that_the_broker_does_not_give_the_supervisor_gives(run_dir: Path, rtc: Run) -> None:
-    """A broker that stands still is found and replaced; whoever asks meanwhile is told one or the other."""
+    """A broker that stands still is found and replaced; a query meanwhile gets an answer or an error."""
     broker = next(row for row in last_json(rtc("status", "--json"))["processes"] if row["name"] == "broker")
     os.kill(broker["pid"], signal.SIGSTOP)
     new_pid = broker["pid"]
@@ -269,7 +269,7 @@ def test_a_status_that_the_broker_does_not_give_the_supervisor_gives(run_dir: Pa
         assert done.returncode == (4 if "error" in result else 0)
         assert "Traceback" not in done.stderr
         rows = {row["name"]: row for row in result["processes"]}
-        assert "MCM" in rows  # although a new broker hears of it a little later
+        assert "MCM" in rows  # although a new broker gets it a little later
         new_pid = rows.get("broker", broker)["pid"] or broker["pid"]
 
 

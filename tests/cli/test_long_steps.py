@@ -13,7 +13,7 @@ from rtc.protocol.messages import Phase, ProgressNote
 
 
 class Terminal:
-    """A pipe for what is typed; what was said and halted."""
+    """A pipe for the input; the printed lines and the halts."""
 
     def __init__(self) -> None:
         self.reads, self._writes = os.pipe()

@@ -89,7 +89,7 @@ def test_a_worker_of_another_machine_is_among_the_processes(capsys) -> None:
 def test_without_a_broker_the_supervisors_report_is_what_is_known(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And of commands it knows nothing: that none is under way must not be said."""
+    """It knows nothing of commands, so it must not report that none is in progress."""
     assert as_supervised(tmp_path) is None
     rows = [{"name": "broker", "pid": 7, "state": "starting", "restarts": 3, "since_s": 0.0, "node": None, "notes": []}]
     report = {"pid": 1, "cluster": "abc", "started_at": time.time() - 5, "processes": rows}

@@ -1,4 +1,4 @@
-"""Stdout that is full, closed, or read by nobody any more: told of once, in a sentence, with the right exit status."""
+"""Stdout that is full, closed, or without a reader: reported once, in a sentence, with the right exit status."""
 
 from __future__ import annotations
 
@@ -91,11 +91,11 @@ def test_a_halt_is_reported_on_stderr_when_stdout_is_lost(
         confirmed=False,
         sent_to=["halt"],
         subsystems=[],
-        message="nobody answered",
+        message="no subsystem answered",
     )
     monkeypatch.setattr(sys, "stdout", OutputStream(None))
     print_halt(result)
-    assert "nobody answered" in capsys.readouterr().err
+    assert "no subsystem answered" in capsys.readouterr().err
 
 
 def rtc(words: str) -> subprocess.CompletedProcess[str]:

@@ -1,4 +1,4 @@
-"""What a user gets wrong is said in one sentence, at once, with exit status 2; what is broken, with what is known."""
+"""A wrong input is refused in one sentence, at once, with exit status 2; a broken cluster with what is known."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from rtc.runtime.settings import Settings
 Answer = Callable[[m.ClientToBroker], list[object]]
 read_client = reader_of_many(m.ClientToBroker)
 read_halt = reader(m.ToHalt)
-NOBODY = ("C-99", "RIGHT-AMR")  # names of nothing
+UNKNOWN_SCOPES = ("C-99", "RIGHT-AMR")  # names of nothing
 ENDED = "C-5"  # of which nothing moves; the broker has nothing to decline
 
 
@@ -78,7 +78,7 @@ class SmallBroker(threading.Thread):
         rest = m.HaltAtRest(halt=order.halt, subsystem="MCM", at_s=0.0, at_rest=True, performers=[])
         if order.scope == ENDED:
             return [rest] if name == "estop" else []
-        if order.scope in NOBODY:  # the MCM cannot know; the broker does
+        if order.scope in UNKNOWN_SCOPES:  # the MCM cannot know; the broker does
             refusal = Refusal(reason=RefusalReason.NAME, message=f"nothing live is called {order.scope}")
             return [rest if name == "estop" else m.Declined(request=order.halt, refusal=refusal)]
         started = m.HaltStarted(
@@ -416,7 +416,7 @@ def test_a_halt_goes_to_broker_and_mcm_with_one_name(broker: SmallBroker, run_di
     assert {order.halt for _, order in broker.halted} == {result.halt}
 
 
-@pytest.mark.parametrize("scope", NOBODY)
+@pytest.mark.parametrize("scope", UNKNOWN_SCOPES)
 def test_a_halt_of_nothing_is_not_confirmed_although_nothing_of_it_moves(
     broker: SmallBroker, run_dir: Path, scope: str
 ) -> None:

@@ -34,7 +34,7 @@ def test_silence_and_its_end_are_reported_once(tmp_path: Path) -> None:
 
 
 def test_a_supervisor_is_known_by_its_lock(tmp_path: Path) -> None:
-    assert supervised(tmp_path)  # nobody can tell
+    assert supervised(tmp_path)  # it cannot be known
     with open(tmp_path / LOCK, "a") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         assert supervised(tmp_path)

@@ -187,7 +187,7 @@ def test_a_settings_file_of_old_does_not_matter(run_dir):
 
 
 def test_a_new_cluster_in_the_directory_does_nothing_of_what_was_sent_to_the_old_one(run_dir):
-    """Given a client that waits for one command and has said another to nobody, when another cluster comes up there."""
+    """Given a client with one command in progress and one sentence not received, when another cluster starts there."""
     assert deploy("up", "-d", "--mcm", "kinematic", run_dir=run_dir).returncode == 0
     with Client(run_dir) as rtc:
         moving = rtc.submit("MOVE RIGHT-ARM TO RACK-1-FRONT MAINTAIN SPEED 5 CM/S")

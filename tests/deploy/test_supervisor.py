@@ -46,7 +46,7 @@ def spec(name, code, node=None):
 
 
 class Cluster:
-    """A supervisor at work in a thread, the broker it talks to, and what it said and saved."""
+    """A supervisor at work in a thread, its broker, and what it printed and saved."""
 
     def __init__(self, path, specs, policy=DEFAULT, new_worker=None):
         self.lines, self.saved = [], []
@@ -363,7 +363,7 @@ def test_a_bug_in_a_forked_worker_is_in_its_log_and_its_status(cluster, tmp_path
 def test_a_template_that_does_not_answer_is_replaced_and_then_forks_the_worker(cluster):
     it = cluster(forked("binder@2"), template()).go()
     table = it.recv_table(lambda t: True)
-    os.kill(table["template"]["pid"], signal.SIGSTOP)  # it is there, but answers nobody
+    os.kill(table["template"]["pid"], signal.SIGSTOP)  # it exists, but does not answer
     os.kill(table["binder@2"]["pid"], signal.SIGKILL)
     back = it.recv_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 1)
     assert back["template"]["restarts"] == 1
@@ -371,7 +371,7 @@ def test_a_template_that_does_not_answer_is_replaced_and_then_forks_the_worker(c
 
 
 def test_what_was_forked_too_late_never_begins_and_leaves_no_zombie(cluster, tmp_path, monkeypatch):
-    """The supervisor has given up on it, so nobody would watch it: two brokers would be at one journal."""
+    """The supervisor has given up on it, so no supervisor would watch it: two brokers would use one journal."""
     monkeypatch.setattr("deploy.child.FORK_LIMIT_S", 0.2)
     monkeypatch.setattr("deploy.supervisor.TABLE_S", 0.05)
     late = Spec("template", (sys.executable, "-c", LATE + TEMPLATE), is_fork_server=True, later=True)
@@ -415,9 +415,9 @@ def test_a_template_for_later_is_not_waited_for_and_forks_what_is_killed(cluster
 
 
 def test_templates_are_forked_from_each_other_and_from_them_all_else(cluster):
-    one = replace(template(), fork_server="twin", order=STANDBY)
+    one = replace(template(), fork_server="standby", order=STANDBY)
     two = replace(
-        template(later=True), name="twin", fork_server="template", order=STANDBY, command=("/no/such/program",)
+        template(later=True), name="standby", fork_server="template", order=STANDBY, command=("/no/such/program",)
     )
     it = cluster(one, two, forked("binder@2")).go()
     for n in (1, 2):
@@ -426,15 +426,15 @@ def test_templates_are_forked_from_each_other_and_from_them_all_else(cluster):
             os.kill(table[name]["pid"], signal.SIGKILL)
         back = lambda t: all(row["state"] == "ready" for row in t.values()) and t["binder@2"]["restarts"] == n  # noqa: B023, E731
         it.recv_table(back)
-        os.kill(table["twin"]["pid"], signal.SIGKILL)  # the next template must come from the new twin
-        it.recv_table(lambda t: t["twin"]["restarts"] == n and t["twin"]["state"] == "ready")  # noqa: B023
+        os.kill(table["standby"]["pid"], signal.SIGKILL)  # the next template must come from the new standby
+        it.recv_table(lambda t: t["standby"]["restarts"] == n and t["standby"]["state"] == "ready")  # noqa: B023
 
 
 def test_when_all_are_killed_the_workers_and_the_standby_wait_for_the_template(cluster):
     """Each could start by itself; on a slow machine they would then all start for ever."""
     by_itself = ("/no/such/program",)
-    twin = Spec(
-        "twin",
+    standby = Spec(
+        "standby",
         by_itself,
         is_fork_server=True,
         later=True,
@@ -443,9 +443,9 @@ def test_when_all_are_killed_the_workers_and_the_standby_wait_for_the_template(c
         awaits_fork_server=True,
     )
     names = [f"binder@{address}" for address in (2, 6, 10)]
-    it = cluster(template(), twin, *map(forked, names)).go()
+    it = cluster(template(), standby, *map(forked, names)).go()
     table = it.recv_table(lambda t: all(row["state"] == "ready" for row in t.values()))
-    for name in ("template", "twin", *names):
+    for name in ("template", "standby", *names):
         os.kill(table[name]["pid"], signal.SIGKILL)
     back = it.recv_table(lambda t: all((row["state"], row["restarts"]) == ("ready", 1) for row in t.values()))
     assert all(b"rtc.runtime.fork_server" in command_line(back[name]["pid"]) for name in names)
@@ -466,10 +466,10 @@ def test_a_full_disk_costs_words_but_no_process(cluster, tmp_path, monkeypatch):
     full = OSError(errno.ENOSPC, "No space left on device")
     it = cluster(spec("binder@2", GOOD, 2), template(later=True)).go()
     table = it.recv_table(lambda t: t["template"]["state"] == "ready")
-    told = []
+    lines = []
 
     def no_room(what):
-        told.append(what)
+        lines.append(what)
         raise full
 
     it.supervisor._save = it.supervisor._print = no_room
@@ -479,7 +479,7 @@ def test_a_full_disk_costs_words_but_no_process(cluster, tmp_path, monkeypatch):
     table = it.recv_table(lambda t: t["binder@2"]["state"] == "ready" and t["binder@2"]["restarts"] == 1)
     for _ in range(3):
         it.recv_table(lambda t: True)
-    assert len([line for line in told if "No space left" in line]) == 1
+    assert len([line for line in lines if "No space left" in line]) == 1
     it.supervisor._save = it.saved.append  # there is room again
     it.recv_table(lambda t: it.saved[-1] == list(t.values()))
     assert it.saved[-1] == list(table.values())

@@ -56,9 +56,9 @@ def test_parse_json_is_the_record() -> None:
 
 def test_parse_json_is_the_refusal() -> None:
     status, out, _ = run("parse", "GRAPS X", "--json")
-    said = json.loads(out.splitlines()[-1])
+    refusal = json.loads(out.splitlines()[-1])
     assert status == 2
-    assert (said["reason"], said["column"], said["nearest"]) == ("sentence", 0, ["GRASP"])
+    assert (refusal["reason"], refusal["column"], refusal["nearest"]) == ("sentence", 0, ["GRASP"])
 
 
 def test_parse_survives_what_a_terminal_may_send() -> None:

@@ -1,4 +1,4 @@
-"""Wrong sentences: where each is wrong, what is said, what would have been right, what was probably meant.
+"""Wrong sentences: the place of each error, the message, what would have been right, what was probably meant.
 
 The mark ¦ stands before the first offending character.
 """
@@ -124,7 +124,7 @@ WRONG = [
     ("HOLD LEFT-ARM FOR ¦-1 SEC", [A_TIME], [], "FOR -1 SEC makes no sense"),
     ("GRASP X MAINTAIN AVOID-NEIGHBORS BY ¦-1 CM", [A_LENGTH], [], "must be not negative"),
     ("GRASP X UNLESS FORCE EXCEEDS ¦-5 N THEN STOP", [A_FORCE], [], "must be not negative"),
-    # said twice, or against itself
+    # repeated, or contradictory
     ("GRASP X MAINTAIN SPEED 10 CM/S AND ¦SPEED 5 CM/S", ["each constraint once"], [], "SPEED is repeated"),
     ("GRASP X MAINTAIN SPEED, SHARED, ¦SHARED WRIST", ["each constraint once"], [], "SHARED is repeated"),
     ("OPEN RIGHT-END-EFF WITH ¦LEFT-ARM", ["RIGHT-ARM"], [], "RIGHT-ARM is named first, then LEFT-ARM"),

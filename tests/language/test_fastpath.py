@@ -1,4 +1,4 @@
-"""The plain halt: told without a grammar, and exactly as the parser tells it."""
+"""The plain halt: recognised without a grammar, exactly as the parser does."""
 
 import pytest
 from hypothesis import example, given, settings
@@ -63,11 +63,11 @@ WORDS += ["C-7", "C-", "C-7-A", "PARK", "DOOR-2", ".", ",", "--", "\t", "\n", "\
 def test_a_plain_halt_is_the_same_halt_to_the_parser(words: list[str], between: str) -> None:
     text = between.join(words)
     scope = halt_scope(text)
-    said = parse(GRAMMAR, text)
-    is_halt = isinstance(said, ParsedCommand) and said.verb == "HALT" and not said.test
+    parsed = parse(GRAMMAR, text)
+    is_halt = isinstance(parsed, ParsedCommand) and parsed.verb == "HALT" and not parsed.test
     if scope is not None:
         assert is_halt
-        named = said.hand or said.object  # type: ignore[union-attr]
+        named = parsed.hand or parsed.object  # type: ignore[union-attr]
         assert scope == ("ALL" if named == "BOTH-ARMS" else named)
     elif is_halt:  # the parser knows more halts: of any named thing
         assert "DOOR-2" in text or "GANTRY" in text or "N" in text or "X" in text or "C-" in text

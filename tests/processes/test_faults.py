@@ -230,7 +230,7 @@ def test_the_commands_of_a_dead_client_are_halted_if_it_wanted_that(rtc: Client,
     assert record.outcome is not None
     assert record.outcome.kind is OutcomeKind.HALTED
     assert any("its client disconnected" in note.note for note in record.notes)
-    assert rtc.wait(free, LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED  # nobody else's
+    assert rtc.wait(free, LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED  # of no other command
 
 
 def test_all_at_once(rtc: Client, chaos: Chaos, run_dir: Path) -> None:

@@ -1,6 +1,6 @@
-"""A real cluster, and somebody at its sockets who means harm: nobody dies, nobody grows, everybody else is served.
+"""A real cluster with an attacker at its sockets: no process dies or grows, and all others are served.
 
-`python -m tests.campaigns.fuzz` does the same for longer, and says how long the others wait.
+`python -m tests.campaigns.fuzz` does the same for longer, and measures how long the others wait.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from tests.campaigns.hostile import ACCEPTED, IMPOSTORS, Attacker, heavy_message
 pytestmark = pytest.mark.slow
 
 SEED = 7
-MESSAGES = 1500  # at each door
+MESSAGES = 1500  # at each endpoint
 GROWTH_MB = 150.0
-COUNTED = [name for name in ACCEPTED if name not in ("telemetry", "events")]  # of those two nobody reads a word
+COUNTED = [name for name in ACCEPTED if name not in ("telemetry", "events")]  # these two read nothing
 LIMIT_S = 60.0
 
 
@@ -94,8 +94,10 @@ def test_a_flood_from_one_leaves_the_others_served(run_dir: Path, others: Others
 def test_after_an_impostor_has_gone_all_is_well(
     run_dir: Path, context: zmq.Context[Any], endpoint: str, name: bytes
 ) -> None:
-    """Given somebody who takes the name of one of ours, and its place (here only the directory's owner can), when he
-    goes, then the one whose name it is comes back."""
+    """Given an impostor with the name of one of our processes, when it goes, then that process comes back.
+
+    Here only the owner of the directory can be one.
+    """
     hello: dict[str, Any] = {
         "workers": m.WorkerHello(name=name.decode(), node=0, kind=m.WorkerKind.PARSER, pid=1),
         "subsystems": m.SubsystemHello(name=name.decode(), pid=1, performers=["LEFT-ARM"]),

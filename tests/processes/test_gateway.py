@@ -1,4 +1,4 @@
-"""A real cluster reached over tcp: every role does what it may and nothing else, strangers get nothing, nobody is hurt.
+"""A real cluster reached over tcp: every role does what it may and nothing else, strangers get nothing, no one is hurt.
 
 Exact arms in real time, so that a halt has something to stop. `pytest -m slow`; half a minute in all.
 """
@@ -49,7 +49,7 @@ def run_dir() -> Iterator[Path]:
 
 
 def free_ports() -> int:
-    """The first of as many free ports in a row as there are doors; others may be looking for some too."""
+    """The first of as many free ports in a row as there are endpoints; others may be looking for some too."""
     for first in random.SystemRandom().sample(range(20_000, 32_000, len(TCP_ENDPOINTS)), k=100):
         with contextlib.ExitStack() as held, contextlib.suppress(OSError):
             for endpoint in range(len(TCP_ENDPOINTS)):
@@ -237,7 +237,7 @@ def test_a_subsystem_comes_under_the_name_of_its_key_alone(
 
 
 class Peer:
-    """A bare peer at one door: with a key, with a key that nobody knows, or in plain tcp."""
+    """A bare peer at one endpoint: with a key, with an unknown key, or in plain tcp."""
 
     def __init__(self, context: zmq.Context[Any], key: KeyFile, endpoint: str, *, plain: bool = False) -> None:
         self._socket = context.socket(zmq.SUB if endpoint in ("events", "telemetry") else zmq.DEALER)
@@ -255,7 +255,7 @@ class Peer:
         return self._socket.recv_multipart() if self._socket.poll(limit_ms) else None
 
 
-@pytest.mark.parametrize("plain", [True, False], ids=["without any key", "with a key that nobody knows"])
+@pytest.mark.parametrize("plain", [True, False], ids=["without any key", "with an unknown key"])
 def test_a_stranger_gets_nothing_at_any_endpoint(
     run_dir: Path, context: zmq.Context[Any], tmp_path: Path, plain: bool
 ) -> None:
@@ -293,9 +293,9 @@ def test_the_refusal_of_an_unknown_key_has_advice(run_dir: Path, tmp_path: Path)
     assert other.cluster != known.cluster
     with pytest.raises(NoCluster, match="not the cluster of this key file"):
         Client(key=tmp_path / "wrong.key")
-    other = KeyRing(tmp_path).new("bob", Role.OPERATOR, f"tcp://127.0.0.1:{free_ports()}", tmp_path / "nobody.key")
+    other = KeyRing(tmp_path).new("bob", Role.OPERATOR, f"tcp://127.0.0.1:{free_ports()}", tmp_path / "unknown.key")
     with pytest.raises(NoCluster, match="no answer from"):
-        Client(key=tmp_path / "nobody.key")
+        Client(key=tmp_path / "unknown.key")
 
 
 def test_a_revoked_key_is_cut_off_in_the_middle_of_its_work(new_key: Callable[[str], Path], run_dir: Path) -> None:
@@ -312,7 +312,7 @@ def test_a_revoked_key_is_cut_off_in_the_middle_of_its_work(new_key: Callable[[s
             with contextlib.suppress(ClusterError):
                 assert not rtc.halt(timeout_s=0.5).confirmed
             assert here.status()["halts"]["called"] == halts
-        assert here.trace(command).phase is m.Phase.EXECUTING  # what it began is whoever's to halt
+        assert here.trace(command).phase is m.Phase.EXECUTING  # any client may halt what it began
         assert here.halt(timeout_s=LIMIT_S).confirmed
         wait_for(lambda: other.status()["commands_live"] == 0)  # the others are there again
 
@@ -333,7 +333,7 @@ def test_random_bytes_at_every_port_hurt_no_one(run_dir: Path, new_key: Callable
 
 
 def stream_garbage(address: str, rng: random.Random) -> None:
-    """Bytes of somebody who speaks no ZeroMQ, or stops in the middle of it, or says it has another mechanism."""
+    """Bytes of a peer without ZeroMQ, or one that stops in the middle of it, or that has another mechanism."""
     host, port = urlsplit(address).hostname, urlsplit(address).port
     for mechanism in (b"CURVE", b"NULL", b"PLAIN", b""):
         greeting = b"\xff" + bytes(8) + b"\x7f\x03\x00" + mechanism.ljust(20, b"\0") + bytes(32)

@@ -54,7 +54,7 @@ class Running:
         return f"ipc://{self.run_dir / ENDPOINTS[name]}"
 
     def endpoint(self, name: str, identity: str = "") -> zmq.Socket[bytes]:
-        """As somebody's client opens it."""
+        """A socket, as any client opens it."""
         made = self.context.socket(zmq.DEALER)
         if identity:
             made.setsockopt(zmq.IDENTITY, identity.encode())
@@ -122,7 +122,7 @@ def recv(endpoint: zmq.Socket[bytes], limit_s: float = 3.0) -> dict | None:
 
 
 def recv_rest(endpoint: zmq.Socket[bytes]) -> dict:
-    """What is said last of one halt."""
+    """The last answer to one halt."""
     while (answer := recv(endpoint)) is not None:
         if answer["type"] in ("HaltAtRest", "Declined"):
             return answer
@@ -137,7 +137,7 @@ def running(tmp_path_factory) -> Iterator[Running]:
 
 
 def stops(running: Running, press: Callable[[], None]) -> None:
-    """Given a motion, when somebody halts, the arm stands still soon, and its command ends halted."""
+    """Given a motion, when it is halted, the arm stands still soon, and its command ends halted."""
     command = running.moving()
     press()
     until(lambda: running.speed() < REST_RAD_S, limit_s=1.0)

@@ -1,4 +1,4 @@
-"""Programs are checked in a process of their own: what costs too much is refused in words, and nobody waits for it."""
+"""Programs are checked in a process of their own: an expensive one is refused in words, and no client waits for it."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def test_only_who_is_meant_and_at_work_is_hit(cluster):
     maker = chaos(cluster)
     assert maker.strike("worker").pid == pid
     assert cluster.ended(pid) == -9
-    assert maker.strike("worker") is None  # nobody is hit twice
+    assert maker.strike("worker") is None  # no process is hit twice
     assert maker.strike("world") is None
 
 

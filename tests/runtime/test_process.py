@@ -85,7 +85,7 @@ def test_no_endpoint_is_bound_in_another_directory_of_the_same_name(me, tmp_path
 
 
 def test_sending_never_waits(me, tmp_path):
-    unconnected = me.socket(zmq.DEALER, f"ipc://{tmp_path}/nobody.sock", queue_length=2)
+    unconnected = me.socket(zmq.DEALER, f"ipc://{tmp_path}/unbound.sock", queue_length=2)
     results = [send(unconnected, Heartbeat(name="x")) for _ in range(10)]
     assert results[0] is True
     assert results[-1] is False

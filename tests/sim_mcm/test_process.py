@@ -116,7 +116,7 @@ def test_without_a_broker_it_finishes_stops_on_halt_and_tells_all_to_the_next(mc
     hello = broker.recv(m.SubsystemHello, lambda hello: "C-1.1" in hello.outstanding)
     assert hello.outstanding == ["C-1.1"]
     report = broker.recv(m.EndReport)
-    assert report.reason is StopReason.CONTACT  # the stop function tripped with nobody to hear of it
+    assert report.reason is StopReason.CONTACT  # the stop function tripped without a receiver
     assert report.measured == pytest.approx(0.5, abs=0.003)
     halt_line.close()
 

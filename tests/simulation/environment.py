@@ -260,13 +260,13 @@ EVENTS: dict[str, Callable[..., events.Event]] = {
 
 
 def _handle(model: Model, event: events.Event, out: int | None = None) -> list[do.Effect]:
-    """The Decision Unit hears; its effects are carried out, or only the first `out` of those that leave the broker."""
+    """Let the Decision Unit handle an event; perform its effects, or only the first `out` that leave the broker."""
     du = model.du
     live = set(du.commands)
     halted = event.scope if isinstance(event, events.HaltCalled) else ""
     effects = decide(du, event)
     for command in du.commands.values():
-        command.notes.clear()  # told, and never read again
+        command.notes.clear()  # published, and never read again
     du.counts.clear()
     wrong = [*violations(du), *forbidden(du, live, effects, halt_all=halted == "ALL")]
     if halted:
@@ -299,7 +299,7 @@ def _restart(model: Model) -> list[do.Effect]:
 
 
 def _lose(model: Model, move: Move) -> None:
-    """What the broker had read goes with it. Some of it is said again by whoever said it."""
+    """What the broker had read is lost with it. Some senders repeat their messages."""
     if move[0] == "delivered":
         model.mcm.outbox.pop(0)
     elif move[0] == "halt":
@@ -308,7 +308,7 @@ def _lose(model: Model, move: Move) -> None:
 
 def late(model: Model) -> Iterator[events.Event]:
     """What may still arrive, or arrive once more, and must change nothing: answers of workers thought dead, answers
-    and reports told twice, requests repeated, a timer that was set anew. (A halt that is repeated is obeyed again.)"""
+    and repeated reports, requests repeated, a timer that was set anew. (A halt that is repeated is obeyed again.)"""
     now, body = model.now, wire.raw(go_on())
     old = [(f"{command}/1", 1) for command in model.outcomes]
     old += [(left.job.id, left.job.attempt - 1) for left in model.du.deferred_analyses.values()]
@@ -438,7 +438,7 @@ def _at_estop(model: Model, halt: Halt, handed_in: int) -> None:
 
 
 def _die(model: Model) -> None:
-    """Killed. The arms stop where they are; what was said may still arrive. What nobody else knew is forgotten."""
+    """Killed. The arms stop where they are; what was sent may still arrive. What it alone knew is lost."""
     mcm = model.mcm
     model.estopped.clear()
     model.mcm = Mcm(pid=mcm.pid, alive=False, exit_reported=False, arms=dict.fromkeys(ARMS, ""), outbox=mcm.outbox)

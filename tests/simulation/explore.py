@@ -1,6 +1,6 @@
 """All interleavings: breadth first through every move of the model, until nothing new is found or a bound is met.
 
-In every state that is reached the invariants hold (or the shortest way there is told), and every command can still
+In every state that is reached the invariants hold (or the shortest path to it is reported), and every command can still
 end: if nothing goes wrong from there on, all of them do. That is proven by following the fair moves until a state is
 met from which it is proven already.
 """
@@ -134,7 +134,7 @@ def _left_over(model: Model) -> list[str]:
     left += [f"{what} is not empty: {it}" for what, it in (
         ("held", r.held), ("waiting", r.waiting), ("holders", r.holders), ("lines", r.lines),
         ("alone", r.alone), ("quarantine", r.quarantine), ("awaiting", du.awaiting), ("joining", du.joining),
-        ("untold", du.deferred_analyses),
+        ("deferred", du.deferred_analyses),
     ) if it]  # fmt: skip
     missing = {f"C-{n}" for n in range(1, du.accepted + 1)} - set(du.ended)
     left += [f"{command} has no outcome" for command in sorted(missing)]

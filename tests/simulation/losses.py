@@ -71,7 +71,7 @@ class LossyCluster(Cluster):
         self.world = Server(store, KEY)
 
     def _true(self, record: m.CommandRecord) -> None:
-        """Of a command that the journal lost nobody claims to know how far it came."""
+        """The progress of a command that the journal lost is unknown."""
         assert record.outcome is not None
         if self.faults["journal"] and record.outcome.kind is OutcomeKind.FAILED and "journal" in record.outcome.message:
             self.log(f"    {record.command} ends: {record.outcome.message}")
@@ -112,7 +112,7 @@ def _lose_world(cluster: LossyCluster) -> None:
 
 
 def _stranger(cluster: LossyCluster) -> None:
-    """Somebody uses the identity MCM, and says that all is at rest."""
+    """A stranger uses the identity MCM, and reports that all is at rest."""
     cluster.faults["stranger"] += 1
     cluster.log("a stranger calls itself MCM")
     line = network.Dealer(cluster.clock, b"MCM", lambda parts: None)

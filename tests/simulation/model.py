@@ -34,7 +34,7 @@ class Sentence(msgspec.Struct, frozen=True, kw_only=True):
     parsed: tuple[tuple[str, Any], ...] = ()  # fields of its record
     steps: int = 1  # with a primitive each
     empty_steps: int = 0  # before them, without one
-    stated: bool = False  # its steps are reports of somebody who tells: no subsystem is asked
+    stated: bool = False  # its steps are stated facts, without a subsystem
     arms: tuple[str, ...] = ("RIGHT-ARM",)
     trims: int = 0
     halt_if_lost: bool = False
@@ -51,7 +51,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Halt(msgspec.Struct):
-    """A halt that is called: through which of its two doors it has come, and who still brakes for it."""
+    """A halt that is called: by which of its two endpoints it has come, and which performers still brake for it."""
 
     scope: str
     handed_in: int  # commands that were there when it was called
@@ -91,8 +91,8 @@ class Model(msgspec.Struct):
     halts: dict[str, Halt] = {}
     begun: dict[str, str] = {}  # primitive -> performer, by whatever process
     goals: dict[str, int] = {}  # command -> primitives that reached their goal
-    stopped: list[str] = []  # commands that a halt has stopped, as the broker has heard it
-    estopped: list[str] = []  # the same, as the process that is the subsystem now has heard it
+    stopped: list[str] = []  # commands that a halt has stopped, as the broker has received it
+    estopped: list[str] = []  # the same, as the process that is the subsystem now has received it
     outcomes: dict[str, str] = {}
     now: float = 0.0
 
@@ -113,7 +113,7 @@ def at_work(model: Model, command: Command) -> bool:
 
 
 def deferred_at_work(model: Model) -> list[str]:
-    """Commands that have ended, of which a worker is telling the world."""
+    """Commands that have ended, whose last analysis a worker still writes."""
     return [c for c, left in model.du.deferred_analyses.items() if model.given.get(left.job.id) == left.job.attempt]
 
 

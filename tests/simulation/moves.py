@@ -73,7 +73,7 @@ def _moves(model: Model, scenario: Scenario) -> Iterator[Move]:
         yield ("born",)
         if not mcm.exit_reported:
             yield ("exit reported",)
-    if not mcm.outbox:  # limits are long: what is said arrives within them
+    if not mcm.outbox:  # limits are long: messages arrive within them
         for timer in model.timers:
             yield "timer", timer
     for scope in scenario.halts:
@@ -98,7 +98,7 @@ def _moves(model: Model, scenario: Scenario) -> Iterator[Move]:
 
 
 def _deaths(model: Model, scenario: Scenario) -> Iterator[Move]:
-    """The broker is killed while it hears something: before the journal has it (None), or with so many effects out."""
+    """The broker is killed while it handles an event: before the journal has it (None), or with so many effects out."""
     for move in _moves_of_broker(model, scenario):
         yield "broker dies", None, move
         trial = decode(encode(model))

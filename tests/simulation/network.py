@@ -1,7 +1,7 @@
 """A simulated clock, and sockets between simulated processes that behave as ZeroMQ's do.
 
 A ROUTER knows a peer by its identity while it is connected; what is sent to anybody else is dropped in silence. A
-DEALER keeps what it sends while nobody is at the other end, and hands it over when it is connected again. Between two
+DEALER keeps what it sends while no peer is at the other end, and hands it over when it is connected again. Between two
 processes messages keep their order and take their time. What a process had received and not read dies with it.
 """
 
@@ -126,7 +126,7 @@ class Dealer:
         self._immediate = immediate  # nothing is kept for later
         self.router: Router | None = None
         self.dead = False
-        self.muted = False  # connected, and another one has its identity: what it sends reaches nobody
+        self.muted = False  # connected, and another one has its identity: what it sends is dropped
         self._kept: list[Frames] = []
         self._out_s = 0.0  # when the last message of each way arrives: none overtakes it
         self._in_s = 0.0
@@ -150,7 +150,7 @@ class Dealer:
         self._connected()
 
     def send(self, parts: Frames) -> bool:
-        """False: nobody is there, and nothing is kept."""
+        """False: no peer is there, and nothing is kept."""
         if self.router is None:
             if not self._immediate:
                 self._kept.append(parts)

@@ -175,8 +175,10 @@ POSE = _Pose([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 class Mcm:
-    """sim_mcm/__main__.py and doors.py: halts first, then the broker, then a tick; nothing is kept for a broker that is
-    away, who is found is greeted. A tick of the servo takes TICK_S of the cluster's time."""
+    """sim_mcm/__main__.py and sockets.py: halts first, then the broker, then a tick.
+
+    Nothing is kept for an absent broker; a new one gets a hello. A tick takes TICK_S of the cluster's time.
+    """
 
     HEARTBEAT_S = 0.25
     TICK_S = 0.004
@@ -229,7 +231,7 @@ class Mcm:
         if not self.alive or self.stopped or self.cluster.over:
             return
         now_s, subsystem = self.cluster.clock.now_s, self.subsystem
-        waiting = sorted(self._waiting, key=lambda entry: entry[0] == BROKER)  # halts at the estop door first
+        waiting = sorted(self._waiting, key=lambda entry: entry[0] == BROKER)  # halts at the estop socket first
         self._waiting.clear()
         for peer, order in waiting:
             if isinstance(order, m.HaltOrder):
@@ -244,7 +246,7 @@ class Mcm:
             self.cluster.clock.after(self.TICK_S, self._tick)
 
     def _look_again(self) -> None:
-        """Idle, it ticks for nothing but reports that are due to be said again."""
+        """Idle, it ticks for nothing but reports that are due to be repeated."""
         if self.alive and not self.cluster.over:
             if self.subsystem.outstanding:
                 self._tick_soon()
@@ -330,13 +332,13 @@ class Client:
                 self.open.pop(message.request, None)
                 known = self.results.setdefault(message.request, message)
                 if known != message:
-                    self.cluster.wrong(f"{message.request} was told two outcomes: {known}, {message}")
+                    self.cluster.wrong(f"{message.request} got two outcomes: {known}, {message}")
 
 
 class Caller:
-    """rtc/client/halt.py: the same order to the broker and to the MCM; a door that is closed is tried again; never
+    """rtc/client/halt.py: the same order to the broker and to the MCM; a closed endpoint is tried again; never
     kept.
-    Or an emergency switch, which knows the MCM's door alone."""
+    Or an emergency switch, which knows the MCM's socket alone."""
 
     LIMIT_S = 2.0
     RETRY_S = 0.02

@@ -54,7 +54,7 @@ SWING = JointTrajectory(
 MOTIONS: dict[str, Trajectory] = {
     "swing": SWING,
     "hold": HoldStill(duration_s=0.008),
-    "late": HoldStill(),  # only its time limit ends it: nobody can mend that,
+    "late": HoldStill(),  # only its time limit ends it: nothing can mend that,
     "late-mended": HoldStill(),  # or a trim can,
     "late-skipped": HoldStill(),  # or it is expected
 }
@@ -118,7 +118,7 @@ def bind(data: bytes) -> BoundStep | Refusal:
     asked = read_step(data)
     arm, step = asked.context.arm, asked.step
     if step.do == "let":
-        return BoundStep(note="said, not done")
+        return BoundStep(note="stated, not done")
     stops = [
         StopFunction(reason=StopReason.GOAL, when=GoalReached()),
         StopFunction(reason=StopReason.TIMEOUT, when=TimeAbove(TIME_S if step.do.startswith("late") else 5.0)),

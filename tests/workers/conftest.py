@@ -209,7 +209,7 @@ class Bench:
 
     def __init__(self, subsystem: Any) -> None:
         self.subsystem = subsystem
-        # As if somebody had surveyed the cell: a grasp is that of Figure 4 then. See `unsurveyed`.
+        # As if the cell had been surveyed: a grasp is that of Figure 4 then. See `unsurveyed`.
         surveyed = [msgspec.structs.replace(change, spread=None) for change in initial_facts(CELL)]
         self.world = World().overlay(surveyed)
         self.programs = {kind: loader.default(kind) for kind in ("elaborator", "binder", "analyzer")}

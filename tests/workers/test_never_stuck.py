@@ -121,7 +121,7 @@ def test_a_hand_closed_round_a_handle_leaves_the_place_of_the_thing_in_doubt(ben
 
 @pytest.mark.slow
 def test_on_physics_out_of_a_handle_that_is_believed_to_be_between_finger_and_palm(physical):
-    """The hand straddles the handle; told is, wrongly, that a finger stands 10 mm deep in it."""
+    """The hand straddles the handle; the stated pose has, wrongly, a finger stands 10 mm deep in it."""
     for sentence in (
         "APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM",
         "MOVE RIGHT-ARM BY 10 CM ALONG TOOL-Z",

@@ -101,7 +101,7 @@ def test_a_client_finds_the_restarted_server_and_what_it_had_written(world, clie
 
 
 def test_a_missing_server_is_an_error_within_the_limit(tmp_path):
-    alone = WorldClient(f"ipc://{tmp_path}/nobody.sock", limit_s=0.05)
+    alone = WorldClient(f"ipc://{tmp_path}/unbound.sock", limit_s=0.05)
     with pytest.raises(ClusterError, match=r"did not answer within 0\.05 s"):
         alone.view()
     alone.close()

@@ -58,7 +58,7 @@ def test_an_overlay_leaves_the_world_as_it_was():
         (["B.seat", "A.seat"], 0, ["B.seat", "A.seat"]),
         (["A"], 0, ["A.seat", "A.mass"]),  # a whole location
         (["A", "B.seat"], 2, ["A.mass"]),
-        (["NOBODY", "NOBODY.x"], 0, []),
+        (["NO-ARM", "NO-ARM.x"], 0, []),
     ],
 )
 def test_which_facts_a_read_selects(keys, since, found):

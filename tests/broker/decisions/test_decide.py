@@ -67,7 +67,7 @@ def test_a_step_without_a_primitive_is_passed_through():
 
 @pytest.mark.parametrize("name", ["X-9.1", "C-2.1", "C-1.2", ""])
 def test_a_primitive_of_another_name_is_not_sent(name):
-    """A halt of its command would not find it, and its report would belong to nobody."""
+    """A halt of its command would not find it, and its report would belong to no command."""
     s = Harness()
     s.elaborated(script())
     assert not [line for line in s.answers("C-1", bound(name)) if line.startswith("primitive")]
@@ -96,7 +96,7 @@ def test_a_primitive_that_no_analyzer_could_judge_is_not_sent():
 
 
 def test_stated_facts_go_straight_to_an_analyzer():
-    """A24: it is a report like any other, but nobody moves for it: no subsystem, no acknowledgement, no timer."""
+    """A24: it is a report like any other, but nothing moves for it: no subsystem, no acknowledgement, no timer."""
     s = Harness(mcm=False)
     s.elaborated(script(resources=("MODULE",)))
     assert s.answers("C-1", stated(2.1)) == ["job C-1/4 analyzer #1 lease MODULE", "note C-1 analyzing"]
@@ -508,7 +508,7 @@ def test_halt_of_a_motion_waits_for_rest_and_puts_the_world_right():
 def test_halt_at_the_subsystem_itself_is_understood():
     s = Harness()
     s.executing()
-    s.reports("C-1", StopReason.HALT)  # somebody used the emergency stop; the broker was not asked
+    s.reports("C-1", StopReason.HALT)  # a halt by the emergency stop, past the broker
     assert s.phase("C-1") == "closing"
     assert s.answers("C-1", go_on())[-1] == "end C-1 halted"
 
@@ -539,7 +539,7 @@ def test_rest_without_confirmation_is_distinguished_and_closes_the_arm():
         "note C-1 closing",
     ]
     stated = wire.decoder(AnalyzerInput)(s.state.commands["C-1"].job.input)
-    assert (stated.report.joints, stated.closing) == ([], True)  # where it is nobody knows, and the world is told so
+    assert (stated.report.joints, stated.closing) == ([], True)  # the position is unknown, and the world records that
     assert s.answers("C-1", go_on()) == ["no timer C-1", "note C-1 ended", "end C-1 halt_not_confirmed"]
     assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
     s.parsed()
@@ -1054,7 +1054,7 @@ def test_after_a_minute_the_command_fails_and_what_it_touched_is_closed_until_th
         "RIGHT-ARM is in use by the world database, which does not have the changes of C-1 yet"
     )
     s.halts("RIGHT-ARM")
-    s.rests("h1")  # that it is at rest is not what the world has to be told
+    s.rests("h1")  # rest is not a fact for the world
     assert set(s.state.resources.quarantine) == {"RIGHT-ARM", "MODULE"}
     assert s.handle(TimerFired, timer="C-1/4") == ["job C-1/4 analyzer #3 lease RIGHT-ARM+MODULE"]
     assert s.tells("C-1", "away") == ["timer C-1/4"]
@@ -1181,7 +1181,7 @@ def test_what_else_was_under_way_with_a_program_that_was_rolled_back_is_done_aga
     assert fail(s, "C-2") == ["note C-2 parsing", "job C-2/1 parser #2"]
     assert s.state.commands["C-2"].job.program == "old"
     assert s.state.commands["C-2"].job.deaths == []
-    assert "C-1" in s.state.rollouts["parser"].why  # it is told of the first
+    assert "C-1" in s.state.rollouts["parser"].why  # it names the first
     assert fail(s, "C-2")[0] == ("note C-2 parsing" if fail is Harness.loses_worker else "note C-2 ended")
     assert s.state.counts["programs_rolled_back"] == 1
 
@@ -1281,7 +1281,7 @@ def test_a_roll_back_reaches_the_live_commands_that_began_with_the_program():
 # --- restart -----------------------------------------------------------------------------------------
 
 
-def test_a_restarted_broker_gives_out_what_was_given_out():
+def test_a_restarted_broker_assigns_again_what_was_assigned():
     s = Harness()
     s.says("X", client="bob")
     s.executing(hand="LEFT-ARM")
@@ -1317,21 +1317,21 @@ def test_a_halt_lost_with_the_broker_is_ordered_again():
 # --- what exploring all interleavings found (tests/simulation) ---------------------------------------
 
 
-def told_by_mcm(s: Harness, scope: str = "ALL", halt: str = "h1") -> list[str]:
+def reported_by_mcm(s: Harness, scope: str = "ALL", halt: str = "h1") -> list[str]:
     return s.handle(HaltCalled, client="MCM", halt=halt, scope=scope)
 
 
 def test_a_halt_that_only_the_subsystem_received_stops_everything_here_too():
     s = Harness()
     s.parsed()
-    assert told_by_mcm(s) == ["halt ALL to MCM", "cancel C-1/2", "note C-1 ended", "end C-1 halted"]
+    assert reported_by_mcm(s) == ["halt ALL to MCM", "cancel C-1/2", "note C-1 ended", "end C-1 halted"]
 
 
 def test_a_subsystem_that_tells_of_a_halt_is_always_answered_with_it_or_it_would_begin_nothing_for_ever():
     s = Harness()
     s.halts()
-    assert told_by_mcm(s) == ["halt ALL to MCM"]  # known already
-    assert told_by_mcm(s, "C-9", "h2") == ["halt C-9 to MCM"]  # means nothing here
+    assert reported_by_mcm(s) == ["halt ALL to MCM"]  # known already
+    assert reported_by_mcm(s, "C-9", "h2") == ["halt C-9 to MCM"]  # means nothing here
 
 
 def test_a_primitive_is_meant_for_the_process_that_sent_hello():
@@ -1361,7 +1361,7 @@ def test_a_late_word_on_what_was_stopped_opens_its_arm(late):
     s.rings("C-1")
     s.answers("C-1", go_on())
     s.reports("C-9", primitive="C-9.4")
-    s.reports("C-1", primitive="C-1.0")  # of an earlier step, told twice
+    s.reports("C-1", primitive="C-1.0")  # of an earlier step, repeated
     assert s.state.resources.quarantine == {"RIGHT-ARM": ("MCM", "C-1.1")}
     if late == "the report":
         s.reports("C-1", StopReason.HALT, primitive="C-1.1")

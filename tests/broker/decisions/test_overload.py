@@ -1,4 +1,4 @@
-"""Too much, and things said by those who have no business to: what the Decision Unit takes, and from whom."""
+"""Overload and unauthorised requests: which ones the Decision Unit accepts, and from which client."""
 
 from __future__ import annotations
 

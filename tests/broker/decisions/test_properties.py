@@ -96,7 +96,7 @@ class Environment(Harness):
             self.reports(command.id, (StopReason.GOAL, StopReason.HALT, StopReason.CONTACT)[n % 3])
 
     def halt(self, n: int) -> None:
-        scopes = ("ALL", "RIGHT-ARM", "LEFT-ARM", f"C-{1 + n % max(1, self.state.accepted)}", "NOBODY")
+        scopes = ("ALL", "RIGHT-ARM", "LEFT-ARM", f"C-{1 + n % max(1, self.state.accepted)}", "NO-ARM")
         self.halts(scopes[n % len(scopes)], f"h{n}")
 
     def rest(self, n: int) -> None:
@@ -117,7 +117,7 @@ class Environment(Harness):
             self.mcm_hello(self.pid, outstanding=moving[: n % 3] if n % 2 == 0 else [], at_rest=n % 5 > 0)
 
     def again(self, n: int) -> None:
-        """An event heard before comes once more: late, double or stale."""
+        """An earlier event arrives once more: late, double or stale."""
         if self.past:
             self._decide(self.past[n % len(self.past)])
 
@@ -129,7 +129,7 @@ class Environment(Harness):
         self.handle(events.BrokerRestarted)
 
     def settle(self) -> None:
-        """The surroundings come to their senses: everything is answered well. Nothing may be left."""
+        """The environment recovers: everything gets a good answer. Nothing may be left."""
         self.mcm_hello(self.pid, outstanding=[])
         for _ in range(3000):
             if not self.state.commands and not self.state.deferred_analyses:
@@ -146,7 +146,7 @@ class Environment(Harness):
                     self.reports(live.id)
                 elif live.phase in MOVING and self.state.halt_sentences[live.id].unconfirmed:
                     self.rests(live.id)
-                elif live.phase in MOVING:  # nobody was there to be told of its halt: nobody will confirm it
+                elif live.phase in MOVING:  # no subsystem was there to get its halt: none will confirm it
                     self.rings(live.id)
                 elif live.phase.value == "paused":
                     self.halts(live.id, f"end-{live.id}")

@@ -1,4 +1,4 @@
-"""All or nothing, in order, and nobody waits while holding."""
+"""All or nothing, in order, and no command waits while it holds."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ def row(name, state):
 
 
 class Cluster:
-    """A roster, its pools, and what the supervisor told."""
+    """A worker registry, its autoscaler, and what the supervisor reported."""
 
     def __init__(self, *binders, least=1, most=3):
         self.registry, self.autoscaler = WorkerRegistry(), Autoscaler(least, most)

@@ -131,7 +131,7 @@ def test_of_a_command_that_lived_long_the_story_is_kept_as_long_as_any_others(pa
     s.reports("C-1")
     s.answers("C-1", go_on())
     s.journal.tidy()
-    s.journal.keep_records([s.journal.record("C-5"), s.journal.record("C-1")])  # told again by a replay
+    s.journal.keep_records([s.journal.record("C-5"), s.journal.record("C-1")])  # made again by a replay
     assert [s.journal.record(f"C-{n}") is not None for n in range(1, 6)] == [True, False, False, False, True]
     s.analyzing()
     s.answers("C-6", go_on())

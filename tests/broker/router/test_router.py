@@ -109,7 +109,7 @@ class Bench:
             self.router.run_once(None)
 
     def send(self, endpoint: str, peer: bytes, *messages: Any) -> list[Any]:
-        """What comes back to this peer, when all has been heard."""
+        """The answers to this peer, after all messages have been handled."""
         socket = self.sockets[endpoint]
         for message in messages:
             socket.put([peer, *wire.frames(message)])
@@ -201,7 +201,7 @@ def test_messages_for_another_cluster_are_not_obeyed(bench: Bench, message: Any)
 
 @pytest.mark.parametrize("has_ended", [False, True])
 def test_a_known_request_with_another_text_is_declined(working: Bench, has_ended: bool) -> None:
-    """Given a client that counts from one again, then it is not told the outcome of its former life."""
+    """Given a client that counts from one again, then it does not get the outcome of its former life."""
     if has_ended:
         refused = m.JobRefused(id="C-1/1", attempt=1, refusal=m.Refusal(reason="sentence", message="no"))
         working.send("workers", b"parser@0", m.ResultBatch(name="parser@0", results=[refused]))
@@ -217,7 +217,7 @@ def test_a_known_request_with_another_text_is_declined(working: Bench, has_ended
     [{"source": "planner"}, {"text": 7}, {"request": "r" * 250}, {"sent_at_s": -1.0}, {"type": "CommandTexts"}],
 )
 def test_what_cannot_be_read_is_answered_by_its_name(bench: Bench, wrong: dict[str, Any]) -> None:
-    """Or whoever has sent it would wait without end."""
+    """Otherwise its sender would wait without end."""
     message = {"type": "CommandText", "request": "1", "text": "STOW LEFT-ARM", **wrong}
     (declined,) = bench.send("front", b"ann", message)
     assert (type(declined), declined.request) == (m.Declined, message["request"])
@@ -254,7 +254,7 @@ def test_an_answer_counts_only_from_whom_the_job_was_given_to(working: Bench) ->
 )
 def test_no_peer_speaks_for_another(working: Bench, endpoint: str, message: Any) -> None:
     before = wire.encode(working.state)
-    working.send(endpoint, b"somebody", message)
+    working.send(endpoint, b"stranger", message)
     assert working.router.core.dropped[endpoint] == 1
     assert wire.encode(working.state) == before
     assert list(working.router.core.registry.workers) == ["parser@0"]
@@ -378,7 +378,7 @@ def test_callers_are_forgotten_some_time(bench: Bench) -> None:
 
 
 def test_the_names_of_the_brokers_own_halts_are_not_for_others(working: Bench) -> None:
-    """Or somebody could have the rest of C-1 confirmed by a halt of something else."""
+    """Otherwise a client could get the rest of C-1 confirmed by a halt of something else."""
     working.send("halt", b"x", m.HaltOrder(halt="stop-C-1", scope="RIGHT-ARM", called_at_s=float("nan")))
     order = wire.reader(m.BrokerToSubsystem)(working.sockets["subsystems"].sent[-1][1:])
     assert (order.halt, order.scope, order.called_at_s) == ("H-stop-C-1", "RIGHT-ARM", 0.0)

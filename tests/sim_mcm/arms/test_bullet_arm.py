@@ -192,7 +192,7 @@ def test_an_arm_that_hits_the_other_says_so_and_can_be_moved_away(world, bench, 
     assert link in world.arms[ARM].upstream.values()
     assert body == "LEFT-ARM"
 
-    # When it is told to go back, still touching, then it does
+    # When it is commanded back, still touching, then it moves
     here = bench.subsystem.executors[ARM]._command[0]
     back = bench.perform(make.primitive(make.joint_path(here, start, 6.0), touch, id="C-7.2"))
     assert back.reason is StopReason.GOAL

@@ -251,7 +251,7 @@ def test_thresholds_are_masked_while_stopping(rig, make) -> None:
     report = rig.until_end()
 
     assert report.reason is StopReason.CONTACT
-    assert report.peak_force_n == pytest.approx(32.0)  # but it is told
+    assert report.peak_force_n == pytest.approx(32.0)  # but it is reported
 
 
 def test_backing_off_returns_along_the_way_it_came(rig, make) -> None:

@@ -1,4 +1,4 @@
-"""The MCM towards the broker and towards whoever halts: nothing twice, nothing lost, nothing begun after a halt."""
+"""The MCM towards the broker and towards callers of halts: nothing twice, nothing lost, nothing begun after a halt."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_a_halt_of_all_stops_both_arms_and_tells_when(bench, swing) -> None:
     bench.tick(500)
     called = bench.now_s
     halt = m.HaltOrder(halt="H-1")
-    ((peer, passed_on),) = bench.handle(halt, CALLER)  # passed on, in case nobody has told the broker
+    ((peer, passed_on),) = bench.handle(halt, CALLER)  # passed on, because the broker may not have it
     assert (peer, passed_on.received_at_s) == (BROKER, called)
     assert msgspec.structs.replace(passed_on, call="", received_at_s=0.0) == halt
 
@@ -183,7 +183,7 @@ def test_the_same_halt_from_two_sides_is_one_halt_and_both_are_answered(bench, s
     assert [message for peer, message in again if peer == ANOTHER] == [started, *kinds(rest, m.HaltAtRest)[:1]]
 
 
-# Of a halt whose name was used before: it is obeyed, and what was true then is not told as being true now.
+# A halt whose name was used before: it is obeyed, and the earlier answers are not repeated as current ones.
 
 
 @pytest.mark.parametrize("peer", [CALLER, ANOTHER, BROKER])
@@ -222,17 +222,17 @@ def test_a_halt_of_all_under_the_open_name_of_a_halt_of_one_arm_stops_the_other_
     sent = bench.tick(400)
     assert fastest(bench) == pytest.approx(0.0, abs=1e-6)
     answers = {peer: message.performers for peer, message in sent if isinstance(message, m.HaltAtRest)}
-    assert answers == {CALLER: [OTHER], ANOTHER: [ARM, OTHER]}  # each hears of its own halt
+    assert answers == {CALLER: [OTHER], ANOTHER: [ARM, OTHER]}  # each gets the answer to its own halt
 
 
 def test_the_broker_that_knows_of_one_halt_need_not_know_of_another_of_its_name(bench, swing) -> None:
-    """Given a halt that the broker was told of, when another of the same name is called past it, then what the broker
+    """Given a halt that the broker has received, when another of the same name is called past it, then what the broker
     sent before it knows of that one does not begin."""
     first = bench.handle(m.HaltOrder(halt="1"), CALLER)
     second = bench.handle(m.HaltOrder(halt="1"), ANOTHER)
     for order in kinds(first, m.HaltOrder):
         bench.handle(order, BROKER)
-    bench.handle(m.HaltOrder(halt="1", call="7-1"), BROKER)  # the broker was told of the first by its caller as well
+    bench.handle(m.HaltOrder(halt="1", call="7-1"), BROKER)  # the broker got the first one from its caller too
     (report,) = kinds(bench.handle(m.Execute(primitive=swing("C-9.1"))), m.EndReport)
     assert report.reason is StopReason.HALT
     for order in kinds(second, m.HaltOrder):
@@ -268,7 +268,7 @@ def test_a_halt_during_a_stop_waits_for_rest(bench, swing) -> None:
 
 def test_rest_that_does_not_come_is_reported(cell, make) -> None:
     class Pushed:
-        """Two arms one of which is pushed about by somebody."""
+        """Two arms, one of which is pushed from outside."""
 
         def __init__(self) -> None:
             self.arms = {ARM: make.SteeredArm(cell, ARM), OTHER: make.SteeredArm(cell, OTHER)}
@@ -329,7 +329,7 @@ def test_rest_is_confirmed_after_the_end_has_been_reported(bench, swing) -> None
 
 def test_a_primitive_meant_for_the_process_before_is_passed_over(bench, swing) -> None:
     sent = bench.handle(m.Execute(primitive=swing(), pid=bench.subsystem.pid + 1))
-    assert [type(message) for _, message in sent] == [m.SubsystemHello]  # whoever sent it does not know us
+    assert [type(message) for _, message in sent] == [m.SubsystemHello]  # its sender does not know us
     assert bench.subsystem.idle
     assert kinds(bench.handle(m.Execute(primitive=swing(), pid=bench.subsystem.pid)), m.Started)
 
@@ -344,7 +344,7 @@ def test_a_halt_of_one_command_leaves_another_commands_orders_alone(bench, swing
 
 
 def test_a_name_used_up_beforehand_does_not_keep_the_brokers_halt_from_stopping(bench, swing) -> None:
-    """Given somebody at the estop socket who said the name of a halt before there was anything to halt."""
+    """Given a caller at the estop socket that used the name of a halt before anything moved."""
     order = m.HaltOrder(halt="stop-C-7", scope="C-7")
     bench.subsystem.handle(order, CALLER, bench.now_s)
     bench.handle(order)
@@ -361,7 +361,7 @@ def test_a_caller_with_many_open_halts_is_obeyed_and_declined(bench, swing) -> N
     sent = [bench.subsystem.handle(m.HaltOrder(halt=f"H-{n}"), CALLER, bench.now_s) for n in range(OPEN_HALTS + 3)]
     declined = [messages for messages in sent if kinds(messages, m.Declined)]
     assert len(declined) == 3
-    assert all(kinds(messages, m.HaltOrder) for messages in declined)  # the broker hears of each
+    assert all(kinds(messages, m.HaltOrder) for messages in declined)  # the broker gets each
     ended = [message for peer, message in bench.tick(600) if isinstance(message, m.HaltAtRest) and peer == CALLER]
     assert len(ended) == OPEN_HALTS
 

@@ -223,7 +223,7 @@ def test_a_halt_while_feeling_makes_suspect_what_was_touched(bench, peak_n, susp
 
 
 def test_fingers_halted_while_they_press_do_hold(bench):
-    """Else an arm could go and drag along what nobody knows it holds."""
+    """Otherwise an arm could drag along an object that it is not known to hold."""
     script = bench.elaborate(GRASP)
     bench.do("MOVE RIGHT-ARM TO-GRASP-POINT-OF MACS-NEW")
     bound = bench.bind(script, script.steps[-1])

@@ -1,4 +1,4 @@
-"""What a report says of a thing nobody touched: what cannot be is refused, the rest believed, with what follows."""
+"""Reported facts of objects without a touch: implausible ones are refused, others accepted with their consequences."""
 
 from __future__ import annotations
 

@@ -354,7 +354,7 @@ IN_DOUBT = [
     ("MOVE RIGHT-ARM TO BAY-2-FRONT", True),
     ("MOVE RIGHT-ARM BY 5 CM ALONG UP", True),
     ("STOW RIGHT-ARM", True),
-    ("INSERT MACS-NEW INTO RACK-1", True),  # whoever wrote its script
+    ("INSERT MACS-NEW INTO RACK-1", True),  # independent of the author of its script
     ("RETRACT RIGHT-ARM BY 1 CM", False),
     ("RELEASE MACS-NEW VIA FREE-DRIFT", False),
     ("VERIFY MACS-NEW AT RIGHT-ARM", False),
@@ -366,7 +366,7 @@ IN_DOUBT = [
 
 @pytest.mark.parametrize(("sentence", "refused"), IN_DOUBT)
 def test_nothing_is_carried_while_it_is_in_doubt_how_it_is_held(bench, sentence, refused):
-    """R151: what was halted or failed in the hand is felt again first; whoever backs off or lets go may do so."""
+    """R151: what was halted or failed in the hand is felt again first; backing off and letting go are permitted."""
     bench.load(
         "elaborator",
         "script: my-insert\ncase: 3\nuses: [object, target]\nneeds: [object_held]\n"
@@ -419,9 +419,9 @@ def test_what_is_not_done_yet_is_refused_by_name(bench, sentence, word):
 
 
 def test_maintain_becomes_figures(bench):
-    said = "MAINTAIN SPEED 10 CM/S AND FORCE-LIMIT 12 N AND AVOID-NEIGHBORS BY 2 CM AND TIME-LIMIT 60 SEC"
+    constraints = "MAINTAIN SPEED 10 CM/S AND FORCE-LIMIT 12 N AND AVOID-NEIGHBORS BY 2 CM AND TIME-LIMIT 60 SEC"
 
-    limits = script_of(bench, f"GRASP RIGHT-END-EFF MACS-NEW HANDLE-A {said}").context.limits
+    limits = script_of(bench, f"GRASP RIGHT-END-EFF MACS-NEW HANDLE-A {constraints}").context.limits
 
     assert (limits.speed_m_s, limits.force_n, limits.clearance_m, limits.time_s) == (0.10, 12.0, 0.02, 60.0)
 

@@ -1,4 +1,4 @@
-"""What somebody tells of a thing, from the sentence to the world; and what is not taken for told."""
+"""Stated facts of an object, from the sentence to the world, and those that are refused."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 def state(bench, sentence: str) -> None:
     run = bench.do(sentence)
     assert run.succeeded, (run.refusal, run.assessments)
-    assert run.primitives == []  # nobody has moved
+    assert run.primitives == []  # nothing has moved
 
 
 def refused(bench, sentence: str) -> Refusal:
@@ -106,7 +106,7 @@ def test_a_position_keeps_the_attitude_believed_so_far(bench):
     [
         ("SET MACS-NEW FRAME 81 -80 60 CM", "RACK-1"),  # a centimetre off its seat: it has been pushed
         ("SET MACS-NEW FRAME 60 -80 60 CM", ""),  # out of it
-        ("SET MACS-NEW FRAME 93 0 70 CM", "BAY-2"),  # in another: somebody has put it there
+        ("SET MACS-NEW FRAME 93 0 70 CM", "BAY-2"),  # in another: it was put there
     ],
 )
 def test_where_a_thing_is_tells_which_seat_it_is_in(bench, sentence, seat):

@@ -75,7 +75,7 @@ class Function:
             case ["wait"]:
                 self.began.set()
                 assert self.go_on.wait(10)
-                self.socket.poll(1000)  # what the broker said meanwhile has arrived
+                self.socket.poll(1000)  # messages of the broker have arrived
                 return "waited"
         return data.text
 
@@ -92,17 +92,17 @@ class Broker:
     def recv(self):
         """The next message that is no heartbeat."""
         for _ in range(40):
-            assert self.process.wait(10), "the worker said nothing"
+            assert self.process.wait(10), "the worker sent nothing"
             _, *parts = self.socket.recv_multipart()
             message = self.read(parts)
             if not isinstance(message, Heartbeat):
                 return message
             if self.asks:
                 self.send(JobBatch(jobs=[]))
-        raise AssertionError("the worker said nothing but heartbeats")
+        raise AssertionError("the worker sent only heartbeats")
 
     def recv_heartbeat(self):
-        assert self.process.wait(10), "the worker said nothing"
+        assert self.process.wait(10), "the worker sent nothing"
         _, *parts = self.socket.recv_multipart()
         assert isinstance(self.read(parts), Heartbeat)
 
@@ -156,7 +156,7 @@ def world(tmp_path):
 
 @pytest.fixture
 def at(tmp_path, world, monkeypatch):
-    """A shell at work in a thread, its broker, and its function; hello has been said. It hears the broker before every
+    """A worker loop in a thread, its broker, and its function; hello has been sent. It reads the socket before every
     job: tests do not wait."""
     monkeypatch.setattr("workers.runtime.worker_loop.LISTEN_S", 0.0)
     process, mine = Process("parser@0", tmp_path), Process("broker", tmp_path)
@@ -291,7 +291,7 @@ def test_a_broker_begun_anew_gets_a_hello_and_no_work_of_the_old_one(at):
     at.broker.give("wait", "old")
     at.broker.provide()
     assert at.function.began.wait(10)
-    for _ in range(3):  # it has heard three heartbeats of a stranger
+    for _ in range(3):  # it has received three heartbeats of a stranger
         at.broker.send(JobBatch(jobs=[]))
     at.broker.give("new", first=7)
     at.function.go_on.set()
