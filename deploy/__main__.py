@@ -6,6 +6,7 @@ The options are declared in `rtc.cli.cluster`, which passes `Settings` as JSON.
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ from pathlib import Path
 import msgspec
 
 from deploy import cluster
+from rtc.observers.extras import missing
 from rtc.protocol.outcomes import ClusterError, NoCluster, ProgramError, RtcError
 from rtc.runtime.keys import check_address
 from rtc.runtime.settings import Settings
@@ -53,8 +55,18 @@ def checked(settings: Settings) -> Settings:
         raise ClusterError(f"--least {least} is more than --most {most}: use --most {least} or more")
     if settings.listen:
         check_address(settings.listen)
+    if settings.record:
+        _check_recordings(Path(settings.record))
     run_dir = str(Path(settings.run_dir).absolute())
     return msgspec.structs.replace(settings, run_dir=run_dir, cell=_cell(settings.cell))
+
+
+def _check_recordings(folder: Path) -> None:
+    """Raises ClusterError if nothing can be recorded into this directory."""
+    if need := missing("record"):
+        raise ClusterError(f"--record: {need}")
+    if not os.access(folder, os.W_OK):
+        raise ClusterError(f"--record: no file can be written in {folder}, the current directory")
 
 
 def _cell(text: str) -> str:

@@ -73,9 +73,15 @@ def specs(settings: Settings, fd: int = -1) -> list[Spec]:
         *_with_template("world", "rtc.world", settings),
         *_with_template("MCM", "sim_mcm", settings),
         *([_spec("gate", "broker.gateway.gateway", settings, beats=True)] if settings.listen else []),
+        *([_recorder(settings)] if settings.record else []),
         *(worker(settings, address) for address in _first_workers(settings)),
     ]
     return [_hand(spec, fd) for spec in made]
+
+
+def _recorder(settings: Settings) -> Spec:
+    """It is ready before the cluster is, so that the first command is recorded."""
+    return _spec("recorder", "rtc.observers.recorder", settings, "--into", settings.record, beats=True)
 
 
 def _hand(spec: Spec, fd: int) -> Spec:

@@ -30,12 +30,18 @@ ONLY_IN = {
     "coal": ("rtc/robot/", "workers/planning/motion/", "sim_mcm/"),
     "lark": ("rtc/language/",),
     "typer": ("rtc/cli/",),
+    "mcap": ("rtc/observers/",),
+    "mcap_protobuf": ("rtc/observers/",),
+    "foxglove_schemas_protobuf": ("rtc/observers/",),
+    "prometheus_client": ("rtc/observers/",),
+    "opentelemetry": ("rtc/observers/",),
     "sqlite3": ("rtc/world/", "rtc/client/past_runs.py", "rtc/runtime/damaged_database.py", "broker/"),
 }
 #: pure packages and files: no clock, no socket, no process, no chance
 PURE = (
     "rtc/protocol/", "rtc/language/", "rtc/robot/geometry.py", "rtc/world/model.py", "rtc/world/spread.py",
     "broker/decisions/", "broker/dispatch/", "sim_mcm/control/",
+    "rtc/observers/viewer_schema.py",
 )  # fmt: skip
 #: packages whose modules all lie in packages of their own
 ROOMS = ("rtc", "workers")

@@ -61,6 +61,9 @@ def up(
     listen: Annotated[
         str, typer.Option(help="tcp://HOST:PORT: admit holders of a key (rtc keys) from other machines.")
     ] = DEFAULT.listen,
+    record: Annotated[
+        bool, typer.Option("--record", help="Record the run in the current directory: rtc-DATE-TIME.mcap.")
+    ] = False,
     run_dir: RunDir = None,
     detach: Annotated[bool, typer.Option("-d", "--detach", help="Return once it is ready.")] = False,
 ) -> None:
@@ -80,6 +83,7 @@ def up(
         mcm=cast(Mcm, mcm),
         speed=speed_of(speed),
         listen=listen,
+        record=str(Path.cwd()) if record else "",
     )
     _become_deploy("up", *(["-d"] if detach else []), "--", msgspec.json.encode(settings).decode())
 

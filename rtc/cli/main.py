@@ -28,6 +28,8 @@ COMMANDS = {
     "do": "sentences",
     "halt": "halt",
     "look": "look",
+    "record": "record",
+    "play": "record",
     "log": "log",
     "trace": "trace",
     "why": "trace",

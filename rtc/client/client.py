@@ -102,7 +102,7 @@ class Client:
         if source not in SOURCES:
             raise ValueError(f"invalid source {source!r}: it must be {' or '.join(SOURCES)}")
         self.run_dir = Path(run_dir) if run_dir is not None else default_run_dir()
-        self._endpoints: Endpoints = _settings_of(self.run_dir) if key is None else KeyFile.load(key)
+        self._endpoints: Endpoints = running_settings(self.run_dir) if key is None else KeyFile.load(key)
         self._endpoints.endpoint("front")  # raises if the key's role is not that of a client
         self.source: Source = source
         self._life = uuid.uuid4().hex[:8]  # keeps our requests apart from those of another client with this name
@@ -462,7 +462,7 @@ def _each(
                 continue  # of a newer version
 
 
-def _settings_of(run_dir: Path) -> Settings:
+def running_settings(run_dir: Path) -> Settings:
     """The cluster's settings. Raises NoCluster at once if no process listens in `run_dir`."""
     try:
         settings = Settings.load(run_dir)

@@ -37,6 +37,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     mcm: Mcm = "bullet"
     speed: Annotated[float, Meta(ge=0)] = 1.0  # simulated seconds per second; 0 = as fast as possible
     listen: str = ""  # tcp://HOST:PORT of the gateway for other machines; empty = no gateway
+    record: str = ""  # directory for the files of the recorder; empty = no recorder
 
     far = False  # the cluster is on this machine and shares its clock
 

@@ -1,0 +1,137 @@
+"""The story of a recording: reads an MCAP file of the recorder, also one without an end, and puts it in words."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from mcap.exceptions import EndOfFile, McapError
+from mcap.records import Attachment, Channel, DataEnd, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader
+
+from rtc.observers.recording import HEADER
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import RtcError
+
+ARM_TOPIC = "/rtc/arms/"
+Event = m.CommandRecord | m.ProgressNote | m.CommandEnded
+_read: dict[str, Callable[[bytes], Event]] = {
+    "/rtc/commands": msgspec.json.Decoder(m.CommandRecord).decode,
+    "/rtc/progress": msgspec.json.Decoder(m.ProgressNote).decode,
+    "/rtc/outcomes": msgspec.json.Decoder(m.CommandEnded).decode,
+}
+_read_arm = msgspec.json.Decoder(m.ArmSample).decode
+
+
+class NotARecording(RtcError):
+    """The file is not an MCAP file, or one of another program."""
+
+
+@dataclass
+class Story:
+    """What a recording contains. Times are Unix time (s)."""
+
+    about: dict[str, str] = field(default_factory=dict)  # the metadata record
+    events: list[tuple[float, Event]] = field(default_factory=list)
+    arms: dict[str, m.ArmSample] = field(default_factory=dict)  # the last sample of each
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    first_s: float = 0.0
+    last_s: float = 0.0
+    complete: bool = False  # the recorder has ended in order
+
+    @property
+    def outcomes(self) -> dict[str, m.CommandEnded]:
+        """The outcome of each ended command, by its number."""
+        return {event.command: event for _, event in self.events if isinstance(event, m.CommandEnded)}
+
+
+def read(path: Path) -> Story:
+    """Read a recording up to its end, or up to where a killed recorder left it. Raises OSError, NotARecording."""
+    story = Story()
+    channels: dict[int, Channel] = {}
+    with open(path, "rb") as file:
+        try:
+            for record in StreamReader(file).records:
+                if isinstance(record, Channel):
+                    channels[record.id] = record
+                elif isinstance(record, Message):
+                    _take(story, channels[record.channel_id].topic, record)
+                else:
+                    _take_other(story, record)
+        except (EndOfFile, struct.error):
+            pass  # cut off: all complete chunks have been read; the second is raised for a cut length
+        except (McapError, msgspec.MsgspecError, ValueError) as error:
+            raise NotARecording(f"{path} is not a recording of rtc: {error}") from None
+    if not story.about:
+        raise NotARecording(f"{path} is not a recording of rtc: it has no metadata {HEADER!r}")
+    story.events.sort(key=lambda pair: (pair[0], not isinstance(pair[1], m.CommandRecord)))
+    return story
+
+
+def _take(story: Story, topic: str, record: Message) -> None:
+    at_s = record.publish_time / 1e9
+    story.first_s = min(story.first_s or at_s, at_s)
+    story.last_s = max(story.last_s, at_s)
+    if (decode := _read.get(topic)) is not None:
+        story.events.append((at_s, decode(record.data)))
+    elif topic.startswith(ARM_TOPIC):
+        story.arms[topic.removeprefix(ARM_TOPIC)] = _read_arm(record.data)
+
+
+def _take_other(story: Story, record: McapRecord) -> None:
+    match record:
+        case Metadata(name=name, metadata=about) if name == HEADER:
+            story.about = about
+        case Attachment(name=name, data=data):
+            story.attachments[name] = data
+        case DataEnd():
+            story.complete = True
+
+
+def extract(story: Story, folder: Path) -> list[Path]:
+    """Write the attachments into a directory; returns the files. Raises OSError."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, data in story.attachments.items():
+        paths.append(folder / Path(name).name)
+        paths[-1].write_bytes(data)
+    return paths
+
+
+def in_words(story: Story) -> Iterator[str]:
+    """The story, a line per event; times in seconds since the first message."""
+    began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(story.first_s))
+    run = f"cluster {story.about['cluster']}, " if story.about.get("cluster") else ""
+    yield f"{run}cell {story.about.get('cell', '?')}, from {began}, {story.last_s - story.first_s:.1f} s"
+    for at_s, event in story.events:
+        yield f"{at_s - story.first_s:9.3f} s  {event.command:<6} {_line(event)}"
+    for name, arm in sorted(story.arms.items()):
+        yield f"{name} at the end: {' '.join(f'{value:.4f}' for value in arm.joints)} rad"
+    if not story.complete:
+        yield "the recorder did not end in order: the file is complete up to its last written chunk"
+
+
+def _line(event: Event) -> str:
+    match event:
+        case m.CommandRecord(text=text, source=source):
+            return f"accepted from the {source}: {text}"
+        case m.CommandEnded(outcome=outcome, text=text, took_s=took_s):
+            why = f": {outcome.message}" if outcome.message else ""
+            return f"{outcome.kind.value.upper().replace('_', ' ')} after {took_s:.3f} s  {text}{why}"
+        case m.ProgressNote(phase=phase, step=step, note=note, node=node):
+            return f"{phase.value:<11} {'; '.join(filter(None, [step, note, f'({node})' if node else '']))}".rstrip()
+
+
+def as_json(story: Story) -> dict[str, Any]:
+    """The story for --json: events with Unix times, and the last sample of each arm."""
+    return {
+        "about": story.about,
+        "complete": story.complete,
+        "events": [{"at": at_s, **msgspec.to_builtins(event)} for at_s, event in story.events],
+        "arms": msgspec.to_builtins(story.arms),
+    }
