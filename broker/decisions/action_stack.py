@@ -40,7 +40,7 @@ class ScriptLike(Protocol):
     @property
     def trims(self) -> Sequence[TrimLike]: ...
     @property
-    def bindings(self) -> Mapping[str, Any]: ...
+    def bindings(self) -> dict[str, Any]: ...
 
 
 ScriptT = TypeVar("ScriptT", bound=ScriptLike)
@@ -66,14 +66,14 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
     def restart(self) -> None:
         """Put all nominal steps on the stack, with the values that the script begins with."""
         self.refs = [(NOMINAL, index) for index in reversed(range(len(self.script.steps)))]
-        self.bindings = dict(self.script.bindings)
+        self.bindings = self.script.bindings
 
     def pop(self) -> None:
         """Make the next step the current one. The stack must not be empty."""
         self.step = self.refs.pop()
 
     def assign(self, values: Mapping[str, ValueT]) -> None:
-        """Set variables. Earlier payloads keep their values."""
+        """Set variables. The script and earlier payloads keep their values."""
         if values:
             self.bindings = {**self.bindings, **values}
 

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from broker.decisions.action_stack import NOMINAL
+import msgspec
+
+from broker.decisions.action_stack import NOMINAL, ActionStack
 from broker.decisions.effects import DispatchJob, Effect, PublishNote, StartTimer, StopTimer
 from broker.decisions.events import Stimulus
 from broker.decisions.resources import WORLD, Quarantine
-from broker.decisions.state import NOTES_KEPT, Command, PendingJob, State, StepHead
+from broker.decisions.state import NOTES_KEPT, Command, PendingJob, ScriptHead, State, StepHead
 from rtc.protocol import wire
 from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
 from rtc.protocol.outcomes import Measured
@@ -159,12 +161,11 @@ class DecisionContext:
         self.effects.append(StopTimer(timer=command.id))
 
 
-def step_in_words(command: Command) -> str:
+def step_in_words(actions: ActionStack[ScriptHead, msgspec.Raw]) -> str:
     """Describe the current step: "5 of 9: feel one side", or "trim 2, 1 of 1: ..."."""
-    assert command.actions is not None
-    assert command.actions.step is not None
-    trim, index = command.actions.step
+    assert actions.step is not None
+    trim, index = actions.step
+    label = read_step(actions.step_body).label
     if trim == NOMINAL:
-        return f"{index + 1} of {len(command.labels)}: {command.labels[index]}"
-    steps = command.actions.trim(trim).steps
-    return f"trim {trim}, {index + 1} of {len(steps)}: {read_step(steps[index]).label}"
+        return f"{index + 1} of {len(actions.script.steps)}: {label}"
+    return f"trim {trim}, {index + 1} of {len(actions.trim(trim).steps)}: {label}"

@@ -180,8 +180,6 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """The fields of `parsed` that the Decision Unit reads."""
     actions: ActionStack[ScriptHead, msgspec.Raw] | None = None
     """Its plan; None until its resources are granted."""
-    labels: list[str] = []
-    """Labels of the nominal steps."""
     step_words: str = ""
     """The current step for people: "5 of 9: feel one side"."""
     given_up: PendingOutcome | None = None

@@ -12,7 +12,7 @@ from broker.decisions.command.claims import claim_or_wait
 from broker.decisions.command.closing import close
 from broker.decisions.command.limits import report_limit_s
 from broker.decisions.command.termination import end, end_given_up, refuse
-from broker.decisions.context import DecisionContext, read_step, step_in_words
+from broker.decisions.context import DecisionContext, step_in_words
 from broker.decisions.effects import AcknowledgeReport, SendPrimitive
 from broker.decisions.events import Stimulus
 from broker.decisions.resources import Claim
@@ -42,7 +42,6 @@ def on_elaborated(context: DecisionContext, command: Command, product: msgspec.R
     if not claim_or_wait(context, command, claim):
         return
     command.actions = action_stack.begin(script)
-    command.labels = [read_step(step).label for step in script.steps]
     if script.notes:
         context.note(command, "; ".join(script.notes))
     next_step(context, command)
@@ -60,7 +59,7 @@ def next_step(context: DecisionContext, command: Command) -> None:
         context.enter(command, Phase.PAUSED, "paused between two steps")
     else:
         actions.pop()
-        command.step_words = step_in_words(command)
+        command.step_words = step_in_words(actions)
         name = primitive_id(command.id, command.primitives + 1, context.state.life)
         context.create_job(command, WorkerKind.BINDER, actions.binder_input(name))
         context.enter(command, Phase.BINDING)
