@@ -89,19 +89,22 @@ class Resources(msgspec.Struct, kw_only=True):
         """Replace the command's held claim by this one. Returns the commands that can be granted now, or Blocked; then
         the held claim is unchanged."""
         if claim == self.held.get(command):
-            return self._grantable(self._leave_line(command))
+            return self._grantable(self._leave_line(command)) if self.lines else []
         blocked = self.blocker(command, claim)
         if blocked is not None:
             return blocked
-        gone = [*(gone for gone in self._let_go(command) if not claim.get(gone.name)), *self._leave_line(command)]
+        before = self._let_go(command)
         self.held[command] = claim
         for name, exclusive in claim.items():
             self.holders.setdefault(name, {})[command] = exclusive
-        return self._grantable(gone)
+        if not self.lines:  # the usual case: no command waits
+            return []
+        gone = [gone for gone in _removed(before) if not claim.get(gone.name)]
+        return self._grantable(gone + self._leave_line(command))
 
     def wait(self, command: str, claim: Claim) -> list[str]:
         """Release everything and wait in line. Returns the commands that can be granted now."""
-        gone = self._let_go(command) + self._leave_line(command)
+        gone = _removed(self._let_go(command)) + self._leave_line(command)
         self.waiting[command] = claim
         for name, exclusive in claim.items():
             insort(self.lines.setdefault(name, []), command, key=number)
@@ -117,8 +120,10 @@ class Resources(msgspec.Struct, kw_only=True):
         `in_doubt`: the rest of its primitive is not confirmed; its held `names` are quarantined until it is."""
         let_go = self._let_go(command)
         if in_doubt:
-            self.quarantine.update((gone.name, in_doubt) for gone in let_go if gone.name in names)
-        return self._grantable(let_go + self._leave_line(command))
+            self.quarantine.update((name, in_doubt) for name in let_go if name in names)
+        if not self.lines:  # the usual case: no command waits
+            return []
+        return self._grantable(_removed(let_go) + self._leave_line(command))
 
     def confirm_rest(self, subsystem: str, names: Collection[str] | None = None, moved: str = "") -> list[str]:
         """Lift the quarantines of this subsystem. Returns the commands that can be granted now.
@@ -164,15 +169,15 @@ class Resources(msgspec.Struct, kw_only=True):
         end = bisect_left(line, number(alone[0]), key=number) + 1 if alone else len(line)
         return line[bisect_left(line, gone.place, key=number) : end]
 
-    def _let_go(self, command: str) -> list[RemovedClaim]:
-        claim = self.held.pop(command, None)
-        if not claim:
-            return []
+    def _let_go(self, command: str) -> Claim:
+        """Remove what the command holds, and return it."""
+        claim = self.held.pop(command, {})
         for name in claim:
-            del self.holders[name][command]
-            if not self.holders[name]:
+            holders = self.holders[name]
+            del holders[command]
+            if not holders:
                 del self.holders[name]
-        return [RemovedClaim(name, exclusive) for name, exclusive in claim.items()]
+        return claim
 
     def _leave_line(self, command: str) -> list[RemovedClaim]:
         claim = self.waiting.pop(command, None)
@@ -186,3 +191,7 @@ class Resources(msgspec.Struct, kw_only=True):
                 if not line:
                     del lines[name]
         return [RemovedClaim(name, exclusive, place) for name, exclusive in claim.items()]
+
+
+def _removed(claim: Claim) -> list[RemovedClaim]:
+    return [RemovedClaim(name, exclusive) for name, exclusive in claim.items()]

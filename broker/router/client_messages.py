@@ -22,8 +22,8 @@ from rtc.runtime.process import Every
 
 QUERIES_PER_S = 100  # of one client: replies are large, and are buffered while the client does not read
 LOAD_QUERIES = 20  # a program to load counts as so many queries
-QUERIES = (m.StatusQuery, m.TraceQuery, m.ProgramQuery, m.ProgramText)
-MEANT_FOR_ONE = (m.CommandText, m.ProgramText)  # they name the cluster that they are meant for
+QUERIES = frozenset([m.StatusQuery, m.TraceQuery, m.ProgramQuery, m.ProgramText])
+MEANT_FOR_ONE = frozenset([m.CommandText, m.ProgramText])  # they name the cluster that they are meant for
 
 read_ended = wire.decoder(m.CommandEnded)
 
@@ -35,12 +35,13 @@ class ClientMessages:
         self._second = Every(1.0)
 
     def receive(self, peer: bytes, message: Any, now: float) -> None:
-        if isinstance(message, QUERIES) and self._exceeds_rate(peer, message, now):
+        kind = type(message)
+        if kind in QUERIES and self._exceeds_rate(peer, message, now):
             return
-        if isinstance(message, MEANT_FOR_ONE) and message.cluster not in ("", self._core.settings.run):
+        if kind in MEANT_FOR_ONE and message.cluster not in ("", self._core.settings.run):
             self._decline_for_another_cluster(peer, message)
             return
-        HANDLERS[type(message)](self, peer, message, now)
+        HANDLERS[kind](self, peer, message, now)
 
     # --- sentences ------------------------------------------------------------------------------------
 
@@ -76,7 +77,9 @@ class ClientMessages:
         """The command already accepted under this (client, request) if its text differs: a restarted client reused a
         request id. Otherwise empty."""
         state = self._core.state
-        command = state.requests.get(request_key(name_of(peer), message.request), "")
+        command = state.requests.get(request_key(name_of(peer), message.request))
+        if command is None:  # the usual case
+            return ""
         if (live := state.commands.get(command)) is not None:
             text = live.text
         elif (ended := state.ended.get(command)) is not None:

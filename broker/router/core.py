@@ -54,6 +54,7 @@ class Core:
         self.supervised = False  # the supervisor has sent a message
         self.processes: list[dict[str, Any]] = []  # the supervisor's latest process table
         self.processes_at_s = self.began_s  # time of that table
+        self._subsystem_peers: dict[str, bytes] = {}  # of the subsystems in the state
         self.sockets: dict[str, zmq.Socket[bytes]] = {}
         for name in ("halt", "subsystems", "supervisor", "workers", "front"):
             self.sockets[name] = me.socket(
@@ -72,7 +73,12 @@ class Core:
 
     def subsystem_peer(self, name: str) -> bytes:
         """The routing identity of a subsystem; that of the cluster's own subsystems contains a token."""
-        return peer_of(self.given.identity(name))
+        peer = self._subsystem_peers.get(name)
+        if peer is None:
+            peer = peer_of(self.given.identity(name))
+            if name in self.state.subsystems:  # their number is bounded
+                self._subsystem_peers[name] = peer
+        return peer
 
 
 def name_of(peer: bytes) -> str:

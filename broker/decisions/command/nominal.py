@@ -134,7 +134,7 @@ def on_reported(context: DecisionContext, command: Command, report: EndReport) -
     context.stop_timer(command)
     acknowledge(context, command)
     command.measured = reporting.at_end(command, report)
-    note = f"ended: {report.reason.value}" + (f" ({report.message})" if report.message else "")
+    note = f"ended: {report.reason}" + (f" ({report.message})" if report.message else "")
     if report.reason is StopReason.HALT:
         command.pending_outcome = PendingOutcome(
             kind=OutcomeKind.HALTED, message="halted at its subsystem", stop=StopReason.HALT
@@ -164,7 +164,7 @@ def on_assessed(context: DecisionContext, command: Command, product: msgspec.Raw
     command.actions.assign(assessment.keep)
     if assessment.verdict == "continue":
         command.steps_done += 1
-        context.note(command, assessment.message or f"{assessment.reason.value}: as expected")
+        context.note(command, assessment.message or f"{assessment.reason}: as expected")
         next_step(context, command)
     elif assessment.verdict == "trim" and push_trim(context, command, assessment):
         next_step(context, command)

@@ -50,7 +50,7 @@ def end(
     if defer_analysis:
         deferred_analysis.defer(context, command)
     command.job = None
-    context.enter(command, Phase.ENDED, f"{kind.value}{': ' + message if message else ''}")
+    context.enter(command, Phase.ENDED, f"{kind}: {message}" if message else f"{kind}")
     in_doubt = Quarantine(command.subsystem, command.primitive) if _in_doubt(command, kind) else None
     granted = state.resources.release(command.id, in_doubt, frozenset(command.performers))
     for waiting in state.awaiting.pop(command.id, ()):
