@@ -60,6 +60,7 @@ class Journal:
         db = journal.db
         db.execute("PRAGMA journal_mode=WAL")
         db.execute("PRAGMA synchronous=OFF")
+        db.execute("PRAGMA secure_delete=OFF")
         db.execute(f"PRAGMA wal_autocheckpoint={CHECKPOINT_PAGES}")
         db.executescript(SCHEMA)
         before = db.execute("SELECT value FROM about WHERE key = 'run'").fetchone()
