@@ -33,6 +33,8 @@ TEXT = {
 | pause, resume | they take effect between two steps |
 | timeout | its time limit for an end report, for rest or for the last analysis; in *analyzing*: time for a retry |
 | subsystem_lost | a subsystem that it has used is lost |
+
+A HALT sentence in its plain form needs no parser: it begins in *halting*.
 """,
     "Deferred analysis": """
 Each change of the world is written in the end. An analysis that finds the world database unavailable is repeated every

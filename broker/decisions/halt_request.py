@@ -7,6 +7,7 @@ socket. A HALT sentence is a command: it ends when every subsystem has confirmed
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import NamedTuple
 
 from broker.decisions.command.limits import rest_limit_s
 from broker.decisions.command.scope import has_ended, in_scope, no_target, subsystem_of
@@ -134,6 +135,13 @@ def halted(scope: str) -> PendingOutcome:
     return PendingOutcome(kind=OutcomeKind.HALTED, message=f"halted ({scope})", stop=StopReason.HALT)
 
 
+class Settled(NamedTuple):
+    """The outcome of a HALT sentence, and the subsystem whose answer decided it, if one did."""
+
+    outcome: PendingOutcome
+    node: str
+
+
 # --- as a sentence -----------------------------------------------------------------------------------
 
 
@@ -179,7 +187,7 @@ def _settle(context: DecisionContext, name: str, outcome: PendingOutcome) -> Non
     """Let the command end. Its request is removed with it."""
     context.state.halt_sentences[name].settled = True
     context.stop_timer(context.state.commands[name])
-    context.follow(name, Stimulus.HALT_SETTLED, outcome)
+    context.follow(name, Stimulus.HALT_SETTLED, Settled(outcome, context.node))
 
 
 # --- table -------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from broker.decisions.command.scope import has_ended, in_scope, no_target, scope
 from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import Stimulus
-from broker.decisions.halt_request import halted, on_sentence
+from broker.decisions.halt_request import Settled, halted, on_sentence
 from broker.decisions.resources import number
 from broker.decisions.state import Command, ParsedHead, PendingOutcome
 from rtc.protocol.messages import Phase
@@ -71,9 +71,10 @@ def halt_sentence(context: DecisionContext, command: Command, scope: str) -> Non
     on_sentence(context, command, scope)
 
 
-def end_halt(context: DecisionContext, command: Command, outcome: PendingOutcome) -> None:
+def end_halt(context: DecisionContext, command: Command, settled: Settled) -> None:
     """End a HALT sentence. It has touched nothing itself."""
     del context.state.halt_sentences[command.id]
+    outcome, context.node = settled
     end(context, command, outcome.kind, message=outcome.message, stop=outcome.stop)
 
 

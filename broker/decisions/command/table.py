@@ -147,12 +147,12 @@ def stimulate(context: DecisionContext, command: Command, stimulus: Stimulus, pa
         return
     found.action(context, command, payload)
     if command.phase not in found.following:
-        raise InvalidTransition(_story(command, before, stimulus))
+        raise InvalidTransition(_with_trace(command, before, stimulus))
     if before is Phase.PARSING and command.phase is not Phase.PARSING:
         context.leave_intake(command)
 
 
-def _story(command: Command, before: Phase, stimulus: Stimulus) -> str:
+def _with_trace(command: Command, before: Phase, stimulus: Stimulus) -> str:
     trace = "\n".join(f"  {n.at_s:.3f} {n.phase.value} {n.step} {n.note}" for n in command.notes[-20:])
     return (
         f"{command.id}: {stimulus.value} in {before.value} led to {command.phase.value}, "

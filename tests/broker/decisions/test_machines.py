@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from broker.decisions.deferred_analysis import DEFERRED
+from broker.decisions.effects import ReportEnd
 from broker.decisions.events import BrokerRestarted, JobDeclined, ProgramInstalled
 from broker.decisions.halt_request import HALT
 from broker.decisions.program_rollout import ROLLOUT
@@ -141,6 +142,14 @@ def test_a_halt_sentence_ends_with_the_subsystem_that_should_confirm_it():
     s.mcm_gone()
     assert s.outcome("C-1").kind.value == "halt_not_confirmed"
     assert s.state.halt_sentences == {}
+
+
+def test_the_trace_of_a_halt_sentence_names_who_confirmed_rest():
+    s = Harness()
+    s.says("HALT ALL")
+    s.rests("C-1")
+    (end,) = (e.record for e in s.log if isinstance(e, ReportEnd))
+    assert (end.outcome.message, end.notes[-1].node) == ("ALL at rest", "MCM")
 
 
 def test_a_halt_sentence_ends_when_something_in_scope_is_not_at_rest():
