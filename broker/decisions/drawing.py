@@ -37,21 +37,47 @@ TEXT = {
 A HALT sentence in its plain form needs no parser: it begins in *halting*.
 """,
     "Deferred analysis": """
+| stimulus | meaning |
+|---|---|
+| defer | its command ends before the analysis is done |
+| done, refusal, worker_lost | the answer of the worker: its changes are written, it refuses, or it is lost |
+| unavailable | the world database, or every analyzer, is unavailable |
+| timeout | time for a retry |
+
 Each change of the world is written in the end. An analysis that finds the world database unavailable is repeated every
 second for up to a minute; then the command ends *failed*. In *closing* the command ends with its pending outcome after
 ten seconds at most. In both cases the analysis is deferred: the touched names stay quarantined (`rtc status`:
 quarantine: the world database) until the world database has the changes.
 """,
     "HALT request": """
+| stimulus | meaning |
+|---|---|
+| call | it arrives from a halt socket, or from a subsystem that received it at its own |
+| sentence | it is a command: HALT, with a scope |
+| rest, moving | a subsystem answers: all in scope is at rest, or something still moves |
+| subsystem_lost | a subsystem is lost |
+| timeout | its time limit for rest |
+
 The router sends each confirmation to the caller at a socket, which waits with a time limit of its own. A HALT sentence
 is a command: in *awaiting_rest* it is *halting*, and it ends when its request is *settled*. The halt of a command's own
 primitive is a part of that command's machine.
 """,
     "Subsystem link": """
+| stimulus | meaning |
+|---|---|
+| hello | the process connects: the one known so far, or the first one |
+| new_process | another process connects in place of the one known so far |
+| gone | the connection is lost, or the process has ended |
+
 A subsystem executes its primitives and stops by itself without the broker. The broker learns at each hello which ones
 it still has. *lost* ends every command that has used the subsystem.
 """,
     "Program roll-out": """
+| stimulus | meaning |
+|---|---|
+| install | a program is loaded; the default programs are loaded when a cluster starts |
+| job_done, job_failed | a job that used the newest program was done, or failed |
+
 One per kind of worker. `rtc status` shows why a program was rolled back until the next one is loaded.
 """,
 }
