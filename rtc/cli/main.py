@@ -30,6 +30,7 @@ COMMANDS = {
     "look": "look",
     "record": "record",
     "play": "record",
+    "observe": "observe",
     "log": "log",
     "trace": "trace",
     "why": "trace",

@@ -87,19 +87,19 @@ def play(
     """
     if need := missing("record"):
         raise trouble(need, 2)
-    from rtc.observers import story
+    from rtc.observers import playback
 
     try:
-        found = story.read(file)
-        written = story.extract(found, extract) if extract else []
+        found = playback.read(file)
+        written = playback.extract(found, extract) if extract else []
     except OSError as error:
         raise trouble(f"{error.filename or file}: {error.strerror or error}", 2) from None
-    except story.NotARecording as error:
+    except playback.NotARecording as error:
         raise trouble(str(error), 2) from None
     if json:
-        emit_json(story.as_json(found))
+        emit_json(playback.as_json(found))
         return
-    for line in story.in_words(found):
+    for line in playback.in_words(found):
         console.print(Text(line))
     for path in written:
         console.print(Text(f"written: {path}"))

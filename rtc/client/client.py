@@ -45,6 +45,7 @@ from rtc.protocol.outcomes import (
     TimedOut,
     WireError,
 )
+from rtc.protocol.traceparent import with_traceparent
 from rtc.protocol.wire import MAX_BYTES, frames, reader
 from rtc.runtime.keys import Endpoints, KeyFile
 from rtc.runtime.settings import Settings, default_run_dir
@@ -165,12 +166,14 @@ class Client:
 
     # --- sentences ------------------------------------------------------------------------------------
 
-    def submit(self, text: str, *, on_progress: OnProgress | None = None) -> str:
+    def submit(self, text: str, *, on_progress: OnProgress | None = None, traceparent: str = "") -> str:
         """Submit one sentence; its number C-n, after the cluster has journalled it. Fetch the outcome with `wait`.
+
+        `traceparent`: a W3C trace context, below which `rtc observe --otlp` puts the trace of the command.
 
         Raises RequestDeclined if the cluster does not accept it.
         """
-        request = self._submit(text, on_progress)
+        request = self._submit(text, on_progress, traceparent=traceparent)
         self._until(
             lambda: request in self._command_of or request in self._ended, ANSWER_S, "the sentence was not accepted"
         )
@@ -192,13 +195,15 @@ class Client:
         text: str,
         on_progress: OnProgress | None = None,
         timeout_s: float | None = None,
+        *,
+        traceparent: str = "",
     ) -> m.CommandEnded:
         """Submit one sentence and wait for its outcome.
 
         `on_progress` receives each ProgressNote; `seq` 0 marks a report of REPORT EVERY. Raises TimedOut after
         `timeout_s`; the command then continues.
         """
-        return self.run_many([text], on_progress=on_progress, timeout_s=timeout_s)[0]
+        return self.run_many([text], on_progress=on_progress, timeout_s=timeout_s, traceparent=traceparent)[0]
 
     def run_many(
         self,
@@ -209,6 +214,7 @@ class Client:
         on_progress: OnProgress | None = None,
         on_end: OnEnd | None = None,
         timeout_s: float | None = None,
+        traceparent: str = "",
     ) -> list[m.CommandEnded]:
         """Submit sentences and wait; outcomes in the order of `texts`.
 
@@ -223,7 +229,8 @@ class Client:
         while todo or waiting:
             while todo and len(waiting) < (WINDOW if parallel else 1):
                 n, text = todo.popleft()
-                waiting[self._submit(text, on_progress, on_accept and partial(on_accept, n))] = n
+                request = self._submit(text, on_progress, on_accept and partial(on_accept, n), traceparent)
+                waiting[request] = n
             self._until(
                 lambda: not waiting.keys().isdisjoint(self._ended),
                 None if limit_s is None else limit_s - time.monotonic(),
@@ -336,9 +343,12 @@ class Client:
         text: str,
         on_progress: OnProgress | None,
         on_accept: Callable[[str], None] | None = None,
+        traceparent: str = "",
     ) -> str:
-        """Send one sentence; returns the name of the request."""
+        """Send one sentence; returns the name of the request. Raises ValueError for an invalid trace context."""
         request = self._next_request()
+        if traceparent:
+            request = with_traceparent(request, traceparent)
         if on_progress is not None:
             self._listeners[request] = on_progress
         if on_accept is not None:

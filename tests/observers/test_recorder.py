@@ -16,7 +16,7 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
 from rtc import Client
-from rtc.observers import extras, recorder, story
+from rtc.observers import extras, playback, recorder
 from rtc.runtime import process_table
 from tests.observers.conftest import RTC, rtc, until
 
@@ -67,7 +67,7 @@ def test_a_killed_recorder_leaves_the_run_up_to_then(watched, tmp_path):
     found = ended_in(mcap)
     assert found[stowed.command] == ("STOW LEFT-ARM", "succeeded")
     assert found[refused.command] == ("GRAPS MACS-NEW", "refused")
-    assert not story.read(mcap).complete
+    assert not playback.read(mcap).complete
     events = [event for event in raw_events(raw) if event["command"] == stowed.command]
     numbers = [event["seq"] for event in events]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))

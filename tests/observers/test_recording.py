@@ -13,7 +13,7 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
-from rtc.observers import story
+from rtc.observers import playback
 from rtc.observers.recording import STILL_S, Recording
 from tests.observers.samples import STEP, STOWED, T0, received, telemetry
 
@@ -140,7 +140,7 @@ def test_a_file_that_was_cut_off_anywhere_is_readable_up_to_there(path, cell):
     for length in range(len(first), len(second)):  # killed while the second chunk is written
         assert messages_of(second[:length])[: len(whole)] == whole
     path.write_bytes(second[:-1])
-    found = story.read(path)
+    found = playback.read(path)
     assert not found.complete
     assert {name: end.outcome.kind.value for name, end in found.outcomes.items()} == {
         "C-1": "succeeded",
@@ -149,9 +149,9 @@ def test_a_file_that_was_cut_off_anywhere_is_readable_up_to_there(path, cell):
 
 
 def test_the_story_has_commands_phases_and_ends_in_order(written, tmp_path):
-    found = story.read(written)
+    found = playback.read(written)
     assert found.complete
-    lines = list(story.in_words(found))
+    lines = list(playback.in_words(found))
     order = [
         next(n for n, line in enumerate(lines) if word in line) for word in ("parsing", STEP, "SUCCEEDED", "REFUSED")
     ]
@@ -159,15 +159,15 @@ def test_the_story_has_commands_phases_and_ends_in_order(written, tmp_path):
     times = [at_s for at_s, _ in found.events]
     assert times == sorted(times)
     assert times[-1] - times[0] == pytest.approx(1.21, abs=1e-3)
-    paths = story.extract(found, tmp_path / "models")
+    paths = playback.extract(found, tmp_path / "models")
     assert {path.name for path in paths} == {"LEFT-ARM.urdf", "RIGHT-ARM.urdf", "cell.json"}
 
 
 def test_another_file_is_refused(tmp_path):
     other = tmp_path / "other.mcap"
     other.write_bytes(b"not an mcap file, but long enough to be one")
-    with pytest.raises(story.NotARecording):
-        story.read(other)
+    with pytest.raises(playback.NotARecording):
+        playback.read(other)
 
 
 def test_a_file_is_never_overwritten(written, cell):

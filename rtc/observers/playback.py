@@ -1,4 +1,4 @@
-"""The story of a recording: reads an MCAP file of the recorder, also one without an end, and puts it in words."""
+"""Reads a recording back, also one without an end, and puts its story in words."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class NotARecording(RtcError):
 
 
 @dataclass
-class Story:
+class RecordedRun:
     """What a recording contains. Times are Unix time (s)."""
 
     about: dict[str, str] = field(default_factory=dict)  # the metadata record
@@ -50,9 +50,9 @@ class Story:
         return {event.command: event for _, event in self.events if isinstance(event, m.CommandEnded)}
 
 
-def read(path: Path) -> Story:
+def read(path: Path) -> RecordedRun:
     """Read a recording up to its end, or up to where a killed recorder left it. Raises OSError, NotARecording."""
-    story = Story()
+    run = RecordedRun()
     channels: dict[int, Channel] = {}
     with open(path, "rb") as file:
         try:
@@ -60,59 +60,59 @@ def read(path: Path) -> Story:
                 if isinstance(record, Channel):
                     channels[record.id] = record
                 elif isinstance(record, Message):
-                    _take(story, channels[record.channel_id].topic, record)
+                    _take(run, channels[record.channel_id].topic, record)
                 else:
-                    _take_other(story, record)
+                    _take_other(run, record)
         except (EndOfFile, struct.error):
             pass  # cut off: all complete chunks have been read; the second is raised for a cut length
         except (McapError, msgspec.MsgspecError, ValueError) as error:
             raise NotARecording(f"{path} is not a recording of rtc: {error}") from None
-    if not story.about:
+    if not run.about:
         raise NotARecording(f"{path} is not a recording of rtc: it has no metadata {HEADER!r}")
-    story.events.sort(key=lambda pair: (pair[0], not isinstance(pair[1], m.CommandRecord)))
-    return story
+    run.events.sort(key=lambda pair: (pair[0], not isinstance(pair[1], m.CommandRecord)))
+    return run
 
 
-def _take(story: Story, topic: str, record: Message) -> None:
+def _take(run: RecordedRun, topic: str, record: Message) -> None:
     at_s = record.publish_time / 1e9
-    story.first_s = min(story.first_s or at_s, at_s)
-    story.last_s = max(story.last_s, at_s)
+    run.first_s = min(run.first_s or at_s, at_s)
+    run.last_s = max(run.last_s, at_s)
     if (decode := _read.get(topic)) is not None:
-        story.events.append((at_s, decode(record.data)))
+        run.events.append((at_s, decode(record.data)))
     elif topic.startswith(ARM_TOPIC):
-        story.arms[topic.removeprefix(ARM_TOPIC)] = _read_arm(record.data)
+        run.arms[topic.removeprefix(ARM_TOPIC)] = _read_arm(record.data)
 
 
-def _take_other(story: Story, record: McapRecord) -> None:
+def _take_other(run: RecordedRun, record: McapRecord) -> None:
     match record:
         case Metadata(name=name, metadata=about) if name == HEADER:
-            story.about = about
+            run.about = about
         case Attachment(name=name, data=data):
-            story.attachments[name] = data
+            run.attachments[name] = data
         case DataEnd():
-            story.complete = True
+            run.complete = True
 
 
-def extract(story: Story, folder: Path) -> list[Path]:
+def extract(run: RecordedRun, folder: Path) -> list[Path]:
     """Write the attachments into a directory; returns the files. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    for name, data in story.attachments.items():
+    for name, data in run.attachments.items():
         paths.append(folder / Path(name).name)
         paths[-1].write_bytes(data)
     return paths
 
 
-def in_words(story: Story) -> Iterator[str]:
+def in_words(run: RecordedRun) -> Iterator[str]:
     """The story, a line per event; times in seconds since the first message."""
-    began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(story.first_s))
-    run = f"cluster {story.about['cluster']}, " if story.about.get("cluster") else ""
-    yield f"{run}cell {story.about.get('cell', '?')}, from {began}, {story.last_s - story.first_s:.1f} s"
-    for at_s, event in story.events:
-        yield f"{at_s - story.first_s:9.3f} s  {event.command:<6} {_line(event)}"
-    for name, arm in sorted(story.arms.items()):
+    began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.first_s))
+    cluster = f"cluster {run.about['cluster']}, " if run.about.get("cluster") else ""
+    yield f"{cluster}cell {run.about.get('cell', '?')}, from {began}, {run.last_s - run.first_s:.1f} s"
+    for at_s, event in run.events:
+        yield f"{at_s - run.first_s:9.3f} s  {event.command:<6} {_line(event)}"
+    for name, arm in sorted(run.arms.items()):
         yield f"{name} at the end: {' '.join(f'{value:.4f}' for value in arm.joints)} rad"
-    if not story.complete:
+    if not run.complete:
         yield "the recorder did not end in order: the file is complete up to its last written chunk"
 
 
@@ -127,11 +127,11 @@ def _line(event: Event) -> str:
             return f"{phase.value:<11} {'; '.join(filter(None, [step, note, f'({node})' if node else '']))}".rstrip()
 
 
-def as_json(story: Story) -> dict[str, Any]:
+def as_json(run: RecordedRun) -> dict[str, Any]:
     """The story for --json: events with Unix times, and the last sample of each arm."""
     return {
-        "about": story.about,
-        "complete": story.complete,
-        "events": [{"at": at_s, **msgspec.to_builtins(event)} for at_s, event in story.events],
-        "arms": msgspec.to_builtins(story.arms),
+        "about": run.about,
+        "complete": run.complete,
+        "events": [{"at": at_s, **msgspec.to_builtins(event)} for at_s, event in run.events],
+        "arms": msgspec.to_builtins(run.arms),
     }
