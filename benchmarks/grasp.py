@@ -48,7 +48,7 @@ ADVISED = re.compile(r"\b(LIFT|RETRACT|RELEASE|VERIFY|OPEN|STOW) ([A-Z0-9-]+(?: 
 
 
 @dataclass
-class Run:
+class GraspRun:
     """One module, one arm."""
 
     arm: str
@@ -83,7 +83,7 @@ def main() -> None:
     given = arguments.parse_args()
     question("grasp", "How well does a grasp locate a module that is far from its believed place?", seed=given.seed)
     pairs = list(_pairs(given.runs, given.seed))
-    done: list[Run] = []
+    done: list[GraspRun] = []
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(given.clusters, mp_context=context) as pool:
         for ended in as_completed([pool.submit(partial(_cluster, given.speed), pair) for pair in pairs]):
@@ -93,7 +93,7 @@ def main() -> None:
     _finish(done)
 
 
-def _finish(done: list[Run]) -> None:
+def _finish(done: list[GraspRun]) -> None:
     straddled = [run for run in done if run.within_straddle]
     metrics: dict[str, float | None] = {
         "runs": len(done),
@@ -107,13 +107,16 @@ def _finish(done: list[Run]) -> None:
     finish("grasp", metrics)
 
 
-def _pairs(runs: int, seed: int) -> Iterator[list[Run]]:
+def _pairs(runs: int, seed: int) -> Iterator[list[GraspRun]]:
     """Two runs for each cluster, one per arm; the offsets repeat in a cycle."""
     rng = random.Random(seed)
     offsets = _offsets(rng)
     for n in range((runs + 1) // 2):
         heavy = n % 2 == 0
-        pair = [Run("RIGHT-ARM", next(offsets), heavy, n % 3 == 2), Run("LEFT-ARM", next(offsets), heavy, False)]
+        pair = [
+            GraspRun("RIGHT-ARM", next(offsets), heavy, n % 3 == 2),
+            GraspRun("LEFT-ARM", next(offsets), heavy, False),
+        ]
         yield pair[: runs - 2 * n]
 
 
@@ -136,7 +139,7 @@ def _offsets(rng: random.Random) -> Iterator[list[float]]:
 # --- one cluster -------------------------------------------------------------------------------------------
 
 
-def _cluster(speed: str, runs: list[Run]) -> list[Run]:
+def _cluster(speed: str, runs: list[GraspRun]) -> list[GraspRun]:
     with own_cluster(speed=speed) as run_dir, Client(run_dir) as rtc:
         if runs[0].heavy:
             rtc.change_physics(HEAVY, SMOOTH)
@@ -156,7 +159,7 @@ def _cluster(speed: str, runs: list[Run]) -> list[Run]:
     return runs
 
 
-def _chain(rtc: Client, cell: Cell, run: Run, ended: CommandEnded, rack: list[float]) -> None:
+def _chain(rtc: Client, cell: Cell, run: GraspRun, ended: CommandEnded, rack: list[float]) -> None:
     """The commands after a grasp: lift, carry, put down; or the advised ones after a failure."""
     module, _, seat = MODULES[run.arm]
     target = "BAY-2" if run.into_bay else seat
@@ -183,7 +186,7 @@ def _good(ended: CommandEnded) -> bool:
     return ended.outcome.kind is OutcomeKind.SUCCEEDED
 
 
-def _judge(rtc: Client, run: Run) -> None:
+def _judge(rtc: Client, run: GraspRun) -> None:
     """Check that the module's position, if the fact is valid, is within the fact's spread."""
     module = MODULES[run.arm][0]
     fact = rtc.world.view(keys=[f"{module}.frame"]).facts[0]
@@ -197,7 +200,7 @@ def _judge(rtc: Client, run: Run) -> None:
         run.wrong.append(f"valid and off by {shown} since {fact.source}")
 
 
-def _freed(rtc: Client, run: Run, ended: CommandEnded) -> str:
+def _freed(rtc: Client, run: GraspRun, ended: CommandEnded) -> str:
     """Submit the advised sentences with true positions, then stow. Returns the refusals; empty if it stowed."""
     module = MODULES[run.arm][0]
     results = [ended.outcome.message]

@@ -45,7 +45,7 @@ _decode = reader(m.SubsystemToBroker)
 _look = reader(m.Telemetry)
 
 
-class Station:
+class RunningMcm:
     """A running MCM, and the socket that receives its reports."""
 
     def __init__(self, mcm: str, speed: float, folder: str) -> None:
@@ -111,9 +111,9 @@ class Station:
 
 
 @contextlib.contextmanager
-def station(mcm: str, speed: float) -> Iterator[Station]:
+def station(mcm: str, speed: float) -> Iterator[RunningMcm]:
     with tempfile.TemporaryDirectory(prefix="rtc-bench-") as folder:
-        made = Station(mcm, speed, folder)
+        made = RunningMcm(mcm, speed, folder)
         try:
             yield made
         finally:

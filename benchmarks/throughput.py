@@ -72,7 +72,7 @@ def main() -> None:
         rate = flood(2, given.seconds, given.window, profile=given.profile).commands_per_s
         print(f"with the profiler on: {rate:.0f} commands/s; see python -m pstats {given.profile}")
         return
-    found = Found()
+    found = Figures()
     for number in range(1, given.rounds + 1):
         for who, what in measure(found, given):
             print(f"  round {number}: {who}: {what}", flush=True)
@@ -80,7 +80,7 @@ def main() -> None:
     finish("throughput", found.metrics(), found.rows())
 
 
-def measure(found: Found, given: argparse.Namespace) -> Iterator[tuple[str, str]]:
+def measure(found: Figures, given: argparse.Namespace) -> Iterator[tuple[str, str]]:
     """One round; prints its figures."""
     for dim in given.dims:
         run = flood(dim, given.seconds, given.window)
@@ -143,7 +143,7 @@ def flood(
 
 
 @dataclass
-class Found:
+class Figures:
     """All measurements, round by round."""
 
     floods: dict[int, list[Run]] = field(default_factory=dict)  # by dimension of the cube
@@ -190,7 +190,7 @@ def spread(values: Sequence[float], digits: int = 0) -> str:
     return f"{median(values):.{digits}f} ({min(values):.{digits}f} to {max(values):.{digits}f})"
 
 
-def draw(found: Found) -> None:
+def draw(found: Figures) -> None:
     """results/throughput.png; skipped without matplotlib."""
     rates = {1 << dim: [run.commands_per_s for run in runs] for dim, runs in found.floods.items()}
     try:

@@ -17,7 +17,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from benchmarks.load.scenarios import FUNCTIONS, Job, Scenario, Workers, changed, sentences
+from benchmarks.load.scenarios import FUNCTIONS, Scenario, WorkerJob, Workers, changed, sentences
 from benchmarks.report import finish, percentile, question, spread
 from rtc.cells.cell import Cell
 from rtc.programs import loader
@@ -49,7 +49,7 @@ def main() -> None:
     cell, rng = Cell.load("swapout"), random.Random(SEED)
     cold = dict(_cold(cell))
     workers = Workers(cell)
-    jobs = [Job(WorkerKind.PARSER, World(), ParserInput(text=text)) for text in SAMPLES]
+    jobs = [WorkerJob(WorkerKind.PARSER, World(), ParserInput(text=text)) for text in SAMPLES]
     for n in range(given.scenarios):
         jobs += _jobs_of_scenario(workers, rng)
         print(f"  scenario {n + 1} of {given.scenarios}: {len(jobs)} jobs", flush=True)
@@ -88,7 +88,7 @@ def _cold(cell: Cell) -> Iterator[tuple[str, float]]:
     yield "bodies of the cell", time.perf_counter() - began_s
 
 
-def _jobs_of_scenario(workers: Workers, rng: random.Random) -> list[Job]:
+def _jobs_of_scenario(workers: Workers, rng: random.Random) -> list[WorkerJob]:
     """The jobs of one scenario, without parser jobs: the samples of the language are parsed instead."""
     scenario = Scenario(workers, rng)
     for sentence in sentences(rng):
@@ -96,7 +96,7 @@ def _jobs_of_scenario(workers: Workers, rng: random.Random) -> list[Job]:
     return [job for job in scenario.jobs if job.kind is not WorkerKind.PARSER]
 
 
-def _timed(workers: Workers, jobs: list[Job], passes: int, rng: random.Random) -> dict[str, list[float]]:
+def _timed(workers: Workers, jobs: list[WorkerJob], passes: int, rng: random.Random) -> dict[str, list[float]]:
     """Seconds by kind of job; the first pass warms up."""
     times_s: dict[str, list[float]] = defaultdict(list)
     process.freeze_heap()  # as the workers do
@@ -111,7 +111,7 @@ def _timed(workers: Workers, jobs: list[Job], passes: int, rng: random.Random) -
     return times_s
 
 
-def _label(job: Job, product: object) -> str:
+def _label(job: WorkerJob, product: object) -> str:
     verb = VERBS[job.kind]
     if isinstance(product, Refusal):
         return f"{verb}, refused"

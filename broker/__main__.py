@@ -79,7 +79,7 @@ def _serve(
     lost = lost_batches(journal, state, given, now, secrets.token_hex(2))
     store = ProgramStore(journal, state.programs)
     journal.written = lambda batch: given.remember("broker", state.life.encode(), batch, state.accepted)
-    router = Router(me, settings, journal, state, store, given, start_check=sandbox.Process, guard=MemoryGuard())
+    router = Router(me, settings, journal, state, store, given, start_check=sandbox.CheckProcess, guard=MemoryGuard())
     if given.fd >= 0:  # started by a supervisor
         me.end_with_parent(ORPHAN_LIMIT_S * settings.timeout_scale + LAST_S)
     restarted = bool(state.programs)

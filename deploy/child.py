@@ -43,7 +43,7 @@ class Spec:
     fds: tuple[int, ...] = ()  # file descriptors that it inherits
 
 
-class State(StrEnum):
+class ProcessState(StrEnum):
     """The state of a process, as `rtc status` shows it."""
 
     STARTING = "starting"
@@ -95,7 +95,7 @@ class Child:
     def __init__(self, spec: Spec, log: Path) -> None:
         self.spec = spec
         self.log = log
-        self.state = State.WAITING
+        self.state = ProcessState.WAITING
         self.since_s = now_s()
         self.last_output_s = 0.0  # time of its last output
         self.busy_s = 0.0  # time of its last observed use of the processor
@@ -118,9 +118,9 @@ class Child:
     @property
     def waits(self) -> bool:
         """True while it waits for its next start."""
-        return self.state in (State.WAITING, State.LOOPING)
+        return self.state in (ProcessState.WAITING, ProcessState.LOOPING)
 
-    def become(self, state: State) -> None:
+    def become(self, state: ProcessState) -> None:
         self.state, self.since_s = state, now_s()
 
     def start(self, fork_server: Line | None = None) -> None:
@@ -151,7 +151,7 @@ class Child:
                 self.line.theirs.close()  # so that its death closes the connection
         os.set_blocking(self.output_fd, False)
         self._line, self.output_over = b"", False
-        self.become(State.STARTING)
+        self.become(ProcessState.STARTING)
 
     def _run(self, output: int, log: int, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
         me = os.getpid()

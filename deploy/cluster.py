@@ -273,7 +273,7 @@ class _ProcessTableFile:
             pid=os.getpid(),
             cluster=self.cluster,
             started_at=self._started_at,
-            processes=msgspec.convert(rows, list[process_table.Row]),
+            processes=msgspec.convert(rows, list[process_table.ProcessRow]),
         )
         table.save(self._run_dir)
 

@@ -17,7 +17,7 @@ from typing import Any
 import zmq
 
 from deploy import hypercube
-from deploy.child import Child, Spec, State, in_words, limit_log, reap_orphans
+from deploy.child import Child, ProcessState, Spec, in_words, limit_log, reap_orphans
 from deploy.restarts import DEFAULT, Death, Policy, delay_s
 from rtc.protocol import wire
 from rtc.protocol.messages import (
@@ -49,7 +49,7 @@ FORK_AGAIN_S = 0.05  # retry delay, enough to notice the death of a killed fork 
 
 
 @dataclass
-class Stopped:
+class StoppedWork:
     """The commands and arms that the end of the cluster stopped."""
 
     commands: list[str] = field(default_factory=list)
@@ -120,7 +120,7 @@ class Supervisor:
         adopt_orphans()  # workers are forked by their fork server
         self._start_waiting()
         report_due = Every(REPORT_WAITING_S, now_s() + REPORT_WAITING_S)
-        while waiting := [c for c in self._children.values() if c.state != State.READY and not c.spec.later]:
+        while waiting := [c for c in self._children.values() if c.state != ProcessState.READY and not c.spec.later]:
             if self._me.stopping:
                 raise ClusterError("stopped before the cluster was ready")
             if report_due.due(now_s()):
@@ -134,10 +134,10 @@ class Supervisor:
         while not self._me.stopping:
             self._once()
 
-    def stop(self, limit_s: float = END_LIMIT_S) -> Stopped:
+    def stop(self, limit_s: float = END_LIMIT_S) -> StoppedWork:
         """Halt everything, wait for rest and for the outcomes of all commands, then end all processes: SIGTERM, and
         SIGKILL for each that has not ended within the limit."""
-        stopped = self._halt_all() if self._up else Stopped()
+        stopped = self._halt_all() if self._up else StoppedWork()
         self._up = False
         running = [child for child in self._children.values() if child.pid]
         for child in running:
@@ -149,7 +149,7 @@ class Supervisor:
         self._save_table()
         return stopped
 
-    def _halt_all(self) -> Stopped:
+    def _halt_all(self) -> StoppedWork:
         """Let the broker end its commands and report them; halt the arms also directly, because the broker may be dead.
 
         Each wait has a limit. The MCM also brakes by itself when it receives SIGTERM.
@@ -158,8 +158,8 @@ class Supervisor:
         self._send(Shutdown())
         arms = self._halt()
         broker = self._children.get("broker")
-        if broker is None or broker.state is State.FAILED:
-            return Stopped(arms=arms)
+        if broker is None or broker.state is ProcessState.FAILED:
+            return StoppedWork(arms=arms)
         ask_again, limit_s = Every(OUTCOMES_AGAIN_S), now_s() + OUTCOMES_S
         while self._all_ended is None and now_s() < limit_s:
             if ask_again.due(now_s()):
@@ -167,7 +167,7 @@ class Supervisor:
             self._handle_pending(OUTCOMES_AGAIN_S)
             self._start_waiting()
         ended = self._all_ended or AllEnded(commands=[])
-        stopped = Stopped(commands=ended.commands, arms=sorted({*arms, *ended.arms}))
+        stopped = StoppedWork(commands=ended.commands, arms=sorted({*arms, *ended.arms}))
         if self._all_ended is None:
             stopped.doubt = f"the broker has not ended its commands within {OUTCOMES_S:.0f} s"
         if words := stopped.in_words():
@@ -201,7 +201,7 @@ class Supervisor:
         """Time (s) until the next timed action."""
         now = now_s()
         starts = (c.start_at_s - now for c in self._children.values() if c.waits and self._may_start(c))
-        kills = (c.kill_at_s - now for c in self._children.values() if c.state == State.ENDING)
+        kills = (c.kill_at_s - now for c in self._children.values() if c.state == ProcessState.ENDING)
         return max(0.0, min(self._table.left_s(now), *starts, *kills, 3600.0))
 
     def _start_waiting(self) -> None:
@@ -213,7 +213,7 @@ class Supervisor:
     def _may_start(self, child: Child) -> bool:
         if child.spec.later:  # one at a time, so that they use at most one core
             others = (c for c in self._children.values() if c.spec.later and c is not child)
-            if not self._up or any(c.state == State.STARTING for c in others):
+            if not self._up or any(c.state == ProcessState.STARTING for c in others):
                 return False
         return not self._awaits_fork_server(child)
 
@@ -224,17 +224,18 @@ class Supervisor:
         Without a working fork server, processes start one at a time.
         """
         template = self._children.get(child.spec.fork_server)
-        if template is None or not child.spec.awaits_fork_server or template.state == State.READY:
+        if template is None or not child.spec.awaits_fork_server or template.state == ProcessState.READY:
             return False
-        if template.state not in (State.LOOPING, State.FAILED):
+        if template.state not in (ProcessState.LOOPING, ProcessState.FAILED):
             return True
         return any(
-            c.state == State.STARTING and c.spec.fork_server == template.spec.name for c in self._children.values()
+            c.state == ProcessState.STARTING and c.spec.fork_server == template.spec.name
+            for c in self._children.values()
         )
 
     def _kill_overdue(self) -> None:
         for child in self._children.values():
-            if child.state == State.ENDING and now_s() >= child.kill_at_s:
+            if child.state == ProcessState.ENDING and now_s() >= child.kill_at_s:
                 child.signal(signal.SIGKILL)
                 child.kill_at_s = now_s() + 1.0
 
@@ -254,7 +255,7 @@ class Supervisor:
                 child.last_output_s = now
             if child.pid:
                 child.look(now)
-            if (self._up or child.state == State.STARTING) and (why := _hung(child, now)):
+            if (self._up or child.state == ProcessState.STARTING) and (why := _hung(child, now)):
                 self._kill_hung(child, why)
 
     def _look_at_directory(self, now: float) -> None:
@@ -275,7 +276,7 @@ class Supervisor:
 
     def _spawn(self, child: Child) -> None:
         template = self._children.get(child.spec.fork_server)
-        forks = template if template is not None and template.state == State.READY else None
+        forks = template if template is not None and template.state == ProcessState.READY else None
         try:
             child.start(forks.line if forks else None)
         except OSError as error:
@@ -305,9 +306,9 @@ class Supervisor:
             self._changes = True
         if child.output_over:
             self._forget(child.output_fd)
-        if is_ready and child.state == State.STARTING:
+        if is_ready and child.state == ProcessState.STARTING:
             took_s = now_s() - (self._begun_s if not self._up else child.since_s)
-            child.become(State.READY)
+            child.become(ProcessState.READY)
             child.was_ready = True
             self._show(f"{child.spec.name:<14} ready  {took_s:5.2f} s  pid {child.pid}")
             self._changes = True
@@ -321,15 +322,15 @@ class Supervisor:
         self._forget(child.output_fd)
         pid, state, name, lived_s = child.pid, child.state, child.spec.name, now_s() - child.since_s
         status = child.reap()
-        if state == State.ENDING:
-            child.become(State.ENDED)
+        if state == ProcessState.ENDING:
+            child.become(ProcessState.ENDED)
             self._send(ProcessExited(name=name, pid=pid, status=status, restarting=False))
             if self._up:  # a worker that has retired
                 del self._children[name]
                 self._show(f"{name} has retired")
                 self._changes = True
             return
-        child.deaths.append(Death(now_s(), was_ready=state == State.READY, lived_s=lived_s))
+        child.deaths.append(Death(now_s(), was_ready=state == ProcessState.READY, lived_s=lived_s))
         delay = delay_s(self._policy, [*child.deaths], child.was_ready) if self._up else None
         self._send(ProcessExited(name=name, pid=pid, status=status, restarting=delay is not None))
         if not self._up:
@@ -338,10 +339,10 @@ class Supervisor:
 
     def _schedule_restart(self, child: Child, what: str, delay: float | None) -> None:
         if delay is None:
-            child.become(State.FAILED)
+            child.become(ProcessState.FAILED)
             self._show(f"{what}; given up after {len(child.deaths)} deaths, see {child.log}")
         else:
-            child.become(State.LOOPING if delay else State.WAITING)
+            child.become(ProcessState.LOOPING if delay else ProcessState.WAITING)
             child.restarts += 1
             child.start_at_s = now_s() + delay
             self._show(f"{what}; restarting" + (f" in {delay:g} s" if delay else ""))
@@ -352,7 +353,7 @@ class Supervisor:
             self._me.poller.unregister(fd)
 
     def _end(self, child: Child, limit_s: float) -> None:
-        child.become(State.ENDING)
+        child.become(ProcessState.ENDING)
         child.kill_at_s = now_s() + limit_s
         child.signal(signal.SIGTERM)
 
@@ -446,11 +447,11 @@ def _hung(child: Child, now: float) -> str:
     """
     silent_s = now - max(child.last_output_s, child.since_s)
     idle_s = now - max(child.last_output_s, child.since_s, child.busy_s)
-    if child.state == State.STARTING:
+    if child.state == ProcessState.STARTING:
         if silent_s > START_LIMIT_S:
             return f"not ready within {silent_s:.0f} s"
         return f"not ready, and hung: it has not used the processor for {idle_s:.1f} s" if idle_s > IDLE_S else ""
-    if child.state != State.READY:
+    if child.state != ProcessState.READY:
         return ""
     if child.stopped_since_s and (stopped_s := now - child.stopped_since_s) >= STOPPED_S:
         return f"hung, stopped for {stopped_s:.1f} s"
@@ -461,7 +462,7 @@ def _hung(child: Child, now: float) -> str:
 
 def _last_words(child: Child) -> list[str]:
     """The last log line of a process in a crash loop or given up, as a note."""
-    ends = child.log_tail(1) if child.state in (State.LOOPING, State.FAILED) else ""
+    ends = child.log_tail(1) if child.state in (ProcessState.LOOPING, ProcessState.FAILED) else ""
     return [f"{child.state.value}: {ends[:300]}"] if ends else []
 
 

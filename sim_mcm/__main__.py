@@ -22,7 +22,7 @@ from sim_mcm.arms.arm import Simulation
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.clock import Clock
-from sim_mcm.control.subsystem import BROKER, Outgoing, Subsystem
+from sim_mcm.control.subsystem import BROKER, McmSubsystem, Outgoing
 from sim_mcm.sockets import Sockets
 from sim_mcm.state_file import StateFile
 
@@ -49,7 +49,7 @@ class Station:
         self._state_file = StateFile(settings.path, settings.run)
         if (before := self._state_file.load()) is not None:
             simulation.restore(before)
-        self._subsystem = Subsystem(self._simulation.arms, NAME, os.getpid())
+        self._subsystem = McmSubsystem(self._simulation.arms, NAME, os.getpid())
         self._sockets = Sockets(me, settings, given.identity(NAME))
         self._clock = Clock(settings.speed, process.now_s())
         self._heartbeat = process.Every(HEARTBEAT_S)

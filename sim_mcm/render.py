@@ -24,11 +24,11 @@ import pybullet
 from numpy.typing import NDArray
 
 from rtc.cells.cell import Cell
-from rtc.cells.scene import VIEWS, Drawn, Panel, Picture, Scene
+from rtc.cells.scene import VIEWS, Drawn, Panel, Picture, SceneView
 from rtc.protocol.outcomes import RtcError
 from rtc.robot import geometry
 from sim_mcm import picture as sheet
-from sim_mcm.arms.bullet_world import World
+from sim_mcm.arms.bullet_world import PhysicsWorld
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ class Studio:
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
-        self.world = World(cell, visual=True)
+        self.world = PhysicsWorld(cell, visual=True)
         self.arms = {arm.name: self.world.load_arm(arm.name) for arm in cell.arms}
         self.joints = {
             name: {
@@ -92,7 +92,7 @@ class Studio:
     def close(self) -> None:
         self.world.close()
 
-    def pose(self, scene: Scene) -> None:
+    def pose(self, scene: SceneView) -> None:
         """Set all poses from the scene; anything not in it takes its initial pose."""
         for name, body in self.world.objects.items():
             self.world.place(body, scene.poses.get(name, self.cell.object_pose(name).tolist()))
@@ -106,7 +106,7 @@ class Studio:
                         self.arms[arm.name], joint, wanted[title], physicsClientId=self.world.client
                     )
 
-    def camera(self, name: str, scene: Scene, aspect: float) -> Camera:
+    def camera(self, name: str, scene: SceneView, aspect: float) -> Camera:
         """The camera of one of VIEWS, or a close view of the named arm's hand, object, seat or place."""
         middle, radius = self._extent()
         direction, far = DIRECTIONS.get(name, (CLOSE, 0.0))
@@ -132,7 +132,7 @@ class Studio:
             0.12 * radius,
         ], radius  # raised, because arms reach up and only the floor is below
 
-    def _target(self, name: str, scene: Scene) -> Array:
+    def _target(self, name: str, scene: SceneView) -> Array:
         cell = self.cell
         if name in scene.poses:
             return np.array(scene.poses[name][:3])
@@ -184,7 +184,7 @@ class Studio:
         return seen
 
 
-def draw(cell: Cell, scene: Scene, width: int = 960, height: int = 720) -> Image:
+def draw(cell: Cell, scene: SceneView, width: int = 960, height: int = 720) -> Image:
     """One scene without text, height x width x 3."""
     studio = Studio(cell)
     try:
@@ -219,7 +219,7 @@ def _anchors(studio: Studio, panel: Panel) -> list[tuple[str, str, Array]]:
     ]
 
 
-def _floor(world: World) -> None:
+def _floor(world: PhysicsWorld) -> None:
     """Add a chequered floor, which makes positions visible."""
     half = [0.5 * FLOOR_TILE_M, 0.5 * FLOOR_TILE_M, 0.005]
     shapes = [
@@ -286,7 +286,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.out is None:
         words.error("--out or --serve is needed")
     try:
-        scene = msgspec.json.decode(given.truth.read_bytes(), type=Scene) if given.truth else Scene()
+        scene = msgspec.json.decode(given.truth.read_bytes(), type=SceneView) if given.truth else SceneView()
         write_png(draw(Cell.load(given.cell), scene, *given.size), given.out)
     except (OSError, msgspec.MsgspecError, RtcError) as error:
         words.exit(1, f"{words.prog}: {error}\n")

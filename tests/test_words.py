@@ -64,7 +64,6 @@ RETIRED_TYPES = {
     "Setting": "PlanningRequest",
     "Situation": "TaskCandidate",
     "Start": "Anchor",
-    "Story": "Narrator, Harness, Scenario",
     "Turn": "DecisionContext",
 }
 #: retired names of modules

@@ -47,7 +47,7 @@ OFF_M = 0.002  # maximum distance of a module from its believed place, along eac
 LATER_M, LATER_RAD = 0.10, 0.8  # maximum displacement between two views of the world
 
 
-class Job(NamedTuple):
+class WorkerJob(NamedTuple):
     kind: WorkerKind
     world: World
     data: Any
@@ -60,7 +60,7 @@ class Workers:
         self.model = CellModel(cell)
         self._compiled = {kind: f.compile(loader.default(kind)) for kind, f in FUNCTIONS.items()}
 
-    def do(self, job: Job) -> Any:
+    def do(self, job: WorkerJob) -> Any:
         """Product or Refusal."""
         return FUNCTIONS[job.kind].run(self._compiled[job.kind], self.model, job.world, job.data)
 
@@ -75,7 +75,7 @@ class Scenario:
         self._executors = {name: Executor(arm) for name, arm in self._sim.arms.items()}
         self._commands = 0
         self.world = World().overlay(initial_facts(self._cell))
-        self.jobs: list[Job] = []
+        self.jobs: list[WorkerJob] = []
         for thing in self._cell.objects:
             if not thing.fixed:
                 self._sim.displace(thing.name, [*(rng.uniform(-OFF_M, OFF_M) for _ in range(3)), 0.0, 0.0, 0.0])
@@ -107,7 +107,7 @@ class Scenario:
         return True
 
     def _do(self, kind: WorkerKind, data: Any) -> Any:
-        self.jobs.append(Job(kind, self.world, data))
+        self.jobs.append(WorkerJob(kind, self.world, data))
         return self._workers.do(self.jobs[-1])
 
     def _perform(self, primitive: Primitive, limit_s: float) -> EndReport:
@@ -121,7 +121,7 @@ class Scenario:
         raise AssertionError(f"no end of {primitive.id} within {limit_s} s")
 
 
-def changed(job: Job, cell: Cell, rng: random.Random) -> Job:
+def changed(job: WorkerJob, cell: Cell, rng: random.Random) -> WorkerJob:
     """The same bind job in a world where other arms and modules have moved since the planning."""
     arm = job.data.context.arm
     changes = []

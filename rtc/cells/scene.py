@@ -20,7 +20,7 @@ VIEWS = ("overview", "behind", "left", "right", "top")  # --camera; or the name 
 STEEP_DEG = 89.9
 
 
-class Scene(msgspec.Struct, frozen=True, kw_only=True):
+class SceneView(msgspec.Struct, frozen=True, kw_only=True):
     """Where everything is. An object or arm that is missing is drawn as the cell begins."""
 
     poses: dict[str, list[float]] = {}
@@ -34,7 +34,7 @@ class Panel(msgspec.Struct, frozen=True, kw_only=True):
     drawn as a warning. `outlined`: objects whose outline in the first panel is drawn over this one."""
 
     title: str
-    scene: Scene
+    scene: SceneView
     labels: dict[str, str] = {}
     doubtful: list[str] = []
     outlined: list[str] = []
@@ -80,7 +80,7 @@ class ArmRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Believed(msgspec.Struct, frozen=True, kw_only=True):
-    scene: Scene
+    scene: SceneView
     arms: list[ArmRow]
     objects: list[ObjectRow]
 
@@ -133,12 +133,12 @@ def believed(
                 turned_rad=geometry.angle(pose, true_pose) if true_pose else None,
             )
         )
-    scene = Scene(poses={row.name: row.pose for row in objects}, joints=joints, fingers=fingers, tcp=tcp)
+    scene = SceneView(poses={row.name: row.pose for row in objects}, joints=joints, fingers=fingers, tcp=tcp)
     return Believed(scene=scene, arms=arms, objects=objects)
 
 
-def true_scene(truth: m.SimTruthReply) -> Scene:
-    return Scene(poses=truth.poses, joints=truth.joints, fingers=truth.fingers, tcp=truth.tcp)
+def true_scene(truth: m.SimTruthReply) -> SceneView:
+    return SceneView(poses=truth.poses, joints=truth.joints, fingers=truth.fingers, tcp=truth.tcp)
 
 
 # --- for people ----------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ CELL = "swapout"  # default cell of a cluster
 OTHER_WORDS = {"axis": "axes", "hand": "arms", "hands": "arms", "end-effector": "arms", "end-effectors": "arms"}
 
 
-class Named(NamedTuple):
+class NameEntry(NamedTuple):
     """One name. `also`: other names of the same thing; `about`: its description for people (cm, deg)."""
 
     name: str
@@ -54,7 +54,7 @@ def names(
     print_names(what, wanted)
 
 
-def _found(cell: str, kind: str) -> dict[str, list[Named]]:
+def _found(cell: str, kind: str) -> dict[str, list[NameEntry]]:
     known = Cell.load(cell)
     return {name: rows(known) for name, (rows, _) in KINDS.items() if kind in ("", name)}
 
@@ -93,9 +93,9 @@ def _cell_of(run_dir: Path) -> str:
         return CELL
 
 
-def _arms(cell: Cell) -> list[Named]:
+def _arms(cell: Cell) -> list[NameEntry]:
     found = [
-        Named(
+        NameEntry(
             arm.name,
             f"{len(arm.joints)} joints, hand opens to {_cm(arm.gripper.max_opening_m)} cm",
             (arm.end_effector,),
@@ -104,16 +104,16 @@ def _arms(cell: Cell) -> list[Named]:
     ]
     known = {arm.name for arm in cell.arms}
     both = (
-        [Named("BOTH-ARMS", "in HALT BOTH-ARMS only; a task is for one arm")]
+        [NameEntry("BOTH-ARMS", "in HALT BOTH-ARMS only; a task is for one arm")]
         if {"LEFT-ARM", "RIGHT-ARM"} <= known
         else []
     )
     return found + (both if {"LEFT-ARM", "RIGHT-ARM"} <= known else [])
 
 
-def _objects(cell: Cell) -> list[Named]:
+def _objects(cell: Cell) -> list[NameEntry]:
     return [
-        Named(
+        NameEntry(
             thing.name,
             f"{thing.kind}, " + ("fixed, cannot be grasped" if thing.fixed else f"{thing.mass_kg:g} kg")
             + (f", begins in {thing.seat}" if thing.seat else ""),
@@ -122,50 +122,50 @@ def _objects(cell: Cell) -> list[Named]:
     ]  # fmt: skip
 
 
-def _grasp_points(cell: Cell) -> list[Named]:
+def _grasp_points(cell: Cell) -> list[NameEntry]:
     return [
-        Named(point.name, f"of {thing.name}, {_cm(point.width_m)} cm wide")
+        NameEntry(point.name, f"of {thing.name}, {_cm(point.width_m)} cm wide")
         for thing in cell.objects
         for point in thing.grasp_points
     ]
 
 
-def _seats(cell: Cell) -> list[Named]:
+def _seats(cell: Cell) -> list[NameEntry]:
     return [
-        Named(seat.name, f"{seat.kind}, a module in it is at {_xyz(cell.seated_pose(seat.name)[:3].tolist())}")
+        NameEntry(seat.name, f"{seat.kind}, a module in it is at {_xyz(cell.seated_pose(seat.name)[:3].tolist())}")
         for seat in cell.seats
     ]
 
 
-def _places(cell: Cell) -> list[Named]:
+def _places(cell: Cell) -> list[NameEntry]:
     found = []
     for place in cell.places:
         at = [f"{arm} at {_xyz(frame.xyz)}" for arm, frame in place.poses.items()]
         at += [f"{arm} by joints" for arm in place.joints_deg]
-        found.append(Named(place.name, "; ".join(at)))
+        found.append(NameEntry(place.name, "; ".join(at)))
     return found
 
 
-def _regions(cell: Cell) -> list[Named]:
+def _regions(cell: Cell) -> list[NameEntry]:
     return [
-        Named(r.name, f"box of {' x '.join(_cm(n) for n in r.size_m)} cm about {_xyz(r.frame.xyz)}")
+        NameEntry(r.name, f"box of {' x '.join(_cm(n) for n in r.size_m)} cm about {_xyz(r.frame.xyz)}")
         for r in cell.regions
     ]
 
 
-def _attitudes(cell: Cell) -> list[Named]:
+def _attitudes(cell: Cell) -> list[NameEntry]:
     return [
-        Named(name, "roll pitch yaw {:g} {:g} {:g} deg".format(*frame.rpy_deg))
+        NameEntry(name, "roll pitch yaw {:g} {:g} {:g} deg".format(*frame.rpy_deg))
         for name, frame in cell.attitudes.items()
     ]
 
 
-def _axes(_: Cell) -> list[Named]:
+def _axes(_: Cell) -> list[NameEntry]:
     same: dict[tuple[str, tuple[float, ...]], list[str]] = {}
     for name, axis in AXES.items():
         same.setdefault(axis, []).append(name)
     return [
-        Named(first, f"{whose} axis {' '.join(f'{n:g}' for n in vector)}", tuple(others))
+        NameEntry(first, f"{whose} axis {' '.join(f'{n:g}' for n in vector)}", tuple(others))
         for (whose, vector), (first, *others) in same.items()
     ]
 
@@ -179,7 +179,7 @@ def _xyz(point: tuple[float, ...] | list[float]) -> str:
 
 
 #: kind -> function that reads it from a cell, and an example sentence
-KINDS: dict[str, tuple[Callable[[Cell], list[Named]], str]] = {
+KINDS: dict[str, tuple[Callable[[Cell], list[NameEntry]], str]] = {
     "arms": (_arms, "STOW RIGHT-ARM"),
     "objects": (_objects, "GRASP RIGHT-END-EFF MACS-NEW"),
     "grasp-points": (_grasp_points, "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"),

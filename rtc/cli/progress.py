@@ -28,7 +28,7 @@ REPORTS_KEPT = 1000  # maximum number of reports of REPORT EVERY per command in 
 
 
 @dataclass
-class Row:
+class BoardRow:
     text: str
     command: str = ""
     phase: str = "waiting"
@@ -42,8 +42,8 @@ class Board:
     """Context manager. `quiet`: show nothing (for --json); `out`: the output."""
 
     def __init__(self, texts: list[str], *, quiet: bool = False, out: Console = console) -> None:
-        self._rows = [Row(text) for text in texts]
-        self._row_of: dict[str, Row] = {}
+        self._rows = [BoardRow(text) for text in texts]
+        self._row_of: dict[str, BoardRow] = {}
         self.reports: dict[str, deque[tuple[float, Measured]]] = {}  # command -> (at_s, report of REPORT EVERY)
         self.on_long: Callable[[m.ProgressNote], None] | None = None  # called with every note; asks about a long step
         self.kinds: list[OutcomeKind] = []  # outcomes of all ended commands

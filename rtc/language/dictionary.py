@@ -23,7 +23,7 @@ RESERVED = re.compile(r"[A-Z][A-Z-]*")  # in the BNF, capitals are reserved word
 Production = list[str]
 
 
-class Way(msgspec.Struct, frozen=True, rename={"kind": "class"}):
+class VerbUse(msgspec.Struct, frozen=True, rename={"kind": "class"}):
     """One way a verb works: a line of the table of commands."""
 
     kind: str
@@ -38,7 +38,7 @@ class Way(msgspec.Struct, frozen=True, rename={"kind": "class"}):
 class Meanings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     words: dict[str, str]
     clauses: dict[str, str]
-    verbs: dict[str, list[Way]]
+    verbs: dict[str, list[VerbUse]]
     examples: dict[str, list[str]]
 
 

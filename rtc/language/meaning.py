@@ -15,10 +15,10 @@ from typing import Any, Literal, NamedTuple
 
 from lark.lexer import Token
 
-from rtc.language.record import Condition, Constraint, Place, Quantity, ReflexItem, Report
+from rtc.language.record import Condition, Constraint, Destination, Quantity, ReflexItem, Report
 from rtc.language.refuse import Wrong, quoted
 from rtc.language.units import KINDS, UNITS, such_as, to_si
-from rtc.language.words import Measured, measured
+from rtc.language.words import WrittenNumber, measured
 
 Fields = dict[str, Any]
 Parts = list[Any]
@@ -78,7 +78,7 @@ SHARED_PARTS = {"ORIENTATION": "WRIST"}  # synonyms for a part of a shared motio
 POSITION_NUMBERS = 3  # x y z
 
 
-class Hand(dict[str, Any]):
+class HandFields(dict[str, Any]):
     """Fields of a hand, with their column: two hands of one sentence can contradict each other."""
 
     column: int = 0
@@ -87,7 +87,7 @@ class Hand(dict[str, Any]):
 # --- quantities ---------------------------------------------------------------------------------------
 
 
-def checked(given: Measured, takes: Takes, by: str) -> Quantity:
+def checked(given: WrittenNumber, takes: Takes, by: str) -> Quantity:
     """The quantity in SI. Raises `Wrong` unless the word `by` takes its unit and sign."""
     if given.unit is None:
         raise Wrong(given.column, f"{quoted(given.text)} has no unit.", map(such_as, takes.units))
@@ -105,13 +105,13 @@ def checked(given: Measured, takes: Takes, by: str) -> Quantity:
     return Quantity(value, si)
 
 
-def in_one_unit(last_first: list[Measured]) -> list[tuple[Measured, str | None]]:
+def in_one_unit(last_first: list[WrittenNumber]) -> list[tuple[WrittenNumber, str | None]]:
     """Each number in order, with its own unit or that of the next number with a unit (`60 -20 35 CM`).
 
     A list without any unit is in SI. Raises `Wrong` for a number without a unit after one with a unit.
     """
     unit: str | None = None
-    bare: Measured | None = None  # the leftmost number so far without a unit after it
+    bare: WrittenNumber | None = None  # the leftmost number so far without a unit after it
     result = []
     for given in last_first:
         if given.unit is None and unit is None:
@@ -125,14 +125,14 @@ def in_one_unit(last_first: list[Measured]) -> list[tuple[Measured, str | None]]
     return result
 
 
-def si_numbers(last_first: list[Measured], takes: tuple[str, ...], word: Token) -> list[float]:
+def si_numbers(last_first: list[WrittenNumber], takes: tuple[str, ...], word: Token) -> list[float]:
     """The numbers after JOINTS or POSITION, in SI."""
     if not last_first:
         raise Wrong(word.end_pos or 0, f"{word.value} needs numbers after it.", ["a number", such_as(takes[0])])
     return in_si(in_one_unit(last_first), takes, word.value)
 
 
-def in_si(numbers: list[tuple[Measured, str | None]], units: tuple[str, ...], by: str) -> list[float]:
+def in_si(numbers: list[tuple[WrittenNumber, str | None]], units: tuple[str, ...], by: str) -> list[float]:
     """The numbers in SI. Raises `Wrong`, at the number, for a unit that is not among `units`."""
     for given, _ in numbers:
         if given.unit is not None:
@@ -177,7 +177,7 @@ def command(parts: Parts) -> Fields:
     fields: Fields = {"verb": verb}
     for part in parts:
         if isinstance(part, dict):
-            if "hand" in fields and part.__class__ is Hand and part["hand"] != fields["hand"]:
+            if "hand" in fields and part.__class__ is HandFields and part["hand"] != fields["hand"]:
                 message = f"{fields['hand']} is named first, then {part['hand']}: {verb} takes one of them."
                 raise Wrong(part.column, message, [fields["hand"]])
             fields.update(part)
@@ -195,15 +195,15 @@ def command(parts: Parts) -> Fields:
 # --- hands, objects, places -----------------------------------------------------------------------------
 
 
-def arm(parts: Parts) -> Hand:
+def arm(parts: Parts) -> HandFields:
     """A hand is represented by its arm; ARM <name> by the name."""
-    hand = Hand(hand=ARMS.get(parts[-1], str(parts[-1])))
+    hand = HandFields(hand=ARMS.get(parts[-1], str(parts[-1])))
     hand.column = parts[0].start_pos
     return hand
 
 
-def with_hand(parts: Parts) -> Hand:
-    hand: Hand = parts[1]
+def with_hand(parts: Parts) -> HandFields:
+    hand: HandFields = parts[1]
     return hand
 
 
@@ -222,32 +222,32 @@ def destination(parts: Parts) -> Fields:
 
 
 def neighborhood(parts: Parts) -> Fields:
-    return {"place": Place(neighborhood_of=parts[1])}
+    return {"place": Destination(neighborhood_of=parts[1])}
 
 
 def grasp_point_place(parts: Parts) -> Fields:
-    return {"place": Place(grasp_point_of=parts[1])}
+    return {"place": Destination(grasp_point_of=parts[1])}
 
 
 def relative_step(parts: Parts) -> Fields:
-    return {"place": Place(by=checked(parts[1], STEP, "MOVE BY"), **parts[2])}
+    return {"place": Destination(by=checked(parts[1], STEP, "MOVE BY"), **parts[2])}
 
 
-def named_place(parts: Parts) -> Place:
-    return Place(name=parts[0])
+def named_place(parts: Parts) -> Destination:
+    return Destination(name=parts[0])
 
 
-def joint_place(parts: Parts) -> Place:
-    return Place(joints=si_numbers(parts[1], JOINTS.units, parts[0]))
+def joint_place(parts: Parts) -> Destination:
+    return Destination(joints=si_numbers(parts[1], JOINTS.units, parts[0]))
 
 
-def position_place(parts: Parts) -> Place:
+def position_place(parts: Parts) -> Destination:
     position = si_numbers(parts[1], LENGTH.units, parts[0])
     if len(position) != POSITION_NUMBERS:
         first_too_many = parts[1][::-1][POSITION_NUMBERS:]
         column = first_too_many[0].column if first_too_many else parts[1][0].column + len(parts[1][0].text)
         raise Wrong(column, f"POSITION takes three numbers, not {len(position)}.", ["x y z such as 60 -20 35 CM"])
-    return Place(position=position)
+    return Destination(position=position)
 
 
 def straight_line(_: Parts) -> Fields:

@@ -20,7 +20,7 @@ class Quantity(msgspec.Struct, frozen=True):
     unit: str
 
 
-class Place(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Destination(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A destination. Exactly one field is set, except `along`, which belongs to `by`."""
 
     name: str | None = None  # a named place or object
@@ -87,7 +87,7 @@ class ParsedCommand(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     object: str | None = None  # the object, mechanism, seat, command or table the verb is about
     grasp_point: str | None = None
     target: str | None = None  # ON / INTO / FROM / TO (ALIGN, CARRY) / AT (VERIFY) / LOAD ... INTO
-    place: Place | None = None  # MOVE ... TO / BY
+    place: Destination | None = None  # MOVE ... TO / BY
     path: Literal["straight_line", "joint"] | None = None
     through: list[str] = []
     amount: Quantity | None = None  # BY: relative amount

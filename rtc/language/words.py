@@ -37,7 +37,7 @@ class Word(Token):
         return word
 
 
-class Measured(NamedTuple):
+class WrittenNumber(NamedTuple):
     """A number as written. `unit` is a key of `UNITS`, or None for a number without a unit."""
 
     number: float
@@ -113,7 +113,7 @@ def one_line(sentence: str | bytes) -> str | Refusal:
     return text
 
 
-def measured(word: Token) -> Measured:
+def measured(word: Token) -> WrittenNumber:
     """Reads a number or quantity. Raises `Wrong` when it is too large for a float."""
     figure = word.value.rstrip(_UNIT_LETTERS)
     unit = word.value[len(figure) :].upper() or None
@@ -121,7 +121,7 @@ def measured(word: Token) -> Measured:
     column = word.start_pos or 0
     if not math.isfinite(number):
         raise Wrong(column, f"{quoted(word.value)} is too large a number.", ["a smaller number"])
-    return Measured(number, unit, column, word.value)
+    return WrittenNumber(number, unit, column, word.value)
 
 
 def _spellings(terminal: TerminalDef) -> list[str]:

@@ -15,7 +15,7 @@ from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgra
 Problems = Iterator[tuple[str, str]]  # place, problem
 
 
-class Named(Protocol):
+class PlacedStep(Protocol):
     """A step of a script file or of a script."""
 
     @property
@@ -26,7 +26,7 @@ class Named(Protocol):
     def stop(self) -> str: ...
 
 
-def row_of(step: Named) -> str:
+def row_of(step: PlacedStep) -> str:
     """The row of the analyzer's outcome table for a step: its stop class, else its action (`do-op`)."""
     return step.stop or "-".join(filter(None, (step.do, step.op)))
 

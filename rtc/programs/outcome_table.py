@@ -15,13 +15,15 @@ from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgra
 from rtc.protocol.outcomes import ProgramError, StopReason
 
 
-class Outcome(NamedTuple):
+class OutcomeRow(NamedTuple):
     step: str  # "5 feel one side of the handle (GP1)"
     reason: StopReason
     response: str  # continue | trim 2 (grasp), restart_script | fail: failure class
 
 
-def outcomes(elaborator_program: bytes, binder_program: bytes, analyzer_program: bytes, script: str) -> list[Outcome]:
+def outcomes(
+    elaborator_program: bytes, binder_program: bytes, analyzer_program: bytes, script: str
+) -> list[OutcomeRow]:
     """One row per (step, stop reason) of a script and of its trims; `script` is its name or its verb.
 
     Raises ProgramError: the script does not exist, or the programs are incompatible.
@@ -41,7 +43,7 @@ def outcomes(elaborator_program: bytes, binder_program: bytes, analyzer_program:
 
 def _rows(
     script: ScriptFile, elaborator: ElaboratorProgram, binder: BinderProgram, analyzer: AnalyzerProgram
-) -> Iterator[Outcome]:
+) -> Iterator[OutcomeRow]:
     pieces = {piece.skill: piece for piece in elaborator.pieces}
     done = [entry for entry in script.trimming_stack if entry.skill in pieces]
     for n, step in enumerate(script.steps, 1):
@@ -59,14 +61,14 @@ def _label(step: ScriptStep) -> str:
 
 def _step(
     label: str, step: ScriptStep, trims: list[TrimEntry], binder: BinderProgram, analyzer: AnalyzerProgram
-) -> Iterator[Outcome]:
+) -> Iterator[OutcomeRow]:
     if binder.actions[step.do] in binder.computes or binder.procedures.get(step.name) in binder.computes:
-        yield Outcome(label, StopReason.GOAL, "continue: nothing moves")
+        yield OutcomeRow(label, StopReason.GOAL, "continue: nothing moves")
         return
     row = row_of(step)
     cells = analyzer.outcomes[row]
     for reason in StopReason:
-        yield Outcome(label, reason, _response(step, reason, trims, cells, analyzer))
+        yield OutcomeRow(label, reason, _response(step, reason, trims, cells, analyzer))
 
 
 def _response(

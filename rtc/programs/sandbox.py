@@ -1,7 +1,7 @@
 """A sandbox for program checks: a child process with limits on time and memory.
 
 A grammar of a few hundred bytes can take minutes or overflow the stack when it is compiled, so the broker must not
-compile it. `check` is the check itself. `Process` runs it in a child (`python -m rtc.programs.sandbox`), which the
+compile it. `check` is the check itself. `CheckProcess` runs it in a child (`python -m rtc.programs.sandbox`), which the
 kernel kills at its limits. A program that kills the child or exceeds the time is refused with the reason.
 """
 
@@ -62,7 +62,7 @@ def check(asked: Asked) -> Checked:
         return Checked(error=str(error))
 
 
-class Process:
+class CheckProcess:
     """One check in a child process."""
 
     def __init__(self, asked: Asked, cpu_s: int = CPU_S) -> None:
@@ -106,7 +106,7 @@ def _why(status: int | None, cpu_s: int) -> str:
 
 def in_a_process(asked: Asked, cpu_s: int = CPU_S) -> Checked:
     """Checks in a child process and waits for the result. Raises OSError when the child cannot start."""
-    running = Process(asked, cpu_s)
+    running = CheckProcess(asked, cpu_s)
     while (checked := running.result(now_s())) is None:
         with contextlib.suppress(subprocess.TimeoutExpired):
             running._child.wait(0.1)

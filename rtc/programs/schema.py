@@ -29,7 +29,7 @@ class ProgramPart(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
 # --- elaborator ----------------------------------------------------------------------------------------
 
 
-class Check(ProgramPart, frozen=True, kw_only=True):
+class BranchCondition(ProgramPart, frozen=True, kw_only=True):
     """One condition of the decision tree: all fields that are set must hold. Paths are fields of ParsedCommand."""
 
     given: str = ""  # this field of the command must be set: place.joints
@@ -46,7 +46,7 @@ class Branch(ProgramPart, frozen=True, kw_only=True):
 
     verb: str
     script: str
-    when: list[Check] = []
+    when: list[BranchCondition] = []
     likelihood: Share = 1.0
     enabled: bool = True
 
@@ -114,7 +114,7 @@ class ScriptFile(ProgramPart, frozen=True, kw_only=True):
     trimming_stack: list[TrimEntry] = []
 
 
-class Piece(ProgramPart, frozen=True, kw_only=True):
+class ScriptPiece(ProgramPart, frozen=True, kw_only=True):
     """A corrective piece of script, named by the skill that trimming stacks refer to."""
 
     skill: str
@@ -143,7 +143,7 @@ class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True):
     decision_tree: list[Branch]
     command_object_table: list[TableRow]
     scripts: list[ScriptFile]
-    pieces: list[Piece] = []
+    pieces: list[ScriptPiece] = []
     constraints: dict[str, dict[str, str]] = {}  # MAINTAIN slot -> unit (or "name") -> limit
     acts_on: dict[str, ActsOn] = {}  # MAINTAIN slot -> the steps it acts on; without an entry, all steps
     not_yet: dict[str, str] = {}  # field of the command -> reason for its refusal

@@ -29,7 +29,7 @@ COAL_SHAPES: dict[type, Callable[[Any], coal.ShapeBase]] = {
 
 
 @dataclass(frozen=True)
-class Piece:
+class CollisionPiece:
     """One convex piece, at the same index as its geometry object."""
 
     owner: str
@@ -57,7 +57,7 @@ class ArmSlots:
 class Bodies:
     model: pin.Model
     geometry: pin.GeometryModel
-    pieces: list[Piece]
+    pieces: list[CollisionPiece]
     pairs: list[tuple[int, int]]  # in the order of `geometry.collisionPairs`
     arms: dict[str, ArmSlots] = field(default_factory=dict)
 
@@ -65,7 +65,7 @@ class Bodies:
 def build(cell: cells.Cell) -> Bodies:
     """The collision model of a cell, objects at their initial poses. Raises ProgramError for a missing joint."""
     model, geometry = pin.Model(), pin.GeometryModel()
-    pieces: list[Piece] = []
+    pieces: list[CollisionPiece] = []
     slots: dict[str, ArmSlots] = {}
     disabled: set[frozenset[str]] = set()
     for arm in cell.arms:
@@ -76,7 +76,7 @@ def build(cell: cells.Cell) -> Bodies:
         disabled |= _disabled_pairs(cell.srdf(arm.name), arm.name)
     for item in geometry.geometryObjects:
         owner, part = item.name.rsplit("_", 1)[0].split(" ", 1)  # pinocchio adds _0, _1 to the link's name
-        pieces.append(Piece(owner, part, "arm", item.placement.copy()))
+        pieces.append(CollisionPiece(owner, part, "arm", item.placement.copy()))
     for arm in cell.arms:
         slots[arm.name] = _slots(model, arm)
     for seat in cell.seats:
@@ -97,20 +97,20 @@ def build(cell: cells.Cell) -> Bodies:
 
 def _add(
     geometry: pin.GeometryModel,
-    pieces: list[Piece],
+    pieces: list[CollisionPiece],
     owner: str,
     kind: str,
     pose: Floats,
     shapes: list[parts.AnyShape],
 ) -> None:
     for shape in shapes:
-        piece = Piece(owner, shape.name, kind, se3(shape.frame.pose))
+        piece = CollisionPiece(owner, shape.name, kind, se3(shape.frame.pose))
         solid = COAL_SHAPES[type(shape)](shape)
         geometry.addGeometryObject(pin.GeometryObject(piece.label, 0, se3(pose) * piece.in_owner, solid))
         pieces.append(piece)
 
 
-def _candidates(pieces: list[Piece]) -> list[tuple[int, int]]:
+def _candidates(pieces: list[CollisionPiece]) -> list[tuple[int, int]]:
     """The relevant pairs: an arm with any body, a movable object with any other body."""
     moving = ("arm", "movable")
     return [
@@ -123,7 +123,7 @@ def _candidates(pieces: list[Piece]) -> list[tuple[int, int]]:
     ]
 
 
-def _is_disabled(pieces: list[Piece], pair: tuple[int, int], disabled: set[frozenset[str]]) -> bool:
+def _is_disabled(pieces: list[CollisionPiece], pair: tuple[int, int], disabled: set[frozenset[str]]) -> bool:
     a, b = (pieces[n] for n in pair)
     return a.kind == b.kind == "arm" and (a.label == b.label or frozenset((a.label, b.label)) in disabled)
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import msgspec
 
 from rtc.runtime.process import now_s
-from rtc.runtime.process_table import Row, processes
+from rtc.runtime.process_table import ProcessRow, processes
 
-VICTIMS: dict[str, Callable[[Row], bool]] = {  # the values of `rtc chaos --kill`
+VICTIMS: dict[str, Callable[[ProcessRow], bool]] = {  # the values of `rtc chaos --kill`
     "worker": lambda row: row.node is not None,
     "broker": lambda row: row.name == "broker",
     "world": lambda row: row.name == "world",
@@ -67,7 +67,7 @@ class Chaos:
         self.strikes.append(Strike(name=victim.name, pid=victim.pid, at_s=at_s))
         return self.strikes[-1]
 
-    def _hit(self, row: Row) -> bool:
+    def _hit(self, row: ProcessRow) -> bool:
         """False if it has ended meanwhile: its pid may belong to another process."""
         with contextlib.suppress(ProcessLookupError):
             fd = os.pidfd_open(row.pid)

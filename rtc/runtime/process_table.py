@@ -16,7 +16,7 @@ from rtc.protocol.outcomes import NoCluster
 FILE = "supervisor.json"  # in the run directory
 
 
-class Row(msgspec.Struct, frozen=True):
+class ProcessRow(msgspec.Struct, frozen=True):
     """One process, as the supervisor knows it."""
 
     name: str
@@ -34,7 +34,7 @@ class Table(msgspec.Struct, frozen=True, kw_only=True):
     pid: int = 0  # of the supervisor
     cluster: str = ""  # identity of the run
     started_at: float = 0.0  # seconds since 1970
-    processes: list[Row] = []
+    processes: list[ProcessRow] = []
 
     def save(self, run_dir: Path) -> None:
         """Replace the file atomically: a reader always sees a whole table. Raises OSError."""
@@ -52,7 +52,7 @@ class Table(msgspec.Struct, frozen=True, kw_only=True):
             return None
 
 
-def processes(run_dir: Path) -> dict[str, Row]:
+def processes(run_dir: Path) -> dict[str, ProcessRow]:
     """The cluster's processes by name. Raises NoCluster if there is no readable table."""
     table = Table.load(run_dir)
     if table is None:

@@ -90,7 +90,7 @@ class Traits(msgspec.Struct, frozen=True, kw_only=True):
         )
 
 
-class Arm(Protocol):
+class ArmInterface(Protocol):
     """One arm with its hand. Call `read` once per tick, then `follow`; a command stays valid until the next."""
 
     traits: Traits
@@ -117,7 +117,7 @@ class Simulation(Protocol):
     """A cell with its arms: can be stepped, observed and disturbed. Only the test bench reads the true state."""
 
     @property
-    def arms(self) -> Mapping[str, Arm]: ...
+    def arms(self) -> Mapping[str, ArmInterface]: ...
 
     def step(self) -> None:
         """Advance by one tick."""

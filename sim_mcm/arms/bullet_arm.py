@@ -19,7 +19,7 @@ from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms.arm import ArmState, CellState, HandCommand, Motion, Sample, Traits
-from sim_mcm.arms.bullet_world import World
+from sim_mcm.arms.bullet_world import PhysicsWorld
 from sim_mcm.arms.detents import Detents
 from sim_mcm.arms.hand import Hand, pressed
 from sim_mcm.arms.kinematic_arm import displaced
@@ -35,7 +35,7 @@ BODY_B, LINK_A, NORMAL_FORCE = 2, 3, 9  # fields of a contact point
 class BulletArm:
     """One arm of the world: its body, sensors and motors."""
 
-    def __init__(self, world: World, name: str) -> None:
+    def __init__(self, world: PhysicsWorld, name: str) -> None:
         spec = world.cell.arm(name)
         self.traits = Traits.of(world.cell, name)
         self._world = world
@@ -181,7 +181,7 @@ class BulletCell:
 
     def __init__(self, cell: cells.Cell) -> None:
         self.cell = cell
-        self.world = World(cell)
+        self.world = PhysicsWorld(cell)
         self.arms = {arm.name: BulletArm(self.world, arm.name) for arm in cell.arms}
         self._detents = Detents(self.world)
         self._settle()

@@ -35,7 +35,7 @@ class Body:
         self.id = pieces[0][0]  # a movable object has only this one
 
 
-class World:
+class PhysicsWorld:
     """A pybullet client with the seats and objects of a cell in it."""
 
     def __init__(self, cell: cells.Cell, visual: bool = False) -> None:

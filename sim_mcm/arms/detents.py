@@ -11,7 +11,7 @@ import math
 import pybullet
 
 from rtc.robot import geometry
-from sim_mcm.arms.bullet_world import World
+from sim_mcm.arms.bullet_world import PhysicsWorld
 
 BREAKS_M = 0.004  # travel of the catch before it releases
 CATCHES_M = 0.004  # maximum distance from the seated place at which a module is caught ...
@@ -21,7 +21,7 @@ EVERY = 10  # steps between two checks
 
 
 class Detents:
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: PhysicsWorld) -> None:
         self._world = world
         self._caught: dict[str, tuple[int, list[float]]] = {}  # object -> (constraint id, point where it was caught)
         self._seats = [seat for seat in world.cell.seats if seat.detent_n > 0]

@@ -33,7 +33,7 @@ SPRING_N_M = 50_000.0  # 1 mm of depth gives 50 N; at 20 mm/s each tick adds 1 N
 REACH_M = 0.16  # greatest distance of a part of the hand from the tcp
 
 
-class Piece(msgspec.Struct):
+class PlacedShape(msgspec.Struct):
     """One convex shape of an object or seat."""
 
     owner: str  # name of the object or seat
@@ -59,7 +59,7 @@ class KinematicCell:
         self.poses |= {seat.name: seat.frame.pose for seat in cell.seats}
         self.seats = Seats(cell, self.poses)
         self.carried: dict[str, tuple[str, Array]] = {}  # object -> arm, pose in tcp axes
-        self.pieces: dict[str, list[Piece]] = {}
+        self.pieces: dict[str, list[PlacedShape]] = {}
         shapes = {thing.name: thing.shapes for thing in cell.objects} | {seat.name: seat.shapes for seat in cell.seats}
         for owner, kinds in shapes.items():
             self.pieces[owner] = [_piece(owner, shape) for shape in kinds]
@@ -80,7 +80,7 @@ class KinematicCell:
             self.poses[name] = geometry.compose(self.arms[arm_name].pose, grasp)
             self._place(name)
 
-    def near(self, point: Array, arm: str, margin_m: float = 0.0) -> list[Piece]:
+    def near(self, point: Array, arm: str, margin_m: float = 0.0) -> list[PlacedShape]:
         """Pieces within reach (plus margin) of a hand at `point` (m, world), without those that `arm` carries."""
         away = np.sqrt(((self._centres - point) ** 2).sum(axis=1)) - self._radii
         carried = {name for name, (by, _) in self.carried.items() if by == arm}
@@ -388,7 +388,7 @@ def _placements(model: Any, data: Any, shapes: Any, shape_data: Any, spec: parts
     return [(tcp * placement).homogeneous for placement in shape_data.oMg]
 
 
-def _piece(owner: str, shape: parts.AnyShape) -> Piece:
+def _piece(owner: str, shape: parts.AnyShape) -> PlacedShape:
     made = COAL_SHAPES[type(shape)](shape)
     made.computeLocalAABB()
-    return Piece(owner, made, geometry.to_matrix(shape.frame.pose), float(made.aabb_radius))
+    return PlacedShape(owner, made, geometry.to_matrix(shape.frame.pose), float(made.aabb_radius))

@@ -18,12 +18,12 @@ import msgspec
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
-from sim_mcm.arms.arm import TICK_S, Arm, HandCommand, Motion
+from sim_mcm.arms.arm import TICK_S, ArmInterface, HandCommand, Motion
 from sim_mcm.control import acceptance, profiles, stop_functions
 from sim_mcm.control.reports import Peaks, Trip, end_report, magnitudes, not_begun
 
 
-class State(Enum):
+class Mode(Enum):
     HOLDING = "holding"  # no primitive; the arm stays where it is, the hand keeps its grip
     EXECUTING = "executing"  # stop functions are evaluated every tick
     STOPPING = "stopping"  # the reason is fixed; braking, jerk-limited; thresholds masked
@@ -32,27 +32,30 @@ class State(Enum):
     SETTLING = "settling"  # commanded to rest; waits until rest is measured, then reports the end
 
 
-class Event(Enum):
+class Trigger(Enum):
     ACCEPTED = "accepted"  # a primitive passed its check
     TRIPPED = "tripped"  # a stop function came true
     HALTED = "halted"  # a halt from outside
     DONE = "done"  # the work of this state is complete
 
 
-TRANSITIONS: dict[State, dict[Event, State]] = {
-    State.HOLDING: {Event.ACCEPTED: State.EXECUTING, Event.HALTED: State.HOLDING},
-    State.EXECUTING: {Event.TRIPPED: State.STOPPING, Event.HALTED: State.STOPPING},
-    State.STOPPING: {Event.DONE: State.SETTLING, Event.HALTED: State.STOPPING},  # DONE: the next state is in AFTER_STOP
-    State.RETREATING: {Event.DONE: State.SETTLING, Event.HALTED: State.STOPPING},
-    State.RELEASING: {Event.DONE: State.SETTLING, Event.HALTED: State.STOPPING},
-    State.SETTLING: {Event.DONE: State.HOLDING, Event.HALTED: State.SETTLING},
+TRANSITIONS: dict[Mode, dict[Trigger, Mode]] = {
+    Mode.HOLDING: {Trigger.ACCEPTED: Mode.EXECUTING, Trigger.HALTED: Mode.HOLDING},
+    Mode.EXECUTING: {Trigger.TRIPPED: Mode.STOPPING, Trigger.HALTED: Mode.STOPPING},
+    Mode.STOPPING: {
+        Trigger.DONE: Mode.SETTLING,
+        Trigger.HALTED: Mode.STOPPING,
+    },  # DONE: the next state is in AFTER_STOP
+    Mode.RETREATING: {Trigger.DONE: Mode.SETTLING, Trigger.HALTED: Mode.STOPPING},
+    Mode.RELEASING: {Trigger.DONE: Mode.SETTLING, Trigger.HALTED: Mode.STOPPING},
+    Mode.SETTLING: {Trigger.DONE: Mode.HOLDING, Trigger.HALTED: Mode.SETTLING},
 }
-AFTER_STOP: dict[Reflex, State] = {
-    Reflex.STOP: State.SETTLING,
-    Reflex.BACK_OFF: State.RETREATING,
-    Reflex.RELEASE: State.RELEASING,
+AFTER_STOP: dict[Reflex, Mode] = {
+    Reflex.STOP: Mode.SETTLING,
+    Reflex.BACK_OFF: Mode.RETREATING,
+    Reflex.RELEASE: Mode.RELEASING,
 }
-MOVING = frozenset({State.EXECUTING, State.STOPPING, State.RETREATING, State.RELEASING})
+MOVING = frozenset({Mode.EXECUTING, Mode.STOPPING, Mode.RETREATING, Mode.RELEASING})
 
 # After these reasons the arm may lean on an obstacle; the command then moves to the measured position.
 TOUCHED = frozenset({StopReason.CONTACT, StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT, StopReason.COLLISION})
@@ -78,10 +81,10 @@ Reports = list[m.Started | m.ProgressReport | m.EndReport]
 
 
 class Executor:
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: ArmInterface) -> None:
         self.arm = arm
         self.name = arm.traits.name
-        self.state = State.HOLDING
+        self.state = Mode.HOLDING
         self.primitive: p.Primitive | None = None
         self.trip: Trip | None = None
         self.sample = arm.read()
@@ -102,21 +105,21 @@ class Executor:
         self._report_every: int | None = None
         self._yielded = self._releasing = False
         self._leaning_ticks = 0
-        self._work: dict[State, Callable[[float], Reports]] = {
-            State.HOLDING: lambda now_s: [],
-            State.EXECUTING: self._execute,
-            State.STOPPING: self._stop,
-            State.RETREATING: self._retreat,
-            State.RELEASING: self._release,
-            State.SETTLING: self._settle,
+        self._work: dict[Mode, Callable[[float], Reports]] = {
+            Mode.HOLDING: lambda now_s: [],
+            Mode.EXECUTING: self._execute,
+            Mode.STOPPING: self._stop,
+            Mode.RETREATING: self._retreat,
+            Mode.RELEASING: self._release,
+            Mode.SETTLING: self._settle,
         }
-        self._enter: dict[State, Callable[[], None]] = {
-            State.HOLDING: self._begin_holding,
-            State.EXECUTING: self._begin_executing,
-            State.STOPPING: self._begin_stopping,
-            State.RETREATING: self._begin_retreat,
-            State.RELEASING: self._begin_release,
-            State.SETTLING: self._begin_settling,
+        self._enter: dict[Mode, Callable[[], None]] = {
+            Mode.HOLDING: self._begin_holding,
+            Mode.EXECUTING: self._begin_executing,
+            Mode.STOPPING: self._begin_stopping,
+            Mode.RETREATING: self._begin_retreat,
+            Mode.RELEASING: self._begin_release,
+            Mode.SETTLING: self._begin_settling,
         }
 
     # --- public interface ---------------------------------------------------------------------------
@@ -127,7 +130,7 @@ class Executor:
 
     @property
     def at_rest(self) -> bool:
-        return self.state in (State.HOLDING, State.SETTLING) and self._joints_rest()
+        return self.state in (Mode.HOLDING, Mode.SETTLING) and self._joints_rest()
 
     @property
     def primitive_id(self) -> str:
@@ -145,25 +148,25 @@ class Executor:
             pose = self.arm.tcp_pose(self.sample.joints)
             return [not_begun(primitive.id, self.name, why, at_s=now_s, sample=self.sample, tcp_pose=pose)]
         self.primitive = primitive
-        self._apply(Event.ACCEPTED)
+        self._apply(Trigger.ACCEPTED)
         return [m.Started(primitive=primitive.id, at_s=now_s)]
 
     def halt(self) -> bool:
         """Brake with the next tick, in any state. Returns True if the arm was in motion."""
         was_moving = self.moving
-        if self.state is State.EXECUTING:
-            self._trip(Trip(reason=StopReason.HALT), Event.HALTED)
+        if self.state is Mode.EXECUTING:
+            self._trip(Trip(reason=StopReason.HALT), Trigger.HALTED)
         else:
             if self.trip is not None:  # keep the reason; cancel the rest of the reflex
                 self.trip = msgspec.structs.replace(self.trip, reflex=Reflex.STOP)
-            self._apply(Event.HALTED)
+            self._apply(Trigger.HALTED)
         return was_moving
 
     def tick(self, now_s: float) -> Reports:
         """One servo tick: read the sample, evaluate, command."""
         sample = self.sample = self.arm.read()
         self._window.append(sample)
-        if self.state is State.HOLDING:  # the most frequent case
+        if self.state is Mode.HOLDING:  # the most frequent case
             return []
         if self._ticks == 0:
             self._bias = list(sample.wrench)
@@ -223,7 +226,7 @@ class Executor:
                 limit=limit,
                 message=words,
             )
-            self._trip(trip, Event.TRIPPED)
+            self._trip(trip, Trigger.TRIPPED)
             return self._stop(now_s)
         if self._report_every is not None and self._ticks % self._report_every == 0:
             return [self._progress(now_s)]
@@ -243,7 +246,7 @@ class Executor:
             return []
         assert self.trip is not None
         following = AFTER_STOP[self.trip.reflex]
-        self._apply(Event.DONE, following)
+        self._apply(Trigger.DONE, following)
         return self._work[following](now_s)
 
     def _begin_retreat(self) -> None:
@@ -258,7 +261,7 @@ class Executor:
     def _retreat(self, now_s: float) -> Reports:
         if self._profile_time_s < self._profile.duration_s:
             return []
-        self._apply(Event.DONE)
+        self._apply(Trigger.DONE)
         return self._settle(now_s)
 
     def _begin_release(self) -> None:
@@ -271,7 +274,7 @@ class Executor:
         opened = sum(self.sample.fingers) >= self.arm.traits.max_opening_m - WIDTH_M
         if not opened and self._profile_time_s < RELEASE_LIMIT_S:
             return []
-        self._apply(Event.DONE)
+        self._apply(Trigger.DONE)
         return self._settle(now_s)
 
     def _begin_settling(self) -> None:
@@ -289,7 +292,7 @@ class Executor:
             self._use(profiles.Yield(self._command, self.sample.joints))
             return []
         report = self._end_report(now_s)
-        self._apply(Event.DONE)
+        self._apply(Trigger.DONE)
         return [report]
 
     def _still(self, leaning: bool) -> bool:
@@ -309,15 +312,15 @@ class Executor:
 
     # --- internals -------------------------------------------------------------------------------------
 
-    def _apply(self, event: Event, following: State | None = None) -> None:
+    def _apply(self, event: Trigger, following: Mode | None = None) -> None:
         """Change the state. Nothing else does."""
         row = TRANSITIONS[self.state]
         assert event in row, f"{self.name}: {event.value} cannot happen while {self.state.value} ({self.primitive_id})"
         before, self.state = self.state, following or row[event]
-        if self.state is not before or event is not Event.HALTED:
+        if self.state is not before or event is not Trigger.HALTED:
             self._enter[self.state]()
 
-    def _trip(self, trip: Trip, event: Event) -> None:
+    def _trip(self, trip: Trip, event: Trigger) -> None:
         assert self.trip is None, "a primitive ends for one reason"
         pose = self.arm.tcp_pose(self.sample.joints).tolist()
         self.trip = msgspec.structs.replace(trip, at_tick=self._ticks, pose=pose, wrench=list(self._wrench))
@@ -351,13 +354,13 @@ class Executor:
 
     def _brake_instead(self, refused: Motion) -> Motion:
         """Brake from the last command within limits. Returns the command of this tick."""
-        if self.state is State.EXECUTING:
+        if self.state is Mode.EXECUTING:
             far = [abs(q - before) / TICK_S for q, before in zip(refused[0], self._command[0], strict=True)]
             k = max(range(len(far)), key=lambda n: far[n] / self._most_rad_s[n])
             words = f"{self.arm.traits.joint_names[k]} was commanded to turn at {far[k]:.4g} rad/s"
             limit = self._most_rad_s[k]
             trip = Trip(reason=StopReason.COMMAND_LIMIT, measured=far[k], limit=limit, message=words)
-            self._trip(trip, Event.TRIPPED)
+            self._trip(trip, Trigger.TRIPPED)
         else:  # keep the reason
             self._use(profiles.Brake(self._command))
         self._profile_ticks = 1

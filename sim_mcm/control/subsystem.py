@@ -26,7 +26,7 @@ from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive_id import LONGEST, is_name
 from rtc.runtime.halt_admission import HaltRateLimiter
-from sim_mcm.arms.arm import Arm
+from sim_mcm.arms.arm import ArmInterface
 from sim_mcm.control.executor import Executor
 from sim_mcm.control.reports import not_begun
 
@@ -71,8 +71,8 @@ class Halt(msgspec.Struct):
         return [(sender, msgspec.structs.replace(message, call=call)) for sender, call in self.callers]
 
 
-class Subsystem:
-    def __init__(self, arms: Mapping[str, Arm], name: str = "MCM", pid: int = 0) -> None:
+class McmSubsystem:
+    def __init__(self, arms: Mapping[str, ArmInterface], name: str = "MCM", pid: int = 0) -> None:
         self.name = name
         self.pid = pid
         self.executors = {arm: Executor(part) for arm, part in arms.items()}

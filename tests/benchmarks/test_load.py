@@ -11,7 +11,7 @@ from benchmarks.load.cluster import cluster
 from benchmarks.load.trivial import sentence
 from benchmarks.peers import chain, raw_pyzmq
 from benchmarks.soak import median_mb, run
-from benchmarks.throughput import Found, Run
+from benchmarks.throughput import Figures, Run
 from broker.persistence.journal import Journal
 from rtc.client.client import Client
 from rtc.protocol.outcomes import OutcomeKind
@@ -60,7 +60,7 @@ def test_ratios_are_of_one_round_and_a_missing_peer_is_none():
     def of(rate):
         return Run(commands_per_s=rate, turn_p50_ms=1.0, turn_p99_ms=2.0, latency_p50_ms=3.0, cpu_us={"broker": 200.0})
 
-    found = Found(floods={2: [of(100.0), of(300.0)], 3: [of(1.0)]}, saturated=[0.5], sentences=[4.0])
+    found = Figures(floods={2: [of(100.0), of(300.0)], 3: [of(1.0)]}, saturated=[0.5], sentences=[4.0])
     found.peers["vs_ray"] = [10.0, 10.0]
     found.missing["vs_dask"] = "No module named 'distributed'"
     metrics = found.metrics()

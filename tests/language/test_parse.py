@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtc.language.parse import default_grammar, parse
-from rtc.language.record import Condition, Constraint, ParsedCommand, Place, Quantity, ReflexItem, Report
+from rtc.language.record import Condition, Constraint, Destination, ParsedCommand, Quantity, ReflexItem, Report
 from rtc.language.refuse import MAX_CHARACTERS
 from rtc.language.units import UNITS
 from rtc.protocol.outcomes import Refusal, RefusalReason
@@ -59,8 +59,8 @@ RECORDS = {
         ],
     ),
     "S2": task("GRASP", hand=RIGHT, object="OBJECT", performer="OPERATOR"),
-    "S3": task("MOVE", hand=RIGHT, place=Place(neighborhood_of="OBJECT")),
-    "S4": task("MOVE", hand=RIGHT, place=Place(grasp_point_of="OBJECT")),
+    "S3": task("MOVE", hand=RIGHT, place=Destination(neighborhood_of="OBJECT")),
+    "S4": task("MOVE", hand=RIGHT, place=Destination(grasp_point_of="OBJECT")),
     "S5": task(
         "GRASP",
         hand=RIGHT,
@@ -79,22 +79,24 @@ RECORDS = {
         "MOVE",
         hand=LEFT,
         path="joint",
-        place=Place(joints=[0, -math.pi / 4, math.pi / 2, 0, math.pi / 4, 0]),
+        place=Destination(joints=[0, -math.pi / 4, math.pi / 2, 0, math.pi / 4, 0]),
     ),
-    "S8": task("MOVE", hand=RIGHT, place=Place(name="BAY-2-FRONT")),
+    "S8": task("MOVE", hand=RIGHT, place=Destination(name="BAY-2-FRONT")),
     "S9": task(
         "MOVE",
         hand=RIGHT,
         path="straight_line",
-        place=Place(position=[0.6, -0.2, 0.35]),
+        place=Destination(position=[0.6, -0.2, 0.35]),
         constraints=[slot("POSE-DURING-MOTION", of="LEVEL"), slot("TIME-LIMIT", 20, "s")],
         reflexes=[reflex(Condition(event="COLLISION"), "back_off", by=Quantity(0.02, "m"))],
     ),
-    "S10": task("MOVE", hand="GANTRY", place=Place(name="RACK-FRONT"), through=["CLEAR-POINT-1", "CLEAR-POINT-2"]),
+    "S10": task(
+        "MOVE", hand="GANTRY", place=Destination(name="RACK-FRONT"), through=["CLEAR-POINT-1", "CLEAR-POINT-2"]
+    ),
     "S11": task(
         "MOVE",
         hand=RIGHT,
-        place=Place(by=Quantity(0.05, "m"), along="TOOL-Z"),
+        place=Destination(by=Quantity(0.05, "m"), along="TOOL-Z"),
         constraints=[slot("SPEED", 0.02, "m/s")],
         reflexes=[reflex(beyond("FORCE", "above", 10, "N", "TOOL-Z"), "stop")],
     ),
@@ -189,14 +191,14 @@ RECORDS = {
     "S34": task(
         "MOVE",
         hand=RIGHT,
-        place=Place(name="BAY-2-FRONT"),
+        place=Destination(name="BAY-2-FRONT"),
         constraints=[slot("SHARED", of="WRIST")],
         report=Report(joints=True, forces=True),
     ),
     "S35": task(
         "MOVE",
         hand=LEFT,
-        place=Place(name="DOOR-2-FRONT"),
+        place=Destination(name="DOOR-2-FRONT"),
         constraints=[slot("SHARED")],
         performer="OPERATOR",
     ),
@@ -233,7 +235,7 @@ RECORDS = {
     "S59": task(
         "MOVE",
         hand="GANTRY",
-        place=Place(name="STATION-B"),
+        place=Destination(name="STATION-B"),
         constraints=[slot("AVOID-TASK-REGION", of="ANTENNA"), slot("SPEED", 0.05, "m/s")],
     ),
 }

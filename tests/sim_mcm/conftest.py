@@ -22,7 +22,7 @@ from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms import control_laws
 from sim_mcm.arms.arm import TICK_S, HandCommand, Motion, Sample, Traits
 from sim_mcm.control.executor import Executor
-from sim_mcm.control.subsystem import BROKER, Subsystem
+from sim_mcm.control.subsystem import BROKER, McmSubsystem
 
 ARM, OTHER = "RIGHT-ARM", "LEFT-ARM"
 
@@ -171,7 +171,7 @@ class Bench:
 
     def __init__(self, simulation: object) -> None:
         self.simulation = simulation
-        self.subsystem = Subsystem(simulation.arms, pid=1)  # type: ignore[attr-defined]
+        self.subsystem = McmSubsystem(simulation.arms, pid=1)  # type: ignore[attr-defined]
         self.now_s = 100.0
         self.sent: list[tuple[bytes, m.Message]] = []
 

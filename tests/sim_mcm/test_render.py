@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from rtc.cells.scene import VIEWS, Panel, Picture, Scene
+from rtc.cells.scene import VIEWS, Panel, Picture, SceneView
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError
 from rtc.runtime.renderer import Renderer
@@ -69,8 +69,8 @@ def test_a_picture_of_two_scenes_outlines_what_is_elsewhere(tmp_path, cell) -> N
     begun = {thing.name: cell.object_pose(thing.name).tolist() for thing in cell.objects}
     moved = begun | {"MACS-OLD": [n + d for n, d in zip(begun["MACS-OLD"], (-0.05, 0, 0.02, 0, 0, 0, 0), strict=True)]}
     panels = [
-        Panel(title="believed", scene=Scene(poses=begun), labels={"MACS-OLD": "MACS-OLD"}),
-        Panel(title="true", scene=Scene(poses=moved), labels={"RIGHT-ARM": "RIGHT-ARM"}, outlined=["MACS-OLD"]),
+        Panel(title="believed", scene=SceneView(poses=begun), labels={"MACS-OLD": "MACS-OLD"}),
+        Panel(title="true", scene=SceneView(poses=moved), labels={"RIGHT-ARM": "RIGHT-ARM"}, outlined=["MACS-OLD"]),
     ]
     studio = render.Studio(cell)
     for camera in (*VIEWS, "RIGHT-END-EFF", "RACK-2", "MACS-OLD", "BAY-2-FRONT"):
@@ -87,10 +87,12 @@ def test_a_picture_of_two_scenes_outlines_what_is_elsewhere(tmp_path, cell) -> N
 @pytest.mark.slow
 def test_the_renderer_answers_each_request_and_ends_with_its_stdin(tmp_path) -> None:
     with Renderer() as renderer:
-        renderer.draw(Picture(out=str(tmp_path / "a.png"), cell="swapout", panels=[Panel(title="a", scene=Scene())]))
+        renderer.draw(
+            Picture(out=str(tmp_path / "a.png"), cell="swapout", panels=[Panel(title="a", scene=SceneView())])
+        )
         with pytest.raises(RtcError, match=r"no picture: .*no-such-directory"):
             renderer.draw(
-                Picture(out="/no-such-directory/a.png", cell="swapout", panels=[Panel(title="", scene=Scene())])
+                Picture(out="/no-such-directory/a.png", cell="swapout", panels=[Panel(title="", scene=SceneView())])
             )
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     assert [file.name for file in tmp_path.iterdir()] == ["a.png"]

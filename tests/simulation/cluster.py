@@ -36,7 +36,7 @@ from rtc.runtime.handover import Handed
 from rtc.runtime.settings import Settings
 from rtc.world.server import Server
 from rtc.world.store import Store
-from sim_mcm.control.executor import State as Doing
+from sim_mcm.control.executor import Mode
 from tests.simulation import network, skills
 from tests.simulation.processes import ARMS, Caller, Client, Mcm, Supervisor, Worker
 
@@ -164,7 +164,7 @@ class Ledger:
         for executor in mcm.subsystem.executors.values():
             primitive = executor.primitive_id
             in_scope = order.scope in ("ALL", executor.name, primitive.partition(".")[0])
-            if in_scope and executor.state is Doing.EXECUTING:
+            if in_scope and executor.state is Mode.EXECUTING:
                 self.cluster.wrong(f"halt {order.halt} of {order.scope} was received, and {primitive} continues")
 
     def sent(self, mcm: Mcm, message: m.Message) -> None:

@@ -1,7 +1,7 @@
 """The processes round a simulated broker: workers, the MCM, clients, those who halt, the supervisor.
 
 Each follows the rules of the real one in the file named at its head. What is real is used as it is: the MCM's
-`Subsystem` with its executors, the world database's `Server` and `Store`, every message through `rtc.protocol.wire`.
+`McmSubsystem` with its executors, the world database's `Server` and `Store`, every message through `rtc.protocol.wire`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import ControlLaw
 from rtc.world.client import LIMIT_S
 from sim_mcm.arms.arm import HandCommand, Motion, Sample, Traits
-from sim_mcm.control.subsystem import BROKER, REPEAT_S, Subsystem
+from sim_mcm.control.subsystem import BROKER, REPEAT_S, McmSubsystem
 from tests.simulation import skills
 from tests.simulation.network import Dealer, Frames
 
@@ -186,7 +186,7 @@ class Mcm:
     def __init__(self, cluster: Cluster, pid: int) -> None:
         self.cluster, self.name, self.pid = cluster, "MCM", pid
         self.alive, self.stopped = True, False
-        self.subsystem = Subsystem({name: TinyArm(name) for name in ARMS}, pid=pid)
+        self.subsystem = McmSubsystem({name: TinyArm(name) for name in ARMS}, pid=pid)
         self._callers: dict[bytes, Callable[[Frames], None]] = {}
         self._waiting: deque[tuple[bytes, Any]] = deque()  # read in the next tick
         self._ticking = False

@@ -15,7 +15,7 @@ from rtc.protocol import wire
 from rtc.protocol.messages import Phase
 from rtc.protocol.outcomes import StopReason
 from sim_mcm.control.reports import not_begun
-from sim_mcm.control.subsystem import BROKER, Subsystem
+from sim_mcm.control.subsystem import BROKER, McmSubsystem
 from tests.simulation.__main__ import Result, run
 from tests.simulation.cluster import Cluster
 
@@ -85,7 +85,7 @@ def until(cluster: Cluster, done: Callable[[], bool]) -> None:
 
 
 def test_an_mcm_that_forgets_what_it_has_done_is_found(monkeypatch):
-    end = Subsystem._end
+    end = McmSubsystem._end
 
     def forgetful(self, report, now_s):
         sent = end(self, report, now_s)
@@ -93,7 +93,7 @@ def test_an_mcm_that_forgets_what_it_has_done_is_found(monkeypatch):
         self._kept.clear()
         return sent
 
-    monkeypatch.setattr(Subsystem, "_end", forgetful)
+    monkeypatch.setattr(McmSubsystem, "_end", forgetful)
     assert first_problem().problem
 
 
@@ -127,19 +127,19 @@ def test_a_client_that_is_cut_off_by_an_impostor_is_found(monkeypatch):
 
 
 def test_an_mcm_that_obeys_a_halt_once_by_its_name_is_found(monkeypatch):
-    obey = Subsystem._halt
+    obey = McmSubsystem._halt
 
     def only_once(self, order, peer, now_s):
         known = (peer != BROKER, order.halt) in vars(self).setdefault("seen", set())
         self.seen.add((peer != BROKER, order.halt))
         return [] if known and peer != BROKER else obey(self, order, peer, now_s)
 
-    monkeypatch.setattr(Subsystem, "_halt", only_once)
+    monkeypatch.setattr(McmSubsystem, "_halt", only_once)
     assert "was received, and" in first_problem().problem
 
 
 def test_an_mcm_that_reports_rest_from_memory_is_found(monkeypatch):
-    monkeypatch.setattr(Subsystem, "_is_still_true", lambda self, halt, reached: True)
+    monkeypatch.setattr(McmSubsystem, "_is_still_true", lambda self, halt, reached: True)
     assert "reported at rest, and executing" in first_problem().problem
 
 

@@ -18,7 +18,7 @@ from rtc.cells import parts
 from rtc.language.record import ParsedCommand
 from rtc.programs import expressions
 from rtc.programs.loader import decode
-from rtc.programs.schema import Branch, Check, ElaboratorProgram, Piece, ScriptFile, ScriptStep
+from rtc.programs.schema import Branch, BranchCondition, ElaboratorProgram, ScriptFile, ScriptPiece, ScriptStep
 from rtc.protocol.messages import ElaboratorInput, Limits, Script, ScriptContext, Step, Trim
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
@@ -42,7 +42,7 @@ FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
 class Compiled:
     program: ElaboratorProgram
     scripts: dict[str, ScriptFile]
-    pieces: dict[str, Piece]
+    pieces: dict[str, ScriptPiece]
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def _ranked(branches: list[Branch], candidates: list[TaskCandidate]) -> list[Scr
     return sorted(options, key=lambda c: -c.branch.likelihood)
 
 
-def _holds(check: Check, candidate: TaskCandidate) -> bool:
+def _holds(check: BranchCondition, candidate: TaskCandidate) -> bool:
     parsed = candidate.parsed
     if check.given and command_fields.field(parsed, check.given) is None:
         return False

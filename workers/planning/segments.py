@@ -17,7 +17,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot.geometry import Array, Floats
 from workers.planning.motion import handed, ik
 from workers.planning.motion.plan import (
-    Found,
+    FreeWay,
     Motion,
     PlanningRequest,
     find_direct_way,
@@ -45,7 +45,7 @@ class Segment(NamedTuple):
 
     end: Array  # rad, joint values at the end
     goal: Floats  # joint values (rad), or pose of the tcp in world axes
-    found: Found | None = None
+    found: FreeWay | None = None
 
     def way(self, request: PlanningRequest, space: str) -> Way | None:
         """The way as it is sent to the binder; None: not known."""

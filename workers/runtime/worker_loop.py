@@ -72,7 +72,7 @@ class WorkerFunction(Protocol):
         """Compute the product, or a Refusal. Pure."""
 
 
-class Stopped(Exception):
+class StopRequested(Exception):
     """A stop was requested during a job. The job is not answered; the broker assigns it to another worker."""
 
 
@@ -193,7 +193,7 @@ class Shell:
         self._view.version_read = 0
         try:
             product = self._work(job, came_s)
-        except Stopped:
+        except StopRequested:
             return
         except ClusterError as error:  # the world database is unavailable; the broker decides on a retry
             product = Refusal(reason=RefusalReason.TIMEOUT, message=str(error))
@@ -254,7 +254,7 @@ class Shell:
         end_s, again = now_s() + PROGRAM_LIMIT_S, Every(ASK_AGAIN_S)
         while not self._bodies and now_s() < end_s:
             if self._me.stopping:
-                raise Stopped
+                raise StopRequested
             if again.due(now_s()):
                 self._send(ProgramWanted(digest=digest))
             self._me.wait(again.left_s(now_s()))

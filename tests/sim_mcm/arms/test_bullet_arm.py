@@ -16,7 +16,7 @@ from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.control import profiles
-from sim_mcm.control.executor import State
+from sim_mcm.control.executor import Mode
 
 pytestmark = pytest.mark.slow
 ARM, MODULE = "RIGHT-ARM", "MACS-NEW"
@@ -91,7 +91,7 @@ def test_a_guarded_move_feels_the_handle_in_that_tick_and_hardly_presses(bench, 
     front = geometry.compose(handle, (0.0, 0.0, -0.1, 0.0, 0.0, 0.0, 1.0))
     go(front, 0.25, straight=False)
     go(handle, 0.1)
-    seen: list[tuple[State, float]] = []
+    seen: list[tuple[Mode, float]] = []
 
     def watch() -> None:
         executor = bench.subsystem.executors[ARM]
@@ -107,8 +107,8 @@ def test_a_guarded_move_feels_the_handle_in_that_tick_and_hardly_presses(bench, 
     assert np.linalg.norm(report.wrench[:3]) < 1.0  # at rest it does not lean on it
     # 30 mm to the handle, up to 3 more until the module leans on the wall of its rack
     assert 0.0295 < report.trip_pose[1] - handle[1] < 0.0345
-    moving = [speed for state, speed in seen if state is State.EXECUTING]
-    braking = [speed for state, speed in seen if state is not State.EXECUTING]
+    moving = [speed for state, speed in seen if state is Mode.EXECUTING]
+    braking = [speed for state, speed in seen if state is not Mode.EXECUTING]
     assert braking[0] < moving[-1]  # the tick that feels it already brakes
 
 

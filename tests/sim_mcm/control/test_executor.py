@@ -15,15 +15,15 @@ from rtc.protocol.outcomes import PRIORITY, Reflex, StopReason
 from rtc.robot import geometry
 from sim_mcm.arms.arm import TICK_S, HandCommand
 from sim_mcm.control import profiles
-from sim_mcm.control.executor import AFTER_STOP, MOVING, TRANSITIONS, Event, State
+from sim_mcm.control.executor import AFTER_STOP, MOVING, TRANSITIONS, Mode, Trigger
 
 # --- the table -------------------------------------------------------------------------------------------
 
 
 def test_every_state_has_its_row_and_obeys_a_halt() -> None:
-    assert set(TRANSITIONS) == set(State)
-    assert all(Event.HALTED in row for row in TRANSITIONS.values())
-    assert all(row[Event.HALTED] in (State.STOPPING, state) for state, row in TRANSITIONS.items())
+    assert set(TRANSITIONS) == set(Mode)
+    assert all(Trigger.HALTED in row for row in TRANSITIONS.values())
+    assert all(row[Trigger.HALTED] in (Mode.STOPPING, state) for state, row in TRANSITIONS.items())
 
 
 def test_every_reflex_but_comply_leads_somewhere() -> None:
@@ -31,20 +31,20 @@ def test_every_reflex_but_comply_leads_somewhere() -> None:
 
 
 def test_from_every_state_the_arm_comes_to_hold_again() -> None:
-    def following(state: State) -> set[State]:
+    def following(state: Mode) -> set[Mode]:
         row = TRANSITIONS[state]
-        return set(row.values()) | (set(AFTER_STOP.values()) if state is State.STOPPING else set())
+        return set(row.values()) | (set(AFTER_STOP.values()) if state is Mode.STOPPING else set())
 
-    for start in State:
+    for start in Mode:
         reached, fresh = {start}, {start}
         while fresh := {after for state in fresh for after in following(state)} - reached:
             reached |= fresh
-        assert State.HOLDING in reached
+        assert Mode.HOLDING in reached
 
 
 def test_an_impossible_event_is_a_bug_that_names_itself(rig) -> None:
     with pytest.raises(AssertionError, match="RIGHT-ARM: tripped cannot happen while holding"):
-        rig.executor._apply(Event.TRIPPED)
+        rig.executor._apply(Trigger.TRIPPED)
 
 
 # --- to the goal -----------------------------------------------------------------------------------------
@@ -62,7 +62,7 @@ def test_a_motion_to_its_goal_ends_with_one_full_report(rig) -> None:
     assert report.trip_pose is not None
     assert report.limit is not None
     assert report.hand_width_m == pytest.approx(0.08)
-    assert rig.executor.state is State.HOLDING
+    assert rig.executor.state is Mode.HOLDING
     assert [message for message in rig.tick(1000) if isinstance(message, m.EndReport)] == []
 
 
@@ -189,7 +189,7 @@ def test_what_cannot_be_done_is_refused_in_words_and_moves_nothing(rig, make, ki
     assert re.search(words, answer.message)
     rig.tick(10)
     assert rig.arm.commands == []
-    assert rig.executor.state is State.HOLDING
+    assert rig.executor.state is Mode.HOLDING
 
 
 # --- stopping --------------------------------------------------------------------------------------------
@@ -211,7 +211,7 @@ def test_the_tick_that_feels_the_contact_already_brakes(rig, make) -> None:
     rig.arm.wrench = [0.0, 0.0, -6.0, 0.0, 0.0, 0.0]
     rig.tick(1)
 
-    assert rig.executor.state is State.STOPPING
+    assert rig.executor.state is Mode.STOPPING
     assert _speed(rig) < before
     report = rig.until_end()
     assert report.reason is StopReason.CONTACT
@@ -291,7 +291,7 @@ def test_releasing_opens_the_hand_after_the_stop(rig, make) -> None:
     rig.tick(500)
     rig.arm.wrench = [6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     rig.tick(1)
-    assert rig.executor.state is State.STOPPING
+    assert rig.executor.state is Mode.STOPPING
     assert rig.arm.width == pytest.approx(0.02)  # not while it moves
 
     report = rig.until_end()
@@ -306,7 +306,7 @@ def test_the_wrench_is_reported_less_the_bias_at_the_start(rig, make) -> None:
     rig.tick(300)
     rig.arm.wrench = [0.0, 0.0, 8.0, 0.0, 0.0, 0.0]  # 4 N more than at the start: below the limit
     rig.tick(10)
-    assert rig.executor.state is State.EXECUTING
+    assert rig.executor.state is Mode.EXECUTING
     rig.arm.wrench = [0.0, 0.0, 9.5, 0.0, 0.0, 0.0]
     assert rig.until_end().trip_wrench[2] == pytest.approx(5.5)
 
@@ -354,7 +354,7 @@ def test_an_arm_may_move_away_from_what_it_touched_at_the_start_but_not_into_it(
     rig.tick(100)
     rig.arm.leaning = {floor: 15.0}
     rig.tick(100)
-    assert rig.executor.state is State.EXECUTING
+    assert rig.executor.state is Mode.EXECUTING
     rig.arm.leaning = {floor: 4.0, wall: 0.1}  # something new
     assert rig.until_end().message == wall
 
@@ -371,7 +371,7 @@ def test_an_arm_may_move_away_from_what_it_touched_at_the_start_but_not_into_it(
     rig.tick(50)
     rig.arm.leaning = {floor: 2.0}
     rig.tick(50)
-    assert rig.executor.state is State.EXECUTING
+    assert rig.executor.state is Mode.EXECUTING
 
 
 SENSES = st.tuples(
@@ -407,21 +407,21 @@ def test_whatever_is_felt_every_primitive_ends_once_for_one_reason(cell, make, s
         reports += [message for message in rig.tick() if isinstance(message, m.EndReport)]
     assert len(reports) == 1
     assert reports[0].reason in PRIORITY
-    assert rig.executor.state is State.HOLDING
+    assert rig.executor.state is Mode.HOLDING
     assert rig.executor.at_rest
 
 
 # --- halting ---------------------------------------------------------------------------------------------
 
 
-def _bring_to(rig, make, state: State) -> None:
-    reflex = {State.RETREATING: Reflex.BACK_OFF, State.RELEASING: Reflex.RELEASE}.get(state, Reflex.STOP)
-    if state is State.RELEASING:
+def _bring_to(rig, make, state: Mode) -> None:
+    reflex = {Mode.RETREATING: Reflex.BACK_OFF, Mode.RELEASING: Reflex.RELEASE}.get(state, Reflex.STOP)
+    if state is Mode.RELEASING:
         rig.arm.width, rig.arm.hand = 0.02, HandCommand(0.02, 30.0, 0.05)
-    if state is not State.HOLDING:
+    if state is not Mode.HOLDING:
         rig.accept(rig.swing(_feel(make, reflex, 0.05)))
         rig.tick(500)
-    if state not in (State.HOLDING, State.EXECUTING):
+    if state not in (Mode.HOLDING, Mode.EXECUTING):
         rig.arm.wrench = [6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         for _ in range(1000):
             rig.tick()
@@ -430,8 +430,8 @@ def _bring_to(rig, make, state: State) -> None:
     assert rig.executor.state is state
 
 
-@pytest.mark.parametrize("state", list(State))
-def test_a_halt_in_any_state_leads_to_rest_and_to_one_report_at_most(rig, make, state: State) -> None:
+@pytest.mark.parametrize("state", list(Mode))
+def test_a_halt_in_any_state_leads_to_rest_and_to_one_report_at_most(rig, make, state: Mode) -> None:
     _bring_to(rig, make, state)
     rig.tick(5 if state in MOVING else 0)
     was = rig.executor.state
@@ -443,10 +443,10 @@ def test_a_halt_in_any_state_leads_to_rest_and_to_one_report_at_most(rig, make, 
     rig.tick(2000)
 
     assert moving is (was in MOVING)
-    assert rig.executor.state is State.HOLDING
+    assert rig.executor.state is Mode.HOLDING
     assert rig.executor.at_rest
     reports = [message for message in rig.sent[count:] if isinstance(message, m.EndReport)]
-    expected = {State.HOLDING: [], State.EXECUTING: [StopReason.HALT]}.get(state, [StopReason.CONTACT])
+    expected = {Mode.HOLDING: [], Mode.EXECUTING: [StopReason.HALT]}.get(state, [StopReason.CONTACT])
     assert [report.reason for report in reports] == expected
     assert len(brisk) == len(expected)
 
@@ -543,7 +543,7 @@ def test_a_command_beyond_the_limits_is_not_followed_and_ends_the_primitive(rig,
     assert report.limit == pytest.approx(1.25 * rig.arm.traits.velocity[0])
     steps = np.abs(np.diff([motion[0] for motion in rig.arm.commands], axis=0))
     assert np.all(steps <= 1.25 * np.array(rig.arm.traits.velocity) * TICK_S)
-    assert rig.executor.state is State.HOLDING
+    assert rig.executor.state is Mode.HOLDING
 
 
 def test_a_leap_while_it_stops_is_braked_and_the_reason_stands(rig, make) -> None:
@@ -551,7 +551,7 @@ def test_a_leap_while_it_stops_is_braked_and_the_reason_stands(rig, make) -> Non
     rig.tick(500)
     rig.arm.wrench = [6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     rig.tick(2)
-    assert rig.executor.state is State.STOPPING
+    assert rig.executor.state is Mode.STOPPING
     rig.executor._profile, rig.executor._profile_ticks = _Leap(rig.arm.motion[0]), 200
     rig.arm.wrench = [0.0] * 6
     assert rig.until_end().reason is StopReason.CONTACT
@@ -656,4 +656,4 @@ def test_whatever_a_control_law_raises_is_an_objection(rig, error: Exception) ->
     assert isinstance(answer, m.EndReport)
     assert answer.reason is StopReason.REFUSED
     assert type(error).__name__ in answer.message
-    assert rig.executor.state is State.HOLDING
+    assert rig.executor.state is Mode.HOLDING

@@ -17,7 +17,7 @@ from toppra import SplineInterpolator
 from rtc.protocol.messages import Way
 from rtc.robot.geometry import Floats
 from workers.planning.motion.path import Path
-from workers.planning.motion.plan import Found, PlanningRequest
+from workers.planning.motion.plan import FreeWay, PlanningRequest
 from workers.planning.motion.spline import Spline
 
 DIGEST_BYTES = 12
@@ -41,13 +41,13 @@ def request_digest(request: PlanningRequest, space: str, goal: Floats) -> bytes:
     return hashlib.blake2b(_encoder.encode(asked), digest_size=DIGEST_BYTES).digest()
 
 
-def to_message(asked: bytes, found: Found) -> Way:
+def to_message(asked: bytes, found: FreeWay) -> Way:
     """The way as it is sent. `asked`: the digest of the request for which it was found."""
     path = found.path
     return Way(asked=asked, space=path.space, s=path.s.tolist(), knots=path.knots.tolist(), notes=list(found.notes))
 
 
-def from_message(way: Way) -> Found:
+def from_message(way: Way) -> FreeWay:
     """The way as it was found, with the same curve through its knots."""
     s, knots = np.array(way.s), np.array(way.knots)
     curve: SplineInterpolator | Spline | None = None
@@ -55,7 +55,7 @@ def from_message(way: Way) -> Found:
         curve = Spline(s, knots)
     elif len(knots) > 2:
         curve = SplineInterpolator(s, knots, bc_type="natural")
-    return Found(Path(way.space, s, knots, curve), way.notes)
+    return FreeWay(Path(way.space, s, knots, curve), way.notes)
 
 
 def _plain(array: Any) -> Any:

@@ -55,7 +55,7 @@ class PlanningRequest:
         return max(0.0, min(self.margin_rad, self.arm.limit_margin(self.start)))
 
 
-class Found(NamedTuple):
+class FreeWay(NamedTuple):
     """A way that is free, without its timing. `notes`: what was generated, tested and modified until it was found."""
 
     path: Path
@@ -77,12 +77,12 @@ def plan_task_motion(request: PlanningRequest, goal_pose: Floats) -> Motion | Re
     return found if isinstance(found, Refusal) else in_time(request, found)
 
 
-def find_task_way(request: PlanningRequest, goal_pose: Floats, margin_rad: float) -> Found | Refusal:
+def find_task_way(request: PlanningRequest, goal_pose: Floats, margin_rad: float) -> FreeWay | Refusal:
     """A straight tcp line that keeps `margin_rad` from every joint limit, without its timing."""
     line = paths.task_line(request.arm, request.start, goal_pose, margin_rad)
     if isinstance(line, Refusal):
         return line
-    return fault(request, line) or Found(line, ["generated a straight line of the hand; tested: free"])
+    return fault(request, line) or FreeWay(line, ["generated a straight line of the hand; tested: free"])
 
 
 def plan_joint_motion(request: PlanningRequest, goal: Floats) -> Motion | Refusal:
@@ -91,7 +91,7 @@ def plan_joint_motion(request: PlanningRequest, goal: Floats) -> Motion | Refusa
     return found if isinstance(found, Refusal) else in_time(request, found)
 
 
-def find_joint_way(request: PlanningRequest, goal: Floats) -> Found | Refusal:
+def find_joint_way(request: PlanningRequest, goal: Floats) -> FreeWay | Refusal:
     """The path of `plan_joint_motion`, without its timing."""
     goal = np.asarray(goal, dtype=float)
     problem = request.arm.why_not_within(goal, request.margin_rad) or free_posture(request)(goal)
@@ -104,7 +104,7 @@ def find_joint_way(request: PlanningRequest, goal: Floats) -> Found | Refusal:
     return found
 
 
-def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> Found | Refusal | None:
+def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> FreeWay | Refusal | None:
     """Test the line in joint space to `goal`. A Refusal: the line is not free.
 
     `with_room`: test also with `CLEARANCE_M` to spare, and return the line if `plan_joint_motion` would take it.
@@ -119,21 +119,21 @@ def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> 
         return fault(request, line)
     occupied = free_posture(request)(goal)
     if occupied is None and fault(replace(request, scene=_with_room(request, goal)), line) is None:
-        return Found(line, [DIRECT])
+        return FreeWay(line, [DIRECT])
     return fault(request, line) or occupied
 
 
-def _generate_and_test(request: PlanningRequest, goal: Array) -> Found | Refusal:
+def _generate_and_test(request: PlanningRequest, goal: Array) -> FreeWay | Refusal:
     direct = paths.joint_line(request.start, goal)
     first = fault(request, direct)
     if first is None:
-        return Found(direct, [DIRECT])
+        return FreeWay(direct, [DIRECT])
     notes = [f"generated a line in joint space; tested: {first.message}"]
     for words, candidate in _modified(request, goal):
         problem = fault(request, candidate)
         notes.append(f"modified: {words}; tested: {problem.message if problem else 'free'}")
         if problem is None:
-            return Found(candidate, notes)
+            return FreeWay(candidate, notes)
     return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(notes))})
 
 
@@ -210,7 +210,7 @@ def _modified(request: PlanningRequest, goal: Array) -> Iterator[tuple[str, Path
             yield f"by way of the goal {words}", paths.through([request.start, second, goal])
 
 
-def in_time(request: PlanningRequest, found: Found) -> Motion:
+def in_time(request: PlanningRequest, found: FreeWay) -> Motion:
     """The way as a motion, timed at the pace of the request."""
     goal = found.path.knots[-1]
     return Motion(found.path, time_path(request.arm, found.path, request.pace), goal, request.arm.fk(goal), found.notes)

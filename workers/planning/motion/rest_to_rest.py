@@ -15,7 +15,7 @@ from rtc.robot.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Profile:
+class JerkProfile:
     """Pieces of constant jerk with start time (s) and initial position, speed and acceleration. Any unit of length."""
 
     duration_s: float
@@ -34,7 +34,7 @@ class Profile:
         )
 
 
-def rest_to_rest(length: float, speed: float, acceleration: float, jerk: float) -> Profile:
+def rest_to_rest(length: float, speed: float, acceleration: float, jerk: float) -> JerkProfile:
     """The time-optimal profile over `length`; all four arguments must be positive."""
     assert min(length, speed, acceleration, jerk) > 0.0, (length, speed, acceleration, jerk)
     peak = min(speed, _highest_peak(length, acceleration, jerk))
@@ -48,7 +48,7 @@ def rest_to_rest(length: float, speed: float, acceleration: float, jerk: float) 
         place, v, a = now
         begins.append((place, v, a, j))
         now = (place + t * (v + t * (a / 2 + t * j / 6)), v + t * (a + t * j / 2), a + t * j)
-    return Profile(float(lasts.sum()), np.cumsum(lasts) - lasts, np.array(begins))
+    return JerkProfile(float(lasts.sum()), np.cumsum(lasts) - lasts, np.array(begins))
 
 
 def _highest_peak(length: float, acceleration: float, jerk: float) -> float:
