@@ -58,7 +58,7 @@ def _of_command(model: Model, c: Command) -> list[Any]:
     begun = sum(p.partition(".")[0] == c.id for p in model.begun)
     halted = [r for r, at_s in model.du.halted_at_s.items() if at_s > c.given_at_s]
     return [
-        [c.id, c.phase, c.pause_wanted, c.pending_outcome, c.elaborations, c.at_rest, c.due_s > 0.0],
+        [c.id, c.phase, c.pause_wanted, c.pending_outcome, c.elaborations, c.at_rest, c.due_s > 0.0, c.programs],
         c.job
         and [c.job.kind, len(c.job.deaths), c.job.program, at_work(model, c), model.now - c.job.since_s > LIMIT_S],
         [c.head is not None, actions and [actions.refs, actions.step, actions.trims_used, len(actions.trim_labels)]],
