@@ -14,8 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from broker.decisions import deferred_analysis, halt_request, program_rollout, subsystem_link
-from broker.decisions import journal_loss as lost
+from broker.decisions import deferred_analysis, halt_request, journal_loss, program_rollout, subsystem_link
 from broker.decisions.command import control, limits, stopping, termination
 from broker.decisions.command.table import stimulate
 from broker.decisions.context import DecisionContext
@@ -91,15 +90,15 @@ def on_command(context: DecisionContext, event: CommandReceived) -> None:
         if known in state.ended:
             context.effects.append(TellClient(client=event.client, message=state.ended[known].message))
         return
-    if lost.is_lost(state, event) and not halt_scope(event.text):
-        lost.end_lost(context, event)
+    if journal_loss.is_lost(state, event) and not halt_scope(event.text):
+        journal_loss.end_lost(context, event)
         return
     live = state.live.get(event.client, 0)
     if live >= LIVE_PER_CLIENT or len(state.commands) >= MAX_COMMANDS:
         _decline(context, event, live)
         return
     command = Command(
-        id=lost.new_number(state, event),
+        id=journal_loss.new_number(state, event),
         client=event.client,
         request=event.request,
         text=event.text[:MAX_TEXT],
@@ -258,7 +257,7 @@ def on_halt_confirmed(context: DecisionContext, event: HaltConfirmed) -> None:
 
 def on_listeners(context: DecisionContext, event: ListenersChanged) -> None:
     if event.listening and not context.state.has_subscribers:
-        lost.publish(context)
+        journal_loss.publish(context)
     context.state.has_subscribers = event.listening
 
 
@@ -315,5 +314,5 @@ HANDLERS: dict[type[Event], Callable[[DecisionContext, Any], None]] = {
     ProgramInstalled: program_rollout.on_installed,
     ListenersChanged: on_listeners,
     BrokerRestarted: on_restart,
-    JournalLost: lost.on_journal_lost,
+    JournalLost: journal_loss.on_journal_lost,
 }

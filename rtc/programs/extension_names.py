@@ -13,7 +13,7 @@ from rtc.cells.parts import Numbers
 #: elaborator: conditions of the world that a script may require
 NEEDS = ("hand_empty", "object_free", "object_held", "object_seated", "seat_free", "width_known")
 #: elaborator: anchors of plan lines
-STARTS = ("grasp_point", "destination", "stow", "seat")
+ANCHORS = ("grasp_point", "destination", "stow", "seat")
 #: directions; WAY-OUT is the exit direction of the target seat, for plans only
 AXES = ("TOOL-X", "TOOL-Y", "TOOL-Z", "X", "Y", "Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK")
 PLAN_AXES = (*AXES, "WAY-OUT")

@@ -351,9 +351,7 @@ def _script_problems(script: ScriptFile, place: str) -> Problems:
         yield from _known("condition of the world", need, extension_names.NEEDS, f"{place}.needs[{n}]")
     planned: set[str] = set()
     for n, line in enumerate(script.plan):
-        yield from _known(
-            "starting point", line.at, [*extension_names.STARTS, *sorted(planned)], f"{place}.plan[{n}].at"
-        )
+        yield from _known("anchor", line.at, [*extension_names.ANCHORS, *sorted(planned)], f"{place}.plan[{n}].at")
         if line.along:
             yield from _known("axis", line.along, extension_names.PLAN_AXES, f"{place}.plan[{n}].along")
         yield from _expression(line.by, f"{place}.plan[{n}].by")

@@ -50,14 +50,14 @@ _read_asked, _read_checked = wire.decoder(Asked), wire.decoder(Checked)
 
 def check(asked: Asked) -> Checked:
     """Checks in this process."""
-    from rtc.programs import loader as program
+    from rtc.programs import loader
 
     try:
         if asked.reset:
-            merged = program.original(asked.kind, asked.others)
+            merged = loader.original(asked.kind, asked.others)
         else:
-            merged = program.merge(asked.kind, asked.program, asked.name, asked.body, asked.others)
-        return Checked(merged=merged, changes=program.changes(asked.kind, asked.program, merged))
+            merged = loader.merge(asked.kind, asked.program, asked.name, asked.body, asked.others)
+        return Checked(merged=merged, changes=loader.changes(asked.kind, asked.program, merged))
     except ProgramError as error:
         return Checked(error=str(error))
 

@@ -217,7 +217,7 @@ GOOD = "{do: move, to: HERE, stop: move_free, space: move_task, label: x}"
         ("{do: grip, op: open, label: x, args: {width_m: amout_m}}", "", r"line 7: .*no figure amout_m; .*amount_m"),
         (GOOD.replace("label", "words: {axis: SIDEWAYS}, label"), "", r"line 7: .*no axis SIDEWAYS; there are BACK"),
         (GOOD, "needs: [hand_clean]", r"line 4: .*no condition of the world hand_clean; there are hand_empty"),
-        (GOOD, "plan: [{name: A, at: moon}]", r"line 4: .*no starting point moon; there are destination"),
+        (GOOD, "plan: [{name: A, at: moon}]", r"line 4: .*no anchor moon; there are destination"),
         (GOOD, "plan: [{name: A, at: seat, along: SIDEWAYS}]", r"line 4: .*no axis SIDEWAYS; .*WAY-OUT"),
     ],
 )

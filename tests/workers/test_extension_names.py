@@ -17,7 +17,7 @@ from workers.planning import axes, segments
     ("registered", "there"),
     [
         (extension_names.NEEDS, preconditions.NEEDS),
-        (extension_names.STARTS, anchors.ANCHORS),
+        (extension_names.ANCHORS, anchors.ANCHORS),
         (extension_names.AXES, axes.AXES),
         (extension_names.SPACES, segments.SPACES),
         (extension_names.ACTIONS, bind.ACTIONS),

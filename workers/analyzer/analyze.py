@@ -21,7 +21,7 @@ from rtc.world.spread import even, widened
 from workers.analyzer import reported_facts
 from workers.analyzer.world_changes import EFFECTS, Changes, gone
 from workers.binder import reflexes
-from workers.planning import pose_spread as known
+from workers.planning import pose_spread
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import TRUSTED, WorldQuery
 
@@ -244,7 +244,7 @@ def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInpu
     if fact is None or fact.value is None:
         return changes
     held_s = max(report.at_s - fact.at_s, report.duration_s)
-    spread = known.aged_spread(query.spread(fact.key), held_s, report.peak_force_n, program.values)
+    spread = pose_spread.aged_spread(query.spread(fact.key), held_s, report.peak_force_n, program.values)
     keys = {f"{thing}.frame", f"{thing}.grasp"}
     return [
         msgspec.structs.replace(change, spread=spread)

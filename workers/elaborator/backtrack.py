@@ -262,7 +262,7 @@ def _target(
         return Target(joints=anchor.joints) if anchor.joints is not None else Target(pose=_world(candidate, anchor))
     if step.to != "HERE":
         return _program(f"nothing binds {step.to}")
-    axis = candidate.say(step.words.get("axis", "TOOL-Z"))
+    axis = candidate.fill_in(step.words.get("axis", "TOOL-Z"))
     if axis not in axes.AXES:
         return suggestions.unknown("axis", axis, axes.AXES)
     try:

@@ -329,7 +329,7 @@ def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nomin
         figures["report_every_s"] = report.every_s
     return Step(
         do=step.do,
-        label=candidate.say(step.label),
+        label=candidate.fill_in(step.label),
         name=step.name,
         who=step.who,
         to=step.to,
@@ -340,7 +340,7 @@ def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nomin
         expect=step.expect,
         keep=step.keep,
         trims=[*asked, *own],
-        args={**figures, **{name: candidate.say(word) for name, word in step.words.items()}},
+        args={**figures, **{name: candidate.fill_in(word) for name, word in step.words.items()}},
     )
 
 

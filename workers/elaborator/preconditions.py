@@ -93,7 +93,7 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> Refusal | None:
     rows = candidate.program.needs
     thing = lack.thing or lack.held
     clears = rows.get(lack.row or need, "").replace("{let_go}", let_go(rows, candidate.query, thing))
-    clears = candidate.say(clears).replace("{held}", lack.held)
+    clears = candidate.fill_in(clears).replace("{held}", lack.held)
     doubt = candidate.query.distrusted(f"{candidate.thing.name}.held_by", {}) if candidate.thing is not None else None
     message = lack.message + (f", but {doubt.message}" if doubt else "")
     return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)

@@ -53,7 +53,7 @@ class TaskCandidate:
             "time": _time_in_words(self.parsed, self.figures),
         }
 
-    def say(self, words: str) -> str:
+    def fill_in(self, words: str) -> str:
         """Replace the placeholders in `words`."""
         if "{" not in words:
             return words
