@@ -53,9 +53,11 @@ def observe(
 def _observe(endpoints: Endpoints, host: str, port: int, otlp: str, for_s: float) -> None:
     from rtc.observers.feed import Feed
     from rtc.observers.observer import Watcher, observe
+    from rtc.observers.recorder import NICENESS
 
     process.log_to_stderr(logging.WARNING)
     with process.start("rtc observe", Path()) as me:
+        process.nice(NICENESS)
         feed = Feed(me, endpoints, telemetry=bool(host), records=bool(otlp))
         watchers: list[Watcher] = []
         if host:

@@ -51,6 +51,7 @@ def record(
     sinks: list[recorder.Sink] = []
     process.log_to_stderr(logging.WARNING)
     with process.start("rtc record", default_run_dir() if run_dir is None else run_dir) as me:
+        process.nice(recorder.NICENESS)
         try:
             sinks += [recorder.open_recording(path, endpoints, rate)] if mcap else []
             sinks += [recorder.RawEvents(raw)] if raw else []

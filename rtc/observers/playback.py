@@ -113,7 +113,7 @@ def in_words(run: RecordedRun) -> Iterator[str]:
     for name, arm in sorted(run.arms.items()):
         yield f"{name} at the end: {' '.join(f'{value:.4f}' for value in arm.joints)} rad"
     if not run.complete:
-        yield "the recorder did not end in order: the file is complete up to its last written chunk"
+        yield "the file has no end: its recorder still writes, or was killed; shown up to the last written chunk"
 
 
 def _line(event: Event) -> str:

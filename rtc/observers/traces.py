@@ -7,9 +7,10 @@ command's number, so that another command can link to it before it has ended.
 from __future__ import annotations
 
 import hashlib
+import logging
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from typing import NamedTuple
@@ -17,8 +18,8 @@ from typing import NamedTuple
 from opentelemetry.context import Context
 from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
 from opentelemetry.sdk.resources import Resource
-from opentelemetry.sdk.trace import TracerProvider
-from opentelemetry.sdk.trace.export import BatchSpanProcessor, SpanExporter
+from opentelemetry.sdk.trace import ReadableSpan, TracerProvider
+from opentelemetry.sdk.trace.export import BatchSpanProcessor, SpanExporter, SpanExportResult
 from opentelemetry.sdk.trace.id_generator import IdGenerator, RandomIdGenerator
 from opentelemetry.trace import (
     Link,
@@ -38,12 +39,39 @@ from rtc.protocol.messages import Phase
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.protocol.traceparent import TraceParent, traceparent_of
 
+LOG = logging.getLogger("rtc observe")
 EXPORT_S = 5.0  # limit for one request to the collector
 DELAY_S = 1.0  # longest time that a span waits for others
 MOST_COMMANDS = 10_000  # commands in progress whose notes are kept, and ended ones whose trace context is kept
 HALT = re.compile(r"halt (.+)")  # first note of a HALT sentence: its scope
 HALTED = re.compile(r"halted \((.+)\)")  # note of a command that a halt of this scope has stopped
 PATH = "/v1/traces"  # of an OTLP collector
+
+
+class ReportingExporter(SpanExporter):
+    """Passes spans on; logs when the collector begins to fail, and when it accepts again."""
+
+    def __init__(self, to: SpanExporter, name: str) -> None:
+        self._to, self._name = to, name
+        self._lost = 0  # spans since the collector failed
+
+    def export(self, spans: Sequence[ReadableSpan]) -> SpanExportResult:
+        result = self._to.export(spans)
+        if result is SpanExportResult.SUCCESS:
+            if self._lost:
+                LOG.warning("%s accepts traces again; %d spans are lost", self._name, self._lost)
+            self._lost = 0
+            return result
+        if not self._lost:
+            LOG.warning("%s does not accept traces; their spans are lost until it does", self._name)
+        self._lost += len(spans)
+        return result
+
+    def shutdown(self) -> None:
+        self._to.shutdown()
+
+    def force_flush(self, timeout_millis: int = 30_000) -> bool:
+        return self._to.force_flush(timeout_millis)
 
 
 class Segment(NamedTuple):
@@ -93,7 +121,8 @@ class Traces:
         self._identifiers = _Identifiers()
         resource = Resource.create({"service.name": "rtc", "service.instance.id": run or "unknown"})
         self._provider = TracerProvider(resource=resource, id_generator=self._identifiers)
-        to = exporter or OTLPSpanExporter(endpoint=endpoint, timeout=EXPORT_S)
+        logging.getLogger("opentelemetry.exporter").setLevel(logging.CRITICAL)  # we report it ourselves, once
+        to = exporter or ReportingExporter(OTLPSpanExporter(endpoint=endpoint, timeout=EXPORT_S), url)
         self._provider.add_span_processor(BatchSpanProcessor(to, schedule_delay_millis=1e3 * DELAY_S))
         self._tracer = self._provider.get_tracer("rtc")
         self._offset_s = time.time() - time.monotonic()

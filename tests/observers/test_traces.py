@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 from opentelemetry.sdk.trace import ReadableSpan
+from opentelemetry.sdk.trace.export import SpanExportResult
 from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
 
 from rtc.observers.feed import Received
-from rtc.observers.traces import Traces
+from rtc.observers.traces import ReportingExporter, Traces
 from rtc.protocol import messages as m
 from rtc.protocol.messages import Phase
 from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
@@ -146,3 +147,26 @@ def test_a_request_keeps_its_trace_context():
     assert traceparent_of("alice/1") is None
     with pytest.raises(ValueError, match="characters"):
         with_traceparent("x" * 150, TRACEPARENT)
+
+
+class Collector(InMemorySpanExporter):
+    """One that fails while it is down."""
+
+    down = True
+
+    def export(self, spans):
+        return SpanExportResult.FAILURE if self.down else super().export(spans)
+
+
+def test_a_collector_that_fails_is_reported_once_and_again_when_it_is_back(caplog):
+    collector = Collector()
+    exporter = ReportingExporter(collector, "http://collector")
+    spans = spans_of(STOWED)
+    for _ in range(3):
+        assert exporter.export(spans) is SpanExportResult.FAILURE
+    assert len(caplog.records) == 1
+    collector.down = False
+    exporter.export(spans)
+    exporter.export(spans)
+    assert len(caplog.records) == 2
+    assert str(3 * len(spans)) in caplog.records[1].getMessage()
