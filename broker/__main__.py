@@ -50,7 +50,6 @@ def live(run_dir: Path, fd: int = -1) -> None:
     given = handover.begin("broker", run_dir, fd)
     settings = given.settings
     with process.start("broker", run_dir) as me:
-        process.real_time_io(me.context, RANK)
         priority = process.come_first(RANK, NICENESS)
         first = State(timeout_scale=settings.timeout_scale, life=secrets.token_hex(2))
         path = run_dir / "journal.db"
