@@ -56,7 +56,7 @@ def record(
             sinks += [recorder.open_recording(path, endpoints, rate)] if mcap else []
             sinks += [recorder.RawEvents(raw)] if raw else []
             files = ", ".join(str(file) for file in ([path] if mcap else []) + ([raw] if raw else []))
-            feed = Feed(me, endpoints, telemetry=mcap, records=mcap)
+            feed = Feed(me, endpoints, telemetry=mcap, records=mcap, world=mcap)
             console.print(Text(f"recording to {files}; Ctrl-C ends it"))
             done = recorder.record(me, feed, sinks, for_s)
             while sinks:

@@ -1,4 +1,4 @@
-"""What an observer receives from one cluster: events, telemetry, and answers about commands and status.
+"""What an observer receives from one cluster: events, telemetry, new facts, and answers about commands and status.
 
 It never waits for a process of the cluster: questions are sent without repetition, and an answer may be missing.
 """
@@ -23,12 +23,14 @@ from rtc.runtime.settings import Settings
 UNREAD = 100_000  # messages that ZeroMQ keeps for a slow observer; further events are dropped and counted
 RECORDS_PER_S = 20  # maximum number of records requested per second; the broker allows a client 100 queries
 STATUS_S = 2.0  # period of status requests
+WORLD_S = 1.0  # period of requests for new facts
 SUPERVISOR_S = 1.0  # period of checks that the cluster still runs
 
-Observed = m.ProgressNote | m.CommandEnded | m.Telemetry | m.CommandRecord | m.StatusReply
+Observed = m.ProgressNote | m.CommandEnded | m.Telemetry | m.CommandRecord | m.StatusReply | m.View
 _read_event = wire.reader(m.ProgressNote | m.CommandEnded)
 _read_telemetry = wire.reader(m.Telemetry)
 _read_answer = wire.reader(m.BrokerToClient)
+_read_world = wire.reader(m.FromWorld)
 
 
 class Received(NamedTuple):
@@ -43,9 +45,18 @@ class Feed:
     """Subscriptions to one cluster. `lost` counts the events that did not arrive.
 
     `records`: request the record of each command when its first event arrives, at most RECORDS_PER_S per second.
+    `world`: request the facts that are new, every WORLD_S.
     """
 
-    def __init__(self, me: Process, endpoints: Endpoints, *, telemetry: bool = True, records: bool = True) -> None:
+    def __init__(
+        self,
+        me: Process,
+        endpoints: Endpoints,
+        *,
+        telemetry: bool = True,
+        records: bool = True,
+        world: bool = False,
+    ) -> None:
         self._me = me
         self._run_dir = endpoints.path if isinstance(endpoints, Settings) else None
         self._events = self._subscribe(endpoints, "events")
@@ -54,6 +65,10 @@ class Feed:
         self._front = me.socket(zmq.DEALER, endpoints.endpoint("front"), identity=name, secure=endpoints.secure)
         if endpoints.far:
             send(self._front, m.ClientHello(client=f"observer-{os.getpid()}", at_s=now_s()))
+        self._world: zmq.Socket[bytes] | None = None
+        if world:
+            self._world = me.socket(zmq.DEALER, endpoints.endpoint("world"), secure=endpoints.secure)
+        self._world_version, self._facts = 0, Every(WORLD_S)
         self._records = records
         self._known: set[str] = set()  # commands in progress that an event has named
         self._requests_left = RECORDS_PER_S
@@ -69,6 +84,7 @@ class Feed:
     def read(self, timeout_s: float) -> Iterator[Received]:
         """The messages that arrive within `timeout_s`; returns after the first ones, or at a signal."""
         self._request_status()
+        self._request_facts()
         for socket in self._me.wait(timeout_s):
             for parts in inbox(socket):
                 try:
@@ -89,6 +105,10 @@ class Feed:
             self._note_command(event)
         elif socket is self._telemetry:
             yield Received(at_s, _read_telemetry(parts))
+        elif socket is self._world:
+            if isinstance(view := _read_world(parts), m.View):
+                self._world_version = view.version
+                yield Received(at_s, view)
         else:
             answer = _read_answer(parts)
             if isinstance(answer, m.TraceReply):
@@ -118,3 +138,7 @@ class Feed:
     def _request_status(self) -> None:
         if self._status.due(now_s()):
             send(self._front, m.StatusQuery(request="status"))
+
+    def _request_facts(self) -> None:
+        if self._world is not None and self._facts.due(now_s()):
+            send(self._world, m.ReadView(request="facts", since=self._world_version))

@@ -115,7 +115,7 @@ def main() -> None:
     handed = handover.begin("recorder", given.run_dir, given.handed)
     with process.start("recorder", given.run_dir) as me:
         process.nice(NICENESS)
-        feed = Feed(me, handed.settings)
+        feed = Feed(me, handed.settings, world=True)
         sink = _try(me, lambda: _opened(me, given.into, handed.settings))
         me.ready()
         if sink is not None:

@@ -34,8 +34,9 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from rtc.cells.cell import Cell
+from rtc.cells.scene import believed
 from rtc.observers.feed import Received
-from rtc.observers.frames import ArmFrames, urdf_of
+from rtc.observers.frames import WORLD, ArmFrames, urdf_of
 from rtc.observers.viewer_schema import viewer_schema
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
@@ -63,6 +64,8 @@ class Recording:
         self._offset_ns = time.time_ns() - time.monotonic_ns()  # Unix time minus CLOCK_MONOTONIC
         self._shares_clock = shares_clock  # times in messages are of this machine's clock
         self._frames = {arm.name: ArmFrames(cell, arm.name) for arm in cell.arms}
+        self._cell = cell
+        self._facts: dict[str, m.Fact] = {}
         self._period_s = 1.0 / rate_hz
         self._sampled_s, self._last_values = 0.0, dict[str, float]()
         self._halts: int | None = None
@@ -87,6 +90,8 @@ class Recording:
                 self._take_sample(received.at_s, telemetry)
             case m.CommandRecord() as record:
                 self._write_json("/rtc/commands", record, received.at_s, record.accepted_at_s)
+            case m.View(facts=facts):
+                self._facts |= {fact.key: fact for fact in facts}
             case m.StatusReply(status=status):
                 self._take_status(received.at_s, status)
 
@@ -147,6 +152,8 @@ class Recording:
             for frames in self._frames.values()
             for parent, child, pose in frames.transforms(values)
         ]
+        for thing in believed(self._cell, self._facts, telemetry.arms, None).objects:
+            moves.append(_transform(stamp, WORLD, thing.name, thing.pose))
         self._write_protobuf("/tf", FrameTransforms(transforms=moves), at_s, published_s)
 
     def _take_status(self, at_s: float, status: dict[str, Any]) -> None:

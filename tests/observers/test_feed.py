@@ -25,6 +25,7 @@ class Played(NamedTuple):
     feed: Feed
     events: zmq.Socket
     front: zmq.Socket
+    world: zmq.Socket
 
     def queries(self, kind: type, wait_ms: int = 0) -> Iterator[tuple[bytes, Any]]:
         """The queries of a kind that have arrived, each with its sender. The feed requests the status repeatedly."""
@@ -42,10 +43,11 @@ def played() -> Iterator[Played]:
         try:
             events = me.socket(zmq.XPUB, settings.endpoint("events"), bind=True, poll=False)
             front = me.socket(zmq.ROUTER, settings.endpoint("front"), bind=True, poll=False)
-            feed = Feed(me, settings, telemetry=False)
+            world = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True, poll=False)
+            feed = Feed(me, settings, telemetry=False, world=True)
             assert events.poll(10_000)
             events.recv()  # it has subscribed
-            yield Played(feed, events, front)
+            yield Played(feed, events, front, world)
         finally:
             me.close()
 
@@ -88,6 +90,20 @@ def test_the_record_of_a_new_command_is_requested_once(played):
 def test_the_status_is_requested(played):
     list(played.feed.read(0.0))
     assert next(played.queries(m.StatusQuery, wait_ms=10_000))
+
+
+def test_only_new_facts_are_requested(played):
+    read_request = wire.reader(m.ToWorld)
+
+    def request() -> m.ReadView:
+        until(lambda: list(played.feed.read(0.1)) or played.world.poll(0))
+        sender, *parts = played.world.recv_multipart()
+        send(played.world, m.View(request="facts", version=7, facts=[]), sender)
+        return read_request(parts)
+
+    assert request().since == 0
+    assert read(played.feed, 1) == [m.View(request="facts", version=7, facts=[])]
+    until(lambda: request().since == 7)  # on a slow machine others were sent before the view arrived
 
 
 def test_an_event_keeps_its_bytes(played):

@@ -14,7 +14,9 @@ from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
 from rtc.observers import playback
+from rtc.observers.feed import Received
 from rtc.observers.recording import STILL_S, Recording
+from rtc.protocol import messages as m
 from tests.observers.samples import STEP, STOWED, T0, received, telemetry
 
 ABOUT = {"cluster": "abcd", "cell": "swapout"}
@@ -78,6 +80,22 @@ def test_the_run_is_rebuilt_from_the_file_alone(written):
     frames = {(move.parent_frame_id, move.child_frame_id) for move in found["/tf"][-1].transforms}
     assert ("world", "LEFT-ARM/pedestal") in frames
     assert ("LEFT-ARM/pedestal", "LEFT-ARM/shoulder") in frames
+
+
+def test_objects_are_where_the_cluster_believes_them(path, cell):
+    made = recording(path, cell)
+    made.take(received(telemetry(0.0, 0.1)))
+    believed = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0]
+    fact = m.Fact(key="MACS-OLD.frame", value=believed, validity=m.Validity.VALID, version=2, source="C-1/1", at_s=T0)
+    made.take(Received(T0, m.View(request="facts", version=2, facts=[fact])))
+    made.take(received(telemetry(1.0, 0.2)))
+    made.close()
+    places = []
+    for sample in by_topic(path)["/tf"]:
+        (move,) = (move for move in sample.transforms if move.child_frame_id == "MACS-OLD")
+        places.append([move.translation.x, move.translation.y, move.translation.z])
+    assert places[0] == pytest.approx(cell.object_pose("MACS-OLD")[:3])
+    assert places[1] == pytest.approx(believed[:3])
 
 
 def test_an_event_lasts_from_acceptance_to_the_end(written):
