@@ -18,11 +18,13 @@ RELOAD_S, EXTRA_RELOADS = 0.2, 10  # period of key reloads, and extra reloads pe
 
 
 class Admission:
-    """`known`: public key -> key with its name and role. `cut` must cut the connections of removed keys."""
+    """`socket`: bound to the address of ZAP before any endpoint. `known`: public key -> key with its name and role.
+    `cut` must cut the connections of removed keys."""
 
     def __init__(
         self,
         me: Process,
+        socket: zmq.Socket[bytes],
         ring: KeyRing,
         endpoints: Endpoints,
         halts: HaltForwarder,
@@ -32,7 +34,7 @@ class Admission:
         self.known = {key.public: key for key in ring.known()}
         self._cut = cut
         self._reloads, self._reloads_left = Every(RELOAD_S), EXTRA_RELOADS
-        self.socket: zmq.Socket[bytes] = me.socket(zmq.REP, "inproc://zeromq.zap.01", bind=True)
+        self.socket = socket
 
     def reload_if_due(self, now: float) -> None:
         if self._reloads.due(now):

@@ -56,10 +56,12 @@ READ: dict[str, Callable[[Sequence[bytes]], Any]] = {
 class Gateway:
     def __init__(self, me: Process, settings: Settings, ring: KeyRing) -> None:
         self._me = me
+        # First, so that each handshake at the endpoints finds it.
+        handshakes: zmq.Socket[bytes] = me.socket(zmq.REP, "inproc://zeromq.zap.01", bind=True)
         self._endpoints = Endpoints(me, settings, ring.cluster())
         self._halts = HaltForwarder(me, settings, self._endpoints)
         self._sessions = Sessions(me, settings, self._endpoints)
-        self._admission = Admission(me, ring, self._endpoints, self._halts, self._cut_removed)
+        self._admission = Admission(me, handshakes, ring, self._endpoints, self._halts, self._cut_removed)
         self._commands: dict[str, OrderedDict[str, None]] = {}  # public key of a planner -> its own C-n
         self._broker = me.socket(zmq.DEALER, settings.endpoint("supervisor"), identity="gate", poll=False)
         self._reported: dict[str, int] = {}  # counters as last sent

@@ -205,6 +205,7 @@ def secure_server(socket: zmq.Socket[Any], pair: Pair, endpoint: str, address: s
     socket.curve_server = True
     socket.curve_secretkey = pair.secret.encode()
     socket.zap_domain = endpoint.encode()
+    socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # without a handler, refuse; libzmq would accept any key
     watch_line(socket)
     _allow_ipv6(socket, address)
 

@@ -6,10 +6,12 @@ import json
 from pathlib import Path
 
 import pytest
+import zmq
+from zmq.utils.monitor import recv_monitor_message
 
 from rtc.protocol.outcomes import KeyTrouble
 from rtc.protocol.roles import TCP_ENDPOINTS, Role
-from rtc.runtime.keys import KeyFile, KeyRing, check_address, endpoint_address, is_everywhere
+from rtc.runtime.keys import KeyFile, KeyRing, Pair, check_address, endpoint_address, is_everywhere, secure_server
 
 AT = "tcp://lab:5555"
 
@@ -130,3 +132,32 @@ def test_a_damaged_file_in_the_ring_gives_no_access(ring: KeyRing, tmp_path: Pat
     (ring.path / "bob.known").write_bytes((ring.path / "alice.known").read_bytes())  # a name that is not its own
     (ring.path / "eve.known").write_bytes(b"nonsense")
     assert [known.name for known in ring.known()] == ["alice"]
+
+
+@pytest.mark.slow
+def test_without_a_handler_of_handshakes_every_key_is_refused() -> None:
+    """libzmq would otherwise accept any key, between the bind of an endpoint and the start of the handler."""
+    public, secret = zmq.curve_keypair()
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as server, context.socket(zmq.DEALER) as peer:
+        server.linger = peer.linger = 0
+        secure_server(server, Pair(public=public.decode(), secret=secret.decode()), "front", "tcp://127.0.0.1:*")
+        server.bind("tcp://127.0.0.1:*")
+        peer.curve_serverkey = public
+        peer.curve_publickey, peer.curve_secretkey = zmq.curve_keypair()
+        events = peer.get_monitor_socket()
+        peer.connect(server.last_endpoint)
+        seen = set()
+        while not seen & ENDS:
+            assert events.poll(10_000), "no handshake ended"
+            seen.add(recv_monitor_message(events)["event"])
+        peer.disable_monitor()
+    assert zmq.EVENT_HANDSHAKE_SUCCEEDED not in seen
+
+
+ENDS = {
+    zmq.EVENT_HANDSHAKE_SUCCEEDED,
+    zmq.EVENT_HANDSHAKE_FAILED_AUTH,
+    zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL,
+    zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL,
+    zmq.EVENT_DISCONNECTED,
+}
