@@ -20,7 +20,7 @@ from rtc.runtime.keys import check_address
 from rtc.runtime.settings import Settings
 
 CELL = Settings(run_dir="").cell  # default cell
-WRONG = 2  # exit status for an invalid option, as in argparse
+INVALID_OPTION = 2  # exit status for an invalid option, as in argparse
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -28,19 +28,19 @@ def main(arguments: list[str] | None = None) -> int:
     given = _parser().parse_args(arguments)
     try:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # `rtc up` has blocked it until here
-        return _obey(given)
+        return _run(given)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
 
 
-def _obey(given: argparse.Namespace) -> int:
+def _run(given: argparse.Namespace) -> int:
     if given.what == "up":
         try:
-            settings = checked(msgspec.json.decode(given.settings, type=Settings))
+            settings = validate(msgspec.json.decode(given.settings, type=Settings))
         except (RtcError, msgspec.MsgspecError) as error:
             print(error, file=sys.stderr)
-            return WRONG
+            return INVALID_OPTION
     try:
         return _down(given.run_dir.absolute()) if given.what == "down" else _up(settings, given.detach)
     except RtcError as error:
@@ -48,7 +48,7 @@ def _obey(given: argparse.Namespace) -> int:
         return 1
 
 
-def checked(settings: Settings) -> Settings:
+def validate(settings: Settings) -> Settings:
     """The settings with absolute paths. Raises RtcError for values that the types do not exclude."""
     if (settings.least_workers or 0) > settings.most_workers:
         least, most = settings.least_workers, settings.most_workers

@@ -119,6 +119,7 @@ def retry_or_give_up(context: DecisionContext, name: str, loss: JobLost) -> None
 
 
 def give_up(context: DecisionContext, name: str, event: object) -> None:
+    """Drop the analysis and open its names. Its changes are lost, and the facts are not marked suspect."""
     context.count("analyses_given_up")
     finish(context, name, event)
 

@@ -1,6 +1,6 @@
 """Sessions: one connection into the cluster per remote peer, and the rules for the peers' internal names.
 
-Rule 1: the connection's key identifies a peer ("User-Id" of each frame, checked for each message), never the message.
+Rule 1: a peer is identified by its connection's key ("User-Id" of each frame), never by what its message says.
 Rule 2: a peer's internal name contains its key's name, so a peer cannot take another's place, answers or commands.
 """
 
@@ -99,7 +99,11 @@ class Sessions:
         return ""
 
     def _request_hello(self, endpoint: str, session: bytes) -> None:
-        """Request a hello message, as the broker does."""
+        """Request a hello message, as the broker does.
+
+        To a worker an empty JobBatch is that request, to a subsystem a ReportAck without a primitive; a client is
+        refused.
+        """
         if endpoint == "workers":
             self._endpoints.send(endpoint, session, wire.frames(m.JobBatch(jobs=[])))
         elif endpoint == "subsystems":

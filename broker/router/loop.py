@@ -67,7 +67,7 @@ class Router:
         return self.core.state
 
     def enqueue(self, event: Event) -> None:
-        """Add an event that does not come from a socket: at start-up."""
+        """Add an event that does not come from a socket."""
         self.core.enqueue(event)
 
     def run(self) -> None:
@@ -103,7 +103,7 @@ class Router:
         reports_read = self._receive(waiting, began)
         if reports_read:  # otherwise the report that a timer waits for may be queued
             core.events += [TimerFired(at_s=began, timer=name) for name in core.timers.due(began)]
-        stalled = began - self._iteration_s > STALL_S  # then the silence of others proves nothing
+        stalled = began - self._iteration_s > STALL_S  # after a stall peers only seem silent
         self._iteration_s = began
         if core.loads.busy:
             self._install_programs(began)

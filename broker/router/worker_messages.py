@@ -25,7 +25,7 @@ class WorkerMessages:
         answered, events = core.registry.answered, core.events
         known = core.registry.mark_alive(name, now)
         for result in message.results:
-            # Only the worker that has the job now may answer it.
+            # False for an answer from a worker that does not have this attempt of the job now.
             took_s = 0.0 if isinstance(result, m.JobCrashed) else result.took_s
             if answered(name, result.id, result.attempt, took_s, now):
                 events.append(RESULTS[type(result)](name, result, now))

@@ -5,13 +5,13 @@ from __future__ import annotations
 from rtc.cells.cell import Cell
 from rtc.robot.axis_names import AXES
 
-#: verbs whose object is held by a hand
+#: verbs of a hand: the name of a graspable object follows the verb or the hand
 HANDLING = {
     *("GRASP", "APPROACH", "RELEASE", "LIFT", "PUSH", "PULL", "PLACE", "INSERT", "EXTRACT", "ALIGN"),
     *("CARRY", "HANDOFF"),
 }
 HANDS = {"LEFT-END-EFF", "RIGHT-END-EFF"}
-#: word before the name -> kind of names
+#: last word typed -> kind of the names that may follow it
 BEHIND = {
     "ALONG": "axes",
     "ABOUT": "axes",

@@ -21,7 +21,7 @@ class OutputClosed(Exception):
 
 
 class OutputStream:
-    """A text stream. `stream` is None if it was closed at the start. Not `needed`: a failure raises nothing."""
+    """A text stream. `stream` is None if it was closed at the start. A failure raises only if `needed`."""
 
     def __init__(self, stream: TextIO | None, *, needed: bool = True) -> None:
         self._needed = needed

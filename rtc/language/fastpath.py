@@ -16,7 +16,7 @@ EVERYTHING = "ALL"
 ARMS = {
     "LEFT-ARM": "LEFT-ARM",
     "RIGHT-ARM": "RIGHT-ARM",
-    "BOTH-ARMS": EVERYTHING,  # as ALL: no arm remains, and no command that needs one may begin
+    "BOTH-ARMS": EVERYTHING,  # as ALL: with both arms halted, a command that needs an arm must not begin either
     "LEFT-END-EFF": "LEFT-ARM",
     "RIGHT-END-EFF": "RIGHT-ARM",
 }

@@ -93,7 +93,7 @@ class Metrics:
         return self._server.server_port
 
     def close(self) -> None:
-        """Stop to answer scrapes."""
+        """Stop answering scrapes."""
         if self._server is not None:
             self._server.shutdown()
             self._server.server_close()

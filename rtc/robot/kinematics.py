@@ -141,7 +141,7 @@ class ArmModel:
         """Least singular value of the Jacobian, 0 in a singularity. It mixes m and rad: use it for comparison only."""
         return float(np.linalg.svd(self.jacobian(joints), compute_uv=False)[-1])
 
-    def limit_margin(self, joints: Floats) -> float:
+    def limit_margin_rad(self, joints: Floats) -> float:
         """Least distance (rad) of any joint from its limits, for one posture or many; negative beyond a limit."""
         q = np.asarray(joints, dtype=float)
         return float(min((q - self.limits.lower).min(), (self.limits.upper - q).min()))
@@ -160,7 +160,7 @@ class ArmModel:
         travels_s = (np.abs(np.array(within) - reference) / self.limits.velocity).max(axis=1)
         return [within[n] for n in np.argsort(travels_s, kind="stable").tolist()]
 
-    def travel(self, a: Floats, b: Floats) -> float:
+    def travel_time_s(self, a: Floats, b: Floats) -> float:
         """Motion time (s) of the slowest joint from `a` to `b` at full speed; `ik` sorts by it."""
         return float((np.abs(np.asarray(b) - np.asarray(a)) / self.limits.velocity).max())
 
@@ -169,9 +169,9 @@ class ArmModel:
         return 0.5 * (self.limits.lower + self.limits.upper)
 
     def follow(self, target: Floats, near: Floats) -> Array | None:
-        """The branch nearest to `near`, with turns nearest to it, *regardless of limits*; None: out of reach.
+        """The branch nearest to `near`, each joint shifted by whole turns to be nearest, *regardless of limits*.
 
-        For small steps along a line, where another branch would cause a jump.
+        None: out of reach. For small steps along a line, where another branch would cause a jump.
         """
         found = self.follow_all([target], near)
         return found[0] if len(found) else None

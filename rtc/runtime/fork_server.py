@@ -1,4 +1,4 @@
-"""Fork server (zygote): one process that has imported and built what a kind of process needs, and forks it on demand.
+"""Fork server (zygote): a process with imports and models loaded, which forks processes of one kind on demand.
 
 Importing libraries and building a cell's models takes seconds of processor time; a fork takes milliseconds. So a
 killed process is back at once, a large cluster starts as fast as a small one, and all share the libraries' memory.

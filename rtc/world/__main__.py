@@ -69,10 +69,10 @@ def _live(me: Process, given: handover.Handed, store: Store) -> None:
 
 
 def _begin(me: Process, given: handover.Handed, store: Store) -> None:
-    """Fills a new database from the cell, and detects lost changes.
+    """Fill a new database from the cell; mark facts suspect if changes were lost.
 
-    If the database of this run is new again or older than its last saved version, all facts that a motion changes
-    become suspect. Versions continue above the highest one that was ever sent.
+    Changes were lost if the database is new although this run had one, or older than its last saved version. Then all
+    facts that a motion changes become suspect. Versions continue above the highest one that was ever sent.
     """
     kept = given.remembered("world")
     version = kept[1] if kept else 0

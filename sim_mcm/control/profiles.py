@@ -76,7 +76,7 @@ class Follow:
             times_s: Array = (self._first + np.arange(BLOCK, dtype=np.float64)) * TICK_S
             block = self.path(times_s)
             if self._blend and times_s[0] < BLEND_S:
-                block += self._worked_off(times_s)
+                block += self._remaining_offset(times_s)
             self._block = block.tolist()
         joints, velocities, accelerations = self._block[n]
         return joints, velocities, accelerations
@@ -93,7 +93,7 @@ class Follow:
             motion[:, order] = np.einsum("kp,kpn->kn", u[:, powers] * factors, coefficients[:, order:])
         return motion
 
-    def _worked_off(self, times_s: Array) -> Array:
+    def _remaining_offset(self, times_s: Array) -> Array:
         """The remaining part of the initial offset."""
         rows = []
         for t in times_s.tolist():
@@ -113,33 +113,33 @@ DERIVATIVES: tuple[tuple[Array, list[int]], ...] = (
 class Brake:
     """From any motion state to rest along the same direction, with limited acceleration and jerk."""
 
-    def __init__(self, now: Motion, *, laden: bool = False) -> None:
+    def __init__(self, motion: Motion, *, laden: bool = False) -> None:
         limits = (
             (LADEN_ACCELERATION_RAD_S2, LADEN_JERK_RAD_S3) if laden else (STOP_ACCELERATION_RAD_S2, STOP_JERK_RAD_S3)
         )
-        wanted = _state(now, *limits)
+        wanted = _state(motion, *limits)
         wanted.control_interface = ruckig.ControlInterface.Velocity
         wanted.synchronization = ruckig.Synchronization.Phase  # joints synchronized, so the tcp keeps its line
-        wanted.target_velocity = [0.0] * len(now[0])
-        self._way = _solve(wanted)
-        self.duration_s: float = self._way.duration
+        wanted.target_velocity = [0.0] * len(motion[0])
+        self._solution = _solve(wanted)
+        self.duration_s: float = self._solution.duration
 
     def at(self, time_s: float) -> Motion:
-        return _rest_after(self._way, time_s)
+        return _rest_after(self._solution, time_s)
 
 
 class Yield:
     """From rest to the measured joints after a contact, so that the command no longer presses on the obstacle."""
 
-    def __init__(self, now: Motion, measured: Sequence[float]) -> None:
-        wanted = _state(now, YIELD_ACCELERATION_RAD_S2, YIELD_JERK_RAD_S3)
-        wanted.max_velocity = [YIELD_VELOCITY_RAD_S] * len(now[0])
+    def __init__(self, motion: Motion, measured: Sequence[float]) -> None:
+        wanted = _state(motion, YIELD_ACCELERATION_RAD_S2, YIELD_JERK_RAD_S3)
+        wanted.max_velocity = [YIELD_VELOCITY_RAD_S] * len(motion[0])
         wanted.target_position = list(measured)
-        self._way = _solve(wanted)
-        self.duration_s: float = self._way.duration
+        self._solution = _solve(wanted)
+        self.duration_s: float = self._solution.duration
 
     def at(self, time_s: float) -> Motion:
-        return _rest_after(self._way, time_s)
+        return _rest_after(self._solution, time_s)
 
 
 class Retrace:
@@ -147,20 +147,20 @@ class Retrace:
 
     def __init__(
         self,
-        came: Follow,
+        followed: Follow,
         tripped_s: float,
         start: Sequence[float],
         back_m: float,
         tcp: Callable[[Sequence[float]], Array],
     ) -> None:
-        self._came = came
-        self._from_s = min(tripped_s, came.duration_s)
-        self._to_s, length_m = _time_before(came, self._from_s, back_m, tcp)
+        self._followed = followed
+        self._from_s = min(tripped_s, followed.duration_s)
+        self._to_s, length_m = _time_before(followed, self._from_s, back_m, tcp)
         span_s = self._from_s - self._to_s
         # 1.875 is the greatest slope of the smooth step; with this factor the return is nowhere faster than the path.
         self.duration_s = max(1.875 * span_s, 1.875 * length_m / RETREAT_SPEED_M_S, RETREAT_LEAST_S)
-        self._offset = np.asarray(start) - came.path(np.array([self._from_s]))[0, 0]
-        self._end = Stay(came.path(np.array([self._to_s]))[0, 0].tolist()).at(0.0)
+        self._offset = np.asarray(start) - followed.path(np.array([self._from_s]))[0, 0]
+        self._end = Stay(followed.path(np.array([self._to_s]))[0, 0].tolist()).at(0.0)
 
     def at(self, time_s: float) -> Motion:
         if time_s >= self.duration_s:
@@ -168,7 +168,7 @@ class Retrace:
         span_s = self._to_s - self._from_s
         fade, slope, bend = _smooth(time_s / self.duration_s)
         rate, change = span_s * slope / self.duration_s, span_s * bend / self.duration_s**2
-        q, qd, qdd = self._came.path(np.array([self._from_s + span_s * fade]))[0]
+        q, qd, qdd = self._followed.path(np.array([self._from_s + span_s * fade]))[0]
         d = self.duration_s
         return (
             (q + (1.0 - fade) * self._offset).tolist(),
@@ -207,8 +207,8 @@ def _hermite(trajectory: JointTrajectory) -> Array:
     return np.stack(pieces)
 
 
-def _state(now: Motion, acceleration: float, jerk: float) -> ruckig.InputParameter:
-    joints, velocities, accelerations = now
+def _state(motion: Motion, acceleration: float, jerk: float) -> ruckig.InputParameter:
+    joints, velocities, accelerations = motion
     wanted = ruckig.InputParameter(len(joints))
     wanted.current_position, wanted.current_velocity = list(joints), list(velocities)
     wanted.current_acceleration = list(accelerations)
@@ -230,32 +230,32 @@ def _solve(wanted: ruckig.InputParameter) -> ruckig.Trajectory:
         wanted.max_jerk = [j * harder for j in wanted.max_jerk]
         for synchronization in (wanted.synchronization, ruckig.Synchronization.No):
             wanted.synchronization = synchronization
-            way = ruckig.Trajectory(dof)
+            solution = ruckig.Trajectory(dof)
             try:
-                result = ruckig.Ruckig(dof).calculate(wanted, way)
+                result = ruckig.Ruckig(dof).calculate(wanted, solution)
             except ruckig.RuckigError:
                 continue
             if result in (ruckig.Result.Working, ruckig.Result.Finished):
-                return way
+                return solution
     raise AssertionError(f"ruckig found no trajectory to rest from {wanted}")
 
 
-def _rest_after(way: ruckig.Trajectory, time_s: float) -> Motion:
-    if time_s >= way.duration:
-        joints, _, _ = way.at_time(way.duration)
+def _rest_after(solution: ruckig.Trajectory, time_s: float) -> Motion:
+    if time_s >= solution.duration:
+        joints, _, _ = solution.at_time(solution.duration)
         return Stay(joints).at(0.0)
-    motion: Motion = way.at_time(time_s)
+    motion: Motion = solution.at_time(time_s)
     return motion
 
 
 def _time_before(
-    came: Follow, from_s: float, back_m: float, tcp: Callable[[Sequence[float]], Array], steps: int = 100
+    followed: Follow, from_s: float, back_m: float, tcp: Callable[[Sequence[float]], Array], steps: int = 100
 ) -> tuple[float, float]:
     """(path time (s) at which the tcp is `back_m` before its position at `from_s`, length found (m))."""
     if back_m <= 0.0:
         return from_s, 0.0
     times_s = np.linspace(from_s, 0.0, steps + 1)
-    joints = came.path(times_s)[:, 0]
+    joints = followed.path(times_s)[:, 0]
     length_m, later_s = 0.0, from_s
     later = tcp(joints[0])[:3]
     for earlier_s, q in zip(times_s[1:].tolist(), joints[1:], strict=True):

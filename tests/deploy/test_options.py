@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from deploy.__main__ import WRONG, main
+from deploy.__main__ import INVALID_OPTION, main
 
 README = Path(__file__).parents[2] / "README.md"
 
@@ -32,6 +32,6 @@ def test_a_wrong_option_is_reported_before_anything_is_started(
     settings: dict[str, Any], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run_dir = tmp_path / "none"
-    assert main(["up", "-d", json.dumps({"run_dir": str(run_dir), **settings})]) == WRONG
+    assert main(["up", "-d", json.dumps({"run_dir": str(run_dir), **settings})]) == INVALID_OPTION
     assert words in capsys.readouterr().err
     assert not run_dir.exists()

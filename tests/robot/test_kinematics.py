@@ -68,14 +68,14 @@ def test_ik_finds_its_way_back_from_200_postures(right):
         for solution in solutions:
             assert geometry.distance(right.fk(solution), target) < 1e-9
             assert geometry.angle(right.fk(solution), target) < 1e-9
-            assert right.limit_margin(solution) >= 0
+            assert right.limit_margin_rad(solution) >= 0
 
 
 def test_solutions_differ_and_are_sorted(right):
     target = geometry.make_pose((0.65, -0.885, 0.6), geometry.LEVEL)
     near = np.radians([-30, 40, -170, -40, 50, 20])
     solutions = right.ik(target, near)
-    travels = [right.travel(near, q) for q in solutions]
+    travels = [right.travel_time_s(near, q) for q in solutions]
     assert len(solutions) == 6
     assert travels == sorted(travels)
     assert all(np.abs(a - b).max() > 0.1 for i, a in enumerate(solutions) for b in solutions[:i])
@@ -89,10 +89,10 @@ def test_the_nearest_branch_is_that_of_all_branches(right):
         target = right.fk(joints)
         table = np.array(right._branches(target, near))
         table -= 2 * math.pi * np.round((table - near) / (2 * math.pi))
-        nearest_s = min(right.travel(near, q) for q in table)
+        nearest_s = min(right.travel_time_s(near, q) for q in table)
         found = right.follow(target, near)
         assert any(np.allclose(found, q, atol=1e-9) for q in table)
-        assert right.travel(near, found) == pytest.approx(nearest_s, abs=1e-9)
+        assert right.travel_time_s(near, found) == pytest.approx(nearest_s, abs=1e-9)
 
 
 def test_a_line_is_followed_as_each_of_its_poses(right):
@@ -168,7 +168,7 @@ def test_a_margin_takes_solutions_away(right):
     assert len(right.ik(target)) > len(right.ik(target, margin_rad=math.radians(15))) > 0
     refusal = right.why_no_ik(target, margin_rad=math.radians(40))
     assert refusal.detail["excess_rad"] == pytest.approx(
-        math.radians(40) - max(right.limit_margin(q) for q in right.ik(target)), abs=1e-6
+        math.radians(40) - max(right.limit_margin_rad(q) for q in right.ik(target)), abs=1e-6
     )
 
 

@@ -48,7 +48,7 @@ def along(arm, start, poses, world, home, scene=None):
 
 
 def least_margin(arm, joints):
-    return min(arm.limit_margin(q) for q in joints)
+    return min(arm.limit_margin_rad(q) for q in joints)
 
 
 @pytest.mark.parametrize(("name", "thing", "point"), IN_RACKS)
@@ -91,7 +91,7 @@ def test_places_are_free_and_away_from_limits(cell, world, arms, home):
     for place in cell.places:
         for name, frame in place.poses.items():
             q = arms[name].ik(frame.pose, home[name])[0]
-            assert arms[name].limit_margin(q) > MARGIN, f"{place.name} {name}"
+            assert arms[name].limit_margin_rad(q) > MARGIN, f"{place.name} {name}"
             assert world.check({**home, name: q}) is None, f"{place.name} {name}"
 
 
@@ -99,8 +99,8 @@ def test_home_and_stow_are_away_from_limits_and_home_is_level(cell, arms):
     level = cell.attitudes["LEVEL"].pose
     for spec in cell.arms:
         arm = arms[spec.name]
-        assert arm.limit_margin(spec.home_rad) > MARGIN
-        assert arm.limit_margin(spec.stow_rad) > MARGIN
+        assert arm.limit_margin_rad(spec.home_rad) > MARGIN
+        assert arm.limit_margin_rad(spec.stow_rad) > MARGIN
         assert geometry.angle(arm.fk(spec.home_rad), level) < math.radians(0.01)
 
 

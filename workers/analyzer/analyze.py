@@ -171,7 +171,7 @@ def _ways_to_clear(program: AnalyzerProgram, query: WorldQuery, changes: Changes
     after = WorldQuery(query.model, query.world.overlay(changes))
     suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
     clears = {**program.clears, "grasp": program.clears["misplaced"]} if misplaced else program.clears
-    advice = [after.cure(key, clears) for key in suspect if key.rpartition(".")[2] in clears]
+    advice = [after.clears(key, clears) for key in suspect if key.rpartition(".")[2] in clears]
     return list(dict.fromkeys(advice))
 
 

@@ -115,8 +115,8 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         context.limits,
         touching=context.object if stop_class.touches and held != context.object else "",
         seated=stop_class.seated,
-        away=stop_class.away,
-        near=[name for name in (context.object, context.target) if name],
+        ignore_suspect=stop_class.away,
+        exempt=[name for name in (context.object, context.target) if name],
     )
     hit = impact_of(task, target, values, held)
     speed_m_s, slowed = pace_of(task, values, hit, step.space == "move_task" or stop_class.touches)
@@ -144,15 +144,15 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
 
 def impact_of(task: BindTask, target: Target, values: Values, held: str) -> Impact | None:
     """Expected impact of this motion on a rigid body; None if the command sets no force limit."""
-    asked_n = impact.asked_force_n(task.data.context)
-    if asked_n is None:
+    limit_n = impact.asked_force_n(task.data.context)
+    if limit_n is None:
         return None
     arm, joints = task.query.model.arms[task.arm], task.query.joints(task.arm)
     goal = target.pose if target.pose is not None else arm.fk(target.joints or joints)
     way = [there - here for there, here in zip(goal[:3], task.query.tcp(task.arm)[:3], strict=True)]
     load = task.query.load(task.arm) if held else None
     carried_kg = load.mass_kg if load else 0.0
-    return impact.impact(arm, joints, way, carried_kg, values["impact_s"], values["speed_m_s"], asked_n)
+    return impact.impact(arm, joints, way, carried_kg, values["impact_s"], values["speed_m_s"], limit_n)
 
 
 def pace_of(task: BindTask, values: Values, hit: Impact | None, touches: bool) -> tuple[float, list[str]]:
@@ -161,15 +161,15 @@ def pace_of(task: BindTask, values: Values, hit: Impact | None, touches: bool) -
     A speed stated in the command is not reduced, nor is the speed of a path without expected contact.
     """
     speed_m_s, limits = values["speed_m_s"], task.data.context.limits
-    if hit is None or hit.felt_n <= hit.asked_n:
+    if hit is None or hit.felt_n <= hit.limit_n:
         return speed_m_s, []
     felt = (
         f"at {speed_m_s * 1e3:.3g} mm/s the first millisecond on a rigid body is felt with {hit.felt_n:.0f} N; "
-        f"{hit.asked_n:g} N is kept up to {hit.kept_m_s * 1e3:.3g} mm/s"
+        f"{hit.limit_n:g} N is kept up to {hit.safe_speed_m_s * 1e3:.3g} mm/s"
     )
     if not touches or limits.speed_m_s is not None or limits.speed_ratio is not None:
         return speed_m_s, [f"not slowed: {felt}"]
-    slow_m_s = max(hit.kept_m_s, values["slowest_m_s"])
+    slow_m_s = max(hit.safe_speed_m_s, values["slowest_m_s"])
     return slow_m_s, [f"slowed to {slow_m_s * 1e3:.3g} mm/s: {felt}; MAINTAIN SPEED keeps another speed"]
 
 

@@ -18,9 +18,9 @@ from rtc.robot.kinematics import ArmModel
 class Impact(NamedTuple):
     """Impact of a motion with a force limit."""
 
-    asked_n: float
+    limit_n: float
     felt_n: float  # force (N) on a rigid body at the motion's speed
-    kept_m_s: float  # maximum speed that keeps the force within `asked_n`
+    safe_speed_m_s: float  # maximum speed that keeps the force within `limit_n`
 
 
 def asked_force_n(context: ScriptContext) -> float | None:
@@ -33,12 +33,12 @@ def asked_force_n(context: ScriptContext) -> float | None:
 
 
 def impact(
-    arm: ArmModel, joints: Floats, way_m: Floats, carried_kg: float, impact_s: float, speed_m_s: float, asked_n: float
+    arm: ArmModel, joints: Floats, way_m: Floats, carried_kg: float, contact_s: float, speed_m_s: float, limit_n: float
 ) -> Impact | None:
     """Impact of the tcp moving by `way_m` (world frame, m) from `joints` (rad); None for a zero displacement."""
     way = np.asarray(way_m, dtype=float)
     length_m = float(np.linalg.norm(way))
     if length_m < 1e-6:
         return None
-    momentum = (arm.effective_mass_kg(joints, way / length_m) + carried_kg) / impact_s  # N per m/s
-    return Impact(asked_n, momentum * speed_m_s, asked_n / momentum)
+    force_per_speed = (arm.effective_mass_kg(joints, way / length_m) + carried_kg) / contact_s  # N per m/s
+    return Impact(limit_n, force_per_speed * speed_m_s, limit_n / force_per_speed)

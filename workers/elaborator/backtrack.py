@@ -161,9 +161,9 @@ def _request(script: ScriptFile, candidate: TaskCandidate) -> PlanningRequest:
         candidate.limits,
         touching=candidate.thing.name if candidate.thing and not holds else "",
         seated=bool(holds),
-        away=script.despite_grasp,
+        ignore_suspect=script.despite_grasp,
         opening_m=None if holds else candidate.figures.get("pre_grasp_m"),
-        near=[candidate.target.name] if candidate.target else [],
+        exempt=[candidate.target.name] if candidate.target else [],
     )
     margin_rad = math.radians(candidate.figures["joint_margin_deg"])
     return candidate.query.planning_request(candidate.arm.name, scene, candidate.limits, Pace(), margin_rad)

@@ -152,11 +152,11 @@ class WorldQuery:
             reason=RefusalReason.SUSPECT,
             message=f"the {attribute} of {location} is {fact.validity.value} since {fact.source.partition('/')[0]}",
             where=key,
-            clears=self.cure(key, clears),
+            clears=self.clears(key, clears),
             detail={"validity": fact.validity.value, "source": fact.source, "version": float(fact.version)},
         )
 
-    def cure(self, key: str, clears: Mapping[str, str]) -> str:
+    def clears(self, key: str, clears: Mapping[str, str]) -> str:
         """What would make this fact trusted again. For a held object, clearing the grasp also clears the frame."""
         location, _, attribute = key.rpartition(".")
         holder = self.held_by(location)
@@ -176,15 +176,15 @@ class WorldQuery:
         *,
         touching: str = "",
         seated: bool = False,
-        away: bool = False,
+        ignore_suspect: bool = False,
         opening_m: float | None = None,
-        near: Iterable[str] = (),
+        exempt: Iterable[str] = (),
     ) -> Scene:
         """The collision scene from the current facts.
 
         `touching`: the object that this arm's hand may touch. `seated`: the held object may be in, or enter, a seat.
-        `away`: objects with suspect frames are not obstacles. `opening_m`: opening of this arm's hand, if it differs
-        from the current one. `near`: bodies exempt from the clearance.
+        `ignore_suspect`: objects with suspect frames are not obstacles. `opening_m`: opening of this arm's hand, if it
+        differs from the current one. `exempt`: bodies exempt from the clearance.
         """
         held: dict[str, Held] = {}
         moved_seats = [seat.name for seat in self.cell.seats if self.world.get(f"{seat.name}.frame") is not None]
@@ -200,14 +200,16 @@ class WorldQuery:
             openings[arm] = opening_m
         ignore: list[tuple[str, str]] = []
         carried = self.holding(arm)
-        close = [name for name in dict.fromkeys((touching, *near)) if name]
+        close = [name for name in dict.fromkeys((touching, *exempt)) if name]
         if touching:  # the hand may touch its seat too: both poses share an error
             hand = self.cell.arm(arm).gripper
             met = filter(None, (touching, self.seat(touching)))
             ignore += [(f"{arm} {link}", name) for name in met for link in (*hand.finger_links, hand.palm_link)]
-        doubtful = [name for name in poses if away and name not in moved_seats and not self.trusts(f"{name}.frame")]
+        doubtful = [
+            name for name in poses if ignore_suspect and name not in moved_seats and not self.trusts(f"{name}.frame")
+        ]
         ignore += [pair for name in doubtful for pair in ((arm, name), *([(carried, name)] if carried else []))]
-        if carried and (seated or (away and not self.trusts(f"{carried}.grasp"))):
+        if carried and (seated or (ignore_suspect and not self.trusts(f"{carried}.grasp"))):
             ignore += [(carried, seat.name) for seat in self.cell.seats]
         return Scene(
             poses=poses,

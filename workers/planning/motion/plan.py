@@ -52,7 +52,7 @@ class PlanningRequest:
     @property
     def way_margin_rad(self) -> float:
         """Margin along the path (rad): reduced if the arm starts closer to a limit than `margin_rad`."""
-        return max(0.0, min(self.margin_rad, self.arm.limit_margin(self.start)))
+        return max(0.0, min(self.margin_rad, self.arm.limit_margin_rad(self.start)))
 
 
 class FreeWay(NamedTuple):
@@ -176,7 +176,7 @@ def fault(request: PlanningRequest, way: Path) -> Refusal | None:
     hit = request.world.check_path(request.arm.name, configurations, request.joints, request.scene)
     free = configurations if hit is None else configurations[: hit.index]
     margin = request.way_margin_rad - 1e-9
-    within = len(free) == 0 or request.arm.limit_margin(free) >= margin  # one vectorized check; usually true
+    within = len(free) == 0 or request.arm.limit_margin_rad(free) >= margin  # one vectorized check; usually true
     for n, joints in enumerate(free):
         problem = (None if within else request.arm.why_not_within(joints, margin)) or request.rules.broken_by(
             request.arm, joints
