@@ -216,7 +216,7 @@ class OutcomeClass(ProgramPart, frozen=True, kw_only=True):
 
 
 class AnalyzerProgram(ProgramPart, frozen=True, kw_only=True):
-    outcomes: dict[str, dict[StopReason, str]]  # row (see rtc.programs.compatibility.row_of) -> stop reason -> failure class
+    outcomes: dict[str, dict[StopReason, str]]  # row (see compatibility.row_of) -> stop reason -> failure class
     derived: dict[str, dict[str, StopReason]] = {}  # row -> defect of a nominal end -> stop reason that it counts as
     classes: dict[str, OutcomeClass]
     values: dict[str, float] = {}  # tolerances: position_m, angle_rad, width_m
