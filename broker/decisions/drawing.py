@@ -25,7 +25,8 @@ TEXT = {
 | product, refusal, worker_lost | the result of the command's one pending job: done, refused, or its worker is lost |
 | unavailable | the job could not be done: the world database, or every worker of the kind, is unavailable |
 | grant | all resources of its claim are free |
-| release | the command it waits for has ended or begun; in *parsing*: the earlier commands of its client are parsed |
+| release, in *parsing* | the earlier commands of its client are parsed |
+| release, in *held* | AFTER: the other command has ended. TOGETHER-WITH: it has begun to move, or has ended |
 | report | the end report of its primitive |
 | rest | its subsystem confirms rest for the halt of its primitive |
 | halt_settled | a HALT sentence only: rest is confirmed, or it is not |
@@ -44,10 +45,13 @@ A HALT sentence in its plain form needs no parser: it begins in *halting*.
 | unavailable | the world database, or every analyzer, is unavailable |
 | timeout | time for a retry |
 
-Each change of the world is written in the end. An analysis that finds the world database unavailable is repeated every
-second for up to a minute; then the command ends *failed*. In *closing* the command ends with its pending outcome after
-ten seconds at most. In both cases the analysis is deferred: the touched names stay quarantined (`rtc status`:
-quarantine: the world database) until the world database has the changes.
+An analysis waits up to 5 s for the world database. If it is still unavailable, the analysis is repeated 1 s later, for
+up to a minute; then the command ends *failed*. In *closing* the command ends with its pending outcome after ten seconds
+at most. In both cases the analysis is deferred: the touched names stay quarantined (`rtc status`: quarantine: the world
+database) until the world database has the changes.
+
+If the analyzer refuses a deferred analysis, or it kills three workers, `give_up` opens the names again. Its changes are
+then lost, and nothing marks the facts suspect; the counter `analyses_given_up` shows it.
 """,
     "HALT request": """
 | stimulus | meaning |
@@ -146,8 +150,8 @@ compares.
 
 `decide(state, event) -> effects` (`broker/decisions/decide.py`) is pure: the time is a field of the event, and the same
 events give the same effects. Each event becomes a stimulus of a machine. The cell of its present state names the action
-and the states that may follow; they are checked after the action. A number in a cell means that the stimulus changes
-nothing, and refers to the reason below the table. `rtc status` counts such stimuli of commands as *stale*.
+and the states that may follow; they are checked after the action. A number means: this stimulus changes nothing; the
+reason is below. `rtc status` counts such stimuli of commands as *stale*.
 """
 
 if __name__ == "__main__":

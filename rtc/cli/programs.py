@@ -26,7 +26,7 @@ def load(
     into: Annotated[str, typer.Argument(help="The word INTO.", metavar="INTO")] = "",
     kind: Annotated[str, typer.Argument(help=f"A kind of worker: {KINDS}.")] = "",
     check: Annotated[bool, typer.Option("--check", help="Check the file; change nothing. Needs no cluster.")] = False,
-    show: Annotated[bool, typer.Option("--list", help="List what differs from the default programs.")] = False,
+    show: Annotated[bool, typer.Option("--list", help="List all programs and their changes.")] = False,
     reset: Annotated[str, typer.Option("--reset", metavar="KIND", help="Back to the default program.")] = "",
     json: AsJson = False,
     run_dir: RunDir = None,

@@ -1,6 +1,6 @@
 """Client's connection to the broker: a DEALER that repeats unanswered requests and survives the loss of a broker.
 
-Over tcp the hello identifies the client to the gateway, so it is sent first on every new connection and after a long
+Over TCP the hello identifies the client to the gateway, so it is sent first on every new connection and after a long
 pause. The module knows requests and their answers, but not their meaning.
 
 Rule 1: a request is forgotten only after its last answer (for a sentence: `CommandEnded`), so that all open requests

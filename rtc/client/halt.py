@@ -3,7 +3,7 @@
 It has its own sockets and lock, connected in advance. So a halt never waits behind other traffic, and works when the
 broker is dead, stopped or busy. One query goes to the broker's front socket, after the halt: whether a command exists
 of which nothing moves. Latency is the time from the call to the first decelerating tick, both of CLOCK_MONOTONIC of
-one machine. Over tcp the clocks differ: the latency then ends with the arrival of the report and includes the network.
+one machine. Over TCP the clocks differ: the latency then ends with the arrival of the report and includes the network.
 """
 
 from __future__ import annotations
