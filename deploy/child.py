@@ -269,10 +269,3 @@ def open_log(log: Path) -> BinaryIO:
         return open(log, "ab")
     except OSError:
         return open(os.devnull, "ab")
-
-
-def in_words(status: int) -> str:
-    """An exit status for people: `killed by SIGKILL`, `ended with status 1`."""
-    if status < 0:
-        return f"killed by {signal.Signals(-status).name}"
-    return f"ended with status {status}"

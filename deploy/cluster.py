@@ -33,7 +33,7 @@ from deploy.supervisor import END_LIMIT_S, OUTCOMES_S, Supervisor
 from rtc.client.halt import HaltLine
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
 from rtc.runtime import fork_server, handover, process, process_table
-from rtc.runtime.settings import ENDPOINTS, LOCK, Settings, prepare_run_dir
+from rtc.runtime.settings import ENDPOINTS, LOCK, Settings, prepare_run_dir, shell_command
 from rtc.world import lease
 
 LOGS = "logs"
@@ -353,8 +353,9 @@ def _lock(run_dir: Path) -> Iterator[int]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
+            end = shell_command("rtc down", run_dir)
             raise ClusterError(
-                f"a cluster is already running in {run_dir}: {_owner(run_dir)}; end it with: rtc down"
+                f"a cluster is already running in {run_dir}: {_owner(run_dir)}; end it with: {end}"
             ) from None
         yield lock.fileno()
 

@@ -17,7 +17,7 @@ from typing import Any
 import zmq
 
 from deploy import hypercube
-from deploy.child import Child, ProcessState, Spec, in_words, limit_log, reap_orphans
+from deploy.child import Child, ProcessState, Spec, limit_log, reap_orphans
 from deploy.restarts import DEFAULT, Death, Policy, delay_s
 from rtc.protocol import wire
 from rtc.protocol.messages import (
@@ -34,6 +34,7 @@ from rtc.protocol.messages import (
 )
 from rtc.protocol.outcomes import ClusterError, WireError
 from rtc.runtime.process import Every, Process, adopt_orphans, inbox, now_s, send
+from rtc.runtime.process_table import in_words
 
 START_LIMIT_S = 600.0  # limit for a process to become ready; normally some seconds, more on a slow machine
 IDLE_S = 20.0  # a starting process without use of the processor for this time is hung

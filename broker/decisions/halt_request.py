@@ -73,7 +73,8 @@ def repeat_call(context: DecisionContext, name: str, event: HaltCalled) -> None:
     # A halt of an ended command is valid: the subsystems confirm rest, so it is not declined.
     declined = not known and not from_subsystem and not has_ended(context, event.scope)
     if declined:
-        message = no_target(context, event.scope).message
+        refusal = no_target(context, event.scope)
+        message = f"{refusal.message}; expected: {', '.join(refusal.expected)}"
         context.effects.append(DeclineHalt(client=event.client, halt=event.halt, message=message))
     if from_subsystem and not any(type(e) is SendHalt and e.subsystem == event.client for e in context.effects):
         # The subsystem starts nothing in the scope until it receives this acknowledgement.

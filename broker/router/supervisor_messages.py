@@ -10,6 +10,7 @@ from broker.router.core import Core
 from broker.router.shutdown import Shutdown
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import WireError
+from rtc.runtime.process_table import in_words
 
 #: process that reports dropped messages at this socket -> its own counters
 DROP_COUNTERS: dict[bytes, tuple[str, ...]] = {
@@ -37,13 +38,13 @@ class SupervisorMessages:
 
     def _exited(self, message: m.ProcessExited, now: float) -> None:
         core, name = self._core, message.name
-        core.me.log.warning("%.80r (pid %d) ended with status %d", name, message.pid, message.status)
+        core.me.log.warning("%.80r (pid %d) %s", name, message.pid, in_words(message.status))
         worker = core.registry.workers.get(name)
         if worker is not None and worker.pid == message.pid:
             core.lose_jobs(name, core.registry.remove(name), f"exit status {message.status}", now)
         subsystem = core.state.subsystems.get(name)
         if subsystem is not None and subsystem.pid == message.pid:
-            why = f"its process ended with status {message.status}"
+            why = f"its process {in_words(message.status)}"
             core.enqueue(SubsystemGone(at_s=now, subsystem=name, why=why))
 
     def _end_cluster(self, message: m.Shutdown, now: float) -> None:

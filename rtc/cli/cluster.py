@@ -200,6 +200,8 @@ def show_status(report: dict[str, Any]) -> None:
         console.print(Text("programs: ", style="bold") + Text(programs_in_words(report)))
     for name in ("queues", "halts", "counters"):
         figures = {key: value for key, value in report.get(name, {}).items() if value not in (0, None, "", [], {})}
+        if name == "counters" and "halts" in report:
+            figures.pop("halts", None)  # shown in the line above
         if figures:
             console.print(
                 Text(f"{name}: ", style="bold") + Text(", ".join(f"{k} {_plain(v)}" for k, v in figures.items()))

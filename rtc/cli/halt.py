@@ -18,7 +18,7 @@ from rtc.client.halt import HALT_ENDPOINTS, HaltLine, HaltResult
 from rtc.client.liveness import is_listening
 from rtc.protocol.outcomes import NoCluster
 from rtc.runtime.keys import Endpoints, KeyFile
-from rtc.runtime.settings import Settings, default_run_dir
+from rtc.runtime.settings import Settings, default_run_dir, shell_command
 
 NOT_CONFIRMED = 3
 SETTLED_S, SETTLED = 0.05, " (but a hand still pressed, or a touch still gave way)"
@@ -63,7 +63,7 @@ def _halt_line(run_dir: Path, key: Path | None) -> Iterator[HaltLine]:
         except PermissionError:
             raise NoCluster(f"the cluster in {run_dir} belongs to another user; choose another --run-dir") from None
         if not there:
-            raise NoCluster(f"no cluster in {run_dir}; start one with: rtc up -d")
+            raise NoCluster(f"no cluster in {run_dir}; start one with: {shell_command('rtc up -d', run_dir)}")
         endpoints: Endpoints = Settings(run_dir=str(run_dir.absolute()))
     else:
         endpoints = KeyFile.load(key)

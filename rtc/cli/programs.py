@@ -11,12 +11,14 @@ from rich.text import Text
 from rtc.cli.output import AsJson, RunDir, With, console, emit_json, errors, table, trouble
 from rtc.client.client import Client
 from rtc.programs.loader import changes, default, merge
+from rtc.programs.outcome_table import explained
 from rtc.programs.outcome_table import outcomes as rows_of
 from rtc.programs.sandbox import Asked, in_a_process
 from rtc.protocol.messages import ProgramLoaded, WorkerKind
 from rtc.protocol.outcomes import NoCluster, ProgramError
 
 KINDS = ", ".join(kind.value for kind in WorkerKind)
+RESET = "the default program"  # the name of a reset in --json
 DEFAULTS = "the default programs (no cluster runs)"
 USAGE = f"use: rtc load FILE INTO KIND, where KIND is one of {KINDS}"
 
@@ -45,7 +47,7 @@ def load(
         _list(json, run_dir, key)
     elif reset:
         with Client(run_dir, key=key) as rtc:
-            _loaded(rtc.reset(_kind(reset)), "the default program", json)
+            _loaded(rtc.reset(_kind(reset)), "", json)
     elif file is None or into.upper() != "INTO":
         raise trouble(USAGE, 2)
     elif check:
@@ -72,10 +74,13 @@ def _readable(file: Path) -> Path:
 
 def _loaded(loaded: ProgramLoaded, name: str, json: bool) -> None:
     if json:
-        diffs = {"kind": loaded.kind.value, "digest": loaded.digest, "file": name, "changes": loaded.changes}
+        diffs = {"kind": loaded.kind.value, "digest": loaded.digest, "file": name or RESET, "changes": loaded.changes}
         emit_json(diffs)
         return
-    console.print(Text(f"{name} is in the {loaded.kind.value}s' program, which is now {loaded.digest}"))
+    reset = f"{loaded.kind.value}: back to the default program ({loaded.digest})"
+    console.print(
+        Text(f"{name} is in the {loaded.kind.value}s' program, which is now {loaded.digest}" if name else reset)
+    )
     for change in loaded.changes or ["nothing has changed: the program had all of it"]:
         console.print(Text(f"  {change}"))
 
@@ -86,7 +91,7 @@ def _programs(run_dir: Path | None, key: Path | None) -> tuple[dict[WorkerKind, 
         with Client(run_dir, key=key) as rtc:
             return {kind: rtc.program(kind).body for kind in WorkerKind}, f"the cluster in {rtc.where}"
     except NoCluster:
-        if run_dir is not None or key is not None:
+        if key is not None:
             raise
         return {kind: default(kind) for kind in WorkerKind}, DEFAULTS
 
@@ -158,3 +163,5 @@ def outcomes(
         out.add_row("" if row.step == step else row.step, row.reason.value, row.response)
         step = row.step
     console.print(out)
+    for name, message in explained(programs[WorkerKind.ANALYZER], rows).items():
+        console.print(Text(f"{name}: ", style="bold") + Text(message))

@@ -75,7 +75,7 @@ def do(
     Example:  rtc do "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A" "LIFT MACS-NEW BY 5 CM"
     """
     texts = [as_text(text) for text in (*(sentences or []), *(_lines(file) if file else []))]
-    if not texts:
+    if not all(text.strip() for text in texts) or not texts:
         raise trouble('no sentence; give one in quotes: rtc do "STOW LEFT-ARM"', 2)
     if source not in ("operator", "aip"):
         raise trouble(f"--as is operator or aip, not {source}", 2)

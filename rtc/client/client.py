@@ -48,7 +48,7 @@ from rtc.protocol.outcomes import (
 from rtc.protocol.traceparent import with_traceparent
 from rtc.protocol.wire import MAX_BYTES, frames, reader
 from rtc.runtime.keys import Endpoints, KeyFile
-from rtc.runtime.settings import Settings, default_run_dir
+from rtc.runtime.settings import Settings, default_run_dir, shell_command
 from rtc.world.client import WorldClient
 
 NAME_BYTES = 128  # maximum length of a client's name; it becomes part of other names
@@ -477,11 +477,13 @@ def running_settings(run_dir: Path) -> Settings:
     try:
         settings = Settings.load(run_dir)
     except (FileNotFoundError, NotADirectoryError):
-        raise NoCluster(f"no cluster in {run_dir}; start one with: rtc up -d") from None
+        raise NoCluster(f"no cluster in {run_dir}; start one with: {shell_command('rtc up -d', run_dir)}") from None
     except PermissionError:
         raise NoCluster(f"the cluster in {run_dir} belongs to another user; choose another --run-dir") from None
     if not is_listening(run_dir, ("front", "estop")):
-        raise NoCluster(f"the cluster in {run_dir} no longer runs; start one with: rtc up -d")
+        raise NoCluster(
+            f"the cluster in {run_dir} no longer runs; start one with: {shell_command('rtc up -d', run_dir)}"
+        )
     return settings
 
 

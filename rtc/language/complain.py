@@ -25,6 +25,7 @@ READABLE = {
 }
 #: directions, used for a hint only; the workers decide which directions exist
 AXES = frozenset({"X", "Y", "Z", "TOOL-X", "TOOL-Y", "TOOL-Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK"})
+ARMS = frozenset({"LEFT-ARM", "RIGHT-ARM"})
 THE_END = "the end of the sentence"
 A_UNIT = "a unit such as CM"
 LOOK_BACK = 6  # number of words before the fault that are tested for a misspelling
@@ -151,6 +152,8 @@ def _misplaced(stop: Stop) -> Refusal:
         near = _meant(stop, word) or nearest(stop.grammar, word.value, stop.allowed)
         if stop.opening():
             message = f"{written} is not a verb of the language."
+        elif word.value in ARMS and "NAME" in stop.allowed and len(stop.before) == 1:
+            message = f"{stop.written(stop.before[-1])} needs the name of an object; {written} is an arm."
         elif word.type in stop.grammar.reserved and "NAME" in stop.allowed:
             message = f"{written} is a reserved word and cannot be a name, after {stop.written(stop.before[-1])}."
         else:

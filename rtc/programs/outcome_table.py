@@ -41,6 +41,13 @@ def outcomes(
     return list(_rows(found, elaborator, binder, analyzer))
 
 
+def explained(analyzer_program: bytes, rows: list[OutcomeRow]) -> dict[str, str]:
+    """The message of each failure class in the rows: late -> "not done within LIMIT s"."""
+    classes = decode(analyzer_program, AnalyzerProgram).classes
+    used = sorted({row.response.rpartition("fail: ")[2] for row in rows if "fail: " in row.response})
+    return {name: re.sub(r"\{(\w+)\}", lambda found: found[1].upper(), classes[name].message) for name in used}
+
+
 def _rows(
     script: ScriptFile, elaborator: ElaboratorProgram, binder: BinderProgram, analyzer: AnalyzerProgram
 ) -> Iterator[OutcomeRow]:
@@ -56,7 +63,8 @@ def _rows(
 
 
 def _label(step: ScriptStep) -> str:
-    return re.sub(r"\{(\w+)\}", r"the \1", step.label) or step.to or step.name
+    words = step.label.replace("{out}", "out")  # an adverb, not a thing
+    return re.sub(r"\{(\w+)\}", r"the \1", words) or step.to or step.name
 
 
 def _step(

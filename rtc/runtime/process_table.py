@@ -7,11 +7,13 @@ the broker is away.
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import msgspec
 
 from rtc.protocol.outcomes import NoCluster
+from rtc.runtime.settings import shell_command
 
 FILE = "supervisor.json"  # in the run directory
 
@@ -56,7 +58,7 @@ def processes(run_dir: Path) -> dict[str, ProcessRow]:
     """The cluster's processes by name. Raises NoCluster if there is no readable table."""
     table = Table.load(run_dir)
     if table is None:
-        raise NoCluster(f"no cluster is running in {run_dir}; start one with: rtc up -d")
+        raise NoCluster(f"no cluster is running in {run_dir}; start one with: {shell_command('rtc up -d', run_dir)}")
     return {row.name: row for row in table.processes}
 
 
@@ -64,3 +66,11 @@ def supervisor_pid(run_dir: Path) -> int | None:
     """Process id of the supervisor, as it wrote it; the process may have ended since. None if there is none."""
     table = Table.load(run_dir)
     return table.pid if table is not None and table.pid > 0 else None
+
+
+def in_words(status: int) -> str:
+    """An exit status for people: `was killed by SIGKILL`, `ended with status 1`."""
+    if status < 0:
+        known = -status in {one.value for one in signal.Signals}
+        return f"was killed by {signal.Signals(-status).name if known else f'signal {-status}'}"
+    return f"ended with status {status}"

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, get_args
 
@@ -130,6 +131,12 @@ def default_run_dir() -> Path:
         return Path(given)
     base = os.environ.get("XDG_RUNTIME_DIR")
     return Path(base) / "rtc" if base else Path(f"/tmp/rtc-{os.getuid()}")
+
+
+def shell_command(words: str, run_dir: Path) -> str:
+    """The shell command `words` for the cluster in `run_dir`; the default directory needs no option."""
+    same = run_dir.absolute() == default_run_dir().absolute()
+    return words if same else f"{words} --run-dir {shlex.quote(str(run_dir))}"
 
 
 def prepare_run_dir(run_dir: Path) -> Path:

@@ -111,7 +111,11 @@ def rtc(words: str) -> subprocess.CompletedProcess[str]:
         ("dictionary >/dev/full", 1, "rtc: cannot print: No space left on device\n"),
         ("dictionary >&-", 1, "rtc: cannot print: stdout is closed\n"),
         ("-h >/dev/full", 1, "rtc: cannot print: No space left on device\n"),
-        ("status --json --run-dir /nowhere >/dev/full", 4, "rtc: no cluster in /nowhere; start one with: rtc up -d\n"),
+        (
+            "status --json --run-dir /nowhere >/dev/full",
+            4,
+            "rtc: no cluster in /nowhere; start one with: rtc up -d --run-dir /nowhere\n",
+        ),
         ("dictionary >/dev/null 2>&- <&-", 0, ""),
     ],
 )

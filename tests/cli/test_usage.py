@@ -13,14 +13,19 @@ from pathlib import Path
 import pytest
 
 from rtc.cli.main import COMMANDS, main
+from rtc.cli.programs import _loaded
 from rtc.client import connection
 from rtc.client.liveness import LOCK
-from rtc.runtime.settings import Settings
+from rtc.protocol.messages import ProgramLoaded, WorkerKind
+from rtc.runtime.process_table import in_words
+from rtc.runtime.settings import Settings, shell_command
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        ("do ''", "no sentence; give one in quotes"),
+        ("do 'STOW LEFT-ARM' ' '", "no sentence; give one in quotes"),
         ("demo grasp --speed abc", "--speed is a number above 0, or max; not abc"),
         ("demo grasp --speed 0", "--speed is a number above 0, or max; not 0"),
         ("up --speed inf", "--speed is a number above 0, or max; not inf"),
@@ -42,6 +47,16 @@ def test_a_wrong_word_is_2_in_a_sentence(
 ) -> None:
     assert status_of(shlex.split(words.replace("DIR", str(tmp_path))), monkeypatch) == 2
     assert message in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_check_of_a_program_needs_no_cluster(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("{}")
+    words = ["load", str(mine), "INTO", "elaborator", "--check", "--run-dir", str(tmp_path / "nix")]
+    assert status_of(words, monkeypatch) == 0
+    assert "the default programs (no cluster runs)" in " ".join(capsys.readouterr().out.split())
 
 
 def test_chaos_without_a_cluster_announces_nothing(
@@ -106,6 +121,23 @@ def test_help_of_each_command_has_an_example(
 ) -> None:
     assert status_of([command, "-h"], monkeypatch) == 0
     assert f"rtc {command}" in capsys.readouterr().out.partition("Example")[2]
+
+
+def test_advice_names_the_run_directory_unless_it_is_the_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RTC_RUN_DIR", "/tmp/mine")
+    assert shell_command("rtc down", Path("/tmp/mine")) == "rtc down"
+    assert shell_command("rtc down", Path("/tmp/other one")) == "rtc down --run-dir '/tmp/other one'"
+
+
+def test_a_reset_is_not_reported_as_a_file(capsys: pytest.CaptureFixture[str]) -> None:
+    _loaded(ProgramLoaded(request="r", kind=WorkerKind.BINDER, digest="1f0f", changes=[]), "", json=False)
+    assert capsys.readouterr().out.startswith("binder: back to the default program (1f0f)")
+
+
+def test_the_end_of_a_process_is_in_words() -> None:
+    assert in_words(-9) == "was killed by SIGKILL"
+    assert in_words(-35) == "was killed by signal 35"
+    assert in_words(1) == "ended with status 1"
 
 
 def status_of(words: list[str], monkeypatch: pytest.MonkeyPatch) -> object:

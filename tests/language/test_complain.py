@@ -68,6 +68,8 @@ WRONG = [
     # a word in the wrong place
     ("MOVE ¦MACS-OLD TO BAY-2", HANDS, [], "MACS-OLD cannot stand here, after MOVE"),
     ("GRASP ¦MOVE", ["a name", "LEFT-END-EFF", "RIGHT-END-EFF"], [], "MOVE is a reserved word"),
+    ("RELEASE ¦RIGHT-ARM", ["a name"], [],
+     "RELEASE needs the name of an object; RIGHT-ARM is an arm"),
     ("LOCATE MACS-OLD VIA ¦SPEED", ["a name", "OPERATOR-INTERVENTION"], [], "SPEED is a reserved word"),
     ("STOW ¦PARK", HANDS, [], "PARK cannot stand here"),
     ("HALT ALL ¦ALL", [END], [], "ALL cannot stand here, after ALL"),

@@ -102,7 +102,8 @@ def _in_hand(thing: str, frame: Any, query: WorldQuery, values: Values) -> Chang
             f"{thing} is held by {arm}, and would be {away_m * 1000:.0f} mm from its fingers; "
             f"{values['in_hand_m'] * 1000:.0f} mm is the most",
             f"{thing}.frame",
-            "state its frame in the hand; open the hand first if it is not in it",
+            f"give its present world pose, within {values['in_hand_m'] * 1000:.0f} mm of the fingers; "
+            "open the hand first if it is not in it",
         )
     grasp = geometry.normalise(geometry.relative(tcp, frame)).tolist()
     return [

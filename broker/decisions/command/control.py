@@ -36,7 +36,7 @@ def control(context: DecisionContext, command: Command, head: ParsedHead) -> Non
         refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message))
         return
     targets = [c.id for c in in_scope(context, scope) if c.id == scope or not _given_after(c, command)]
-    if not targets and scope != "ALL":
+    if not targets and scope != "ALL" and not subsystem_of(context, scope):
         refuse(context, command, no_target(context, scope, command.id))
         return
     stimulus = CONTROLS[head.verb]

@@ -852,6 +852,15 @@ def test_a_control_word_that_finds_nothing_says_so():
     assert s.outcome("C-1").message == "ABORT had nothing to act on"
 
 
+@pytest.mark.parametrize("verb", ["PAUSE", "RESUME", "ABORT"])
+def test_an_idle_arm_is_nothing_to_act_on_and_an_unknown_name_is_refused(verb):
+    s = Harness()
+    s.parsed(kind="control", verb=verb, hand="RIGHT-ARM")
+    s.parsed(kind="control", verb=verb, object="NOWHERE")
+    assert (s.outcome("C-1").kind, s.outcome("C-1").message) == ("succeeded", f"{verb} had nothing to act on")
+    assert s.outcome("C-2").refusal.reason == "name"
+
+
 # --- report, and how long a step takes ---------------------------------------------------------------
 
 
