@@ -423,16 +423,22 @@ class ParserInput(msgspec.Struct, frozen=True, kw_only=True):
     text: str
 
 
-class ElaboratorInput(msgspec.Struct, frozen=True, kw_only=True):
+class ElaboratorInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """`at_s`: when the broker asks; what a hand holds is less certain with the age of its facts. 0 = unknown."""
+
     command: str
     parsed: ParsedCommand
+    at_s: float = 0.0
 
 
-class BinderInput(msgspec.Struct, frozen=True, kw_only=True):
+class BinderInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """`at_s`: as in `ElaboratorInput`."""
+
     primitive_id: str
     context: ScriptContext
     step: Step
     bindings: dict[str, Binding]
+    at_s: float = 0.0
 
 
 class AnalyzerInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

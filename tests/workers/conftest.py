@@ -214,6 +214,7 @@ class Bench:
         self.world = World().overlay(surveyed)
         self.programs = {kind: loader.default(kind) for kind in ("elaborator", "binder", "analyzer")}
         self.commands = 0
+        self.now_s = 0.0  # of the broker; 0: no fact has an age
 
     def unsurveyed(self) -> None:
         """Things may be as far from where they are believed to be as the cell file says."""
@@ -227,13 +228,15 @@ class Bench:
 
     def elaborate(self, sentence: str, model: CellModel = MODEL) -> Script | Refusal:
         self.commands += 1
-        data = ElaboratorInput(command=f"C-{self.commands}", parsed=record(sentence))
+        data = ElaboratorInput(command=f"C-{self.commands}", parsed=record(sentence), at_s=self.now_s)
         return elaborator.run(elaborator.compile(self.programs["elaborator"]), model, self.world, data)
 
     def bind(self, script: Script, step: Step, bindings: dict[str, Binding] | None = None, n: int = 1) -> Any:
         given = script.bindings if bindings is None else bindings
         name = f"C-{self.commands}.{n}"
-        return self._bind(BinderInput(primitive_id=name, context=script.context, step=step, bindings=given))
+        return self._bind(
+            BinderInput(primitive_id=name, context=script.context, step=step, bindings=given, at_s=self.now_s)
+        )
 
     def _bind(self, data: BinderInput) -> Any:
         return binder.run(binder.compile(self.programs["binder"]), MODEL, self.world, data)
@@ -260,7 +263,7 @@ class Bench:
             actions.pop()
             name = f"C-{self.commands}.{len(run.labels) + 1}"
             run.labels.append(actions.step_body.label)
-            bound = self._bind(BinderInput(**actions.binder_input(name)))
+            bound = self._bind(BinderInput(**actions.binder_input(name), at_s=self.now_s))
             if isinstance(bound, Refusal):
                 run.refusal = bound
                 return run
@@ -278,7 +281,7 @@ class Bench:
                 return run
             assert isinstance(judged, Assessment), judged
             run.assessments.append(judged)
-            self.world = self.world.overlay(judged.changes, source=f"C-{self.commands}/{len(run.assessments)}")
+            self.world = self.world.overlay(judged.changes, f"C-{self.commands}/{len(run.assessments)}", self.now_s)
             actions.assign(judged.keep)
             trim = actions.push_trim(judged.trim) if judged.verdict == "trim" else None
             if judged.verdict != "continue" and (trim is None or trim.then == "give_up"):

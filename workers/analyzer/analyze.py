@@ -40,8 +40,10 @@ THIN_M = 0.002  # fingers closer together than this hold nothing
 VALUES = (
     *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m", "told_m", "told_rad"),
     *("seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
-    *("creep_m_s", "creep_rad_s", "struck_n", "struck_m", "struck_rad"),
+    *("struck_n", "struck_m", "struck_rad"),
 )
+#: figures of the cell, which the elaborator and the binder use too; in this program they would have no effect there
+OF_CELL = {"creep_m_s", "creep_rad_s"}
 
 
 def compile(program: bytes) -> AnalyzerProgram:
@@ -50,6 +52,8 @@ def compile(program: bytes) -> AnalyzerProgram:
     for name in VALUES:
         if name not in document.values:
             raise ProgramError(f"$.values: no {name}")
+    for name in OF_CELL & document.values.keys():
+        raise ProgramError(f"$.values.{name}: it is one of the cell's `numbers`; state it there")
     return document
 
 
@@ -244,7 +248,8 @@ def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInpu
     if fact is None or fact.value is None:
         return changes
     held_s = max(report.at_s - fact.at_s, report.duration_s)
-    spread = pose_spread.aged_spread(query.spread(fact.key), held_s, report.peak_force_n, program.values)
+    spread = pose_spread.crept_spread(query.spread(fact.key), held_s, query.cell.numbers)
+    spread = pose_spread.struck_spread(spread, report.peak_force_n, program.values)
     keys = {f"{thing}.frame", f"{thing}.grasp"}
     return [
         msgspec.structs.replace(change, spread=spread)

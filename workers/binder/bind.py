@@ -85,7 +85,7 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
     if step.do not in compiled.actions:
         return refused_program(f"unknown action {step.do}", f"there are {', '.join(compiled.actions)}")
     try:
-        return ACTIONS[compiled.actions[step.do]](BindTask(compiled, WorldQuery(cell, world), data))
+        return ACTIONS[compiled.actions[step.do]](BindTask(compiled, WorldQuery(cell, world, data.at_s), data))
     except expressions.ExpressionError as error:
         return refused_program(
             str(error), "a figure that the step needs must be in the script, the program or the cell"

@@ -79,8 +79,10 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
         if problem is not None:
             return problem
     if parsed.kind == "data":
-        return set_fact.script(program, compiled.scripts[branches[0].script], parsed, WorldQuery(cell, world))
-    candidates = _candidates(compiled, parsed, limits, WorldQuery(cell, world))
+        return set_fact.script(
+            program, compiled.scripts[branches[0].script], parsed, WorldQuery(cell, world, data.at_s)
+        )
+    candidates = _candidates(compiled, parsed, limits, WorldQuery(cell, world, data.at_s))
     if isinstance(candidates, Refusal):
         return candidates
     options = _ranked(branches, candidates)
@@ -276,10 +278,9 @@ def _script(
         steps = [*_sensed_first(compiled, candidate), *nominal]
     except expressions.ExpressionError as error:
         return Refusal(reason=RefusalReason.PROGRAM, message=f"{script.script}: {error}", where=script.script)
-    for step in steps:
-        lacks = certainty.refuse_if_uncertain(candidate.query, candidate.arm.name, step.args, candidate.program.clears)
-        if lacks is not None:
-            return lacks
+    lacks = _refuse_if_uncertain(steps, candidate)
+    if lacks is not None:
+        return lacks
     held = candidate.query.holding(candidate.arm.name)
     case = script.case if script.case >= FIRST_SKILL else 1 if len(options) == 1 and not planned.chosen else 2
     return Script(
@@ -294,6 +295,18 @@ def _script(
         candidates=[option.name, *(c.name for c in options if c is not option)],
         notes=[*notes, *(f"{option.name}: {note}" for note in planned.notes), *left_out],
     )
+
+
+def _refuse_if_uncertain(steps: list[Step], candidate: TaskCandidate) -> Refusal | None:
+    """Refuse a script if the held object will be too uncertain for one of its steps when that step begins."""
+    query, ahead_s = candidate.query, 0.0
+    motion_s = certainty.motion_time_s(query, candidate.limits)
+    for step in steps:
+        lacks = certainty.refuse_if_uncertain(query, candidate.arm.name, step.args, candidate.program.clears, ahead_s)
+        if lacks is not None:
+            return lacks
+        ahead_s += motion_s if step.do == "move" else 0.0
+    return None
 
 
 def _context(option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]) -> ScriptContext:

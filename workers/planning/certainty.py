@@ -2,7 +2,7 @@
 
 A step states the requirement in its args: `needs_m` and `needs_rad` for all axes, or `needs`, a seat with its own
 bounds (`needs_within` in the cell). The elaborator and the binder both check it, because uncertainty grows with time
-and with impacts.
+and with impacts. The elaborator adds the time of the motions before the step, so that an accepted command can end.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.world.spread import Spread, even, exceeded
 from workers.planning.world_query import WorldQuery
@@ -17,14 +18,30 @@ from workers.planning.world_query import WorldQuery
 Args = Mapping[str, float | str]
 
 
-def refuse_if_uncertain(query: WorldQuery, arm: str, args: Args, clears: Mapping[str, str]) -> Refusal | None:
-    """Refuse a step if the held object's grasp is too uncertain; None if it is not, or if the hand is empty."""
+#: time that the elaborator allows for a motion at the cell's speed; a carry across the default cell takes 9 s
+MOTION_S = 15.0
+
+
+def motion_time_s(query: WorldQuery, limits: Limits) -> float:
+    """Time allowed for one motion, in proportion to the speed stated in the command."""
+    free_m_s = query.cell.numbers.free_speed_m_s
+    speed_m_s = min(limits.speed_m_s or free_m_s, free_m_s * (limits.speed_ratio or 1.0))
+    return MOTION_S * max(1.0, free_m_s / speed_m_s)
+
+
+def refuse_if_uncertain(
+    query: WorldQuery, arm: str, args: Args, clears: Mapping[str, str], ahead_s: float = 0.0
+) -> Refusal | None:
+    """Refuse a step if the held object's grasp is too uncertain; None if it is not, or if the hand is empty.
+
+    `ahead_s`: when the step begins, after the time of the query.
+    """
     held = query.holding(arm)
     within = needed(query, args) if held else None
     if within is None:
         return None
     key = f"{held}.grasp"
-    axes = exceeded(query.spread(key), within)
+    axes = exceeded(query.grasp_spread(held, ahead_s), within)
     if not axes:
         return None
     return Refusal(

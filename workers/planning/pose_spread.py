@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from rtc.cells.parts import Numbers
 from rtc.robot import geometry
 from rtc.robot.geometry import Array, Floats
 from rtc.world.spread import Spread, even, narrowest, widened
@@ -50,9 +51,13 @@ def uncertainty_figures(spread: Spread, at: Floats) -> dict[str, float]:
     return {"unsure_x_m": x, "unsure_y_m": y, "unsure_z_m": z, "unsure_rad": max(angles)}
 
 
-def aged_spread(spread: Spread, seconds: float, peak_force_n: float, values: Mapping[str, float]) -> list[float]:
-    """Spread of an object held for `seconds`: it creeps in the grip, and a force above `struck_n` displaces it."""
+def crept_spread(spread: Spread, seconds: float, numbers: Numbers) -> list[float]:
+    """Spread of an object held for `seconds` more: it creeps in the grip."""
     for_s = max(0.0, seconds)
-    older = widened(spread, even(for_s * values["creep_m_s"], for_s * values["creep_rad_s"]))
+    return widened(spread, even(for_s * numbers.creep_m_s, for_s * numbers.creep_rad_s))
+
+
+def struck_spread(spread: Spread, peak_force_n: float, values: Mapping[str, float]) -> list[float]:
+    """Spread of a held object after a motion: a force above `struck_n` displaces it."""
     struck = peak_force_n > values["struck_n"]
-    return widened(older, even(values["struck_m"], values["struck_rad"])) if struck else older
+    return widened(spread, even(values["struck_m"], values["struck_rad"])) if struck else list(spread)

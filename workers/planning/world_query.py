@@ -23,7 +23,7 @@ from rtc.robot.collision import Held, Scene
 from rtc.robot.geometry import Array
 from rtc.world.model import World
 from rtc.world.spread import EXACT, Spread
-from workers.planning import axes
+from workers.planning import axes, pose_spread
 from workers.planning.motion.constraints import Rules
 from workers.planning.motion.plan import PlanningRequest
 from workers.planning.motion.timing import Pace
@@ -36,10 +36,14 @@ TRUSTED = (Validity.VALID, Validity.CHANGING)
 
 @dataclass(frozen=True)
 class WorldQuery:
-    """Queries on one world view of one cell. Poses are [x y z qx qy qz qw] in m, in the world frame unless stated."""
+    """Queries on one world view of one cell. Poses are [x y z qx qy qz qw] in m, in the world frame unless stated.
+
+    `at_s`: when the query is made (the clock of `Fact.at_s`); 0: unknown, so that no fact has an age.
+    """
 
     model: CellModel
     world: World
+    at_s: float = 0.0
 
     @property
     def cell(self) -> cells.Cell:
@@ -107,6 +111,13 @@ class WorldQuery:
         """Uncertainty of the pose of this fact; EXACT if the fact has none."""
         fact = self.world.get(key)
         return EXACT if fact is None or fact.spread is None else fact.spread
+
+    def grasp_spread(self, thing: str, ahead_s: float = 0.0) -> Spread:
+        """Uncertainty of a held object's pose `ahead_s` after the query; it grows with time in the hand."""
+        key = f"{thing}.grasp"
+        fact = self.world.get(key)
+        age_s = max(0.0, self.at_s - fact.at_s) if fact is not None else 0.0
+        return pose_spread.crept_spread(self.spread(key), age_s + ahead_s, self.cell.numbers)
 
     def grasp(self, thing: str) -> Array | None:
         """The held object's frame in the tcp frame; None if it is not held."""

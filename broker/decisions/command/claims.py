@@ -70,5 +70,6 @@ def elaborate(context: DecisionContext, command: Command) -> None:
         message = f"its claim changed {MAX_ELABORATIONS} times while it waited for it"
         refuse(context, command, Refusal(reason=RefusalReason.OVERLOAD, message=message))
         return
-    context.create_job(command, WorkerKind.ELABORATOR, {"command": command.id, "parsed": command.parsed})
+    data = {"command": command.id, "parsed": command.parsed, "at_s": context.now}
+    context.create_job(command, WorkerKind.ELABORATOR, data)
     context.enter(command, Phase.ELABORATING)

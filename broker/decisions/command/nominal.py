@@ -61,7 +61,7 @@ def next_step(context: DecisionContext, command: Command) -> None:
         actions.pop()
         command.step_words = step_in_words(actions)
         name = primitive_id(command.id, command.primitives + 1, context.state.life)
-        context.create_job(command, WorkerKind.BINDER, actions.binder_input(name))
+        context.create_job(command, WorkerKind.BINDER, {**actions.binder_input(name), "at_s": context.now})
         context.enter(command, Phase.BINDING)
 
 

@@ -28,7 +28,7 @@ from broker.decisions.resources import WORLD
 from broker.decisions.state import RolloutPhase, State
 from rtc.language.record import Report
 from rtc.protocol import wire
-from rtc.protocol.messages import AnalyzerInput, BoundStep, Phase, WorkerKind
+from rtc.protocol.messages import AnalyzerInput, BinderInput, BoundStep, ElaboratorInput, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, RefusalReason, StopReason
 from tests.broker.harness import Harness, bound, give_up, go_on, mend, record, report, script, stated, trim
 
@@ -104,6 +104,18 @@ def test_stated_facts_go_straight_to_an_analyzer():
     assert given.report.facts == {"MODULE.mass": 2.1}
     assert given.evaluation.step.do == "tell"
     assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "note C-1 ended", "end C-1 succeeded"]
+
+
+def test_elaborator_and_binder_receive_the_time_of_their_job():
+    """What a hand holds is less certain with time, so both need the age of its facts."""
+    s = Harness()
+    s.now = 100.0
+    s.says("GRASP MODULE")
+    s.answers("C-1", record())
+    command = s.state.commands["C-1"]
+    assert wire.decoder(ElaboratorInput)(command.job.input).at_s == s.now
+    s.answers("C-1", script())
+    assert wire.decoder(BinderInput)(command.job.input).at_s == s.now
 
 
 def test_a_step_that_tells_may_stand_between_two_that_move():

@@ -8,8 +8,9 @@ import msgspec
 import pytest
 
 from rtc.protocol.messages import Assessment, BoundStep, EndReport, Validity, WorldChange
-from rtc.protocol.outcomes import Reflex, RefusalReason, StopReason
+from rtc.protocol.outcomes import ProgramError, Reflex, RefusalReason, StopReason
 from rtc.robot import geometry
+from workers.analyzer import analyze
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A GUARDED"
 
@@ -34,6 +35,13 @@ def judged(bench, bound: BoundStep, report: EndReport, **how) -> Assessment:
 
 def change(made: Assessment, key: str):
     return next((c for c in made.changes if c.key == key), None)
+
+
+def test_the_rate_of_creep_is_refused_in_a_program(bench):
+    """The elaborator and the binder would not see it; all three read it in the cell."""
+    bench.load("analyzer", "values: {creep_m_s: 0.0}")
+    with pytest.raises(ProgramError, match=r"values\.creep_m_s: it is one of the cell's `numbers`"):
+        analyze.compile(bench.programs["analyzer"])
 
 
 # --- whole commands ----------------------------------------------------------------------------------------

@@ -8,17 +8,13 @@ import random
 import numpy as np
 import pytest
 
+from rtc.cells.parts import Numbers
 from rtc.robot import geometry
 from rtc.world.spread import even
-from workers.planning.pose_spread import aged_spread, spread_after_measurement, spread_at
+from workers.planning.pose_spread import crept_spread, spread_after_measurement, spread_at, struck_spread
 
-VALUES = {
-    "creep_m_s": 0.0025 / 60,
-    "creep_rad_s": math.radians(1) / 60,
-    "struck_n": 40.0,
-    "struck_m": 0.01,
-    "struck_rad": 0.1,
-}
+NUMBERS = Numbers(creep_m_s=0.0025 / 60, creep_rad_s=math.radians(1) / 60)
+VALUES = {"struck_n": 40.0, "struck_m": 0.01, "struck_rad": 0.1}
 HANDLE = geometry.from_rpy([-0.15, -0.085, 0.0], [0.0, math.pi / 2, 0.0])  # of the module's handle, in its axes
 
 
@@ -68,6 +64,7 @@ def test_a_thing_that_was_moved_in_belief_along_an_axis_not_measured_is_known_le
 
 
 def test_what_is_held_creeps_and_what_is_struck_turns():
-    assert aged_spread(even(0.001, 0.0), 60.0, 5.0, VALUES)[0] == pytest.approx(0.0035)
-    assert aged_spread(even(0.001, 0.0), 0.0, 41.0, VALUES) == pytest.approx([0.011] * 3 + [0.1] * 3)
-    assert np.allclose(aged_spread(even(0.001, 0.0), -5.0, 0.0, VALUES), even(0.001, 0.0))
+    assert crept_spread(even(0.001, 0.0), 60.0, NUMBERS)[0] == pytest.approx(0.0035)
+    assert np.allclose(crept_spread(even(0.001, 0.0), -5.0, NUMBERS), even(0.001, 0.0))
+    assert struck_spread(even(0.001, 0.0), 41.0, VALUES) == pytest.approx([0.011] * 3 + [0.1] * 3)
+    assert struck_spread(even(0.001, 0.0), 5.0, VALUES) == even(0.001, 0.0)
