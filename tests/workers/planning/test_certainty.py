@@ -62,7 +62,7 @@ def test_an_object_held_for_minutes_is_refused_before_any_motion(holding):
 
     assert run.refusal.reason is RefusalReason.SUSPECT
     assert "x 10.2 mm (10 mm needed)" in run.refusal.message
-    assert not run.primitives
+    assert run.script is None
 
 
 def test_an_accepted_place_has_the_time_to_carry_the_object(holding):
