@@ -30,7 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # `rtc up` has blocked it until here
         return _run(given)
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        print("rtc: interrupted", file=sys.stderr)
         return 130
 
 
@@ -39,12 +39,12 @@ def _run(given: argparse.Namespace) -> int:
         try:
             settings = validate(msgspec.json.decode(given.settings, type=Settings))
         except (RtcError, msgspec.MsgspecError) as error:
-            print(error, file=sys.stderr)
+            print(f"rtc: {error}", file=sys.stderr)
             return INVALID_OPTION
     try:
         return _down(given.run_dir.absolute()) if given.what == "down" else _up(settings, given.detach)
     except RtcError as error:
-        print(error, file=sys.stderr)
+        print(f"rtc: {error}", file=sys.stderr)
         return 1
 
 

@@ -133,6 +133,9 @@ def _decode(document: bytes, source: str) -> Cell:
             return msgspec.json.decode(document, type=Cell)
         return msgspec.yaml.decode(document, type=Cell)
     except msgspec.MsgspecError as error:
+        if str(error).startswith("Object contains unknown field") and "$" not in str(error):
+            known = ", ".join(sorted(set(Cell.__struct_fields__) - {"texts"}))
+            raise ProgramError(f"{source} is not a cell: {error}; a cell has {known}") from error
         raise ProgramError(f"{source}: {error}") from error
 
 

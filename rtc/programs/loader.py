@@ -21,7 +21,7 @@ from rtc.language.grammar import Grammar
 from rtc.programs import checks, expressions, extension_names
 from rtc.programs.compatibility import Problems, misfits
 from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, Program, ScriptFile, ScriptStep
-from rtc.programs.yaml_location import line_of, path_of
+from rtc.programs.yaml_location import known_keys, line_of, line_of_key, path_of
 from rtc.protocol.messages import Limits, WorkerKind
 from rtc.protocol.outcomes import ProgramError, StopReason
 
@@ -88,7 +88,10 @@ def merge(
         if path is None or text.startswith(b"{"):
             raise
         complaint = str(error).removeprefix(f"{name}: ")
-        raise ProgramError(f"{name}, line {line_of(text, path)}: {complaint}") from error
+        if unknown and (known := known_keys(SCHEMAS[kind], path_of(str(error)))):
+            complaint += f"; the keys are {', '.join(known)}"
+        line = line_of_key(text, path) if unknown else line_of(text, path)
+        raise ProgramError(f"{name}, line {line}: {complaint}") from error
     return merged
 
 
@@ -149,7 +152,9 @@ def _read(text: bytes, source: str) -> dict[str, Any]:
     except yaml.MarkedYAMLError as error:
         at = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise ProgramError(f"{source}{at}: {error.problem or error.context}") from error
-    except (yaml.YAMLError, msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
+    except (yaml.reader.ReaderError, UnicodeDecodeError) as error:
+        raise ProgramError(f"{source}: it is not a text file in UTF-8: {error.reason}") from error
+    except (yaml.YAMLError, msgspec.DecodeError, RecursionError, ValueError) as error:
         raise ProgramError(f"{source}: {error}") from error
     if document is None:
         raise ProgramError(f"{source}: the file is empty; {_EXPECTED}")

@@ -65,6 +65,12 @@ def test_an_unknown_cell_names_those_that_come_along():
         Cell.load("nowhere")
 
 
+def test_a_file_of_another_kind_is_not_a_cell(tmp_path):
+    (tmp_path / "lift.yaml").write_text("script: lift\ncase: 1\n")
+    with pytest.raises(ProgramError, match=r"lift\.yaml is not a cell: .*`script`; a cell has arms, "):
+        Cell.load(tmp_path / "lift.yaml")
+
+
 def test_a_region_knows_what_is_inside(swapout):
     region = swapout.region("BAY-2-RANGE")
     assert region.contains((0.55, 0.0, 0.75))

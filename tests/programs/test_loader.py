@@ -398,6 +398,11 @@ HOLD = "do: hold, stop: hold, label: stay, args: {duration_s: 1}"
         ),
         (f"script: s\ncasee: 1\ncase: 1\nsteps: [{{{HOLD}}}]", "t.yaml, line 2: .*unknown field `casee`"),
         (
+            f"script: s\ncase: 1\nstepz:\n- {{{HOLD}}}\nsteps: [{{{HOLD}}}]",
+            "t.yaml, line 3: .*unknown field `stepz`.*; the keys are .*case, .*script, .*steps,",
+        ),
+        ("\0\1\2", "t.yaml: it is not a text file in UTF-8: "),
+        (
             "decision_tree:\n- {verb: STOW, script: stow, when: [{gven: hand}]}",
             "line 2: .*unknown field `gven`",
         ),

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from rtc.cells.cell import Cell
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
 from workers.elaborator.task_candidate import TaskCandidate
@@ -76,16 +77,21 @@ def destination(candidate: TaskCandidate) -> Anchor | Refusal:
     return _named(candidate, place.name or "")
 
 
+def refuse_unknown_place(cell: Cell, name: str) -> Refusal | None:
+    """The refusal for a name that is not a place of the cell; None if it is one."""
+    if any(place.name == name for place in cell.places):
+        return None
+    if any(thing.name == name for thing in cell.objects):
+        message = f"{name} is an object: a hand goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
+        return Refusal(reason=RefusalReason.NAME, message=message, nearest=[name], clears="use one of the two forms")
+    return suggestions.unknown("place", name, [place.name for place in cell.places])
+
+
 def _named(candidate: TaskCandidate, name: str) -> Anchor | Refusal:
     cell = candidate.query.cell
-    place = next((p for p in cell.places if p.name == name), None)
-    if place is None:
-        if any(thing.name == name for thing in cell.objects):
-            message = f"{name} is an object: a hand goes TO-NEIGHBORHOOD-OF {name}, or TO-GRASP-POINT-OF {name}"
-            return Refusal(
-                reason=RefusalReason.NAME, message=message, nearest=[name], clears="use one of the two forms"
-            )
-        return suggestions.unknown("place", name, [p.name for p in cell.places])
+    if (unknown := refuse_unknown_place(cell, name)) is not None:
+        return unknown
+    place = cell.place(name)
     joints = place.joints_rad(candidate.arm.name)
     if joints is not None:
         return Anchor(joints=joints)

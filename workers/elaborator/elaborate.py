@@ -24,7 +24,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
 from rtc.world.model import World
 from workers.binder import reflexes
-from workers.elaborator import command_fields, preconditions, set_fact
+from workers.elaborator import anchors, command_fields, preconditions, set_fact
 from workers.elaborator.backtrack import plan
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import certainty, suggestions
@@ -261,6 +261,8 @@ def _script(
     problem = problem or command_fields.refuse_without_effect(candidate.program, candidate.parsed, script)
     for need in script.needs:
         problem = problem or preconditions.refuse_if_unmet(need, candidate)
+    if problem is None and (place := candidate.parsed.place) is not None and place.name:
+        problem = anchors.refuse_unknown_place(candidate.query.cell, place.name)  # a wrong name before doubtful facts
     problem = problem or _unsure_grasp(script, candidate)
     if problem is not None:
         return problem

@@ -50,6 +50,9 @@ def _object_held(candidate: TaskCandidate) -> Lack | None:
     if holder:
         message = f"{candidate.thing.name} is held by {holder}, not by {candidate.arm.name}"
         return Lack(message, holder, "held_by_another", candidate.thing.name)
+    other = candidate.query.holding(candidate.arm.name) if candidate.parsed.hand else ""
+    if other:
+        return Lack(f"{candidate.thing.name} is not held, and {candidate.arm.name} holds {other}", other, "hand_full")
     return Lack(f"{candidate.thing.name} is not held", candidate.thing.name)
 
 

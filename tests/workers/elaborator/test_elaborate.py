@@ -348,6 +348,23 @@ def test_a_suspect_frame_is_not_planned_upon(bench):
     assert "SET MACS-NEW FRAME 80 -80 60 CM" in refusal.clears
 
 
+def test_a_wrong_name_is_refused_before_a_doubtful_fact(bench):
+    assert bench.do("GRASP MACS-NEW HANDLE-A").succeeded
+    bench.set_fact("MACS-NEW.grasp", bench.world.value("MACS-NEW.grasp"), Validity.SUSPECT)
+
+    assert refusal_of(bench, "MOVE RIGHT-ARM TO BAY-2-FRONT").reason is RefusalReason.SUSPECT
+    assert refusal_of(bench, "MOVE RIGHT-ARM TO NOWHERE").reason is RefusalReason.NAME
+
+
+def test_a_full_hand_lets_go_before_it_grasps_another_object(bench):
+    assert bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A").succeeded
+
+    refusal = refusal_of(bench, "LIFT MACS-OLD WITH RIGHT-ARM")
+
+    assert refusal.message == "MACS-OLD is not held, and RIGHT-ARM holds MACS-NEW"
+    assert refusal.clears == "RELEASE MACS-NEW, then GRASP MACS-OLD"
+
+
 IN_DOUBT = [
     ("LIFT MACS-NEW BY 5 CM", True),
     ("PLACE MACS-NEW ON RACK-1", True),
