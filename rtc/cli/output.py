@@ -119,11 +119,22 @@ def refusal_lines(refusal: Refusal, text: str = "") -> list[str]:
         lines.append(f"where: {refusal.where}")
     if refusal.owner:
         lines.append(f"owner: {refusal.owner}")
-    if refusal.detail:
-        lines.append("figures: " + ", ".join(with_unit(*row) for row in refusal.detail.items() if row[0] != "others"))
+    if figures := _figures(refusal):
+        lines.append(f"figures: {', '.join(figures)}")
     if refusal.clears:
         lines.append(f"to clear it: {refusal.clears}")
     return lines
+
+
+def _figures(refusal: Refusal) -> list[str]:
+    """The figures that the message does not contain; numbers without a unit are always shown."""
+    rows = [with_unit(*row) for row in refusal.detail.items() if row[0] != "others"]
+    return [row for row in rows if not _is_in(row.partition(" ")[2], refusal.message)]
+
+
+def _is_in(value: str, message: str) -> bool:
+    known = re.search(rf"(?<![\w.-]){re.escape(value)}(?![\w-]|\.\d)", message)
+    return known is not None and re.search("[A-Za-z]", value) is not None
 
 
 def quoted(text: str, most: int = MOST_QUOTED) -> str:

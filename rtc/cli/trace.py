@@ -204,6 +204,8 @@ def link(note: m.ProgressNote) -> str:
     """One link of the chain."""
     if not note.node:
         return f"{note.phase.value}: {note.note}".rstrip(": ")
+    if note.note == "started":
+        return f"started by {note.node}"
     done = DID.get(note.node.partition("@")[0], "reported")
     return f"{done} by {note.node} in {seconds(note.took_s)}" + (f": {note.note}" if note.note else "")
 

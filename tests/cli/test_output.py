@@ -64,6 +64,12 @@ def test_a_refusal_names_the_owner_and_what_would_clear_it() -> None:
     ]
 
 
+def test_figures_do_not_repeat_the_message() -> None:
+    detail = {"arm": "RIGHT-ARM", "along_m": 0.375, "limit_m": 0.37, "branch": "ARM", "candidates": 2.0}
+    refusal = Refusal(reason=RefusalReason.STATE, message="RIGHT-ARM: 2 of them, after 375 mm", detail=detail)
+    assert refusal_lines(refusal)[1:] == ["figures: limit 370 mm, branch ARM, candidates 2"]
+
+
 def test_a_sentence_is_repeated_in_one_short_line_that_does_nothing_to_the_screen() -> None:
     assert quoted("GRASP \x1b[31mMACS-NEW\nSTOW \udcff") == "GRASP \u241b[31mMACS-NEW\u240aSTOW \ufffd"
     assert len(quoted("A" * 10_000)) <= 200

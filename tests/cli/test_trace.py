@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rtc.cli.trace import address, as_json, chain
+from rtc.cli.trace import address, as_json, chain, link
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
 
@@ -55,6 +55,10 @@ def test_a_failure_has_every_link_of_its_last_step_and_one_line_for_the_others()
         "    reported by MCM in 1.00 s: ended: force_limit",
         "    judged by analyzer@3 in 1.00 ms: failed: a finger landed on the handle",
     ]
+
+
+def test_the_start_of_a_motion_has_no_duration() -> None:
+    assert link(note(m.Phase.EXECUTING, node="MCM", note="started")) == "started by MCM"
 
 
 def test_a_held_command_says_for_whom_it_waits() -> None:

@@ -110,7 +110,7 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
         problem = _problem(arm, poses[n - 1], table[n] if n < len(table) else None, table[n - 1], margin_rad)
         assert problem is not None
         fraction = float(fractions[n])
-        return _at(problem, fraction, fraction * metres)
+        return _at(problem, fraction, fraction * metres, metres)
     return Path("task", fractions * length, table, Spline(fractions * length, table))
 
 
@@ -146,8 +146,8 @@ def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_
     return arm.why_not_within(q, margin_rad)
 
 
-def _at(problem: Refusal, fraction: float, metres: float) -> Refusal:
-    where = f"{fraction:.0%} along the line, {metres * 1000:.0f} mm from its start"
+def _at(problem: Refusal, fraction: float, metres: float, length_m: float) -> Refusal:
+    where = f"{fraction:.0%} along the line, after {metres * 1000:.0f} mm of {length_m * 1000:.0f} mm"
     return msgspec.structs.replace(
         problem,
         message=f"{problem.message} ({where})",
