@@ -24,7 +24,7 @@ import zmq
 from broker.gateway.admission import RELOAD_S, Admission
 from broker.gateway.endpoints import HALTS, MOST_MESSAGES, PUBLISHED, Endpoints, push
 from broker.gateway.halts import RETRY_S, HaltForwarder
-from broker.gateway.sessions import Link, Sessions
+from broker.gateway.sessions import Link, Sessions, node_of
 from rtc.language.parse import default_grammar, parse
 from rtc.language.record import ParsedCommand
 from rtc.protocol import messages as m
@@ -171,6 +171,13 @@ class Gateway:
         if isinstance(message, m.ClientHello):
             link.behind_s = now - message.at_s if message.at_s > 0 else link.behind_s
             parts = wire.frames(m.ClientHello(client=link.name, arrays=message.arrays))
+        elif isinstance(message, m.WorkerHello) and message.instance:
+            node = node_of(link.name)
+            self._endpoints.send(endpoint, session, wire.frames(m.WorkerAddress(name=link.name, node=node)))
+            parts = wire.frames(msgspec.structs.replace(message, name=link.name, node=node))
+        elif isinstance(message, m.WorkerGone):
+            self._sessions.remove_lost(link, in_order=True)
+            return
         elif isinstance(message, m.CommandText):
             if (refusal := self._refuse_sentence(key, message)) is not None:
                 self._endpoints.count("refused", f"{key.name}: {message.text!r:.80}")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
+import msgspec
 import zmq
 
 from broker.gateway.endpoints import Endpoints, close, push
@@ -37,6 +38,7 @@ class Link:
         self.session = session  # identity of its tcp connection
         self.last_seen_s = now_s()
         self.behind_s = float("inf")  # upper bound of local clock minus peer clock: the smallest difference seen
+        self.instance = ""  # of a worker whose address was assigned here
 
 
 class Sessions:
@@ -67,17 +69,24 @@ class Sessions:
         if not isinstance(message, HELLOS):
             self._request_hello(endpoint, session)
             return None
+        if isinstance(message, m.WorkerHello) and message.instance:
+            message = self._with_address(key, message)
         name = _internal_name(key, message)
-        if wrong := self._name_fault(endpoint, key, name, message):
+        if wrong := self._name_fault(endpoint, key, name, message) or self._overload(endpoint, key, name):
             self._endpoints.count("refused", f"{key.name} at {endpoint}: {wrong}")
             if endpoint == "workers":
-                self._endpoints.send(endpoint, session, wire.frames(m.Shutdown()))
+                self._endpoints.send(endpoint, session, wire.frames(m.Shutdown(why=wrong)))
             return None
         if link is not None and link.name != name:
             self.remove(link)
         before = self._named.get((endpoint, name))
         if before is None:
-            return self._connect(endpoint, name, key, session)
+            made = self._connect(endpoint, name, key, session)
+            if made is not None and isinstance(message, m.WorkerHello):
+                made.instance = message.instance
+            return made
+        if isinstance(message, m.WorkerHello):
+            before.instance = message.instance
         if before.session != session:  # the same peer, on a new connection
             self._links.pop((endpoint, before.session), None)
             before.session = session
@@ -89,6 +98,8 @@ class Sessions:
         if endpoint == "subsystems" and (name != key.name or name == OWN_SUBSYSTEM):
             return f"a subsystem is called as its key is, {key.name}, and not {OWN_SUBSYSTEM}"
         if endpoint == "workers":
+            if hello.node is None:
+                return f"a {hello.kind} without an address needs an instance, and a free address"
             if name != f"{hello.kind}@{hello.node}" or list(m.WorkerKind)[hello.node & 3] is not hello.kind:
                 return f"{name!r:.60} is not a name of a {hello.kind} at node {hello.node}"
             if hello.node < (first := first_far_node(self._settings)):
@@ -97,6 +108,25 @@ class Sessions:
         if other is not None and other.key.public != key.public:
             return f"{name!r:.60} is there already, with the key {other.key.name}"
         return ""
+
+    def _overload(self, endpoint: str, key: KnownKey, name: str) -> str:
+        """The reason why this key gets no further worker; empty if it may have one. A silent worker may be busy."""
+        if endpoint != "workers" or (endpoint, name) in self._named or len(self._of_key(endpoint, key)) < PEERS_OF_KEY:
+            return ""
+        return f"the key {key.name} has {PEERS_OF_KEY} workers already; make a further key: rtc keys new"
+
+    def _with_address(self, key: KnownKey, hello: m.WorkerHello) -> m.WorkerHello:
+        """The hello with an address: that of this instance, else the one it had before, else the lowest free one."""
+        same = (link for link in self._of_key("workers", key) if link.instance == hello.instance)
+        if (link := next(same, None)) is not None and link.name.startswith(f"{hello.kind}@"):
+            return msgspec.structs.replace(hello, name=link.name, node=node_of(link.name))
+        kinds, first = list(m.WorkerKind), first_far_node(self._settings)
+        lowest = first + (kinds.index(hello.kind) - first) % len(kinds)
+        free = range(lowest, m.NODES, len(kinds))
+        for node in free if hello.node not in free else (hello.node, *free):
+            if ("workers", name := f"{hello.kind}@{node}") not in self._named:
+                return msgspec.structs.replace(hello, name=name, node=node)
+        return hello
 
     def _request_hello(self, endpoint: str, session: bytes) -> None:
         """Request a hello message, as the broker does.
@@ -114,7 +144,7 @@ class Sessions:
             self._endpoints.refuse(endpoint, session, None, words, RefusalReason.STATE)
 
     def _connect(self, endpoint: str, name: str, key: KnownKey, session: bytes) -> Link | None:
-        of_key = [link for link in self._links.values() if link.endpoint == endpoint and link.key.public == key.public]
+        of_key = self._of_key(endpoint, key)
         if len(of_key) >= PEERS_OF_KEY:
             self.remove(min(of_key, key=lambda link: link.last_seen_s))
         try:
@@ -133,17 +163,22 @@ class Sessions:
             self._named[endpoint, name] = link
         return link
 
+    def _of_key(self, endpoint: str, key: KnownKey) -> list[Link]:
+        return [link for link in self._links.values() if link.endpoint == endpoint and link.key.public == key.public]
+
     def remove(self, link: Link, linger_ms: int = 0) -> None:
         if self._links.pop((link.endpoint, link.session), None) is not None:
             self._named.pop((link.endpoint, link.name), None)
             del self._by_socket[link.socket]
             close(self._me, link.socket, linger_ms)
 
-    def remove_lost(self, link: Link) -> None:
-        """Remove a lost peer. For a worker, report the loss at once, so that its jobs do not wait for a time limit."""
+    def remove_lost(self, link: Link, in_order: bool = False) -> None:
+        """Remove a lost peer. For a worker, report the loss at once, so that its jobs do not wait for a time limit.
+
+        `in_order`: the worker itself reported its end."""
         if link.endpoint == "workers":
             self._me.log.info("%s is gone", link.name)
-            push(link.socket, wire.frames(m.WorkerGone(name=link.name)))
+            push(link.socket, wire.frames(m.WorkerGone(name=link.name, in_order=in_order)))
         self.remove(link, linger_ms=process.LINGER_MS)
 
     def remove_of_keys(self, public: Collection[str]) -> None:
@@ -169,6 +204,11 @@ class Sessions:
 def first_far_node(settings: Settings) -> int:
     """The lowest node address that local workers never use."""
     return max(1 << settings.dim, len(m.WorkerKind) * max(settings.most_workers, settings.least))
+
+
+def node_of(worker: str) -> int:
+    """The address in the name of a worker."""
+    return int(worker.rpartition("@")[2])
 
 
 def _internal_name(key: KnownKey, hello: Any) -> str:

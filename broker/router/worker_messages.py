@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from broker.decisions.events import Event, JobDeclined, JobFinished, JobLost
+from broker.dispatch.worker_registry import LostJob
 from broker.router.core import Core, name_of
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import WireError
@@ -37,11 +38,15 @@ class WorkerMessages:
     def _mark_alive(self, peer: bytes, message: m.Heartbeat, now: float) -> None:
         if not self._core.registry.mark_alive(name_of(peer), now):
             self._request_hello(peer)
+        elif message.at_s:
+            send(self._core.sockets["workers"], m.Heartbeat(name=message.name, at_s=message.at_s), peer)
 
     def _register(self, peer: bytes, message: m.WorkerHello, now: float) -> None:
         name = name_of(peer)
         if message.name != name:
             raise WireError(f"{name!r:.80} introduces itself as {message.name!r:.80}")
+        if message.node is None:
+            raise WireError(f"{name!r:.80} has no address")
         lost = self._core.registry.register(name, message.node, message.kind, message.pid, now)
         self._core.lose_jobs(name, lost, "its process was replaced", now)
 
@@ -49,7 +54,11 @@ class WorkerMessages:
         name = name_of(peer)
         if message.name != name:
             raise WireError(f"{name!r:.80} reports that {message.name!r:.80} is gone")
-        self._core.lose_jobs(name, self._core.registry.remove(name), "its connection was lost", now)
+        lost = self._core.registry.remove(name)
+        if message.in_order:
+            lost = [LostJob(job, in_hand=False) for job, _ in lost]
+        why = "it ended in order" if message.in_order else "its connection was lost"
+        self._core.lose_jobs(name, lost, why, now)
 
     def _send_program(self, peer: bytes, message: m.ProgramWanted, now: float) -> None:
         body = self._core.store.body(message.digest)

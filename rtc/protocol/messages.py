@@ -27,6 +27,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag
 
 
 # Limits of what a peer chooses and the receiver keeps; a message above them is not decoded.
+NODES = 1 << 16  # number of addresses of workers
 PROGRAM_BYTES = 128 << 10  # maximum size of a program file; the longest default program has 7 kB
 Name = Annotated[str, msgspec.Meta(max_length=200)]  # characters
 
@@ -88,6 +89,7 @@ class Shutdown(Message, frozen=True, kw_only=True):
     everything, accept no more commands, and answer AllEnded."""
 
     request: Name = ""
+    why: str = ""  # to a worker that the gateway rejects: the reason
 
 
 # --- broker -> client ---------------------------------------------------------------------------------
@@ -237,19 +239,33 @@ class ProgramBody(Message, frozen=True, kw_only=True):
 
 
 class WorkerHello(Message, frozen=True, kw_only=True):
-    """A worker is ready. `node` is its address in the cube, `name` "binder@2"."""
+    """A worker is ready. `node` is its address in the cube, `name` "binder@2".
+
+    With an `instance` the gateway assigns the address and answers WorkerAddress; `node` is then the address that the
+    worker had before, or None."""
 
     name: Name
-    node: Annotated[int, msgspec.Meta(ge=0, lt=1 << 16)]
+    node: Annotated[int, msgspec.Meta(ge=0, lt=NODES)] | None
     kind: WorkerKind
     pid: int
+    instance: Name = ""  # random name of this process, the same in every hello
+
+
+class WorkerAddress(Message, frozen=True, kw_only=True):
+    """The address that the gateway has assigned to a worker with an `instance`."""
+
+    name: Name
+    node: Annotated[int, msgspec.Meta(ge=0, lt=NODES)]
 
 
 class Heartbeat(Message, frozen=True, kw_only=True):
-    """Sign of life, with the current job, if any. From a worker, a subsystem, or a client with `halt_if_lost`."""
+    """Sign of life, with the current job, if any. From a worker, a subsystem, or a client with `halt_if_lost`.
+
+    The broker returns that of a registered worker if it has a time."""
 
     name: Name
     job: Name = ""
+    at_s: float = 0.0  # clock of the worker; 0 = no answer wanted
 
 
 class JobDone(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="done", gc=False):
@@ -292,9 +308,10 @@ class ResultBatch(Message, frozen=True, kw_only=True):
 
 
 class WorkerGone(Message, frozen=True, kw_only=True):
-    """From the gateway: the connection of a worker on another machine is lost."""
+    """A worker on another machine is gone. From the gateway if its connection is lost, or from the worker."""
 
     name: Name
+    in_order: bool = False  # it ended as ordered: none of its jobs is the cause
 
 
 class ProgramWanted(Message, frozen=True, kw_only=True):
@@ -804,7 +821,7 @@ BrokerToClient = (
     | ProgramLoaded
 )
 WorkerToBroker = WorkerHello | Heartbeat | ResultBatch | ProgramWanted | WorkerGone
-BrokerToWorker = JobBatch | Drop | ProgramBody | Shutdown
+BrokerToWorker = JobBatch | Drop | ProgramBody | Shutdown | WorkerAddress | Heartbeat
 SubsystemToBroker = (
     SubsystemHello | Heartbeat | Started | ProgressReport | EndReport | HaltStarted | HaltAtRest | HaltOrder | Dropped
 )

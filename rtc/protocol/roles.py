@@ -29,7 +29,7 @@ LOOK: Kinds = (m.ClientHello, m.StatusQuery, m.TraceQuery, m.ProgramQuery)
 PLAN: Kinds = (*LOOK, m.CommandText, m.Heartbeat)
 OPERATE: Kinds = (*PLAN, m.ProgramText, m.Shutdown)
 READ: Kinds = (m.ReadView, m.WorldHistory)
-JOIN: Kinds = (m.WorkerHello, m.Heartbeat, m.ResultBatch, m.ProgramWanted)
+JOIN: Kinds = (m.WorkerHello, m.Heartbeat, m.ResultBatch, m.ProgramWanted, m.WorkerGone)
 PERFORM: Kinds = (
     *(m.SubsystemHello, m.Heartbeat, m.Started, m.ProgressReport, m.EndReport),
     *(m.HaltStarted, m.HaltAtRest, m.HaltOrder),

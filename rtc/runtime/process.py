@@ -225,12 +225,16 @@ class Process:
 
 @contextlib.contextmanager
 def start(name: str, run_dir: Path | str) -> Iterator[Process]:
-    """Make this operating system process the cluster's process `name`, until the block ends."""
-    os.umask(0o077)  # sockets and files of a cluster are its owner's alone
+    """Make this operating system process the cluster's process `name`, until the block ends.
+
+    In a thread other than the main one the process belongs to another program, and keeps its signal handlers and its
+    umask; `Process.stop` ends the loop.
+    """
     log_to_stderr()
-    faulthandler.enable()  # a crash inside a C++ library leaves its stack in the log
     me = Process(name, Path(run_dir))
     if threading.current_thread() is threading.main_thread():
+        os.umask(0o077)  # sockets and files of a cluster are its owner's alone
+        faulthandler.enable()  # a crash inside a C++ library leaves its stack in the log
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:  # as nohup wants it
                 signal.signal(number, lambda *_: me.stop())

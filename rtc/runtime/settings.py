@@ -133,6 +133,11 @@ def default_run_dir() -> Path:
     return Path(base) / "rtc" if base else Path(f"/tmp/rtc-{os.getuid()}")
 
 
+def systemd_socket() -> str:
+    """NOTIFY_SOCKET from the environment: the address for `sd_notify`; empty if systemd expects no notification."""
+    return os.environ.get("NOTIFY_SOCKET", "")
+
+
 def shell_command(words: str, run_dir: Path) -> str:
     """The shell command `words` for the cluster in `run_dir`; the default directory needs no option."""
     same = run_dir.absolute() == default_run_dir().absolute()

@@ -39,12 +39,15 @@ from rtc.protocol.messages import (
     ProgramWanted,
     ResultBatch,
     Shutdown,
+    WorkerAddress,
+    WorkerGone,
     WorkerHello,
 )
 from rtc.protocol.outcomes import ClusterError, ProgramError, Refusal, RefusalReason, WireError
-from rtc.runtime.process import Every, Process, Reconnections, inbox, now_s, send
+from rtc.runtime.process import Every, Process, Reconnections, inbox, now_s, send, show_name
 from rtc.world.client import WorldClient
 from rtc.world.model import World
+from workers.runtime.contact import BrokerContact
 
 HEARTBEAT_S = 0.5
 HELLO_AGAIN_S = 0.3  # one hello answers several empty JobBatches; shorter than a heartbeat, which repeats them
@@ -78,7 +81,8 @@ class StopRequested(Exception):
 
 class Shell:
     """One worker. `socket` is its DEALER to the broker; `build_cell` builds the models of a cell; `programs` and
-    `cells` are preloaded, keyed by digest."""
+    `cells` are preloaded, keyed by digest. A remote worker has a `contact`: nothing else ends it if its broker is
+    lost."""
 
     def __init__(
         self,
@@ -90,6 +94,7 @@ class Shell:
         build_cell: Callable[[Cell], Any],
         programs: Mapping[str, Any] = MappingProxyType({}),
         cells: Mapping[str, Any] = MappingProxyType({}),
+        contact: BrokerContact | None = None,
     ) -> None:
         self._me, self._hello, self._function = me, hello, function
         self._socket = socket
@@ -104,28 +109,47 @@ class Shell:
         self._programs = Kept(function.compile, programs)
         self._cells = Kept(lambda body: build_cell(Cell.from_bytes(body)), cells)
         self._view = WorldView(world)
+        self._contact = contact
         self._retiring = False
+        self._why = ""  # reason of an end that this process did not receive as a signal
         self._reconnections = Reconnections(me, socket)
         self._heartbeat = Every(HEARTBEAT_S)
         self._hello_sent_s = 0.0
         self._socket_read_s = 0.0
 
-    def run(self) -> None:
-        """Run until a stop is requested, or until the queue is empty after a Shutdown message."""
+    def run(self) -> str:
+        """Run until a stop is requested, or until the queue is empty after a Shutdown message.
+
+        Returns the reason if a remote worker was rejected or has lost its broker; otherwise an empty text."""
+        if self._contact is not None:
+            self._contact.worked(now_s())  # the preparation of the worker does not count
         self._send_hello()
         while not self._me.stopping and not (self._retiring and not self._queue):
             if not self._queue:
                 self._me.wait(self._heartbeat.left_s(now_s()))
                 if self._reconnections.happened():
                     self._begin_anew()
-                if self._heartbeat.due(now_s()):
-                    self._send(Heartbeat(name=self._hello.name))
+                if self._heartbeat.due(now := now_s()):
+                    self._send(Heartbeat(name=self._hello.name, at_s=0.0 if self._contact is None else now))
             if not self._queue or now_s() - self._socket_read_s > LISTEN_S:
                 self._listen()
             if self._queue:
                 job, came_s = self._queue.popleft()
                 self._do(job, came_s)
+                if self._contact is not None:
+                    self._contact.worked(now_s())
             self._flush(late=not self._queue)
+            if self._contact is not None and not self._queue and self._contact.lost(now_s()):
+                self._why = f"the broker has not answered {self._hello.name} for {self._contact.limit_s:g} s"
+                break
+        self._end()
+        return self._why
+
+    def _end(self) -> None:
+        """Send the results that are left. A remote worker takes leave: its other jobs need not wait for a limit."""
+        self._flush(late=True)
+        if self._contact is not None and not self._why:
+            self._send(WorkerGone(name=self._hello.name, in_order=True))
         self._reconnections.close()
 
     # --- to and from the broker ------------------------------------------------------------------------
@@ -150,13 +174,30 @@ class Shell:
             case JobBatch(jobs=jobs):
                 came_s = now_s()
                 self._queue.extend((job, came_s) for job in jobs)
+                self._answered()
+            case Heartbeat():
+                self._answered()
+            case WorkerAddress(name=name, node=node):
+                self._hello = msgspec.structs.replace(self._hello, name=name, node=node)
+                show_name(name)
             case Drop(jobs=unwanted):
                 self._drop(unwanted)
             case ProgramBody(digest=digest, body=body):
                 if digest == self._wanted:
                     self._bodies.append(body)
-            case Shutdown():
+                self._answered()
+            case Shutdown(why=why):
                 self._retiring = True
+                if self._contact is not None:
+                    why = why or "see logs/gate.log of the cluster"
+                    self._why = f"the cluster rejects {self._hello.name}: {why}"
+
+    def _answered(self) -> None:
+        """The broker knows this worker. The gateway alone sends empty JobBatches and Drops too."""
+        if self._contact is not None:
+            if self._contact.worker != self._hello.name:
+                self._me.log.info("joined as %s", self._hello.name)
+            self._contact.answered(self._hello.name, now_s())
 
     def _begin_anew(self) -> None:
         self._queue.clear()

@@ -1,0 +1,87 @@
+"""Start of one worker: its sockets, its hello and its loop, in this process or in a thread of another program.
+
+Local workers belong to the supervisor of their cluster. A remote worker (`join`) belongs to the engine that started
+it, and ends by itself if it has lost its broker.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+from typing import Any
+
+import zmq
+
+from rtc.cells.cell import Cell
+from rtc.protocol.messages import WorkerHello, WorkerKind
+from rtc.protocol.outcomes import ClusterError
+from rtc.runtime import process
+from rtc.runtime.keys import Endpoints, KeyFile
+from rtc.runtime.process import Process
+from rtc.runtime.settings import Settings
+from rtc.world.client import WorldClient
+from workers.runtime import lazy_import
+from workers.runtime.contact import BrokerContact
+from workers.runtime.preload import Preloaded, preload
+from workers.runtime.worker_loop import Shell
+
+NICENESS = 5  # lower priority than the broker and the MCM
+
+
+def work(settings: Settings, kind: WorkerKind, node: int, prepared: Preloaded) -> None:
+    """Run a local worker until it is ordered to stop. `prepared`: programs and cell models, compiled."""
+    name = f"{kind}@{node}"
+    process.show_name(name)
+    with process.start(name, ".") as me:
+        hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid())
+        run(me, settings, hello, prepared)
+
+
+def join(key: KeyFile, kind: WorkerKind, node: int | None, contact: BrokerContact, me: Process) -> None:
+    """Run a worker of a cluster on another machine until `me` is stopped. Without a `node` the cluster assigns one.
+
+    Raises ClusterError if the cluster rejects the worker or does not answer any more; KeyTrouble if the key does not
+    admit workers.
+    """
+    hello = WorkerHello(
+        name=kind.value if node is None else f"{kind}@{node}",
+        node=node,
+        kind=kind,
+        pid=os.getpid(),
+        instance=os.urandom(8).hex() if node is None else "",
+    )
+    try:
+        why = run(me, key, hello, preload([kind], cell=None), contact)
+    finally:
+        contact.close()
+    if why:
+        raise ClusterError(why)
+
+
+def run(
+    me: Process, endpoints: Endpoints, hello: WorkerHello, prepared: Preloaded, contact: BrokerContact | None = None
+) -> str:
+    """Run the loop of one worker. Returns the reason if it ended by itself; empty after an order to stop."""
+    process.nice(NICENESS)
+    function: Any = lazy_import.load(hello.kind)
+    if function.NEEDS_CELL:
+        lazy_import.load("workers.planning.robot_models")
+    # Over tcp the hello carries the name.
+    identity, secure = ("", endpoints.secure) if endpoints.far else (hello.name, None)
+    socket = me.socket(zmq.DEALER, endpoints.endpoint("workers"), identity=identity, secure=secure)
+    world = WorldClient(endpoints.endpoint("world"), me.context, secure=secure)
+    programs = prepared.programs.get(hello.kind, {})
+    shell = Shell(me, hello, function, socket, world, _models_of, programs, prepared.cells, contact)
+    process.freeze_heap()
+    gc.set_threshold(50_000, 20, 20)  # jobs leave little garbage; a collection would delay a job
+    if contact is None:
+        me.ready()
+    why = shell.run()
+    world.close()
+    return why
+
+
+def _models_of(cell: Cell) -> Any:
+    from workers.planning.robot_models import CellModel
+
+    return CellModel(cell)
