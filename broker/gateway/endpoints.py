@@ -18,7 +18,7 @@ from rtc.protocol.outcomes import ClusterError, Refusal, RefusalReason
 from rtc.protocol.roles import TCP_ENDPOINTS
 from rtc.runtime import process
 from rtc.runtime.keys import Pair, endpoint_address, secure_server
-from rtc.runtime.process import AT_ONCE, MORE, Process, inbox, now_s
+from rtc.runtime.process import AT_ONCE, MORE, Disconnections, Process, inbox, now_s
 from rtc.runtime.settings import BOUNDS, Settings
 
 PUBLISHED = ("events", "telemetry")  # endpoints that publish; the others answer
@@ -29,6 +29,7 @@ REBIND_S = 0.0005  # period of attempts to bind a port again
 
 class Endpoints:
     """`outside`: the tcp sockets by endpoint. `inside`: subscriptions in the cluster, of the published ones.
+    `lost_workers`: connections of workers that were closed.
 
     Raises ClusterError if a port is not available.
     """
@@ -61,11 +62,15 @@ class Endpoints:
                 f"cannot listen at {address} (for {endpoint}): {why}; --listen wants an address of this machine, "
                 f"with {len(TCP_ENDPOINTS)} free ports from the one that is named"
             ) from None
+        if endpoint == "workers":
+            self.lost_workers = Disconnections(self._me, self.outside[endpoint])
         if endpoint in PUBLISHED:
             self.inside[endpoint] = self._me.socket(zmq.XSUB, self._settings.endpoint(endpoint))
 
     def reopen(self, endpoints: Sequence[str]) -> None:
         """Cut all connections to these endpoints. Legitimate peers reconnect by themselves."""
+        if "workers" in endpoints:
+            self.lost_workers.close()
         for endpoint in endpoints:
             for socket in filter(None, (self.outside.pop(endpoint), self.inside.pop(endpoint, None))):
                 close(self._me, socket)

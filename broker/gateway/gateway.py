@@ -40,6 +40,8 @@ from rtc.runtime.settings import Settings
 
 COMMANDS_KEPT = 10_000  # latest commands of one planner that it may control
 REPORT_S, TIDY_S, PROBE_S = 0.5, 1.0, 0.2  # periods: counters to the broker; removal of silent peers; worker probes
+# After a disconnection the lost worker is searched with probes for a while, because the event names no peer.
+SEARCH_S, SEARCH_EVERY_S = 0.02, 0.002
 
 read_answers = wire.reader_of_many(m.BrokerToClient)
 #: endpoint -> reader of its messages. It reads all internal messages, so that a refusal can name the type
@@ -66,6 +68,7 @@ class Gateway:
         self._broker = me.socket(zmq.DEALER, settings.endpoint("supervisor"), identity="gate", poll=False)
         self._reported: dict[str, int] = {}  # counters as last sent
         self._report, self._tidy, self._probe = Every(REPORT_S), Every(TIDY_S), Every(PROBE_S)
+        self._search, self._search_until_s = Every(SEARCH_EVERY_S), 0.0
 
     # --- the loop -------------------------------------------------------------------------------------
 
@@ -79,7 +82,7 @@ class Gateway:
 
     def run_once(self) -> None:
         """One loop iteration: halts first, then handshakes, then the rest."""
-        readable = self._me.wait(RETRY_S if self._halts.waiting else min(RELOAD_S, PROBE_S))
+        readable = self._me.wait(self._wait_limit_s())
         now, ready = now_s(), set(readable)
         for endpoint in HALTS:
             if self._endpoints.outside[endpoint] in ready:
@@ -97,13 +100,20 @@ class Gateway:
             self._return_answers(link)
         self._check(now)
 
+    def _wait_limit_s(self) -> float:
+        if now_s() < self._search_until_s:
+            return SEARCH_EVERY_S
+        return RETRY_S if self._halts.waiting else min(RELOAD_S, PROBE_S)
+
     def _check(self, now: float) -> None:
         self._admission.reload_if_due(now)
         counts = self._endpoints.counts
         if self._report.due(now) and counts != self._reported:
             self._reported = dict(counts)
             send(self._broker, m.Dropped(counts={f"gate_{what}": n for what, n in counts.items()}))
-        if self._probe.due(now):
+        if self._endpoints.lost_workers.happened():
+            self._search_until_s = now + SEARCH_S
+        if (self._search if now < self._search_until_s else self._probe).due(now):
             self._sessions.probe_workers()
         if self._tidy.due(now):
             self._sessions.remove_idle(now)

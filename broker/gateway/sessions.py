@@ -27,7 +27,9 @@ PEERS_OF_KEY = 32  # maximum per endpoint; the one silent for longest is disconn
 UNSENT = 1_000  # maximum queued messages of one peer to the cluster
 IDLE_S = 600.0  # a peer silent for so long is removed; it must send its hello again
 OWN_SUBSYSTEM = "MCM"
-PROBE = wire.frames(m.Drop(jobs=[]))  # without effect; the send fails if the peer is lost
+# Without effect at the worker. The send fails if the peer is lost; and data under way is what the kernel needs to
+# detect a cut link (LINK_LIMIT_S).
+PROBE = wire.frames(m.Drop(jobs=[]))
 
 
 class Link:
@@ -67,6 +69,7 @@ class Sessions:
         if endpoint not in NAMED:
             return self._connect(endpoint, "", key, session)
         if not isinstance(message, HELLOS):
+            self._count_stale(key, message)
             self._request_hello(endpoint, session)
             return None
         if isinstance(message, m.WorkerHello) and message.instance:
@@ -142,6 +145,11 @@ class Sessions:
             self._endpoints.count("nameless", "a message before a ClientHello")
             words = "over tcp send ClientHello first"
             self._endpoints.refuse(endpoint, session, None, words, RefusalReason.STATE)
+
+    def _count_stale(self, key: KnownKey, message: Any) -> None:
+        """Results of jobs that an earlier connection of the worker had: they were given to other workers."""
+        for result in message.results if isinstance(message, m.ResultBatch) else ():
+            self._endpoints.count("stale", f"{key.name}: result of {result.id}, from an earlier connection")
 
     def _connect(self, endpoint: str, name: str, key: KnownKey, session: bytes) -> Link | None:
         of_key = self._of_key(endpoint, key)

@@ -15,7 +15,7 @@ from rtc.runtime.process_table import in_words
 #: process that reports dropped messages at this socket -> its own counters
 DROP_COUNTERS: dict[bytes, tuple[str, ...]] = {
     b"world": ("world",),
-    b"gate": ("gate_strangers", "gate_unreadable", "gate_refused", "gate_nameless", "gate_unsent"),
+    b"gate": ("gate_strangers", "gate_unreadable", "gate_refused", "gate_nameless", "gate_unsent", "gate_stale"),
 }
 
 

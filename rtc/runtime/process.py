@@ -367,6 +367,26 @@ class Reconnections:
         self._monitor.close(linger=0)
 
 
+class Disconnections:
+    """Detects that a bound socket has lost a peer. The event does not name the peer, and it is sent shortly before a
+    send to that peer fails."""
+
+    def __init__(self, me: Process, socket: zmq.Socket[bytes]) -> None:
+        self._me, self._socket = me, socket
+        self._monitor = socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        me.poller.register(self._monitor, zmq.POLLIN)
+
+    def happened(self) -> bool:
+        """True once after one or more disconnections."""
+        return sum(1 for _ in inbox(self._monitor)) > 0
+
+    def close(self) -> None:
+        """Must be called before the socket is closed."""
+        self._me.poller.unregister(self._monitor)
+        self._socket.disable_monitor()
+        self._monitor.close(linger=0)
+
+
 class Every:
     """A period: `due(now)` is true once per period, and never twice in a row to catch up."""
 

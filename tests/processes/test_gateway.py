@@ -25,7 +25,7 @@ from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol import wire
-from rtc.protocol.outcomes import ClusterError, NoCluster, OutcomeKind, RefusalReason, RequestDeclined
+from rtc.protocol.outcomes import ClusterError, NoCluster, OutcomeKind, Refusal, RefusalReason, RequestDeclined
 from rtc.protocol.roles import TCP_ENDPOINTS, Role
 from rtc.runtime.keys import KeyFile, KeyRing, endpoint_address
 from rtc.runtime.process_table import processes
@@ -198,6 +198,36 @@ def test_a_killed_worker_from_elsewhere_is_missed_at_once(new_key: Callable[[str
         wait_for(lambda: "binder@18" not in {row["name"] for row in here.status()["workers"]})
 
 
+def test_a_late_result_of_an_earlier_connection_is_refused_and_counted(
+    new_key: Callable[[str], Path], run_dir: Path, context: zmq.Context[Any]
+) -> None:
+    """A worker takes a job and loses its connection; the job is done by another worker, and then its result comes."""
+    key = KeyFile.load(new_key("worker"))
+    hello = m.WorkerHello(name="binder@18", node=18, kind=m.WorkerKind.BINDER, pid=1)
+    first = Peer(context, key, "workers")
+    first.send(hello)
+    with Client(run_dir) as here:
+        wait_for(lambda: "binder@18" in {row["name"] for row in here.status()["workers"]})
+        before = here.status()["counters"]
+        commands, job = [], None
+        while job is None:  # the cluster's own binder takes what it can
+            commands += [here.submit(STOW), here.submit("STOW LEFT-ARM")]
+            job = first.job()
+        first.close()
+        for command in commands:
+            assert here.wait(command, LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
+        lost = [n.note for n in here.trace(job.id.partition("/")[0]).notes if "binder@18 lost" in n.note]
+        assert len(lost) == 1
+
+        late = m.JobRefused(id=job.id, attempt=job.attempt, refusal=Refusal(reason=RefusalReason.STATE, message="late"))
+        second = Peer(context, key, "workers")
+        second.send(m.ResultBatch(name=hello.name, results=[late]))  # at once after the reconnection
+        second.send(hello)
+        second.send(m.ResultBatch(name=hello.name, results=[late]))
+        for where in ("dropped_gate_stale", "dropped_results"):
+            wait_for(lambda where=where: here.status()["counters"].get(where, 0) == before.get(where, 0) + 1)
+
+
 def test_a_worker_gets_no_node_that_is_taken(new_key: Callable[[str], Path]) -> None:
     with worker(new_key("worker"), 2) as process:
         assert process.wait(LIMIT_S) == 1
@@ -250,6 +280,19 @@ class Peer:
 
     def send(self, message: Any) -> None:
         self._socket.send_multipart(wire.frames(message))
+
+    def job(self) -> m.Job | None:
+        """The first job that arrives soon."""
+        for _ in range(5):  # the gateway probes workers all the time
+            if (parts := self.recv()) is None:
+                break
+            message = wire.reader(m.BrokerToWorker)(parts)
+            if isinstance(message, m.JobBatch) and message.jobs:
+                return message.jobs[0]
+        return None
+
+    def close(self) -> None:
+        self._socket.close()
 
     def recv(self, limit_ms: int = QUIET_MS) -> list[bytes] | None:
         return self._socket.recv_multipart() if self._socket.poll(limit_ms) else None
