@@ -134,7 +134,7 @@ class SettableAttribute(ProgramPart, frozen=True, kw_only=True):
 class ActsOn(ProgramPart, frozen=True, kw_only=True):
     """The steps that a constraint acts on: all fields that are set must match."""
 
-    do: str = ""
+    do: str | list[str] = ""  # one of these
     op: str = ""
     about: str  # the same as text
 
@@ -146,6 +146,7 @@ class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True):
     pieces: list[ScriptPiece] = []
     constraints: dict[str, dict[str, str]] = {}  # MAINTAIN slot -> unit (or "name") -> limit
     acts_on: dict[str, ActsOn] = {}  # MAINTAIN slot -> the steps it acts on; without an entry, all steps
+    ranges: dict[str, tuple[float, float]] = {}  # MAINTAIN slot -> least and greatest value, SI
     not_yet: dict[str, str] = {}  # field of the command -> reason for its refusal
     instead: dict[str, str] = {}  # verb without a script -> a command with the same or a similar effect
     needs: dict[str, str] = {}  # registered condition of the world -> a command that makes it true
@@ -180,6 +181,7 @@ class StopClass(ProgramPart, frozen=True, kw_only=True):
     touches: bool = False  # its purpose is contact with the active object, which may have moved then
     away: bool = False  # it moves away from contact: an object with a suspect frame does not forbid it
     seated: bool = False  # the held object may be in a seat or move into one
+    rigid: bool = False  # it searches by touch, which a soft arm would not feel: STIFFNESS does not apply to it
     stops: list[StopRow]
     values: dict[str, Expression] = {}  # speed_m_s, force_n, contact_n ..., over the numbers of the cell
 

@@ -386,6 +386,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     keep_out: list[str] = []  # regions
     work_range: str | None = None
     attitude: str | None = None  # POSE-DURING-MOTION
+    stiffness_n_m: float | None = None
 
 
 class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

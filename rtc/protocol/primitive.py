@@ -12,6 +12,7 @@ fingers close along tool y. A primitive checks itself when it is constructed, so
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Literal
 
@@ -96,15 +97,47 @@ class Load(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError("a load has no inertia whose products exceed its moments")
 
 
-class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """M: the registered name of a control law ('position': computed torque) and its gains.
+class Compliance(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Figures of a compliant control law, along x y z and about x y z of the selection frame, at the tcp."""
 
-    `load`: the body in the hand; without it the control law would let the arm swing.
+    stiffness: Vector  # N/m three times, N.m/rad three times
+    damping: Vector = msgspec.field(default_factory=lambda: [1.0] * 6)  # ratio to critical damping
+    frame: Literal["tool", "world"] = "tool"  # axes of the selection frame
+    # Force set-points: what the hand exerts on its environment (N, N.m). An axis with a number is force-controlled and
+    # has no spring; None leaves it to the spring. Empty: no axis is force-controlled.
+    wrench: list[float | None] = []
+    most_n: float | None = None  # greatest pull of the spring; None: unlimited
+    most_nm: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, figures in (("stiffness", self.stiffness), ("damping", self.damping)):
+            if len(figures) != 6:
+                raise ValueError(f"{name} has 6 figures, not {len(figures)}")
+        if not all(0.0 <= k < math.inf for k in self.stiffness):  # false for nan too
+            raise ValueError(f"a stiffness is 0 or more, not {min(self.stiffness):g}")
+        if not all(0.1 <= ratio <= 3.0 for ratio in self.damping):
+            raise ValueError("a damping ratio is 0.1 to 3")
+        if len(self.wrench) not in (0, 6):
+            raise ValueError(f"a wrench has 6 figures, not {len(self.wrench)}")
+        if not all(force is None or math.isfinite(force) for force in self.wrench):
+            raise ValueError("a force set-point is not a finite number")
+        for name, most in (("most_n", self.most_n), ("most_nm", self.most_nm)):
+            if most is not None and not 0.0 < most < math.inf:
+                raise ValueError(f"{name} must be above 0, not {most}")
+
+
+class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """M: the registered name of a control law and its gains.
+
+    `position`: computed torque. `impedance`: a spring and damper at the tcp; its figures are in `compliance`, and its
+    gains are those of `position`, which holds the arm before and after. `load`: the body in the hand; without it the
+    control law would let the arm swing.
     """
 
     name: str = "position"
     gains: dict[str, float] = {}
     load: Load | None = None
+    compliance: Compliance | None = None
 
 
 # --- F: predicates over the current sample only (R66) ------------------------------------------------

@@ -65,7 +65,7 @@ class ArmModel:
         self.model = model
         self.base_pose = geometry.normalise(base_pose)
         self._data = model.createData()
-        self._tcp = model.getFrameId(tcp_link)
+        self.tcp_frame = self._tcp = model.getFrameId(tcp_link)  # of `model` and of every `laden` one
         self._base = pin.SE3(geometry.to_matrix(self.base_pose))
         self._to_world = np.kron(np.eye(2), self._base.rotation)  # for a Jacobian
         self.limits = JointLimits(

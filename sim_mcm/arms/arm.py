@@ -102,7 +102,10 @@ class ArmInterface(Protocol):
         """Command the present motion state: the one that an exact arm would have in this tick."""
 
     def use_law(self, law: ControlLaw) -> None:
-        """Set the control law. Raises ValueError if it is unknown or a gain is out of range."""
+        """Set the control law. Raises ValueError if it is unknown or one of its figures is out of range."""
+
+    def feel(self, wrench: list[float]) -> None:
+        """The wrench of this tick minus its bias; called before each `follow` under a compliant law."""
 
     def command_hand(self, command: HandCommand) -> None: ...
 

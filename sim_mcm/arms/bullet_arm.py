@@ -77,7 +77,10 @@ class BulletArm:
         self._servo.want(motion)
 
     def use_law(self, law: ControlLaw) -> None:
-        self._servo.use_law(law)
+        self._servo.use_law(law, self._sample.joints)
+
+    def feel(self, wrench: list[float]) -> None:
+        self._servo.feel(wrench)
 
     def command_hand(self, command: HandCommand) -> None:
         self._hand.command = command

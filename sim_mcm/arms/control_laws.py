@@ -1,7 +1,7 @@
 """Control laws by name (M in the paper; R63, R99).
 
-A law computes joint torques from the wanted and the measured motion. This module has one, `position`. Installed
-packages add others by an entry point of the group `rtc.control_laws`: NAME = module:factory, where
+A law computes joint torques from the wanted and the measured motion. The project has `position` (here) and `impedance`
+(`impedance.py`). Installed packages add others by an entry point of the group `rtc.control_laws`: NAME = module:factory
 
     factory(model: pin.Model, gains: dict[str, float]) -> Law        raises ValueError for unacceptable gains
 
@@ -11,7 +11,7 @@ samples or primitives.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import entry_points
 from typing import Any, Protocol
 
@@ -19,8 +19,10 @@ import numpy as np
 import pinocchio as pin
 
 from rtc.protocol.primitive import ControlLaw
+from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms.arm import Motion
+from sim_mcm.arms.impedance import Impedance
 
 GROUP = "rtc.control_laws"
 # Share of the load in the model. With 0 the wrist swings after a halt with two kilograms (1.1 s until rest); with this
@@ -61,8 +63,11 @@ class ComputedTorque:
         return torque
 
 
+IMPEDANCE = "impedance"
+
+
 def known() -> dict[str, Factory]:
-    """All installed laws by name."""
+    """All installed laws that need no compliance, by name."""
     laws: dict[str, Factory] = {"position": ComputedTorque}
     for entry in entry_points(group=GROUP):
         laws[entry.name] = entry.load()
@@ -70,9 +75,9 @@ def known() -> dict[str, Factory]:
 
 
 def make(law: ControlLaw, arm: ArmModel, laws: Mapping[str, Factory]) -> Law:
-    """The law that a primitive names. Raises ValueError if it is unknown or rejects the gains."""
-    if law.name not in laws:
-        raise ValueError(f"unknown control law {law.name}; known are {', '.join(sorted(laws))}")
+    """The law that a primitive names. Raises ValueError if it is unknown or rejects its figures."""
+    if law.name != IMPEDANCE and law.name not in laws:
+        raise ValueError(f"unknown control law {law.name}; known are {', '.join(sorted({*laws, IMPEDANCE}))}")
     if not all(np.isfinite(value) for value in law.gains.values()):
         raise ValueError(f"control law {law.name}: a gain is not a finite number")
     load = law.load
@@ -81,4 +86,36 @@ def make(law: ControlLaw, arm: ArmModel, laws: Mapping[str, Factory]) -> Law:
     else:
         inertia = [LOAD_SHARE * part for part in load.inertia_kg_m2]
         model = arm.laden(LOAD_SHARE * load.mass_kg, load.com_m, inertia)
+    if law.name == IMPEDANCE:
+        return _impedance(law, arm, model)
+    if law.compliance is not None:
+        raise ValueError(f"control law {law.name} has no compliance; {IMPEDANCE} has")
     return laws[law.name](model, law.gains)
+
+
+def _impedance(law: ControlLaw, arm: ArmModel, model: Any) -> Law:
+    ComputedTorque(model, law.gains)  # it holds the arm afterwards, so its gains must be acceptable
+    if law.compliance is None:
+        raise ValueError(f"control law {IMPEDANCE} needs the figures of its compliance")
+    base = geometry.to_matrix(arm.base_pose)[:3, :3]
+    return Impedance(model, arm.tcp_frame, base, law.compliance, arm.limits.effort)
+
+
+def beyond_motors(law: ControlLaw, arm: ArmModel, joints: Sequence[float]) -> str:
+    """Why the motors cannot exert the force set-points at this posture, or ''."""
+    compliance = law.compliance
+    if compliance is None:
+        return ""
+    jacobian, effort = arm.jacobian(joints), arm.limits.effort
+    wrench = np.array([force or 0.0 for force in compliance.wrench or [None] * 6])
+    if compliance.frame == "tool":
+        turn = geometry.to_matrix(arm.fk(joints))[:3, :3]
+        wrench = np.concatenate((turn @ wrench[:3], turn @ wrench[3:]))
+    torque = np.abs(jacobian.T @ wrench)
+    worst = int(np.argmax(torque / effort))
+    if torque[worst] <= effort[worst]:
+        return ""
+    return (
+        f"the force set-point needs {torque[worst]:.3g} N.m of {arm.joints[worst]} at the start; "
+        f"its motor has {effort[worst]:g} N.m"
+    )

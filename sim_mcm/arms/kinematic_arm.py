@@ -184,7 +184,11 @@ class KinematicArm:
         self._wanted = motion[:2]
 
     def use_law(self, law: ControlLaw) -> None:
+        if law.compliance is not None:
+            raise ValueError(f"control law {law.name}: an exact arm cannot comply; a simulation with physics can")
         control_laws.make(law, self._model, self._laws)  # only checked: this arm is exact
+
+    def feel(self, wrench: list[float]) -> None: ...
 
     def command_hand(self, command: HandCommand) -> None:
         self._hand = command

@@ -5,7 +5,7 @@ Pure: its state is the last wanted motion and the law. The module `hand` compute
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from rtc.protocol.primitive import ControlLaw
 from rtc.robot.kinematics import ArmModel
@@ -19,15 +19,27 @@ class Servo:
         self._laws = control_laws.known()
         self._name = ControlLaw()
         self._law = control_laws.make(self._name, model, self._laws)
+        self._feel: Callable[[list[float]], None] | None = None
         self._effort: list[float] = model.limits.effort.tolist()
         still = [0.0] * len(joints)
         self._wanted: Motion = (list(joints), still, still)
 
-    def use_law(self, law: ControlLaw) -> None:
-        """Change the law. Raises ValueError if it is unknown or rejects the gains; the old law stays."""
-        if law != self._name:
-            self._law = control_laws.make(law, self._arm, self._laws)
-            self._name = law
+    def use_law(self, law: ControlLaw, joints: Sequence[float]) -> None:
+        """Change the law. Raises ValueError if it is unknown, or rejects its figures at the present joints; the old
+        law stays. A compliant law starts without the state of an earlier one."""
+        if law == self._name and law.compliance is None:
+            return
+        why = control_laws.beyond_motors(law, self._arm, joints)
+        if why:
+            raise ValueError(f"control law {law.name}: {why}")
+        self._law = control_laws.make(law, self._arm, self._laws)
+        self._name = law
+        self._feel = getattr(self._law, "feel", None)
+
+    def feel(self, wrench: list[float]) -> None:
+        """The wrench of this tick without its bias, for a law that controls forces."""
+        if self._feel is not None:
+            self._feel(wrench)
 
     def want(self, motion: Motion) -> None:
         self._wanted = motion

@@ -105,6 +105,8 @@ class Executor:
         self._report_every: int | None = None
         self._yielded = self._releasing = False
         self._leaning_ticks = 0
+        self._was_compliant = False  # up to the stop
+        self._compliant = False  # the present control law complies; outside EXECUTING it never does
         self._work: dict[Mode, Callable[[float], Reports]] = {
             Mode.HOLDING: lambda now_s: [],
             Mode.EXECUTING: self._execute,
@@ -179,6 +181,8 @@ class Executor:
         if not self._within_limits(command):
             command = self._brake_instead(command)
         self._command = command
+        if self._compliant:
+            self.arm.feel(self._wrench)
         self.arm.follow(command)
         return reports
 
@@ -198,6 +202,7 @@ class Executor:
         assert self.primitive is not None
         trajectory = self.primitive.trajectory
         self._ticks = 0
+        self._compliant = self.primitive.control_law.compliance is not None
         self._peaks = Peaks()
         self._yielded = self._releasing = False
         self._leaning_ticks = 0
@@ -235,6 +240,9 @@ class Executor:
     def _begin_stopping(self) -> None:
         assert self.primitive is not None
         assert self.trip is not None
+        self._was_compliant = self._compliant
+        if self._compliant:
+            self._stiffen(self.primitive.control_law)
         self._use(profiles.Brake(self._command, laden=min(self.sample.finger_forces) > SQUEEZE_N))
         hand_moves = isinstance(self.primitive.trajectory, p.HandMotion) and self.trip.reason is not StopReason.GOAL
         if hand_moves or self._releasing:
@@ -256,6 +264,8 @@ class Executor:
             self._use(profiles.Stay(joints))  # no path to retrace
             return
         tripped_s = self.trip.at_tick * TICK_S
+        if self._was_compliant:  # the arm may be far behind its command
+            tripped_s = self._follow.nearest_s(joints, tripped_s)
         self._use(profiles.Retrace(self._follow, tripped_s, joints, self.trip.back_off_m, self.arm.tcp_pose))
 
     def _retreat(self, now_s: float) -> Reports:
@@ -373,6 +383,14 @@ class Executor:
     def _use_hand(self, command: HandCommand) -> None:
         self._hand = command
         self.arm.command_hand(command)
+
+    def _stiffen(self, law: p.ControlLaw) -> None:
+        """Change from a compliant law to position control, from the measured motion: so the arm stops as quickly as any
+        other, presses with nothing, and does not jump to where its spring would have pulled it."""
+        still = [0.0] * len(self.sample.joints)
+        self._command = (list(self.sample.joints), list(self.sample.velocities), still)
+        self._compliant = False
+        self.arm.use_law(p.ControlLaw(gains=law.gains, load=law.load))
 
     def _freeze_hand(self) -> None:
         """Stop the fingers. A hand that grips keeps its present force."""

@@ -93,6 +93,12 @@ class Follow:
             motion[:, order] = np.einsum("kp,kpn->kn", u[:, powers] * factors, coefficients[:, order:])
         return motion
 
+    def nearest_s(self, joints: Sequence[float], before_s: float, steps: int = 200) -> float:
+        """The path time, at most `before_s`, at which the path is nearest to these joints (largest joint distance)."""
+        times_s = np.linspace(0.0, min(before_s, self._length_s), steps + 1)
+        distances = np.abs(self.path(times_s)[:, 0] - np.asarray(joints)).max(axis=1)
+        return float(times_s[int(distances.argmin())])
+
     def _remaining_offset(self, times_s: Array) -> Array:
         """The remaining part of the initial offset."""
         rows = []

@@ -42,10 +42,18 @@ Stops = list[tuple[p.StopFunction, Check]]
 
 # Checked in every primitive, in addition to its own: they detect a fault of the machine or of its model, not of the
 # task. Greatest values measured in pybullet: 0.6 of a speed limit; 6 mrad of following error, placing a module.
-ALWAYS = (
-    p.StopFunction(reason=StopReason.OVERSPEED, when=p.SpeedAbove(1.5)),
-    p.StopFunction(reason=StopReason.FOLLOWING_ERROR, when=p.FollowingErrorAbove(0.1)),
-)
+# A compliant arm is pushed away from its command on purpose, so its spring may be stretched further.
+RIGID_RAD, COMPLIANT_RAD = 0.1, 0.5
+
+
+def always(primitive: p.Primitive) -> list[p.StopFunction]:
+    limit_rad = RIGID_RAD if primitive.control_law.compliance is None else COMPLIANT_RAD
+    return [
+        p.StopFunction(reason=StopReason.OVERSPEED, when=p.SpeedAbove(1.5)),
+        p.StopFunction(reason=StopReason.FOLLOWING_ERROR, when=p.FollowingErrorAbove(limit_rad)),
+    ]
+
+
 # After these reasons only the reflex STOP is safe.
 STOP_ONLY = frozenset({StopReason.HALT, StopReason.COMMAND_LIMIT, StopReason.OVERSPEED, StopReason.FOLLOWING_ERROR})
 
@@ -53,7 +61,7 @@ STOP_ONLY = frozenset({StopReason.HALT, StopReason.COMMAND_LIMIT, StopReason.OVE
 def compile_stops(primitive: p.Primitive, traits: Traits) -> Stops:
     """The checks of a primitive by priority. Raises ValueError for a condition that cannot be checked."""
     stops: Stops = []
-    for stop in p.in_priority([*primitive.stop_functions, *ALWAYS]):
+    for stop in p.in_priority([*primitive.stop_functions, *always(primitive)]):
         for problem in _problems(stop):
             raise ValueError(problem)
         stops.append((stop, CHECKS[type(stop.when)](stop.when, traits)))

@@ -39,6 +39,8 @@ class SteeredArm:
         self.width = 0.08
         self.lag = 0.0  # of the measured joints behind the commanded, rad
         self.commands: list[Motion] = []
+        self.laws: list[p.ControlLaw] = []
+        self.felt: list[list[float]] = []
 
     def read(self) -> Sample:
         half = 0.5 * self.width
@@ -51,6 +53,10 @@ class SteeredArm:
 
     def use_law(self, law: p.ControlLaw) -> None:
         control_laws.make(law, self.model, control_laws.known())
+        self.laws.append(law)
+
+    def feel(self, wrench: list[float]) -> None:
+        self.felt.append(wrench)
 
     def command_hand(self, command: HandCommand) -> None:
         self.hand = command

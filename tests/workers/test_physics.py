@@ -80,3 +80,38 @@ def test_what_is_far_from_where_it_is_believed_is_felt_and_then_known(physical, 
     assert max(fact.spread[:3]) < 0.005
     assert max(abs(n) for n in errors[:3]) < 0.002
     assert max(report.peak_force_n for report in run.reports) < 25.0
+
+
+def test_a_sentence_makes_the_arm_soft(physical) -> None:
+    """STIFFNESS reaches the control law; a touch of the satellite stretches the spring."""
+    physical.subsystem.displace("SATELLITE", [-0.06, 0.0, 0.0])
+    assert physical.do(f"MOVE {ARM} BY 15 CM ALONG DOWN").succeeded
+    run = physical.do(f"MOVE {ARM} BY 3 CM ALONG TOOL-Z MAINTAIN STIFFNESS 500 N/M")
+    assert run.succeeded
+    here = physical.world.get(f"{ARM}.joints").value
+    before = physical.model.arms[ARM].fk(here)
+
+    run = physical.do(f"MOVE {ARM} BY 2 CM ALONG TOOL-Z MAINTAIN STIFFNESS 500 N/M AND SPEED 1 MM/S")
+
+    law = run.primitives[-1].control_law
+    assert law.name == "impedance"
+    assert law.compliance.stiffness == pytest.approx([500.0] * 3 + [14.96] * 3, rel=0.01)
+    moved = geometry.distance(before, run.reports[-1].tcp_pose)
+    assert moved < 0.01  # the wall is 5 mm ahead, and the spring is stretched by the other 15
+    assert run.reports[-1].trip_wrench[2] == pytest.approx(-500.0 * (0.02 - moved), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "words"),
+    [
+        (f"HOLD {ARM} FOR 1 SEC MAINTAIN STIFFNESS 99 N/M", "outside 100 to 5000"),
+        (f"HOLD {ARM} FOR 1 SEC MAINTAIN STIFFNESS 6000 N/M", "outside 100 to 5000"),
+        (f"MOVE {ARM} BY 1 CM ALONG UP MAINTAIN STIFFNESS", "STIFFNESS needs"),
+        ("OPEN RIGHT-END-EFF MAINTAIN STIFFNESS 800 N/M", "STIFFNESS is about"),
+    ],
+)
+def test_a_stiffness_that_no_arm_keeps_is_refused(physical, sentence: str, words: str) -> None:
+    run = physical.do(sentence)
+    assert run.refusal is not None
+    assert words in run.refusal.message
+    assert not run.primitives

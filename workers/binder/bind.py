@@ -20,9 +20,11 @@ from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
+    Compliance,
     ControlLaw,
     HandMotion,
     HoldStill,
+    Load,
     Primitive,
     Reporting,
     StopFunction,
@@ -360,9 +362,7 @@ def primitive(
         performer=task.arm,
         trajectory=trajectory,
         stop_functions=stops,
-        control_law=ControlLaw(
-            name=stop_class.control_law, load=load, gains={"wn": values["laden_wn_rad_s"]} if load else {}
-        ),
+        control_law=control_law(stop_class, values, trajectory, load),
         reporting=Reporting(every_s=float(every_s) if every_s is not None else None),
     )
     return BoundStep(
@@ -373,6 +373,24 @@ def primitive(
         limit_s=values["report_factor"] * limit_s + values["report_margin_s"],
         note=note,
     )
+
+
+def control_law(stop_class: StopClass, values: Values, trajectory: Trajectory, load: Load | None) -> ControlLaw:
+    """M: the law of the stop class, or impedance if the command or the step names a stiffness.
+
+    Its spring pulls with a share of the force and torque limits, so a blocked arm leans on the obstacle within them.
+    """
+    gains = {"wn": values["laden_wn_rad_s"]} if load else {}
+    stiffness_n_m = values.get("stiffness_n_m")
+    if stiffness_n_m is None or stop_class.rigid or isinstance(trajectory, HandMotion):
+        return ControlLaw(name=stop_class.control_law, load=load, gains=gains)
+    factor = values["spring_factor"]
+    compliance = Compliance(
+        stiffness=[stiffness_n_m] * 3 + [values["turn_m"] ** 2 * stiffness_n_m] * 3,
+        most_n=factor * values["force_n"],
+        most_nm=factor * values["torque_nm"],
+    )
+    return ControlLaw(name="impedance", load=load, gains=gains, compliance=compliance)
 
 
 # --- steps that move nothing -----------------------------------------------------------------------------

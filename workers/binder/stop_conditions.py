@@ -67,6 +67,8 @@ def figures_in_force(program: BinderProgram, stop_class: StopClass, query: World
         value = getattr(context.limits, limit)
         if value is not None:
             values[name] = min(value, values.get(name, value))
+    if context.limits.stiffness_n_m is not None:
+        values["stiffness_n_m"] = context.limits.stiffness_n_m
     if context.limits.speed_ratio is not None and "speed_m_s" in values:
         values["speed_m_s"] *= context.limits.speed_ratio
     return values

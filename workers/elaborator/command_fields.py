@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from rtc.cells.cell import Cell
-from rtc.language.record import ParsedCommand
+from rtc.language.record import ParsedCommand, Quantity
 from rtc.language.units import KINDS, such_as
 from rtc.programs.schema import ActsOn, ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
@@ -94,6 +94,10 @@ def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Lim
         if unit not in kept:
             return _needs(constraint.slot, kept, unit, cell)
         limit = kept[unit]
+        if constraint.value is not None and constraint.slot in program.ranges:
+            problem = _range(constraint.slot, constraint.value, *program.ranges[constraint.slot])
+            if problem is not None:
+                return problem
         if limit and constraint.value is not None:
             figures[limit] = constraint.value.value
         elif limit and constraint.name is not None:
@@ -116,7 +120,8 @@ def refuse_without_effect(program: ElaboratorProgram, parsed: ParsedCommand, scr
 
 
 def _is(step: ScriptStep, wanted: ActsOn) -> bool:
-    return wanted.do in ("", step.do) and wanted.op in ("", step.op)
+    does = [wanted.do] if isinstance(wanted.do, str) else wanted.do
+    return (wanted.do == "" or step.do in does) and wanted.op in ("", step.op)
 
 
 def refuse_report_interval(parsed: ParsedCommand) -> Refusal | None:
@@ -140,6 +145,15 @@ def _needs(slot: str, kept: dict[str, str], unit: str, cell: Cell) -> Refusal:
     given = "" if not unit else f", not {KINDS[unit].word if unit in KINDS else f'a {unit}'}"
     needed = " or ".join(ways)
     return _refused(f"{slot} needs {needed}{given}", slot, f"give {slot} {needed}, or leave it out")
+
+
+def _range(slot: str, value: Quantity, least: float, most: float) -> Refusal | None:
+    """Refusal for a value that no arm can keep."""
+    if least <= value.value <= most:
+        return None
+    unit = value.unit.upper()
+    message = f"{slot} {value.value:g} {unit} is outside {least:g} to {most:g} {unit}"
+    return _refused(message, slot, f"{slot} of {least:g} to {most:g} {unit}")
 
 
 def _known(limit: str, cell: Cell) -> list[str]:

@@ -45,7 +45,7 @@ def test_torques_stay_within_what_the_motors_can(cell, model) -> None:
 @pytest.mark.parametrize(
     ("law", "words"),
     [
-        (ControlLaw(name="magic"), "unknown control law magic; known are position"),
+        (ControlLaw(name="magic"), "unknown control law magic; known are impedance, position"),
         (ControlLaw(gains={"wn": 5.0}), "outside 10 to 300"),
         (ControlLaw(gains={"kp": 5.0}), "knows the gain wn, not kp"),
         (ControlLaw(gains={"wn": float("inf")}), "not a finite number"),
@@ -55,7 +55,7 @@ def test_a_law_that_will_not_do_is_refused_in_words_and_the_old_one_stays(cell, 
     home = cell.arm("RIGHT-ARM").home_rad
     servo = Servo(model, home)
     with pytest.raises(ValueError, match=words):
-        servo.use_law(law)
+        servo.use_law(law, home)
     assert servo.torque(home, [0.0] * 6) == pytest.approx([0.0] * 6, abs=1e-9)
 
 

@@ -171,7 +171,7 @@ def _bad(rig, make, kind: str) -> p.Primitive:
         ("nan", "not finite"),
         ("moving", "does not end at rest"),
         ("quick", r"velocity of joint_1 reaches 9 rad/s"),
-        ("law", "unknown control law magic; known are position"),
+        ("law", "unknown control law magic; known are impedance, position"),
         ("gain", "wn 500.0 rad/s is outside 10 to 300"),
         ("comply", "comply of contact is not available"),
         ("axis", "three numbers are needed"),

@@ -1,0 +1,155 @@
+"""The control law `impedance`: the tool behaves like a spring and damper about its commanded path. Pure.
+
+    torque = rnea(q, v, wanted acceleration) + J' (K e + D de + force part)
+
+e and de are errors of pose and velocity along the axes of the selection frame. D is scaled by the effective mass
+matrix: D = Z (sqrt(L) sqrt(K) + sqrt(K) sqrt(L)), symmetric, with L = (J M^-1 J')^-1 and damping ratios Z. An axis with
+a force set-point has no spring: it presses with the set-point plus an integral of the force error, and its damping
+limits the approach to `APPROACH_M_S`. This module must not know sockets, samples or primitives.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from rtc.protocol.primitive import Compliance
+from rtc.robot.geometry import Array
+from sim_mcm.arms.arm import TICK_S, Motion
+
+# Beyond these a spring on the lightest axis of a wrist oscillates with the sampling at 1 kHz.
+MOST_N_M, MOST_NM_RAD = 5000.0, 300.0
+REFRESH_TICKS = 10  # the damping follows the posture at this interval; it costs more than all the rest
+LEAST_INVERSE_MASS = 1e-4  # added to (J M^-1 J') so that a singular posture has a finite effective mass
+# A force-controlled axis that touches nothing moves at most this fast (m/s, rad/s) under its set-point.
+APPROACH_M_S, APPROACH_RAD_S = 0.005, 0.05
+# Damping of such an axis by the equivalent of this spring (N/m, N.m/rad), whatever the set-point.
+IDLE_N_M, IDLE_NM_RAD = 1000.0, 20.0
+MOST_DAMPED = 0.4  # share of an axis' momentum that its damping may take in one tick
+INTEGRAL_PER_S = 5.0  # gain of the force integral; 2 to 20 are stable on a rigid wall
+# Anti-windup: the integral is at most this share of the set-point, and at least the floor below (N, N.m). It rests
+# while the axis touches nothing (a measured force below TOUCHING of the set-point) and while a motor is at its limit.
+MOST_INTEGRAL, LEAST_INTEGRAL_N, LEAST_INTEGRAL_NM = 0.5, 2.0, 0.2
+TOUCHING = 0.1
+
+
+class Impedance:
+    """One arm under Cartesian impedance. `model`: dynamics with the load; `tcp`: its frame; `base`: base in world."""
+
+    def __init__(self, model: Any, tcp: int, base: Array, compliance: Compliance, effort: Array) -> None:
+        for value, most, unit in (
+            *((k, MOST_N_M, "N/m") for k in compliance.stiffness[:3]),
+            *((k, MOST_NM_RAD, "N.m/rad") for k in compliance.stiffness[3:]),
+        ):
+            if value > most:
+                raise ValueError(f"control law impedance: stiffness {value:g} {unit} is above {most:g} {unit}")
+        self._model, self._data, self._wanted_data = model, model.createData(), model.createData()
+        self._tcp, self._base, self._effort = tcp, base, effort
+        self._in_tool = compliance.frame == "tool"
+        self._pressed = np.array([force is not None for force in compliance.wrench or [None] * 6])
+        self._stiffness = np.where(self._pressed, 0.0, compliance.stiffness)
+        idle = np.array([IDLE_N_M] * 3 + [IDLE_NM_RAD] * 3)
+        self._root = np.sqrt(np.where(self._pressed, idle, self._stiffness))
+        self._ratio = np.array(compliance.damping)
+        self._most_n, self._most_nm = compliance.most_n, compliance.most_nm
+        self._damping = np.zeros((6, 6))
+        self._ticks = 0
+        self._set_point = np.array([force or 0.0 for force in compliance.wrench or [None] * 6])
+        self._integral = np.zeros(6)
+        self._measured = np.zeros(6)
+        self._saturated = False
+        self._presses = bool(self._pressed.any())
+
+    def feel(self, wrench: list[float]) -> None:
+        """The measured wrench of this tick: of the environment on the hand, tool axes, about the tcp, without bias."""
+        self._measured[:] = wrench
+
+    def press(self, wrench: list[float]) -> None:
+        """New set-points of the force-controlled axes (N, N.m); the other entries have no effect."""
+        self._set_point[:] = wrench
+
+    def torque(self, wanted: Motion, q: list[float], v: list[float]) -> list[float]:
+        model, data = self._model, self._data
+        q_now, v_now = np.array(q), np.array(v)
+        q_wanted, v_wanted, a_wanted = (np.array(row) for row in wanted)
+        torque = pin.rnea(model, data, q_now, v_now, a_wanted)
+        pin.computeJointJacobians(model, data, q_now)
+        here = pin.updateFramePlacement(model, data, self._tcp)
+        jacobian = pin.getFrameJacobian(model, data, self._tcp, pin.LOCAL)
+        pin.forwardKinematics(model, self._wanted_data, q_wanted, v_wanted)
+        there = pin.updateFramePlacement(model, self._wanted_data, self._tcp)
+        moving = pin.getFrameVelocity(model, self._wanted_data, self._tcp, pin.LOCAL_WORLD_ALIGNED)
+
+        turn = here.rotation.T  # base axes to tool axes
+        error, wanted_speed = np.empty(6), np.empty(6)
+        error[:3] = turn @ (there.translation - here.translation)
+        error[3:] = pin.log3(turn @ there.rotation)
+        wanted_speed[:3], wanted_speed[3:] = turn @ moving.linear, turn @ moving.angular
+        speed_error = wanted_speed - jacobian @ v_now
+
+        selection = None if self._in_tool else self._base @ here.rotation  # tool axes to world axes
+        if self._ticks % REFRESH_TICKS == 0:
+            self._refresh(q_now, jacobian, selection)
+        self._ticks += 1
+        pull = self._spring(error if selection is None else _turned(selection, error))
+        if self._presses:
+            pull += self._force(selection)
+        if selection is not None:
+            pull = _turned(selection.T, pull)
+        torque += jacobian.T @ (pull + self._damping @ speed_error)
+        self._saturated = bool((np.abs(torque) >= self._effort).any())
+        found: list[float] = torque.tolist()
+        return found
+
+    def _spring(self, error: Array) -> Array:
+        """Pull of the spring along the selection axes; force and torque are each limited in magnitude."""
+        pull: Array = self._stiffness * error
+        for part, most in ((pull[:3], self._most_n), (pull[3:], self._most_nm)):
+            if most is not None:
+                size = math.sqrt(part[0] ** 2 + part[1] ** 2 + part[2] ** 2)
+                if size > most:
+                    part *= most / size
+        return pull
+
+    def _force(self, selection: Array | None) -> Array:
+        """Push along the force-controlled axes: set-point and integral of the force error."""
+        felt = -self._measured if selection is None else _turned(selection, -self._measured)
+        wanted = self._set_point
+        error = wanted - felt
+        touching = np.abs(felt) > TOUCHING * np.abs(wanted)
+        if not self._saturated:
+            self._integral += np.where(self._pressed & touching, INTEGRAL_PER_S * TICK_S * error, 0.0)
+        most = np.maximum(MOST_INTEGRAL * np.abs(wanted), [LEAST_INTEGRAL_N] * 3 + [LEAST_INTEGRAL_NM] * 3)
+        np.clip(self._integral, -most, most, out=self._integral)
+        push: Array = np.where(self._pressed, wanted + self._integral, 0.0)
+        return push
+
+    def _refresh(self, q: Array, jacobian: Array, selection: Array | None) -> None:
+        """Damping matrix (tool axes) for this posture."""
+        mass = pin.crba(self._model, self._data, q)
+        upper = np.triu(mass)
+        inverse = jacobian @ np.linalg.solve(upper + np.triu(upper, 1).T, jacobian.T)
+        inverse[np.diag_indices(6)] += LEAST_INVERSE_MASS
+        if selection is not None:
+            both = np.kron(np.eye(2), selection)
+            inverse = both @ inverse @ both.T
+        values, vectors = np.linalg.eigh(inverse)
+        root_mass = (vectors / np.sqrt(values)) @ vectors.T  # sqrt of the effective mass
+        shaped = (root_mass * (self._ratio * self._root)) @ np.eye(6)
+        damping = shaped + shaped.T
+        if self._presses:
+            slow = np.abs(self._set_point) / ([APPROACH_M_S] * 3 + [APPROACH_RAD_S] * 3)
+            most = MOST_DAMPED / (np.diag(inverse) * TICK_S)
+            own = np.diag(damping)
+            extra = np.clip(np.minimum(slow, most) - own, 0.0, None)
+            damping[np.diag_indices(6)] += np.where(self._pressed, extra, 0.0)
+        self._damping = damping if selection is None else both.T @ damping @ both
+
+
+def _turned(rotation: Array, wrench: Array) -> Array:
+    found = np.empty(6)
+    found[:3], found[3:] = rotation @ wrench[:3], rotation @ wrench[3:]
+    return found
