@@ -6,7 +6,7 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo setup test fast check bench campaigns help clean
+.PHONY: demo setup test test-ray fast check bench campaigns help clean
 .DEFAULT_GOAL := help
 
 demo: $(VENV)/.ready ## set up, then show the main task: two arms grasp, lift, are halted, continue, put back
@@ -20,6 +20,10 @@ test: $(VENV)/.ready ## set up, then run all tests
 
 fast: $(VENV)/.ready ## the tests without processes and physics
 	$(BIN)/python -m pytest -m "not slow"
+
+test-ray: $(VENV)/.ready ## add the extra ray (100 MB), then test workers as actors of a real Ray on this machine
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e ".[ray]"
+	$(BIN)/python -m pytest tests/deploy/test_ray_workers.py
 
 check: $(VENV)/.ready ## lint, format, types, and the import rules of the architecture
 	$(BIN)/ruff check .
@@ -38,7 +42,7 @@ campaigns: $(VENV)/.ready ## run the correctness campaigns (about half an hour);
 		echo "== $$name"; $(BIN)/python -m tests.campaigns.$$name || exit 1; done
 
 help: ## print this list
-	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 16
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 16
 
 clean: ## remove everything that was built, .venv too
 	rm -rf $(VENV) build out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -19,16 +19,25 @@ DOWN_S = 20.0
 
 @contextmanager
 def own_cluster(
-    *, cell: str = "swapout", mcm: str = "bullet", speed: str = "1", dim: int = 2, listen: str = ""
+    *,
+    cell: str = "swapout",
+    mcm: str = "bullet",
+    speed: str = "1",
+    dim: int = 2,
+    listen: str = "",
+    least: int | None = None,
 ) -> Iterator[Path]:
     """The run directory of a new cluster. Raises ClusterError, with its last output, if it does not start.
 
+    `least`: minimum number of local workers of each kind; None = as many as the cube has.
     SIGTERM to this process ends the cluster too.
     """
     run_dir = Path(tempfile.mkdtemp(prefix="rtc-"))
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
         options = ["--cell", cell, "--mcm", mcm, "--speed", speed, "--dim", str(dim), "--listen", listen]
+        if least is not None:
+            options += ["--least", str(least)]
         _deploy("up", run_dir, READY_S, "-d", *options)
         yield run_dir
     finally:

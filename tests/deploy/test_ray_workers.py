@@ -1,0 +1,165 @@
+"""Remote workers as actors of a real Ray on this machine, which are killed in three ways. Needs the extra `ray`."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import random
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deploy.engines.ray_workers import Fleet, parser
+from rtc.client.client import Client
+from rtc.demos.own_cluster import own_cluster
+from rtc.protocol.messages import WorkerKind
+from rtc.protocol.outcomes import OutcomeKind
+from rtc.protocol.roles import TCP_ENDPOINTS, Role
+from rtc.runtime.keys import KeyFile, KeyRing
+
+ROOT = Path(__file__).parents[2]
+COUNT = 2
+LIMIT_S, LOST_AFTER_S = 60.0, 5.0
+SENTENCES = ["STOW RIGHT-ARM", "STOW LEFT-ARM"] * 3  # one primitive each
+PAUSE = threading.Event()
+
+needs_ray = pytest.mark.skipif(
+    importlib.util.find_spec("ray") is None, reason="Ray is not installed; `make test-ray` installs it and runs this"
+)
+
+
+def test_the_launcher_needs_kind_and_key(capsys: pytest.CaptureFixture[str]) -> None:
+    given = parser().parse_args(["--kind", "binder", "--count", "8", "--with", "w1.key"])
+    assert (given.kind, given.count, given.key) == (WorkerKind.BINDER, 8, Path("w1.key"))
+    with pytest.raises(SystemExit):
+        parser().parse_args(["--kind", "binder"])
+
+
+@pytest.fixture
+def ray(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """Ray with a node of its own, as small as it can be."""
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    import ray
+
+    ray.init(
+        address="local",
+        num_cpus=COUNT,
+        object_store_memory=80 << 20,
+        include_dashboard=False,
+        log_to_driver=False,
+    )
+    yield ray
+    ray.shutdown()
+
+
+@pytest.fixture
+def run_dir() -> Iterator[Path]:
+    """A cluster whose own binders are started only if there are no others."""
+    with own_cluster(mcm="kinematic", speed="max", least=0, listen=f"tcp://127.0.0.1:{free_ports()}") as path:
+        yield path
+
+
+def free_ports() -> int:
+    for first in random.SystemRandom().sample(range(20_000, 32_000, len(TCP_ENDPOINTS)), k=100):
+        held = []
+        try:
+            held += [socket.create_server(("127.0.0.1", first + n)) for n in range(len(TCP_ENDPOINTS))]
+        except OSError:
+            continue
+        finally:
+            for one in held:
+                one.close()
+        return first
+    raise AssertionError("no free ports")
+
+
+class Load:
+    """Sentences without a pause, in a thread, until `finish`."""
+
+    def __init__(self, run_dir: Path) -> None:
+        self._run_dir, self._enough = run_dir, threading.Event()
+        self.ended: list[Any] = []
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        with Client(self._run_dir) as rtc:
+            while not self._enough.is_set():
+                self.ended += rtc.run_many(SENTENCES, timeout_s=LIMIT_S)
+
+    def finish(self) -> list[Any]:
+        self._enough.set()
+        self._thread.join()
+        return self.ended
+
+
+@pytest.mark.slow
+@needs_ray
+def test_workers_in_actors_bind_and_their_loss_harms_no_command(run_dir: Path, ray: Any) -> None:
+    with Client(run_dir) as rtc:
+        address = rtc.settings.listen
+        KeyRing(run_dir).new("w1", Role.WORKER, address, run_dir / "w1.key")
+        fleet = Fleet(ray, KeyFile.load(run_dir / "w1.key"), WorkerKind.BINDER, COUNT, LOST_AFTER_S)
+        step_until(fleet, lambda: len(binders(rtc)) == COUNT and all("@" in m.address for m in fleet.members))
+        pids = set(binders(rtc).values())
+        load = Load(run_dir)
+        try:
+            killed = binders(rtc)[fleet.members[0].address]
+            os.kill(killed, signal.SIGKILL)
+            step_until(fleet, lambda: killed not in binders(rtc).values() and len(binders(rtc)) == COUNT)
+            pids |= set(binders(rtc).values())
+
+            killed = binders(rtc)[fleet.members[1].address]
+            ray.kill(fleet.members[1].actor)
+            step_until(fleet, lambda: killed not in binders(rtc).values() and len(binders(rtc)) == COUNT)
+            pids |= set(binders(rtc).values())
+
+            ray.shutdown()
+            wait_for(lambda: not pids & set(binders(rtc).values()))
+            before = len(load.ended)
+            wait_for(lambda: len(load.ended) > before + len(SENTENCES))
+        finally:
+            ended = load.finish()
+        wait_for(lambda: not any(map(runs, pids)))
+
+        assert {one.outcome.kind for one in ended} == {OutcomeKind.SUCCEEDED}
+        nodes: set[str] = set()
+        for one in ended:
+            notes = rtc.trace(one.command).notes
+            assert [note.note for note in notes if note.node == "MCM"] == ["started", "ended: goal"]
+            nodes |= {note.node for note in notes if note.node.startswith("binder@")}
+        assert {int(node.partition("@")[2]) >= 16 for node in nodes} == {True, False}  # on Ray, and later here
+
+
+def binders(rtc: Client) -> dict[str, int]:
+    """Address -> pid of the binders in the cluster."""
+    return {row["name"]: row["pid"] for row in rtc.status()["workers"] if row["name"].startswith("binder@")}
+
+
+def step_until(fleet: Fleet, condition: Callable[[], bool]) -> None:
+    def step() -> bool:
+        fleet.step()
+        return condition()
+
+    wait_for(step)
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    end = os.times().elapsed + LIMIT_S
+    while not condition():
+        assert os.times().elapsed < end
+        PAUSE.wait(0.05)
+
+
+def runs(pid: int) -> bool:
+    """Whether this process exists and is not a zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
