@@ -20,6 +20,7 @@ MARGIN, TITLE_PX, LINE_PX = 12, 34, 22
 INK, PAPER, HALO = (28, 32, 38), (250, 250, 248), (255, 255, 255)
 WARNING, OUTLINE = (196, 84, 0), (214, 0, 110)
 OUTLINE_PX = 2
+JPEG_QUALITY = 80
 
 
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
@@ -88,10 +89,14 @@ def composed(panels: Sequence[tuple[str, Image.Image]], caption: Sequence[str]) 
 
 
 def save(picture: Image.Image, file: Path) -> None:
-    """Write a temporary file and rename it, so that a reader never sees a part of it. Raises OSError."""
+    """Write a temporary file and rename it, so that a reader never sees a part of it: JPEG if it is called .jpg, else
+    PNG. Raises OSError."""
     beside = file.with_name(f".{file.name}.new")
     try:
-        picture.save(beside, format="PNG")
+        if file.suffix == ".jpg":
+            picture.save(beside, format="JPEG", quality=JPEG_QUALITY)
+        else:
+            picture.save(beside, format="PNG")
         beside.replace(file)
     finally:
         beside.unlink(missing_ok=True)

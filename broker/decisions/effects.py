@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import msgspec
 
-from rtc.protocol.messages import BrokerToClient, CommandEnded, CommandRecord, ProgressNote, WorkerKind
+from rtc.protocol.messages import BrokerToClient, CommandEnded, CommandRecord, HaltRequested, ProgressNote, WorkerKind
 
 
 class Effect(msgspec.Struct, frozen=True, kw_only=True, gc=False):
@@ -91,6 +91,12 @@ class DeclineHalt(Effect, frozen=True, kw_only=True, gc=False):
     message: str
 
 
+class PublishHalt(Effect, frozen=True, kw_only=True, gc=False):
+    """Publish a halt that is not a sentence."""
+
+    halt: HaltRequested
+
+
 AnyEffect = (
     DispatchJob
     | CancelJob
@@ -103,4 +109,5 @@ AnyEffect = (
     | PublishNote
     | ReportEnd
     | DeclineHalt
+    | PublishHalt
 )

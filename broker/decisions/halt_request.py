@@ -12,11 +12,11 @@ from typing import NamedTuple
 from broker.decisions.command.limits import rest_limit_s
 from broker.decisions.command.scope import has_ended, in_scope, no_target, subsystem_of
 from broker.decisions.context import DecisionContext
-from broker.decisions.effects import DeclineHalt, SendHalt
+from broker.decisions.effects import DeclineHalt, PublishHalt, SendHalt
 from broker.decisions.events import HaltCalled, Stimulus
 from broker.decisions.machine import Cell, Ignored, Machine, cell
 from broker.decisions.state import Command, HaltPhase, HaltSentence, Link, PendingOutcome, State
-from rtc.protocol.messages import Phase
+from rtc.protocol.messages import HaltRequested, Phase
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 
 HALTS_KEPT = 64  # latest halts from sockets stored, to count each once
@@ -60,18 +60,29 @@ def on_timeout(context: DecisionContext, name: str) -> None:
 
 def obey_call(context: DecisionContext, name: str, event: HaltCalled) -> None:
     context.count("halts")
-    repeat_call(context, name, event)
+    refused = _order_or_decline(context, name, event)
+    if context.state.has_subscribers:
+        halt = HaltRequested(
+            at_s=context.now, halt=event.halt, scope=event.scope, called_at_s=event.called_at_s, refused=refused
+        )
+        context.effects.append(PublishHalt(halt=halt))
 
 
 def repeat_call(context: DecisionContext, name: str, event: HaltCalled) -> None:
-    """Obey a halt, also one whose name was used before: two callers may both count from one, and a button may always
-    send the same name."""
+    """Obey a halt whose name was used before: two callers may both count from one, and a button may always send the
+    same name."""
+    _order_or_decline(context, name, event)
+
+
+def _order_or_decline(context: DecisionContext, name: str, event: HaltCalled) -> str:
+    """Why nothing was halted; otherwise empty."""
     from_subsystem = event.client in context.state.subsystems
     known = order(
         context, event.halt, event.scope, event.called_at_s, call=event.call, received_at_s=event.received_at_s
     )
     # A halt of an ended command is valid: the subsystems confirm rest, so it is not declined.
     declined = not known and not from_subsystem and not has_ended(context, event.scope)
+    message = ""
     if declined:
         refusal = no_target(context, event.scope)
         message = f"{refusal.message}; expected: {', '.join(refusal.expected)}"
@@ -91,6 +102,7 @@ def repeat_call(context: DecisionContext, name: str, event: HaltCalled) -> None:
     halts[name] = HaltPhase.DECLINED if declined else HaltPhase.FORWARDED
     if len(halts) > HALTS_KEPT:
         del halts[next(iter(halts))]
+    return message
 
 
 def order(

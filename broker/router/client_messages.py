@@ -48,10 +48,10 @@ class ClientMessages:
     def _take_sentence(self, peer: bytes, message: m.CommandText, now: float) -> None:
         if known := self._reused_request(peer, message):
             words = f"the request {message.request} was another sentence before, {known}; nothing is done"
-            self._decline(peer, message.request, RefusalReason.STATE, words, "give each sentence a request of its own")
+            self._decline(peer, message, RefusalReason.STATE, words, "give each sentence a request of its own")
             return
         if self._shutdown.begun and not self._is_known(peer, message):
-            self._decline(peer, message.request, RefusalReason.STATE, "the cluster is being stopped", "rtc up")
+            self._decline(peer, message, RefusalReason.STATE, "the cluster is being stopped", "rtc up")
             return
         name = name_of(peer)
         if message.halt_if_lost:
@@ -122,7 +122,7 @@ class ClientMessages:
 
     def _load_program(self, peer: bytes, message: m.ProgramText, now: float) -> None:
         if (too_many := self._core.loads.add(peer, message)) is not None:
-            self._egress.answer(peer, m.Declined(request=message.request, refusal=too_many))
+            self._egress.decline(peer, message.request, too_many)
 
     def _end_cluster(self, peer: bytes, message: m.Shutdown, now: float) -> None:
         self._core.me.log.info("a client orders the end of the cluster")
@@ -138,7 +138,7 @@ class ClientMessages:
             return False
         self._core.dropped["questions"] += 1
         words = f"a client may ask {QUERIES_PER_S} times a second; a program counts as {LOAD_QUERIES}"
-        self._decline(peer, message.request, RefusalReason.OVERLOAD, words, "ask again a second later")
+        self._decline(peer, message, RefusalReason.OVERLOAD, words, "ask again a second later")
         return True
 
     def _decline_for_another_cluster(self, peer: bytes, message: m.CommandText | m.ProgramText) -> None:
@@ -149,14 +149,15 @@ class ClientMessages:
         self._welcome(peer)
         words = f"meant for the cluster {message.cluster}, which is gone; this is {run or 'another'}"
         clears = "connect again, and give it again if it is meant for this one"
-        self._decline(peer, message.request, RefusalReason.STATE, words, clears)
+        self._decline(peer, message, RefusalReason.STATE, words, clears)
 
     def _welcome(self, peer: bytes) -> None:
         self._egress.answer(peer, m.Welcome(cluster=self._core.settings.run, pid=os.getpid(), arrays=True))
 
-    def _decline(self, peer: bytes, request: str, reason: RefusalReason, words: str, clears: str) -> None:
+    def _decline(self, peer: bytes, message: Any, reason: RefusalReason, words: str, clears: str) -> None:
         refusal = Refusal(reason=reason, message=words, clears=clears)
-        self._egress.answer(peer, m.Declined(request=request, refusal=refusal))
+        text = message.text if isinstance(message, m.CommandText) else ""
+        self._egress.decline(peer, message.request, refusal, text)
 
 
 HANDLERS: dict[type, Callable[[ClientMessages, bytes, Any, float], None]] = {

@@ -11,14 +11,18 @@ from broker.router.core import Core, peer_of
 from broker.router.outbox import Outbox
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.runtime.process import send
+from rtc.runtime.process import Every, send
 from rtc.world.lease import sign
+
+REFUSALS_PER_S = 100  # maximum number of refused requests published per second; others are counted as dropped
+TEXT_SHOWN = 200  # characters of a refused sentence
 
 
 class Egress:
     def __init__(self, core: Core) -> None:
         self._core = core
         self._now = core.clock()  # time of the batch that is performed
+        self._refusals, self._second = 0, Every(1.0)  # published in this second
         self.topics: set[bytes] = set()  # prefixes that the subscribers of the event stream want
         self.clients = Outbox(lambda: core.sockets["front"])
         self.subsystems = Outbox(lambda: core.sockets["subsystems"])
@@ -49,6 +53,11 @@ class Egress:
             ]
             if not send(core.sockets["workers"], m.JobBatch(jobs=batch), peer_of(worker)):
                 core.lose_jobs(worker, core.registry.remove(worker), "its connection is gone", now)
+
+    def decline(self, peer: bytes, request: str, refusal: Refusal, text: str = "") -> None:
+        """Decline a client's request at once. `text`: its sentence."""
+        self.clients.send_now(peer, m.Declined(request=request, refusal=refusal))
+        self._publish_refusal(request, refusal, text)
 
     def answer(self, peer: bytes, message: m.BrokerToClient) -> None:
         """Answer a client at once, after what it was sent before."""
@@ -97,6 +106,8 @@ class Egress:
 
     def _send_client(self, effect: do.TellClient) -> None:
         self.clients.put(peer_of(effect.client), effect.message)
+        if type(effect.message) is m.Declined:
+            self._publish_refusal(effect.message.request, effect.message.refusal)
 
     def _publish_note(self, effect: do.PublishNote) -> None:
         if effect.client:
@@ -115,6 +126,24 @@ class Egress:
         refusal = Refusal(reason=RefusalReason.NAME, message=effect.message)
         send(self._core.sockets["halt"], m.Declined(request=effect.halt, refusal=refusal), peer_of(effect.client))
 
+    def _publish_halt(self, effect: do.PublishHalt) -> None:
+        if self.topics:
+            send(self._core.sockets["events"], effect.halt)
+
+    def _publish_refusal(self, request: str, refusal: Refusal, text: str = "") -> None:
+        """Publish a request that did not become a command. A flood of them must not displace events of commands."""
+        if not self.topics:
+            return
+        now = self._core.clock()
+        if self._second.due(now):
+            self._refusals = 0
+        self._refusals += 1
+        if self._refusals > REFUSALS_PER_S:
+            self._core.dropped["refusals"] += 1
+            return
+        message = m.RequestRefused(at_s=now, request=request, refusal=refusal, text=text[:TEXT_SHOWN])
+        send(self._core.sockets["events"], message)
+
 
 PERFORM: dict[type[do.Effect], Callable[[Egress, Any], None]] = {
     do.DispatchJob: Egress._dispatch_job,
@@ -128,4 +157,5 @@ PERFORM: dict[type[do.Effect], Callable[[Egress, Any], None]] = {
     do.PublishNote: Egress._publish_note,
     do.ReportEnd: Egress._report_end,
     do.DeclineHalt: Egress._decline_halt,
+    do.PublishHalt: Egress._publish_halt,
 }

@@ -141,14 +141,13 @@ class Router:
     def _install_programs(self, now: float) -> None:
         """Install the programs whose check has ended. Each is decided and journalled before its client is answered."""
         for peer, text, loaded in self.core.loads.poll(now):
-            answer: m.ProgramLoaded | m.Declined
             if isinstance(loaded, Refusal):
-                answer = m.Declined(request=text.request, refusal=loaded)
-            else:
-                self.enqueue(ProgramInstalled(at_s=now, kind=text.kind, digest=loaded.digest, file=text.name))
-                self._settle(now)
-                changes = loaded.changes
-                answer = m.ProgramLoaded(request=text.request, kind=text.kind, digest=loaded.digest, changes=changes)
+                self.egress.decline(peer, text.request, loaded)
+                continue
+            self.enqueue(ProgramInstalled(at_s=now, kind=text.kind, digest=loaded.digest, file=text.name))
+            self._settle(now)
+            changes = loaded.changes
+            answer = m.ProgramLoaded(request=text.request, kind=text.kind, digest=loaded.digest, changes=changes)
             self.egress.answer(peer, answer)
 
     # --- after the supervisor's death -----------------------------------------------------------------

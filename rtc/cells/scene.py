@@ -41,7 +41,7 @@ class Panel(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Picture(msgspec.Struct, frozen=True, kw_only=True):
-    """What a renderer is asked for: panels side by side, lines of text below, a PNG file."""
+    """What a renderer is asked for: panels side by side, lines of text below, a PNG or JPEG (.jpg) file."""
 
     out: str
     cell: str

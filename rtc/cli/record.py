@@ -27,6 +27,9 @@ def record(
         Path | None, typer.Option("--raw", help="Keep the event stream as MessagePack in this file; without -o alone.")
     ] = None,
     rate: Annotated[float, typer.Option(min=0.1, max=50, help="Samples of the arms per second while they move.")] = 20,
+    pictures: Annotated[
+        float, typer.Option(min=0, max=5, help="Pictures of the scene per second; each needs processor time.")
+    ] = 0,
     for_: Annotated[str, typer.Option("--for", help="How long, such as 60s.", show_default="until Ctrl-C")] = "",
     run_dir: RunDir = None,
     key: With = None,
@@ -37,10 +40,13 @@ def record(
     process of its own: the cluster does not wait for it.
 
     Example:  rtc record -o run.mcap
+    Example:  rtc record -o run.mcap --pictures 1
     Example:  rtc record --raw events.msgpack --for 60s
     """
     for_s = duration_s(for_, "--for") if for_ else math.inf
     mcap = out is not None or raw is None
+    if pictures and not mcap:
+        raise trouble("--pictures needs an MCAP file for them: give -o FILE too", 2)
     if mcap and (need := missing("record")):
         raise trouble(need, 2)
     endpoints: Endpoints = KeyFile.load(key) if key else running_settings(run_dir or default_run_dir())
@@ -53,7 +59,7 @@ def record(
     with process.start("rtc record", default_run_dir() if run_dir is None else run_dir) as me:
         process.nice(recorder.NICENESS)
         try:
-            sinks += [recorder.open_recording(path, endpoints, rate)] if mcap else []
+            sinks += recorder.open_recording(path, endpoints, rate, pictures) if mcap else []
             sinks += [recorder.RawEvents(raw)] if raw else []
             files = ", ".join(str(file) for file in ([path] if mcap else []) + ([raw] if raw else []))
             feed = Feed(me, endpoints, telemetry=mcap, records=mcap, world=mcap)

@@ -26,8 +26,8 @@ STATUS_S = 2.0  # period of status requests
 WORLD_S = 1.0  # period of requests for new facts
 SUPERVISOR_S = 1.0  # period of checks that the cluster still runs
 
-Observed = m.ProgressNote | m.CommandEnded | m.Telemetry | m.CommandRecord | m.StatusReply | m.View
-_read_event = wire.reader(m.ProgressNote | m.CommandEnded)
+Observed = m.Event | m.Telemetry | m.CommandRecord | m.StatusReply | m.View
+_read_event = wire.reader(m.Event)
 _read_telemetry = wire.reader(m.Telemetry)
 _read_answer = wire.reader(m.BrokerToClient)
 _read_world = wire.reader(m.FromWorld)
@@ -100,9 +100,10 @@ class Feed:
         at_s = now_s()
         if socket is self._events:
             event = _read_event(parts)
-            self._count(event.seq)
+            if isinstance(event, m.ProgressNote | m.CommandEnded):
+                self._count(event.seq)
+                self._note_command(event)
             yield Received(at_s, event, parts[-1])
-            self._note_command(event)
         elif socket is self._telemetry:
             yield Received(at_s, _read_telemetry(parts))
         elif socket is self._world:

@@ -39,6 +39,7 @@ class Metrics:
         self._took = Histogram("rtc_command_duration_seconds", "Acceptance to end", ["outcome"], buckets=LONG_S, **own)
         self._phase = Histogram("rtc_phase_duration_seconds", "Time in one phase", ["phase"], buckets=LONG_S, **own)
         self._job = Histogram("rtc_job_duration_seconds", "Dispatch to answer", ["kind"], buckets=SHORT_S, **own)
+        self._refused = Counter("rtc_requests_refused", "Requests that did not become a command", ["reason"], **own)
         self._open: dict[str, m.ProgressNote] = {}  # command -> its last note
         self._since: dict[str, float] = {}  # command -> when it entered its phase
         self._last = _Last(lost, now)
@@ -51,6 +52,8 @@ class Metrics:
                 self._take_note(note)
             case m.CommandEnded() as ended:
                 self._take_end(ended)
+            case m.RequestRefused(refusal=refusal):
+                self._refused.labels(refusal.reason.value).inc()
             case m.StatusReply(status=status):
                 self._last.status, self._last.status_at_s = status, received.at_s
             case m.Telemetry() as telemetry:

@@ -19,11 +19,13 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError
 
 ARM_TOPIC = "/rtc/arms/"
-Event = m.CommandRecord | m.ProgressNote | m.CommandEnded
+Event = m.CommandRecord | m.Event
 _read: dict[str, Callable[[bytes], Event]] = {
     "/rtc/commands": msgspec.json.Decoder(m.CommandRecord).decode,
     "/rtc/progress": msgspec.json.Decoder(m.ProgressNote).decode,
     "/rtc/outcomes": msgspec.json.Decoder(m.CommandEnded).decode,
+    "/rtc/refusals": msgspec.json.Decoder(m.RequestRefused).decode,
+    "/rtc/halts": msgspec.json.Decoder(m.HaltRequested).decode,
 }
 _read_arm = msgspec.json.Decoder(m.ArmSample).decode
 
@@ -108,23 +110,53 @@ def in_words(run: RecordedRun) -> Iterator[str]:
     began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.first_s))
     cluster = f"cluster {run.about['cluster']}, " if run.about.get("cluster") else ""
     yield f"{cluster}cell {run.about.get('cell', '?')}, from {began}, {run.last_s - run.first_s:.1f} s"
+    yield "each line: time, command, the phase that begins; in brackets what ended the phase before, after how long"
+    phases: dict[str, tuple[m.Phase, str]] = {}  # command -> its phase and step
     for at_s, event in run.events:
-        yield f"{at_s - run.first_s:9.3f} s  {event.command:<6} {_line(event)}"
+        if isinstance(event, m.ProgressNote):
+            if event.phase is m.Phase.ENDED:
+                continue  # the outcome follows
+            before, phases[event.command] = phases.get(event.command), (event.phase, event.step)
+            line = _progress(event, begins=before != phases[event.command])
+            if not line:
+                continue
+        else:
+            line = _line(event)
+        yield f"{at_s - run.first_s:9.3f} s  {getattr(event, 'command', ''):<6} {line}"
     for name, arm in sorted(run.arms.items()):
         yield f"{name} at the end: {' '.join(f'{value:.4f}' for value in arm.joints)} rad"
     if not run.complete:
         yield "the file has no end: its recorder still writes, or was killed; shown up to the last written chunk"
 
 
-def _line(event: Event) -> str:
+def _progress(note: m.ProgressNote, *, begins: bool) -> str:
+    """`begins`: this is the first note of its phase. Otherwise phase and step are left out, and the line is empty if
+    nothing else is new."""
+    words = note.note if note.note != note.step.partition(": ")[2] else ""  # analyzers repeat the step
+    took = f", {_duration(note.took_s)}" if note.took_s else ""
+    result = f"({note.node}{took}{': ' + words if words else ''})" if note.node else words
+    parts = [f"{note.phase.value:<11}", note.step, result] if begins else [" " * 11, result]
+    if not (begins or words or note.warning):
+        return ""
+    return ("WARNING " if note.warning else "") + " ".join(filter(None, parts)).rstrip()
+
+
+def _duration(took_s: float) -> str:
+    return f"{took_s:.2f} s" if took_s >= 1.0 else f"{1e3 * took_s:.1f} ms"
+
+
+def _line(event: m.CommandRecord | m.CommandEnded | m.RequestRefused | m.HaltRequested) -> str:
     match event:
         case m.CommandRecord(text=text, source=source):
             return f"accepted from the {source}: {text}"
         case m.CommandEnded(outcome=outcome, text=text, took_s=took_s):
             why = f": {outcome.message}" if outcome.message else ""
             return f"{outcome.kind.value.upper().replace('_', ' ')} after {took_s:.3f} s  {text}{why}"
-        case m.ProgressNote(phase=phase, step=step, note=note, node=node):
-            return f"{phase.value:<11} {'; '.join(filter(None, [step, note, f'({node})' if node else '']))}".rstrip()
+        case m.RequestRefused(request=request, refusal=refusal, text=text):
+            clears = f"; to clear: {refusal.clears}" if refusal.clears else ""
+            return f"NOT ACCEPTED {text or f'request {request}'}: {refusal.message}{clears}"
+        case m.HaltRequested(scope=scope, refused=refused):
+            return f"HALT {scope}" + (f" refused: {refused}" if refused else " requested")
 
 
 def as_json(run: RecordedRun) -> dict[str, Any]:

@@ -77,14 +77,18 @@ def unused(path: Path) -> Path:
     return found
 
 
-def open_recording(path: Path, endpoints: Endpoints, rate_hz: float = RATE_HZ) -> Sink:
-    """A new MCAP file for this cluster. Raises FileExistsError, OSError."""
+def open_recording(path: Path, endpoints: Endpoints, rate_hz: float = RATE_HZ, pictures_hz: float = 0.0) -> list[Sink]:
+    """A new MCAP file for this cluster, and what draws its pictures. Raises FileExistsError, OSError."""
+    from rtc.observers.pictures import Pictures
     from rtc.observers.recording import Recording
 
     here = endpoints if isinstance(endpoints, Settings) else None
     about = {"cluster": here.run if here else "", "cell": here.cell if here else CELL, "began": f"{time.time():.3f}"}
     cell = Cell.load(about["cell"])
-    return Recording(path, cell, about, rate_hz=rate_hz, shares_clock=not endpoints.far)
+    recording = Recording(path, cell, about, rate_hz=rate_hz, shares_clock=not endpoints.far)
+    if not pictures_hz:
+        return [recording]
+    return [recording, Pictures(about["cell"], cell, recording, 1.0 / pictures_hz)]  # the first one is closed last
 
 
 def record(me: Process, feed: Feed, sinks: list[Sink], for_s: float = float("inf")) -> Recorded:
@@ -116,20 +120,21 @@ def main() -> None:
     with process.start("recorder", given.run_dir) as me:
         process.nice(NICENESS)
         feed = Feed(me, handed.settings, world=True)
-        sink = _try(me, lambda: _opened(me, given.into, handed.settings))
+        sinks = _try(me, lambda: _opened(me, given.into, handed.settings)) or []
         me.ready()
-        if sink is not None:
-            _try(me, lambda: record(me, feed, [sink]))
+        if sinks:
+            _try(me, lambda: record(me, feed, sinks))
+        for sink in reversed(sinks):
             _try(me, sink.close)
         while not (me.stopping or feed.over()):  # after a full disk; another file would not be better
             me.wait(1.0)
 
 
-def _opened(me: Process, folder: Path, settings: Settings) -> Sink:
+def _opened(me: Process, folder: Path, settings: Settings) -> list[Sink]:
     path = unused(folder / default_name())
-    sink = open_recording(path, settings)
+    sinks = open_recording(path, settings)
     me.log.info("records to %s", path)
-    return sink
+    return sinks
 
 
 def _try(me: Process, action: Callable[[], Result]) -> Result | None:

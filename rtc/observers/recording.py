@@ -1,9 +1,12 @@
 """An MCAP file of one run: what viewers of robots know as protobuf, our own messages as JSON with their schemas.
 
     /tf  /joint_states  /log  /events     foxglove.FrameTransforms, JointStates, Log, Event
+    /picture                              foxglove.CompressedImage, if wanted: the believed scene, drawn
     /rtc/commands                         CommandRecord, once the recorder has seen the command
     /rtc/progress                         every ProgressNote
     /rtc/outcomes                         CommandEnded, with its refusal if it was refused
+    /rtc/refusals                         RequestRefused: a request that did not become a command
+    /rtc/halts                            HaltRequested: a halt that is not a sentence
     /rtc/arms/NAME                        ArmSample: joints, wrench, tcp pose, hand width
     /rtc/status                           the broker's status, JSON without a schema
 
@@ -19,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Event_pb2 import Event
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -46,6 +50,7 @@ CHUNK_BYTES = 64 << 10  # of a chunk before compression
 FLUSH_S = 0.5  # longest time that a received message is only in memory
 STILL_S = 1.0  # period of samples of arms that do not move
 MOVED = 1e-5  # rad or m; smaller changes count as standing still
+CAMERA = "camera"  # frame of the pictures; it has no pose, because they are drawn for people
 HEADER = "rtc"  # name of the metadata record
 LEVEL = {OutcomeKind.SUCCEEDED: Log.INFO, OutcomeKind.HALT_NOT_CONFIRMED: Log.ERROR}
 
@@ -68,7 +73,6 @@ class Recording:
         self._facts: dict[str, m.Fact] = {}
         self._period_s = 1.0 / rate_hz
         self._sampled_s, self._last_values = 0.0, dict[str, float]()
-        self._halts: int | None = None
         self._flush = Every(FLUSH_S)
         self.events = self.samples = 0  # number of those written
         self._writer.start()
@@ -86,6 +90,10 @@ class Recording:
                 self._take_note(received.at_s, note)
             case m.CommandEnded() as ended:
                 self._take_end(received.at_s, ended)
+            case m.RequestRefused() as refused:
+                self._take_refusal(received.at_s, refused)
+            case m.HaltRequested() as halt:
+                self._take_halt(received.at_s, halt)
             case m.Telemetry() as telemetry:
                 self._take_sample(received.at_s, telemetry)
             case m.CommandRecord() as record:
@@ -99,6 +107,12 @@ class Recording:
         """A line for people."""
         line = Log(timestamp=self._stamp(at_s), level=level, name=name, message=message)
         self._write_protobuf("/log", line, at_s, at_s)
+
+    def add_picture(self, at_s: float, published_s: float, data: bytes, kind: str) -> None:
+        """Write an encoded picture of the scene. `kind`: jpeg or png; `published_s`: time of what it shows."""
+        stamp = self._stamp(self._own(at_s, published_s))
+        image = CompressedImage(timestamp=stamp, frame_id=CAMERA, data=data, format=kind)
+        self._write_protobuf("/picture", image, at_s, published_s)
 
     def flush_if_due(self, now_s: float) -> None:
         if self._flush.due(now_s):
@@ -126,12 +140,22 @@ class Recording:
         self.log(end_s, words, name=ended.command, level=LEVEL.get(outcome.kind, Log.WARNING))
         about = {"command": ended.command, "sentence": ended.text, "outcome": outcome.kind.value}
         about |= {"message": outcome.message, "step": outcome.step, "stop": outcome.stop.value if outcome.stop else ""}
-        event = Event(
-            start_time=self._stamp(end_s - ended.took_s),
-            end_time=self._stamp(end_s),
-            metadata=[KeyValuePair(key=key, value=value) for key, value in about.items() if value],
-        )
-        self._write_protobuf("/events", event, at_s, ended.at_s)
+        self._write_event(at_s, end_s - ended.took_s, end_s, about)
+
+    def _take_refusal(self, at_s: float, refused: m.RequestRefused) -> None:
+        self.events += 1
+        self._write_json("/rtc/refusals", refused, at_s, refused.at_s)
+        words = f"refused: {refused.text or 'a request'}: {refused.refusal.message}"
+        self.log(self._own(at_s, refused.at_s), words, name=refused.request, level=Log.WARNING)
+
+    def _take_halt(self, at_s: float, halt: m.HaltRequested) -> None:
+        self.events += 1
+        self._write_json("/rtc/halts", halt, at_s, halt.at_s)
+        words = f"halt {halt.scope}" + (f" refused: {halt.refused}" if halt.refused else "")
+        end_s = self._own(at_s, halt.at_s)
+        self.log(end_s, words, name=halt.halt, level=Log.WARNING)
+        about = {"halt": halt.halt, "scope": halt.scope, "refused": halt.refused}
+        self._write_event(at_s, end_s, end_s, about)
 
     def _take_sample(self, at_s: float, telemetry: m.Telemetry) -> None:
         values: dict[str, float] = {}
@@ -156,12 +180,13 @@ class Recording:
             moves.append(_transform(stamp, WORLD, thing.name, thing.pose))
         self._write_protobuf("/tf", FrameTransforms(transforms=moves), at_s, published_s)
 
+    def _write_event(self, at_s: float, start_s: float, end_s: float, about: dict[str, str]) -> None:
+        metadata = [KeyValuePair(key=key, value=value) for key, value in about.items() if value]
+        event = Event(start_time=self._stamp(start_s), end_time=self._stamp(end_s), metadata=metadata)
+        self._write_protobuf("/events", event, at_s, end_s)
+
     def _take_status(self, at_s: float, status: dict[str, Any]) -> None:
         self._write("/rtc/status", msgspec.json.encode(status), at_s, at_s, "json", lambda: 0)
-        halts = status.get("halts", {}).get("called", 0)
-        if self._halts is not None and halts > self._halts:
-            self.log(at_s, f"{halts - self._halts} halt(s) since the last status", name="broker", level=Log.WARNING)
-        self._halts = halts
 
     # --- the file -------------------------------------------------------------------------------------
 

@@ -154,6 +154,25 @@ class CommandEnded(Message, frozen=True, kw_only=True):
     took_s: float
 
 
+class RequestRefused(Message, frozen=True, kw_only=True):
+    """Published for observers: a request that never became a command. Above a rate they are only counted."""
+
+    at_s: float
+    request: str
+    refusal: Refusal
+    text: str = ""  # the sentence, where it is known
+
+
+class HaltRequested(Message, frozen=True, kw_only=True):
+    """Published for observers: a halt that is not a sentence, also one of arms at rest. Once per halt."""
+
+    at_s: float
+    halt: str
+    scope: str
+    called_at_s: float = 0.0  # when the operator called; 0: unknown
+    refused: str = ""  # why nothing was halted: the scope is unknown
+
+
 class StatusReply(Message, frozen=True, kw_only=True):
     request: str
     status: dict[str, Any]  # see docs/protocol.md; plain JSON types
@@ -832,6 +851,7 @@ FromHalt = HaltStarted | HaltAtRest | Declined
 ToWorld = ReadView | Commit | WorldHistory | Doubt
 FromWorld = View | Committed | WorldRefused
 SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Shutdown | Dropped  # Dropped: from others
+Event = ProgressNote | CommandEnded | RequestRefused | HaltRequested  # what the broker publishes
 BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | Shutdown | AllEnded
 ToSim = SimTruth | SimDisplace | SimFactors
 FromSim = SimTruthReply | SimDone

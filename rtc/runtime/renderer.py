@@ -7,6 +7,7 @@ import os
 import select
 import subprocess
 import sys
+import time
 from types import TracebackType
 
 import msgspec
@@ -24,6 +25,7 @@ class Renderer:
     """Context manager; the process starts with it and ends with it. One picture at a time."""
 
     def __enter__(self) -> Renderer:
+        self._unread = b""
         self._process = subprocess.Popen(
             ["nice", "-n", str(NICENESS), *COMMAND],
             stdin=subprocess.PIPE,
@@ -45,29 +47,44 @@ class Renderer:
 
     def draw(self, picture: Picture) -> None:
         """Returns once the file is there. Raises RtcError with the reason when it cannot be drawn."""
-        process = self._process
-        assert process.stdin is not None
-        assert process.stdout is not None
+        self.request(picture)
+        if not self.drawn(LIMIT_S):
+            raise RtcError(f"the renderer has not answered within {LIMIT_S:.0f} s")
+
+    def request(self, picture: Picture) -> None:
+        """Order one picture, without waiting; call `drawn` until it is there. Raises RtcError."""
+        stdin = self._process.stdin
+        assert stdin is not None
         try:
-            process.stdin.write(msgspec.json.encode(picture) + b"\n")
-            process.stdin.flush()
+            stdin.write(msgspec.json.encode(picture) + b"\n")
+            stdin.flush()
         except BrokenPipeError:
-            raise RtcError(f"the renderer ({' '.join(COMMAND[3:])}) has ended; is pybullet installed?") from None
-        line = self._line(process.stdout.fileno())
-        try:
-            answer = msgspec.json.decode(line, type=Drawn)
-        except msgspec.DecodeError:
-            raise RtcError(f"the renderer ({' '.join(COMMAND[3:])}) has ended; is pybullet installed?") from None
+            raise _ended() from None
+
+    def drawn(self, timeout_s: float) -> bool:
+        """True if the requested file is there within `timeout_s`. Raises RtcError when it cannot be drawn."""
+        stdout = self._process.stdout
+        assert stdout is not None
+        until_s = time.monotonic() + timeout_s
+        while not (line := self._line()):
+            if not select.select([stdout], [], [], max(0.0, until_s - time.monotonic()))[0]:
+                return False
+            if not (more := os.read(stdout.fileno(), 1 << 16)):
+                raise _ended()
+            self._unread += more
+        answer = msgspec.json.decode(line, type=Drawn)
         if answer.error:
             raise RtcError(f"no picture: {answer.error}")
+        return True
 
-    def _line(self, fd: int) -> bytes:
-        """The next line of the renderer that is an answer: its libraries print, too. Empty at the end."""
-        read = b""
-        while not (lines := [line for line in read.split(b"\n")[:-1] if line.startswith(b"{")]):
-            if not select.select([fd], [], [], LIMIT_S)[0]:
-                raise RtcError(f"the renderer has not answered within {LIMIT_S:.0f} s")
-            if not (more := os.read(fd, 1 << 16)):
-                return b""
-            read += more
-        return lines[0]
+    def _line(self) -> bytes:
+        """The next complete line that is an answer, or nothing: the libraries of the renderer print, too."""
+        while b"\n" in self._unread:
+            line, _, self._unread = self._unread.partition(b"\n")
+            if line.startswith(b"{"):
+                return line
+        return b""
+
+
+def _ended() -> RtcError:
+    return RtcError(f"the renderer ({' '.join(COMMAND[3:])}) has ended; is pybullet installed?")

@@ -62,6 +62,8 @@ def brief(effect: do.Effect) -> str:
             return f"end {effect.ended.command} {effect.ended.outcome.kind.value}"
         case do.DeclineHalt():
             return f"decline halt {effect.halt}"
+        case do.PublishHalt():
+            return f"publish halt {effect.halt.halt} {effect.halt.scope}"
     raise AssertionError(effect)
 
 

@@ -57,5 +57,14 @@ STOWED = (
 )
 
 
+DECLINED = m.RequestRefused(
+    at_s=T0 + 1.3,
+    request="r-9",
+    refusal=Refusal(reason=RefusalReason.STATE, message="the cluster is being stopped", clears="rtc up"),
+    text="STOW RIGHT-ARM",
+)
+HALTED = m.HaltRequested(at_s=T0 + 1.4, halt="H-1", scope="ALL", called_at_s=T0 + 1.39)
+
+
 def received(message: object) -> Received:
     return Received(getattr(message, "at_s", T0), message, b"x" if not isinstance(message, m.Telemetry) else b"")

@@ -13,7 +13,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from rtc.observers.feed import Received
 from rtc.observers.metrics import STALE_S, Metrics
 from rtc.protocol import messages as m
-from tests.observers.samples import STOWED, T0, note, received, telemetry
+from tests.observers.samples import DECLINED, STOWED, T0, note, received, telemetry
 
 BOARD = Path(__file__).parents[2] / "docs" / "grafana.json"
 STATUS = {
@@ -69,6 +69,11 @@ def test_commands_are_counted_by_outcome_and_phases_are_timed(metrics):
     assert found["rtc_events_lost_total",] == 5
 
 
+def test_refused_requests_are_counted_by_reason(metrics):
+    metrics.take(received(DECLINED))
+    assert samples(metrics)["rtc_requests_refused_total", "state"] == 1
+
+
 def test_a_note_that_repeats_its_process_counts_no_second_job(metrics):
     first = STOWED[2]
     metrics.take(received(first))
@@ -96,7 +101,7 @@ def test_the_status_is_shown_while_it_is_fresh(metrics, clock):
 
 
 def test_every_metric_of_the_board_exists(metrics):
-    for message in (*STOWED, telemetry(0.0, 0.1)):
+    for message in (*STOWED, DECLINED, telemetry(0.0, 0.1)):
         metrics.take(received(message))
     metrics.take(Received(T0, m.StatusReply(request="status", status=STATUS)))
     exported = {name for name, *_ in samples(metrics)} | {"rtc_command_stops_total"}  # that one has no sample yet

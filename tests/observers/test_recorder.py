@@ -7,6 +7,7 @@ import os
 import signal
 import struct
 import subprocess
+from contextlib import suppress
 from pathlib import Path
 
 import msgpack
@@ -39,6 +40,16 @@ def json_messages(path: Path) -> list[tuple[str, dict]]:
     return found
 
 
+def topics(path: Path) -> set[str]:
+    """The topics of a file that may be cut off."""
+    found = set()
+    with open(path, "rb") as file, suppress(EndOfFile, struct.error):
+        for record in StreamReader(file).records:
+            if isinstance(record, Channel):
+                found.add(record.topic)
+    return found
+
+
 def ended_in(path: Path) -> dict[str, tuple[str, str]]:
     """Command -> (sentence, outcome)."""
     ends = [message for topic, message in json_messages(path) if topic == "/rtc/outcomes"]
@@ -52,16 +63,19 @@ def raw_events(path: Path) -> list[dict]:
 
 def test_a_killed_recorder_leaves_the_run_up_to_then(watched, tmp_path):
     mcap, raw = tmp_path / "run.mcap", tmp_path / "events.msgpack"
-    command = [*RTC, "record", "-o", str(mcap), "--raw", str(raw), "--run-dir", str(watched.run_dir)]
+    command = [*RTC, "record", "-o", str(mcap), "--raw", str(raw), "--pictures", "1"]
+    command += ["--run-dir", str(watched.run_dir)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as observer, Client(watched.run_dir) as client:
         try:
             until(lambda: client.run("GRAPS MACS-NEW") and raw.exists() and raw.stat().st_size)  # it is subscribed
             stowed = client.run("STOW LEFT-ARM")
             refused = client.run("GRAPS MACS-NEW")
+            client.halt("ALL")
             sample = next(client.telemetry())
             until(lambda: {stowed.command, refused.command} <= ended_in(mcap).keys())
             until(lambda: _last_joints(mcap) == pytest.approx(sample.arms["LEFT-ARM"].joints, abs=1e-4))
             until(lambda: refused.command in {event["command"] for event in raw_events(raw) if "outcome" in event})
+            until(lambda: {"/picture", "/rtc/halts"} <= topics(mcap))
         finally:
             observer.kill()
     found = ended_in(mcap)

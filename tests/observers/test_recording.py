@@ -17,7 +17,7 @@ from rtc.observers import playback
 from rtc.observers.feed import Received
 from rtc.observers.recording import STILL_S, Recording
 from rtc.protocol import messages as m
-from tests.observers.samples import STEP, STOWED, T0, received, telemetry
+from tests.observers.samples import DECLINED, HALTED, STEP, STOWED, T0, received, telemetry
 
 ABOUT = {"cluster": "abcd", "cell": "swapout"}
 
@@ -80,6 +80,22 @@ def test_the_run_is_rebuilt_from_the_file_alone(written):
     frames = {(move.parent_frame_id, move.child_frame_id) for move in found["/tf"][-1].transforms}
     assert ("world", "LEFT-ARM/pedestal") in frames
     assert ("LEFT-ARM/pedestal", "LEFT-ARM/shoulder") in frames
+
+
+def test_refused_requests_and_halts_of_resting_arms_are_in_the_file(path, cell):
+    made = recording(path, cell)
+    for message in (DECLINED, HALTED):
+        made.take(received(message))
+    made.close()
+    found = by_topic(path)
+    (refused,), (halt,), (event,) = found["/rtc/refusals"], found["/rtc/halts"], found["/events"]
+    assert (refused["text"], refused["refusal"]["clears"]) == ("STOW RIGHT-ARM", "rtc up")
+    assert halt["scope"] == "ALL"
+    assert "refused" not in halt
+    assert {pair.key: pair.value for pair in event.metadata} == {"halt": "H-1", "scope": "ALL"}
+    story = list(playback.in_words(playback.read(path)))
+    assert any("STOW RIGHT-ARM" in line and "rtc up" in line for line in story)
+    assert any("HALT ALL" in line for line in story)
 
 
 def test_objects_are_where_the_cluster_believes_them(path, cell):

@@ -11,7 +11,7 @@ from broker.decisions.command.limits import CLOSING_LIMIT_S, REPORT_MARGIN_S
 from broker.decisions.command.table import COMMAND, stimulate
 from broker.decisions.context import DecisionContext
 from broker.decisions.decide import CLIENTS_KEPT
-from broker.decisions.effects import PublishNote, SendHalt, SendPrimitive
+from broker.decisions.effects import PublishHalt, PublishNote, SendHalt, SendPrimitive
 from broker.decisions.events import (
     BrokerRestarted,
     ClientGone,
@@ -644,6 +644,20 @@ def test_a_halt_by_both_endpoints_is_counted_once_and_a_new_command_works():
     s.handle(HaltCalled, client="MCM", halt="h1", scope="ALL")
     assert s.state.counts["halts"] == 1
     assert s.phase(s.executing()) == "executing"
+
+
+def test_a_halt_is_published_once_to_listeners_also_one_that_halts_nothing():
+    s = Harness()
+    assert not any(line.startswith("publish") for line in s.halts("ALL", "h0"))
+    s.handle(ListenersChanged, listening=True)
+    assert "publish halt h1 ALL" in s.handle(HaltCalled, client="ann", halt="h1", scope="ALL", called_at_s=9.0)
+    assert not any(
+        line.startswith("publish")
+        for line in s.handle(HaltCalled, client="MCM", halt="h1", scope="ALL", called_at_s=9.0)
+    )
+    s.handle(HaltCalled, client="ann", halt="h2", scope="NO-ARM")
+    published = [e.halt for e in s.log if isinstance(e, PublishHalt)]
+    assert [(halt.halt, "NO-ARM" in halt.refused) for halt in published] == [("h1", False), ("h2", True)]
 
 
 def test_a_halt_is_answered_under_the_number_it_came_with():

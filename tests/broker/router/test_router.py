@@ -30,6 +30,7 @@ from broker.persistence.journal import Journal
 from broker.persistence.program_loads import MOST_WAITING, ProgramLoads
 from broker.persistence.program_store import ProgramStore
 from broker.router.client_messages import QUERIES_PER_S
+from broker.router.egress import REFUSALS_PER_S
 from broker.router.halts import CALLERS_KEPT, HALTS_OF_CALLER
 from broker.router.loop import ORPHAN_LIMIT_S, Router
 from rtc.programs import loader
@@ -281,6 +282,38 @@ def test_noise_at_the_event_stream_does_not_cut_listeners_off(bench: Bench) -> N
     events.sent.clear()
     bench.send("front", b"ann", m.CommandText(request="2", text="STOW LEFT-ARM"))
     assert not events.sent
+
+
+def subscribe(bench: Bench) -> None:
+    bench.sockets["events"].put([b"\1"])
+    bench.turn()
+
+
+def published(bench: Bench, kind: type) -> list[Any]:
+    read = wire.reader(m.Event)
+    return [event for parts in bench.sockets["events"].sent if isinstance(event := read(parts), kind)]
+
+
+def test_a_refused_request_is_published_with_its_sentence(working: Bench) -> None:
+    subscribe(working)
+    working.send("front", b"ann", m.CommandText(request="1", text="another sentence"))
+    (refused,) = published(working, m.RequestRefused)
+    assert (refused.request, refused.text, refused.refusal.reason) == ("1", "another sentence", RefusalReason.STATE)
+
+
+def test_a_flood_of_refused_requests_does_not_drown_the_event_stream(working: Bench) -> None:
+    """Given refused sentences above the published rate, the rest is counted, and a command's events are published."""
+    subscribe(working)
+    again = m.CommandText(request="1", text="another sentence")
+    answers = working.send("front", b"ann", *[again] * (REFUSALS_PER_S + 50))
+    assert len(answers) == REFUSALS_PER_S + 50  # each sender gets its answer
+    assert len(published(working, m.RequestRefused)) == REFUSALS_PER_S
+    assert working.router.core.dropped["refusals"] == 50
+    working.send("front", b"bob", m.CommandText(request="2", text="STOW LEFT-ARM"))
+    assert published(working, m.ProgressNote)
+    working.now += 1.0
+    working.send("front", b"ann", again)
+    assert len(published(working, m.RequestRefused)) == REFUSALS_PER_S + 1
 
 
 def test_one_client_asks_so_often_and_another_is_served(bench: Bench) -> None:
