@@ -38,8 +38,9 @@ class Pictures:
         self._name, self._cell, self._to = name, cell, to
         self._facts: dict[str, m.Fact] = {}
         self._sample: m.Telemetry | None = None
-        self._due, self._still = Every(period_s), Every(STILL_S)
+        self._due = Every(period_s)
         self._last: object = None  # the scene drawn last
+        self._ordered_s = 0.0  # when its picture was ordered
         self._awaited_s: float | None = None  # time of the sample that is drawn now
         self._folder = TemporaryDirectory(prefix="rtc-pictures-")
         self._out = Path(self._folder.name) / "scene.jpg"
@@ -79,9 +80,9 @@ class Pictures:
     def _order(self, renderer: Renderer, sample: m.Telemetry, now_s: float) -> None:
         scene = believed(self._cell, self._facts, sample.arms, None)
         looks = _rounded(scene)
-        if looks == self._last and not self._still.due(now_s):
+        if looks == self._last and now_s < self._ordered_s + STILL_S:
             return
-        self._last, self._awaited_s = looks, sample.at_s
+        self._last, self._ordered_s, self._awaited_s = looks, now_s, sample.at_s
         renderer.request(picture(self._name, scene, self._out))
 
     def _add(self, now_s: float, published_s: float) -> None:
