@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 
 from deploy import cluster
+from deploy.more_workers import check_more
 from rtc.observers.extras import missing
 from rtc.protocol.outcomes import ClusterError, NoCluster, ProgramError, RtcError
 from rtc.runtime.keys import check_address
@@ -55,6 +56,7 @@ def validate(settings: Settings) -> Settings:
         raise ClusterError(f"--least {least} is more than --most {most}: use --most {least} or more")
     if settings.listen:
         check_address(settings.listen)
+    check_more(settings)
     if settings.record:
         _check_recordings(Path(settings.record))
     run_dir = str(Path(settings.run_dir).absolute())

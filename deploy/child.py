@@ -161,7 +161,7 @@ class Child:
             stdout=output,
             stderr=log,
             start_new_session=True,  # Ctrl-C goes to the supervisor only, which ends the others in order
-            preexec_fn=lambda: _begin(me),
+            preexec_fn=lambda: begin(me),
             pass_fds=self.spec.fds,
             env=os.environ | ONE_THREAD,
         )
@@ -244,7 +244,7 @@ def reap_orphans(known: Container[int]) -> None:
 NICENESS = os.getpriority(os.PRIO_PROCESS, 0)  # at the start, before the supervisor lowered its own
 
 
-def _begin(supervisor: int) -> None:
+def begin(supervisor: int) -> None:
     """Runs in the child before exec."""
     die_with_parent(supervisor)
     os.setpriority(os.PRIO_PROCESS, 0, NICENESS)

@@ -29,6 +29,7 @@ import zmq
 from deploy import hypercube
 from deploy.child import Spec
 from deploy.directory import Directory, claim_path
+from deploy.more_workers import MoreCommand
 from deploy.supervisor import END_LIMIT_S, OUTCOMES_S, Supervisor
 from rtc.client.halt import HaltLine
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
@@ -165,6 +166,7 @@ def up(settings: Settings, show: Callable[[str], None], detach_output: bool = Fa
                 save=report.save,
                 look=directory.look,
                 halt=lambda: _halt_arms(settings),
+                more=MoreCommand(settings.more, logs / "more.log") if settings.more else None,
             )
             files[process_table.FILE] = lambda: report.save(supervisor.table())
             try:

@@ -18,10 +18,12 @@ import zmq
 
 from deploy import hypercube
 from deploy.child import Child, ProcessState, Spec, limit_log, reap_orphans
+from deploy.more_workers import MoreCommand
 from deploy.restarts import DEFAULT, Death, Policy, delay_s
 from rtc.protocol import wire
 from rtc.protocol.messages import (
     AllEnded,
+    AskMore,
     BrokerToSupervisor,
     KillProcess,
     ProcessExited,
@@ -90,6 +92,7 @@ class Supervisor:
         identity: str = "supervisor",
         look: Callable[[float], tuple[list[str], str]] = lambda now: ([], ""),
         halt: Callable[[], list[str]] = lambda: [],
+        more: MoreCommand | None = None,
     ) -> None:
         self._me = me
         self._logs = logs
@@ -97,6 +100,7 @@ class Supervisor:
         self._new_worker, self._print, self._save = new_worker, show, save
         self._look = look
         self._halt = halt
+        self._more = more  # runs the user's command line for more workers; None = there is none
         self._all_ended: AllEnded | None = None
         self._policy = policy
         self._children = {spec.name: Child(spec, logs / f"{spec.name}.log") for spec in specs}
@@ -140,6 +144,8 @@ class Supervisor:
         SIGKILL for each that has not ended within the limit."""
         stopped = self._halt_all() if self._up else StoppedWork()
         self._up = False
+        if self._more is not None:
+            self._more.end()
         running = [child for child in self._children.values() if child.pid]
         for child in running:
             self._end(child, limit_s)
@@ -191,6 +197,8 @@ class Supervisor:
         for source in self._me.wait(timeout_s):
             if source is self._broker:
                 self._listen()
+            elif self._more is not None and source == self._more.exited_fd:
+                self._more_ended(self._more)
             elif (child := self._by_fd.get(source)) is None:
                 pass  # it ended earlier in this iteration
             elif source == child.output_fd:
@@ -249,7 +257,10 @@ class Supervisor:
         self._look_at_directory(now)
         if self._unsaved:
             self._save_table()
-        reap_orphans([child.pid for child in self._children.values()])
+        reap_orphans([*(child.pid for child in self._children.values()), self._more.pid if self._more else 0])
+        if self._more is not None:
+            limit_log(self._more.log)
+            self._more.end_overdue(now)
         for child in self._children.values():
             limit_log(child.log)
             if stood_still:
@@ -365,7 +376,7 @@ class Supervisor:
             self._me.log.warning("no room for %s to the broker", type(message).__name__)
 
     def _send_table(self) -> None:
-        self._send(ProcessTable(processes=self.table()))
+        self._send(ProcessTable(processes=self.table(), asked=self._more.asked() if self._more else []))
 
     def _send_changes(self) -> None:
         """Saves and sends a changed table. Called after restarts, which are more urgent."""
@@ -426,11 +437,27 @@ class Supervisor:
                 child = self._children.get(name)
                 if child and child.spec.node is not None:
                     self._retire(child)
+            case AskMore():
+                self._ask_more(order)
             case Shutdown():
                 self._show("the broker asks the cluster to end")
                 self._me.stop()
             case AllEnded():
                 self._all_ended = order
+
+    def _ask_more(self, order: AskMore) -> None:
+        if self._more is None or self._more.pid:
+            return
+        self._show(self._more.start(order))
+        if self._more.exited_fd >= 0:
+            self._me.poller.register(self._more.exited_fd, zmq.POLLIN)
+        self._changes = True
+
+    def _more_ended(self, more: MoreCommand) -> None:
+        self._me.poller.unregister(more.exited_fd)
+        if words := more.reap():
+            self._show(words)
+        self._changes = True
 
     def _retire(self, child: Child) -> None:
         if child.pid:

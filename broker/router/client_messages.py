@@ -109,6 +109,10 @@ class ClientMessages:
             processes=core.processes,
             processes_at_s=core.processes_at_s,
             dropped={**core.dropped, **core.reported_drops},
+            asked=core.asked,
+            peers=core.peers,
+            peers_at_s=core.peers_at_s,
+            late_results=core.late_results,
         )
         self._egress.answer(peer, m.StatusReply(request=message.request, status=status(view, core.clock())))
 

@@ -6,7 +6,7 @@ Must not know any message. The parts around it receive (ingress), send (egress),
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import zmq
@@ -18,11 +18,13 @@ from broker.dispatch.worker_registry import LostJob, WorkerRegistry
 from broker.persistence.journal import Journal
 from broker.persistence.program_loads import Check, InProcessCheck, ProgramLoads
 from broker.persistence.program_store import ProgramStore
-from rtc.programs.sandbox import Asked
+from rtc.programs import sandbox
+from rtc.protocol.messages import Asked, PeerRow
 from rtc.runtime.handover import Handed
 from rtc.runtime.process import Process
 from rtc.runtime.settings import BOUNDS, NO_HANDOVER, Settings
 
+LATE_KEPT = 1_000  # maximum number of workers whose late results are counted
 LOOP_TIMES_KEPT = 4096  # durations of the latest loop iterations, for `rtc status`
 
 
@@ -38,7 +40,7 @@ class Core:
         store: ProgramStore,
         given: Handed,
         clock: Callable[[], float],
-        start_check: Callable[[Asked], Check] = InProcessCheck,
+        start_check: Callable[[sandbox.Asked], Check] = InProcessCheck,
     ) -> None:
         self.me, self.settings, self.journal, self.state = me, settings, journal, state
         self.store, self.given, self.clock = store, given, clock
@@ -54,6 +56,10 @@ class Core:
         self.supervised = False  # the supervisor has sent a message
         self.processes: list[dict[str, Any]] = []  # the supervisor's latest process table
         self.processes_at_s = self.began_s  # time of that table
+        self.asked: Sequence[Asked] = ()  # requests for more workers, from the same table
+        self.peers: Sequence[PeerRow] = ()  # the gateway's latest report
+        self.peers_at_s = self.began_s  # time of that report
+        self.late_results: Counter[str] = Counter()  # results of attempts that a worker does not have now, by worker
         self._subsystem_peers: dict[str, bytes] = {}  # of the subsystems in the state
         self.sockets: dict[str, zmq.Socket[bytes]] = {}
         for name in ("halt", "subsystems", "supervisor", "workers", "front"):
@@ -70,6 +76,12 @@ class Core:
         """Enqueue the loss of the jobs that a lost worker had."""
         for job, in_hand in lost:
             self.enqueue(JobLost(at_s=now, job=job.job, attempt=job.attempt, node=worker, evidence=why, blamed=in_hand))
+
+    def count_late_result(self, worker: str) -> None:
+        """Count a result that was not accepted. The workers with such results are bounded in number."""
+        self.dropped["results"] += 1
+        if worker in self.late_results or len(self.late_results) < LATE_KEPT:
+            self.late_results[worker] += 1
 
     def subsystem_peer(self, name: str) -> bytes:
         """The routing identity of a subsystem; that of the cluster's own subsystems contains a token."""

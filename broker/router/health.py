@@ -5,6 +5,7 @@ from __future__ import annotations
 from broker.decisions.events import ClientGone, JobDeclined, SubsystemGone
 from broker.decisions.state import Link
 from broker.dispatch.autoscaler import Autoscaler
+from broker.dispatch.more_workers import MoreWorkers
 from broker.dispatch.worker_registry import LostJob
 from broker.router.core import Core
 from broker.router.egress import Egress
@@ -25,7 +26,9 @@ class Health:
 
     def __init__(self, core: Core, egress: Egress, guard: MemoryGuard | None) -> None:
         self._core, self._egress, self._guard = core, egress, guard
-        self._autoscaler = Autoscaler(core.settings.least, core.settings.most_workers)
+        given = core.settings
+        self._autoscaler = Autoscaler(given.least, given.most)
+        self._more_workers = MoreWorkers(given.more, given.most, given.more_most, given.more_wait_s)
         self._snapshots = Every(SNAPSHOT_S)
         self.subsystem_seen_s: dict[str, float] = {}  # subsystem -> time of its latest message
         # Clients whose commands are halted when they disappear -> time of the latest sign of life.
@@ -65,8 +68,11 @@ class Health:
 
     def _scale(self, now: float) -> None:
         if self._core.supervised:
-            for order in self._autoscaler.orders(self._core.registry, self._core.processes, now):
-                self._core.me.log.info("%s", order)
+            core = self._core
+            scaled = self._autoscaler.orders(core.registry, core.processes, now)
+            asked = self._more_workers.orders(core.registry, core.processes, core.asked, now)
+            for order in (*scaled, *asked):
+                core.me.log.info("%s", order)
                 self._egress.send_supervisor(order)
 
     def _expire_jobs(self, now: float) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 from broker.decisions.state import State
 from broker.dispatch.worker_registry import WorkerRegistry
 from broker.persistence.journal import number
+from broker.router.hosts import hosts, requests_for_more
 from rtc.protocol import messages as m
 from rtc.protocol.messages import Phase
 from rtc.protocol.outcomes import Refusal, RefusalReason
@@ -34,6 +35,10 @@ class BrokerView:
     processes: Sequence[Mapping[str, Any]]  # the supervisor's latest process table
     processes_at_s: float  # time of that table
     dropped: Mapping[str, int]  # dropped messages by socket, of this and other processes
+    asked: Collection[m.Asked]  # requests for more workers
+    peers: Sequence[m.PeerRow]  # the gateway's latest report
+    peers_at_s: float  # time of that report
+    late_results: Mapping[str, int]  # by worker
 
 
 def status(view: BrokerView, now: float) -> dict[str, Any]:
@@ -63,6 +68,9 @@ def status(view: BrokerView, now: float) -> dict[str, Any]:
             }
             for w in sorted(registry.workers.values(), key=lambda w: w.node)
         ],
+        "hosts": hosts(registry, view.processes, view.peers, view.late_results, now),
+        "asked_for": [requests_for_more(one, registry, view.processes, now) for one in view.asked],
+        "gateway_silent_s": now - view.peers_at_s if view.settings.listen else 0.0,
         "queues": {kind.value: len(queue) for kind, queue in registry.queues.items()},
         "resources": [
             {

@@ -12,10 +12,11 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import WireError
 from rtc.runtime.process_table import in_words
 
+GATEWAY = b"gate"
 #: process that reports dropped messages at this socket -> its own counters
 DROP_COUNTERS: dict[bytes, tuple[str, ...]] = {
     b"world": ("world",),
-    b"gate": ("gate_strangers", "gate_unreadable", "gate_refused", "gate_nameless", "gate_unsent", "gate_stale"),
+    GATEWAY: ("gate_strangers", "gate_unreadable", "gate_refused", "gate_nameless", "gate_unsent", "gate_stale"),
 }
 
 
@@ -28,7 +29,10 @@ class SupervisorMessages:
         if isinstance(message, m.Dropped) and peer in DROP_COUNTERS:
             count_dropped(self._core, message, DROP_COUNTERS[peer])
             return
-        if peer != self._core.supervisor_peer or isinstance(message, m.Dropped):
+        if isinstance(message, m.GatewayReport) and peer == GATEWAY:
+            self._core.peers, self._core.peers_at_s = message.peers, now
+            return
+        if peer != self._core.supervisor_peer or type(message) not in HANDLERS:
             raise WireError("the sender is not the supervisor")
         self._core.supervised = True
         HANDLERS[type(message)](self, message, now)
@@ -53,6 +57,7 @@ class SupervisorMessages:
     def _replace_table(self, message: m.ProcessTable, now: float) -> None:
         self._core.processes = [dict(row) for row in message.processes]
         self._core.processes_at_s = now
+        self._core.asked = message.asked
 
 
 def count_dropped(core: Core, message: m.Dropped, sockets: Collection[str]) -> None:

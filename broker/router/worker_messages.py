@@ -31,7 +31,7 @@ class WorkerMessages:
             if answered(name, result.id, result.attempt, took_s, now):
                 events.append(RESULTS[type(result)](name, result, now))
             else:
-                core.dropped["results"] += 1
+                core.count_late_result(name)
         if not known:
             self._request_hello(peer)
 

@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from rtc.cli.hosts import show_hosts
 from rtc.cli.measured import duration
 from rtc.cli.output import (
     NO_CLUSTER,
@@ -35,7 +36,7 @@ from rtc.client.client import Client
 from rtc.client.liveness import supervised
 from rtc.protocol.outcomes import NoCluster, TimedOut
 from rtc.runtime import process_table
-from rtc.runtime.settings import LEAST_DIM, MCMS, MOST_DIM, MOST_WORKERS, Mcm, Settings, default_run_dir
+from rtc.runtime.settings import LEAST_DIM, MCMS, MOST_DIM, MOST_FAR, MOST_WORKERS, Mcm, Settings, default_run_dir
 
 SILENT = (
     "the broker does not answer; one that hangs or has died is replaced within seconds: ask again "
@@ -61,6 +62,15 @@ def up(
     listen: Annotated[
         str, typer.Option(help="tcp://HOST:PORT: admit holders of a key (rtc keys) from other machines.")
     ] = DEFAULT.listen,
+    more: Annotated[
+        str, typer.Option(help="Command line that starts {count} workers of a {kind} elsewhere (docs/security.md).")
+    ] = DEFAULT.more,
+    more_most: Annotated[
+        int, typer.Option(min=1, max=MOST_FAR, help="With --more: workers of each kind elsewhere.")
+    ] = DEFAULT.more_most,
+    more_wait: Annotated[
+        str, typer.Option(help="With --more: time for them to join; then they are asked for again.")
+    ] = f"{DEFAULT.more_wait_s:g}s",
     record: Annotated[
         bool, typer.Option("--record", help="Record the run in the current directory: rtc-DATE-TIME.mcap.")
     ] = False,
@@ -83,6 +93,9 @@ def up(
         mcm=cast(Mcm, mcm),
         speed=speed_of(speed),
         listen=listen,
+        more=more,
+        more_most=more_most,
+        more_wait_s=duration_s(more_wait, "--more-wait"),
         record=str(Path.cwd()) if record else "",
     )
     _become_deploy("up", *(["-d"] if detach else []), "--", msgspec.json.encode(settings).decode())
@@ -192,6 +205,7 @@ def show_status(report: dict[str, Any]) -> None:
         for note in row.get("notes") or []:
             console.print(Text(f"{row['name']}: ", style="bold red") + Text(note))
     _workers_and_processes(report)
+    show_hosts(report)
     if "commands" in report:
         _commands(report["commands"])
     _resources(report.get("resources", []))

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import typer
 from rich.text import Text
 
+from rtc.cli.hosts import connections_of
+from rtc.cli.measured import duration
 from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
+from rtc.client.client import Client
+from rtc.protocol.outcomes import ClusterError
 from rtc.protocol.roles import Role
-from rtc.runtime.keys import KeyRing, is_everywhere
+from rtc.runtime.keys import KeyRing, KnownKey, is_everywhere
 from rtc.runtime.settings import Settings, default_run_dir, prepare_run_dir
 
 ROLES = ", ".join(Role)
@@ -32,6 +36,9 @@ def new(
     at: Annotated[
         str, typer.Option("--at", help="tcp://HOST:PORT as the other machine sees it.", show_default="as in rtc up")
     ] = "",
+    count: Annotated[
+        int, typer.Option(min=0, help="Workers that will use this key; rtc status compares.", show_default="not stated")
+    ] = 0,
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
@@ -40,13 +47,13 @@ def new(
     It is valid at once, also for a running cluster.
 
     Example:  rtc keys new alice --role operator
-    Example:  rtc keys new w1 --role worker --at tcp://lab:5555
+    Example:  rtc keys new w1 --role worker --count 8 --at tcp://lab:5555
     """
     if role not in list(Role):
         raise trouble(f"{role} is not a role; the roles are {ROLES}", 2)
     where = prepare_run_dir(run_dir or default_run_dir())
     file = out or Path(f"{name}.key")
-    key = KeyRing(where).new(name, Role(role), at or _address(where), file)
+    key = KeyRing(where).new(name, Role(role), at or _address(where), file, count)
     if json:
         emit_json({"name": key.name, "role": key.role, "address": key.address, "file": str(file)})
         return
@@ -60,21 +67,55 @@ def new(
 
 @app.command("list")
 def list_keys(run_dir: RunDir = None, json: AsJson = False) -> None:
-    """List the known keys.
+    """List the keys: known ones, who is connected with them, and the latest revoked ones.
 
     Example:  rtc keys list
     """
-    known = KeyRing(run_dir or default_run_dir()).known()
+    where = run_dir or default_run_dir()
+    ring = KeyRing(where)
+    known, revoked, report = ring.known(), ring.revoked(), _status(where)
     if json:
-        emit_json({"keys": [msgspec.to_builtins(key) for key in known]})
+        emit_json({"keys": [_as_json(key, report) for key in known], "revoked": revoked})
         return
-    if not known:
+    keys = [*known, *revoked]
+    if not keys:
         console.print("no keys are known: there is no access from other machines")
         return
-    out = table("name", "role", "made", "public half")
-    for key in known:
-        out.add_row(key.name, key.role, time.strftime("%Y-%m-%d %H:%M", time.localtime(key.made_at)), Text(key.public))
+    out = table("name", "role", "asked>", "connected", "last heard", "made", "revoked", "public half")
+    for key in keys:
+        now, heard_s, hosts = connections_of(report or {}, "" if key.revoked_at else key.name)
+        out.add_row(
+            key.name,
+            key.role,
+            str(key.count or ""),
+            f"{now} from {', '.join(hosts)}" if now else "",
+            "" if heard_s is None else f"{duration(heard_s)} ago",
+            _date(key.made_at),
+            _date(key.revoked_at),
+            Text(key.public),
+        )
     console.print(out)
+    if report is None:
+        console.print(Text("no cluster answers here: connections are not known", style="dim"))
+
+
+def _as_json(key: KnownKey, report: dict[str, Any] | None) -> dict[str, Any]:
+    now, heard_s, hosts = connections_of(report or {}, key.name)
+    found = msgspec.to_builtins(key)
+    return found if report is None else {**found, "connections": now, "hosts": hosts, "heard_ago_s": heard_s}
+
+
+def _date(at: float) -> str:
+    return time.strftime("%Y-%m-%d %H:%M", time.localtime(at)) if at else ""
+
+
+def _status(run_dir: Path) -> dict[str, Any] | None:
+    """The status of the cluster in this directory; None if it does not answer."""
+    try:
+        with Client(run_dir) as rtc:
+            return rtc.status()
+    except ClusterError:
+        return None
 
 
 @app.command()

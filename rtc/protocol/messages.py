@@ -734,10 +734,55 @@ class ProcessRow(TypedDict):
     node: NotRequired[int | None]  # a worker's address
 
 
+class Asked(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The latest run of the command line for more workers of a kind (`rtc up --more`)."""
+
+    kind: WorkerKind
+    count: int
+    had: int  # workers of this kind on other machines at that time
+    at_s: float  # CLOCK_MONOTONIC
+    running: bool = False
+    failed: str = ""  # why it failed, in words; empty = it succeeded or is running
+    output: Name = ""  # its last line
+
+
 class ProcessTable(Message, frozen=True, kw_only=True):
     """All processes of the cluster, for `rtc status`."""
 
     processes: Annotated[list[ProcessRow], msgspec.Meta(max_length=10_000)]
+    asked: Annotated[list[Asked], msgspec.Meta(max_length=100)] = []
+
+
+class FarWorker(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A worker on another machine, as the gateway knows it."""
+
+    name: Name
+    heard_at_s: float  # its latest message
+    round_trip_s: float | None = None  # gateway -> worker -> gateway; None = not measured
+    round_trip_at_s: float = 0.0
+
+
+class PeerRow(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What the gateway knows of the holder of a key on one host. A time of 0 means never."""
+
+    key: Name  # its name; empty = an unknown key
+    role: Name = ""
+    host: Name = ""  # network address; empty = the key was not used yet
+    asked: int = 0  # number of workers that are to use this key, as in `rtc keys new --count`
+    revoked: bool = False
+    workers: list[FarWorker] = []
+    lost: dict[str, float] = {}  # worker that is not connected any more -> when its connection was lost
+    connections: int = 0
+    heard_at_s: float = 0.0
+    refused: int = 0
+    refusal: Name = ""  # the latest, in words
+    refused_at_s: float = 0.0
+
+
+class GatewayReport(Message, frozen=True, kw_only=True):
+    """The peers on other machines, for `rtc status`. Sent twice a second by the gateway."""
+
+    peers: Annotated[list[PeerRow], msgspec.Meta(max_length=1_000)]
 
 
 class KillProcess(Message, frozen=True, kw_only=True):
@@ -761,6 +806,14 @@ class SpawnWorker(Message, frozen=True, kw_only=True):
 
 class RetireWorker(Message, frozen=True, kw_only=True):
     name: str
+
+
+class AskMore(Message, frozen=True, kw_only=True):
+    """Run the user's command line for more workers on other machines, unless it runs already."""
+
+    kind: WorkerKind
+    count: int
+    had: int  # workers of this kind on other machines
 
 
 # --- 7. subsystem -> subscribers: telemetry (PUB) ---------------------------------------------------------
@@ -850,8 +903,9 @@ ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined
 ToWorld = ReadView | Commit | WorldHistory | Doubt
 FromWorld = View | Committed | WorldRefused
-SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Shutdown | Dropped  # Dropped: from others
 Event = ProgressNote | CommandEnded | RequestRefused | HaltRequested  # what the broker publishes
-BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | Shutdown | AllEnded
+# Dropped, GatewayReport: from other processes
+SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Shutdown | Dropped | GatewayReport
+BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | AskMore | Shutdown | AllEnded
 ToSim = SimTruth | SimDisplace | SimFactors
 FromSim = SimTruthReply | SimDone

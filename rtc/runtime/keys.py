@@ -2,6 +2,7 @@
 
     RUN_DIR/keys/cluster.secret   the cluster's own key pair (0600)
     RUN_DIR/keys/NAME.known       one known key: name, role, public half; it holds no secret
+    RUN_DIR/keys/NAME-N.revoked   a record of a revoked key, for lists and messages only
     NAME.key                      key file (0600) for the other machine: all that it needs to connect
 
 The directory outlives the run. A key is valid while its `.known` file exists: the gateway checks several times a
@@ -10,6 +11,7 @@ second. Keys are CURVE25519 pairs, each half as Z85 text of 40 characters.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import time
@@ -24,7 +26,9 @@ from rtc.protocol.outcomes import ClusterError, KeyTrouble
 from rtc.protocol.roles import MAY, TCP_ENDPOINTS, Role
 from rtc.runtime.settings import KEYS
 
-CLUSTER, KNOWN = "cluster.secret", ".known"
+CLUSTER, KNOWN, REVOKED = "cluster.secret", ".known", ".revoked"
+REVOKED_KEPT = 100  # maximum number of records of revoked keys; the oldest go first
+PEERS_OF_KEY = 32  # maximum number of connections of one key per endpoint
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}", re.ASCII)
 BYTES = 4096  # maximum size of a key file; a real one has some hundred
 HANDSHAKE_MS = 5_000  # time limit of a handshake
@@ -62,6 +66,8 @@ class KnownKey(msgspec.Struct, frozen=True, kw_only=True):
     role: Role
     public: str
     made_at: float  # seconds since 1970
+    count: int = 0  # number of workers that are to use this key; 0 = not stated
+    revoked_at: float = 0.0  # seconds since 1970; 0 = not revoked
 
 
 class KeyFile(msgspec.Struct, frozen=True, kw_only=True):
@@ -124,15 +130,19 @@ class KeyRing:
             _write(path, _new_pair())
         return _read(path, Pair)
 
-    def new(self, name: str, role: Role, address: str, out: Path) -> KeyFile:
-        """Make a key: its public half becomes known here, the whole goes to `out`. Never replaces a file."""
+    def new(self, name: str, role: Role, address: str, out: Path, count: int = 0) -> KeyFile:
+        """Make a key: its public half becomes known here, the whole goes to `out`. Never replaces a file.
+
+        `count`: number of workers that are to use it; `rtc status` compares it with those that have joined.
+        """
         if not NAME.fullmatch(name):
             raise KeyTrouble(
                 f"{name!r:.80} is not a name for a key: a letter, then letters, digits, - and _; at most 32"
             )
         check_address(address)
+        _check_count(role, count)
         pair = _new_pair()
-        known = KnownKey(name=name, role=role, public=pair.public, made_at=time.time())
+        known = KnownKey(name=name, role=role, public=pair.public, made_at=time.time(), count=count)
         key = KeyFile(
             name=name,
             role=role,
@@ -153,13 +163,33 @@ class KeyRing:
         return key
 
     def revoke(self, name: str) -> KnownKey:
-        """Forget a key. Raises KeyTrouble when there is none of that name."""
+        """Forget a key, permanently: also a restarted gateway does not admit it. Raises KeyTrouble when there is none
+        of that name."""
         for known in self.known():
             if known.name == name:
                 (self.path / f"{name}{KNOWN}").unlink(missing_ok=True)
+                _sync(self.path)
+                self._record(msgspec.structs.replace(known, revoked_at=time.time()))
                 return known
         names = ", ".join(known.name for known in self.known()) or "none"
-        raise KeyTrouble(f"there is no key {name!r:.80}; known are: {names}")
+        before = [key for key in self.revoked() if key.name == name]
+        when = f" (revoked {_date(before[-1].revoked_at)})" if before else ""
+        raise KeyTrouble(f"there is no key {name!r:.80}{when}; known are: {names}")
+
+    def _record(self, key: KnownKey) -> None:
+        """Record a revoked key. A full disk does not matter: the key is revoked without this record."""
+        with contextlib.suppress(KeyTrouble, OSError):
+            _write(self.path / f"{key.name}-{time.time_ns()}{REVOKED}", key)
+            for path in sorted(self.path.glob(f"*{REVOKED}"), key=_number)[:-REVOKED_KEPT]:
+                path.unlink(missing_ok=True)
+
+    def revoked(self) -> list[KnownKey]:
+        """The latest revoked keys, the oldest first."""
+        found = []
+        for path in self.path.glob(f"*{REVOKED}"):
+            with contextlib.suppress(KeyTrouble):
+                found.append(_read(path, KnownKey))
+        return sorted(found, key=lambda key: key.revoked_at)
 
     def known(self) -> list[KnownKey]:
         """All known keys, sorted by name. An unreadable file is skipped: it gives no access."""
@@ -172,6 +202,13 @@ class KeyRing:
             if key.name == path.name.removesuffix(KNOWN):
                 found.append(key)
         return found
+
+
+def _check_count(role: Role, count: int) -> None:
+    if count and role is not Role.WORKER:
+        raise KeyTrouble(f"a count of workers is for keys of the role worker, not {role}; leave out --count")
+    if not 0 <= count <= PEERS_OF_KEY:
+        raise KeyTrouble(f"a key serves 1 to {PEERS_OF_KEY} workers, not {count}; make one key per host or group")
 
 
 def check_address(address: str) -> str:
@@ -226,6 +263,26 @@ def watch_line(socket: zmq.Socket[Any]) -> None:
 def _allow_ipv6(socket: zmq.Socket[Any], address: str) -> None:
     if "[" in address:
         socket.setsockopt(zmq.IPV6, 1)
+
+
+def _number(path: Path) -> int:
+    """The time in the name of a record, which orders the records."""
+    text = path.name.removesuffix(REVOKED).rpartition("-")[2]
+    return int(text) if text.isdigit() else 0
+
+
+def _date(at: float) -> str:
+    return time.strftime("%Y-%m-%d %H:%M", time.localtime(at))
+
+
+def _sync(folder: Path) -> None:
+    """Let a change of the directory survive a loss of power."""
+    with contextlib.suppress(OSError):
+        fd = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(fd)
+        finally:
+            os.close(fd)
 
 
 def _new_pair() -> Pair:

@@ -18,6 +18,7 @@ from rtc.protocol.outcomes import ClusterError
 SUN_PATH_LIMIT = 107  # bytes of a Unix socket's path on Linux
 LEAST_DIM, MOST_DIM = 2, 8  # limits of the cube's dimension; a smaller cube lacks kinds of workers
 MOST_WORKERS = 64  # maximum number of workers of a kind
+MOST_FAR = 1_000  # maximum number of workers of a kind on other machines
 Mcm = Literal["bullet", "kinematic"]
 MCMS: tuple[str, ...] = get_args(Mcm)
 
@@ -38,6 +39,9 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     mcm: Mcm = "bullet"
     speed: Annotated[float, Meta(ge=0)] = 1.0  # simulated seconds per second; 0 = as fast as possible
     listen: str = ""  # tcp://HOST:PORT of the gateway for other machines; empty = no gateway
+    more: str = ""  # command line that asks for workers on other machines; {kind} and {count} are replaced; empty = none
+    more_most: Annotated[int, Meta(ge=1, le=MOST_FAR)] = 8  # workers of each kind on other machines that it asks for
+    more_wait_s: Annotated[float, Meta(gt=0)] = 60.0  # time for them to join; then they are asked for again
     record: str = ""  # directory for the files of the recorder; empty = no recorder
 
     far = False  # the cluster is on this machine and shares its clock
@@ -50,6 +54,11 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     def least(self) -> int:
         """Minimum number of workers of each kind."""
         return 1 << (self.dim - 2) if self.least_workers is None else self.least_workers
+
+    @property
+    def most(self) -> int:
+        """Number of workers of a kind up to which this machine starts more."""
+        return max(self.least, self.most_workers, 1)
 
     @property
     def timeout_scale(self) -> float:
