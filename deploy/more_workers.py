@@ -37,7 +37,7 @@ def check_more(settings: Settings) -> None:
         raise ClusterError("--more asks for workers on other machines, which need --listen tcp://HOST:PORT to join")
     places = {place for word in words for place in _places(word)}
     if "kind" not in places:
-        raise ClusterError("--more has no {kind}: the command must know the kind of worker to start; write {kind} in it")
+        raise ClusterError("--more has no {kind}; write {kind} where the command needs the kind of worker to start")
     if shutil.which(words[0]) is None:
         raise ClusterError(f"--more: there is no command {words[0]!r:.80} here; give its full path, or install it")
 

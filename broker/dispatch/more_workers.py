@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 from broker.dispatch.worker_registry import Worker, WorkerRegistry
-from rtc.protocol.messages import AskMore, Asked, WorkerKind
+from rtc.protocol.messages import Asked, AskMore, WorkerKind
 
 WAITED_S = 1.0  # waiting time of a job that shows that this machine alone is too slow
 PAUSE_S = 5.0  # least time between two requests for a kind, so that those that have joined take jobs first

@@ -9,7 +9,7 @@ from zmq.utils import z85
 
 from broker.gateway.endpoints import HALTS, Endpoints
 from broker.gateway.halts import HaltForwarder
-from rtc.protocol.roles import admits
+from rtc.protocol.roles import a_role, admits
 from rtc.runtime.keys import KeyRing, KnownKey
 from rtc.runtime.process import Every, Process, inbox
 
@@ -32,6 +32,7 @@ class Admission:
     ) -> None:
         self._me, self._ring, self._endpoints, self._halts = me, ring, endpoints, halts
         self.known = {key.public: key for key in ring.known()}
+        self.revoked = {key.public: key for key in ring.revoked()}  # only for messages and counts
         self._cut = cut
         self._reloads, self._reloads_left = Every(RELOAD_S), EXTRA_RELOADS
         self.socket = socket
@@ -56,10 +57,21 @@ class Admission:
                     )
                 answer = [b"200", b"", public.encode(), b""]
             else:
-                who = key.name if key else "a stranger"
-                self._endpoints.count("strangers", f"{who} from {where!r:.60} at {name}")
+                self._refuse(public, key, where.decode("latin-1"), name)
                 answer = [b"400", text, b"", b""]
             self.socket.send_multipart([version, number, *answer])
+
+    def _refuse(self, public: str, key: KnownKey | None, host: str, endpoint: str) -> None:
+        if key is not None:
+            words = f"{a_role(key.role)} may not connect to {endpoint}"
+        else:
+            words = f"the key is {'revoked' if public in self.revoked else 'not known here'}; it tried {endpoint}"
+        self._endpoints.count_refusal("strangers", self.name_of(public), host, words)
+
+    def name_of(self, public: str) -> str:
+        """The name of a known or revoked key; empty for any other."""
+        key = self.known.get(public) or self.revoked.get(public)
+        return key.name if key else ""
 
     def _find(self, public: str) -> KnownKey | None:
         """The key. An unknown key may be new, so the keys are read again: a refusal would be final."""
@@ -75,4 +87,5 @@ class Admission:
         removed = {public: key for public, key in self.known.items() if known.get(public) != key}
         self.known = known
         if removed:
+            self.revoked.update(removed)
             self._cut(removed)

@@ -8,10 +8,11 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import zmq
 
+from broker.gateway.peers import PeerRecords
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import ClusterError, Refusal, RefusalReason
@@ -27,6 +28,14 @@ MOST_MESSAGES = 16  # messages read per socket and loop iteration, so that the n
 REBIND_S = 0.0005  # period of attempts to bind a port again
 
 
+class Peer(NamedTuple):
+    """The sender of a message. Admission has set the public key at the handshake."""
+
+    session: bytes  # identity of its connection
+    public: str
+    host: str  # network address
+
+
 class Endpoints:
     """`outside`: the tcp sockets by endpoint. `inside`: subscriptions in the cluster, of the published ones.
     `lost_workers`: connections of workers that were closed.
@@ -37,6 +46,7 @@ class Endpoints:
     def __init__(self, me: Process, settings: Settings, pair: Pair) -> None:
         self._me, self._settings, self._pair = me, settings, pair
         self.counts: Counter[str] = Counter()  # events for `rtc status`
+        self.records = PeerRecords()
         self.outside: dict[str, zmq.Socket[bytes]] = {}
         self.inside: dict[str, zmq.Socket[bytes]] = {}
         for endpoint in TCP_ENDPOINTS:
@@ -97,12 +107,12 @@ class Endpoints:
             for parts in inbox(inside, MOST_MESSAGES):
                 push(outside, parts)
 
-    def messages(self, endpoint: str) -> Iterator[tuple[bytes, str, Sequence[bytes]]]:
-        """Yield (session, user-id, frames) of queued messages, those of an array separately: each of them is allowed
-        or refused alone."""
-        for session, user, parts in _received(self.outside[endpoint]):
+    def messages(self, endpoint: str) -> Iterator[tuple[Peer, Sequence[bytes]]]:
+        """Yield the sender and the frames of queued messages, those of an array separately: each of them is allowed or
+        refused alone."""
+        for peer, parts in _received(self.outside[endpoint]):
             for one in wire.apart(parts):
-                yield session, user, one
+                yield peer, one
 
     def send(self, endpoint: str, session: bytes, parts: Sequence[bytes]) -> bool:
         """Send to a remote peer. False: the peer is lost. A peer that does not read loses messages."""
@@ -139,6 +149,11 @@ class Endpoints:
         if (n := self.counts[what]) & (n - 1) == 0:
             self._me.log.warning("%s (%d so far): %s", what, n, words)
 
+    def count_refusal(self, what: str, key: str, host: str, words: str) -> None:
+        """Count a refused handshake or message, also for its key and host. `key`: its name; empty = an unknown key."""
+        self.count(what, f"{key or 'an unknown key'} from {host or '?'}: {words}")
+        self.records.refuse(key, host, words, now_s())
+
 
 def close(me: Process, socket: zmq.Socket[bytes], linger_ms: int = 0) -> None:
     """Stop polling a socket and close it."""
@@ -155,8 +170,8 @@ def push(socket: zmq.Socket[bytes], parts: Sequence[bytes]) -> bool:
     return True
 
 
-def _received(socket: zmq.Socket[bytes]) -> Iterator[tuple[bytes, str, list[bytes]]]:
-    """Yield (session, user-id, frames). Admission has set the user-id at the handshake."""
+def _received(socket: zmq.Socket[bytes]) -> Iterator[tuple[Peer, list[bytes]]]:
+    """Yield (sender, frames)."""
     for _ in range(MOST_MESSAGES):
         try:
             part = socket.recv(AT_ONCE, copy=False)
@@ -166,11 +181,15 @@ def _received(socket: zmq.Socket[bytes]) -> Iterator[tuple[bytes, str, list[byte
         while part.more:
             part = socket.recv(AT_ONCE, copy=False)
             parts.append(part.bytes)
-        try:
-            user = str(part.get("User-Id"))
-        except zmq.ZMQError:
-            user = ""
-        yield parts[0], user, parts[1:]
+        yield Peer(parts[0], _property(part, "User-Id"), _property(part, "Peer-Address")), parts[1:]
+
+
+def _property(part: Any, name: str) -> str:
+    """A property of the connection that a frame came from; empty if it has none."""
+    try:
+        return str(part.get(name))
+    except zmq.ZMQError:
+        return ""
 
 
 def _send_all(socket: zmq.Socket[bytes], parts: Sequence[bytes]) -> None:

@@ -22,7 +22,7 @@ import msgspec
 import zmq
 
 from broker.gateway.admission import RELOAD_S, Admission
-from broker.gateway.endpoints import HALTS, MOST_MESSAGES, PUBLISHED, Endpoints, push
+from broker.gateway.endpoints import HALTS, MOST_MESSAGES, PUBLISHED, Endpoints, Peer, push
 from broker.gateway.halts import RETRY_S, HaltForwarder
 from broker.gateway.sessions import Link, Sessions, node_of
 from rtc.language.parse import default_grammar, parse
@@ -30,7 +30,7 @@ from rtc.language.record import ParsedCommand
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import Refusal, RefusalReason, RtcError, WireError
-from rtc.protocol.roles import TCP_ENDPOINTS, Role, admits, may_send, refuse_planner
+from rtc.protocol.roles import TCP_ENDPOINTS, Role, a_role, admits, may_send, refuse_planner
 from rtc.runtime import handover, process
 from rtc.runtime.halt_admission import read_order
 from rtc.runtime.keys import KeyRing, KnownKey
@@ -39,6 +39,7 @@ from rtc.runtime.process import Every, Process, inbox, now_s, send
 from rtc.runtime.settings import Settings
 
 COMMANDS_KEPT = 10_000  # latest commands of one planner that it may control
+ROWS = 1_000  # maximum number of rows in a report
 REPORT_S, TIDY_S, PROBE_S = 0.5, 1.0, 0.2  # periods: counters to the broker; removal of silent peers; worker probes
 # After a disconnection the lost worker is searched with probes for a while, because the event names no peer.
 SEARCH_S, SEARCH_EVERY_S = 0.02, 0.002
@@ -108,15 +109,24 @@ class Gateway:
     def _check(self, now: float) -> None:
         self._admission.reload_if_due(now)
         counts = self._endpoints.counts
-        if self._report.due(now) and counts != self._reported:
-            self._reported = dict(counts)
-            send(self._broker, m.Dropped(counts={f"gate_{what}": n for what, n in counts.items()}))
+        if self._report.due(now):
+            self._report_peers(now)
+            if counts != self._reported:
+                self._reported = dict(counts)
+                send(self._broker, m.Dropped(counts={f"gate_{what}": n for what, n in counts.items()}))
         if self._endpoints.lost_workers.happened():
             self._search_until_s = now + SEARCH_S
         if (self._search if now < self._search_until_s else self._probe).due(now):
             self._sessions.probe_workers()
         if self._tidy.due(now):
             self._sessions.remove_idle(now)
+
+    def _report_peers(self, now: float) -> None:
+        known, revoked = (
+            {key.name: key for key in keys.values()} for keys in (self._admission.known, self._admission.revoked)
+        )
+        rows = self._endpoints.records.rows(known, revoked, self._sessions.connections(), now)
+        send(self._broker, m.GatewayReport(peers=rows[:ROWS]))
 
     def _reopen(self, endpoints: Sequence[str]) -> None:
         """Cut all connections to these endpoints. Legitimate peers reconnect by themselves."""
@@ -140,32 +150,44 @@ class Gateway:
     # --- from outside ---------------------------------------------------------------------------------
 
     def _receive(self, endpoint: str, now: float) -> None:
-        ends = self._endpoints
-        for session, user, parts in ends.messages(endpoint):
-            key = self._admission.known.get(user)
+        for peer, parts in self._endpoints.messages(endpoint):
+            key = self._admission.known.get(peer.public)
             if key is None or not admits(endpoint, key.role):
-                ends.count("strangers", f"a key that is not known any more, at {endpoint}")
-                ends.refuse(endpoint, session, None, "this key is not known here (any more)")
+                self._refuse(endpoint, peer, "strangers", "this key is not known here (any more)")
                 continue
+            self._endpoints.records.heard(key.name, peer.host, now)
             try:
                 message = READ[endpoint](parts)
             except WireError as error:
-                ends.count("unreadable", f"{key.name} at {endpoint}: {error}")
-                words = f"not a message of this protocol: {error}"
-                ends.refuse(endpoint, session, None, words, RefusalReason.SENTENCE, wire.name_in(parts))
+                words = f"not a message of this protocol for {endpoint}: {error}"
+                self._refuse(endpoint, peer, "unreadable", words, None, RefusalReason.SENTENCE, wire.name_in(parts))
                 continue
             if not may_send(endpoint, key.role, message):
                 kind = type(message).__name__
-                ends.count("refused", f"{key.name}: {kind} at {endpoint}")
-                words = f"not allowed: {key.name} is {_a(key.role)}, a role that may not send {kind}"
-                ends.refuse(endpoint, session, message, words)
+                words = f"not allowed: {key.name} is {a_role(key.role)}, a role that may not send {kind}"
+                self._refuse(endpoint, peer, "refused", words, message)
                 continue
-            self._handle(endpoint, key, session, message, parts, now)
+            self._handle(endpoint, key, peer, message, parts, now)
+
+    def _refuse(
+        self,
+        endpoint: str,
+        peer: Peer,
+        what: str,
+        words: str,
+        message: Any = None,
+        reason: RefusalReason = RefusalReason.NOT_ALLOWED,
+        request: str = "",
+    ) -> None:
+        """Count a refused message and send the refusal."""
+        self._endpoints.count_refusal(what, self._admission.name_of(peer.public), peer.host, words)
+        self._endpoints.refuse(endpoint, peer.session, message, words, reason, request)
 
     def _handle(
-        self, endpoint: str, key: KnownKey, session: bytes, message: Any, parts: Sequence[bytes], now: float
+        self, endpoint: str, key: KnownKey, peer: Peer, message: Any, parts: Sequence[bytes], now: float
     ) -> None:
         """Forward a message that the role may send."""
+        session = peer.session
         if isinstance(message, m.HaltOrder) and endpoint in HALTS:
             self._halts.forward(endpoint, key, session, message, now)
             return
@@ -174,7 +196,7 @@ class Gateway:
             if (link := self._sessions.by_name(endpoint, name)) is not None:
                 self._forward(link, wire.frames(m.Heartbeat(name=name)), message)
             return
-        link = self._sessions.find_or_connect(endpoint, key, session, message)
+        link = self._sessions.find_or_connect(endpoint, key, peer, message)
         if link is None:
             return
         link.last_seen_s = now
@@ -185,12 +207,14 @@ class Gateway:
             node = node_of(link.name)
             self._endpoints.send(endpoint, session, wire.frames(m.WorkerAddress(name=link.name, node=node)))
             parts = wire.frames(msgspec.structs.replace(message, name=link.name, node=node))
+        elif isinstance(message, m.Heartbeat) and message.round_trip_s is not None:
+            link.round_trip_s, link.round_trip_at_s = message.round_trip_s, now
         elif isinstance(message, m.WorkerGone):
             self._sessions.remove_lost(link, in_order=True)
             return
         elif isinstance(message, m.CommandText):
             if (refusal := self._refuse_sentence(key, message)) is not None:
-                self._endpoints.count("refused", f"{key.name}: {message.text!r:.80}")
+                self._endpoints.count_refusal("refused", key.name, peer.host, refusal.message)
                 declined = m.Declined(request=message.request, refusal=refusal)
                 self._endpoints.send(endpoint, session, wire.frames(declined))
                 return
@@ -245,10 +269,6 @@ def _translated(link: Link, message: m.CommandText, now: float) -> m.CommandText
         sent_at_s = max(0.0, message.sent_at_s + link.behind_s)
     source = "aip" if link.key.role is Role.PLANNER else message.source
     return msgspec.structs.replace(message, sent_at_s=sent_at_s, source=source)
-
-
-def _a(role: Role) -> str:
-    return f"an {role}" if role[0] in "aeiou" else f"a {role}"
 
 
 def main() -> None:

@@ -104,7 +104,7 @@ class PeerRecords:
             key=name,
             role=key.role if key else "",
             host=host,
-            asked=key.count if key else 0,
+            asked=known[name].count if name in known else 0,
             revoked=name in revoked and name not in known,
             workers=sorted((c.worker for c in connections if c.worker is not None), key=lambda worker: worker.name),
             lost=dict(record.lost),

@@ -6,24 +6,25 @@ Rule 2: a peer's internal name contains its key's name, so a peer cannot take an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import Any
 
 import msgspec
 import zmq
 
-from broker.gateway.endpoints import Endpoints, close, push
+from broker.gateway.endpoints import Endpoints, Peer, close, push
+from broker.gateway.peers import Connection
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import RefusalReason
 from rtc.runtime import process
-from rtc.runtime.keys import KnownKey
+from rtc.runtime.keys import PEERS_OF_KEY, KnownKey
 from rtc.runtime.process import Process, now_s
 from rtc.runtime.settings import BOUNDS, Settings
 
 NAMED = ("front", "workers", "subsystems")  # endpoints whose peers introduce themselves with a hello message
 HELLOS = (m.ClientHello, m.WorkerHello, m.SubsystemHello)
-PEERS_OF_KEY = 32  # maximum per endpoint; the one silent for longest is disconnected
+ALIVE_S = 1.5  # three heartbeats: a worker that has sent something within this time is alive
 UNSENT = 1_000  # maximum queued messages of one peer to the cluster
 IDLE_S = 600.0  # a peer silent for so long is removed; it must send its hello again
 OWN_SUBSYSTEM = "MCM"
@@ -35,12 +36,15 @@ PROBE = wire.frames(m.Drop(jobs=[]))
 class Link:
     """Connection of one remote peer into the cluster."""
 
-    def __init__(self, endpoint: str, name: str, key: KnownKey, session: bytes, socket: zmq.Socket[bytes]) -> None:
+    def __init__(self, endpoint: str, name: str, key: KnownKey, peer: Peer, socket: zmq.Socket[bytes]) -> None:
         self.endpoint, self.name, self.key, self.socket = endpoint, name, key, socket
-        self.session = session  # identity of its tcp connection
+        self.session, self.host = peer.session, peer.host  # of its tcp connection
         self.last_seen_s = now_s()
         self.behind_s = float("inf")  # upper bound of local clock minus peer clock: the smallest difference seen
         self.instance = ""  # of a worker whose address was assigned here
+        self.pid = 0  # of a worker
+        self.round_trip_s: float | None = None  # of a worker's latest heartbeat to the broker and back
+        self.round_trip_at_s = 0.0
 
 
 class Sessions:
@@ -57,9 +61,10 @@ class Sessions:
         """The links that have an answer of the cluster."""
         return [link for socket in sockets if (link := self._by_socket.get(socket)) is not None]
 
-    def find_or_connect(self, endpoint: str, key: KnownKey, session: bytes, message: Any) -> Link | None:
+    def find_or_connect(self, endpoint: str, key: KnownKey, peer: Peer, message: Any) -> Link | None:
         """The peer's link. It is created by its hello, or by its first message at an endpoint without names. None:
         the message is refused, or must be repeated after a hello."""
+        session = peer.session
         link = self._links.get((endpoint, session))
         if link is not None and link.key.public != key.public:  # another peer that chose the same identity
             self.remove(link)
@@ -67,34 +72,48 @@ class Sessions:
         if link is not None and not isinstance(message, HELLOS):
             return link
         if endpoint not in NAMED:
-            return self._connect(endpoint, "", key, session)
+            return self._connect(endpoint, "", key, peer)
         if not isinstance(message, HELLOS):
-            self._count_stale(key, message)
+            self._count_stale(key, peer, message)
             self._request_hello(endpoint, session)
             return None
         if isinstance(message, m.WorkerHello) and message.instance:
             message = self._with_address(key, message)
         name = _internal_name(key, message)
         if wrong := self._name_fault(endpoint, key, name, message) or self._overload(endpoint, key, name):
-            self._endpoints.count("refused", f"{key.name} at {endpoint}: {wrong}")
+            self._endpoints.count_refusal("refused", key.name, peer.host, wrong)
             if endpoint == "workers":
                 self._endpoints.send(endpoint, session, wire.frames(m.Shutdown(why=wrong)))
             return None
         if link is not None and link.name != name:
             self.remove(link)
         before = self._named.get((endpoint, name))
+        if before is not None and self._may_be_another(before, peer, message):
+            return None
         if before is None:
-            made = self._connect(endpoint, name, key, session)
-            if made is not None and isinstance(message, m.WorkerHello):
-                made.instance = message.instance
-            return made
-        if isinstance(message, m.WorkerHello):
-            before.instance = message.instance
-        if before.session != session:  # the same peer, on a new connection
+            before = self._connect(endpoint, name, key, peer)
+        elif before.session != session:  # the same peer, on a new connection
             self._links.pop((endpoint, before.session), None)
-            before.session = session
+            before.session, before.host = session, peer.host
             self._links[endpoint, session] = before
+        if before is not None and isinstance(message, m.WorkerHello):
+            before.instance, before.pid = message.instance, message.pid
+            self._endpoints.records.join(key.name, peer.host, name, now_s())
         return before
+
+    def _may_be_another(self, before: Link, peer: Peer, hello: Any) -> bool:
+        """True if another process has chosen this address too and may be alive: its connection is not lost. A newcomer
+        repeats its hello until the address is free, or until the other one has sent something: then it is refused. A
+        worker whose address was assigned gives it up and gets another."""
+        if not isinstance(hello, m.WorkerHello) or hello.instance or before.instance:
+            return False
+        if (before.pid, before.host) == (hello.pid, peer.host):
+            return False
+        if now_s() - before.last_seen_s < ALIVE_S:
+            words = f"{before.name} is there already, from {before.host}; start this one without --node"
+            self._endpoints.count_refusal("refused", before.key.name, peer.host, words)
+            self._endpoints.send("workers", peer.session, wire.frames(m.Shutdown(why=words)))
+        return True
 
     def _name_fault(self, endpoint: str, key: KnownKey, name: str, hello: Any) -> str:
         """The reason why a peer must not have this name; empty if it may."""
@@ -146,12 +165,13 @@ class Sessions:
             words = "over tcp send ClientHello first"
             self._endpoints.refuse(endpoint, session, None, words, RefusalReason.STATE)
 
-    def _count_stale(self, key: KnownKey, message: Any) -> None:
+    def _count_stale(self, key: KnownKey, peer: Peer, message: Any) -> None:
         """Results of jobs that an earlier connection of the worker had: they were given to other workers."""
         for result in message.results if isinstance(message, m.ResultBatch) else ():
-            self._endpoints.count("stale", f"{key.name}: result of {result.id}, from an earlier connection")
+            words = f"result of {result.id:.60}, from an earlier connection of {message.name:.60}"
+            self._endpoints.count_refusal("stale", key.name, peer.host, words)
 
-    def _connect(self, endpoint: str, name: str, key: KnownKey, session: bytes) -> Link | None:
+    def _connect(self, endpoint: str, name: str, key: KnownKey, peer: Peer) -> Link | None:
         of_key = self._of_key(endpoint, key)
         if len(of_key) >= PEERS_OF_KEY:
             self.remove(min(of_key, key=lambda link: link.last_seen_s))
@@ -165,8 +185,8 @@ class Sessions:
         except zmq.ZMQError as error:  # no file descriptors left
             self._endpoints.count("unsent", f"no connection for {key.name}: {error}")
             return None
-        link = Link(endpoint, name, key, session, socket)
-        self._links[endpoint, session] = self._by_socket[socket] = link
+        link = Link(endpoint, name, key, peer, socket)
+        self._links[endpoint, peer.session] = self._by_socket[socket] = link
         if name:
             self._named[endpoint, name] = link
         return link
@@ -174,7 +194,22 @@ class Sessions:
     def _of_key(self, endpoint: str, key: KnownKey) -> list[Link]:
         return [link for link in self._links.values() if link.endpoint == endpoint and link.key.public == key.public]
 
-    def remove(self, link: Link, linger_ms: int = 0) -> None:
+    def connections(self) -> Iterator[Connection]:
+        """The connected peers that have introduced themselves."""
+        for link in self._named.values():
+            worker = None
+            if link.endpoint == "workers":
+                worker = m.FarWorker(
+                    name=link.name,
+                    heard_at_s=link.last_seen_s,
+                    round_trip_s=link.round_trip_s,
+                    round_trip_at_s=link.round_trip_at_s,
+                )
+            yield Connection(link.key.name, link.host, worker)
+
+    def remove(self, link: Link, linger_ms: int = 0, in_order: bool = False) -> None:
+        if link.endpoint == "workers" and not in_order:
+            self._endpoints.records.lose(link.key.name, link.host, link.name, now_s())
         if self._links.pop((link.endpoint, link.session), None) is not None:
             self._named.pop((link.endpoint, link.name), None)
             del self._by_socket[link.socket]
@@ -187,7 +222,7 @@ class Sessions:
         if link.endpoint == "workers":
             self._me.log.info("%s is gone", link.name)
             push(link.socket, wire.frames(m.WorkerGone(name=link.name, in_order=in_order)))
-        self.remove(link, linger_ms=process.LINGER_MS)
+        self.remove(link, process.LINGER_MS, in_order)
 
     def remove_of_keys(self, public: Collection[str]) -> None:
         self._remove_where(lambda link: link.key.public in public)

@@ -9,9 +9,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from broker.dispatch.more_workers import far_of, joined
-from broker.dispatch.worker_registry import SILENCE_S, Worker, WorkerRegistry
+from broker.dispatch.worker_registry import Worker, WorkerRegistry
 from rtc.protocol.messages import Asked, FarWorker, PeerRow
 from rtc.protocol.roles import Role
+from rtc.runtime.keys import LINK_LIMIT_S
 
 HERE = "this machine"
 QUIET_S = 1.5  # three heartbeats: a host silent for longer is shown as silent
@@ -46,9 +47,7 @@ def requests_for_more(
     }
 
 
-def _here(
-    registry: WorkerRegistry, processes: Sequence[Mapping[str, Any]], late: Mapping[str, int]
-) -> dict[str, Any]:
+def _here(registry: WorkerRegistry, processes: Sequence[Mapping[str, Any]], late: Mapping[str, int]) -> dict[str, Any]:
     names = [row["name"] for row in processes if "@" in row["name"]]
     asked = [row for row in processes if "@" in row["name"] and row.get("state") not in GONE]
     workers = sorted(name for name in names if name in registry.workers)
@@ -104,7 +103,7 @@ def _state(peer: PeerRow, there: Collection[Worker], now: float) -> str:
         return "ready" if there else "registering"
     if any(worker.assigned for worker in there):  # a worker is silent during a job
         return "busy"
-    return f"silent for {silent_s:.1f} s, limit {SILENCE_S:g} s"
+    return f"silent for {silent_s:.1f} s, limit {LINK_LIMIT_S:g} s"
 
 
 def _late(names: Iterable[str], late: Mapping[str, int]) -> int:

@@ -68,8 +68,9 @@ def _notes(row: dict[str, Any]) -> Iterable[str]:
 
 
 def request_in_words(request: dict[str, Any]) -> str:
-    """asked for 4 binder 12 s ago, 2 joined; the command ended with status 1: no such partition"""
-    words = f"asked for {request['asked']} {request['kind']} {duration(request['ago_s'])} ago, {request['joined']} joined"
+    """asked for 4 binders 12 s ago, 2 joined; the command ended with status 1: no such partition"""
+    what = f"{request['asked']} {request['kind']}{'s' if request['asked'] != 1 else ''}"
+    words = f"asked for {what} {duration(request['ago_s'])} ago, {request['joined']} joined"
     output = f": {request['output']}" if request["output"] else ""
     if request["running"]:
         return f"{words}; the command is running"

@@ -285,6 +285,8 @@ class Heartbeat(Message, frozen=True, kw_only=True):
     name: Name
     job: Name = ""
     at_s: float = 0.0  # clock of the worker; 0 = no answer wanted
+    # From a worker: how long the answer to an earlier one took; None = not measured again.
+    round_trip_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] | None = None
 
 
 class JobDone(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="done", gc=False):

@@ -52,6 +52,11 @@ MAY: dict[str, dict[Role, Kinds]] = {
 TCP_ENDPOINTS = tuple(MAY)
 
 
+def a_role(role: Role) -> str:
+    """The role with its article: an operator, a worker."""
+    return f"an {role}" if role[0] in "aeiou" else f"a {role}"
+
+
 def admits(endpoint: str, role: Role) -> bool:
     """Whether a role may connect to an endpoint."""
     return role in MAY.get(endpoint, {})

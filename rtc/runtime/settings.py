@@ -39,7 +39,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     mcm: Mcm = "bullet"
     speed: Annotated[float, Meta(ge=0)] = 1.0  # simulated seconds per second; 0 = as fast as possible
     listen: str = ""  # tcp://HOST:PORT of the gateway for other machines; empty = no gateway
-    more: str = ""  # command line that asks for workers on other machines; {kind} and {count} are replaced; empty = none
+    more: str = ""  # command line that starts {count} workers of a {kind} on other machines; empty = none
     more_most: Annotated[int, Meta(ge=1, le=MOST_FAR)] = 8  # workers of each kind on other machines that it asks for
     more_wait_s: Annotated[float, Meta(gt=0)] = 60.0  # time for them to join; then they are asked for again
     record: str = ""  # directory for the files of the recorder; empty = no recorder

@@ -116,6 +116,8 @@ class Shell:
         self._heartbeat = Every(HEARTBEAT_S)
         self._hello_sent_s = 0.0
         self._socket_read_s = 0.0
+        self._worked_s = 0.0  # end of the latest job
+        self._round_trip_s: float | None = None  # of the latest heartbeat, until it is reported
 
     def run(self) -> str:
         """Run until a stop is requested, or until the queue is empty after a Shutdown message.
@@ -130,14 +132,15 @@ class Shell:
                 if self._reconnections.happened():
                     self._begin_anew()
                 if self._heartbeat.due(now := now_s()):
-                    self._send(Heartbeat(name=self._hello.name, at_s=0.0 if self._contact is None else now))
+                    self._send_heartbeat(now)
             if not self._queue or now_s() - self._socket_read_s > LISTEN_S:
                 self._listen()
             if self._queue:
                 job, came_s = self._queue.popleft()
                 self._do(job, came_s)
+                self._worked_s = now_s()
                 if self._contact is not None:
-                    self._contact.worked(now_s())
+                    self._contact.worked(self._worked_s)
             self._flush(late=not self._queue)
             if self._contact is not None and not self._queue and self._contact.lost(now_s()):
                 self._why = f"the broker has not answered {self._hello.name} for {self._contact.limit_s:g} s"
@@ -158,6 +161,14 @@ class Shell:
         if not send(self._socket, message):
             self._me.log.error("no room for %s: dropped", type(message).__name__)
 
+    def _send_heartbeat(self, now: float) -> None:
+        """A remote worker requests an answer, and reports how long the latest one took."""
+        if self._contact is None:
+            self._send(Heartbeat(name=self._hello.name))
+        else:
+            self._send(Heartbeat(name=self._hello.name, at_s=now, round_trip_s=self._round_trip_s))
+            self._round_trip_s = None
+
     def _listen(self) -> None:
         self._socket_read_s = now_s()
         for parts in inbox(self._socket):
@@ -175,8 +186,10 @@ class Shell:
                 came_s = now_s()
                 self._queue.extend((job, came_s) for job in jobs)
                 self._answered()
-            case Heartbeat():
+            case Heartbeat(at_s=at_s):
                 self._answered()
+                if at_s > self._worked_s:  # during a job no answer is read
+                    self._round_trip_s = now_s() - at_s
             case WorkerAddress(name=name, node=node):
                 self._hello = msgspec.structs.replace(self._hello, name=name, node=node)
                 show_name(name)

@@ -1,4 +1,4 @@
-"""The user's command line for more workers: run when this machine is at its limit, and not again for those on the way."""
+"""The user's command line for more workers: when it runs, and that workers on their way are not asked for again."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import msgspec
 from broker.decisions.effects import DispatchJob
 from broker.dispatch.more_workers import FAILED_S, ORDER_S, PAUSE_S, WAITED_S, MoreWorkers
 from broker.dispatch.worker_registry import WorkerRegistry
-from rtc.protocol.messages import AskMore, Asked, WorkerKind
+from rtc.protocol.messages import Asked, AskMore, WorkerKind
 
 BINDER = WorkerKind.BINDER
 OWN, FAR, WAIT_S = 2, 4, 60.0
