@@ -86,6 +86,7 @@ ALLOWED: tuple[tuple[str, str, str], ...] = (
     ("gate", "docs/security.md", "dropped_gate_strangers"),
     ("gate", "", "logs/gate.log"),
     ("gate", "tests/processes/test_gateway.py", "dropped_gate_"),
+    ("gate", "tests/broker/gateway/test_refusals.py", "gate_stale"),
     # Keys of messages and of programs.
     ("told", "", 'name="told"'),
     ("told", "rtc/programs/", '"told"'),

@@ -155,7 +155,7 @@ class Gateway:
             if key is None or not admits(endpoint, key.role):
                 self._refuse(endpoint, peer, "strangers", "this key is not known here (any more)")
                 continue
-            self._endpoints.records.heard(key.name, peer.host, now)
+            self._endpoints.records.received(key.name, peer.host, now)
             try:
                 message = READ[endpoint](parts)
             except WireError as error:

@@ -30,7 +30,7 @@ class Connection(NamedTuple):
 class Record(msgspec.Struct):
     """Events of one key on one host."""
 
-    heard_at_s: float = 0.0
+    last_message_at_s: float = 0.0
     refused: int = 0
     refusal: str = ""
     refused_at_s: float = 0.0
@@ -38,7 +38,7 @@ class Record(msgspec.Struct):
 
     @property
     def latest_s(self) -> float:
-        return max(self.heard_at_s, self.refused_at_s, *self.lost.values())
+        return max(self.last_message_at_s, self.refused_at_s, *self.lost.values())
 
 
 class PeerRecords:
@@ -47,9 +47,9 @@ class PeerRecords:
     def __init__(self) -> None:
         self._records: dict[tuple[str, str], Record] = {}
 
-    def heard(self, key: str, host: str, now: float) -> None:
+    def received(self, key: str, host: str, now: float) -> None:
         """A message of this peer has arrived."""
-        self._record(key, host, now).heard_at_s = now
+        self._record(key, host, now).last_message_at_s = now
 
     def refuse(self, key: str, host: str, words: str, now: float) -> None:
         """A handshake or a message of this peer was refused."""
@@ -76,7 +76,7 @@ class PeerRecords:
         if record is None:
             if len(self._records) >= RECORDS:
                 del self._records[min(self._records, key=lambda peer: self._records[peer].latest_s)]
-            record = self._records[key, host] = Record(heard_at_s=0.0)
+            record = self._records[key, host] = Record(last_message_at_s=0.0)
         return record
 
     def rows(
@@ -109,7 +109,7 @@ class PeerRecords:
             workers=sorted((c.worker for c in connections if c.worker is not None), key=lambda worker: worker.name),
             lost=dict(record.lost),
             connections=len(connections),
-            heard_at_s=record.heard_at_s,
+            last_message_at_s=record.last_message_at_s,
             refused=record.refused,
             refusal=record.refusal,
             refused_at_s=record.refused_at_s,

@@ -201,7 +201,7 @@ class Sessions:
             if link.endpoint == "workers":
                 worker = m.FarWorker(
                     name=link.name,
-                    heard_at_s=link.last_seen_s,
+                    last_message_at_s=link.last_seen_s,
                     round_trip_s=link.round_trip_s,
                     round_trip_at_s=link.round_trip_at_s,
                 )

@@ -83,7 +83,7 @@ def _row(peer: PeerRow, registry: WorkerRegistry, late: Mapping[str, int], now: 
         "late_results": _late((*names, *peer.lost), late),
         "round_trip_ms": 1e3 * _trip_s(trip) if trip else None,
         "round_trip_ago_s": now - trip.round_trip_at_s if trip else None,
-        "heard_ago_s": now - peer.heard_at_s if peer.heard_at_s else None,
+        "last_message_ago_s": now - peer.last_message_at_s if peer.last_message_at_s else None,
         "state": _state(peer, there, now),
     }
 
@@ -95,10 +95,10 @@ def _state(peer: PeerRow, there: Collection[Worker], now: float) -> str:
     if not peer.connections:
         if peer.lost:
             return "lost"
-        return "not connected" if peer.heard_at_s else "refused" if peer.refused else "not used yet"
+        return "not connected" if peer.last_message_at_s else "refused" if peer.refused else "not used yet"
     if not peer.workers:
         return "connected"
-    silent_s = now - max(worker.heard_at_s for worker in peer.workers)
+    silent_s = now - max(worker.last_message_at_s for worker in peer.workers)
     if silent_s < QUIET_S:
         return "ready" if there else "registering"
     if any(worker.assigned for worker in there):  # a worker is silent during a job

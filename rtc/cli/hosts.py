@@ -25,7 +25,7 @@ def show_hosts(report: dict[str, Any]) -> None:
     rows = [row for row in report.get("hosts", []) if _matters(row)]
     if len(rows) < 2:  # this machine alone
         return
-    out = table("host", "key", "role", "asked>", "joined>", "refused>", "round trip>", "heard>", "link")
+    out = table("host", "key", "role", "asked>", "joined>", "refused>", "round trip>", "last message>", "link")
     for row in rows:
         missing = row["joined"] < row["asked"]
         out.add_row(
@@ -36,7 +36,7 @@ def show_hosts(report: dict[str, Any]) -> None:
             Text(str(row["joined"]) if row["role"] == "worker" else "", style="bold yellow" if missing else ""),
             str(row["refused"] or ""),
             round_trip(row),
-            "" if row.get("heard_ago_s") is None else f"{duration(row['heard_ago_s'])} ago",
+            "" if row.get("last_message_ago_s") is None else f"{duration(row['last_message_ago_s'])} ago",
             Text("; ".join(_notes(row))),
         )
     console.print(out)
@@ -80,6 +80,6 @@ def request_in_words(request: dict[str, Any]) -> str:
 def connections_of(report: dict[str, Any], key: str) -> tuple[int, float | None, list[str]]:
     """(connections now, age in seconds of the latest message or None, hosts connected) of a key."""
     rows = [row for row in report.get("hosts", []) if key and row["key"] == key]
-    ages = [row["heard_ago_s"] for row in rows if row.get("heard_ago_s") is not None]
+    ages = [row["last_message_ago_s"] for row in rows if row.get("last_message_ago_s") is not None]
     hosts = [row["host"] for row in rows if row["connections"]]
     return sum(row["connections"] for row in rows), min(ages, default=None), hosts

@@ -81,15 +81,15 @@ def list_keys(run_dir: RunDir = None, json: AsJson = False) -> None:
     if not keys:
         console.print("no keys are known: there is no access from other machines")
         return
-    out = table("name", "role", "asked>", "connected", "last heard", "made", "revoked", "public half")
+    out = table("name", "role", "asked>", "connected", "last message", "made", "revoked", "public half")
     for key in keys:
-        now, heard_s, hosts = connections_of(report or {}, "" if key.revoked_at else key.name)
+        now, age_s, hosts = connections_of(report or {}, "" if key.revoked_at else key.name)
         out.add_row(
             key.name,
             key.role,
             str(key.count or ""),
             f"{now} from {', '.join(hosts)}" if now else "",
-            "" if heard_s is None else f"{duration(heard_s)} ago",
+            "" if age_s is None else f"{duration(age_s)} ago",
             _date(key.made_at),
             _date(key.revoked_at),
             Text(key.public),
@@ -100,9 +100,9 @@ def list_keys(run_dir: RunDir = None, json: AsJson = False) -> None:
 
 
 def _as_json(key: KnownKey, report: dict[str, Any] | None) -> dict[str, Any]:
-    now, heard_s, hosts = connections_of(report or {}, key.name)
+    now, age_s, hosts = connections_of(report or {}, key.name)
     found = msgspec.to_builtins(key)
-    return found if report is None else {**found, "connections": now, "hosts": hosts, "heard_ago_s": heard_s}
+    return found if report is None else {**found, "connections": now, "hosts": hosts, "last_message_ago_s": age_s}
 
 
 def _date(at: float) -> str:

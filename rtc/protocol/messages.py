@@ -759,7 +759,7 @@ class FarWorker(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A worker on another machine, as the gateway knows it."""
 
     name: Name
-    heard_at_s: float  # its latest message
+    last_message_at_s: float  # its latest message
     round_trip_s: float | None = None  # gateway -> worker -> gateway; None = not measured
     round_trip_at_s: float = 0.0
 
@@ -775,7 +775,7 @@ class PeerRow(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     workers: list[FarWorker] = []
     lost: dict[str, float] = {}  # worker that is not connected any more -> when its connection was lost
     connections: int = 0
-    heard_at_s: float = 0.0
+    last_message_at_s: float = 0.0
     refused: int = 0
     refusal: Name = ""  # the latest, in words
     refused_at_s: float = 0.0

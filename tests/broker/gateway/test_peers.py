@@ -10,7 +10,7 @@ from rtc.runtime.keys import KnownKey
 W1 = KnownKey(name="w1", role=Role.WORKER, public="p1", made_at=1.0, count=2)
 EYES = KnownKey(name="eyes", role=Role.OBSERVER, public="p2", made_at=1.0)
 KNOWN = {"w1": W1, "eyes": EYES}
-BINDER = FarWorker(name="binder@18", heard_at_s=10.0)
+BINDER = FarWorker(name="binder@18", last_message_at_s=10.0)
 
 
 def rows(records: PeerRecords, *connected: Connection, now: float = 10.0) -> dict[tuple[str, str], PeerRow]:
@@ -27,12 +27,12 @@ def test_a_known_key_has_a_row_before_its_first_use() -> None:
 
 def test_each_host_of_a_key_has_its_row() -> None:
     records = PeerRecords()
-    records.heard("w1", "10.0.0.1", 9.0)
-    records.heard("w1", "10.0.0.2", 8.0)
+    records.received("w1", "10.0.0.1", 9.0)
+    records.received("w1", "10.0.0.2", 8.0)
     found = rows(records, Connection("w1", "10.0.0.1", BINDER))
 
     assert found["w1", "10.0.0.1"].workers == [BINDER]
-    assert found["w1", "10.0.0.2"].heard_at_s == 8.0
+    assert found["w1", "10.0.0.2"].last_message_at_s == 8.0
     assert ("w1", "") not in found
 
 
@@ -68,24 +68,24 @@ def test_a_revoked_key_is_marked_and_no_worker_is_asked_for_with_it() -> None:
 def test_a_record_is_kept_for_some_time_and_longer_while_it_is_connected() -> None:
     records = PeerRecords()
     records.refuse("", "10.0.0.9", "the key is not known here", 5.0)
-    records.heard("w1", "10.0.0.1", 5.0)
+    records.received("w1", "10.0.0.1", 5.0)
     alive = Connection("w1", "10.0.0.1", BINDER)
 
     assert ("", "10.0.0.9") in rows(records, alive, now=5.0 + 0.9 * KEPT_S)
     found = rows(records, alive, now=5.0 + 1.1 * KEPT_S)
     assert ("", "10.0.0.9") not in found
-    assert found["w1", "10.0.0.1"].heard_at_s == 5.0
+    assert found["w1", "10.0.0.1"].last_message_at_s == 5.0
 
 
-def test_strangers_from_everywhere_do_not_fill_the_memory_nor_displace_a_peer_that_is_heard() -> None:
+def test_strangers_from_everywhere_do_not_fill_the_memory_nor_displace_an_active_peer() -> None:
     records = PeerRecords()
     for n in range(3 * RECORDS):
-        records.heard("w1", "10.0.0.1", float(n))
+        records.received("w1", "10.0.0.1", float(n))
         records.refuse("", f"host-{n}", "the key is not known here", float(n))
     found = rows(records, now=3.0 * RECORDS)
 
     assert len(found) <= RECORDS + len(KNOWN)
-    assert found["w1", "10.0.0.1"].heard_at_s == 3 * RECORDS - 1
+    assert found["w1", "10.0.0.1"].last_message_at_s == 3 * RECORDS - 1
     for n in range(2 * LOST_KEPT):
         records.lose("w1", "10.0.0.1", f"binder@{n}", float(n))
     assert list(rows(records, now=3.0 * RECORDS)["w1", "10.0.0.1"].lost) == [

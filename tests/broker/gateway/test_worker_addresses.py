@@ -69,6 +69,7 @@ class Cluster:
         self.ring = KeyRing(path)
         self.key = self.ring.new("w1", Role.WORKER, self.settings.listen, path / "w1.key")
         self.context: zmq.Context[Any] = zmq.Context()
+        self._workers: list[Worker] = []  # a connection without a reference is closed
         self.broker = self.context.socket(zmq.ROUTER)
         self.broker.bind(self.settings.endpoint("workers"))
         self.start_gateway()
@@ -85,7 +86,8 @@ class Cluster:
         self._process.close()
 
     def worker(self, instance: str = "", kind: m.WorkerKind = BINDER) -> Worker:
-        return Worker(self.context, self.key, instance, kind)
+        self._workers.append(Worker(self.context, self.key, instance, kind))
+        return self._workers[-1]
 
     def recv(self) -> tuple[str, Any]:
         """(identity, message) of the next message at the broker."""

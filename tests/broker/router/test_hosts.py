@@ -18,11 +18,13 @@ LOCAL = [{"name": "broker", "state": "ready"}, {"name": "binder@2", "state": "re
 
 
 def peer(**about: Any) -> PeerRow:
-    return PeerRow(**{"key": "w1", "role": "worker", "host": "10.0.0.7", "connections": 1, "heard_at_s": NOW, **about})
+    return PeerRow(
+        **{"key": "w1", "role": "worker", "host": "10.0.0.7", "connections": 1, "last_message_at_s": NOW, **about}
+    )
 
 
-def far(name: str = "binder@18", heard_at_s: float = NOW, **about: Any) -> FarWorker:
-    return FarWorker(name=name, heard_at_s=heard_at_s, **about)
+def far(name: str = "binder@18", last_message_at_s: float = NOW, **about: Any) -> FarWorker:
+    return FarWorker(name=name, last_message_at_s=last_message_at_s, **about)
 
 
 @pytest.fixture
@@ -59,7 +61,7 @@ def job(name: str) -> DispatchJob:
 
 
 def test_a_silent_host_is_shown_with_its_limit_unless_its_worker_is_busy(registry: WorkerRegistry) -> None:
-    silent = peer(workers=[far(heard_at_s=NOW - 2.1)])
+    silent = peer(workers=[far(last_message_at_s=NOW - 2.1)])
     assert row_of(registry, silent)["state"].startswith("silent for 2.1 s, limit ")
     for name in ("C-1/1", "C-2/1"):
         registry.submit(job(name), NOW)
@@ -72,8 +74,8 @@ def test_a_silent_host_is_shown_with_its_limit_unless_its_worker_is_busy(registr
     [
         ({"lost": {"binder@22": 88.0}}, "lost"),
         ({}, "not connected"),
-        ({"heard_at_s": 0.0, "refused": 1}, "refused"),
-        ({"heard_at_s": 0.0, "host": ""}, "not used yet"),
+        ({"last_message_at_s": 0.0, "refused": 1}, "refused"),
+        ({"last_message_at_s": 0.0, "host": ""}, "not used yet"),
         ({"revoked": True}, "key revoked"),
         ({"connections": 2, "role": "operator"}, "connected"),
         ({"connections": 1, "workers": [far("binder@30")]}, "registering"),
