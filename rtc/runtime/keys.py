@@ -104,7 +104,8 @@ class KeyFile(msgspec.Struct, frozen=True, kw_only=True):
         if not Path(path).is_file():
             raise KeyTrouble(f"there is no key file {path}; one is made where the cluster is: rtc keys new")
         key = _read(Path(path), KeyFile)
-        if (mode := Path(path).stat().st_mode & 0o777) & 0o077:
+        status = Path(path).stat()
+        if (mode := status.st_mode & 0o777) & _forbidden(status.st_uid, os.geteuid()):
             raise KeyTrouble(f"others may read or change {path} (mode {mode:o}); not used until: chmod 600 {path}")
         check_address(key.address)
         try:
@@ -258,6 +259,13 @@ def watch_line(socket: zmq.Socket[Any]) -> None:
     socket.setsockopt(zmq.TCP_MAXRT, 1000 * LINK_LIMIT_S)
     socket.setsockopt(zmq.CONNECT_TIMEOUT, CONNECT_MS)
     socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
+
+
+def _forbidden(owner: int, user: int) -> int:
+    """Bits that the mode of a key file must not have.
+
+    The group of another user may read a file of root: so systemd and Kubernetes hand over a secret."""
+    return 0o037 if owner == 0 and user != 0 else 0o077
 
 
 def _allow_ipv6(socket: zmq.Socket[Any], address: str) -> None:

@@ -234,10 +234,54 @@ def test_a_worker_gets_no_node_that_is_taken(new_key: Callable[[str], Path]) -> 
         assert b"rejects binder@2" in process.stderr.read()
 
 
+def test_a_worker_without_an_address_shows_its_engine_that_it_is_ready_and_ends_as_ordered(
+    new_key: Callable[[str], Path], run_dir: Path, tmp_path: Path
+) -> None:
+    """All replicas of an engine have the same line."""
+    key, health = new_key("worker"), tmp_path / "health"
+    with sockets.socket(sockets.AF_UNIX, sockets.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.settimeout(LIMIT_S)
+        shown = {"NOTIFY_SOCKET": str(tmp_path / "notify")}
+        with worker(key, None, "--health", str(health), kind="parser", environment=shown) as first:
+            assert b"READY=1" in systemd.recv(1000)
+            assert systemd.recv(1000) == b"WATCHDOG=1"
+            with worker(key, None, kind="parser"), Client(run_dir) as here:
+                addresses = {"parser@16", "parser@20"}
+                wait_for(lambda: addresses <= {row["name"] for row in here.status()["workers"]})
+                probe = [sys.executable, "-P", "-m", "workers.runtime.health", str(health)]
+                assert subprocess.run(probe, stdout=subprocess.DEVNULL, check=False).returncode == 0
+
+                first.send_signal(signal.SIGTERM)
+                assert first.wait(LIMIT_S) == 0
+                wait_for(lambda: len(addresses & {row["name"] for row in here.status()["workers"]}) == 1)
+                assert subprocess.run(probe, stdout=subprocess.DEVNULL, check=False).returncode == 1
+                assert here.run(STOW, timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
+
+
+def test_a_worker_whose_cluster_has_ended_ends_by_itself(tmp_path: Path) -> None:
+    address = f"tcp://127.0.0.1:{free_ports()}"
+    with contextlib.ExitStack() as cluster:
+        path = cluster.enter_context(own_cluster(mcm="kinematic", listen=address))
+        KeyRing(path).new("w1", Role.WORKER, address, tmp_path / "w1.key")
+        with worker(tmp_path / "w1.key", None, "--lost-after", "3", kind="parser") as process:
+            with Client(path) as here:
+                wait_for(lambda: "parser@16" in {row["name"] for row in here.status()["workers"]})
+            assert process.poll() is None
+            cluster.close()
+            assert process.wait(LIMIT_S) == 1
+            assert b"the broker has not answered parser@16 for 3 s" in process.stderr.read()
+
+
 @contextlib.contextmanager
-def worker(key: Path, node: int) -> Iterator[Any]:
-    command = [sys.executable, "-P", "-m", "workers", "--kind", "binder", "--node", str(node), "--with", str(key)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+def worker(
+    key: Path, node: int | None, *options: str, kind: str = "binder", environment: dict[str, str] | None = None
+) -> Iterator[Any]:
+    where = [] if node is None else ["--node", str(node)]
+    command = [sys.executable, "-P", "-m", "workers", "--kind", kind, *where, "--with", str(key), *options]
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=os.environ | (environment or {})
+    )
     try:
         yield process
     finally:

@@ -11,7 +11,16 @@ from zmq.utils.monitor import recv_monitor_message
 
 from rtc.protocol.outcomes import KeyTrouble
 from rtc.protocol.roles import TCP_ENDPOINTS, Role
-from rtc.runtime.keys import KeyFile, KeyRing, Pair, check_address, endpoint_address, is_everywhere, secure_server
+from rtc.runtime.keys import (
+    KeyFile,
+    KeyRing,
+    Pair,
+    _forbidden,
+    check_address,
+    endpoint_address,
+    is_everywhere,
+    secure_server,
+)
 
 AT = "tcp://lab:5555"
 
@@ -161,3 +170,12 @@ ENDS = {
     zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL,
     zmq.EVENT_DISCONNECTED,
 }
+
+
+def test_a_secret_of_an_engine_may_be_read_by_the_group_alone():
+    """systemd and Kubernetes hand over files of root with the mode 0440; a file of one's own needs no group."""
+    assert not 0o440 & _forbidden(owner=0, user=1000)
+    assert 0o444 & _forbidden(owner=0, user=1000)
+    assert 0o460 & _forbidden(owner=0, user=1000)
+    assert 0o440 & _forbidden(owner=1000, user=1000)
+    assert 0o440 & _forbidden(owner=0, user=0)

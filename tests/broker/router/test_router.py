@@ -182,6 +182,22 @@ def test_unreadable_messages_are_counted_by_endpoint(bench: Bench) -> None:
     }
 
 
+def test_the_heartbeat_of_a_remote_worker_is_returned(bench: Bench) -> None:
+    beat = m.Heartbeat(name="parser@16", at_s=7.0)
+    assert bench.send("workers", b"parser@16", beat) == [m.JobBatch(jobs=[])]  # the request for a hello
+    bench.send("workers", b"parser@16", m.WorkerHello(name="parser@16", node=16, kind=m.WorkerKind.PARSER, pid=7))
+    assert bench.send("workers", b"parser@16", beat) == [beat]
+    assert bench.send("workers", b"parser@16", m.Heartbeat(name="parser@16")) == []
+
+
+@pytest.mark.parametrize("in_order", [True, False])
+def test_workers_that_take_leave_are_not_a_failure_of_their_jobs(working: Bench, in_order: bool) -> None:
+    for _ in range(10):
+        working.send("workers", b"parser@0", m.WorkerGone(name="parser@0", in_order=in_order))
+        working.send("workers", b"parser@0", PARSER)
+    assert ("C-1" in working.state.commands) is in_order
+
+
 @pytest.mark.parametrize(
     "message",
     [
