@@ -455,6 +455,7 @@ class EvaluationContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults
     predicted_s: float = 0.0
     width_m: list[float] | None = None  # for a grip: [least, most] that count as success
     no_contact_is_failure: bool = False
+    slowed: str = ""  # why the motion is slower than the command allows, in words
     start_joints: list[float] | None = None
 
 

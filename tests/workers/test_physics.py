@@ -56,6 +56,19 @@ def test_guarded_lines_onto_a_rigid_wall(physical) -> None:
     assert "as asked: UNLESS FORCE EXCEEDS 15 N THEN STOP" in made.message
 
 
+@pytest.mark.parametrize(("speed_cm_s", "most_n"), [(2, 15.0), (5, 25.0), (10, 40.0)])
+def test_a_guarded_move_onto_a_rigid_wall_keeps_its_force_at_any_stated_speed(physical, speed_cm_s, most_n) -> None:
+    physical.subsystem.displace("SATELLITE", [-0.088, 0.0, 0.0])
+    assert physical.do(f"MOVE {ARM} BY 15 CM ALONG DOWN").succeeded
+    run = physical.do(
+        f"MOVE {ARM} BY 2 CM ALONG TOOL-Z MAINTAIN SPEED {speed_cm_s} CM/S UNLESS FORCE EXCEEDS 10 N THEN STOP"
+    )
+    report = run.reports[-1]
+    assert report.reason is StopReason.FORCE_LIMIT
+    assert 10.0 < report.peak_force_n <= most_n
+    assert "slowed to" in run.assessments[-1].message  # and why
+
+
 @pytest.mark.parametrize(
     ("sentence", "offset"),
     [

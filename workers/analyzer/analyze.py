@@ -122,7 +122,7 @@ def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -
     return Assessment(
         verdict="abort" if data.closing else "continue",
         reason=data.report.reason,
-        message=step.label,
+        message=f"{step.label}; {data.evaluation.slowed}" if data.evaluation.slowed else step.label,
         keep={name: _kept(source, data.report) for name, source in step.keep.items()},
         changes=_with_spread(program, query, data, _merged(changes)),
     )
@@ -157,6 +157,8 @@ def _failure(
     words = _words(failure.message, data, reason) if asked is None else _stopped_as_requested(asked, data)
     if done := reflexes.describe_action(data.report):
         words = f"{words}; {done}"
+    if evaluation.slowed and reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT):
+        words = f"{words}; {evaluation.slowed}"
     cures = _ways_to_clear(program, query, changes, failure.misplaced)
     todo = (failure.clears, *cures, failure.again) if asked is None else tuple(cures)
     trim = 0 if data.closing or not failure.retriable else _trim(data, reason)

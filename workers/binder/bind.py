@@ -121,7 +121,8 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         exempt=[name for name in (context.object, context.target) if name],
     )
     hit = impact_of(task, target, values, held)
-    speed_m_s, slowed = pace_of(task, values, hit, step.space == "move_task" or stop_class.touches)
+    expected = step.space == "move_task" or stop_class.touches
+    speed_m_s, slowed = pace_of(task, values, hit, touches=expected, firmly=stop_class.slow_for_force)
     pace = Pace(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
     margin_rad = math.radians(values["joint_margin_deg"])
     request = query.planning_request(task.arm, scene, context.limits, pace, margin_rad)
@@ -134,6 +135,7 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         arm=task.arm,
         goal_pose=motion.goal_pose.tolist(),
         goal_joints=motion.goal_joints.tolist(),
+        slowed=slowed[0] if speed_m_s < values["speed_m_s"] else "",
         held=held,
         predicted_s=motion.timed.duration_s,
         no_contact_is_failure=StopReason.CONTACT in step.expect and StopReason.GOAL not in step.expect,
@@ -157,10 +159,12 @@ def impact_of(task: BindTask, target: Target, values: Values, held: str) -> Impa
     return impact.impact(arm, joints, way, carried_kg, values["impact_s"], values["speed_m_s"], limit_n)
 
 
-def pace_of(task: BindTask, values: Values, hit: Impact | None, touches: bool) -> tuple[float, list[str]]:
+def pace_of(
+    task: BindTask, values: Values, hit: Impact | None, *, touches: bool, firmly: bool
+) -> tuple[float, list[str]]:
     """The speed (m/s), with a note if the force limit has reduced it or cannot be kept at it.
 
-    A speed stated in the command is not reduced, nor is the speed of a path without expected contact.
+    A path without expected contact (`touches`) is not slowed. `firmly`: a speed stated in the command is reduced too.
     """
     speed_m_s, limits = values["speed_m_s"], task.data.context.limits
     if hit is None or hit.felt_n <= hit.limit_n:
@@ -169,10 +173,12 @@ def pace_of(task: BindTask, values: Values, hit: Impact | None, touches: bool) -
         f"at {speed_m_s * 1e3:.3g} mm/s the first millisecond on a rigid body is felt with {hit.felt_n:.0f} N; "
         f"{hit.limit_n:g} N is kept up to {hit.safe_speed_m_s * 1e3:.3g} mm/s"
     )
-    if not touches or limits.speed_m_s is not None or limits.speed_ratio is not None:
+    stated = limits.speed_m_s is not None or limits.speed_ratio is not None
+    if not touches or (stated and not firmly):
         return speed_m_s, [f"not slowed: {felt}"]
     slow_m_s = max(hit.safe_speed_m_s, values["slowest_m_s"])
-    return slow_m_s, [f"slowed to {slow_m_s * 1e3:.3g} mm/s: {felt}; MAINTAIN SPEED keeps another speed"]
+    faster = "a higher force allows more speed" if firmly else "MAINTAIN SPEED keeps another speed"
+    return slow_m_s, [f"slowed to {slow_m_s * 1e3:.3g} mm/s: {felt}; {faster}"]
 
 
 def target_of(task: BindTask) -> Target | Refusal:
