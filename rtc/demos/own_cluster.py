@@ -26,10 +26,11 @@ def own_cluster(
     dim: int = 2,
     listen: str = "",
     least: int | None = None,
+    most: int | None = None,
 ) -> Iterator[Path]:
     """The run directory of a new cluster. Raises ClusterError, with its last output, if it does not start.
 
-    `least`: minimum number of local workers of each kind; None = as many as the cube has.
+    `least`, `most`: limits of the number of local workers of each kind; None = as `rtc up` has them.
     SIGTERM to this process ends the cluster too.
     """
     run_dir = Path(tempfile.mkdtemp(prefix="rtc-"))
@@ -38,6 +39,8 @@ def own_cluster(
         options = ["--cell", cell, "--mcm", mcm, "--speed", speed, "--dim", str(dim), "--listen", listen]
         if least is not None:
             options += ["--least", str(least)]
+        if most is not None:
+            options += ["--most", str(most)]
         _deploy("up", run_dir, READY_S, "-d", *options)
         yield run_dir
     finally:

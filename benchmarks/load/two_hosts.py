@@ -1,0 +1,229 @@
+"""Two hosts on one machine: network namespaces and a link between them with a delay of our own. Needs root.
+
+    with two_hosts(delay_s=0.05, jitter_s=0.02) as hosts:
+        with inside(hosts.near):
+            ...a process that is started here listens at hosts.address...
+        hosts.cut()
+
+The link is a pair of tun devices; the process of this module passes packets from one to the other, so TCP runs from end
+to end. Namespaces have no names: they and the link disappear with the processes that use them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import ctypes
+import fcntl
+import os
+import random
+import select
+import struct
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rtc.protocol.messages import WorkerKind
+from rtc.protocol.roles import Role
+from rtc.runtime.keys import KeyRing
+
+CLONE_NEWNET = 0x40000000
+TUNSETIFF, IFF_TUN, IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
+TUN = "/dev/net/tun"
+NEAR, FAR, PORT = "10.77.0.1", "10.77.0.2", 5555  # the same in each pair of namespaces
+ADDRESS = f"tcp://{NEAR}:{PORT}"
+DEVICE = "link0"
+PACKET = 65_536  # bytes, maximum
+HIGH_PRIORITY = -10  # niceness of the link: it stands for hardware
+END_LIMIT_S = 5.0
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+class Unavailable(Exception):
+    """This process may not make network namespaces or tun devices; the text states the reason."""
+
+
+@dataclass
+class TwoHosts:
+    """`near`, `far`: file descriptors of the namespaces."""
+
+    near: int
+    far: int
+    address: str = ADDRESS
+    workers: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)  # at the far host, by name
+
+    def cut(self) -> None:
+        """Cut the link: the far end goes down, the near end notices nothing."""
+        with inside(self.far):
+            _ip("link", "set", DEVICE, "down")
+
+    def restore(self) -> None:
+        with inside(self.far):
+            _ip("link", "set", DEVICE, "up")
+
+    def start_workers(self, run_dir: Path, nodes: Sequence[int]) -> list[str]:
+        """Start a worker of the cluster in `run_dir` for each of these nodes on the far host; returns their names."""
+        key = run_dir / "far.key"
+        if not key.exists():
+            KeyRing(run_dir).new("far", Role.WORKER, self.address, key)
+        names = []
+        for node in nodes:
+            kind = list(WorkerKind)[node & 3]
+            name = f"{kind}@{node}"
+            command = [sys.executable, "-P", "-m", "workers", "--kind", kind, "--node", str(node), "--with", str(key)]
+            with inside(self.far), open(run_dir / f"{name}.far.log", "ab") as log:
+                self.workers[name] = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=log)
+            names.append(name)
+        return names
+
+    def kill(self, name: str) -> float:
+        """Kill a worker of the far host; returns the time (CLOCK_MONOTONIC)."""
+        process = self.workers.pop(name)
+        at_s = time.monotonic()
+        process.kill()
+        process.wait()
+        return at_s
+
+
+@contextlib.contextmanager
+def two_hosts(delay_s: float = 0.0, jitter_s: float = 0.0) -> Iterator[TwoHosts]:
+    """Two namespaces and their link, which delays each packet by `delay_s` +- `jitter_s` and keeps the order.
+
+    Workers of the far host are killed at the end. Raises Unavailable."""
+    with contextlib.ExitStack() as stack:
+        near, far = (stack.enter_context(_namespace()) for _ in range(2))
+        stack.enter_context(_link(near, far, delay_s, jitter_s))
+        hosts = TwoHosts(near, far)
+        try:
+            yield hosts
+        finally:
+            for name in list(hosts.workers):
+                hosts.kill(name)
+
+
+@contextlib.contextmanager
+def inside(namespace: int) -> Iterator[None]:
+    """Processes that this thread starts in the block are in the namespace. Files and Unix sockets are shared."""
+    before = _current()
+    try:
+        _call(_libc.setns, namespace, CLONE_NEWNET)
+        yield
+    finally:
+        _call(_libc.setns, before, CLONE_NEWNET)
+        os.close(before)
+
+
+@contextlib.contextmanager
+def _namespace() -> Iterator[int]:
+    """A new network namespace, as a file descriptor."""
+    before = _current()
+    try:
+        _call(_libc.unshare, CLONE_NEWNET)
+        made = _current()
+        _ip("link", "set", "lo", "up")
+    finally:
+        _call(_libc.setns, before, CLONE_NEWNET)
+        os.close(before)
+    try:
+        yield made
+    finally:
+        os.close(made)
+
+
+@contextlib.contextmanager
+def _link(near: int, far: int, delay_s: float, jitter_s: float) -> Iterator[None]:
+    command = [sys.executable, "-m", __name__, str(delay_s), str(jitter_s)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    assert process.stderr is not None
+    try:
+        devices = process.stdout.readline().decode().split()
+        if len(devices) != 2:
+            raise Unavailable(process.stderr.read().decode().strip().rpartition("\n")[2] or "the link did not start")
+        for device, namespace, address in zip(devices, (near, far), (NEAR, FAR), strict=True):
+            _ip("link", "set", device, "netns", f"/proc/{os.getpid()}/fd/{namespace}", "name", DEVICE)
+            with inside(namespace):
+                _ip("address", "add", f"{address}/30", "dev", DEVICE)
+                _ip("link", "set", DEVICE, "up")
+        yield
+    finally:
+        process.kill()
+        process.wait()
+        for stream in (process.stdin, process.stdout, process.stderr):
+            stream.close()
+
+
+def _current() -> int:
+    return os.open("/proc/thread-self/ns/net", os.O_RDONLY | os.O_CLOEXEC)
+
+
+def _call(function: Any, *arguments: int) -> None:
+    if function(*arguments) != 0:
+        raise Unavailable(f"network namespaces: {os.strerror(ctypes.get_errno())}")
+
+
+def _ip(*words: str) -> None:
+    try:
+        done = subprocess.run(["ip", *words], capture_output=True, text=True)
+    except FileNotFoundError:
+        raise Unavailable("the command `ip` (iproute2) is not installed") from None
+    if done.returncode:
+        raise Unavailable(f"ip {' '.join(words)}: {done.stderr.strip()}")
+
+
+# --- the process of the link ---------------------------------------------------------------------------
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Pass packets between two new tun devices until stdin is closed.")
+    parser.add_argument("delay_s", type=float)
+    parser.add_argument("jitter_s", type=float)
+    given = parser.parse_args()
+    with contextlib.suppress(OSError):
+        os.nice(HIGH_PRIORITY)
+    try:
+        devices = [_tun(), _tun()]
+    except OSError as error:
+        raise SystemExit(f"{TUN}: {error.strerror}") from None
+    print(*(name for _, name in devices), flush=True)
+    relay(*(device for device, _ in devices), given.delay_s, given.jitter_s, random.Random(1))
+
+
+def _tun() -> tuple[int, str]:
+    """(file descriptor, name) of a new tun device."""
+    device = os.open(TUN, os.O_RDWR | os.O_NONBLOCK)
+    request = fcntl.ioctl(device, TUNSETIFF, struct.pack("16sH22x", b"rtc%d", IFF_TUN | IFF_NO_PI))
+    return device, request[:16].rstrip(b"\0").decode()
+
+
+def relay(one: int, other: int, delay_s: float, jitter_s: float, rng: random.Random) -> None:
+    """Pass packets both ways, each after its delay and in order."""
+    peer = {one: other, other: one}
+    under_way: dict[int, deque[tuple[float, bytes]]] = {one: deque(), other: deque()}  # by receiver: (due, packet)
+    while True:
+        due = [packets[0][0] for packets in under_way.values() if packets]
+        wait_s = max(0.0, min(due) - time.monotonic()) if due else None
+        readable, _, _ = select.select([0, *peer], [], [], wait_s)
+        if 0 in readable:
+            return
+        for device in readable:
+            packets = under_way[peer[device]]
+            with contextlib.suppress(OSError):
+                while True:
+                    packet = os.read(device, PACKET)
+                    at_s = time.monotonic() + delay_s + rng.uniform(-jitter_s, jitter_s)
+                    packets.append((max(at_s, packets[-1][0]) if packets else at_s, packet))
+        for device, packets in under_way.items():
+            while packets and packets[0][0] <= time.monotonic():
+                with contextlib.suppress(OSError):  # a device that is down: the packet is lost
+                    os.write(device, packets.popleft()[1])
+
+
+if __name__ == "__main__":
+    main()
