@@ -10,6 +10,7 @@ The grammar is right-recursive, so lists are built last item first.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any, Literal, NamedTuple
 
@@ -28,10 +29,11 @@ NOTHING: Fields = {}  # the fields of every empty clause; never modified
 
 
 class Takes(NamedTuple):
-    """The quantities that a word takes: SI units and the permitted sign."""
+    """The quantities that a word takes: SI units, the permitted sign, and the largest angle."""
 
     units: tuple[str, ...]
     sense: Sense = "more than nothing"
+    most_deg: float = math.inf
 
 
 LENGTH = Takes(("m",))
@@ -53,7 +55,9 @@ AMOUNTS: dict[str, Takes] = {
 }
 JOINTS = Takes(("rad", "m"), "any")  # m: a joint of a gantry slides
 PERIOD = Takes(("s", "Hz"))
-STEP = Takes(("m", "rad"), "any")  # MOVE ... BY: along an axis, or about it
+# MOVE ... BY: along an axis, or about it. A larger angle would be reached the other way round.
+STEP = Takes(("m", "rad"), "any", most_deg=180.0)
+ATTITUDE = Takes(("rad",), "any", most_deg=360.0)  # roll, pitch and yaw of a pose; bolts and cranks turn further
 
 CONSTRAINTS: dict[str, Takes] = {
     "AVOID-NEIGHBORS": Takes(("m",), "not negative"),
@@ -76,6 +80,7 @@ ARMS = {"LEFT-END-EFF": "LEFT-ARM", "RIGHT-END-EFF": "RIGHT-ARM"}
 ACTIONS = {"STOP": "stop", "BACK-OFF": "back_off", "COMPLY": "comply", "RELEASE": "release"}
 SHARED_PARTS = {"ORIENTATION": "WRIST"}  # synonyms for a part of a shared motion
 POSITION_NUMBERS = 3  # x y z
+ROUNDING_RAD = 1e-6  # 6.283185 RAD is a whole turn
 
 
 class HandFields(dict[str, Any]):
@@ -100,6 +105,9 @@ def checked(given: WrittenNumber, takes: Takes, by: str) -> Quantity:
     if (value < 0 and takes.sense != "any") or (value == 0 and takes.sense == "more than nothing"):
         message = f"{by} {quoted(given.text)} makes no sense: it must be {takes.sense}."
         raise Wrong(given.column, message, map(such_as, takes.units))
+    if si == "rad" and abs(value) > math.radians(takes.most_deg) + ROUNDING_RAD:
+        message = f"{by} {quoted(given.text)} makes no sense: from -{takes.most_deg:g} to {takes.most_deg:g} DEG."
+        raise Wrong(given.column, message, [such_as(si)])
     if si == "ratio" and value > 1:
         raise Wrong(given.column, f"{by} {quoted(given.text)} makes no sense: at most 100 PERCENT.", ["100 PERCENT"])
     return Quantity(value, si)
@@ -422,11 +430,26 @@ def everything(_: Parts) -> Fields:
 
 def set_value(parts: Parts) -> Fields:
     verb, name, attribute, datum = parts
+    if attribute == "ATTITUDE" and isinstance(datum, Datum):
+        check_angles(datum.numbers, f"SET {attribute}")
     return {"verb": verb.value, "object": name, "attribute": attribute, **datum}
 
 
 def name_datum(parts: Parts) -> Fields:
     return {"value": [parts[0]]}
+
+
+class Datum(dict[str, Any]):
+    """Fields of stated numbers, with the numbers as written: what they mean depends on the attribute."""
+
+    numbers: tuple[tuple[WrittenNumber, str | None], ...] = ()
+
+
+def check_angles(numbers: Iterable[tuple[WrittenNumber, str | None]], by: str) -> None:
+    """Raises `Wrong`, at the number, for an angle that is not one of an attitude."""
+    for given, unit in numbers:
+        if unit is not None and UNITS[unit].si == "rad":
+            checked(given._replace(unit=unit), ATTITUDE, by)
 
 
 def number_datum(parts: Parts) -> Fields:
@@ -437,7 +460,11 @@ def number_datum(parts: Parts) -> Fields:
     kinds = (si, "rad") if si == "m" else (si,) if si else ()
     values = in_si(given, kinds, f"SET after {quoted(first.text)}")
     units = [si if unit is None else UNITS[unit].si for _, unit in given]
-    return {"value": values, "value_unit": si if len(set(units)) == 1 else " ".join(map(str, units))}
+    if si == "m":
+        check_angles(given, "the attitude")
+    datum = Datum(value=values, value_unit=si if len(set(units)) == 1 else " ".join(map(str, units)))
+    datum.numbers = tuple(given)
+    return datum
 
 
 def cannot(parts: Parts) -> Fields:

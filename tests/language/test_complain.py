@@ -126,6 +126,10 @@ WRONG = [
     ("HOLD LEFT-ARM FOR ¦-1 SEC", [A_TIME], [], "FOR -1 SEC makes no sense"),
     ("GRASP X MAINTAIN AVOID-NEIGHBORS BY ¦-1 CM", [A_LENGTH], [], "must be not negative"),
     ("GRASP X UNLESS FORCE EXCEEDS ¦-5 N THEN STOP", [A_FORCE], [], "must be not negative"),
+    ("SET X ATTITUDE 0 ¦999 0 DEG", [AN_ANGLE], [], "from -360 to 360 DEG"),
+    ("SET X ATTITUDE ¦-6.3 RAD", [AN_ANGLE], [], "from -360 to 360 DEG"),
+    ("SET X FRAME 80 77 60 CM 0 0 ¦999 DEG", [AN_ANGLE], [], "from -360 to 360 DEG"),
+    ("MOVE LEFT-ARM BY ¦181 DEG ALONG TOOL-Z", [AN_ANGLE], [], "from -180 to 180 DEG"),
     # repeated, or contradictory
     ("GRASP X MAINTAIN SPEED 10 CM/S AND ¦SPEED 5 CM/S", ["each constraint once"], [], "SPEED is repeated"),
     ("GRASP X MAINTAIN SPEED, SHARED, ¦SHARED WRIST", ["each constraint once"], [], "SHARED is repeated"),

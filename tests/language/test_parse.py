@@ -348,6 +348,13 @@ def test_every_unit_is_known_to_the_grammar(unit: str) -> None:
     assert parsed.value_unit == UNITS[unit].si
 
 
+@pytest.mark.parametrize(
+    "sentence", ["TURN CRANK-1 BY 999 DEG", "SET DIAL ANGLE 999 DEG", "SET X ATTITUDE 0 0 360 DEG"]
+)
+def test_an_angle_that_counts_turns_or_is_a_whole_turn_is_accepted(sentence):
+    assert record(sentence).kind in ("task", "data")
+
+
 # --- whatever the text -----------------------------------------------------------------------------------
 
 PIECES = [
