@@ -63,7 +63,8 @@ class Member:
     """An actor, its pending calls of `run` and `address`, and the last address it reported."""
 
     def __init__(self, actor: Any) -> None:
-        self.actor, self.run, self.asked, self.address = actor, actor.run.remote(), actor.address.remote(), ""
+        self.actor, self.run, self.asked = actor, actor.run.remote(), actor.address.remote()
+        self.started, self.address = False, ""
 
 
 class Fleet:
@@ -90,19 +91,21 @@ class Fleet:
                 self._ray.kill(member.actor)
                 print(f"{member.address or self._kind} ended: {self._result(member.run)}", flush=True)
             elif self._ray.wait([member.asked], timeout=0)[0]:
-                member.address, member.asked = self._result(member.asked), member.actor.address.remote()
+                member.started, member.address = True, self._result(member.asked)
+                member.asked = member.actor.address.remote()
         self._show()
 
     def stop(self) -> None:
-        """End all workers in order, within GRACE_S."""
-        for member in self.members:
+        """End all workers in order, within GRACE_S; an actor that Ray has not placed yet is removed at once."""
+        started = [member for member in self.members if member.started]
+        for member in started:
             member.actor.stop.remote()
-        runs = [member.run for member in self.members]
+        runs = [member.run for member in started]
         if runs:
             self._ray.wait(runs, num_returns=len(runs), timeout=GRACE_S)
         for member in self.members:
             self._ray.kill(member.actor)
-            print(f"{member.address or self._kind} ended", flush=True)
+        print(f"ended: {', '.join(member.address for member in started if member.address) or 'none'}", flush=True)
         self.members.clear()
 
     def _result(self, call: Any) -> str:
@@ -114,10 +117,12 @@ class Fleet:
 
     def _show(self) -> None:
         joined = sorted(member.address for member in self.members if "@" in member.address)
-        missing = len(self.members) - len(joined)
+        started = sum(member.started for member in self.members)
         words = f"asked for {self._count} of kind {self._kind}; joined: {', '.join(joined) or 'none'}"
-        if missing:
-            words += f"; {missing} of them start, or wait for a free CPU of Ray"
+        if started > len(joined):
+            words += f"; {started - len(joined)} started and not joined"
+        if started < len(self.members):
+            words += f"; {len(self.members) - started} wait for Ray (a free CPU?)"
         if words != self._shown:
             print(words, flush=True)
         self._shown = words

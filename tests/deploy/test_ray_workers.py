@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import random
+import re
 import signal
 import socket
 import threading
@@ -26,6 +27,7 @@ ROOT = Path(__file__).parents[2]
 COUNT = 2
 LIMIT_S, LOST_AFTER_S = 60.0, 5.0
 SENTENCES = ["STOW RIGHT-ARM", "STOW LEFT-ARM"] * 3  # one primitive each
+FIRST_REMOTE = 16  # address
 PAUSE = threading.Event()
 
 needs_ray = pytest.mark.skipif(
@@ -40,11 +42,12 @@ def test_the_launcher_needs_kind_and_key(capsys: pytest.CaptureFixture[str]) -> 
         parser().parse_args(["--kind", "binder"])
 
 
-@pytest.fixture
-def ray(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """Ray with a node of its own, as small as it can be."""
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+@pytest.fixture(scope="module")
+def ray() -> Iterator[Any]:
+    """Ray with a node of its own, as small as it can be. The last test of this file ends it."""
+    environment = pytest.MonkeyPatch()
+    environment.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    environment.setenv("PYTHONPATH", str(ROOT))
     import ray
 
     ray.init(
@@ -56,13 +59,20 @@ def ray(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     )
     yield ray
     ray.shutdown()
+    environment.undo()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def run_dir() -> Iterator[Path]:
-    """A cluster whose own binders are started only if there are no others."""
+    """A cluster whose own workers are started only if there are no others."""
     with own_cluster(mcm="kinematic", speed="max", least=0, listen=f"tcp://127.0.0.1:{free_ports()}") as path:
         yield path
+
+
+@pytest.fixture(scope="module")
+def key(run_dir: Path) -> KeyFile:
+    with Client(run_dir) as rtc:
+        return KeyRing(run_dir).new("w1", Role.WORKER, rtc.settings.listen, run_dir / "w1.key")
 
 
 def free_ports() -> int:
@@ -101,11 +111,28 @@ class Load:
 
 @pytest.mark.slow
 @needs_ray
-def test_workers_in_actors_bind_and_their_loss_harms_no_command(run_dir: Path, ray: Any) -> None:
+def test_workers_in_actors_end_in_order_and_wait_for_a_free_cpu(
+    run_dir: Path, key: KeyFile, ray: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     with Client(run_dir) as rtc:
-        address = rtc.settings.listen
-        KeyRing(run_dir).new("w1", Role.WORKER, address, run_dir / "w1.key")
-        fleet = Fleet(ray, KeyFile.load(run_dir / "w1.key"), WorkerKind.BINDER, COUNT, LOST_AFTER_S)
+        fleet = Fleet(ray, key, WorkerKind.PARSER, COUNT + 1, LOST_AFTER_S)
+        step_until(fleet, lambda: sum("@" in member.address for member in fleet.members) == COUNT)
+        pids = {row["pid"] for row in rtc.status()["workers"] if row["name"] in ("parser@16", "parser@20")}
+        assert len(pids) == COUNT
+        assert "asked for 3 of kind parser; joined: parser@16, parser@20; 1 wait" in capsys.readouterr().out
+
+        fleet.stop()
+
+        assert set(re.findall(r"parser@\d+", capsys.readouterr().out)) == {"parser@16", "parser@20"}
+        wait_for(lambda: not any(row["pid"] in pids for row in rtc.status()["workers"]))
+        wait_for(lambda: not any(map(runs, pids)))
+
+
+@pytest.mark.slow
+@needs_ray
+def test_workers_in_actors_bind_and_their_loss_harms_no_command(run_dir: Path, key: KeyFile, ray: Any) -> None:
+    with Client(run_dir) as rtc:
+        fleet = Fleet(ray, key, WorkerKind.BINDER, COUNT, LOST_AFTER_S)
         step_until(fleet, lambda: len(binders(rtc)) == COUNT and all("@" in m.address for m in fleet.members))
         pids = set(binders(rtc).values())
         load = Load(run_dir)
@@ -134,12 +161,17 @@ def test_workers_in_actors_bind_and_their_loss_harms_no_command(run_dir: Path, r
             notes = rtc.trace(one.command).notes
             assert [note.note for note in notes if note.node == "MCM"] == ["started", "ended: goal"]
             nodes |= {note.node for note in notes if note.node.startswith("binder@")}
-        assert {int(node.partition("@")[2]) >= 16 for node in nodes} == {True, False}  # on Ray, and later here
+        assert {is_remote(node) for node in nodes} == {True, False}  # on Ray, and later here
 
 
 def binders(rtc: Client) -> dict[str, int]:
-    """Address -> pid of the binders in the cluster."""
-    return {row["name"]: row["pid"] for row in rtc.status()["workers"] if row["name"].startswith("binder@")}
+    """Address -> pid of the remote binders; the cluster may start some of its own."""
+    rows = {row["name"]: row["pid"] for row in rtc.status()["workers"] if row["name"].startswith("binder@")}
+    return {name: pid for name, pid in rows.items() if is_remote(name)}
+
+
+def is_remote(address: str) -> bool:
+    return int(address.partition("@")[2]) >= FIRST_REMOTE
 
 
 def step_until(fleet: Fleet, condition: Callable[[], bool]) -> None:
