@@ -296,7 +296,8 @@ def _let_go(log: Path) -> None:
 def down(run_dir: Path, limit_s: float = REST_S + OUTCOMES_S + END_LIMIT_S + 3.0) -> tuple[int, str]:
     """Ends the cluster in this directory. Returns the pid of its supervisor and a text about what was stopped.
 
-    SIGKILL follows SIGTERM after `limit_s`. Raises NoCluster.
+    SIGKILL follows SIGTERM after `limit_s`. A supervisor that was stopped by a signal continues, to end in order.
+    Raises NoCluster.
     """
     running = _running(run_dir)
     if running is None:
@@ -309,6 +310,7 @@ def down(run_dir: Path, limit_s: float = REST_S + OUTCOMES_S + END_LIMIT_S + 3.0
         for number, wait_s in ((signal.SIGTERM, limit_s), (signal.SIGKILL, 2.0)):
             with contextlib.suppress(ProcessLookupError):
                 signal.pidfd_send_signal(gone, number)
+                signal.pidfd_send_signal(gone, signal.SIGCONT)
             if _ended(gone, wait_s):
                 break
     finally:

@@ -51,7 +51,7 @@ RECONNECT_MS, RECONNECT_MAX_MS = 10, 30  # interval of connecting again to a res
 # Plain numbers, and frames sent one by one: pyzmq's multipart calls and flag enums cost several times as much.
 AT_ONCE, MORE = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE)
 OPEN_LIMIT_S = 0.2
-ORPHANED = signal.SIGUSR1  # not SIGTERM: the dead parent may keep its pid for a moment, while its threads end
+ORPHANED = signal.SIGCONT  # it continues a stopped process, which could not end otherwise
 PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
 Secure = Callable[[zmq.Socket[Any]], None] | None  # sets the keys of a socket before it binds or connects
 _libc = ctypes.CDLL(None)  # opened at import: between fork and exec little may be done
@@ -182,10 +182,13 @@ class Process:
 
         For a process that must first stop arms or send outcomes.
         """
-        signal.signal(ORPHANED, lambda *_: self._stop_orphaned(limit_s))
+        parent = os.getppid()
+        signal.signal(ORPHANED, lambda *_: self._stop_orphaned(parent, limit_s))
         _libc.prctl(PR_SET_PDEATHSIG, ORPHANED, 0, 0, 0)
 
-    def _stop_orphaned(self, limit_s: float) -> None:
+    def _stop_orphaned(self, parent: int, limit_s: float) -> None:
+        if os.getppid() == parent:  # continued by a person; or the parent's threads end, and the last one signals again
+            return
         end_within(limit_s)  # an orphan that hangs has no supervisor to kill it
         self.orphaned = True
         self.stop()

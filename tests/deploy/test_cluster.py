@@ -207,6 +207,24 @@ def test_a_new_cluster_in_the_directory_does_nothing_of_what_was_sent_to_the_old
         assert (status["commands_accepted"], status["commands"]) == (0, [])
 
 
+def test_stopped_processes_do_not_outlive_a_killed_supervisor(run_dir):
+    assert up(run_dir).returncode == 0
+    table = rows(run_dir)
+    for name in ("MCM", "broker", "parser@0"):
+        os.kill(table[name]["pid"], signal.SIGSTOP)
+    os.kill(report(run_dir)["pid"], signal.SIGKILL)
+    gone([row["pid"] for row in table.values()])
+
+
+def test_a_stopped_supervisor_ends_its_cluster_in_order(run_dir):
+    assert deploy("up", "-d", "--mcm", "kinematic", run_dir=run_dir).returncode == 0
+    with Client(run_dir) as rtc:
+        moving = rtc.submit("MOVE RIGHT-ARM TO RACK-1-FRONT MAINTAIN SPEED 5 CM/S")
+        os.kill(report(run_dir)["pid"], signal.SIGSTOP)
+        ended = deploy("down", run_dir=run_dir)
+        assert moving in ended.stdout  # the supervisor has named what it stopped
+
+
 @pytest.fixture
 def cluster_of_its_own(run_dir):
     began = up(run_dir)

@@ -172,7 +172,9 @@ def test_a_child_dies_with_its_parent(tmp_path):
 
 
 @pytest.mark.slow
-def test_one_that_ends_with_its_parent_is_asked_first_and_killed_when_it_hangs(tmp_path):
+@pytest.mark.parametrize("sent", [[], [signal.SIGSTOP], [signal.SIGSTOP, signal.SIGCONT]])
+def test_one_that_ends_with_its_parent_is_asked_first_and_killed_when_it_hangs(tmp_path, sent):
+    """Also if it is stopped by a signal, or was."""
     child_code = textwrap.dedent("""
         import sys
         from rtc.runtime import process
@@ -199,6 +201,8 @@ def test_one_that_ends_with_its_parent_is_asked_first_and_killed_when_it_hangs(t
     command = [sys.executable, "-c", parent_code, child_code, str(tmp_path)]
     parent = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     gone = os.pidfd_open(int(parent.stdout.readline()))
+    for number in sent:
+        signal.pidfd_send_signal(gone, number)
     parent.kill()
     parent.wait(10)
     poller = zmq.Poller()
@@ -206,6 +210,20 @@ def test_one_that_ends_with_its_parent_is_asked_first_and_killed_when_it_hangs(t
     assert poller.poll(10_000), "the child outlived its parent"
     assert (tmp_path / "asked").read_text() == "True"
     os.close(gone)
+
+
+@pytest.mark.slow
+def test_a_process_that_a_person_continues_goes_on(tmp_path):
+    code = """if True:
+        import os, signal, sys
+        from rtc.runtime import process
+        with process.start("me", sys.argv[1]) as me:
+            me.end_with_parent(0.2)
+            os.kill(os.getpid(), signal.SIGCONT)
+            print(me.orphaned, me.stopping)
+    """
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, timeout=30)
+    assert done.stdout == "False False\n"
 
 
 def test_nice_never_raises(monkeypatch):
