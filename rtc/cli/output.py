@@ -114,7 +114,7 @@ def exits_with(code: int) -> Iterator[None]:
 
 def refusal_lines(refusal: Refusal, text: str = "") -> list[str]:
     """A refusal for people: place, reason, what is allowed, what would clear it."""
-    lines = show(text, refusal if text else msgspec.structs.replace(refusal, column=None)).splitlines()
+    lines = show(text, _without_repetition(refusal, located=bool(text))).splitlines()
     if refusal.where and refusal.column is None:
         lines.append(f"where: {refusal.where}")
     if refusal.owner:
@@ -124,6 +124,17 @@ def refusal_lines(refusal: Refusal, text: str = "") -> list[str]:
     if refusal.clears:
         lines.append(f"to clear it: {refusal.clears}")
     return lines
+
+
+def _without_repetition(refusal: Refusal, *, located: bool) -> Refusal:
+    """For display: the names that `clears` proposes are not listed as nearest too, nor as expected if they are all."""
+    proposed = bool(refusal.nearest) and all(name in refusal.clears for name in refusal.nearest)
+    return msgspec.structs.replace(
+        refusal,
+        column=refusal.column if located else None,
+        nearest=[] if proposed else refusal.nearest,
+        expected=[] if proposed and set(refusal.expected) <= set(refusal.nearest) else refusal.expected,
+    )
 
 
 def _figures(refusal: Refusal) -> list[str]:

@@ -152,12 +152,48 @@ def why(
     Example:  rtc why C-7
     """
     record, run = recall(command, previous, run_dir, key)
+    waits: list[str] = []
+    if run is None and record.phase is m.Phase.HELD:
+        with Client(run_dir, key=key) as rtc:
+            waits = waits_for(rtc.status(), record)
     if json:
         outcome = as_json(record)["outcome"]
-        emit_json({"command": record.command, "chain": chain(record), "outcome": outcome, **run_as_json(run)})
+        found = {"command": record.command, "chain": chain(record), "outcome": outcome, "waits_for": waits}
+        emit_json({**found, **run_as_json(run)})
     else:
         print_run(run)
         print_why(record)
+        for line in waits:
+            console.print(Text("    " + line))
+
+
+def waits_for(status: dict[str, Any], record: m.CommandRecord) -> list[str]:
+    """What a held command waits for now, and what would clear it. `status`: of the broker."""
+    commands = {row["command"]: row for row in status.get("commands", [])}
+    lines, owners = [], []
+    for row in status.get("resources", []):
+        if record.command not in row["waiting"]:
+            continue
+        ahead = row["waiting"][: row["waiting"].index(record.command)]
+        queue = f"; before it in the line: {', '.join(ahead)}" if ahead else ""
+        lines.append(f"waits for {row['name']}, {_taken(row['owner'], commands)}{queue}")
+        owners += [name for name in [*row["owner"].split(", "), *ahead] if name in commands]
+    give_up = f"to give this one up: ABORT {record.command}"
+    if owners := list(dict.fromkeys(owners)):
+        lines.append(f"to clear it: wait for {', '.join(owners)}, or: ABORT {owners[0]}; {give_up}")
+    elif not lines and record.notes:  # for another command, not for a resource; its abort would end this one too
+        lines += [record.notes[-1].note, give_up]
+    return lines
+
+
+def _taken(owner: str, commands: dict[str, Any]) -> str:
+    """The owner of a resource in words, with its sentence and what it does."""
+    if owner.startswith("quarantine"):
+        return "which is closed until rest is confirmed or its facts are written (rtc status)"
+    if (row := commands.get(owner)) is None:
+        return f"in use by {owner}" if owner else "which is not yet granted"
+    now = ": ".join(filter(None, [row["phase"], row["step"]]))
+    return f"in use by {owner} ({now}): {quoted(row['text'])}"
 
 
 def print_why(record: m.CommandRecord) -> None:

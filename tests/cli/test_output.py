@@ -8,6 +8,7 @@ import json
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
 from rich.table import Table
 from rich.text import Text
@@ -136,3 +137,17 @@ def test_json_does_nothing_to_the_terminal_and_stays_what_it_was(capsys: pytest.
     line = capsys.readouterr().out.removesuffix("\n")
     assert line.isprintable()
     assert json.loads(line) == evil
+
+
+def test_a_refusal_names_what_it_proposes_once() -> None:
+    names = ["HANDLE-A", "HANDLE-B"]
+    refusal = Refusal(
+        reason=RefusalReason.NAME,
+        message="there is no grasp point of MACS-OLD HANDLE-C",
+        nearest=names,
+        expected=names,
+        clears="did you mean HANDLE-A or HANDLE-B?",
+    )
+    assert "\n".join(refusal_lines(refusal)).count("HANDLE-A") == 1
+    more = msgspec.structs.replace(refusal, expected=[*names, "OTHER"])
+    assert "OTHER" in "\n".join(refusal_lines(more))

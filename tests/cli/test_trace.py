@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rtc.cli.trace import address, as_json, chain, link
+from rtc.cli.trace import address, as_json, chain, link, waits_for
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
 
@@ -72,6 +72,44 @@ def test_a_held_command_says_for_whom_it_waits() -> None:
         notes=[note(m.Phase.HELD, note="RIGHT-ARM is in use by C-7")],
     )
     assert chain(record)[-1] == "held: RIGHT-ARM is in use by C-7"
+
+
+def held(words: str) -> m.CommandRecord:
+    notes = [note(m.Phase.HELD, note=words)]
+    return m.CommandRecord(
+        command="C-8", text="X", source="operator", request="r", accepted_at_s=10.0, phase=m.Phase.HELD, notes=notes
+    )
+
+
+def test_a_held_command_shows_its_present_owner_the_line_before_it_and_what_clears_it() -> None:
+    """The note names the owner when the waiting began; another one has the arm now."""
+    status = {
+        "resources": [
+            {"name": "LEFT-ARM", "owner": "C-1", "waiting": []},
+            {"name": "RIGHT-ARM", "owner": "C-6", "waiting": ["C-7", "C-8", "C-9"]},
+        ],
+        "commands": [
+            {"command": name, "text": f"text of {name}", "phase": "executing", "step": "1 of 1: go"}
+            for name in ("C-1", "C-6", "C-7", "C-8")
+        ],
+    }
+    waits, clears = waits_for(status, held("RIGHT-ARM is in use by C-5"))
+    assert all(word in waits for word in ("RIGHT-ARM", "C-6", "executing", "text of C-6", "C-7"))
+    assert "C-5" not in waits
+    assert "C-1" not in waits
+    assert all(word in clears for word in ("wait for C-6, C-7", "ABORT C-6", "ABORT C-8"))
+
+
+def test_a_command_that_waits_for_another_shows_that() -> None:
+    waits, clears = waits_for({"resources": [], "commands": []}, held("waits for C-5 to succeed"))
+    assert waits == "waits for C-5 to succeed"
+    assert clears.endswith("ABORT C-8")
+
+
+def test_a_closed_resource_has_no_owner_to_abort() -> None:
+    resources = [{"name": "RIGHT-ARM", "owner": "quarantine: MCM", "waiting": ["C-8"]}]
+    (waits,) = waits_for({"resources": resources, "commands": []}, held("RIGHT-ARM is in use by MCM"))
+    assert "rtc status" in waits
 
 
 def test_a_worker_has_an_address_in_the_cube_and_a_subsystem_has_none() -> None:
