@@ -319,3 +319,26 @@ def test_keys_may_be_made_in_a_run_directory_before_its_first_cluster(tmp_path):
         KeyRing(prepare_run_dir(tmp_path)).new("alice", Role.OPERATOR, "tcp://h:1", tmp_path.parent / "alice.key")
         (tmp_path.parent / "alice.key").unlink()
         KeyRing(tmp_path).revoke("alice")
+
+
+def test_in_a_thread_the_process_keeps_its_signal_handlers_and_its_umask(tmp_path):
+    """As in a worker of Ray, whose process belongs to Ray."""
+    mask = os.umask(0o022)
+    try:
+        before = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)]
+        kept = []
+
+        def run():
+            with process.start("worker", tmp_path) as me:
+                kept.append(os.umask(0o022))
+                kept.append([signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)])
+                me.stop()
+                me.wait(10.0)  # returns at once
+                assert me.stopping
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        thread.join(10)
+        assert kept == [0o022, before]
+    finally:
+        os.umask(mask)
