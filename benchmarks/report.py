@@ -71,8 +71,11 @@ def finish(
     metrics: dict[str, float | None],
     rows: Iterable[tuple[str, str]] | None = None,
     folder: Path = RESULTS,
+    data: Any = None,
 ) -> None:
-    """Print the table, write `folder`/NAME.json, and print one line of JSON for tools."""
+    """Print the table, write `folder`/NAME.json, and print one line of JSON for tools.
+
+    `data`: further results for the file, that other programs read."""
     shown = list(rows) if rows is not None else [(key, _figure(value)) for key, value in metrics.items()]
     width = max((len(label) for label, _ in shown), default=0)
     print()
@@ -82,6 +85,8 @@ def finish(
     print()
     folder.mkdir(exist_ok=True)
     document = {"benchmark": name, "metrics": metrics, "rows": dict(shown), "machine": machine()}
+    if data is not None:
+        document["data"] = data
     (folder / f"{name}.json").write_text(json.dumps(document, indent=2) + "\n")
     print(json.dumps({"benchmark": name, "metrics": metrics}), flush=True)
 

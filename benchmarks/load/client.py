@@ -69,9 +69,11 @@ class LoadClient:
         """The broker's status; only while no sentence is in progress."""
         assert not self._sent_at_s
         self._socket.send_multipart(wire.frames(m.StatusQuery(request="status")))
-        (reply,) = self._read(self._socket.recv_multipart())
-        assert isinstance(reply, m.StatusReply)
-        return reply.status
+        while True:
+            for reply in self._read(self._socket.recv_multipart()):
+                if isinstance(reply, m.StatusReply):
+                    return reply.status
+                assert isinstance(reply, m.Welcome), reply
 
     def close(self) -> None:
         self._context.destroy(linger=0)

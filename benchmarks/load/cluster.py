@@ -3,7 +3,8 @@
     with cluster(dim=2) as running:
         ...Client(running.run_dir)...
 
-It has no supervisor: a process that dies makes the benchmark fail.
+It has no supervisor: a process that dies makes the benchmark fail. The workers are processes of their own, or Ray
+actors (`engine`).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from benchmarks.load.ray_workers import ray_workers
 from deploy.hypercube import addresses, kind_of
 from rtc.cells.cell import Cell
 from rtc.protocol.messages import WorkerKind
@@ -34,12 +36,14 @@ class Running:
     run_dir: Path
     settings: Settings
     processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+    actors: dict[str, int] = field(default_factory=dict)  # workers that are Ray actors -> process id
 
     def cpu_s(self) -> dict[str, float]:
         """Processor time used by each process so far (user and system); workers of a kind together."""
         used: dict[str, float] = {}
-        for name, process in self.processes.items():
-            fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+        pids = {name: process.pid for name, process in self.processes.items()} | self.actors
+        for name, pid in pids.items():
+            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
             kind = name.partition("@")[0]
             used[kind] = used.get(kind, 0.0) + (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
         return used
@@ -52,14 +56,21 @@ class Running:
 
 @contextlib.contextmanager
 def cluster(
-    dim: int = 2, *, profile: Path | None = None, busy_s: float = 0.0, real: Sequence[WorkerKind] = ()
+    dim: int = 2,
+    *,
+    profile: Path | None = None,
+    busy_s: float = 0.0,
+    asleep_s: float = 0.0,
+    real: Sequence[WorkerKind] = (),
+    engine: str = "process",
 ) -> Iterator[Running]:
     """A cluster with 2^dim workers.
 
-    `profile`: a file for the broker's profile (cProfile, at about half the speed). `busy_s`: work of each trivial job.
-    `real`: kinds with their real functions; the subsystem then has the arms of the cell.
+    `profile`: a file for the broker's profile (cProfile, at about half the speed). `busy_s`, `asleep_s`: work, or
+    sleep, of each trivial job. `real`: kinds with their real functions; the subsystem then has the arms of the cell.
+    `engine`: "process" or "ray". Raises ImportError if there is no Ray.
     """
-    with tempfile.TemporaryDirectory(prefix="rtc-bench-") as folder:
+    with contextlib.ExitStack() as ended, tempfile.TemporaryDirectory(prefix="rtc-bench-") as folder:
         run_dir = prepare_run_dir(Path(folder) / "run")
         settings = Settings(run_dir=str(run_dir), run=secrets.token_hex(4), dim=dim)
         settings.save()
@@ -70,16 +81,20 @@ def cluster(
             _start(running, "broker", *((*PROFILED, str(profile)) if profile else ()), "-m", "broker")
             arms = [arm.name for arm in Cell.load(settings.cell).arms] if real else []
             _start(running, "MCM", "-m", "benchmarks.load.subsystem", *(("--performers", *arms) if arms else ()))
-            for node in addresses(dim):
+            trivial = ("benchmarks.load.worker", "--busy-s", str(busy_s), "--asleep-s", str(asleep_s))
+            for node in addresses(dim) if engine == "process" else ():
                 kind = kind_of(node)
-                module = ("workers",) if kind in real else ("benchmarks.load.worker", "--busy-s", str(busy_s))
+                module = ("workers",) if kind in real else trivial
                 _start(running, f"{kind}@{node}", "-m", *module, "--kind", kind, "--node", str(node))
             for name, process in running.processes.items():
                 assert process.stdout is not None
                 if process.stdout.readline() != b"ready\n":
                     raise SystemExit(f"{name} did not start:\n{_log(running, name).read_text()}")
+            if engine == "ray":
+                running.actors = ended.enter_context(ray_workers(run_dir, dim, busy_s, asleep_s, real))
             yield running
         finally:
+            ended.close()
             for process in reversed(running.processes.values()):
                 process.terminate()
             for process in running.processes.values():

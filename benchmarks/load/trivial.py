@@ -1,6 +1,6 @@
 """Four trivial worker functions: a sentence of two words becomes one step, one primitive and one success.
 
-They have the interface of the real functions and run in the real worker loop. Pure, except for `busy`.
+They have the interface of the real functions and run in the real worker loop. Pure, except for `busy` and `asleep`.
 
     MOVE LOAD-17    moves the performer LOAD-17, which is reserved from the plan to the end; writes nothing to the world
 
@@ -83,6 +83,16 @@ def busy(body: Callable[[Any], Any], for_s: float) -> Callable[[Any], Any]:
         until_s = time.perf_counter() + for_s
         while time.perf_counter() < until_s:
             pass
+        return body(data)
+
+    return work
+
+
+def asleep(body: Callable[[Any], Any], for_s: float) -> Callable[[Any], Any]:
+    """The same function after this much sleep: a job that takes time but no processor."""
+
+    def work(data: Any) -> Any:
+        time.sleep(for_s)
         return body(data)
 
     return work

@@ -13,7 +13,7 @@ from typing import Any
 
 import zmq
 
-from benchmarks.load.trivial import FUNCTIONS, busy
+from benchmarks.load.trivial import FUNCTIONS, asleep, busy
 from rtc.protocol.messages import WorkerHello, WorkerKind
 from rtc.runtime import process
 from rtc.runtime.settings import Settings
@@ -29,18 +29,26 @@ def main() -> None:
     parser.add_argument("--kind", required=True, type=WorkerKind)
     parser.add_argument("--node", required=True, type=int)
     parser.add_argument("--busy-s", type=float, default=0.0, help="work of every job")
+    parser.add_argument("--asleep-s", type=float, default=0.0, help="sleep of every job, without work")
     given = parser.parse_args()
-    name = f"{given.kind}@{given.node}"
-    with process.start(name, given.run_dir) as me:
+    work(given.run_dir, given.kind, given.node, busy_s=given.busy_s, asleep_s=given.asleep_s)
+
+
+def work(run_dir: Path, kind: WorkerKind, node: int, *, busy_s: float = 0.0, asleep_s: float = 0.0) -> None:
+    """Run one worker until it is asked to stop. `busy_s`, `asleep_s`: duration of each job, spent or slept."""
+    name = f"{kind}@{node}"
+    with process.start(name, run_dir) as me:
         process.nice(NICENESS)
         process.show_name(name)
-        settings = Settings.load(given.run_dir)
-        function: Any = FUNCTIONS[given.kind]
-        if given.busy_s:
-            function = function._replace(body=busy(function.body, given.busy_s))
+        settings = Settings.load(run_dir)
+        function: Any = FUNCTIONS[kind]
+        if busy_s:
+            function = function._replace(body=busy(function.body, busy_s))
+        if asleep_s:
+            function = function._replace(body=asleep(function.body, asleep_s))
         socket = me.socket(zmq.DEALER, settings.endpoint("workers"), identity=name)
         world = WorldClient(settings.endpoint("world"), me.context)
-        hello = WorkerHello(name=name, node=given.node, kind=given.kind, pid=os.getpid())
+        hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid())
         shell = Shell(me, hello, function, socket, world, lambda cell: cell)
         process.freeze_heap()
         gc.set_threshold(50_000, 20, 20)
