@@ -28,7 +28,7 @@ from statistics import mean, median
 from typing import Any, NamedTuple
 
 from benchmarks.load.client import LoadClient
-from benchmarks.load.cluster import Running, cluster
+from benchmarks.load.cluster import cluster
 from benchmarks.load.trivial import performer, sentence
 from benchmarks.report import RESULTS, finish, percentile, question
 from benchmarks.throughput import PLANNERS, motion

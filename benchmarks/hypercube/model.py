@@ -1,0 +1,345 @@
+"""The model of a cluster: brokers, workers, subsystems and clients, each one thread that takes what has arrived.
+
+A process takes the messages that wait for it as one batch, works for the measured time, and sends its answers. So large
+batches form under load, as in the real processes. The broker reads within the limits of `broker.router.ingress`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from random import Random
+from typing import Any, NamedTuple
+
+from benchmarks.hypercube.costs import Costs, PeerCosts, WorkerCosts
+from benchmarks.hypercube.queues import NICE_5, NORMAL, REAL_TIME, Host, Simulation
+from benchmarks.hypercube.registry import Registry, Slot
+from benchmarks.hypercube.routing import between
+from broker.router.ingress import MOST_EVENTS
+from broker.router.loop import CHECK_S
+from rtc.protocol.wire import MOST_TOGETHER
+from workers.runtime.worker_loop import HEARTBEAT_S, QUICK_S
+
+EVENTS = ("parsed", "elaborated", "bound", "analyzed")  # of a result, by the kind of the worker
+ANALYZER = 3
+
+
+class Command:
+    __slots__ = ("arm", "ended_s", "sent_s", "service_s")
+
+    def __init__(self, arm: int, sent_s: float) -> None:
+        self.arm, self.sent_s = arm, sent_s
+        self.service_s = self.ended_s = 0.0
+
+
+class Network:
+    """Passes messages. `cubic`: dimension-order routing, whose intermediate nodes store and forward each message."""
+
+    def __init__(self, sim: Simulation, host: Host, costs: Costs, rng: Random, *, tcp: bool, cubic: bool) -> None:
+        self._sim, self._host, self._costs, self._rng = sim, host, costs, rng
+        self._delays = costs.links["tcp" if tcp else "ipc"]
+        self._cubic = cubic
+        self._free_at_s: dict[int, float] = {}  # node -> end of its latest relayed message
+        self.relay_busy_s: dict[int, float] = {}
+
+    def send(self, io_s: float, source: int, target: int, receive: Callable[..., None], *about: Any) -> None:
+        """Deliver a message. `io_s`: processor time of the I/O threads for it. Negative nodes are outside the cube."""
+        if self._host.limited:
+            self._host.work(NORMAL, io_s, self._travel, io_s, receive, about)
+        elif self._cubic and source >= 0 and target >= 0 and source != target:
+            path = [*between(source, target), -1]
+            self._sim.after(self._delay(), self._arrive, path, 0, receive, about)
+        else:
+            self._sim.after(self._delay(), receive, *about)
+
+    def _travel(self, io_s: float, receive: Callable[..., None], about: tuple[Any, ...]) -> None:
+        self._sim.after(max(0.0, self._delay() - io_s), receive, *about)  # the measured delay contains the I/O
+
+    def _delay(self) -> float:
+        return self._delays[int(self._rng.random() * len(self._delays))]
+
+    def _arrive(self, path: list[int], at: int, receive: Callable[..., None], about: tuple[Any, ...]) -> None:
+        node = path[at]
+        if node < 0:
+            receive(*about)
+            return
+        begin_s = max(self._sim.now_s, self._free_at_s.get(node, 0.0))
+        end_s = self._free_at_s[node] = begin_s + self._costs.relay
+        self.relay_busy_s[node] = self.relay_busy_s.get(node, 0.0) + self._costs.relay
+        self._sim.after(end_s - self._sim.now_s + self._delay(), self._arrive, path, at + 1, receive, about)
+
+
+class World(NamedTuple):
+    """What all processes of a simulation share."""
+
+    sim: Simulation
+    host: Host
+    network: Network
+    costs: Costs
+    rng: Random
+
+
+class Worker:
+    """`asleep`: its jobs take time but no processor."""
+
+    def __init__(self, world: World, costs: WorkerCosts, node: int, *, asleep: bool) -> None:
+        self._world, self._costs, self._asleep = world, costs, asleep
+        self.node = node
+        self._inbox: deque[tuple[Broker, Slot, list[Command]]] = deque()  # messages
+        self._queue: deque[tuple[Broker, Slot, Command]] = deque()
+        self._busy = False
+        self._quick = not asleep and sum(costs.service) / len(costs.service) < QUICK_S
+        self.busy_s = 0.0
+
+    def receive(self, broker: Broker, slot: Slot, jobs: list[Command]) -> None:
+        self._inbox.append((broker, slot, jobs))
+        if not self._busy:
+            self._next()
+
+    def _next(self) -> None:
+        messages = len(self._inbox)
+        for broker, slot, jobs in self._inbox:
+            self._queue.extend((broker, slot, job) for job in jobs)
+        self._inbox.clear()
+        self._busy = bool(self._queue)
+        if not self._busy:
+            return
+        costs, work = self._costs, self._world.host.work
+        if self._quick:
+            some = list(self._queue)
+            self._queue.clear()
+            took = [(each, self._service()) for each in some]
+            extra_s = sum(max(0.0, s - costs.per_item) for _, s in took)
+            work(NICE_5, messages * costs.per_message + len(some) * costs.per_item + extra_s, self._answer, took)
+        else:
+            job = self._queue.popleft()
+            service_s = self._service()
+            self.busy_s += service_s
+            if self._asleep:
+                self._world.sim.after(service_s, work, NICE_5, costs.per_message, self._answer, [(job, service_s)])
+            else:
+                work(NICE_5, costs.per_message + costs.per_item + service_s, self._answer, [(job, service_s)])
+
+    def _service(self) -> float:
+        times = self._costs.service
+        return times[int(self._world.rng.random() * len(times))]
+
+    def _answer(self, took: list[tuple[tuple[Broker, Slot, Command], float]]) -> None:
+        by_broker: dict[Broker, list[tuple[Slot, Command, float]]] = {}
+        for (broker, slot, job), service_s in took:
+            by_broker.setdefault(broker, []).append((slot, job, service_s))
+        for broker, results in by_broker.items():
+            send = self._world.network.send
+            send(
+                self._costs.io_per_message, self.node, broker.node, broker.receive, "results", (self.node & 3, results)
+            )
+        self._next()
+
+
+class Peer:
+    """Subsystem or client: handles all that waits in one batch; `done(items)` then sends its answers."""
+
+    def __init__(self, world: World, costs: PeerCosts, done: Callable[[list[Any]], None]) -> None:
+        self._world, self._costs, self._done = world, costs, done
+        self._inbox: list[list[Any]] = []
+        self._busy = False
+
+    def receive(self, items: list[Any]) -> None:
+        self._inbox.append(items)
+        if not self._busy:
+            self._next()
+
+    def _next(self) -> None:
+        self._busy = bool(self._inbox)
+        if self._busy:
+            messages, items = len(self._inbox), [item for some in self._inbox for item in some]
+            self._inbox.clear()
+            demand_s = messages * self._costs.per_message + len(items) * self._costs.per_item
+            self._world.host.work(NORMAL, demand_s, self._complete, items)
+
+    def _complete(self, items: list[Any]) -> None:
+        self._done(items)
+        self._next()
+
+
+class Halt(NamedTuple):
+    called_s: float
+
+
+class Broker:
+    """`arms`: performers of its subsystem; each executes one command at a time."""
+
+    def __init__(self, world: World, node: int, workers: list[tuple[int, Worker]], arms: int) -> None:
+        self._world, self.node = world, node
+        self.registry = Registry(workers)
+        self.halts_s: list[float] = []
+        self.reply: Callable[[list[Command]], None] = lambda ended: None  # to its client, set by the cluster
+        self.accepted: Callable[[], None] = lambda: None
+        self.subsystem = Peer(world, world.costs.subsystem, self._report)
+        self._inbox: dict[str, deque[Any]] = {
+            "halts": deque(),
+            "reports": deque(),
+            "results": deque(),
+            "front": deque(),
+        }
+        self._lines: list[deque[Command]] = [deque() for _ in range(arms)]  # the first one has the arm
+        self._busy = False
+        self._background_s = 0.0  # health checks and heartbeats that are due
+        self.busy_s = self.background_s = 0.0
+        self.turns = 0
+        world.sim.after(CHECK_S * (1.0 + world.rng.random()), self._check)
+
+    # --- messages arrive --------------------------------------------------------------------------------
+
+    def receive(self, name: str, message: Any) -> None:
+        self._inbox[name].append(message)
+        if not self._busy:
+            self._turn(wakes=True)
+
+    def _check(self) -> None:
+        costs, workers = self._world.costs, self.registry.count
+        self._background_s += workers * (costs.check_per_worker + costs.heartbeat * CHECK_S / HEARTBEAT_S)
+        self._world.sim.after(CHECK_S, self._check)
+        if not self._busy:
+            self._turn(wakes=True)
+
+    def _report(self, items: list[Any]) -> None:
+        """Answers of the subsystem."""
+        self.halts_s += [self._world.sim.now_s - item.called_s for item in items if isinstance(item, Halt)]
+        ended = [item for item in items if isinstance(item, Command)]
+        io_s = self._world.costs.subsystem.io_per_message
+        for first in range(0, len(ended), MOST_TOGETHER):
+            some = ended[first : first + MOST_TOGETHER]
+            self._world.network.send(io_s, -1, -1, self.receive, "reports", some)
+
+    # --- a turn of the loop -----------------------------------------------------------------------------
+
+    def _turn(self, *, wakes: bool = False) -> None:
+        """Read, decide, and send at the end of the turn's time. Halts have a turn of their own, before the others.
+
+        `wakes`: the broker has slept before."""
+        inbox = self._inbox
+        self._busy = any(inbox.values()) or self._background_s > 0.0
+        if not self._busy:
+            return
+        halts = list(inbox["halts"])
+        inbox["halts"].clear()
+        batch = _Batch(halts, wakes)
+        if not halts:
+            self._read(batch)
+        background_s, self._background_s = self._background_s, 0.0
+        self.background_s += background_s
+        demand_s = batch.cost_s(self._world.costs, self.registry.count, self._ratio()) + background_s
+        self.busy_s += demand_s
+        self.turns += 1
+        self._world.host.work(REAL_TIME, demand_s, self._end, batch)
+
+    def _ratio(self) -> float:
+        ratios = self._world.costs.ratios
+        return ratios[int(self._world.rng.random() * len(ratios))]
+
+    def _read(self, batch: _Batch) -> None:
+        events = 0
+        for name, socket, handle in (
+            ("reports", "subsystems", self._reported),
+            ("results", "workers", self._finished),
+            ("front", "front", self._accept),
+        ):
+            waiting = self._inbox[name]
+            while waiting:
+                events += handle(waiting.popleft(), batch)
+                batch.messages_in += 1
+                if events >= MOST_EVENTS[socket]:
+                    break
+        for kind, slot, jobs in self.registry.assign():
+            batch.jobs.append((kind, slot, jobs))
+
+    def _accept(self, commands: list[Command], batch: _Batch) -> int:
+        batch.count("accept", len(commands))
+        batch.accepted += len(commands)
+        self.registry.queues[0].extend(commands)
+        return len(commands)
+
+    def _finished(self, message: tuple[int, list[tuple[Slot, Command, float]]], batch: _Batch) -> int:
+        kind, results = message
+        batch.count(EVENTS[kind], len(results))
+        for slot, command, service_s in results:
+            self.registry.answered(kind, slot, service_s)
+            command.service_s += service_s
+            if kind == 0:
+                self.registry.queues[1].append(command)
+            elif kind == 1:
+                self._claim(command)
+            elif kind == ANALYZER:
+                batch.ended.append(command)
+                self._release(command)
+            else:
+                batch.primitives.append(command)
+        return len(results)
+
+    def _claim(self, command: Command) -> None:
+        line = self._lines[command.arm]
+        line.append(command)
+        if len(line) == 1:
+            self.registry.queues[2].append(command)
+
+    def _release(self, command: Command) -> None:
+        line = self._lines[command.arm]
+        line.popleft()
+        if line:
+            self.registry.queues[2].append(line[0])
+
+    def _reported(self, commands: list[Command], batch: _Batch) -> int:
+        batch.count("reported", len(commands))
+        batch.acknowledged += len(commands)
+        self.registry.queues[ANALYZER].extend(commands)
+        return len(commands)
+
+    def _end(self, batch: _Batch) -> None:
+        """Send what the turn has produced; then the next turn."""
+        world, send = self._world, self._world.network.send
+        io_s = world.costs.io_per_message + world.costs.io_per_turn / max(1, batch.messages_out)
+        for halt in batch.halts:
+            send(io_s, -1, -1, self.subsystem.receive, [halt])
+        for _, slot, jobs in batch.jobs:
+            worker = slot.worker
+            send(io_s, self.node, worker.node, worker.receive, self, slot, jobs)
+        for first in range(0, len(batch.primitives), MOST_TOGETHER):
+            some = batch.primitives[first : first + MOST_TOGETHER]
+            send(io_s, -1, -1, self.subsystem.receive, some)
+        if batch.accepted:
+            send(io_s, -1, -1, self.accepted)
+        if batch.ended:
+            send(io_s, -1, -1, self.reply, batch.ended)
+        self._turn()
+
+
+class _Batch:
+    """One turn of a broker."""
+
+    def __init__(self, halts: list[Halt], wakes: bool) -> None:
+        self.halts, self.wakes = halts, wakes
+        self.messages_in = len(self.halts)
+        self.events: dict[str, int] = {}
+        self.jobs: list[tuple[int, Slot, list[Command]]] = []
+        self.primitives: list[Command] = []
+        self.ended: list[Command] = []
+        self.accepted = self.acknowledged = 0
+
+    def count(self, event: str, how_many: int) -> None:
+        self.events[event] = self.events.get(event, 0) + how_many
+
+    @property
+    def messages_out(self) -> int:
+        """Messages sent; those for one peer travel together, up to a limit."""
+        orders, answers = len(self.primitives) + self.acknowledged, self.accepted + len(self.ended)
+        return len(self.halts) + len(self.jobs) + -(-orders // MOST_TOGETHER) + -(-answers // MOST_TOGETHER)
+
+    def cost_s(self, costs: Costs, workers: int, ratio: float) -> float:
+        per = costs.broker
+        messages_s = self.messages_in * per["message_in"] + self.messages_out * per["message_out"]
+        fixed_s = per["turn"] + self.wakes * per["wake_up"] + messages_s
+        events_s = sum(how_many * per[event] for event, how_many in self.events.items())
+        scanned_s = len(self.jobs) * costs.assign_per_worker * workers
+        empty = not (self.messages_in or self.jobs)
+        return (0.0 if empty else (fixed_s + events_s) * ratio) + scanned_s
