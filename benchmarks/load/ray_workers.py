@@ -1,6 +1,7 @@
 """Workers of a load test as Ray actors: the loop of the worker runs inside the actor, without a child process.
 
-As `benchmarks.load.worker` and `workers.__main__`, started by another engine. Ray is imported only here.
+As `benchmarks.load.worker` and `workers.runtime.start`, started by another engine, with the same local sockets: what is
+compared is the engine alone. For workers of other hosts see `deploy.engines.ray_workers`.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class Node:
             work(Path(run_dir), kind, node, busy_s=busy_s, asleep_s=asleep_s)
         else:
             from rtc.runtime.settings import Settings
-            from workers.__main__ import work as work_real
+            from workers.runtime.start import work as work_real
             from workers.runtime.preload import preload
 
             settings = Settings.load(Path(run_dir))
