@@ -12,12 +12,14 @@ from typing import NamedTuple
 from benchmarks.hypercube.costs import Costs
 from benchmarks.hypercube.model import Broker, Command, Halt, Network, Peer, Worker, World
 from benchmarks.hypercube.queues import Host, Simulation
-from benchmarks.hypercube.routing import homes
+from benchmarks.hypercube.routing import homes, hops
 from benchmarks.report import percentile
 from rtc.protocol.wire import MOST_TOGETHER
 
 ARMS = 1024  # of one broker: so many that commands do not wait for one
 HALT_PERIOD_S = 0.03
+FULL_BEFORE, FULL_DURING = 1.5, 2.0  # times the window: commands of the warm-up, and of the measurement, at least
+LONGEST_S = 20.0
 
 
 class Plan(NamedTuple):
@@ -28,6 +30,7 @@ class Plan(NamedTuple):
     window: int = 1000  # commands in progress, of each broker
     brokers: int = 1
     shared: bool = True  # all brokers assign jobs to all workers; False: each has an equal part of them
+    nearest: bool = False  # among equally loaded workers a broker takes the nearest one; False: the lowest address
     cubic: bool = False  # dimension-order routing; False: direct links
     cores: int | None = None  # of the one host; None: each process has a core of its own
     tcp: bool = False  # links between hosts
@@ -107,14 +110,15 @@ def simulate(costs: Costs, plan: Plan, *, seconds: float, seed: int, warm_up_s: 
     world = World(sim, host, Network(sim, host, costs, rng, tcp=plan.tcp, cubic=plan.cubic), costs, rng)
     kinds, asleep = costs.workers[plan.workload], plan.workload.startswith("asleep")
     workers = [(node, Worker(world, kinds[node % 4], node, asleep=asleep)) for node in range(1 << plan.dim)]
-    nodes = homes(plan.brokers, plan.dim)
     share = len(workers) // plan.brokers
     clients, brokers = [], []
-    for n, node in enumerate(nodes):
+    for n, node in enumerate(homes(plan.brokers, plan.dim)):
         own = workers if plan.shared else workers[n * share : (n + 1) * share]
+        if plan.nearest:
+            own = sorted(own, key=lambda worker: (hops(worker[0], node), worker[0] ^ node))
         brokers.append(Broker(world, node, own, plan.arms))
         clients.append(Client(world, brokers[-1], plan))
-    sim.run(warm_up_s)
+    _run_until(sim, clients, warm_up_s, FULL_BEFORE * plan.window if plan.rate == 0.0 else 0)
     for client, broker in zip(clients, brokers, strict=True):
         client.ended.clear()
         broker.halts_s.clear()
@@ -123,7 +127,9 @@ def simulate(costs: Costs, plan: Plan, *, seconds: float, seed: int, warm_up_s: 
         worker.busy_s = 0.0
     world.network.relay_busy_s.clear()
     in_progress = sum(client.sent for client in clients)
-    sim.run(warm_up_s + seconds)
+    began_s = sim.now_s
+    _run_until(sim, clients, began_s + seconds, FULL_DURING * plan.window if plan.rate == 0.0 else 0)
+    seconds = sim.now_s - began_s
     ended = [command for client in clients for command in client.ended]
     halts_ms = [1e3 * halt_s for broker in brokers for halt_s in broker.halts_s] or [float("inf")]
     times_ms = [1e3 * (command.ended_s - command.sent_s) for command in ended] or [float("inf")]
@@ -146,3 +152,10 @@ def simulate(costs: Costs, plan: Plan, *, seconds: float, seed: int, warm_up_s: 
         backlog=sum(client.sent for client in clients) - in_progress - len(ended),
         events=sim.events,
     )
+
+
+def _run_until(sim: Simulation, clients: list[Client], until_s: float, ended: float) -> None:
+    """Run until this time, and longer until each client has seen so many ends on average, at most LONGEST_S longer."""
+    sim.run(until_s)
+    while sum(len(client.ended) for client in clients) < ended * len(clients) and sim.now_s < until_s + LONGEST_S:
+        sim.run(sim.now_s + 0.05)

@@ -11,13 +11,11 @@ from typing import Any, NamedTuple
 from benchmarks.hypercube.cluster import Plan, Result, simulate
 from benchmarks.hypercube.costs import Costs
 
-WINDOW_MOST = 1000  # commands in progress at one broker, as in `benchmarks.scaling`
+WINDOW_MOST = {"trivial": 1000, "real": 400, "asleep-4ms": 400}  # commands in progress at one broker
 WORKLOAD = "asleep-4ms"
-BROKERS = (1, 4, 16, 64)
+BROKERS = (4, 16, 64)
 LOADS = (0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95)  # of the throughput with a full window
-SECONDS = 0.4
-EVENTS_FOR = 1_000_000  # the simulated time is shortened so that a run has about so many events
-EVENTS_PER_COMMAND = 30
+SECONDS = 0.2  # simulated, and longer until each window has ended twice
 HALT_SAMPLES_S = 1.0  # least simulated time of the runs that measure halts
 
 
@@ -37,55 +35,39 @@ class Run(NamedTuple):
         }
 
 
-def window(dim: int, brokers: int) -> int:
-    """Commands in progress at each broker: four per worker in total, at most WINDOW_MOST."""
-    return max(4, min(WINDOW_MOST, (4 << dim) // brokers))
-
-
 def plans(dims: Sequence[int]) -> Iterator[tuple[str, Plan]]:
+    """The cases: name of the experiment, and plan."""
     for dim in dims:
-        for workload in ("trivial", "real", WORKLOAD):
-            yield "one broker", _plan(dim, workload=workload)
-        yield "one broker, dimension-order", _plan(dim, cubic=True)
-        for brokers in BROKERS[1:]:
+        for workload in WINDOW_MOST:
+            yield "one broker", _plan(dim, 1, workload=workload)
+        yield "one broker, dimension-order", _plan(dim, 1, cubic=True)
+        for brokers in BROKERS:
             if dim % 2 == 0 and 4 * brokers <= 1 << dim:
-                yield "shared pool", _plan(dim, brokers=brokers)
-                yield "own workers", _plan(dim, brokers=brokers, shared=False)
-                yield "shared pool, dimension-order", _plan(dim, brokers=brokers, cubic=True)
+                yield "shared pool, lowest first", _plan(dim, brokers)
+                yield "shared pool, nearest first", _plan(dim, brokers, nearest=True)
+                yield "shared pool, nearest first, dimension-order", _plan(dim, brokers, nearest=True, cubic=True)
+                yield "own workers", _plan(dim, brokers, shared=False)
 
 
-def _plan(dim: int, *, workload: str = WORKLOAD, brokers: int = 1, shared: bool = True, cubic: bool = False) -> Plan:
-    return Plan(
-        dim=dim,
-        workload=workload,
-        window=window(dim, brokers),
-        brokers=brokers,
-        shared=shared,
-        cubic=cubic,
-        tcp=True,
-    )
+def _plan(dim: int, brokers: int, *, workload: str = WORKLOAD, **options: bool) -> Plan:
+    """Four commands in progress per worker, at most WINDOW_MOST at one broker."""
+    window = max(4, min(WINDOW_MOST[workload], (4 << dim) // brokers))
+    return Plan(dim=dim, workload=workload, window=window, brokers=brokers, tcp=True, **options)
 
 
 def run(costs: Costs, dims: Sequence[int], seed: int) -> Iterator[Run]:
     """All experiments; yields each as it ends."""
     for name, plan in plans(dims):
-        yield Run(name, plan, simulate(costs, plan, seconds=_seconds(plan), seed=seed))
+        yield Run(name, plan, simulate(costs, plan, seconds=SECONDS, seed=seed))
 
 
 def loads(costs: Costs, dim: int, seed: int) -> Iterator[Run]:
     """Times and halts at parts of one broker's throughput, the commands arriving at random times."""
-    plan = _plan(dim)
+    plan = _plan(dim, 1)
     most = simulate(costs, plan, seconds=SECONDS, seed=seed).commands_per_s
     for share in LOADS:
         open_plan = plan._replace(rate=share * most)
         yield Run("load", open_plan, simulate(costs, open_plan, seconds=max(SECONDS, HALT_SAMPLES_S), seed=seed))
-
-
-def _seconds(plan: Plan) -> float:
-    """Simulated time: SECONDS, or less for a plan with very many events."""
-    per_s = min(plan.brokers * 12_000.0, (1 << plan.dim) / 0.016) if plan.workload == WORKLOAD else 12_000.0
-    events_per_s = per_s * (EVENTS_PER_COMMAND + (4 * plan.dim if plan.cubic else 0))
-    return max(0.1, min(SECONDS, EVENTS_FOR / events_per_s))
 
 
 def first_limit(result: Result) -> str:

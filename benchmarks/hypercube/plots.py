@@ -64,9 +64,10 @@ def scaling(rows: Sequence[Row], file: Path) -> None:
     several = [row for row in rows if row["brokers"] > 1]
     for n, brokers in enumerate(sorted({row["brokers"] for row in several})):
         for experiment, style in (
-            ("shared pool", "-"),
+            ("shared pool, nearest first", "-"),
+            ("shared pool, lowest first", ":"),
+            ("shared pool, nearest first, dimension-order", "-."),
             ("own workers", "--"),
-            ("shared pool, dimension-order", ":"),
         ):
             some = [r for r in several if (r["brokers"], r["experiment"]) == (brokers, experiment)]
             _line(right, some, f"{brokers} brokers, {experiment}", style, f"C{n}")
