@@ -4,6 +4,7 @@
     python -m benchmarks.hypercube --check       compare with the real cluster: results/scaling.json of this machine
     python -m benchmarks.hypercube               simulate d = 2 to 16 and draw the plots (minutes)
     python -m benchmarks.hypercube --dims 2 8    fewer sizes
+    python -m benchmarks.hypercube --page        write the results into the tables of docs/scaling.md
 
 Service and link times come from `--measure` alone (results/hypercube_costs.json); nothing is fitted to the results of
 `benchmarks.scaling`. The check gives the two cores of this machine to all processes. The other simulations give each
@@ -17,7 +18,7 @@ import json
 import os
 from typing import Any
 
-from benchmarks.hypercube import check, experiments, plots
+from benchmarks.hypercube import check, experiments, page, plots
 from benchmarks.hypercube.costs import Costs, from_data, load
 from benchmarks.report import RESULTS, finish, question
 
@@ -35,11 +36,14 @@ def main() -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--measure", action="store_true", help="write results/hypercube_costs.json")
     what.add_argument("--check", action="store_true", help="compare with results/scaling.json")
+    what.add_argument("--page", action="store_true", help="write the tables of docs/scaling.md from the results")
     parser.add_argument("--dims", type=int, nargs="+", default=list(DIMS), help="dimensions of the cube: 2^dim workers")
     parser.add_argument("--seed", type=int, default=SEED)
     given = parser.parse_args()
     if given.measure:
         measure()
+    elif given.page:
+        page.update()
     elif given.check:
         raise SystemExit(0 if compare(load(), given.seed) else 1)
     else:

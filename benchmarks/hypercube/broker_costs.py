@@ -54,7 +54,7 @@ SIZES = (4, 64, 1024, 4096, 16384, 65536)  # workers, for the costs that grow wi
 Sent = list[tuple[zmq.Socket[bytes], list[bytes]]]  # messages of the broker: receiver, frames
 
 
-class Turn(NamedTuple):
+class TurnCost(NamedTuple):
     features: tuple[float, ...]
     main_s: float
     io_s: float
@@ -111,7 +111,7 @@ class BrokerBench:
 
     # --- one turn --------------------------------------------------------------------------------------
 
-    def turn(self, sent: int, events: int, stage: str, cold: bool) -> tuple[Turn | None, Sent]:
+    def turn(self, sent: int, events: int, stage: str, cold: bool) -> tuple[TurnCost | None, Sent]:
         """Let the broker read `sent` messages in one turn. Returns its cost, and the messages that it sent.
 
         The cost is None if some messages were late: then there were several turns."""
@@ -130,7 +130,7 @@ class BrokerBench:
             self.router.run_once(self.me.wait(LATE_S))
             time.sleep(10 * ALONE_S)
         counts = [float(name == stage) * events for name in STAGES]
-        return None if late else Turn((1.0, float(cold), float(sent), float(len(out)), *counts), main_s, io_s), out
+        return None if late else TurnCost((1.0, float(cold), float(sent), float(len(out)), *counts), main_s, io_s), out
 
     def _drain(self, out: Sent) -> int:
         """Receive what the broker has sent; the number of commands in `out` that it has passed on."""
@@ -149,7 +149,7 @@ class BrokerBench:
 
     # --- one group of commands --------------------------------------------------------------------------
 
-    def pass_through(self, how_many: int, took_s: float, cold: bool = WARM) -> Iterator[Turn]:
+    def pass_through(self, how_many: int, took_s: float, cold: bool = WARM) -> Iterator[TurnCost]:
         """Pass this many commands through all stages; yields a turn for each stage, unless messages were late."""
         texts = []
         for _ in range(how_many):
@@ -243,7 +243,7 @@ def bench(slots: int) -> Iterator[BrokerBench]:
 
 def measure(repetitions: int) -> dict[str, Any]:
     """Costs of the broker in seconds: per turn, message, event and registered worker; the spread."""
-    turns: list[Turn] = []
+    turns: list[TurnCost] = []
     for slots, sizes, took_s in ((1, TOGETHER, QUICK_S), (max(APART), APART, SLOW_S)):
         with bench(slots) as broker:
             for _ in range(SETTLED):
