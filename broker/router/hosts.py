@@ -5,6 +5,7 @@ Made from the reports of gateway and supervisor and from the worker registry. Pl
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -26,9 +27,15 @@ def hosts(
     late: Mapping[str, int],
     now: float,
 ) -> list[dict[str, Any]]:
-    """One row for this machine and one per key and host. `late`: late results by worker."""
-    own = _here(registry, processes, late)
-    return [own, *(_row(peer, registry, late, now) for peer in peers)]
+    """One row for this machine and one per key and host. `asked` and `missing` are those of the key on all hosts.
+
+    `late`: late results by worker.
+    """
+    rows = [_here(registry, processes, late), *(_row(peer, registry, late, now) for peer in peers)]
+    joined = Counter[str]()
+    for row in rows:
+        joined[row["key"]] += row["joined"]
+    return [{**row, "missing": max(0, row["asked"] - joined[row["key"]])} for row in rows]
 
 
 def requests_for_more(

@@ -26,18 +26,19 @@ def show_hosts(report: dict[str, Any]) -> None:
     if len(rows) < 2:  # this machine alone
         return
     out = table("host", "key", "role", "asked>", "joined>", "refused>", "round trip>", "last message>", "link")
+    first = {row["key"]: row for row in reversed(rows)}  # it shows what concerns the key on all hosts
     for row in rows:
-        missing = row["joined"] < row["asked"]
+        of_key = row is first[row["key"]]
         out.add_row(
             row["host"] or "",
             Text(row["key"] or ("" if row["role"] else "unknown key")),
             row["role"],
-            str(row["asked"] or ""),
-            Text(str(row["joined"]) if row["role"] == "worker" else "", style="bold yellow" if missing else ""),
+            str(row["asked"] or "") if of_key else "",
+            Text(str(row["joined"]) if row["role"] == "worker" else "", style="bold yellow" if row["missing"] else ""),
             str(row["refused"] or ""),
             round_trip(row),
             "" if row.get("last_message_ago_s") is None else f"{duration(row['last_message_ago_s'])} ago",
-            Text("; ".join(_notes(row))),
+            Text("; ".join(_notes(row, of_key))),
         )
     console.print(out)
 
@@ -53,10 +54,10 @@ def round_trip(row: dict[str, Any]) -> str:
     return f"{row['round_trip_ms']:.2g} ms ({duration(row['round_trip_ago_s'])} ago)"
 
 
-def _notes(row: dict[str, Any]) -> Iterable[str]:
+def _notes(row: dict[str, Any], of_key: bool) -> Iterable[str]:
     yield row["state"]
-    if row["joined"] < row["asked"]:
-        yield f"{row['asked'] - row['joined']} of {row['asked']} missing"
+    if row["missing"] and of_key:
+        yield f"{row['missing']} of {row['asked']} missing"
     if lost := row.get("lost"):
         latest = sorted(lost, key=lambda name: lost[name])
         more = f" and {len(latest) - LOST_SHOWN} more" if len(latest) > LOST_SHOWN else ""

@@ -27,10 +27,12 @@ def own_cluster(
     listen: str = "",
     least: int | None = None,
     most: int | None = None,
+    more: str = "",
 ) -> Iterator[Path]:
     """The run directory of a new cluster. Raises ClusterError, with its last output, if it does not start.
 
     `least`, `most`: limits of the number of local workers of each kind; None = as `rtc up` has them.
+    `more`: command line for more workers.
     SIGTERM to this process ends the cluster too.
     """
     run_dir = Path(tempfile.mkdtemp(prefix="rtc-"))
@@ -41,6 +43,8 @@ def own_cluster(
             options += ["--least", str(least)]
         if most is not None:
             options += ["--most", str(most)]
+        if more:
+            options += ["--more", more]
         _deploy("up", run_dir, READY_S, "-d", *options)
         yield run_dir
     finally:

@@ -49,6 +49,17 @@ def test_joined_are_the_workers_that_the_broker_knows(registry: WorkerRegistry) 
     assert (row["asked"], row["joined"], row["workers"], row["state"]) == (8, 1, ["binder@18"], "ready")
 
 
+def test_missing_are_those_that_have_joined_on_no_host(registry: WorkerRegistry) -> None:
+    registry.register("binder@22", 22, BINDER, 1, 0.0)
+    peers = [
+        peer(asked=3, workers=[far()]),
+        peer(asked=3, workers=[far("binder@22")], host="10.0.0.8"),
+        peer(asked=1, key="w2"),
+    ]
+    rows = hosts(registry, LOCAL, peers, {}, NOW)
+    assert [(row["joined"], row["missing"]) for row in rows] == [(1, 0), (1, 1), (1, 1), (0, 1)]
+
+
 def test_the_round_trip_has_its_age_and_is_the_shortest_of_the_host(registry: WorkerRegistry) -> None:
     workers = [far(round_trip_s=0.5, round_trip_at_s=99.9), far("binder@22", round_trip_s=0.05, round_trip_at_s=99.0)]
     row = row_of(registry, peer(workers=[*workers, far("binder@26")]))
