@@ -6,6 +6,7 @@ Units are in the names. Labels are few and have few values: outcome, phase, kind
 from __future__ import annotations
 
 import math
+from collections import Counter as Counts
 from collections.abc import Callable, Iterator
 from typing import Any
 from wsgiref.simple_server import WSGIServer
@@ -135,9 +136,22 @@ def _of_status(status: dict[str, Any]) -> Iterator[Metric]:
     yield GaugeMetricFamily("rtc_resources_taken", "Resources with an owner, or in quarantine", taken)
     kinds = [worker["kind"] for worker in status.get("workers", [])]
     yield _labelled("rtc_workers", "Workers", "kind", {kind: kinds.count(kind) for kind in status.get("queues", {})})
+    yield from _of_hosts(status.get("hosts", []))
     yield _labelled("rtc_jobs_waiting", "Jobs without a worker", "kind", status.get("queues", {}))
     times = {name: 1e-3 * value for name, value in status.get("decision_ms", {}).items()}
     yield _labelled("rtc_broker_iteration_seconds", "Message to effects, recent iterations", "statistic", times)
+
+
+def _of_hosts(rows: list[dict[str, Any]]) -> Iterator[Metric]:
+    """Workers and refusals by the name of the key; an empty name stands for this machine and for unknown keys."""
+    asked, joined, refused = (Counts[str]() for _ in range(3))
+    for row in rows:
+        asked[row["key"]] = max(asked[row["key"]], row["asked"])
+        joined[row["key"]] += row["joined"]
+        refused[row["key"]] += row["refused"] + row["late_results"]
+    yield _labelled("rtc_workers_asked", "Workers that are to use a key", "key", dict(asked))
+    yield _labelled("rtc_workers_joined", "Workers that the broker knows", "key", dict(joined))
+    yield _labelled("rtc_peer_refusals", "Refusals of the peers that rtc status shows", "key", dict(refused))
 
 
 def _of_telemetry(telemetry: m.Telemetry) -> Iterator[Metric]:

@@ -100,6 +100,18 @@ def test_the_status_is_shown_while_it_is_fresh(metrics, clock):
     assert ("rtc_commands_in_progress",) not in found
 
 
+def test_workers_and_refusals_are_shown_by_key_over_all_its_hosts(metrics):
+    rows = [
+        {"key": "", "asked": 4, "joined": 3, "refused": 0, "late_results": 0},
+        {"key": "w1", "asked": 8, "joined": 2, "refused": 1, "late_results": 2},
+        {"key": "w1", "asked": 8, "joined": 5, "refused": 0, "late_results": 0},
+    ]
+    metrics.take(Received(T0, m.StatusReply(request="status", status={**STATUS, "hosts": rows})))
+    found = samples(metrics)
+    for name, here, far in (("workers_asked", 4, 8), ("workers_joined", 3, 7), ("peer_refusals", 0, 3)):
+        assert (found[f"rtc_{name}", ""], found[f"rtc_{name}", "w1"]) == (here, far)
+
+
 def test_every_metric_of_the_board_exists(metrics):
     for message in (*STOWED, DECLINED, telemetry(0.0, 0.1)):
         metrics.take(received(message))
