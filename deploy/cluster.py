@@ -107,6 +107,12 @@ def worker(settings: Settings, address: int) -> Spec:
     return _spec(name, "workers", settings, *arguments, **about)
 
 
+def new_worker(settings: Settings, address: int, fd: int) -> Spec | None:
+    """The spec of a further worker. None if the address belongs to workers on other machines: then this machine has
+    all the workers of that kind that it may have, and one of them is starting."""
+    return None if address >= settings.first_far_node else _hand(worker(settings, address), fd)
+
+
 def _with_template(name: str, module: str, settings: Settings) -> list[Spec]:
     """A singleton process and its fork server, which makes its restart fast."""
     its_template = f"{name}-{TEMPLATE}"
@@ -160,7 +166,7 @@ def up(settings: Settings, show: Callable[[str], None], detach_output: bool = Fa
                 logs,
                 settings.endpoint("supervisor"),
                 pid=os.getpid(),
-                new_worker=lambda address: _hand(worker(settings, address), given.fd),
+                new_worker=lambda address: new_worker(settings, address, given.fd),
                 identity=given.identity("supervisor"),
                 show=show,
                 save=report.save,

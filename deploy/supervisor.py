@@ -2,7 +2,8 @@
 
 It waits on file descriptors (a pidfd and a pipe per process) and does not poll, so it reports a death to the broker
 within a millisecond. `restarts.delay_s` decides when to restart. The supervisor does not know the purpose of its
-processes: it gets a list of `Spec`s and a function that makes the spec of a new worker.
+processes: it gets a list of `Spec`s and a function that makes the spec of a new worker, or None if there may not be
+a further one.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ class Supervisor:
         broker: str,
         *,
         pid: int,
-        new_worker: Callable[[int], Spec],
+        new_worker: Callable[[int], Spec | None],
         show: Callable[[str], None] = lambda line: None,
         save: Callable[[Sequence[Mapping[str, object]]], None] = lambda table: None,
         policy: Policy = DEFAULT,
@@ -432,7 +433,8 @@ class Supervisor:
             case SpawnWorker(kind=kind):
                 taken = {c.spec.node for c in self._children.values() if c.spec.node is not None}
                 spec = self._new_worker(hypercube.next_free(kind, taken))
-                self._children[spec.name] = Child(spec, self._logs / f"{spec.name}.log")
+                if spec is not None:
+                    self._children[spec.name] = Child(spec, self._logs / f"{spec.name}.log")
             case RetireWorker(name=name):
                 child = self._children.get(name)
                 if child and child.spec.node is not None:

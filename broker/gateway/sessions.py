@@ -124,7 +124,7 @@ class Sessions:
                 return f"a {hello.kind} without an address needs an instance, and a free address"
             if name != f"{hello.kind}@{hello.node}" or list(m.WorkerKind)[hello.node & 3] is not hello.kind:
                 return f"{name!r:.60} is not a name of a {hello.kind} at node {hello.node}"
-            if hello.node < (first := first_far_node(self._settings)):
+            if hello.node < (first := self._settings.first_far_node):
                 return f"node {hello.node} is one of the cluster's own machine; others begin at {first}"
         other = self._named.get((endpoint, name))
         if other is not None and other.key.public != key.public:
@@ -142,7 +142,7 @@ class Sessions:
         same = (link for link in self._of_key("workers", key) if link.instance == hello.instance)
         if (link := next(same, None)) is not None and link.name.startswith(f"{hello.kind}@"):
             return msgspec.structs.replace(hello, name=link.name, node=node_of(link.name))
-        kinds, first = list(m.WorkerKind), first_far_node(self._settings)
+        kinds, first = list(m.WorkerKind), self._settings.first_far_node
         lowest = first + (kinds.index(hello.kind) - first) % len(kinds)
         free = range(lowest, m.NODES, len(kinds))
         for node in free if hello.node not in free else (hello.node, *free):
@@ -242,11 +242,6 @@ class Sessions:
     def _remove_where(self, wanted: Callable[[Link], bool]) -> None:
         for link in [link for link in self._links.values() if wanted(link)]:
             self.remove(link)
-
-
-def first_far_node(settings: Settings) -> int:
-    """The lowest node address that local workers never use."""
-    return max(1 << settings.dim, len(m.WorkerKind) * max(settings.most_workers, settings.least))
 
 
 def node_of(worker: str) -> int:

@@ -61,6 +61,11 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
         return max(self.least, self.most_workers, 1)
 
     @property
+    def first_far_node(self) -> int:
+        """The lowest address of workers on other machines; those of this machine are below it."""
+        return max(1 << self.dim, (1 << LEAST_DIM) * self.most)
+
+    @property
     def timeout_scale(self) -> float:
         """Seconds of ours per simulated second, at least 1: the factor of limits on our clock for motions."""
         return 1.0 / self.speed if 0.0 < self.speed < 1.0 else 1.0

@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
+from deploy import cluster
 from deploy.__main__ import INVALID_OPTION, main
+from rtc.runtime.settings import Settings
 
 README = Path(__file__).parents[2] / "README.md"
 
@@ -35,3 +37,12 @@ def test_a_wrong_option_is_reported_before_anything_is_started(
     assert main(["up", "-d", json.dumps({"run_dir": str(run_dir), **settings})]) == INVALID_OPTION
     assert words in capsys.readouterr().err
     assert not run_dir.exists()
+
+
+@pytest.mark.parametrize(("dim", "most"), [(2, 1), (2, 4), (4, 4), (3, 1)])
+def test_a_further_worker_never_gets_an_address_of_other_machines(dim: int, most: int) -> None:
+    settings = Settings(run_dir="/nowhere", dim=dim, most_workers=most)
+    last = settings.first_far_node - 1
+
+    assert cluster.new_worker(settings, last, -1) == cluster.worker(settings, last)
+    assert cluster.new_worker(settings, last + 1, -1) is None
