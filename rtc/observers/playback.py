@@ -155,8 +155,8 @@ def _line(event: m.CommandRecord | m.CommandEnded | m.RequestRefused | m.HaltReq
         case m.RequestRefused(request=request, refusal=refusal, text=text):
             clears = f"; to clear: {refusal.clears}" if refusal.clears else ""
             return f"NOT ACCEPTED {text or f'request {request}'}: {refusal.message}{clears}"
-        case m.HaltRequested(scope=scope, refused=refused):
-            return f"HALT {scope}" + (f" refused: {refused}" if refused else " requested")
+        case m.HaltRequested(halt=halt, scope=scope, refused=refused):
+            return f"HALT {scope}" + (f" refused: {refused}" if refused else f" requested ({halt})")
 
 
 def as_json(run: RecordedRun) -> dict[str, Any]:
