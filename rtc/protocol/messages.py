@@ -360,6 +360,7 @@ class Way(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     space: Literal["joint", "task"]
     s: list[float]  # parameter of each knot; rises from 0
     knots: list[list[float]]  # rad
+    radii: list[float] = []  # of the rounded corners at the inner knots, in the unit of s
     notes: list[str] = []  # how it was found
 
 

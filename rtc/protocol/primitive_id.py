@@ -33,6 +33,11 @@ def number_of(primitive: str) -> int:
     return int(found[1].removeprefix("C-")) if found else 0
 
 
+def seed_of(command: str) -> int:
+    """The seed of all sampling for a command: 3 for C-3. A job that is issued again has the same seed."""
+    return number_of(primitive_id(command, 1))
+
+
 def is_name(primitive: str) -> bool:
     """Whether a text has the form of a primitive's name, with or without a life."""
     return len(primitive) <= LONGEST and _ID.fullmatch(primitive) is not None

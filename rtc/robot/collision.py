@@ -179,13 +179,36 @@ class CollisionWorld:
                 self._geometry_data.activateCollisionPair(pair)
         return None
 
+    def free_until(self, arm: str, configurations: Array, others: Mapping[str, Floats], scene: Scene = AS_BUILT) -> int:
+        """The index of the first configuration in collision; their number if all are free.
+
+        As `check_path`, but a contact at the start counts, and the bodies are not determined: for a search that makes
+        thousands of checks.
+        """
+        count = len(configurations)
+        self._set({**others, arm: configurations[0]}, scene)
+        slots = self._bodies.arms[arm].joints
+        grouped = count >= LEAST_GROUPED
+        if grouped:
+            self._widen(slots, configurations)
+        for first in range(0, count, GROUP):
+            group = configurations[first : first + GROUP]
+            if grouped and self._all_free(slots, group):
+                continue
+            for n, configuration in enumerate(group, first):
+                self._q[slots] = configuration
+                if self._touches_any():
+                    return n
+        return count
+
     # --- inside ------------------------------------------------------------------------------------------
 
-    def _ask(self) -> Collision | None:
+    def _touches_any(self) -> bool:
         model = self._bodies.model
-        if not pin.computeCollisions(model, self._data, self._manager, self._callback, self._q):
-            return None
-        return self._describe(self._callback.collisionPairIndex)
+        return bool(pin.computeCollisions(model, self._data, self._manager, self._callback, self._q))
+
+    def _ask(self) -> Collision | None:
+        return self._describe(self._callback.collisionPairIndex) if self._touches_any() else None
 
     def _widen(self, slots: list[int], configurations: Array) -> None:
         """Sets the wide margins: by as much as each pair can come nearer within half a group of a path."""

@@ -21,6 +21,9 @@ from rtc.robot import geometry, numeric_ik, puma_ik
 from rtc.robot.geometry import Array, Floats
 
 _TURN = 2 * math.pi
+PROJECTIONS = 12  # maximum number of steps of `turned_to`
+PROJECTED_RAD = 1e-3  # its greatest error
+DAMPING = 1e-6  # of its steps near singularities
 
 
 @dataclass(frozen=True)
@@ -109,6 +112,15 @@ class ArmModel:
         model.appendBodyToJoint(tip.parentJoint, body, tip.placement)
         return model
 
+    def torques(self, joints: Array, velocities: Array, accelerations: Array, laden: pin.Model | None = None) -> Array:
+        """Joint torques (N.m) of each row of joint values (rad, rad/s, rad/s^2), by inverse dynamics.
+
+        `laden`: the dynamics with a load; without it those of the empty hand.
+        """
+        model, data = (self.model, self._data) if laden is None else (laden, laden.createData())
+        rows = zip(joints, velocities, accelerations, strict=True)
+        return np.array([pin.rnea(model, data, q, v, a) for q, v, a in rows])
+
     # --- forward -----------------------------------------------------------------------------------------
 
     def fk(self, joints: Floats) -> Array:
@@ -192,6 +204,21 @@ class ArmModel:
             now = branch
         return np.array(found, dtype=float).reshape(-1, len(self.joints))
 
+    def turned_to(self, attitude: Floats, joints: Floats) -> Array | None:
+        """Joint values (rad) near `joints` at which the tcp has the attitude of this pose (world), wherever it is.
+
+        Regardless of limits. None: not found in `PROJECTIONS` steps.
+        """
+        turn = self._base.rotation.T @ geometry.to_matrix(attitude)[:3, :3]
+        q = np.array(joints, dtype=float)
+        for _ in range(PROJECTIONS):
+            error = pin.log3(self._tip_rotation(q).T @ turn)
+            if error @ error < PROJECTED_RAD * PROJECTED_RAD:
+                return q
+            jacobian = pin.computeFrameJacobian(self.model, self._data, q, self._tcp, pin.LOCAL)[3:]
+            q = q + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + DAMPING * np.eye(3), error)
+        return None
+
     def why_no_ik(self, target: Floats, margin_rad: float = 0.0) -> Refusal | None:
         """The cause of an IK failure: the missing reach, or the exceeded joint limit. None: IK succeeds."""
         raws = self._branches(target, self.middle)
@@ -213,6 +240,12 @@ class ArmModel:
         return self._limit_passed(n, float(q[n]), limit, margin_rad)
 
     # --- inside --------------------------------------------------------------------------------------------
+
+    def _tip_rotation(self, joints: Array) -> Array:
+        """Rotation of the tcp in the axes of the base."""
+        pin.framesForwardKinematics(self.model, self._data, joints)
+        rotation: Array = self._data.oMf[self._tcp].rotation
+        return rotation
 
     def _placement(self, joints: Floats) -> pin.SE3:
         pin.framesForwardKinematics(self.model, self._data, np.asarray(joints, dtype=float))

@@ -31,7 +31,7 @@ from rtc.protocol.primitive import (
     Trajectory,
     Vector,
 )
-from rtc.protocol.primitive_id import command_of
+from rtc.protocol.primitive_id import command_of, seed_of
 from rtc.robot import geometry
 from rtc.world.model import World
 from workers.binder import impact, replan, stop_conditions
@@ -87,7 +87,8 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
     if step.do not in compiled.actions:
         return refused_program(f"unknown action {step.do}", f"there are {', '.join(compiled.actions)}")
     try:
-        return ACTIONS[compiled.actions[step.do]](BindTask(compiled, WorldQuery(cell, world, data.at_s), data))
+        query = WorldQuery(cell, world, data.at_s, seed_of(command_of(data.primitive_id)))
+        return ACTIONS[compiled.actions[step.do]](BindTask(compiled, query, data))
     except expressions.ExpressionError as error:
         return refused_program(
             str(error), "a figure that the step needs must be in the script, the program or the cell"

@@ -21,6 +21,7 @@ from rtc.programs.loader import decode
 from rtc.programs.schema import Branch, BranchCondition, ElaboratorProgram, ScriptFile, ScriptPiece, ScriptStep
 from rtc.protocol.messages import ElaboratorInput, Limits, Script, ScriptContext, Step, Trim
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.primitive_id import seed_of
 from rtc.robot import geometry
 from rtc.world.model import World
 from workers.binder import reflexes
@@ -78,11 +79,10 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
         problem = reflexes.refuse_unsupported(reflex, parsed.object is not None)
         if problem is not None:
             return problem
+    query = WorldQuery(cell, world, data.at_s, seed_of(data.command))
     if parsed.kind == "data":
-        return set_fact.script(
-            program, compiled.scripts[branches[0].script], parsed, WorldQuery(cell, world, data.at_s)
-        )
-    candidates = _candidates(compiled, parsed, limits, WorldQuery(cell, world, data.at_s))
+        return set_fact.script(program, compiled.scripts[branches[0].script], parsed, query)
+    candidates = _candidates(compiled, parsed, limits, query)
     if isinstance(candidates, Refusal):
         return candidates
     options = _ranked(branches, candidates)

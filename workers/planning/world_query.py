@@ -25,7 +25,7 @@ from rtc.world.model import World
 from rtc.world.spread import EXACT, Spread
 from workers.planning import axes, pose_spread
 from workers.planning.motion.constraints import Rules
-from workers.planning.motion.plan import PlanningRequest
+from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import Pace
 from workers.planning.robot_models import CellModel
 
@@ -39,11 +39,13 @@ class WorldQuery:
     """Queries on one world view of one cell. Poses are [x y z qx qy qz qw] in m, in the world frame unless stated.
 
     `at_s`: when the query is made (the clock of `Fact.at_s`); 0: unknown, so that no fact has an age.
+    `seed`: of the sampling planner in this job.
     """
 
     model: CellModel
     world: World
     at_s: float = 0.0
+    seed: int = 0
 
     @property
     def cell(self) -> cells.Cell:
@@ -251,6 +253,8 @@ class WorldQuery:
             rules=self.rules(limits),
             pace=pace,
             margin_rad=margin_rad,
+            load=self.load(arm) if arm in {held.arm for held in scene.held.values()} else None,
+            seed=self.seed,
         )
 
 

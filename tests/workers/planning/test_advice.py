@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from rtc.programs.loader import decode
+from rtc.programs.schema import BinderProgram
 from rtc.protocol.messages import EndReport
-from rtc.protocol.outcomes import StopReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.robot import geometry
+from workers.planning.advice import advise_on_collision
+from workers.planning.world_query import WorldQuery
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 LIFT = "LIFT MACS-NEW BY 15 CM"
@@ -37,13 +41,22 @@ def test_a_blocked_goal_is_named_as_the_goal(bench):
 
 
 def test_a_way_that_is_blocked_goes_by_another_place(bench):
-    """The module is so near to the satellite that no way of its own choice leads into the bay."""
+    blocked = Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message="MACS-NEW case collides with SATELLITE right-panel (40% along the way)",
+        detail={"cause": "collision", "body_a": "MACS-NEW case", "body_b": "SATELLITE right-panel", "fraction": 0.4},
+    )
+    clears = decode(bench.programs["binder"], BinderProgram).clears
+
+    advised = advise_on_collision(blocked, WorldQuery(bench.model, bench.world), "RIGHT-ARM", clears)
+
+    assert "MOVE RIGHT-ARM TO another place first (BAY-2-FRONT, CLEAR-POINT-1, RACK-1-FRONT)" in advised.clears
+
+
+def test_a_module_beside_the_satellite_finds_its_way_into_the_bay(bench):
+    """None of the direct ways is free from there."""
     in_hand(bench, "LIFT MACS-NEW BY 20 CM", "MOVE RIGHT-ARM TO POSITION 57 -61 52 CM")
 
-    refusal = bench.do("PLACE MACS-NEW ON BAY-2").refusal
-
-    assert "MOVE RIGHT-ARM TO another place first (BAY-2-FRONT, CLEAR-POINT-1, RACK-1-FRONT)" in refusal.clears
-    assert bench.do("MOVE RIGHT-ARM TO CLEAR-POINT-1").succeeded
     assert bench.do("PLACE MACS-NEW ON BAY-2").succeeded
 
 

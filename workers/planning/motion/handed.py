@@ -12,12 +12,12 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from toppra import SplineInterpolator
 
 from rtc.protocol.messages import Way
 from rtc.robot.geometry import Floats
+from workers.planning.motion.blended import Blended
 from workers.planning.motion.path import Path
-from workers.planning.motion.plan import FreeWay, PlanningRequest
+from workers.planning.motion.request import FreeWay, PlanningRequest
 from workers.planning.motion.spline import Spline
 
 DIGEST_BYTES = 12
@@ -44,17 +44,19 @@ def request_digest(request: PlanningRequest, space: str, goal: Floats) -> bytes:
 def to_message(asked: bytes, found: FreeWay) -> Way:
     """The way as it is sent. `asked`: the digest of the request for which it was found."""
     path = found.path
-    return Way(asked=asked, space=path.space, s=path.s.tolist(), knots=path.knots.tolist(), notes=list(found.notes))
+    radii = path.curve.radii.tolist() if isinstance(path.curve, Blended) else []
+    s, knots, notes = path.s.tolist(), path.knots.tolist(), list(found.notes)
+    return Way(asked=asked, space=path.space, s=s, knots=knots, radii=radii, notes=notes)
 
 
 def from_message(way: Way) -> FreeWay:
-    """The way as it was found, with the same curve through its knots."""
+    """The way as it was found, with the same curve."""
     s, knots = np.array(way.s), np.array(way.knots)
-    curve: SplineInterpolator | Spline | None = None
+    curve: Blended | Spline | None = None
     if way.space == "task":
         curve = Spline(s, knots)
     elif len(knots) > 2:
-        curve = SplineInterpolator(s, knots, bc_type="natural")
+        curve = Blended(s, knots, np.array(way.radii))
     return FreeWay(Path(way.space, s, knots, curve), way.notes)
 
 

@@ -1,4 +1,4 @@
-"""Geometric paths without timing: joint-space lines, task-space lines and curves through way-points. Pure.
+"""Geometric paths without timing: lines in joint space, with rounded corners between them, and task-space lines. Pure.
 
 A `Path` maps a parameter s from 0 to `length` to joint values. Along a task line s is in metres of the tcp, or
 `METRES_PER_RAD` per radian if rotation dominates; along a joint path it has no unit. A line that cannot be followed is
@@ -8,17 +8,18 @@ a Refusal with the place and the cause.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
 import numpy as np
-from toppra import SplineInterpolator
 
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
 from rtc.robot.geometry import Array, Floats
 from rtc.robot.kinematics import ArmModel
+from workers.planning.motion.blended import Blended, lengths, widest
 from workers.planning.motion.spline import Spline
 
 KNOT_M = 0.025  # distance between inverse solutions; a cubic through them is straight to some micrometres
@@ -30,12 +31,15 @@ CHECK_RAD = 0.025  # joint step between collision checks, weighted below; some 2
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Joint values (rad) over s: `knots[k]` at `s[k]`. Two knots define a line, more a cubic spline."""
+    """Joint values (rad) over s. Without a curve: a line from the first knot to the last.
+
+    A `Spline` passes through `knots[k]` at `s[k]`; of a `Blended` curve the inner knots are the corners.
+    """
 
     space: Literal["joint", "task"]
     s: Array  # rises from 0 to `length`
     knots: Array  # [len(s)][joints]
-    curve: SplineInterpolator | Spline | None
+    curve: Blended | Spline | None
 
     @property
     def length(self) -> float:
@@ -49,10 +53,8 @@ class Path:
 
     def at(self, s: Array) -> tuple[Array, Array, Array]:
         """Joints, and their first and second derivative by s, each [len(s)][joints]."""
-        if isinstance(self.curve, Spline):
-            return self.curve.at(s)
         if self.curve is not None:
-            return self.curve(s), self.curve(s, 1), self.curve(s, 2)
+            return self.curve.at(s)
         slope = (self.knots[-1] - self.knots[0]) / self.length
         q = self.knots[0] + s[:, None] * slope
         return q, np.zeros(q.shape) + slope, np.zeros(q.shape)
@@ -86,14 +88,16 @@ def joint_line(start: Floats, goal: Floats) -> Path:
     return Path("joint", np.array((0.0, 1.0)), np.array((start, goal), dtype=float), None)
 
 
-def through(waypoints: list[Floats]) -> Path:
-    """Smooth curve through joint way-points (rad); s is proportional to the largest joint displacement."""
-    knots = np.array(waypoints, dtype=float)
+def through(corners: Sequence[Floats], radii: Array | None = None) -> Path:
+    """Lines in joint space between these postures (rad), with rounded corners; s is the largest joint displacement.
+
+    `radii`: of the corners, in the unit of s; as wide as possible without them.
+    """
+    knots = np.array(corners, dtype=float)
     if len(knots) == 2:
         return joint_line(knots[0], knots[1])
-    steps = np.maximum(np.abs(np.diff(knots, axis=0)).max(axis=1), 1e-6)
-    s = np.concatenate(((0.0,), np.cumsum(steps))) / steps.sum()
-    return Path("joint", s, knots, SplineInterpolator(s, knots, bc_type="natural"))
+    s = lengths(knots)
+    return Path("joint", s, knots, Blended(s, knots, widest(s) if radii is None else radii))
 
 
 def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float = 0.0) -> Path | Refusal:

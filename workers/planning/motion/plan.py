@@ -1,65 +1,32 @@
 """Motion planning: a timed, collision-free path that satisfies the constraints, or a refusal with the cause. Pure.
 
 `plan_task_motion` plans a straight line or refuses. `plan_joint_motion` may choose its path by the paper's "generate,
-test and modify" (R92): the direct line first, then detours with the hand raised, drawn back, or both, in the order of
-`_modified`. The first that passes is taken; `notes` record the attempts. Deterministic.
+test and modify" (R92): a line in joint space first, then a straight line of the hand, then a way found by sampling. The
+first that passes is taken; `notes` record the attempts. Deterministic: the seed is part of the request.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from rtc.protocol.outcomes import Refusal
-from rtc.robot import geometry
-from rtc.robot.collision import AS_BUILT, CollisionWorld, Scene
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot.collision import Scene
 from rtc.robot.geometry import Array, Floats
-from rtc.robot.kinematics import ArmModel
 from workers.planning.motion import path as paths
-from workers.planning.motion.constraints import FREE, Rules
 from workers.planning.motion.path import Path
-from workers.planning.motion.timing import FREE_PACE, Pace, Timed, time_path
+from workers.planning.motion.request import FreeWay, PlanningRequest, fault, free_posture
+from workers.planning.motion.sampled_way import find_sampled_way
+from workers.planning.motion.timing import Timed, time_path
 
 # Clearance of a freely chosen path from all bodies that it need not approach. The hand tracks a path to tenths of a
 # millimetre, and the pose of a held object is known to a few millimetres: a path without clearance may collide.
 CLEARANCE_M = 0.005
 NEAR_AT_MOST = 12  # maximum number of bodies closer than the clearance at either end of a path
-RAISE_M = (0.15, 0.30)  # heights by which a detour raises the hand
-BACK_M = (0.10, 0.20)  # distances by which a detour draws the hand back along its own axis
+SAME_RAD = 1e-6  # tolerance of the joint values at the end of a straight line
 DIRECT = "generated a line in joint space; tested: free"
-
-
-@dataclass(frozen=True, eq=False)
-class PlanningRequest:
-    """A planning problem without its goal: arm, collision world, start joints, scene, constraints and pace."""
-
-    arm: ArmModel
-    world: CollisionWorld
-    joints: Mapping[str, Floats]  # current values (rad) of every arm; the planned arm starts there
-    scene: Scene = AS_BUILT
-    rules: Rules = FREE
-    pace: Pace = FREE_PACE
-    margin_rad: float = 0.0  # minimum distance from every joint limit
-
-    @property
-    def start(self) -> Array:
-        return np.asarray(self.joints[self.arm.name], dtype=float)
-
-    @property
-    def way_margin_rad(self) -> float:
-        """Margin along the path (rad): reduced if the arm starts closer to a limit than `margin_rad`."""
-        return max(0.0, min(self.margin_rad, self.arm.limit_margin_rad(self.start)))
-
-
-class FreeWay(NamedTuple):
-    """A way that is free, without its timing. `notes`: what was generated, tested and modified until it was found."""
-
-    path: Path
-    notes: list[str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,12 +96,27 @@ def _generate_and_test(request: PlanningRequest, goal: Array) -> FreeWay | Refus
     if first is None:
         return FreeWay(direct, [DIRECT])
     notes = [f"generated a line in joint space; tested: {first.message}"]
-    for words, candidate in _modified(request, goal):
-        problem = fault(request, candidate)
-        notes.append(f"modified: {words}; tested: {problem.message if problem else 'free'}")
-        if problem is None:
-            return FreeWay(candidate, notes)
-    return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(notes))})
+    straight = _straight(request, goal)
+    problem = straight if isinstance(straight, Refusal) else fault(request, straight)
+    notes.append(f"modified: a straight line of the hand; tested: {problem.message if problem else 'free'}")
+    if isinstance(straight, Path) and problem is None:
+        return FreeWay(straight, notes)
+    sampled = find_sampled_way(request, [goal])
+    if isinstance(sampled, FreeWay):
+        return FreeWay(sampled.path, [*notes, *sampled.notes])
+    return msgspec.structs.replace(
+        first,
+        message=f"{first.message}; no way round it was found in {sampled} samples",
+        detail={**first.detail, "samples": float(sampled)},
+    )
+
+
+def _straight(request: PlanningRequest, goal: Array) -> Path | Refusal:
+    """The straight line of the hand to the pose of `goal`, if it ends with these joint values."""
+    line = paths.task_line(request.arm, request.start, request.arm.fk(goal), request.way_margin_rad)
+    if isinstance(line, Refusal) or np.abs(line.knots[-1] - goal).max() < SAME_RAD:
+        return line
+    return Refusal(reason=RefusalReason.INFEASIBLE, message=f"{request.arm.name} would end with other joint values")
 
 
 def _with_room(request: PlanningRequest, goal: Array) -> Scene:
@@ -160,65 +142,10 @@ def _with_room(request: PlanningRequest, goal: Array) -> Scene:
     return scene
 
 
-def free_posture(request: PlanningRequest) -> Callable[[Array], Refusal | None]:
-    """A test for `ik.choose`: the posture is collision-free and satisfies the constraints; other arms stand still."""
-
-    def test(joints: Array) -> Refusal | None:
-        hit = request.world.check({**request.joints, request.arm.name: joints}, request.scene)
-        return hit.refusal() if hit is not None else request.rules.broken_by(request.arm, joints)
-
-    return test
-
-
-def fault(request: PlanningRequest, way: Path) -> Refusal | None:
-    """The first problem along a path, with its position; None if the path is free."""
-    s, configurations = way.dense()
-    hit = request.world.check_path(request.arm.name, configurations, request.joints, request.scene)
-    free = configurations if hit is None else configurations[: hit.index]
-    margin = request.way_margin_rad - 1e-9
-    within = len(free) == 0 or request.arm.limit_margin_rad(free) >= margin  # one vectorized check; usually true
-    for n, joints in enumerate(free):
-        problem = (None if within else request.arm.why_not_within(joints, margin)) or request.rules.broken_by(
-            request.arm, joints
-        )
-        if problem is not None:
-            return _at(problem, float(s[n]) / way.length)
-    return None if hit is None else _at(hit.collision.refusal(), float(s[hit.index]) / way.length)
-
-
-def _modified(request: PlanningRequest, goal: Array) -> Iterator[tuple[str, Path]]:
-    """Alternative paths: a straight tcp line, then detours over way-points above or behind both ends."""
-    start_pose, goal_pose = request.arm.fk(request.start), request.arm.fk(goal)
-    straight = paths.task_line(request.arm, request.start, goal_pose, request.way_margin_rad)
-    if not isinstance(straight, Refusal) and np.abs(straight.knots[-1] - goal).max() < 1e-6:
-        yield "a straight line of the hand", straight
-    for back in (0.0, *BACK_M):
-        for up in (0.0, *RAISE_M):
-            if back == up == 0.0:
-                continue
-            words = " and ".join([f"raised by {up:.2f} m"] * (up > 0) + [f"drawn back by {back:.2f} m"] * (back > 0))
-            moved = [
-                geometry.translate(geometry.compose(p, (0, 0, -back, 0, 0, 0, 1)), (0, 0, up))
-                for p in (start_pose, goal_pose)
-            ]
-            corners = [request.arm.follow(moved[0], request.start), request.arm.follow(moved[1], goal)]
-            if any(c is None or request.arm.why_not_within(c, request.margin_rad) is not None for c in corners):
-                continue
-            first, second = (np.asarray(c) for c in corners)
-            yield f"by way of both ends {words}", paths.through([request.start, first, second, goal])
-            yield f"by way of the start {words}", paths.through([request.start, first, goal])
-            yield f"by way of the goal {words}", paths.through([request.start, second, goal])
-
-
-def in_time(request: PlanningRequest, found: FreeWay) -> Motion:
-    """The way as a motion, timed at the pace of the request."""
+def in_time(request: PlanningRequest, found: FreeWay) -> Motion | Refusal:
+    """The way as a motion, timed at the pace of the request; or the refusal of a load that is too heavy for it."""
+    timed = time_path(request.arm, found.path, request.pace, request.load)
+    if isinstance(timed, Refusal):
+        return timed
     goal = found.path.knots[-1]
-    return Motion(found.path, time_path(request.arm, found.path, request.pace), goal, request.arm.fk(goal), found.notes)
-
-
-def _at(problem: Refusal, fraction: float) -> Refusal:
-    where = "at the start" if fraction <= 0 else "at the goal" if fraction >= 1 else f"{fraction:.0%} along the way"
-    message = f"{problem.message} ({where})"
-    return msgspec.structs.replace(
-        problem, message=message, where=where, detail={**problem.detail, "fraction": fraction}
-    )
+    return Motion(found.path, timed, goal, request.arm.fk(goal), found.notes)

@@ -2,7 +2,7 @@
 
 A line gets a closed-form jerk-limited profile along its parameter. A curve through way-points gets the time-optimal
 profile within the joint limits (toppra, some 10 ms): a single pace would be limited by the sharpest bend. Joint limits
-of speed and acceleration and the tcp's speed limit hold everywhere.
+of speed, acceleration and torque and the tcp's speed limit hold everywhere.
 """
 
 from __future__ import annotations
@@ -16,18 +16,23 @@ import toppra
 import toppra.algorithm
 import toppra.constraint
 
-from rtc.protocol.primitive import JointTrajectory
+from rtc.protocol.outcomes import Refusal
+from rtc.protocol.primitive import JointTrajectory, Load
 from rtc.robot import quintic
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
+from workers.planning.motion.blended import Blended
 from workers.planning.motion.path import Path, even
 from workers.planning.motion.rest_to_rest import rest_to_rest
+from workers.planning.motion.torques import Torques
 
 KNOT_S = 0.03  # knot spacing; the quintic Hermite error is some micrometres
 KNOT_M = 0.0075  # minimum knot distance at constant speed, so that slow motions have few knots
 RAMP_S = 0.1  # time from zero to full acceleration
 CURVE_RAMP_S = 0.5  # duration of dense knots at each end of a curve
 GRID = 61  # grid points of the curve solver
+CORNER_GRID = 4  # grid points between the edges of two rounded corners
+GRID_STEP = 1e-7  # minimum distance of two grid points, as a share of the path's length
 SAMPLES = 33  # path samples at which limits are evaluated
 
 
@@ -67,15 +72,27 @@ class Timed:
         )
 
 
-def time_path(arm: ArmModel, path: Path, pace: Pace = FREE_PACE) -> Timed:
-    """Time the path. A path of zero length becomes a hold of one knot spacing."""
+def time_path(arm: ArmModel, path: Path, pace: Pace = FREE_PACE, load: Load | None = None) -> Timed | Refusal:
+    """Time the path. A path of zero length becomes a hold of one knot spacing.
+
+    `load`: in the hand. Refused if the arm cannot hold it against gravity everywhere on the path.
+    """
     if np.abs(path.knots - path.knots[0]).max() < 1e-9:
         return _staying(path)
-    curved = path.space == "joint" and len(path.knots) > 2
-    return _slowed(arm, _time_curve(arm, path, pace) if curved else _time_line(arm, path, pace))
+    torques = Torques.of(arm, load)
+    curved = isinstance(path.curve, Blended)
+    timed = _slowed(arm, _time_curve(arm, path, pace) if curved else _time_line(arm, path, pace))
+    excess = torques.excess(timed.positions, timed.velocities, timed.accelerations)
+    if isinstance(excess, Refusal) or excess <= 1.0:
+        return excess if isinstance(excess, Refusal) else timed
+    # Too heavy for this acceleration: plan it within the torques; what remains between the samples slows all of it.
+    timed = _slowed(arm, _time_curve(arm, path, pace, torques) if curved else _time_line(arm, path, pace, 1 / excess))
+    excess = torques.excess(timed.positions, timed.velocities, timed.accelerations)
+    return excess if isinstance(excess, Refusal) else _slower(timed, math.sqrt(max(1.0, excess)))
 
 
-def _time_line(arm: ArmModel, path: Path, pace: Pace) -> Timed:
+def _time_line(arm: ArmModel, path: Path, pace: Pace, share: float = 1.0) -> Timed:
+    """`share`: of the acceleration that the other limits allow."""
     q, slope, bend = path.at(even(0.0, path.length, SAMPLES - 1))
     rate = 1.0 if path.space == "task" else float(arm.tcp_speeds(q, slope).max())
     velocity, acceleration = arm.limits.velocity * pace.ratio, arm.limits.acceleration * pace.ratio
@@ -86,7 +103,7 @@ def _time_line(arm: ArmModel, path: Path, pace: Pace) -> Timed:
         float((velocity / slope).min()),
         float(np.sqrt(acceleration / (2 * bend)).min()),
     )
-    change_limit = min(
+    change_limit = share * min(
         pace.acceleration_m_s2 / max(rate, 1e-9), float(((acceleration - bend * pace_limit**2) / slope).min())
     )
     profile = rest_to_rest(path.length, pace_limit, change_limit, change_limit / RAMP_S)
@@ -97,7 +114,7 @@ def _time_line(arm: ArmModel, path: Path, pace: Pace) -> Timed:
     return _at_rest(Timed(path.space, time_s, q, slope * along_v[:, None], accelerations), path)
 
 
-def _time_curve(arm: ArmModel, path: Path, pace: Pace) -> Timed:
+def _time_curve(arm: ArmModel, path: Path, pace: Pace, torques: Torques | None = None) -> Timed:
     assert path.curve is not None
     s = np.linspace(0.0, path.length, SAMPLES)
     q, slope, _ = path.at(s)
@@ -105,7 +122,7 @@ def _time_curve(arm: ArmModel, path: Path, pace: Pace) -> Timed:
     levers = np.max([np.linalg.norm(arm.jacobian(row)[:3], axis=0) for row in q[::4]], axis=0)
     acceleration = np.minimum(acceleration, pace.acceleration_m_s2 / np.maximum(levers, 0.05))
     rate = np.maximum(arm.tcp_speeds(q, slope), 1e-6)
-    grid = np.linspace(0.0, path.length, GRID)
+    grid = _grid(path)
     # Joint speeds are limited by the joints and by the tcp speed (2 % reserve between samples).
     tcp = np.abs(path.curve(grid, 1)) * 0.98 * pace.speed_m_s / np.interp(grid, s, rate)[:, None] + 1e-6
     most = np.minimum(velocity, tcp)
@@ -119,11 +136,24 @@ def _time_curve(arm: ArmModel, path: Path, pace: Pace) -> Timed:
             discretization_scheme=toppra.constraint.DiscretizationType.Interpolation,
         ),
     ]
+    if torques is not None:
+        constraints.append(torques.constraint())
     solver = toppra.algorithm.TOPPRA(constraints, path.curve, gridpoints=grid)
     curve = solver.compute_trajectory(0.0, 0.0)
     assert curve is not None, "a rest-to-rest profile always exists at a low speed"
     time_s = _knot_times(curve.duration, CURVE_RAMP_S, pace.speed_m_s)
     return _at_rest(Timed(path.space, time_s, curve(time_s), curve(time_s, 1), curve(time_s, 2)), path)
+
+
+def _grid(path: Path) -> Array:
+    """Grid points of the curve solver: evenly spaced, and closer within narrow corners."""
+    even_points = np.linspace(0.0, path.length, GRID)
+    if not isinstance(path.curve, Blended):
+        return even_points
+    edges = path.curve.edges
+    inside = np.linspace(edges[:-1], edges[1:], CORNER_GRID, endpoint=False).ravel()
+    grid = np.union1d(even_points, np.append(inside, edges[-1]))
+    return grid[np.concatenate(((True,), np.diff(grid) > GRID_STEP * path.length))]
 
 
 def _knot_times(duration_s: float, ramp_s: float, speed_m_s: float) -> Array:
@@ -149,7 +179,11 @@ def _slowed(arm: ArmModel, timed: Timed) -> Timed:
     points = quintic.control_points(timed.time_s, timed.positions, timed.velocities, timed.accelerations)
     faster = quintic.most_beyond(points.velocities, arm.limits.velocity)
     harder = quintic.most_beyond(points.accelerations, arm.limits.acceleration)
-    by = max(1.0, faster, math.sqrt(harder))
+    return _slower(timed, max(1.0, faster, math.sqrt(harder)))
+
+
+def _slower(timed: Timed, by: float) -> Timed:
+    """The motion on the same path in `by` times the time."""
     if by == 1.0:
         return timed
     return Timed(

@@ -72,12 +72,24 @@ def test_dense_leaves_no_gap(right, home):
     assert (np.diff(s) > 0).all()
 
 
-def test_a_curve_goes_through_its_way_points(right, home):
+@pytest.mark.parametrize("radius", [0.0, 0.05, None])
+def test_a_rounded_corner_stays_within_its_triangle(right, home, radius):
     a, b = np.array(home["RIGHT-ARM"]), at(right, home, 0.45, -0.885, 0.6)
-    middle = (a + b) / 2 + 0.2
-    path = through([a, middle, b])
-    assert np.allclose(path.at(path.s)[0], [a, middle, b])
+    corner = (a + b) / 2 + 0.2
+    path = through([a, corner, b], None if radius is None else np.array([radius]))
+    assert np.allclose(path.at(path.s[[0, 2]])[0], [a, b])
+    off = np.abs(path.at(path.s[1:2])[0] - corner).max()
+    assert off < 1e-8 if radius == 0.0 else 0 < off <= 0.3125 * (radius or path.s[-1])
     assert len(through([a, b]).knots) == 2
+
+
+def test_a_rounded_corner_bends_without_a_leap(right, home):
+    a, b = np.array(home["RIGHT-ARM"]), at(right, home, 0.45, -0.885, 0.6)
+    path = through([a, (a + b) / 2 + 0.2, b - 0.3, b])
+    s = np.linspace(0.0, path.length, 40001)
+    (q, slope, bend), h = path.at(s), s[1]
+    assert np.allclose(slope[1:-1], (q[2:] - q[:-2]) / (2 * h), atol=1e-4)
+    assert np.allclose(bend[1:-1], (slope[2:] - slope[:-2]) / (2 * h), atol=1e-2)
 
 
 def test_out_of_reach_on_the_way_tells_where(right, home):

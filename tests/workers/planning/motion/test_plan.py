@@ -14,6 +14,7 @@ from rtc.cells.parts import Box, Frame, Object
 from rtc.protocol.outcomes import Refusal
 from rtc.robot import geometry
 from rtc.robot.collision import CollisionWorld, Held, Scene
+from workers.planning.motion import sampled_way
 from workers.planning.motion.constraints import Rules
 from workers.planning.motion.ik import choose
 from workers.planning.motion.plan import CLEARANCE_M, PlanningRequest, free_posture, plan_joint_motion, plan_task_motion
@@ -94,18 +95,41 @@ def test_where_there_is_no_room_at_an_end_the_way_there_is_found_all_the_same(se
     assert not isinstance(plan_joint_motion(at, goal), Refusal)
 
 
-def test_no_way_round_tells_the_first_obstacle_and_how_many_ways(right, cell, home, setting):
-    """A wall from floor to sky between the rack and the bay."""
-    shape = Box(name="slab", size_m=(1.2, 0.02, 4.0))
-    wall = Object(name="WALL", kind="obstacle", fixed=True, frame=Frame(xyz=(0.92, -0.55, 1.0)), shapes=[shape])
+def behind_a_wall(cell, right, setting):
+    """A wall from floor to sky between the rack and the bay, before the arm."""
+    slab, frame = Box(name="slab", size_m=(4.0, 0.02, 4.0)), Frame(xyz=(2.32, -0.45, 1.0))
+    wall = Object(name="WALL", kind="obstacle", fixed=True, frame=frame, shapes=[slab])
     walled = CollisionWorld(msgspec.structs.replace(cell, objects=[*cell.objects, wall]))
     at = PlanningRequest(right, walled, with_joints(setting, *FRONT))
-    refusal = plan_joint_motion(at, right.ik(level(0.55, 0.05, 0.95), at.start)[0])
+    return at, right.ik(level(0.55, 0.05, 0.95), at.start)[0]
+
+
+def test_no_way_round_tells_the_first_obstacle_and_how_many_samples(right, cell, setting, monkeypatch):
+    monkeypatch.setattr(sampled_way, "SAMPLES", 3)
+    refusal = plan_joint_motion(*behind_a_wall(cell, right, setting))
     assert isinstance(refusal, Refusal)
     assert refusal.detail["cause"] == "collision"
     assert refusal.detail["body_b"] == "WALL slab"
     assert 0 < refusal.detail["fraction"] < 1
-    assert refusal.detail["ways_tried"] > 5
+    assert refusal.detail["samples"] == 3
+    assert "3 samples" in refusal.message
+
+
+def test_a_wall_before_the_arm_is_passed_behind_it(right, cell, home, setting):
+    """No line leads there: the arm turns about its base the other way round."""
+    at, goal = behind_a_wall(cell, right, setting)
+    motion = plan_joint_motion(at, goal)
+    assert "of seed 0" in motion.notes[-1]
+    assert at.world.check_path("RIGHT-ARM", motion.path.dense(0.004)[1], home) is None
+    assert at.world.check_path("RIGHT-ARM", motion.timed.positions, home) is None
+    assert np.allclose(motion.goal_joints, goal)
+
+
+def test_the_seed_decides_the_way(right, cell, setting):
+    at, goal = behind_a_wall(cell, right, setting)
+    ways = [plan_joint_motion(replace(at, seed=seed), goal).path.knots for seed in (3, 3, 4)]
+    assert np.array_equal(ways[0], ways[1])
+    assert not np.array_equal(ways[0], ways[2])
 
 
 def test_a_straight_line_into_something_is_refused_with_the_pair_and_the_place(setting, right, world):

@@ -1,0 +1,84 @@
+"""A planning problem without its goal, and the tests of a posture and of a path in it. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from rtc.protocol.outcomes import Refusal
+from rtc.protocol.primitive import Load
+from rtc.robot.collision import AS_BUILT, CollisionWorld, Scene
+from rtc.robot.geometry import Array, Floats
+from rtc.robot.kinematics import ArmModel
+from workers.planning.motion.constraints import FREE, Rules
+from workers.planning.motion.path import CHECK_RAD, Path
+from workers.planning.motion.timing import FREE_PACE, Pace
+
+
+@dataclass(frozen=True, eq=False)
+class PlanningRequest:
+    """A planning problem without its goal: arm, collision world, start joints, scene, constraints and pace."""
+
+    arm: ArmModel
+    world: CollisionWorld
+    joints: Mapping[str, Floats]  # current values (rad) of every arm; the planned arm starts there
+    scene: Scene = AS_BUILT
+    rules: Rules = FREE
+    pace: Pace = FREE_PACE
+    margin_rad: float = 0.0  # minimum distance from every joint limit
+    load: Load | None = None  # in the hand
+    seed: int = 0  # of the sampling planner: the same request has the same path
+
+    @property
+    def start(self) -> Array:
+        return np.asarray(self.joints[self.arm.name], dtype=float)
+
+    @property
+    def way_margin_rad(self) -> float:
+        """Margin along the path (rad): reduced if the arm starts closer to a limit than `margin_rad`."""
+        return max(0.0, min(self.margin_rad, self.arm.limit_margin_rad(self.start)))
+
+
+class FreeWay(NamedTuple):
+    """A way that is free, without its timing. `notes`: what was generated, tested and modified until it was found."""
+
+    path: Path
+    notes: list[str]
+
+
+def free_posture(request: PlanningRequest) -> Callable[[Array], Refusal | None]:
+    """A test for `ik.choose`: the posture is collision-free and satisfies the constraints; other arms stand still."""
+
+    def test(joints: Array) -> Refusal | None:
+        hit = request.world.check({**request.joints, request.arm.name: joints}, request.scene)
+        return hit.refusal() if hit is not None else request.rules.broken_by(request.arm, joints)
+
+    return test
+
+
+def fault(request: PlanningRequest, way: Path, step_rad: float = CHECK_RAD) -> Refusal | None:
+    """The first problem along a path, with its position; None if the path is free. `step_rad`: as of `Path.dense`."""
+    s, configurations = way.dense(step_rad)
+    hit = request.world.check_path(request.arm.name, configurations, request.joints, request.scene)
+    free = configurations if hit is None else configurations[: hit.index]
+    margin = request.way_margin_rad - 1e-9
+    within = len(free) == 0 or request.arm.limit_margin_rad(free) >= margin  # one vectorized check; usually true
+    for n, joints in enumerate(free):
+        problem = (None if within else request.arm.why_not_within(joints, margin)) or request.rules.broken_by(
+            request.arm, joints
+        )
+        if problem is not None:
+            return _at(problem, float(s[n]) / way.length)
+    return None if hit is None else _at(hit.collision.refusal(), float(s[hit.index]) / way.length)
+
+
+def _at(problem: Refusal, fraction: float) -> Refusal:
+    where = "at the start" if fraction <= 0 else "at the goal" if fraction >= 1 else f"{fraction:.0%} along the way"
+    message = f"{problem.message} ({where})"
+    return msgspec.structs.replace(
+        problem, message=message, where=where, detail={**problem.detail, "fraction": fraction}
+    )

@@ -1,0 +1,143 @@
+"""A way round obstacles by sampling, for the case that the direct ways are not free: search, shorten, round off. Pure.
+
+`sampling` searches; this module defines what is free in a planning request. The corners of the path found are rounded,
+and `request.fault` judges it as any other path. With an attitude to keep, each step of the search is projected onto it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rtc.robot.geometry import Array, Floats
+from workers.planning.motion import path as paths
+from workers.planning.motion.blended import lengths, widest
+from workers.planning.motion.path import CHECK_RAD, Path
+from workers.planning.motion.request import FreeWay, PlanningRequest, fault, free_posture
+from workers.planning.motion.sampling import Found, search, shorten
+
+SAMPLES = 600  # budget of one search; of 400 seeded problems of the default cell all but one took fewer than 500
+ATTEMPTS = 3  # maximum number of ways found, of which the finer check rejects all but the last
+MORE_M = 0.002  # clearance of the search beyond that of the request
+JUDGED_RAD = 0.008  # step of the final check: shortened ways pass obstacles closely, so it is finer than `CHECK_RAD`
+OUTER = 0.4  # weight of the joints after the third in distances: they move the hand less
+PROJECTED_RAD = 0.15  # weighted length of a step between two projections
+AWAY = 0.5  # a projected step must make this share of its length towards its end
+NARROWER = 8  # maximum number of halvings of a corner's radius, in the mean of all corners
+LEAST_RADIUS = 0.002  # rad; a corner as narrow as this follows the lines within a millimetre
+
+
+def find_sampled_way(request: PlanningRequest, goals: Sequence[Floats]) -> FreeWay | int:
+    """A rounded way to one of `goals` (rad), which are free; or the number of samples without a result."""
+    ends = [np.asarray(goal, dtype=float) for goal in goals]
+    space = _Space(_with_more_room(request, ends))
+    lower, upper = space.limits
+    drawn = 0
+    for attempt in range(ATTEMPTS):
+        seed = ATTEMPTS * request.seed + attempt
+        found = search(
+            request.start, ends, space.steer, lower, upper, space.weights, seed=seed, samples=SAMPLES - drawn
+        )
+        if not isinstance(found, Found):
+            return drawn + found
+        drawn += found.samples
+        corners = shorten(found.waypoints, space.steer, space.weights, seed=seed)
+        way = rounded(request, corners) or rounded(request, found.waypoints)
+        if way is not None:
+            words = f"by way of {len(way.knots) - 2} points, found with {drawn} samples of seed {seed}"
+            return FreeWay(way, [f"modified: {words}; tested: free"])
+    return drawn
+
+
+def _with_more_room(request: PlanningRequest, goals: Sequence[Array]) -> PlanningRequest:
+    """The request with `MORE_M` of clearance to spare for the checks between those of the search, if the ends allow."""
+    if request.scene.clearance_m == 0.0:
+        return request
+    wider = replace(request, scene=replace(request.scene, clearance_m=request.scene.clearance_m + MORE_M))
+    test = free_posture(wider)
+    return wider if all(test(q) is None for q in (request.start, *goals)) else request
+
+
+class _Space:
+    """What is free in a request, as a `Steer` of the search."""
+
+    def __init__(self, request: PlanningRequest) -> None:
+        self._request = request
+        count = len(request.start)
+        self.weights = np.where(np.arange(count) < 3, 1.0, OUTER)
+        self._per_rad = np.where(np.arange(count) < 3, 1.0, 1.0 / 3.0) / CHECK_RAD  # as `Path.dense`
+        self._start = request.start
+        self._touches_at_start = free_posture(request)(self._start) is not None
+        self.steer = self._straight if request.rules.attitude is None else self._projected
+
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Lower and upper joint limits (rad); the start is within them."""
+        limits, margin = self._request.arm.limits, self._request.way_margin_rad
+        return np.minimum(limits.lower + margin, self._start), np.maximum(limits.upper - margin, self._start)
+
+    def _straight(self, here: Array, there: Array) -> tuple[list[Array], bool]:
+        share = self._free_share(here, there)
+        if share >= 1.0:
+            return [there.copy()], True
+        return ([here + share * (there - here)] if share > 0 else []), False
+
+    def _free_share(self, here: Array, there: Array) -> float:
+        """The free share of a line in joint space, 0 to 1."""
+        request, way = self._request, there - here
+        count = max(1, int(np.ceil(np.abs(way * self._per_rad).max())))
+        rows = here + (np.arange(count + 1) / count)[:, None] * way
+        if self._touches_at_start and np.array_equal(here, self._start):
+            hit = request.world.check_path(request.arm.name, rows, request.joints, request.scene)
+            free = count + 1 if hit is None else hit.index
+        else:
+            free = request.world.free_until(request.arm.name, rows, request.joints, request.scene)
+        if request.rules.work_range is not None or request.rules.attitude is not None:
+            broken = (n for n in range(free) if request.rules.broken_by(request.arm, rows[n]) is not None)
+            free = next(broken, free)
+        return 1.0 if free > count else max(0, free - 1) / count
+
+    def _projected(self, here: Array, there: Array) -> tuple[list[Array], bool]:
+        """In short steps, each projected onto the attitude to keep."""
+        attitude = self._request.rules.attitude
+        assert attitude is not None
+        lower, upper = self.limits
+        chain: list[Array] = []
+        left = self._length(there - here)
+        while left > PROJECTED_RAD:
+            onward = here + (PROJECTED_RAD / left) * (there - here)
+            step = self._request.arm.turned_to(attitude.pose, onward)
+            if step is None or bool((step < lower).any() or (step > upper).any()):
+                return chain, False
+            remains = self._length(there - step)
+            too_far = self._length(step - here) > 2 * PROJECTED_RAD
+            if too_far or remains > left - AWAY * PROJECTED_RAD or self._free_share(here, step) < 1.0:
+                return chain, False
+            chain.append(step)
+            here, left = step, remains
+        if self._free_share(here, there) < 1.0:
+            return chain, False
+        return [*chain, there.copy()], True
+
+    def _length(self, way: Array) -> float:
+        return float(np.abs(way * self.weights).max())
+
+
+def rounded(request: PlanningRequest, corners: list[Array]) -> Path | None:
+    """The way-points with rounded corners, each halved while the path near it is not free. None: not found."""
+    radii = widest(lengths(np.array(corners)))
+    for _ in range(NARROWER * len(corners)):
+        way = paths.through(corners, radii)
+        problem = fault(request, way, JUDGED_RAD)
+        if problem is None:
+            return way
+        if len(corners) == 2:
+            return None
+        at = float(problem.detail["fraction"]) * way.length
+        nearest = int(np.argmin(np.maximum(np.abs(way.s[1:-1] - at) - radii, 0.0)))
+        if radii[nearest] < LEAST_RADIUS:
+            return None
+        radii[nearest] *= 0.5
+    return None

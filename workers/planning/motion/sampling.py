@@ -1,0 +1,191 @@
+"""RRT-Connect in joint space between a start and one or more goals, and shortening of its path. Pure.
+
+Two trees of free postures grow towards each other, one from the start and one from all goals (Kuffner and LaValle,
+2000). Samples come from a box around start and goals that widens to the joint limits. The budget is a number of samples
+and the seed is an argument: the same problem always has the same path, at any load of the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from rtc.robot.geometry import Array
+
+#: (from, to) -> postures (rad) on the way, each with a free line from the one before; True: the last one is `to`
+Steer = Callable[[Array, Array], tuple[list[Array], bool]]
+
+REACH_RAD = 2.0  # maximum length of one extension, by the largest weighted joint displacement
+LEAST_RAD = 0.05  # a shorter extension adds no node
+AROUND_RAD = 0.6  # margin of the first samples around start and goals
+WIDE_AFTER = 120  # samples after which the box covers the joint limits
+MIXED = 0.3  # share of the samples that keep each joint of an end with a probability of one half
+STUCK_AFTER = 100  # samples after which the search ends if one of the trees has not grown at all
+SHORTCUTS = 24  # maximum number of pairs of points of a path between which a line is tried
+IN_VAIN = 10  # shortcuts in a row without a gain after which the rest are left out
+GAIN = 0.95  # a shortcut must be shorter than this share of the part that it replaces
+
+
+class Found(NamedTuple):
+    waypoints: list[Array]  # rad; each line between two neighbours is free
+    goal: int  # index of the goal reached
+    samples: int
+
+
+class _Tree:
+    """Free postures with their parents; roots have the parent -1."""
+
+    def __init__(self, roots: Sequence[Array], weights: Array) -> None:
+        self._weights = weights
+        self.nodes = np.empty((64 + len(roots), len(weights)))
+        self._scaled = np.empty_like(self.nodes)
+        self.parents: list[int] = []
+        for root in roots:
+            self._add(root, -1)
+        self._roots = len(roots)
+
+    @property
+    def has_grown(self) -> bool:
+        return len(self.parents) > self._roots
+
+    def add_chain(self, chain: list[Array], parent: int) -> int:
+        """Add postures, each the child of the one before; the last node."""
+        for q in chain:
+            parent = self._add(q, parent)
+        return parent
+
+    def nearest(self, q: Array) -> int:
+        off = self._scaled[: len(self.parents)] - q * self._weights
+        return int(np.einsum("ij,ij->i", off, off).argmin())
+
+    def branch(self, n: int) -> list[Array]:
+        """From this node to its root."""
+        found = []
+        while n >= 0:
+            found.append(self.nodes[n].copy())
+            n = self.parents[n]
+        return found
+
+    def root(self, n: int) -> int:
+        while self.parents[n] >= 0:
+            n = self.parents[n]
+        return n
+
+    def _add(self, q: Array, parent: int) -> int:
+        n = len(self.parents)
+        if n == len(self.nodes):
+            self.nodes = np.concatenate((self.nodes, np.empty_like(self.nodes)))
+            self._scaled = np.concatenate((self._scaled, np.empty_like(self._scaled)))
+        self.nodes[n], self._scaled[n] = q, q * self._weights
+        self.parents.append(parent)
+        return n
+
+
+def search(
+    start: Array,
+    goals: Sequence[Array],
+    steer: Steer,
+    lower: Array,
+    upper: Array,
+    weights: Array,
+    *,
+    seed: int,
+    samples: int,
+) -> Found | int:
+    """Way-points from `start` to one of `goals` (rad), or the number of samples that were drawn in vain.
+
+    `lower`, `upper`: joint limits (rad). `weights`: of each joint in the distance between postures.
+    """
+    rng = np.random.default_rng(seed)
+    ours, others = _Tree([start], weights), _Tree(goals, weights)
+    ends = np.vstack([start, *goals])
+    least, most = np.maximum(ends.min(axis=0) - AROUND_RAD, lower), np.minimum(ends.max(axis=0) + AROUND_RAD, upper)
+    for n in range(samples):
+        if n == STUCK_AFTER and not (ours.has_grown and others.has_grown):
+            return n
+        wide = min(1.0, n / WIDE_AFTER)
+        q = rng.uniform(least + wide * (lower - least), most + wide * (upper - most))
+        if rng.random() < MIXED:
+            q = np.where(rng.random(len(q)) < 0.5, ends[rng.integers(len(ends))], q)
+        new = _extend(ours, q, steer, weights)
+        if new is not None:
+            met = _connect(others, ours.nodes[new], steer, weights)
+            if met is not None:
+                first, at, second, to = (ours, new, others, met) if n % 2 == 0 else (others, met, ours, new)
+                return Found([*reversed(first.branch(at)), *second.branch(to)[1:]], second.root(to), n + 1)
+        ours, others = others, ours
+    return samples
+
+
+def _extend(tree: _Tree, q: Array, steer: Steer, weights: Array) -> int | None:
+    """Grow the tree towards `q` by one extension; the new node."""
+    near = tree.nearest(q)
+    here = tree.nodes[near]
+    way = q - here
+    length = float(np.abs(way * weights).max())
+    if length > REACH_RAD:
+        q = here + way * (REACH_RAD / length)
+    chain, _ = steer(here, q)
+    if not chain or float(np.abs((chain[-1] - here) * weights).max()) < LEAST_RAD:
+        return None
+    return tree.add_chain(chain, near)
+
+
+def _connect(tree: _Tree, q: Array, steer: Steer, weights: Array) -> int | None:
+    """Grow the tree towards `q` as far as it is free; the node at `q` if it arrives."""
+    near = tree.nearest(q)
+    here = tree.nodes[near]
+    chain, arrived = steer(here, q)
+    if arrived:
+        return tree.add_chain(chain, near)
+    if chain and float(np.abs((chain[-1] - here) * weights).max()) >= LEAST_RAD:
+        tree.add_chain(chain, near)
+    return None
+
+
+def shorten(waypoints: list[Array], steer: Steer, weights: Array, *, seed: int) -> list[Array]:
+    """The path with way-points left out and corners cut wherever a shorter way is free."""
+    rng = np.random.default_rng(seed)
+    path, in_vain = _skip(waypoints, steer, weights), 0
+    for _ in range(SHORTCUTS):
+        if len(path) < 3 or in_vain == IN_VAIN:
+            break
+        in_vain += 1
+        ends = _along(path, weights)
+        a, b = np.sort(rng.uniform(0.0, ends[-1], 2)).tolist()
+        i, j = (int(n) for n in np.searchsorted(ends, (a, b), "right") - 1)
+        if i >= j:
+            continue
+        slopes = [(path[n + 1] - path[n]) / (ends[n + 1] - ends[n]) for n in (i, j)]
+        first, last = path[i] + (a - ends[i]) * slopes[0], path[j] + (b - ends[j]) * slopes[1]
+        if float(np.abs((last - first) * weights).max()) >= GAIN * (b - a):
+            continue
+        chain, arrived = steer(first, last)
+        if arrived and _along([first, *chain], weights)[-1] < GAIN * (b - a):
+            path, in_vain = [*path[: i + 1], first, *chain, *path[j + 1 :]], 0
+    return _skip(path, steer, weights)
+
+
+def _along(path: list[Array], weights: Array) -> Array:
+    """The length of the path up to each way-point."""
+    rows = np.array(path)
+    return np.concatenate(((0.0,), np.cumsum(np.abs((rows[1:] - rows[:-1]) * weights).max(axis=1))))
+
+
+def _skip(path: list[Array], steer: Steer, weights: Array) -> list[Array]:
+    """Leave out way-points between two that a shorter way connects: the farthest first, then half as far."""
+    kept, n = [path[0]], 0
+    ends = _along(path, weights)
+    while n < len(path) - 1:
+        m = len(path) - 1
+        while m > n + 1:
+            chain, arrived = steer(path[n], path[m])
+            if arrived and _along([path[n], *chain], weights)[-1] <= ends[m] - ends[n]:
+                kept += chain[:-1]
+                break
+            m = n + (m - n) // 2 if m - n > 4 else m - 1
+        kept.append(path[m])
+        n = m
+    return kept

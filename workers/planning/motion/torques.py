@@ -1,0 +1,81 @@
+"""Joint torques of a motion with the load in the hand, and their limits. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+import toppra.constraint
+
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.primitive import Load
+from rtc.robot.geometry import Array
+from rtc.robot.kinematics import ArmModel
+
+SHARE = 0.9  # of the joints' effort that a planned motion may use; the rest is for the control law
+
+
+@dataclass(frozen=True, eq=False)
+class Torques:
+    """The inverse dynamics of one arm with one load."""
+
+    arm: ArmModel
+    load: Load | None
+    laden: pin.Model | None
+    limits: Array  # N.m
+
+    @classmethod
+    def of(cls, arm: ArmModel, load: Load | None) -> Torques:
+        laden = arm.laden(load.mass_kg, load.com_m, load.inertia_kg_m2) if load is not None else None
+        return cls(arm, load, laden, SHARE * arm.limits.effort)
+
+    def excess(self, joints: Array, velocities: Array, accelerations: Array) -> float | Refusal:
+        """The factor by which the accelerations and squared speeds are too great; 1 or less: all within the limits.
+
+        Refused if the weight alone is too great for a joint at one of these postures.
+        """
+        moving = self.arm.torques(joints, velocities, accelerations, self.laden)
+        weight = np.zeros_like(moving)
+        if np.any(self.arm.model.gravity.linear):
+            still = np.zeros_like(joints)
+            weight = self.arm.torques(joints, still, still, self.laden)
+            if (np.abs(weight) >= self.limits).any():
+                return self._overload(weight)
+        inertial = moving - weight
+        room = np.where(inertial > 0, self.limits - weight, self.limits + weight)
+        return float((np.abs(inertial) / room).max())
+
+    def constraint(self) -> toppra.constraint.Constraint:
+        """The limits for toppra."""
+
+        def inverse_dynamics(q: Array, v: Array, a: Array) -> Array:
+            return self.arm.torques(q[None], v[None], a[None], self.laden)[0]
+
+        return toppra.constraint.SecondOrderConstraint.joint_torque_constraint(
+            inverse_dynamics,
+            np.stack((-self.limits, self.limits), axis=1),
+            np.zeros(len(self.limits)),
+            discretization_scheme=toppra.constraint.DiscretizationType.Interpolation,
+        )
+
+    def _overload(self, weight: Array) -> Refusal:
+        row, joint = np.unravel_index(int((np.abs(weight) / self.limits).argmax()), weight.shape)
+        name, torque_nm, limit_nm = self.arm.joints[joint], float(weight[row, joint]), float(self.limits[joint])
+        held = f" with {self.load.mass_kg:g} kg in its hand" if self.load is not None else ""
+        return Refusal(
+            reason=RefusalReason.INFEASIBLE,
+            message=(
+                f"{self.arm.name} cannot hold itself{held}: {name} would need {abs(torque_nm):.0f} N.m; "
+                f"its limit is {limit_nm:.0f} N.m"
+            ),
+            clears="a lighter load, or a path nearer to the base",
+            detail={
+                "cause": "torque",
+                "arm": self.arm.name,
+                "joint": name,
+                "torque_nm": torque_nm,
+                "limit_nm": limit_nm,
+                "fraction": float(row) / max(1, len(weight) - 1),
+            },
+        )
