@@ -12,7 +12,7 @@ from enum import StrEnum
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import StartTimer
 from broker.decisions.events import BrokerRestarted, JobDeclined, JobFinished, JobLost
-from broker.decisions.machine import Cell, Ignored, Machine, cell
+from broker.decisions.machine import Ignored, Machine, TableCell, cell
 from broker.decisions.resources import WORLD
 from broker.decisions.state import Command, Deferral, DeferredAnalysis, State
 from rtc.protocol.outcomes import RefusalReason
@@ -134,7 +134,7 @@ def finish(context: DecisionContext, name: str, _: object) -> None:
 
 S, D = DeferralStimulus, Deferral
 
-_ROWS: dict[Deferral, dict[DeferralStimulus, Cell[Deferral]]] = {
+_ROWS: dict[Deferral, dict[DeferralStimulus, TableCell[Deferral]]] = {
     D.NONE: {
         S.DEFER: cell(keep, D.RUNNING),
     },

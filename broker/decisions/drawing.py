@@ -7,7 +7,7 @@ from typing import Any
 from broker.decisions.command.table import COMMAND
 from broker.decisions.deferred_analysis import DEFERRED
 from broker.decisions.halt_request import HALT
-from broker.decisions.machine import Cell, Machine
+from broker.decisions.machine import Machine, TableCell
 from broker.decisions.program_rollout import ROLLOUT
 from broker.decisions.subsystem_link import LINK
 
@@ -108,7 +108,7 @@ def as_markdown(machine: Machine[Any, Any]) -> str:
     return "\n".join(lines)
 
 
-def in_words(cell: Cell[Any]) -> str:
+def in_words(cell: TableCell[Any]) -> str:
     return f"{cell.action.__name__} → {', '.join(sorted(state.value for state in cell.following))}"
 
 

@@ -14,7 +14,7 @@ from broker.decisions.command.scope import has_ended, in_scope, no_target, subsy
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import DeclineHalt, PublishHalt, SendHalt
 from broker.decisions.events import HaltCalled, Stimulus
-from broker.decisions.machine import Cell, Ignored, Machine, cell
+from broker.decisions.machine import Ignored, Machine, TableCell, cell
 from broker.decisions.state import Command, HaltPhase, HaltSentence, Link, PendingOutcome, State
 from rtc.protocol.messages import HaltRequested, Phase
 from rtc.protocol.outcomes import OutcomeKind, StopReason
@@ -207,7 +207,7 @@ def _settle(context: DecisionContext, name: str, outcome: PendingOutcome) -> Non
 
 S, H = HaltStimulus, HaltPhase
 
-_ROWS: dict[HaltPhase, dict[HaltStimulus, Cell[HaltPhase]]] = {
+_ROWS: dict[HaltPhase, dict[HaltStimulus, TableCell[HaltPhase]]] = {
     H.NEW: {
         S.CALL: cell(obey_call, H.FORWARDED, H.DECLINED),
         S.SENTENCE: cell(order_sentence, H.AWAITING_REST),

@@ -17,15 +17,15 @@ S = TypeVar("S", bound=StrEnum)
 T = TypeVar("T", bound=StrEnum)
 
 
-class Cell(NamedTuple, Generic[S]):
+class TableCell(NamedTuple, Generic[S]):
     """What one stimulus does in one state."""
 
     action: Callable[..., None]
     following: frozenset[S]  # the states that may follow; checked after the action
 
 
-def cell(action: Callable[..., None], *following: S) -> Cell[S]:
-    return Cell(action, frozenset(following))
+def cell(action: Callable[..., None], *following: S) -> TableCell[S]:
+    return TableCell(action, frozenset(following))
 
 
 class Ignored(NamedTuple, Generic[S, T]):
@@ -47,7 +47,7 @@ class Machine(Generic[S, T]):
         self,
         states: type[S],
         stimuli: type[T],
-        rows: dict[S, dict[T, Cell[S]]],
+        rows: dict[S, dict[T, TableCell[S]]],
         ignored: Iterable[Ignored[S, T]],
         *,
         first: S,

@@ -10,7 +10,7 @@ from enum import StrEnum
 
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import ProgramInstalled
-from broker.decisions.machine import Cell, Ignored, Machine, cell
+from broker.decisions.machine import Ignored, Machine, TableCell, cell
 from broker.decisions.state import Command, PendingJob, Rollout, RolloutPhase, State
 
 PROVEN_KEPT = 16  # proven programs stored per worker kind
@@ -145,7 +145,7 @@ def _prove(rollout: Rollout, digest: str) -> None:
 
 S, R = RolloutStimulus, RolloutPhase
 
-_ROWS: dict[RolloutPhase, dict[RolloutStimulus, Cell[RolloutPhase]]] = {
+_ROWS: dict[RolloutPhase, dict[RolloutStimulus, TableCell[RolloutPhase]]] = {
     R.NONE: {
         S.INSTALL: cell(replace, R.PROVEN),
     },

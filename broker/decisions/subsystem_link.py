@@ -13,7 +13,7 @@ from broker.decisions.command import nominal, stopping
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendHalt
 from broker.decisions.events import BrokerRestarted, Stimulus, SubsystemConnected, SubsystemGone
-from broker.decisions.machine import Cell, Ignored, Machine, cell
+from broker.decisions.machine import Ignored, Machine, TableCell, cell
 from broker.decisions.state import NIL, Link, State, Subsystem
 from rtc.protocol.messages import Phase
 from rtc.protocol.primitive_id import command_of, number_of
@@ -126,7 +126,7 @@ def _forget_one(state: State) -> bool:
 
 S, L = LinkStimulus, Link
 
-_ROWS: dict[Link, dict[LinkStimulus, Cell[Link]]] = {
+_ROWS: dict[Link, dict[LinkStimulus, TableCell[Link]]] = {
     L.UNKNOWN: {
         S.HELLO: cell(register, L.CONNECTED, L.UNKNOWN),
     },

@@ -20,7 +20,7 @@ from broker.decisions.command import (
 )
 from broker.decisions.context import DecisionContext
 from broker.decisions.events import Stimulus
-from broker.decisions.machine import Cell, Ignored, InvalidTransition, Machine, cell
+from broker.decisions.machine import Ignored, InvalidTransition, Machine, TableCell, cell
 from broker.decisions.state import Command, State
 from rtc.protocol.messages import Phase
 
@@ -28,7 +28,7 @@ S, P = Stimulus, Phase
 STEP = (P.BINDING, P.PAUSED, P.ENDED)  # the next step is bound, or the command pauses, or no step is left
 PLAN = (P.ELABORATING, P.HELD, P.ENDED)  # the resources are granted, or the command waits, or it is refused
 
-_ROWS: dict[Phase, dict[Stimulus, Cell[Phase]]] = {
+_ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
     P.PARSING: {
         S.PRODUCT: cell(intake.on_parsed, P.PARSING, *PLAN, P.HALTING),
         S.RELEASE: cell(intake.take_up, *PLAN),
