@@ -12,6 +12,8 @@ from zmq.utils.monitor import recv_monitor_message
 from rtc.protocol.outcomes import KeyTrouble
 from rtc.protocol.roles import TCP_ENDPOINTS, Role
 from rtc.runtime.keys import (
+    PEERS_OF_KEY,
+    REVOKED_KEPT,
     KeyFile,
     KeyRing,
     Pair,
@@ -62,6 +64,40 @@ def test_a_revoked_key_is_not_known_and_its_name_is_free(ring: KeyRing, tmp_path
     second = ring.new("alice", Role.OBSERVER, AT, tmp_path / "2.key")
 
     assert [known.public for known in ring.known()] == [second.public] != [first.public]
+
+
+def test_a_revoked_key_stays_in_the_records_with_its_time(ring: KeyRing, tmp_path: Path) -> None:
+    first = ring.new("w1", Role.WORKER, AT, tmp_path / "1.key", count=8)
+    assert [key.count for key in ring.known()] == [8]
+    ring.revoke("w1")
+    second = ring.new("w1", Role.WORKER, AT, tmp_path / "2.key")
+    ring.revoke("w1")
+
+    assert [(key.name, key.public) for key in ring.revoked()] == [("w1", first.public), ("w1", second.public)]
+    assert all(key.revoked_at >= key.made_at for key in ring.revoked())
+    with pytest.raises(KeyTrouble, match=r"there is no key 'w1' \(revoked "):
+        ring.revoke("w1")
+
+
+def test_the_records_of_revoked_keys_are_limited_to_the_latest(ring: KeyRing, tmp_path: Path) -> None:
+    for n in range(REVOKED_KEPT + 2):
+        ring.new(f"w{n}", Role.WORKER, AT, tmp_path / f"{n}.key")
+        ring.revoke(f"w{n}")
+
+    assert [key.name for key in ring.revoked()] == [f"w{n}" for n in range(2, REVOKED_KEPT + 2)]
+
+
+@pytest.mark.parametrize(
+    ("role", "count", "advice"),
+    [(Role.OPERATOR, 1, "leave out --count"), (Role.WORKER, PEERS_OF_KEY + 1, "one key per host")],
+)
+def test_a_count_that_could_not_be_reached_is_refused(
+    ring: KeyRing, tmp_path: Path, role: Role, count: int, advice: str
+) -> None:
+    with pytest.raises(KeyTrouble, match=advice):
+        ring.new("w1", role, AT, tmp_path / "w1.key", count=count)
+    assert ring.known() == []
+    assert not (tmp_path / "w1.key").exists()
 
 
 def test_nothing_that_is_there_is_written_over(ring: KeyRing, tmp_path: Path) -> None:
