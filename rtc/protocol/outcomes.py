@@ -71,13 +71,14 @@ class StopReason(StrEnum):
     TORQUE_LIMIT = "torque_limit"  # measured torque beyond the guard
     OVERSPEED = "overspeed"  # measured joint speed above its limit
     FOLLOWING_ERROR = "following_error"  # measured joint position too far from its setpoint
+    OUT_OF_RANGE = "out_of_range"  # the tcp left its range, its attitude or a distance
     CONTACT = "contact"  # the contact that the primitive was to detect
     SLIP = "slip"  # the held object moves in the fingers
     OBJECT_LOST = "object_lost"  # nothing is between the fingers any more
     GOAL = "goal"  # the end of the trajectory, or the commanded width and force
     TIMEOUT = "timeout"  # the time limit passed first
+    NO_CONTACT = "no_contact"  # a contact ended; or, derived by the analyzer, the goal was reached without one
     # The reasons below do not come from a servo tick.
-    NO_CONTACT = "no_contact"  # derived by the analyzer: goal reached although contact was expected
     REFUSED = "refused"  # the subsystem did not start the primitive
     SUBSYSTEM_LOST = "subsystem_lost"  # the subsystem was lost before its report
 

@@ -140,7 +140,10 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     compliance: Compliance | None = None
 
 
-# --- F: predicates over the current sample only (R66) ------------------------------------------------
+# --- F: predicates over the current sample (R66) ----------------------------------------------------
+#
+# Filters: none, unless a predicate states one. A predicate that is true for a value below a limit counts only after
+# the value has been above it in the same primitive: every motion begins without force.
 
 
 class GoalReached(msgspec.Struct, frozen=True, tag="goal-reached"):
@@ -167,6 +170,28 @@ class TorqueAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     axis: Vector | None = None
 
 
+class ForceBelow(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="force-below"):
+    """Wrist force below a limit for `for_s`, after it has been above `armed_n` (default: the limit)."""
+
+    limit_n: float
+    armed_n: float | None = None
+    axis: Vector | None = None  # as in ForceAbove; then the magnitude of that part
+    for_s: float = 0.02
+
+
+class TorqueBelow(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="torque-below"):
+    limit_nm: float
+    axis: Vector | None = None
+    for_s: float = 0.02
+
+
+class NoProgress(msgspec.Struct, frozen=True, kw_only=True, tag="no-progress"):
+    """The tcp is farther than this behind its command, while the wrist force is above a limit: a compliant arm jams."""
+
+    behind_m: float
+    force_n: float
+
+
 class SpeedAbove(msgspec.Struct, frozen=True, tag="speed-above"):
     """A measured joint speed exceeds `ratio` times its limit. The MCM adds one with its own ratio to each primitive."""
 
@@ -191,13 +216,47 @@ class GripForceBelow(msgspec.Struct, frozen=True, tag="grip-force-below"):
     limit_n: float
 
 
+class GripForceAbove(msgspec.Struct, frozen=True, tag="grip-force-above"):
+    limit_n: float  # of the finger that presses more
+
+
 class HandWidthBelow(msgspec.Struct, frozen=True, tag="hand-width-below"):
     limit_m: float  # less than the width of the held object: a narrower hand holds nothing
 
 
-class TcpNear(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-near"):
+class TcpNear(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="tcp-near"):
     point: Vector  # world frame, m
     distance_m: float
+    axis: Vector | None = None  # unit vector, world: only the distance along it counts
+
+
+class TcpFar(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="tcp-far"):
+    point: Vector  # as in TcpNear
+    distance_m: float
+    axis: Vector | None = None
+
+
+class TcpSpeedAbove(msgspec.Struct, frozen=True, tag="tcp-speed-above"):
+    limit_m_s: float  # mean over the last 19 ms
+
+
+class TcpOutside(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-outside"):
+    """The tcp is outside a box."""
+
+    centre: Vector  # pose, world: x y z qx qy qz qw
+    size_m: Vector
+
+
+class TcpInside(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-inside"):
+    centre: Vector  # as in TcpOutside
+    size_m: Vector
+
+
+class TcpTurned(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-turned"):
+    """The attitude of the tcp differs from the given one by more than `limit_rad`."""
+
+    attitude: Vector  # quaternion x y z w, world
+    limit_rad: float
 
 
 Predicate = (
@@ -212,6 +271,15 @@ Predicate = (
     | GripForceBelow
     | HandWidthBelow
     | TcpNear
+    | ForceBelow
+    | TorqueBelow
+    | NoProgress
+    | GripForceAbove
+    | TcpFar
+    | TcpSpeedAbove
+    | TcpOutside
+    | TcpInside
+    | TcpTurned
 )
 
 

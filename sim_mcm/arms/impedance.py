@@ -26,7 +26,7 @@ REFRESH_TICKS = 10  # the damping follows the posture at this interval; it costs
 LEAST_INVERSE_MASS = 1e-4  # added to (J M^-1 J') so that a singular posture has a finite effective mass
 # A force-controlled axis that touches nothing moves at most this fast (m/s, rad/s) under its set-point.
 APPROACH_M_S, APPROACH_RAD_S = 0.005, 0.05
-# Damping of such an axis by the equivalent of this spring (N/m, N.m/rad), whatever the set-point.
+# Damping of an axis without a spring: that of this spring (N/m, N.m/rad), whatever the set-point.
 IDLE_N_M, IDLE_NM_RAD = 1000.0, 20.0
 MOST_DAMPED = 0.4  # share of an axis' momentum that its damping may take in one tick
 INTEGRAL_PER_S = 5.0  # gain of the force integral; 2 to 20 are stable on a rigid wall
@@ -52,7 +52,7 @@ class Impedance:
         self._pressed = np.array([force is not None for force in compliance.wrench or [None] * 6])
         self._stiffness = np.where(self._pressed, 0.0, compliance.stiffness)
         idle = np.array([IDLE_N_M] * 3 + [IDLE_NM_RAD] * 3)
-        self._root = np.sqrt(np.where(self._pressed, idle, self._stiffness))
+        self._root = np.sqrt(np.where(self._stiffness == 0.0, idle, self._stiffness))
         self._ratio = np.array(compliance.damping)
         self._most_n, self._most_nm = compliance.most_n, compliance.most_nm
         self._damping = np.zeros((6, 6))

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from rtc.protocol import primitive as p
-from rtc.protocol.outcomes import Reflex
 from rtc.robot import quintic
 from sim_mcm.arms.arm import Traits
 
@@ -32,8 +31,6 @@ def objection(primitive: p.Primitive, traits: Traits, joints: Sequence[float]) -
     if load is not None and load.mass_kg > traits.payload_kg:
         return f"a load of {load.mass_kg:g} kg is more than the {traits.payload_kg:g} kg that {traits.name} can carry"
     for stop in primitive.stop_functions:
-        if stop.reflex is Reflex.COMPLY:
-            return f"reflex comply of {stop.reason} is not available: this arm has no compliant control yet"
         if not math.isfinite(stop.back_off_m) or stop.back_off_m < 0.0:
             return f"back_off_m of {stop.reason} must be 0 or more, not {stop.back_off_m}"
     if primitive.reporting.every_s is not None and not primitive.reporting.every_s >= 0.001:

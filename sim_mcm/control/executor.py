@@ -2,7 +2,7 @@
 
     sample -> stop functions, in fixed priority -> reflex -> command every tick, from the current sample alone (R66)
 
-The table TRANSITIONS lists all state changes. The executor is pure: it has no clock and no socket. The caller passes
+The table in `modes` lists all state changes. The executor is pure: it has no clock and no socket. The caller passes
 the time and sends the messages that `accept` and `tick` return. It knows neither the other arm nor objects; an arm
 holds something if its fingers press.
 """
@@ -11,51 +11,18 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from enum import Enum
 
 import msgspec
 
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
-from sim_mcm.arms.arm import TICK_S, ArmInterface, HandCommand, Motion
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+from sim_mcm.arms.arm import TICK_S, ArmInterface, HandCommand, Motion, Sample
 from sim_mcm.control import acceptance, profiles, stop_functions
+from sim_mcm.control.modes import AFTER_STOP, MOVING, TRANSITIONS, Mode, Trigger
 from sim_mcm.control.reports import Peaks, Trip, end_report, magnitudes, not_begun
-
-
-class Mode(Enum):
-    HOLDING = "holding"  # no primitive; the arm stays where it is, the hand keeps its grip
-    EXECUTING = "executing"  # stop functions are evaluated every tick
-    STOPPING = "stopping"  # the reason is fixed; braking, jerk-limited; thresholds masked
-    RETREATING = "retreating"  # reflex BACK_OFF
-    RELEASING = "releasing"  # reflex RELEASE
-    SETTLING = "settling"  # commanded to rest; waits until rest is measured, then reports the end
-
-
-class Trigger(Enum):
-    ACCEPTED = "accepted"  # a primitive passed its check
-    TRIPPED = "tripped"  # a stop function came true
-    HALTED = "halted"  # a halt from outside
-    DONE = "done"  # the work of this state is complete
-
-
-TRANSITIONS: dict[Mode, dict[Trigger, Mode]] = {
-    Mode.HOLDING: {Trigger.ACCEPTED: Mode.EXECUTING, Trigger.HALTED: Mode.HOLDING},
-    Mode.EXECUTING: {Trigger.TRIPPED: Mode.STOPPING, Trigger.HALTED: Mode.STOPPING},
-    Mode.STOPPING: {
-        Trigger.DONE: Mode.SETTLING,
-        Trigger.HALTED: Mode.STOPPING,
-    },  # DONE: the next state is in AFTER_STOP
-    Mode.RETREATING: {Trigger.DONE: Mode.SETTLING, Trigger.HALTED: Mode.STOPPING},
-    Mode.RELEASING: {Trigger.DONE: Mode.SETTLING, Trigger.HALTED: Mode.STOPPING},
-    Mode.SETTLING: {Trigger.DONE: Mode.HOLDING, Trigger.HALTED: Mode.SETTLING},
-}
-AFTER_STOP: dict[Reflex, Mode] = {
-    Reflex.STOP: Mode.SETTLING,
-    Reflex.BACK_OFF: Mode.RETREATING,
-    Reflex.RELEASE: Mode.RELEASING,
-}
-MOVING = frozenset({Mode.EXECUTING, Mode.STOPPING, Mode.RETREATING, Mode.RELEASING})
 
 # After these reasons the arm may lean on an obstacle; the command then moves to the measured position.
 TOUCHED = frozenset({StopReason.CONTACT, StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT, StopReason.COLLISION})
@@ -76,6 +43,9 @@ SQUEEZE_N = 1.0  # a smaller finger force does not count as a grip
 PRESSED = 0.95  # share of the commanded force at which the grip is complete
 SETTLE_LIMIT_S = 1.0  # maximum wait for measured rest; then the end is reported anyway
 RELEASE_LIMIT_S = 3.0
+# Reflex COMPLY: no spring, damping only. It ends at rest with a smaller force than this, or after this time.
+LIMP = p.Compliance(stiffness=[0.0] * 6)
+COMPLIED_N, COMPLY_LIMIT_S = 1.0, 3.0
 
 Reports = list[m.Started | m.ProgressReport | m.EndReport]
 
@@ -105,6 +75,8 @@ class Executor:
         self._report_every: int | None = None
         self._yielded = self._releasing = False
         self._leaning_ticks = 0
+        self._tcp_of: Sample | None = None  # the sample that `_tcp_pose` belongs to
+        self._tcp_pose: Array = arm.tcp_pose(self.sample.joints)
         self._was_compliant = False  # up to the stop
         self._compliant = False  # the present control law complies; outside EXECUTING it never does
         self._work: dict[Mode, Callable[[float], Reports]] = {
@@ -113,6 +85,7 @@ class Executor:
             Mode.STOPPING: self._stop,
             Mode.RETREATING: self._retreat,
             Mode.RELEASING: self._release,
+            Mode.COMPLYING: self._comply,
             Mode.SETTLING: self._settle,
         }
         self._enter: dict[Mode, Callable[[], None]] = {
@@ -121,6 +94,7 @@ class Executor:
             Mode.STOPPING: self._begin_stopping,
             Mode.RETREATING: self._begin_retreat,
             Mode.RELEASING: self._begin_release,
+            Mode.COMPLYING: self._begin_comply,
             Mode.SETTLING: self._begin_settling,
         }
 
@@ -287,6 +261,22 @@ class Executor:
         self._apply(Trigger.DONE)
         return self._settle(now_s)
 
+    def _begin_comply(self) -> None:
+        assert self.primitive is not None
+        self._use(profiles.Stay(self._command[0]))
+        self.arm.use_law(_limp(self.primitive.control_law))
+        self._compliant = True
+
+    def _comply(self, now_s: float) -> Reports:
+        rests = self._joints_rest() and magnitudes(self._wrench)[0] < COMPLIED_N
+        waited_s = self._profile_time_s
+        if waited_s < WINDOW_TICKS * TICK_S or (not rests and waited_s < COMPLY_LIMIT_S):
+            return []
+        assert self.primitive is not None
+        self._stiffen(self.primitive.control_law)
+        self._apply(Trigger.DONE)
+        return self._settle(now_s)
+
     def _begin_settling(self) -> None:
         self._use(profiles.Stay(self._command[0]))
 
@@ -344,6 +334,8 @@ class Executor:
             if why:
                 return why
             stops = stop_functions.compile_stops(primitive, self.arm.traits)
+            if any(stop.reflex is Reflex.COMPLY for stop in primitive.stop_functions):
+                self.arm.use_law(_limp(primitive.control_law))  # an arm that cannot comply refuses here
             self.arm.use_law(primitive.control_law)
         except ValueError as error:
             return str(error)
@@ -416,11 +408,25 @@ class Executor:
             torque_nm,
             sample.fingers[0] + sample.fingers[1],
             min(sample.finger_forces),
+            max(sample.finger_forces),
             self._arrived(),
-            lambda: self.arm.tcp_pose(sample.joints),
+            self._tcp,
             self._touch,
             self._command[0],
+            lambda: self.arm.tcp_pose(self._command[0]),
+            self._tcp_speed_m_s,
         )
+
+    def _tcp(self) -> Array:
+        """Pose of the tcp in this tick, computed once."""
+        if self._tcp_of is not self.sample:
+            self._tcp_of, self._tcp_pose = self.sample, self.arm.tcp_pose(self.sample.joints)
+        return self._tcp_pose
+
+    def _tcp_speed_m_s(self) -> float:
+        """Mean speed of the tcp over the window."""
+        before = self.arm.tcp_pose(self._window[0].joints)
+        return geometry.distance(before, self._tcp()) / (max(1, len(self._window) - 1) * TICK_S)
 
     def _touch(self) -> str:
         """The contact of the arm, as text, or ''. A contact from before the start counts only if its force has grown:
@@ -487,6 +493,11 @@ class Executor:
             wrench=self._wrench,
             peaks=self._peaks,
         )
+
+
+def _limp(law: p.ControlLaw) -> p.ControlLaw:
+    """The law of the reflex COMPLY, with the load of the primitive."""
+    return p.ControlLaw(name="impedance", gains=law.gains, load=law.load, compliance=LIMP)
 
 
 def _spread(rows: Iterable[Sequence[float]]) -> float:

@@ -1,7 +1,8 @@
 """Stop functions: the stop conditions of a primitive, compiled to memoryless checks (F in the paper; R66, A21).
 
 `compile_stops` returns the checks in their fixed priority; `first` returns the first one that is true, and only that
-one (R83). A check sees the current `Moment` only. The executor carries out the reflex (stop, retreat).
+one (R83). A check sees the current `Moment` only, except `_Fallen`, which remembers that a value has been high. The
+executor carries out the reflex (stop, retreat, comply).
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ import msgspec
 
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
+from rtc.robot import geometry
 from rtc.robot.geometry import Array
-from sim_mcm.arms.arm import Traits
+from sim_mcm.arms.arm import TICK_S, Traits
 
 Finding = tuple[float | None, float | None, str]  # measured, limit, words
 
@@ -31,10 +33,13 @@ class Moment(msgspec.Struct):
     torque_nm: float
     width_m: float
     grip_n: float  # force of the finger that presses less
+    grip_most_n: float  # and of the one that presses more
     arrived: Finding | None  # (greatest error, tolerance, '') once the goal is reached
     tcp: Callable[[], Array]  # called on demand: tcp and touch cost more than the other values
     touch: Callable[[], str]
     commanded: list[float]  # commanded joints of this tick (rad)
+    commanded_tcp: Callable[[], Array]
+    tcp_speed_m_s: Callable[[], float]
 
 
 Check = Callable[[Moment], Finding | None]
@@ -178,15 +183,113 @@ def _width(when: p.HandWidthBelow, traits: Traits) -> Check:
     return lambda now: (now.width_m, limit, "") if now.width_m < limit else None
 
 
+def _grip_above(when: p.GripForceAbove, traits: Traits) -> Check:
+    limit = when.limit_n
+    return lambda now: (now.grip_most_n, limit, "") if now.grip_most_n > limit else None
+
+
 def _tcp_near(when: p.TcpNear, traits: Traits) -> Check:
-    (x, y, z), limit = when.point, when.distance_m
+    distance, limit = _distance(when), when.distance_m
+    return lambda now: (away, limit, "") if (away := distance(now)) < limit else None
+
+
+def _tcp_far(when: p.TcpFar, traits: Traits) -> Check:
+    distance, limit = _distance(when), when.distance_m
+    return lambda now: (away, limit, "") if (away := distance(now)) > limit else None
+
+
+def _distance(when: p.TcpNear | p.TcpFar) -> Callable[[Moment], float]:
+    """Distance of the tcp from the point: straight, or along the axis."""
+    point = when.point
+    if when.axis is None:
+        return lambda now: math.dist(point, now.tcp()[:3].tolist())
+    axis = when.axis
+    return lambda now: abs(sum(a * (q - at) for a, q, at in zip(axis, now.tcp()[:3].tolist(), point, strict=True)))
+
+
+def _tcp_speed(when: p.TcpSpeedAbove, traits: Traits) -> Check:
+    limit = when.limit_m_s
 
     def check(now: Moment) -> Finding | None:
-        at = now.tcp()
-        distance = math.dist((x, y, z), at[:3].tolist())
-        return (distance, limit, "") if distance < limit else None
+        speed = now.tcp_speed_m_s()
+        return (speed, limit, f"the tool moves at {1e3 * speed:.0f} mm/s") if speed > limit else None
 
     return check
+
+
+def _outside(when: p.TcpOutside, traits: Traits) -> Check:
+    beyond = _beyond(when)
+    words = "the tool is outside its range"
+    return lambda now: (far, 0.0, words) if (far := beyond(now)) > 0.0 else None
+
+
+def _inside(when: p.TcpInside, traits: Traits) -> Check:
+    beyond = _beyond(when)
+    words = "the tool is inside a region that it must avoid"
+    return lambda now: (-far, 0.0, words) if (far := beyond(now)) < 0.0 else None
+
+
+def _beyond(when: p.TcpOutside | p.TcpInside) -> Callable[[Moment], float]:
+    """Distance (m) of the tcp beyond the nearest face of the box, as if the face had no edges; negative inside."""
+    back, half = geometry.inverse(when.centre), [0.5 * size for size in when.size_m]
+
+    def beyond(now: Moment) -> float:
+        local = geometry.transform_point(back, now.tcp()[:3]).tolist()
+        return max(abs(x) - h for x, h in zip(local, half, strict=True))
+
+    return beyond
+
+
+def _turned(when: p.TcpTurned, traits: Traits) -> Check:
+    wanted, limit = [0.0, 0.0, 0.0, *when.attitude], when.limit_rad
+
+    def check(now: Moment) -> Finding | None:
+        off = geometry.angle(now.tcp(), wanted)
+        return (off, limit, f"the tool is turned by {math.degrees(off):.1f} deg") if off > limit else None
+
+    return check
+
+
+def _no_progress(when: p.NoProgress, traits: Traits) -> Check:
+    limit, force = when.behind_m, when.force_n
+
+    def check(now: Moment) -> Finding | None:
+        if now.force_n <= force:  # the cheap half first
+            return None
+        behind = geometry.distance(now.tcp(), now.commanded_tcp())
+        words = f"no progress: {1e3 * behind:.0f} mm behind its command with {now.force_n:.0f} N"
+        return (behind, limit, words) if behind > limit else None
+
+    return check
+
+
+class _Fallen:
+    """True when a value has been below its limit for some ticks, after it has been above `armed` once."""
+
+    def __init__(self, value: Callable[[Moment], float], limit: float, armed: float, for_s: float) -> None:
+        self._value, self._limit, self._armed_at = value, limit, armed
+        self._needed = max(1, round(for_s / TICK_S))
+        self._armed = False
+        self._below = 0
+
+    def __call__(self, now: Moment) -> Finding | None:
+        value = self._value(now)
+        self._armed = self._armed or value > self._armed_at
+        self._below = self._below + 1 if value < self._limit else 0
+        return (value, self._limit, "") if self._armed and self._below >= self._needed else None
+
+
+def _force_below(when: p.ForceBelow, traits: Traits) -> Check:
+    part = _part(when.axis, 0)
+    armed = when.limit_n if when.armed_n is None else when.armed_n
+    value = (lambda now: now.force_n) if part is None else (lambda now: abs(part(now.wrench)))
+    return _Fallen(value, when.limit_n, armed, when.for_s)
+
+
+def _torque_below(when: p.TorqueBelow, traits: Traits) -> Check:
+    part = _part(when.axis, 3)
+    value = (lambda now: now.torque_nm) if part is None else (lambda now: abs(part(now.wrench)))
+    return _Fallen(value, when.limit_nm, when.limit_nm, when.for_s)
 
 
 CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
@@ -201,15 +304,29 @@ CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
     p.GripForceBelow: _grip,
     p.HandWidthBelow: _width,
     p.TcpNear: _tcp_near,
+    p.ForceBelow: _force_below,
+    p.TorqueBelow: _torque_below,
+    p.NoProgress: _no_progress,
+    p.GripForceAbove: _grip_above,
+    p.TcpFar: _tcp_far,
+    p.TcpSpeedAbove: _tcp_speed,
+    p.TcpOutside: _outside,
+    p.TcpInside: _inside,
+    p.TcpTurned: _turned,
 }
+
+
+LENGTHS = {"centre": 7, "attitude": 4}  # of lists; all others have three numbers
 
 
 def _problems(stop: p.StopFunction) -> Iterator[str]:
     """Errors that the types do not exclude."""
     kind = type(stop.when).__name__
     for field, value in msgspec.structs.asdict(stop.when).items():
-        if isinstance(value, list) and len(value) != 3:
-            yield f"{kind}.{field}: three numbers are needed, not {len(value)}"
+        if isinstance(value, list) and len(value) != LENGTHS.get(field, 3):
+            yield f"{kind}.{field}: {LENGTHS.get(field, 3)} numbers are needed, not {len(value)}"
         numbers = value if isinstance(value, list) else [] if value is None else [value]
         if not all(math.isfinite(n) for n in numbers):
             yield f"{kind}.{field}: not a finite number"
+        if field in ("centre", "attitude") and not any(value[-4:]):
+            yield f"{kind}.{field}: four zeros are not an attitude"

@@ -36,7 +36,7 @@ from rtc.runtime.handover import Handed
 from rtc.runtime.settings import Settings
 from rtc.world.server import Server
 from rtc.world.store import Store
-from sim_mcm.control.executor import Mode
+from sim_mcm.control.modes import Mode
 from tests.simulation import network, skills
 from tests.simulation.processes import ARMS, Caller, Client, Mcm, Supervisor, Worker
 

@@ -148,6 +148,7 @@ class Kinematic:
     def __init__(self) -> None:
         self.sim = KinematicCell(CELL)
         self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
+        self.disturb: Callable[[int], None] | None = None  # called before each step, with the tick of the primitive
 
     @property
     def poses(self) -> dict[str, Any]:
@@ -165,6 +166,8 @@ class Kinematic:
             ends = [m for m in messages if isinstance(m, EndReport)]
             if ends:
                 return ends[0]
+            if self.disturb is not None:
+                self.disturb(tick)
             self.sim.step()
             messages = [m for executor in self.executors.values() for m in executor.tick(tick * 0.001)]
         raise AssertionError(f"no end report of {made.id} within {bound.limit_s} s")
@@ -176,6 +179,7 @@ class Physical(Kinematic):
     def __init__(self) -> None:
         from sim_mcm.arms.bullet_arm import BulletCell
 
+        self.disturb = None
         self.sim = BulletCell(CELL)  # type: ignore[assignment]
         self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
 

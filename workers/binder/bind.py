@@ -24,6 +24,7 @@ from rtc.protocol.primitive import (
     ControlLaw,
     HandMotion,
     HoldStill,
+    JointTrajectory,
     Load,
     Primitive,
     Reporting,
@@ -353,6 +354,8 @@ def primitive(
     stops: list[StopFunction] = stop_conditions.stop_functions(
         rows, values, against, stop_conditions.from_command(task.data, task.query, values)
     )
+    if isinstance(trajectory, JointTrajectory):
+        stops += stop_conditions.maintained(task.data, task.query, values)
     every_s = task.data.step.args.get("report_every_s")
     lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > task.query.hand_width(task.arm)
     load = None if lets_go else task.query.load(task.arm)

@@ -1,7 +1,9 @@
 """UNLESS condition THEN action, converted to stop functions of the motion loop (A8). Pure.
 
 `refuse_unsupported` rejects conditions that no sensor measures and actions that no reflex performs, before any motion.
-`stop_functions` is valid only for reflexes that it accepted. A limit along an axis applies in both directions.
+`stop_functions` is valid only for reflexes that it accepted. A limit along an axis applies in both directions. BELOW
+and NO-CONTACT become true after the value has been above the limit in the same step, because every motion begins
+without force. DISTANCE is that to the object of the command; without one, EXCEEDS measures from the start of the step.
 """
 
 from __future__ import annotations
@@ -16,27 +18,36 @@ from rtc.protocol.outcomes import Reflex, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
     BodyTouch,
     ForceAbove,
+    ForceBelow,
+    GripForceAbove,
     GripForceBelow,
     HandWidthBelow,
     JointMarginBelow,
     Predicate,
     StopFunction,
+    TcpFar,
     TcpNear,
     TimeAbove,
     TorqueAbove,
+    TorqueBelow,
 )
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from workers.planning import axes, suggestions
 
-ACTIONS: dict[str, Reflex] = {"stop": Reflex.STOP, "back_off": Reflex.BACK_OFF, "release": Reflex.RELEASE}
+ACTIONS: dict[str, Reflex] = {
+    "stop": Reflex.STOP,
+    "back_off": Reflex.BACK_OFF,
+    "comply": Reflex.COMPLY,
+    "release": Reflex.RELEASE,
+}
 
 
 @dataclass(frozen=True)
 class StepState:
     """State of a step at binding: figures in force, tcp pose (world), position of the command's object (world, m)."""
 
-    values: dict[str, float]  # contact_n, joint_margin_rad, time_limit_s, held_width_m, back_off_m
+    values: dict[str, float]  # contact_n, lost_contact_n, joint_margin_rad, time_limit_s, held_width_m, back_off_m
     hand_pose: Array
     holding: bool
     object_at: list[float] | None
@@ -47,6 +58,11 @@ Maker = Callable[[Condition, StepState], list[Predicate]]
 
 def _contact(_: Condition, state: StepState) -> list[Predicate]:
     return [ForceAbove(limit_n=state.values.get("contact_n", state.values["feel_force_n"]))]
+
+
+def _no_contact(_: Condition, state: StepState) -> list[Predicate]:
+    felt_n = state.values.get("contact_n", state.values["feel_force_n"])
+    return [ForceBelow(limit_n=min(state.values["lost_contact_n"], 0.5 * felt_n), armed_n=felt_n)]
 
 
 def _slip(_: Condition, state: StepState) -> list[Predicate]:
@@ -60,6 +76,7 @@ def _lost(_: Condition, state: StepState) -> list[Predicate]:
 #: event -> stop reason and constructor of its predicates (an empty list: nothing to monitor in this step)
 EVENTS: dict[str, tuple[StopReason, Maker]] = {
     "CONTACT": (StopReason.CONTACT, _contact),
+    "NO-CONTACT": (StopReason.NO_CONTACT, _no_contact),
     "COLLISION": (StopReason.COLLISION, lambda c, state: [BodyTouch()]),
     "SLIP": (StopReason.SLIP, _slip),
     "OBJECT-LOST": (StopReason.OBJECT_LOST, _lost),
@@ -88,20 +105,50 @@ def _torque(condition: Condition, state: StepState) -> list[Predicate]:
     return [TorqueAbove(limit_nm=_figure(condition), axis=axis) for axis in _both_ways(condition, state)]
 
 
+def _less_force(condition: Condition, state: StepState) -> list[Predicate]:
+    return [ForceBelow(limit_n=_figure(condition), axis=_both_ways(condition, state)[0])]
+
+
+def _less_torque(condition: Condition, state: StepState) -> list[Predicate]:
+    return [TorqueBelow(limit_nm=_figure(condition), axis=_both_ways(condition, state)[0])]
+
+
+def _squeeze(condition: Condition, state: StepState) -> list[Predicate]:
+    return [GripForceAbove(_figure(condition))]
+
+
 def _grip(condition: Condition, state: StepState) -> list[Predicate]:
     return [GripForceBelow(_figure(condition))] if state.holding else []
 
 
 def _near(condition: Condition, state: StepState) -> list[Predicate]:
-    return [] if state.object_at is None else [TcpNear(point=state.object_at, distance_m=_figure(condition))]
+    if state.object_at is None:
+        return []
+    return [TcpNear(point=state.object_at, distance_m=_figure(condition), axis=_in_world(condition, state))]
+
+
+def _far(condition: Condition, state: StepState) -> list[Predicate]:
+    point = state.hand_pose[:3].tolist() if state.object_at is None else state.object_at
+    return [TcpFar(point=point, distance_m=_figure(condition), axis=_in_world(condition, state))]
+
+
+def _in_world(condition: Condition, state: StepState) -> list[float] | None:
+    if condition.along is None:
+        return None
+    axis: list[float] = geometry.rotate(state.hand_pose, axes.in_tool(state.hand_pose, condition.along)).tolist()
+    return axis
 
 
 #: (measure, bound) -> stop reason and constructor of its predicates
 MEASURES: dict[tuple[str, str], tuple[StopReason, Maker]] = {
     ("FORCE", "above"): (StopReason.FORCE_LIMIT, _force),
     ("TORQUE", "above"): (StopReason.TORQUE_LIMIT, _torque),
+    ("FORCE", "below"): (StopReason.FORCE_LIMIT, _less_force),
+    ("TORQUE", "below"): (StopReason.TORQUE_LIMIT, _less_torque),
     ("GRIP-FORCE", "below"): (StopReason.SLIP, _grip),
+    ("GRIP-FORCE", "above"): (StopReason.FORCE_LIMIT, _squeeze),
     ("DISTANCE", "below"): (StopReason.CONTACT, _near),
+    ("DISTANCE", "above"): (StopReason.OUT_OF_RANGE, _far),
 }
 
 
@@ -121,7 +168,9 @@ def refuse_unsupported(reflex: ReflexItem, about_object: bool) -> Refusal | None
         word = reflex.action.upper().replace("_", "-")
         done = [action.upper().replace("_", "-") for action in ACTIONS]
         return _no(f"THEN {word} is not supported", done)
-    if reflex.condition.measure == "DISTANCE" and not about_object:
+    if reflex.condition.measure == "GRIP-FORCE" and reflex.condition.along is not None:
+        return _no(f"UNLESS {words}: the fingers press along one axis only", [], "leave out ALONG and its axis")
+    if reflex.condition.measure == "DISTANCE" and reflex.condition.bound == "below" and not about_object:
         message = f"UNLESS {words} measures the distance to the object of the command, but this command names none"
         return _no(message, [], "leave it out, or use a verb that takes an object")
     along = reflex.condition.along
@@ -188,4 +237,6 @@ def describe_action(report: EndReport) -> str:
     """The reflex action after the stop, in words; empty if the arm only stopped."""
     if report.reflex is Reflex.BACK_OFF and report.trip_pose and report.tcp_pose:
         return f"backed off by {100.0 * geometry.distance(report.trip_pose, report.tcp_pose):.1f} cm"
+    if report.reflex is Reflex.COMPLY and report.trip_pose and report.tcp_pose:
+        return f"gave way by {1000.0 * geometry.distance(report.trip_pose, report.tcp_pose):.1f} mm"
     return f"opened the hand to {1000.0 * report.hand_width_m:.0f} mm" if report.reflex is Reflex.RELEASE else ""

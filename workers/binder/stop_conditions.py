@@ -13,6 +13,7 @@ import msgspec
 from rtc.programs import expressions
 from rtc.programs.schema import BinderProgram, StopClass, StopRow
 from rtc.protocol.messages import BinderInput
+from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import (
     BodyTouch,
     FollowingErrorAbove,
@@ -24,6 +25,10 @@ from rtc.protocol.primitive import (
     Predicate,
     SpeedAbove,
     StopFunction,
+    TcpInside,
+    TcpOutside,
+    TcpSpeedAbove,
+    TcpTurned,
     TimeAbove,
     TorqueAbove,
     Vector,
@@ -98,6 +103,28 @@ def _limit(row: StopRow, values: Values) -> float | None:
     if row.if_known and expressions.names(row.limit) - values.keys():
         return None
     return expressions.number(row.limit, values)
+
+
+def maintained(data: BinderInput, query: WorldQuery, values: Values) -> list[StopFunction]:
+    """Stop functions of MAINTAIN for a motion of the arm. The plan keeps the same limits, without their tolerances."""
+    limits, cell = data.context.limits, query.cell
+    made: list[tuple[StopReason, Predicate]] = []
+    margin_m = values["range_margin_m"]
+    if limits.work_range:
+        region = cell.region(limits.work_range)
+        size_m = [side + 2.0 * margin_m for side in region.size_m]
+        made.append((StopReason.OUT_OF_RANGE, TcpOutside(centre=region.frame.pose.tolist(), size_m=size_m)))
+    for name in limits.keep_out:
+        region = cell.region(name)
+        size_m = [max(side - 2.0 * margin_m, 0.0) for side in region.size_m]
+        made.append((StopReason.OUT_OF_RANGE, TcpInside(centre=region.frame.pose.tolist(), size_m=size_m)))
+    if limits.attitude:
+        attitude = cell.attitudes[limits.attitude].pose[3:].tolist()
+        made.append((StopReason.OUT_OF_RANGE, TcpTurned(attitude=attitude, limit_rad=values["turned_rad"])))
+    if limits.speed_m_s is not None or limits.speed_ratio is not None:
+        most_m_s = values["fast_factor"] * values["speed_m_s"] + values["fast_m_s"]
+        made.append((StopReason.OVERSPEED, TcpSpeedAbove(most_m_s)))
+    return [StopFunction(reason=reason, when=when) for reason, when in made]
 
 
 def from_command(data: BinderInput, query: WorldQuery, values: Values) -> list[StopFunction]:

@@ -16,7 +16,7 @@ from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.control import profiles
-from sim_mcm.control.executor import Mode
+from sim_mcm.control.modes import Mode
 
 pytestmark = pytest.mark.slow
 ARM, MODULE = "RIGHT-ARM", "MACS-NEW"

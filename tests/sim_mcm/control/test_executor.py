@@ -15,7 +15,7 @@ from rtc.protocol.outcomes import PRIORITY, Reflex, StopReason
 from rtc.robot import geometry
 from sim_mcm.arms.arm import TICK_S, HandCommand
 from sim_mcm.control import profiles
-from sim_mcm.control.executor import AFTER_STOP, MOVING, TRANSITIONS, Mode, Trigger
+from sim_mcm.control.modes import AFTER_STOP, MOVING, TRANSITIONS, Mode, Trigger
 
 # --- the table -------------------------------------------------------------------------------------------
 
@@ -26,8 +26,8 @@ def test_every_state_has_its_row_and_obeys_a_halt() -> None:
     assert all(row[Trigger.HALTED] in (Mode.STOPPING, state) for state, row in TRANSITIONS.items())
 
 
-def test_every_reflex_but_comply_leads_somewhere() -> None:
-    assert set(AFTER_STOP) == set(Reflex) - {Reflex.COMPLY}
+def test_every_reflex_leads_somewhere() -> None:
+    assert set(AFTER_STOP) == set(Reflex)
 
 
 def test_from_every_state_the_arm_comes_to_hold_again() -> None:
@@ -153,7 +153,8 @@ def _bad(rig, make, kind: str) -> p.Primitive:
         "quick": lambda: make.primitive(quick),
         "law": lambda: make.primitive(swing, control_law=p.ControlLaw(name="magic")),
         "gain": lambda: make.primitive(swing, control_law=p.ControlLaw(gains={"wn": 500.0})),
-        "comply": lambda: make.primitive(swing, make.stop(contact, p.ForceAbove(limit_n=5.0), Reflex.COMPLY)),
+        "box": lambda: make.primitive(swing, make.stop(contact, p.TcpInside(centre=[0.0] * 3, size_m=[1.0] * 3))),
+        "attitude": lambda: make.primitive(swing, make.stop(contact, p.TcpTurned(attitude=[0.0] * 4, limit_rad=1.0))),
         "axis": lambda: make.primitive(swing, make.stop(contact, p.ForceAbove(limit_n=5.0, axis=[1.0, 0.0]))),
         "limit": lambda: make.primitive(swing, make.stop(contact, p.ForceAbove(limit_n=float("nan")))),
         "wide": lambda: make.primitive(p.HandMotion(width_m=0.2, force_n=10.0)),
@@ -173,8 +174,9 @@ def _bad(rig, make, kind: str) -> p.Primitive:
         ("quick", r"velocity of joint_1 reaches 9 rad/s"),
         ("law", "unknown control law magic; known are impedance, position"),
         ("gain", "wn 500.0 rad/s is outside 10 to 300"),
-        ("comply", "comply of contact is not available"),
-        ("axis", "three numbers are needed"),
+        ("axis", "3 numbers are needed"),
+        ("box", "centre: 7 numbers are needed"),
+        ("attitude", "four zeros"),
         ("limit", "not a finite number"),
         ("wide", "width_m 0.2 is outside 0.0 to 0.08"),
         ("strong", "force_n 500.0 is outside"),
@@ -415,7 +417,12 @@ def test_whatever_is_felt_every_primitive_ends_once_for_one_reason(cell, make, s
 
 
 def _bring_to(rig, make, state: Mode) -> None:
-    reflex = {Mode.RETREATING: Reflex.BACK_OFF, Mode.RELEASING: Reflex.RELEASE}.get(state, Reflex.STOP)
+    reflexes = {
+        Mode.RETREATING: Reflex.BACK_OFF,
+        Mode.RELEASING: Reflex.RELEASE,
+        Mode.COMPLYING: Reflex.COMPLY,
+    }
+    reflex = reflexes.get(state, Reflex.STOP)
     if state is Mode.RELEASING:
         rig.arm.width, rig.arm.hand = 0.02, HandCommand(0.02, 30.0, 0.05)
     if state is not Mode.HOLDING:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,9 +12,16 @@ from hypothesis import strategies as st
 
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import PRIORITY, StopReason
+from rtc.robot.geometry import Array
 from sim_mcm.arms.arm import Traits
 from sim_mcm.control import stop_functions
 from sim_mcm.control.stop_functions import Moment
+
+HERE = np.array([0.5, 0.0, 0.7, 0.0, 0.0, 0.0, 1.0])
+
+
+def at(x: float, y: float, z: float) -> Callable[[], Array]:
+    return lambda: np.array([x, y, z, 0.0, 0.0, 0.0, 1.0])
 
 
 def moment(**changes: object) -> Moment:
@@ -27,10 +35,13 @@ def moment(**changes: object) -> Moment:
         "torque_nm": 0.0,
         "width_m": 0.02,
         "grip_n": 30.0,
+        "grip_most_n": 30.0,
         "arrived": None,
-        "tcp": lambda: np.array([0.5, 0.0, 0.7, 0.0, 0.0, 0.0, 1.0]),
+        "tcp": lambda: HERE,
         "touch": lambda: "",
         "commanded": [0.0, 1.0, -1.0, 0.0, 0.0, 0.0],
+        "commanded_tcp": lambda: HERE,
+        "tcp_speed_m_s": lambda: 0.0,
     }
     if "joints" in changes:
         figures["commanded"] = changes["joints"]
@@ -63,7 +74,42 @@ ROWS = [
     (p.BodyTouch(), {"touch": lambda: "forearm touches MACS-OLD"}, {}),
     (p.GripForceBelow(20.0), {"grip_n": 19.0}, {"grip_n": 21.0}),
     (p.HandWidthBelow(0.018), {"width_m": 0.017}, {"width_m": 0.019}),
-    (p.TcpNear(point=[0.5, 0.0, 0.68], distance_m=0.03), {}, {"tcp": lambda: np.array([0.5, 0.1, 0.7, 0, 0, 0, 1])}),
+    (p.TcpNear(point=[0.5, 0.0, 0.68], distance_m=0.03), {}, {"tcp": at(0.5, 0.1, 0.7)}),
+    (p.TcpNear(point=[0.9, 0.9, 0.68], distance_m=0.03, axis=[0, 0, 1]), {}, {"tcp": at(0.9, 0.9, 0.72)}),
+    (p.TcpFar(point=[0.5, 0.0, 0.7], distance_m=0.05), {"tcp": at(0.5, 0.04, 0.74)}, {"tcp": at(0.5, 0.03, 0.73)}),
+    (
+        p.TcpFar(point=[0.5, 0.0, 0.7], distance_m=0.05, axis=[0, 0, 1]),
+        {"tcp": at(0.5, 0.0, 0.64)},
+        {"tcp": at(0.9, 0.9, 0.7)},
+    ),
+    (p.TcpSpeedAbove(0.1), {"tcp_speed_m_s": lambda: 0.11}, {"tcp_speed_m_s": lambda: 0.09}),
+    (p.GripForceAbove(40.0), {"grip_most_n": 41.0}, {"grip_most_n": 39.0}),
+    (p.TcpOutside(centre=[0.5, 0, 0.7, 0, 0, 0, 1], size_m=[0.2, 0.2, 0.2]), {"tcp": at(0.61, 0, 0.7)}, {}),
+    (p.TcpInside(centre=[0.5, 0, 0.7, 0, 0, 0, 1], size_m=[0.2, 0.2, 0.2]), {}, {"tcp": at(0.61, 0, 0.7)}),
+    (
+        p.TcpTurned(attitude=[0.0, 0.0, 0.0, 1.0], limit_rad=0.1),
+        {"tcp": lambda: np.array([0.5, 0.0, 0.7, 0.0, 0.0, math.sin(0.06), math.cos(0.06)])},
+        {"tcp": lambda: np.array([0.5, 0.0, 0.7, 0.0, 0.0, math.sin(0.04), math.cos(0.04)])},
+    ),
+    (
+        p.NoProgress(behind_m=0.015, force_n=15.0),
+        {"force_n": 16.0, "commanded_tcp": at(0.5, 0.0, 0.716)},
+        {"force_n": 16.0, "commanded_tcp": at(0.5, 0.0, 0.714)},
+    ),
+    (p.NoProgress(behind_m=0.015, force_n=15.0), {"force_n": 16.0, "commanded_tcp": at(0.5, 0, 0.8)}, {}),
+]
+
+# (condition, a moment above its limit, one below it)
+FALLEN = [
+    (p.ForceBelow(limit_n=5.0), {"force_n": 6.0}, {"force_n": 4.0}),
+    (p.ForceBelow(limit_n=1.0, armed_n=5.0), {"force_n": 5.5}, {"force_n": 0.5}),
+    (
+        p.ForceBelow(limit_n=5.0, axis=[0, 0, 1]),
+        {"wrench": [0, 0, -6.0, 0, 0, 0]},
+        {"wrench": [9.0, 9.0, 1.0, 0, 0, 0], "force_n": 12.8},
+    ),
+    (p.TorqueBelow(limit_nm=1.0), {"torque_nm": 2.0}, {"torque_nm": 0.5}),
+    (p.TorqueBelow(limit_nm=1.0, axis=[1, 0, 0]), {"wrench": [0, 0, 0, 2.0, 0, 0]}, {"wrench": [0, 0, 0, 0, 5.0, 0]}),
 ]
 
 
@@ -81,6 +127,25 @@ def test_each_predicate_sees_its_condition_and_no_other(traits, make, when, bad,
     assert found is not None
     assert found[0].when == when
     assert stop_functions.first(stops, moment(**good)) is None
+
+
+@pytest.mark.parametrize(("when", "above", "below"), FALLEN, ids=lambda value: type(value).__name__)
+def test_a_value_below_its_limit_counts_after_it_has_been_above(traits, make, when, above, below) -> None:
+    wanted = make.primitive(p.HoldStill(), make.stop(StopReason.HALT, when))
+    stops = stop_functions.compile_stops(wanted, traits)
+
+    assert all(stop_functions.first(stops, moment(**below)) is None for _ in range(100))
+    assert stop_functions.first(stops, moment(**above)) is None
+    found = [stop_functions.first(stops, moment(**below)) for _ in range(20)]
+    assert found[:19] == [None] * 19  # 20 ms
+    assert found[19] is not None
+    assert found[19][0].when == when
+
+
+def test_a_value_that_is_low_for_a_moment_only_does_not_count(traits, make) -> None:
+    wanted = make.primitive(p.HoldStill(), make.stop(StopReason.HALT, p.ForceBelow(limit_n=5.0)))
+    stops = stop_functions.compile_stops(wanted, traits)
+    assert all(stop_functions.first(stops, moment(force_n=4.0 if n % 15 else 6.0)) is None for n in range(200))
 
 
 def test_every_predicate_of_the_contract_can_be_checked() -> None:

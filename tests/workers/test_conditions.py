@@ -1,0 +1,188 @@
+"""UNLESS and MAINTAIN in physics, by whole sentences: each condition with a disturbance, and its wrong inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pybullet
+import pytest
+
+from rtc.language.parse import default_grammar, parse
+from rtc.protocol.outcomes import Reflex, Refusal, StopReason
+from rtc.robot import geometry
+
+ARM = "RIGHT-ARM"
+PALM = 7  # link of the URDF
+slow = pytest.mark.slow
+
+
+@pytest.fixture
+def push(physical) -> Callable[..., None]:
+    """Push at the tcp between two ticks of every following primitive: force (N) and torque (N.m), world axes."""
+
+    def set_push(force=(0.0, 0.0, 0.0), torque=(0.0, 0.0, 0.0), *, since: int = 200, until: int = 1200) -> None:
+        world = physical.subsystem.sim
+        arm = world.arms[ARM]
+
+        def disturb(tick: int) -> None:
+            if since <= tick < until:
+                at = arm.tcp_pose(arm._sample.joints)[:3].tolist()
+                client = world.world.client
+                pybullet.applyExternalForce(arm.body, PALM, force, at, pybullet.WORLD_FRAME, physicsClientId=client)
+                pybullet.applyExternalTorque(arm.body, PALM, torque, pybullet.WORLD_FRAME, physicsClientId=client)
+
+        physical.subsystem.disturb = disturb
+
+    return set_push
+
+
+def _end(run):
+    assert run.refusal is None, run.refusal
+    return run.reports[-1]
+
+
+# Tool z is world x, and tool x is world -z, at home.
+@slow
+@pytest.mark.parametrize(
+    ("condition", "force", "torque", "reason"),
+    [
+        ("FORCE BELOW 4 N", (8, 0, 0), (0, 0, 0), StopReason.FORCE_LIMIT),
+        ("FORCE ALONG TOOL-Z BELOW 4 N", (8, 0, 0), (0, 0, 0), StopReason.FORCE_LIMIT),
+        ("TORQUE BELOW 0.5 NM", (0, 0, 0), (1, 0, 0), StopReason.TORQUE_LIMIT),
+        ("TORQUE ALONG TOOL-Z BELOW 0.5 NM", (0, 0, 0), (1, 0, 0), StopReason.TORQUE_LIMIT),
+        ("NO-CONTACT", (8, 0, 0), (0, 0, 0), StopReason.NO_CONTACT),
+    ],
+)
+def test_the_end_of_a_force_is_noticed(physical, push, condition, force, torque, reason) -> None:
+    push(force, torque, since=200, until=600)
+    run = physical.do(f"HOLD {ARM} FOR 3 SEC UNLESS {condition} THEN STOP")
+    report = _end(run)
+    assert report.reason is reason
+    assert 0.6 < report.duration_s < 1.0
+    assert "as asked: UNLESS" in run.assessments[-1].message
+
+
+@slow
+@pytest.mark.parametrize(
+    ("condition", "force", "torque"),
+    [
+        ("FORCE BELOW 20 N", (8, 0, 0), (0, 0, 0)),  # never above it
+        ("FORCE ALONG TOOL-X BELOW 4 N", (8, 0, 0), (0, 0, 0)),  # along another axis
+        ("NO-CONTACT", (3, 0, 0), (0, 0, 0)),  # less than a contact
+        ("TORQUE EXCEEDS 2 NM", (0, 0, 0), (1, 0, 0)),
+    ],
+)
+def test_other_forces_do_not_stop_it(physical, push, condition, force, torque) -> None:
+    push(force, torque, since=200, until=600)
+    assert _end(physical.do(f"HOLD {ARM} FOR 1 SEC UNLESS {condition} THEN STOP")).reason is StopReason.GOAL
+
+
+@slow
+@pytest.mark.parametrize(
+    ("condition", "force", "torque", "reason"),
+    [
+        ("FORCE EXCEEDS 6 N", (0, 8, 0), (0, 0, 0), StopReason.FORCE_LIMIT),
+        ("FORCE ALONG TOOL-Y EXCEEDS 6 N", (0, 8, 0), (0, 0, 0), StopReason.FORCE_LIMIT),
+        ("TORQUE EXCEEDS 0.5 NM", (0, 0, 0), (1, 0, 0), StopReason.TORQUE_LIMIT),
+        ("TORQUE ALONG TOOL-Z EXCEEDS 0.5 NM", (0, 0, 0), (-1, 0, 0), StopReason.TORQUE_LIMIT),
+        ("CONTACT", (8, 0, 0), (0, 0, 0), StopReason.CONTACT),
+    ],
+)
+def test_a_force_stops_it(physical, push, condition, force, torque, reason) -> None:
+    push(force, torque)
+    report = _end(physical.do(f"HOLD {ARM} FOR 3 SEC UNLESS {condition} THEN STOP"))
+    assert report.reason is reason
+    assert report.duration_s < 2.5
+
+
+@slow
+def test_a_distance_is_measured_from_the_start_of_the_step_or_along_an_axis(physical) -> None:
+    before = physical.model.arms[ARM].fk(physical.world.get(f"{ARM}.joints").value)
+    run = physical.do(f"MOVE {ARM} BY 10 CM ALONG DOWN UNLESS DISTANCE EXCEEDS 4 CM THEN STOP")
+    report = _end(run)
+    assert report.reason is StopReason.OUT_OF_RANGE
+    assert geometry.distance(report.trip_pose, before) == pytest.approx(0.04, abs=0.001)
+
+    assert physical.do(f"MOVE {ARM} BY 5 CM ALONG DOWN UNLESS DISTANCE ALONG X EXCEEDS 1 CM THEN STOP").succeeded
+    run = physical.do(f"MOVE {ARM} BY 5 CM ALONG TOOL-X UNLESS DISTANCE ALONG Z EXCEEDS 1 CM THEN STOP")
+    assert _end(run).reason is StopReason.OUT_OF_RANGE
+
+
+@slow
+def test_a_distance_to_the_object_both_ways(physical) -> None:
+    run = physical.do("APPROACH MACS-NEW HANDLE-A UNLESS DISTANCE BELOW 40 CM THEN STOP")
+    at = physical.world.get("MACS-NEW.frame").value
+    assert _end(run).reason is StopReason.CONTACT
+    assert geometry.distance(_end(run).trip_pose, at) == pytest.approx(0.40, abs=0.002)
+
+
+@slow
+def test_a_grip_that_presses_too_much_is_a_condition(physical) -> None:
+    assert physical.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A").succeeded
+    assert _end(physical.do(f"HOLD {ARM} FOR 1 SEC UNLESS GRIP-FORCE EXCEEDS 35 N THEN STOP")).reason is StopReason.GOAL
+    run = physical.do(f"HOLD {ARM} FOR 1 SEC UNLESS GRIP-FORCE EXCEEDS 20 N THEN STOP")
+    assert _end(run).reason is StopReason.FORCE_LIMIT
+    assert _end(run).measured == pytest.approx(30.0, rel=0.1)
+
+
+@slow
+def test_comply_gives_way_to_what_pushes_and_then_holds(physical, push) -> None:
+    push((0, 0, 8), since=200, until=1000)
+    run = physical.do(f"HOLD {ARM} FOR 10 SEC UNLESS FORCE EXCEEDS 6 N THEN COMPLY")
+    report = _end(run)
+    assert report.reason is StopReason.FORCE_LIMIT
+    assert report.reflex is Reflex.COMPLY
+    moved = geometry.relative(geometry.make_pose(report.trip_pose[:3]), geometry.make_pose(report.tcp_pose[:3]))
+    assert moved[2] > 0.02  # 8 N for 0.8 s against the damping of a limp arm
+    assert abs(report.wrench[2]) < 1.0
+    assert "gave way by" in run.assessments[-1].message
+    physical.subsystem.disturb = None
+    here = physical.subsystem.sim.arms[ARM].read().joints
+    assert physical.do(f"HOLD {ARM} FOR 1 SEC").succeeded
+    assert physical.subsystem.sim.arms[ARM].read().joints == pytest.approx(here, abs=1e-3)
+
+
+@slow
+@pytest.mark.parametrize(
+    ("constraint", "force", "torque", "reason", "words"),
+    [
+        ("SAFE-WORK-RANGE BAY-2-RANGE", (0, 0, 16), (0, 0, 0), StopReason.OUT_OF_RANGE, "outside its range"),
+        ("AVOID-TASK-REGION SOLAR-ARRAY", (14, 0, 8), (0, 0, 0), StopReason.OUT_OF_RANGE, "inside a region"),
+        ("POSE-DURING-MOTION LEVEL", (0, 0, 0), (0, 0, 1), StopReason.OUT_OF_RANGE, "turned by"),
+        ("SPEED 1 CM/S", (0, 25, 0), (0, 0, 0), StopReason.OVERSPEED, "the tool moves at"),
+    ],
+)
+def test_a_constraint_is_kept_in_motion_too(physical, push, constraint, force, torque, reason, words) -> None:
+    """A soft arm is pushed while it moves 3 cm, in 3 s."""
+    other = "" if "SPEED" in constraint else " AND SPEED 1 CM/S"
+    if other:  # the push is faster than the path
+        physical.load("binder", "values: {fast_factor: 1000}")
+    line = f"MOVE {ARM} BY 3 CM ALONG DOWN MAINTAIN STIFFNESS 100 N/M AND FORCE-LIMIT 400 N AND {constraint}{other}"
+    run = physical.do(line)
+    assert run.succeeded, run.assessments
+
+    push(force, torque, since=1000, until=5000)
+    run = physical.do(line.replace("DOWN", "UP"))
+    report = _end(run)
+    assert report.reason is reason
+    assert words in report.message
+
+
+@pytest.mark.parametrize(
+    ("clause", "words"),
+    [
+        ("UNLESS FORCE BELOW -3 N THEN STOP", "FORCE"),
+        ("UNLESS FORCE ALONG NOWHERE BELOW 3 N THEN STOP", "NOWHERE"),
+        ("UNLESS DISTANCE BELOW 3 CM THEN STOP", "names none"),
+        ("UNLESS DISTANCE ALONG NOWHERE EXCEEDS 3 CM THEN STOP", "NOWHERE"),
+        ("UNLESS GRIP-FORCE ALONG TOOL-Z EXCEEDS 3 N THEN STOP", "one axis"),
+        ("UNLESS TORQUE BELOW 3 N THEN STOP", "TORQUE"),
+        ("MAINTAIN SAFE-WORK-RANGE NOWHERE", "NOWHERE"),
+    ],
+)
+def test_a_wrong_condition_is_refused_before_anything_moves(bench, clause, words) -> None:
+    sentence = f"MOVE {ARM} BY 5 CM ALONG UP {clause}"
+    parsed = parse(default_grammar(), sentence)
+    refusal = parsed if isinstance(parsed, Refusal) else bench.elaborate(sentence)
+    assert isinstance(refusal, Refusal), refusal
+    assert words in refusal.message
