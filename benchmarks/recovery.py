@@ -1,6 +1,7 @@
 """How long does a killed process delay the work of a cluster, and is anything lost, repeated or reported wrongly?
 
     python -m benchmarks.recovery [--kills 100]
+    python -m benchmarks.recovery --namespaces [--delay-ms 0]      # needs root
 
 A real cluster (exact arms in real time, two workers of each kind) runs short commands on both arms all the time, and a
 client sends invalid sentences. One process after the other is killed with SIGKILL at a random moment. Measured is:
@@ -9,6 +10,9 @@ client sends invalid sentences. One process after the other is killed with SIGKI
     broker   until the new one receives results again (journal replayed, workers and MCM connected)
     world    until a read of the world is answered
     mcm      until the broker is connected to the new one and knows that it is at rest
+
+With --namespaces the killed workers are on another host, in a network namespace behind a link with this delay; the
+cluster has elaborators and binders only there. A worker there has no supervisor: its closed connection is the sign.
 
 Then all reported outcomes are compared with the journal and the MCM's log (`benchmarks.load.verdict`).
 """
@@ -20,9 +24,11 @@ import random
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 
 from benchmarks.load.errands import Errands
+from benchmarks.load.two_hosts import TwoHosts, Unavailable, inside, two_hosts
 from benchmarks.load.verdict import JournalReader, judge
 from benchmarks.report import finish, percentile, question, spread
 from broker.decisions.events import BrokerRestarted, Event, JobDeclined, JobFinished, JobLost, SubsystemConnected
@@ -36,15 +42,18 @@ SEED = 20
 PAUSE_S = (0.6, 0.9)  # between two kills: some work is done, and no process counts as in a crash loop
 LIMIT_S = 20.0
 LOOK_S = 0.002
+FRESH_S, FAR_FRESH_S = 0.002, 0.02  # older notes of a dispatch are ignored
 IN_HAND_S = 0.004  # a worker is killed within this time after it got a job; most jobs of these kinds take longer
+FAR_NODES = (17, 18, 21, 22)  # two elaborators and two binders on the other host
 PHASES = {m.Phase.ELABORATING: "elaborator", m.Phase.BINDING: "binder"}
 
 
 class Bench:
     """One cluster under load; its processes are killed one after the other."""
 
-    def __init__(self, run_dir: Path, rng: random.Random) -> None:
+    def __init__(self, run_dir: Path, rng: random.Random, hosts: TwoHosts | None = None) -> None:
         self._run_dir, self._rng = run_dir, rng
+        self.hosts = hosts
         self.chaos = Chaos(run_dir, rng)
         self.journal = JournalReader(run_dir)
         self.loss_known_s: list[float] = []
@@ -67,23 +76,59 @@ class Bench:
 
     def worker(self) -> Iterator[float]:
         """Kills of a worker with a job; others delay nothing and do not count."""
-        with Client(self._run_dir) as rtc, Client(self._run_dir) as asking:
-            for note in rtc.events(silence_s=LIMIT_S):
-                if (
-                    not isinstance(note, m.ProgressNote)
-                    or note.phase not in PHASES
-                    or time.monotonic() - note.at_s > 0.002
-                ):
-                    continue
-                holder = self._holder(asking, note)
-                if holder is None:
-                    continue
+        with Client(self._run_dir) as asking:
+            for holder in self._holders(asking):
                 time.sleep(self._rng.uniform(0.0, IN_HAND_S))
                 self._mark()
                 strike = self.chaos.strike("worker", holder)
                 if strike is not None:
                     self._await_back(strike)  # the broker knows long before
                     yield from self._begun_by_another(strike)
+
+    def far_worker(self) -> Iterator[float]:
+        """The same on the other host. The worker is killed as soon as it has a job: the link delays it anyway."""
+        assert self.hosts is not None
+        with Client(self._run_dir) as asking:
+            for holder in self._holders(asking):
+                if holder not in self.hosts.workers:
+                    continue
+                self._mark()
+                pid = self.hosts.workers[holder].pid
+                strike = Strike(name=holder, pid=pid, at_s=self.hosts.kill(holder))
+                self.chaos.strikes.append(strike)
+                while holder in {row["name"] for row in asking.status()["workers"]}:
+                    time.sleep(LOOK_S)
+                time.sleep(LOOK_S)  # the broker has journalled the loss
+                took_s = list(self._begun_by_another(strike))
+                strike.new_pid = self._start_far(asking, int(holder.partition("@")[2]))
+                strike.back_s = time.monotonic() - strike.at_s
+                yield from took_s
+
+    def start_far(self) -> None:
+        with Client(self._run_dir) as asking:
+            self._start_far(asking, *FAR_NODES)
+
+    def _start_far(self, rtc: Client, *nodes: int) -> int:
+        """Start workers on the other host and wait until they are registered; returns the pid of the last."""
+        assert self.hosts is not None
+        names = set(self.hosts.start_workers(self._run_dir, nodes))
+        limit_s = time.monotonic() + LIMIT_S
+        while not names <= {row["name"] for row in rtc.status()["workers"]}:
+            if time.monotonic() > limit_s:
+                raise SystemExit(f"{', '.join(names)} did not register within {LIMIT_S} s")
+            self.journal.read()
+            time.sleep(10 * LOOK_S)
+        return self.hosts.workers[names.pop()].pid
+
+    def _holders(self, asking: Client) -> Iterator[str]:
+        """Workers that have just got a job."""
+        fresh_s = FAR_FRESH_S if self.hosts else FRESH_S
+        with Client(self._run_dir) as rtc:
+            for note in rtc.events(silence_s=LIMIT_S):
+                if not isinstance(note, m.ProgressNote) or note.phase not in PHASES:
+                    continue
+                if time.monotonic() - note.at_s < fresh_s and (holder := self._holder(asking, note)) is not None:
+                    yield holder
 
     def _holder(self, rtc: Client, note: m.ProgressNote) -> str | None:
         for worker in rtc.status()["workers"]:
@@ -179,7 +224,9 @@ KILLS: dict[str, Callable[[Bench], Iterator[float]]] = {
     "broker": Bench.broker,
     "world": Bench.world,
     "mcm": Bench.mcm,
+    "far_worker": Bench.far_worker,
 }
+HERE = ("worker", "broker", "world", "mcm")  # kinds without --namespaces
 
 
 def main() -> None:
@@ -187,26 +234,47 @@ def main() -> None:
         prog="python -m benchmarks.recovery", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--kills", type=int, default=100, help="of each kind")
-    parser.add_argument("--kinds", default=",".join(KILLS), help="some of: " + ",".join(KILLS))
+    parser.add_argument("--kinds", default=",".join(HERE), help="some of: " + ",".join(HERE))
+    parser.add_argument("--namespaces", action="store_true", help="kill workers on another host instead")
+    parser.add_argument("--delay-ms", type=float, default=0.0, help="of the link to the other host, each way")
     given = parser.parse_args()
-    question("recovery", "How long does a killed process delay the work, and is anything lost?", seed=SEED)
+    try:
+        with ExitStack() as stack:
+            hosts = stack.enter_context(two_hosts(given.delay_ms / 1e3)) if given.namespaces else None
+            run(stack, given.kills, ["far_worker"] if hosts else given.kinds.split(","), hosts)
+    except Unavailable as why:
+        raise SystemExit(f"no second host on this machine: {why}") from None
+
+
+def run(stack: ExitStack, kills: int, kinds: list[str], hosts: TwoHosts | None) -> None:
+    """Run the benchmark and report it; the cluster and its clients end with `stack`."""
+    name = "recovery_hosts" if hosts else "recovery"
+    question(name, "How long does a killed process delay the work, and is anything lost?", seed=SEED)
     metrics: dict[str, float | None] = {}
     rows: list[tuple[str, str]] = []
-    with own_cluster(mcm="kinematic", dim=3) as run_dir:
-        bench = Bench(run_dir, random.Random(SEED))
-        with Errands(run_dir) as errands:
-            time.sleep(2.0)  # each kind of job has run once
-            for kind in given.kinds.split(","):
-                found = bench.run(kind, given.kills)
-                metrics |= {
-                    f"{kind}_p50_ms": percentile(found, 50) * 1e3,
-                    f"{kind}_p99_ms": percentile(found, 99) * 1e3,
-                }
-                rows.append((f"{kind} killed", spread(found, 1e3, "ms")))
-                if kind == "worker":
-                    rows.append(("  of which until the broker knows", spread(bench.loss_known_s, 1e3, "ms")))
-        bench.journal.read()
-        verdict = judge(errands.done, bench.journal.events, run_dir, bench.chaos.strikes)
+    with inside(hosts.near) if hosts else nullcontext():
+        cluster = (
+            own_cluster(mcm="kinematic", listen=hosts.address, least=0, most=1)
+            if hosts
+            else own_cluster(mcm="kinematic", dim=3)
+        )
+        run_dir = stack.enter_context(cluster)
+    bench = Bench(run_dir, random.Random(SEED), hosts)
+    if hosts:
+        bench.start_far()
+    with Errands(run_dir) as errands:
+        time.sleep(2.0)  # each kind of job has run once
+        for kind in kinds:
+            found = bench.run(kind, kills)
+            metrics |= {
+                f"{kind}_p50_ms": percentile(found, 50) * 1e3,
+                f"{kind}_p99_ms": percentile(found, 99) * 1e3,
+            }
+            rows.append((f"{kind} killed", spread(found, 1e3, "ms")))
+            if "worker" in kind:
+                rows.append(("  of which until the broker knows", spread(bench.loss_known_s, 1e3, "ms")))
+    bench.journal.read()
+    verdict = judge(errands.done, bench.journal.events, run_dir, bench.chaos.strikes)
     verdict.print_faults()
     metrics |= {
         "commands_lost": len(verdict.lost),
@@ -219,7 +287,7 @@ def main() -> None:
         ("commands", f"{len(errands.done)}: {', '.join(f'{n} {kind}' for kind, n in verdict.outcomes.most_common())}"),
         ("lost, repeated, reported wrongly", f"{len(verdict.lost)}, {len(verdict.repeated)}, {len(verdict.wrong)}"),
     ]
-    finish("recovery", metrics, rows)
+    finish(name, metrics, rows)
     sys.exit(1 if verdict.lost or verdict.repeated or verdict.wrong else 0)
 
 
