@@ -93,7 +93,7 @@ class Bench:
                 if holder not in self.hosts.workers:
                     continue
                 self._mark()
-                pid = self.hosts.workers[holder].pid
+                pid = self.hosts.workers[holder]
                 strike = Strike(name=holder, pid=pid, at_s=self.hosts.kill(holder))
                 self.chaos.strikes.append(strike)
                 while holder in {row["name"] for row in asking.status()["workers"]}:
@@ -111,14 +111,14 @@ class Bench:
     def _start_far(self, rtc: Client, *nodes: int) -> int:
         """Start workers on the other host and wait until they are registered; returns the pid of the last."""
         assert self.hosts is not None
-        names = set(self.hosts.start_workers(self._run_dir, nodes))
+        names = {self.hosts.fork_worker(self._run_dir, node) for node in nodes}
         limit_s = time.monotonic() + LIMIT_S
         while not names <= {row["name"] for row in rtc.status()["workers"]}:
             if time.monotonic() > limit_s:
                 raise SystemExit(f"{', '.join(names)} did not register within {LIMIT_S} s")
             self.journal.read()
             time.sleep(10 * LOOK_S)
-        return self.hosts.workers[names.pop()].pid
+        return self.hosts.workers[names.pop()]
 
     def _holders(self, asking: Client) -> Iterator[str]:
         """Workers that have just got a job."""
@@ -272,6 +272,10 @@ def run(stack: ExitStack, kills: int, kinds: list[str], hosts: TwoHosts | None) 
             }
             rows.append((f"{kind} killed", spread(found, 1e3, "ms")))
             if "worker" in kind:
+                metrics |= {
+                    f"{kind}_known_p50_ms": percentile(bench.loss_known_s, 50) * 1e3,
+                    f"{kind}_known_p99_ms": percentile(bench.loss_known_s, 99) * 1e3,
+                }
                 rows.append(("  of which until the broker knows", spread(bench.loss_known_s, 1e3, "ms")))
     bench.journal.read()
     verdict = judge(errands.done, bench.journal.events, run_dir, bench.chaos.strikes)

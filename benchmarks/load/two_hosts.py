@@ -11,13 +11,13 @@ to end. Namespaces have no names: they and the link disappear with the processes
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import ctypes
 import fcntl
 import os
 import random
 import select
+import signal
 import struct
 import subprocess
 import sys
@@ -28,9 +28,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import workers.__main__
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.roles import Role
 from rtc.runtime.keys import KeyRing
+from workers.runtime import lazy_import
+from workers.runtime.preload import preload
 
 CLONE_NEWNET = 0x40000000
 TUNSETIFF, IFF_TUN, IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
@@ -55,7 +58,9 @@ class TwoHosts:
     near: int
     far: int
     address: str = ADDRESS
-    workers: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)  # at the far host, by name
+    workers: dict[str, int] = field(default_factory=dict)  # at the far host: name -> pid
+    _processes: dict[int, subprocess.Popen[bytes]] = field(default_factory=dict)  # by pid; forked ones are not here
+    _server: subprocess.Popen[bytes] | None = None  # forks workers at the far host
 
     def cut(self) -> None:
         """Cut the link: the far end goes down, the near end notices nothing."""
@@ -68,26 +73,55 @@ class TwoHosts:
 
     def start_workers(self, run_dir: Path, nodes: Sequence[int]) -> list[str]:
         """Start a worker of the cluster in `run_dir` for each of these nodes on the far host; returns their names."""
-        key = run_dir / "far.key"
-        if not key.exists():
-            KeyRing(run_dir).new("far", Role.WORKER, self.address, key)
         names = []
         for node in nodes:
-            kind = list(WorkerKind)[node & 3]
-            name = f"{kind}@{node}"
-            command = [sys.executable, "-P", "-m", "workers", "--kind", kind, "--node", str(node), "--with", str(key)]
-            with inside(self.far), open(run_dir / f"{name}.far.log", "ab") as log:
-                self.workers[name] = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=log)
+            name = _name(node)
+            with inside(self.far), open(run_dir / "far.log", "ab") as log:
+                process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", "workers", *_options(node, self._key(run_dir))],
+                    stdout=subprocess.DEVNULL,
+                    stderr=log,
+                )
+            self.workers[name] = process.pid
+            self._processes[process.pid] = process
             names.append(name)
         return names
 
+    def fork_worker(self, run_dir: Path, node: int) -> str:
+        """The same, forked from a process that has imported everything: much faster. Returns its name."""
+        if self._server is None:
+            command = [sys.executable, "-P", "-m", __name__, "workers", str(self._key(run_dir))]
+            with inside(self.far), open(run_dir / "far.log", "ab") as log:
+                self._server = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log)
+        assert self._server.stdin is not None
+        assert self._server.stdout is not None
+        self._server.stdin.write(f"{node}\n".encode())
+        self._server.stdin.flush()
+        self.workers[_name(node)] = int(self._server.stdout.readline())
+        return _name(node)
+
     def kill(self, name: str) -> float:
         """Kill a worker of the far host; returns the time (CLOCK_MONOTONIC)."""
-        process = self.workers.pop(name)
+        pid = self.workers.pop(name)
         at_s = time.monotonic()
-        process.kill()
-        process.wait()
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+        if process := self._processes.pop(pid, None):
+            process.wait()
         return at_s
+
+    def close(self) -> None:
+        """Kill all workers of the far host."""
+        for name in list(self.workers):
+            self.kill(name)
+        if self._server is not None:
+            self._server.communicate()  # closes its input, and it ends
+
+    def _key(self, run_dir: Path) -> Path:
+        key = run_dir / "far.key"
+        if not key.exists():
+            KeyRing(run_dir).new("far", Role.WORKER, self.address, key)
+        return key
 
 
 @contextlib.contextmanager
@@ -102,8 +136,7 @@ def two_hosts(delay_s: float = 0.0, jitter_s: float = 0.0) -> Iterator[TwoHosts]
         try:
             yield hosts
         finally:
-            for name in list(hosts.workers):
-                hosts.kill(name)
+            hosts.close()
 
 
 @contextlib.contextmanager
@@ -137,7 +170,7 @@ def _namespace() -> Iterator[int]:
 
 @contextlib.contextmanager
 def _link(near: int, far: int, delay_s: float, jitter_s: float) -> Iterator[None]:
-    command = [sys.executable, "-m", __name__, str(delay_s), str(jitter_s)]
+    command = [sys.executable, "-P", "-m", __name__, "link", str(delay_s), str(jitter_s)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdin is not None
     assert process.stdout is not None
@@ -177,14 +210,43 @@ def _ip(*words: str) -> None:
         raise Unavailable(f"ip {' '.join(words)}: {done.stderr.strip()}")
 
 
-# --- the process of the link ---------------------------------------------------------------------------
+def _name(node: int) -> str:
+    return f"{list(WorkerKind)[node & 3]}@{node}"
+
+
+def _options(node: int, key: Path) -> list[str]:
+    return ["--kind", list(WorkerKind)[node & 3], "--node", str(node), "--with", str(key)]
+
+
+# --- processes of this module --------------------------------------------------------------------------
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Pass packets between two new tun devices until stdin is closed.")
-    parser.add_argument("delay_s", type=float)
-    parser.add_argument("jitter_s", type=float)
-    given = parser.parse_args()
+    what, *given = sys.argv[1:]
+    if what == "link":
+        pass_packets(float(given[0]), float(given[1]))
+    else:
+        fork_workers(Path(given[0]))
+
+
+def fork_workers(key: Path) -> None:
+    """Fork a worker for each line of stdin, which is its node, and print its pid."""
+    preload(WorkerKind, cell=None)
+    for module in (*WorkerKind, "workers.planning.robot_models"):
+        lazy_import.load(module)
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the kernel reaps
+    for line in iter(sys.stdin.readline, ""):
+        if (pid := os.fork()) == 0:
+            sys.argv = ["workers", *_options(int(line), key)]
+            os.dup2(os.open(os.devnull, os.O_RDWR), 0)
+            os.dup2(0, 1)
+            workers.__main__.main()
+            os._exit(0)
+        print(pid, flush=True)
+
+
+def pass_packets(delay_s: float, jitter_s: float) -> None:
+    """Pass packets between two new tun devices until stdin is closed."""
     with contextlib.suppress(OSError):
         os.nice(HIGH_PRIORITY)
     try:
@@ -192,7 +254,7 @@ def main() -> None:
     except OSError as error:
         raise SystemExit(f"{TUN}: {error.strerror}") from None
     print(*(name for _, name in devices), flush=True)
-    relay(*(device for device, _ in devices), given.delay_s, given.jitter_s, random.Random(1))
+    relay(*(device for device, _ in devices), delay_s, jitter_s, random.Random(1))
 
 
 def _tun() -> tuple[int, str]:
