@@ -42,7 +42,7 @@ COMMANDS_KEPT = 10_000  # latest commands of one planner that it may control
 ROWS = 1_000  # maximum number of rows in a report
 REPORT_S, TIDY_S, PROBE_S = 0.5, 1.0, 0.2  # periods: counters to the broker; removal of silent peers; worker probes
 # After a disconnection the lost worker is searched with probes for a while, because the event names no peer.
-SEARCH_S, SEARCH_EVERY_S = 0.02, 0.002
+SEARCH_S, SEARCH_EVERY_S = 0.1, 0.002
 
 read_answers = wire.reader_of_many(m.BrokerToClient)
 #: endpoint -> reader of its messages. It reads all internal messages, so that a refusal can name the type

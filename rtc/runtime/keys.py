@@ -33,10 +33,12 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}", re.ASCII)
 BYTES = 4096  # maximum size of a key file; a real one has some hundred
 HANDSHAKE_MS = 5_000  # time limit of a handshake
 CONNECT_MS = 2_000  # time limit of an attempt to connect; the kernel alone would wait for minutes on a cut link
-# The kernel closes a connection whose peer has acknowledged nothing for this long (TCP_USER_TIMEOUT). Idle connections
-# are checked every KEEPALIVE_S. ZeroMQ's own heartbeat is not used: libzmq 4.3.5 aborts the process if it is due on a
-# failed connection while the reader is behind (zeromq/libzmq issue 4364).
-LINK_LIMIT_S, KEEPALIVE_S = 3, 1
+# The declared limit until a cut link is noticed. The kernel closes a connection whose peer has acknowledged nothing for
+# UNACKNOWLEDGED_MS (TCP_USER_TIMEOUT), counted from the first repetition of a packet; it checks idle connections every
+# KEEPALIVE_S. ZeroMQ's own heartbeat is not used: libzmq 4.3.5 aborts the process if it is due on a failed connection
+# while the reader is behind (zeromq/libzmq issue 4364).
+LINK_LIMIT_S = 5.0
+UNACKNOWLEDGED_MS, KEEPALIVE_S, KEEPALIVES = 2_500, 1, 2
 
 Document = TypeVar("Document")
 
@@ -251,12 +253,12 @@ def secure_server(socket: zmq.Socket[Any], pair: Pair, endpoint: str, address: s
 
 
 def watch_line(socket: zmq.Socket[Any]) -> None:
-    """Let the kernel detect a cut link within LINK_LIMIT_S while data is under way, else within KEEPALIVE_S more."""
+    """Let the kernel detect a cut link within LINK_LIMIT_S."""
     socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
     socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, KEEPALIVE_S)
     socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, KEEPALIVE_S)
-    socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, LINK_LIMIT_S // KEEPALIVE_S)
-    socket.setsockopt(zmq.TCP_MAXRT, 1000 * LINK_LIMIT_S)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, KEEPALIVES)
+    socket.setsockopt(zmq.TCP_MAXRT, UNACKNOWLEDGED_MS)
     socket.setsockopt(zmq.CONNECT_TIMEOUT, CONNECT_MS)
     socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
 

@@ -20,7 +20,6 @@ from benchmarks.load.verdict import JournalReader, Verdict, judge
 from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol.outcomes import OutcomeKind
-from rtc.runtime.keys import LINK_LIMIT_S
 
 pytestmark = pytest.mark.slow
 
@@ -28,7 +27,7 @@ DELAY_S, JITTER_S = 0.05, 0.02
 NODES = (4, 5, 6, 7)  # the first that the cluster's own workers never use: one of each kind
 LIMIT_S = 60.0
 CUT_S = 10.0
-SLACK_S = 1.0  # a busy machine, and the period of the questions below
+AT_ONCE_S = 2.5  # shorter than any limit of silence
 PAUSE = threading.Event()
 STOW = ("STOW RIGHT-ARM", "STOW LEFT-ARM")
 AWAY = "MOVE RIGHT-ARM TO JOINTS -40 110 -160 0 50 0 DEG JOINT-MOTION"
@@ -124,7 +123,7 @@ def test_a_cut_link_delays_jobs_and_loses_nothing(hosts: TwoHosts, far: set[str]
     halted = rtc.halt(timeout_s=LIMIT_S)
     assert (halted.confirmed, halted.moving) == (True, ["RIGHT-ARM"])
     assert rtc.wait(command, LIMIT_S).outcome.kind is OutcomeKind.HALTED
-    assert noticed_s < LINK_LIMIT_S + SLACK_S
+    assert noticed_s < CUT_S  # the campaign compares it with the declared limit; here other tests use the processor
     verdict = judged(errands, journal, run_dir)
     assert (verdict.lost, verdict.repeated, verdict.wrong) == ([], [], [])
 
@@ -147,7 +146,7 @@ def test_the_death_of_the_other_host_is_noticed_at_once(
             hosts.kill(name)
         killed_s = time.monotonic()
         wait_for(lambda: not workers(rtc) & far)
-        assert time.monotonic() - killed_s < SLACK_S
+        assert time.monotonic() - killed_s < AT_ONCE_S
         done = len(errands.done)
         wait_for(lambda: len(errands.done) > done + 4)
     verdict = judged(errands, journal, run_dir)
