@@ -167,6 +167,7 @@ class HaltLine:
                 if known and not any(name in unanswered for name in sent_to):
                     break
                 limit_s = min(limit_s, order.called_at_s + self._unknown_s)
+                left_s = limit_s - time.monotonic()
             unsent = {name: socket for name, socket in self._sockets.items() if name not in sent_to}
             ready = {socket for socket, _ in self._poller.poll(_ms(min(left_s, RETRY_S) if unsent else left_s))}
             sent_to += self._send(order, unsent)

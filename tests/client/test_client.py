@@ -436,8 +436,10 @@ def test_a_halt_of_a_command_that_has_ended_is_confirmed(run_dir: Path) -> None:
         lambda query: [m.TraceReply(request=query.request, record=record)] if isinstance(query, m.TraceQuery) else [],
     )
     with Client(run_dir, need_broker=False) as rtc:
-        result = rtc.halt(ENDED)
+        called_at_s = time.monotonic()
+        result = rtc.halt(ENDED, timeout_s=60.0)
     assert (result.confirmed, result.reached, result.declined) == (True, False, False)
+    assert time.monotonic() - called_at_s < 30.0  # the broker does not answer its copy: that is awaited briefly
     broker.stop()
 
 
