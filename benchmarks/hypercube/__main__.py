@@ -96,7 +96,10 @@ def compare(costs: Costs, seed: int) -> bool:
         ("worst error of the throughput", f"{100 * worst.error:+.0f} %, {worst.label}"),
         (f"beyond {100 * check.LIMIT:.0f} %", ", ".join(beyond) or "none"),
     ]
-    data = [{**one._asdict(), "simulated": one.simulated._asdict(), "error": one.error} for one in found]
+    data = [
+        {**one._asdict(), "simulated": one.simulated._asdict(), "error": one.error, "broker_us": one.broker_us}
+        for one in found
+    ]
     finish("hypercube_check", metrics, rows, data=data)
     plots.check(data, RESULTS / "hypercube_check.png")
     return not beyond

@@ -25,6 +25,7 @@ class Comparison(NamedTuple):
     real_waiting_ms: float
     real_latency_p99_ms: float
     real_halt_p50_ms: float | None
+    real_broker_us: float  # processor time of the broker per command
 
     @property
     def error(self) -> float:
@@ -36,6 +37,11 @@ class Comparison(NamedTuple):
         """Relative error of the simulated waiting, p50."""
         return self.simulated.waiting_p50_ms / max(1e-9, self.real_waiting_ms) - 1.0
 
+    @property
+    def broker_us(self) -> float:
+        """Simulated processor time of the broker per command."""
+        return 1e6 * self.simulated.broker_busy / max(1e-9, self.simulated.commands_per_s)
+
     def line(self) -> str:
         low, high = self.real_range
         real = f"{self.real_per_s:7.0f} ({low:.0f} to {high:.0f})"
@@ -43,12 +49,13 @@ class Comparison(NamedTuple):
         halt = "" if self.real_halt_p50_ms is None else f"{self.real_halt_p50_ms:.2f} {self.simulated.halt_p50_ms:.2f}"
         return (
             f"{self.label:<26} {real:<26} {self.simulated.commands_per_s:7.0f} {100 * self.error:+5.0f} %   "
-            f"{waiting}   {halt}"
+            f"{waiting}   {halt:<10}  {self.real_broker_us:5.0f} {self.broker_us:5.0f}"
         )
 
 
 HEADER = (
-    f"{'':<26} {'commands/s: real':<26} {'simulated':>7} error   {'waiting p50, ms: real, sim., error'}   halt p50, ms"
+    f"{'':<26} {'commands/s: real':<26} simulated, error  waiting p50, ms: real, simulated, error"
+    "  halt p50, ms: both  broker, us: both"
 )
 
 
@@ -74,4 +81,5 @@ def compare(costs: Costs, data: Sequence[dict[str, Any]], cores: int, seed: int)
                 real_waiting_ms=row["waiting_p50_ms"][0],
                 real_latency_p99_ms=row["latency_p99_ms"][0],
                 real_halt_p50_ms=row["halt_p50_ms"][0] if "halt_p50_ms" in row else None,
+                real_broker_us=row["broker_us"][0],
             )

@@ -44,7 +44,7 @@ def real(data: Sequence[Row]) -> str:
 
 def check(data: Sequence[Row]) -> str:
     """Real beside simulated."""
-    head = ("load", "workers", "real, commands/s", "simulated", "error", "waiting p50, ms: real, simulated")
+    head = ("load", "workers", "real, commands/s", "simulated", "error", "waiting p50, ms: both", "broker, us: both")
     rows = [
         (
             row["workload"],
@@ -53,6 +53,7 @@ def check(data: Sequence[Row]) -> str:
             f"{row['simulated']['commands_per_s']:.0f}",
             f"{100 * row['error']:+.0f} %",
             f"{row['real_waiting_ms']:.1f}, {row['simulated']['waiting_p50_ms']:.1f}",
+            f"{row['real_broker_us']:.0f}, {row['broker_us']:.0f}",
         )
         for row in data
     ]
