@@ -263,10 +263,11 @@ def draw(data: list[dict[str, Any]], file: Path) -> None:
         axes.set_xlabel("workers")
         axes.set_ylabel(title)
         axes.grid(alpha=0.3)
-    grid[0][0].legend(fontsize=8)
+    lines, labels = grid[0][0].get_legend_handles_labels()
+    figure.legend(lines, labels, loc="lower center", ncols=4, fontsize=9, handlelength=3)
     figure.suptitle("One broker, 2^d workers, one machine: median and range of the rounds")
     file.parent.mkdir(exist_ok=True)
-    figure.tight_layout()
+    figure.tight_layout(rect=(0, 0.07, 1, 1))
     figure.savefig(file, dpi=120)
 
 

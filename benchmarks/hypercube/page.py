@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.hypercube.check import LIMIT
 from benchmarks.report import RESULTS
 
 PAGE = Path(__file__).parents[2] / "docs" / "scaling.md"
@@ -114,6 +115,21 @@ def load(data: Sequence[Row]) -> str:
     )
 
 
+def origin(document: Row) -> str:
+    """When the results were measured, and how busy the machine was before."""
+    about = document["machine"]
+    load = about["load_before"][0] if about["load_before"] else 0.0
+    return f"\nMeasured {about['at']}, load of the machine before: {load:.1f} on {about['cores']} cores.\n"
+
+
+def verdict(data: Sequence[Row]) -> str:
+    """How many cases of the check are within its limit."""
+    within = sum(abs(row["error"]) <= LIMIT for row in data)
+    worst = max(data, key=lambda row: abs(row["error"]))
+    where = f"{100 * worst['error']:+.0f} % ({worst['label']})"
+    return f"\nWithin {100 * LIMIT:.0f} %: {within} of {len(data)} cases; worst {where}.\n"
+
+
 #: table of the page -> (results file, function)
 TABLES: dict[str, tuple[str, Callable[[Sequence[Row]], str]]] = {
     "real": ("scaling", real),
@@ -127,7 +143,9 @@ TABLES: dict[str, tuple[str, Callable[[Sequence[Row]], str]]] = {
 def filled(page: str, results: Path = RESULTS) -> str:
     """The page with its tables made anew. Raises FileNotFoundError without a results file."""
     for name, (file, make) in TABLES.items():
-        made = make(json.loads((results / f"{file}.json").read_text())["data"])
+        document = json.loads((results / f"{file}.json").read_text())
+        made = make(document["data"])
+        made += origin(document) if name == "real" else verdict(document["data"]) if name == "check" else ""
         begin, end = f"<!-- table: {name} -->\n", "<!-- end of table -->"
         page = re.sub(f"{begin}.*?{end}", lambda _, text=f"{begin}{made}{end}": text, page, flags=re.DOTALL)  # type: ignore[misc]
     return page

@@ -52,7 +52,7 @@ def scaling(rows: Sequence[Row], file: Path) -> None:
     pyplot = _pyplot()
     if pyplot is None:
         return
-    figure, (left, right) = pyplot.subplots(1, 2, figsize=(13, 5.5), sharey=True)
+    figure, (left, right) = pyplot.subplots(1, 2, figsize=(14, 8), sharey=True)
     one = [row for row in rows if row["experiment"].startswith("one broker")]
     for experiment, workload in dict.fromkeys((row["experiment"], row["workload"]) for row in one):
         _line(
@@ -75,7 +75,7 @@ def scaling(rows: Sequence[Row], file: Path) -> None:
     for axes in (left, right):
         _workers_axis(axes, sorted({row["workers"] for row in rows})[::2])
         axes.set_yscale("log")
-        axes.legend(fontsize=7)
+        axes.legend(fontsize=8, handlelength=4, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2)
     left.set_ylabel("commands per second, simulated")
     figure.suptitle("Simulated cluster, a core per process, measured service and link times")
     _save(figure, file)
@@ -89,9 +89,10 @@ def halts(rows: Sequence[Row], file: Path) -> None:
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(13, 5))
     jobs = [row for row in rows if row["workload"] == "asleep-4ms" and row["experiment"] != "load"]
     for experiment, brokers in dict.fromkeys((row["experiment"], row["brokers"]) for row in jobs):
-        if "dimension" not in experiment:
+        if experiment in ("one broker", "own workers", "shared pool, nearest first"):
             some = [r for r in jobs if (r["experiment"], r["brokers"]) == (experiment, brokers)]
-            _line(left, some, f"{experiment}, {brokers} x broker", name="halt_p99_ms")
+            style = "-" if experiment.startswith("shared") else "--"
+            _line(left, some, f"{experiment}, {brokers} x broker", style, name="halt_p99_ms")
     _workers_axis(left, sorted({row["workers"] for row in rows})[::2])
     left.set_yscale("log")
     left.set_ylabel("halt to its receipt through the broker, p99 (ms)")
