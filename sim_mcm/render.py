@@ -1,6 +1,6 @@
 """Renders the cell: `python -m sim_mcm.render --truth FILE.json --out scene.png`.
 
-With --serve it renders one picture per line of JSON (`rtc.cells.scene.Picture`) on stdin.
+With --serve it renders one picture per line of JSON (`rtc.cells.scene.Picture` or `CameraPicture`) on stdin.
 
 Rendering runs in its own process, because pybullet holds the interpreter lock while it draws, and a tick must not wait.
 The process builds the cell in a client without physics, sets all poses from the scene and uses the software renderer,
@@ -24,11 +24,13 @@ import pybullet
 from numpy.typing import NDArray
 
 from rtc.cells.cell import Cell
-from rtc.cells.scene import VIEWS, Drawn, Panel, Picture, SceneView
+from rtc.cells.scene import VIEWS, CameraPicture, Drawn, Panel, Picture, SceneView
 from rtc.protocol.outcomes import RtcError
 from rtc.robot import geometry
+from sim_mcm import lens
 from sim_mcm import picture as sheet
 from sim_mcm.arms.bullet_world import PhysicsWorld
+from sim_mcm.tag_plates import TagPlates
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
@@ -79,6 +81,7 @@ class Studio:
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
         self.world = PhysicsWorld(cell, visual=True)
+        self.tags = TagPlates(cell.tags, self.world.client)  # before the arms: later textures are black
         self.arms = {arm.name: self.world.load_arm(arm.name) for arm in cell.arms}
         self.joints = {
             name: {
@@ -87,6 +90,7 @@ class Studio:
             }
             for name, body in self.arms.items()
         }
+        self._random = np.random.default_rng()
         _floor(self.world)
 
     def close(self) -> None:
@@ -94,8 +98,10 @@ class Studio:
 
     def pose(self, scene: SceneView) -> None:
         """Set all poses from the scene; anything not in it takes its initial pose."""
+        poses = {name: scene.poses.get(name, self.cell.object_pose(name).tolist()) for name in self.world.objects}
         for name, body in self.world.objects.items():
-            self.world.place(body, scene.poses.get(name, self.cell.object_pose(name).tolist()))
+            self.world.place(body, poses[name])
+        self.tags.place(lambda name: poses[name] if name in poses else self.world.seats[name].home)
         for arm in self.cell.arms:
             half = 0.5 * arm.gripper.max_opening_m
             wanted = dict(zip(arm.joints, scene.joints.get(arm.name, arm.home_rad), strict=True))
@@ -180,8 +186,39 @@ class Studio:
 
     def mask(self, photograph: Photograph, name: str) -> sheet.Mask:
         """The pixels that show an object."""
-        seen: sheet.Mask = np.isin(photograph.bodies, [part for part, _ in self.world.objects[name].parts])
+        bodies = [part for part, _ in self.world.objects[name].parts] + self.tags.on(name)
+        seen: sheet.Mask = np.isin(photograph.bodies, bodies)
         return seen
+
+    def camera_picture(self, name: str, scene: SceneView, seed: int | None = None) -> Image:
+        """The picture of a camera of the cell, height x width x 3; call `pose` first. Raises RtcError if the scene
+        lacks the tcp of the arm that carries the camera. `seed`: of the noise."""
+        camera = self.cell.camera(name)
+        pose = camera.pose
+        if camera.arm is not None:
+            if camera.arm not in scene.tcp:
+                raise RtcError(f"{name} is on {camera.arm}, whose tcp is not known")
+            pose = geometry.compose(scene.tcp[camera.arm], pose)
+        width, height = camera.size_px
+        matrices = lens.matrices(camera, pose)
+        _, _, pixels, _, bodies = pybullet.getCameraImage(
+            width,
+            height,
+            viewMatrix=matrices.view,
+            projectionMatrix=matrices.lens,
+            lightDirection=LIGHT,
+            lightColor=[1.0, 1.0, 1.0],
+            lightDistance=6.0,
+            lightAmbientCoeff=0.85,
+            lightDiffuseCoeff=0.15,
+            lightSpecularCoeff=0.0,
+            shadow=0,
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=self.world.client,
+        )
+        image = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[:, :, :3].copy()
+        image[np.asarray(bodies).reshape(height, width) < 0] = SKY
+        return lens.exposed(image, camera, self._random if seed is None else np.random.default_rng(seed))
 
 
 def draw(cell: Cell, scene: SceneView, width: int = 960, height: int = 720) -> Image:
@@ -208,6 +245,13 @@ def compose(studio: Studio, wanted: Picture) -> sheet.Image.Image:
         labels = {name: (words, camera.pixel(at, size)) for name, words, at in _anchors(studio, panel)}
         done.append((panel.title, sheet.labelled(pixels, labels, panel.doubtful)))
     return sheet.composed(done, wanted.caption)
+
+
+def _drawn(studio: Studio, wanted: Picture | CameraPicture) -> sheet.Image.Image:
+    if isinstance(wanted, Picture):
+        return compose(studio, wanted)
+    studio.pose(wanted.scene)
+    return sheet.Image.fromarray(studio.camera_picture(wanted.camera, wanted.scene, wanted.seed))
 
 
 def _anchors(studio: Studio, panel: Panel) -> list[tuple[str, str, Array]]:
@@ -238,8 +282,8 @@ def _floor(world: PhysicsWorld) -> None:
 
 
 def serve() -> None:
-    """Write one `Drawn` to stdout per `Picture` on stdin, until stdin ends. The cell is built once."""
-    read = msgspec.json.Decoder(Picture)
+    """Write one `Drawn` to stdout per request on stdin, until stdin ends. The cell is built once."""
+    read: msgspec.json.Decoder[Picture | CameraPicture] = msgspec.json.Decoder(Picture | CameraPicture)
     studio, built = None, ""
     for line in sys.stdin:
         wanted = read.decode(line)
@@ -247,7 +291,7 @@ def serve() -> None:
         try:
             if studio is None or built != wanted.cell:
                 studio, built = Studio(Cell.load(wanted.cell)), wanted.cell
-            sheet.save(compose(studio, wanted), Path(wanted.out))
+            sheet.save(_drawn(studio, wanted), Path(wanted.out))
         except (OSError, RtcError) as trouble:
             error = str(trouble)
         print(msgspec.json.encode(Drawn(out=wanted.out, error=error)).decode(), flush=True)

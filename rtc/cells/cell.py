@@ -1,4 +1,4 @@
-"""A work-cell as data: arms, seats, objects, places, regions and numbers.
+"""A work-cell as data: arms, seats, objects, places, regions, cameras, tags and numbers.
 
 A cell is a YAML file and the robot models that it names. `Cell.load` reads them and embeds the texts of the models, so
 that one `encode()`d document is all that a process needs (no shared files, R51). A cell is checked when it is
@@ -10,14 +10,14 @@ The types of its parts are in `rtc.cells.parts`. This module knows no kinematics
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import msgspec
 import msgspec.yaml
 
 from rtc.cells import model_checks
-from rtc.cells.parts import Arm, Frame, Numbers, Object, Place, Region, Seat, Vec3, named
+from rtc.cells.parts import Arm, Camera, Frame, Numbers, Object, Place, Region, Seat, Tag, Vec3, named
 from rtc.programs.digest import digest
 from rtc.protocol.outcomes import ProgramError
 from rtc.robot import geometry
@@ -33,6 +33,8 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
     objects: list[Object] = []
     places: list[Place] = []
     regions: list[Region] = []
+    cameras: list[Camera] = []
+    tags: list[Tag] = []
     attitudes: dict[str, Frame] = {}  # of the tcp, world frame; for POSE-DURING-MOTION
     numbers: Numbers = Numbers()
     texts: dict[str, str] = {}  # URDF and SRDF by file name; filled by `load`
@@ -99,6 +101,9 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
 
     def region(self, name: str) -> Region:
         return named(self.regions, name, "region")
+
+    def camera(self, name: str) -> Camera:
+        return named(self.cameras, name, "camera")
 
     def urdf(self, arm: str) -> str:
         """The URDF text of an arm."""
@@ -169,11 +174,33 @@ def _problems(cell: Cell) -> Iterator[tuple[str, str]]:
         for name, joints in place.joints_deg.items():
             if len(joints) != len(arms[name].joints):
                 yield f"places[{n}].joints_deg.{name}", f"{len(arms[name].joints)} joints need as many values"
+    yield from _blind_cameras(cell, arms)
+    yield from _loose_tags(cell)
+
+
+def _blind_cameras(cell: Cell, arms: Collection[str]) -> Iterator[tuple[str, str]]:
+    for n, camera in enumerate(cell.cameras):
+        if camera.arm is not None and camera.arm not in arms:
+            yield f"cameras[{n}].arm", f"no arm {camera.arm}; there are {', '.join(sorted(arms))}"
+        try:
+            _ = camera.pose
+        except ValueError as error:
+            yield f"cameras[{n}].looks_at", str(error)
+
+
+def _loose_tags(cell: Cell) -> Iterator[tuple[str, str]]:
+    bodies = {seat.name for seat in cell.seats} | {thing.name for thing in cell.objects}
+    places: dict[int, int] = {}
+    for n, tag in enumerate(cell.tags):
+        if tag.body not in bodies:
+            yield f"tags[{n}].body", f"no seat or object {tag.body}; there are {', '.join(sorted(bodies))}"
+        if (other := places.setdefault(tag.id, n)) != n:
+            yield f"tags[{n}].id", f"{tag.id} is already the id of $.tags[{other}]"
 
 
 def _repeated_names(cell: Cell) -> Iterator[tuple[str, str]]:
     seen: dict[str, str] = {}
-    for group in ("arms", "seats", "objects", "places", "regions"):
+    for group in ("arms", "seats", "objects", "places", "regions", "cameras"):
         for n, part in enumerate(getattr(cell, group)):
             where = f"{group}[{n}]"
             names = [part.name, part.end_effector] if isinstance(part, Arm) else [part.name]

@@ -1,4 +1,4 @@
-"""What a work-cell consists of: arms, seats, objects, places, regions, shapes and default numbers.
+"""What a work-cell consists of: arms, seats, objects, places, regions, cameras, tags, shapes and default numbers.
 
 Fields that end in `_deg` are degrees, as in the file; properties that end in `_rad` are radians. Poses are seven floats
 (see `rtc.robot.geometry`). References between parts are checked by `rtc.cells.cell`.
@@ -11,13 +11,16 @@ from collections.abc import Sequence
 from typing import Annotated, TypeVar
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
 from rtc.robot import geometry
+from rtc.sensing import tag_family
 
 Name = Annotated[str, Meta(pattern=r"^[A-Z][A-Z0-9]*(-[A-Z0-9]+)*$")]
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
+Pixels = Annotated[int, Meta(ge=16, le=4096)]
 Vec3 = tuple[float, float, float]
 
 
@@ -192,6 +195,45 @@ class Region(CellPart, frozen=True, kw_only=True):
         return all(abs(x) <= 0.5 * size for x, size in zip(local.tolist(), self.size_m, strict=True))
 
 
+class Camera(CellPart, frozen=True, kw_only=True):
+    """A camera without distortion. `arm`: whose hand carries it; then all axes are those of the tcp, else the world's.
+    Its own axes: x right, y down in the picture, z forward."""
+
+    name: Name
+    arm: Name | None = None
+    xyz: Vec3
+    looks_at: Vec3  # a point on the optical axis
+    up: Vec3 = (0.0, 0.0, 1.0)  # direction that points upwards in the picture
+    field_of_view_deg: Annotated[float, Meta(ge=2.0, le=150.0)] = 45.0  # vertical
+    size_px: tuple[Pixels, Pixels] = (640, 480)  # width, height
+    noise: Annotated[float, Meta(ge=0.0, le=255.0)] = 0.0  # standard deviation of a pixel; white is 255
+    exposure: Annotated[float, Meta(ge=0.0, le=100.0)] = 1.0  # factor of the brightness; 0: blind
+
+    @property
+    def pose(self) -> geometry.Array:
+        """Pose of the camera's axes in the axes of the tcp, or in the world frame. ValueError if they are undefined."""
+        forward = np.subtract(self.looks_at, self.xyz)
+        right = np.cross(forward, self.up)
+        if not np.linalg.norm(right) > 1e-6 * np.linalg.norm(forward) * np.linalg.norm(self.up):
+            raise ValueError(f"{self.name} has no attitude: `looks_at` must differ from `xyz`, and not lie along `up`")
+        matrix = np.eye(4)
+        matrix[:3, 0] = right / np.linalg.norm(right)
+        matrix[:3, 2] = forward / np.linalg.norm(forward)
+        matrix[:3, 1] = np.cross(matrix[:3, 2], matrix[:3, 0])
+        matrix[:3, 3] = self.xyz
+        return geometry.from_matrix(matrix)
+
+
+class Tag(CellPart, frozen=True, kw_only=True):
+    """An AprilTag of the family 36h11 on an object or seat. `frame`: the tag's centre in the axes of that body; x to
+    the right and y upwards as one reads it, z out of the surface."""
+
+    id: Annotated[int, Meta(ge=0, lt=tag_family.COUNT)]
+    body: Name
+    frame: Frame
+    size_m: Positive  # edge of the black square; the white border adds a quarter
+
+
 class Numbers(CellPart, frozen=True, kw_only=True):
     """Default parameters of this cell, for values that a sentence does not give."""
 
@@ -215,7 +257,7 @@ class Numbers(CellPart, frozen=True, kw_only=True):
     creep_rad_s: NotNegative = 0.0003
 
 
-Named = TypeVar("Named", Arm, Seat, Object, Place, Region, GraspPoint)
+Named = TypeVar("Named", Arm, Seat, Object, Place, Region, GraspPoint, Camera)
 
 
 def named(parts: Sequence[Named], name: str, what: str) -> Named:

@@ -40,7 +40,7 @@ class Panel(msgspec.Struct, frozen=True, kw_only=True):
     outlined: list[str] = []
 
 
-class Picture(msgspec.Struct, frozen=True, kw_only=True):
+class Picture(msgspec.Struct, frozen=True, kw_only=True, tag=True):
     """What a renderer is asked for: panels side by side, lines of text below, a PNG or JPEG (.jpg) file."""
 
     out: str
@@ -49,6 +49,17 @@ class Picture(msgspec.Struct, frozen=True, kw_only=True):
     camera: str = "overview"
     caption: list[str] = []
     smooth: bool = True  # draw twice as large and average: four times the work
+
+
+class CameraPicture(msgspec.Struct, frozen=True, kw_only=True, tag=True):
+    """What a renderer is asked for: the picture of a camera of the cell, without any text. `scene` needs the tcp of the
+    arm that carries the camera. `seed`: of the noise; none: a new one for each picture."""
+
+    out: str
+    cell: str
+    camera: str
+    scene: SceneView
+    seed: int | None = None
 
 
 class Drawn(msgspec.Struct, frozen=True, kw_only=True):

@@ -28,6 +28,7 @@ COMMANDS = {
     "do": "sentences",
     "halt": "halt",
     "look": "look",
+    "picture": "picture",
     "record": "record",
     "play": "record",
     "observe": "observe",

@@ -12,7 +12,7 @@ from types import TracebackType
 
 import msgspec
 
-from rtc.cells.scene import Drawn, Picture
+from rtc.cells.scene import CameraPicture, Drawn, Picture
 from rtc.protocol.outcomes import RtcError
 
 COMMAND = [sys.executable, "-P", "-m", "sim_mcm.render", "--serve"]
@@ -45,13 +45,13 @@ class Renderer:
             self._process.kill()
             self._process.wait()
 
-    def draw(self, picture: Picture) -> None:
+    def draw(self, picture: Picture | CameraPicture) -> None:
         """Returns once the file is there. Raises RtcError with the reason when it cannot be drawn."""
         self.request(picture)
         if not self.drawn(LIMIT_S):
             raise RtcError(f"the renderer has not answered within {LIMIT_S:.0f} s")
 
-    def request(self, picture: Picture) -> None:
+    def request(self, picture: Picture | CameraPicture) -> None:
         """Order one picture, without waiting; call `drawn` until it is there. Raises RtcError."""
         stdin = self._process.stdin
         assert stdin is not None

@@ -8,6 +8,7 @@ import pytest
 
 from rtc.cells import model_checks
 from rtc.cells.cell import CELLS, Cell
+from rtc.cells.parts import Camera
 from rtc.protocol.outcomes import ProgramError
 from rtc.robot import geometry
 
@@ -125,9 +126,44 @@ def spoil_urdf(cell):
     cell["arms"][1]["urdf"] = "puma999.urdf"
 
 
+def spoil_camera_arm(cell):
+    cell["cameras"][1]["arm"] = "MIDDLE-ARM"
+
+
+def spoil_camera_name(cell):
+    cell["cameras"][0]["name"] = "RACK-1"
+
+
+def spoil_camera_attitude(cell):
+    cell["cameras"][0] |= {"xyz": [0.8, -0.8, 2.0], "looks_at": [0.8, -0.8, 0.6]}
+
+
+def spoil_camera_size(cell):
+    cell["cameras"][2]["size_px"] = [640, 0]
+
+
+def spoil_tag_body(cell):
+    cell["tags"][3]["body"] = "RIGHT-ARM"
+
+
+def spoil_tag_id(cell):
+    cell["tags"][3]["id"] = 1
+
+
+def spoil_tag_family(cell):
+    cell["tags"][3]["id"] = 587
+
+
 @pytest.mark.parametrize(
     ("spoil", "place"),
     [
+        (spoil_camera_arm, "$.cameras[1].arm: no arm MIDDLE-ARM; there are LEFT-ARM, RIGHT-ARM"),
+        (spoil_camera_name, "$.cameras[0].name: RACK-1 is already the name of $.seats[0]"),
+        (spoil_camera_attitude, "$.cameras[0].looks_at: CAMERA-1 has no attitude"),
+        (spoil_camera_size, "$.cameras[2].size_px[1]"),
+        (spoil_tag_body, "$.tags[3].body: no seat or object RIGHT-ARM; there are BAY-2, MACS-NEW"),
+        (spoil_tag_id, "$.tags[3].id: 1 is already the id of $.tags[1]"),
+        (spoil_tag_family, "$.tags[3].id"),
         (spoil_seat, "$.objects[1].seat: no seat RACK-9; there are BAY-2, RACK-1, RACK-2"),
         (spoil_twice_seated, "$.objects[1].seat: RACK-1 already holds MACS-NEW"),
         (spoil_name, "$.places[0].name: MACS-NEW is already the name of $.objects[0]"),
@@ -147,6 +183,12 @@ def test_an_error_names_its_place(tmp_path, plain, spoil, place):
     with pytest.raises(ProgramError) as raised:
         load(tmp_path, plain)
     assert place in str(raised.value)
+
+
+def test_a_camera_looks_along_its_axis_with_the_right_side_up():
+    camera = Camera(name="CAMERA-9", xyz=(1.0, 2.0, 3.0), looks_at=(4.0, 2.0, 3.0))
+    seen = geometry.transform_point(geometry.inverse(camera.pose), (4.0, 1.5, 3.25))
+    assert np.allclose(seen, (0.5, -0.25, 3.0))  # to the right, above, in front
 
 
 # --- the models of arms --------------------------------------------------------------------------------

@@ -215,6 +215,16 @@ def test_look_draws_the_scene_and_tells_what_is_not_where_it_is_believed(
     assert rtc("look", "--camera", "nowhere").returncode == 2
 
 
+def test_a_camera_gives_its_picture(rtc: Run, tmp_path: Path) -> None:
+    done = rtc("picture", "camera_1", "-o", str(tmp_path / "a.png"), "--json")
+    unknown = rtc("picture", "CAMERA-9")
+
+    assert last_json(done)["camera"] == "CAMERA-1"
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert unknown.returncode == 2
+    assert "CAMERA-1, CAMERA-2, CAMERA-3" in unknown.stderr
+
+
 def test_a_version_of_the_world_that_is_still_to_come_is_2(rtc: Run) -> None:
     newest = last_json(rtc("world", "list", "--json"))["version"]
     done = rtc("world", "at", "99999999", "MACS-NEW")

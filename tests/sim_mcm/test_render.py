@@ -8,8 +8,10 @@ import zlib
 import msgspec
 import numpy as np
 import pytest
+from PIL import Image
 
-from rtc.cells.scene import VIEWS, Panel, Picture, SceneView
+from rtc.cells.parts import Camera
+from rtc.cells.scene import VIEWS, CameraPicture, Panel, Picture, SceneView
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError
 from rtc.runtime.renderer import Renderer
@@ -90,9 +92,47 @@ def test_the_renderer_answers_each_request_and_ends_with_its_stdin(tmp_path) -> 
         renderer.draw(
             Picture(out=str(tmp_path / "a.png"), cell="swapout", panels=[Panel(title="a", scene=SceneView())])
         )
+        renderer.draw(
+            CameraPicture(out=str(tmp_path / "b.png"), cell="swapout", camera="CAMERA-1", scene=SceneView(), seed=1)
+        )
         with pytest.raises(RtcError, match=r"no picture: .*no-such-directory"):
             renderer.draw(
                 Picture(out="/no-such-directory/a.png", cell="swapout", panels=[Panel(title="", scene=SceneView())])
             )
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    assert [file.name for file in tmp_path.iterdir()] == ["a.png"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.png", "b.png"]
+    with Image.open(tmp_path / "b.png") as picture:
+        assert picture.size == (640, 480)
+
+
+LENS = {"xyz": (0.5, -1.3, 1.25), "looks_at": (0.78, -0.8, 0.64), "size_px": (160, 120)}
+CAMERAS = (
+    Camera(name="CLEAR", **LENS),
+    Camera(name="NOISY", noise=8, **LENS),
+    Camera(name="DARK", exposure=0.01, **LENS),
+    Camera(name="HAND", arm="RIGHT-ARM", xyz=(0.1, 0, -0.2), looks_at=(0, 0, 1), up=(1, 0, 0), size_px=(160, 120)),
+)
+
+
+@pytest.mark.slow
+def test_the_sensor_of_a_camera_has_noise_and_an_exposure(cell) -> None:
+    studio = render.Studio(msgspec.structs.replace(cell, cameras=[*CAMERAS]))
+    scene = SceneView()
+    studio.pose(scene)
+    clear, dark = studio.camera_picture("CLEAR", scene).astype(int), studio.camera_picture("DARK", scene)
+    noisy = [studio.camera_picture("NOISY", scene, seed).astype(int) for seed in (1, 1, 2)]
+    with pytest.raises(RtcError, match="HAND is on RIGHT-ARM"):
+        studio.camera_picture("HAND", scene)
+    here = [
+        studio.camera_picture("HAND", SceneView(tcp={"RIGHT-ARM": [0.5, y, 0.6, 0, 0.7071, 0, 0.7071]}))
+        for y in (0, -0.8)
+    ]
+    studio.close()
+
+    assert clear.shape == (120, 160, 3)
+    assert dark.max() <= 3 < clear.min() + 100
+    middle = (clear > 40) & (clear < 215)  # nothing is cut off there
+    assert 7.5 < (noisy[0] - clear)[middle].std() < 8.5
+    assert np.array_equal(noisy[0], noisy[1])
+    assert not np.array_equal(noisy[0], noisy[2])
+    assert not np.array_equal(*here)  # the camera moves with the hand

@@ -1,0 +1,46 @@
+"""The optics and the sensor of a simulated camera: pybullet's matrices, exposure and noise. It does not render."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pybullet
+from numpy.typing import NDArray
+
+from rtc.cells.parts import Camera
+from rtc.robot import geometry
+
+NEAR_M, FAR_M = 0.05, 12.0
+SHIFT_PX = (0.0, 0.0)  # of pybullet's software renderer against an ideal camera: right, down
+OPENGL = geometry.from_rpy((0.0, 0.0, 0.0), (math.pi, 0.0, 0.0))  # OpenGL's camera has y up and z backwards
+
+
+class Matrices(NamedTuple):
+    """Column-major 4 x 4 matrices of pybullet."""
+
+    view: Sequence[float]
+    lens: Sequence[float]
+
+
+def matrices(camera: Camera, pose: geometry.Floats) -> Matrices:
+    """`pose`: of the camera's axes (x right, y down, z forward), world frame."""
+    view = geometry.to_matrix(geometry.inverse(geometry.compose(pose, OPENGL)))
+    width, height = camera.size_px
+    per_px = 2.0 * NEAR_M * math.tan(math.radians(0.5 * camera.field_of_view_deg)) / height
+    right, down = SHIFT_PX[0] * per_px, SHIFT_PX[1] * per_px
+    half_width, half_height = 0.5 * width * per_px, 0.5 * height * per_px
+    lens = pybullet.computeProjectionMatrix(
+        right - half_width, right + half_width, -down - half_height, -down + half_height, NEAR_M, FAR_M
+    )
+    return Matrices(view.T.reshape(-1).tolist(), lens)
+
+
+def exposed(image: NDArray[np.uint8], camera: Camera, random: np.random.Generator) -> NDArray[np.uint8]:
+    """The image as the camera's sensor gives it. Height x width x 3."""
+    if camera.noise == 0.0 and camera.exposure == 1.0:
+        return image
+    light = camera.exposure * image + camera.noise * random.standard_normal(image.shape, dtype=np.float32)
+    return np.clip(np.rint(light), 0, 255).astype(np.uint8)
