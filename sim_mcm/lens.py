@@ -14,7 +14,7 @@ from rtc.cells.parts import Camera
 from rtc.robot import geometry
 
 NEAR_M, FAR_M = 0.05, 12.0
-SHIFT_PX = (0.0, 0.0)  # of pybullet's software renderer against an ideal camera: right, down
+SHIFT_PX = (0.5, -0.5)  # of pybullet's software renderer against an ideal camera: right, down
 OPENGL = geometry.from_rpy((0.0, 0.0, 0.0), (math.pi, 0.0, 0.0))  # OpenGL's camera has y up and z backwards
 
 
