@@ -71,6 +71,7 @@ class Cluster:
         self.context: zmq.Context[Any] = zmq.Context()
         self._workers: list[Worker] = []  # a connection without a reference is closed
         self.broker = self.context.socket(zmq.ROUTER)
+        self.broker.setsockopt(zmq.ROUTER_HANDOVER, 1)  # as in the broker: a name may return on a new connection
         self.broker.bind(self.settings.endpoint("workers"))
         self.start_gateway()
 
