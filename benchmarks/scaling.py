@@ -108,10 +108,11 @@ def measure(case: Case, for_s: float) -> Measurement:
         LoadClient(running.settings, load.text, load.window(case.dim)) as client,
     ):
         _wait_for_workers(client, 1 << case.dim)
+        halter = None if load.real else _halter(running.run_dir, for_s)
         client.run(2 * WARM_UP_S if load.real else WARM_UP_S)
         client.latencies_s.clear()
-        scope = "LEFT-ARM" if load.real else IDLE_PERFORMER
-        halter = None if load.real else _halter(running.run_dir, scope, for_s)
+        if halter is not None:
+            _begin(halter)
         before = running.cpu_s()
         rate = client.run(for_s)
         after = running.cpu_s()
@@ -152,9 +153,21 @@ def _service_ms(workers: Iterable[dict[str, Any]]) -> float:
     return sum(mean(times) for times in by_kind.values())
 
 
-def _halter(run_dir: Path, scope: str, for_s: float) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "benchmarks.load.halter", "--run-dir", str(run_dir), "--scope", scope]
-    return subprocess.Popen([*command, "--for-s", str(for_s)], stdout=subprocess.PIPE, text=True)
+def _halter(run_dir: Path, for_s: float) -> subprocess.Popen[str]:
+    """A process that is ready to send halts; `_begin` lets it begin."""
+    command = [sys.executable, "-m", "benchmarks.load.halter", "--run-dir", str(run_dir), "--scope", IDLE_PERFORMER]
+    command += ["--for-s", str(for_s)]
+    halter = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert halter.stdout is not None
+    if halter.stdout.readline() != "ready\n":
+        raise SystemExit("the process that sends halts has not started")
+    return halter
+
+
+def _begin(halter: subprocess.Popen[str]) -> None:
+    assert halter.stdin is not None
+    halter.stdin.write("\n")
+    halter.stdin.flush()
 
 
 def _halts_ms(halter: subprocess.Popen[str] | None) -> list[float]:
@@ -220,7 +233,7 @@ PANELS = {
     "commands_per_s": "commands per second",
     "latency_p50_ms": "time of a command, p50 (ms)",
     "waiting_p50_ms": "waiting in queues, p50 (ms)",
-    "halt_p99_ms": "halt to its receipt through the broker, p99 (ms)",
+    "halt_p99_ms": "halt, until its receipt, p99 (ms)",
 }
 
 

@@ -46,6 +46,7 @@ QUICK_S, SLOW_S = 1e-5, 3e-3  # reported duration of a job
 ALONE_S = 0.0002  # pause before a turn, so that all messages have arrived
 WARM, COLD = False, True  # whether the thread has slept before a turn: then the turn begins slowly
 LATE_S = 0.2
+START_LIMIT_S = 20.0
 SETTLED = 8  # commands of each kind of worker that make its mean duration known
 NEVER_S = 1e9
 SIZES = (4, 64, 1024, 4096, 16384, 65536)  # workers, for the costs that grow with their number
@@ -101,7 +102,7 @@ class BrokerBench:
             for n, socket in enumerate(sockets):
                 hello = m.WorkerHello(name=_name(kind, n), node=KINDS.index(kind) + 4 * n, kind=kind, pid=os.getpid())
                 socket.send_multipart(wire.frames(hello))
-        end_s = time.monotonic() + 2.0
+        end_s = time.monotonic() + START_LIMIT_S
         while len(self.router.core.registry.workers) < sum(map(len, self.workers.values())):
             self.router.run_once(self.me.wait(0.01))
             assert time.monotonic() < end_s, "not all peers have registered"

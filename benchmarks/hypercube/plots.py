@@ -25,7 +25,7 @@ def check(data: Sequence[Row], file: Path) -> None:
     pyplot = _pyplot()
     if pyplot is None:
         return
-    figure, axes = pyplot.subplots(figsize=(7, 5))
+    figure, axes = pyplot.subplots(figsize=(8, 6))
     for n, workload in enumerate(dict.fromkeys(row["workload"] for row in data)):
         rows = [row for row in data if row["workload"] == workload]
         workers = [row["workers"] for row in rows]
@@ -42,8 +42,8 @@ def check(data: Sequence[Row], file: Path) -> None:
     _workers_axis(axes, sorted({row["workers"] for row in data}))
     axes.set_yscale("log")
     axes.set_ylabel("commands per second (real: median and range)")
-    axes.set_title("The model and the real cluster, one machine with two cores")
-    axes.legend(fontsize=8)
+    axes.set_title("The model and the real cluster on one machine")
+    axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4)
     _save(figure, file)
 
 

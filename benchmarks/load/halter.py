@@ -2,13 +2,15 @@
 
 Each halt is for a performer without a command, so that the load goes on. The latency of a halt is the time from the
 call to its receipt by the subsystem (CLOCK_MONOTONIC of one machine). A real client sends it to the MCM directly too;
-that path does not depend on the broker. The output is one line of JSON: the latencies in seconds.
+that path does not depend on the broker. It begins with the first line of its input, after it has printed `ready`. At
+the end it prints one line of JSON: the latencies in seconds.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 
@@ -20,7 +22,7 @@ from rtc.runtime.process import open_socket
 from rtc.runtime.settings import Settings
 
 PERIOD_S = 0.03
-LIMIT_S = 2.0  # without an answer for this long, the halt is lost
+LIMIT_S = 10.0  # without an answer for this long, the halt is lost
 
 
 def main() -> None:
@@ -33,6 +35,8 @@ def main() -> None:
     socket = open_socket(context, zmq.DEALER, Settings.load(given.run_dir).endpoint("halt"))
     read = wire.reader(m.FromHalt)
     latencies_s: list[float] = []
+    print("ready", flush=True)
+    sys.stdin.readline()
     end_s = time.monotonic() + given.for_s
     while (called_at_s := time.monotonic()) < end_s:
         order = m.HaltOrder(halt=f"H-{len(latencies_s)}", scope=given.scope, called_at_s=called_at_s)
