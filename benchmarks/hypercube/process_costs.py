@@ -39,6 +39,7 @@ from rtc.world.lease import KEY_BYTES, KEY_FILE
 KINDS = tuple(WorkerKind)
 BATCHES = (1, 4, 16, 64)  # jobs, primitives or answers in one message
 ASLEEP_S = (0.001, 0.004)
+ITEMS = 16  # least number of items per repetition, so that a block is longer than a tick of the kernel
 BLOCKS = 7  # the median of so many blocks of repetitions is taken, so that a disturbed one does not count
 LIMIT_MS = 5_000
 REAL_S = 4.0  # duration of the run with real planners
@@ -111,14 +112,16 @@ def costs_of(process: Peer, act: Callable[[int], None], repetitions: int) -> dic
     for _ in range(3):
         act(BATCHES[-1])
     for size in BATCHES:
+        times = repetitions * max(1, ITEMS // size)
         for _ in range(BLOCKS):
             before = process.used_s()
-            for _ in range(repetitions):
+            for _ in range(times):
                 act(size)
             after = process.used_s()
-            rows.append((1.0, float(size)))
-            main.append((after[0] - before[0]) / repetitions)
-            io.append((after[1] - before[1]) / repetitions)
+            if after[0] > before[0]:  # the kernel may update a running process only at its next tick
+                rows.append((1.0, float(size)))
+                main.append((after[0] - before[0]) / times)
+                io.append((after[1] - before[1]) / times)
     per_message, per_item = fitted(*medians(rows, main))
     return {"per_message": per_message, "per_item": per_item, "io_per_message": median(io)}
 
