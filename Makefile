@@ -38,7 +38,7 @@ bench: $(VENV)/.ready ## run all benchmarks; results in benchmarks/results/
 		echo "== $$name"; $(BIN)/python -m benchmarks.$$name || exit 1; done
 
 campaigns: $(VENV)/.ready ## run the correctness campaigns (about half an hour); results in tests/campaigns/results/
-	@for name in model_check simulation fuzz endurance; do \
+	@for name in model_check simulation fuzz endurance insertion; do \
 		echo "== $$name"; $(BIN)/python -m tests.campaigns.$$name || exit 1; done
 
 help: ## print this list
