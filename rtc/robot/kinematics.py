@@ -24,6 +24,7 @@ _TURN = 2 * math.pi
 PROJECTIONS = 12  # maximum number of steps of `turned_to`
 PROJECTED_RAD = 1e-3  # its greatest error
 DAMPING = 1e-6  # of its steps near singularities
+MOVES, MOVE_DAMPING = 4, 1e-3  # number of steps of `moved_by`, and their damping
 
 
 @dataclass(frozen=True)
@@ -218,6 +219,20 @@ class ArmModel:
             jacobian = pin.computeFrameJacobian(self.model, self._data, q, self._tcp, pin.LOCAL)[3:]
             q = q + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + DAMPING * np.eye(3), error)
         return None
+
+    def moved_by(self, by_m: Floats, joints: Floats) -> Array:
+        """Joint values (rad) near `joints` with the tcp moved by about `by_m` (world axes) and its attitude kept.
+
+        Regardless of limits. Near a singularity or the end of the reach the tcp moves less.
+        """
+        q = np.array(joints, dtype=float)
+        goal = self._placement(q).copy()
+        goal.translation = goal.translation + self._base.rotation.T @ np.asarray(by_m, dtype=float)
+        for _ in range(MOVES):
+            error = pin.log6(self._placement(q).actInv(goal)).vector
+            jacobian = pin.computeFrameJacobian(self.model, self._data, q, self._tcp, pin.LOCAL)
+            q = q + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + MOVE_DAMPING * np.eye(6), error)
+        return q
 
     def why_no_ik(self, target: Floats, margin_rad: float = 0.0) -> Refusal | None:
         """The cause of an IK failure: the missing reach, or the exceeded joint limit. None: IK succeeds."""

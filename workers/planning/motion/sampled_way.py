@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rtc.robot import geometry
 from rtc.robot.geometry import Array, Floats
 from workers.planning.motion import path as paths
 from workers.planning.motion.blended import lengths, widest
@@ -21,10 +22,11 @@ from workers.planning.motion.sampling import Found, search, shorten
 SAMPLES = 600  # budget of one search; of 400 seeded problems of the default cell all but one took fewer than 500
 ATTEMPTS = 3  # maximum number of ways found, of which the finer check rejects all but the last
 MORE_M = 0.002  # clearance of the search beyond that of the request
-JUDGED_RAD = 0.008  # step of the final check: shortened ways pass obstacles closely, so it is finer than `CHECK_RAD`
+JUDGED_RAD = 0.012  # step of the final check: shortened ways pass obstacles closely, so it is finer than `CHECK_RAD`
 OUTER = 0.4  # weight of the joints after the third in distances: they move the hand less
 PROJECTED_RAD = 0.15  # weighted length of a step between two projections
 AWAY = 0.5  # a projected step must make this share of its length towards its end
+RAISED_AND_BACK_M = ((0.15, 0.0), (0.0, 0.15), (0.3, 0.15))  # of the first samples
 NARROWER = 8  # maximum number of halvings of a corner's radius, in the mean of all corners
 LEAST_RADIUS = 0.002  # rad; a corner as narrow as this follows the lines within a millimetre
 
@@ -34,11 +36,25 @@ def find_sampled_way(request: PlanningRequest, goals: Sequence[Floats]) -> FreeW
     ends = [np.asarray(goal, dtype=float) for goal in goals]
     space = _Space(_with_more_room(request, ends))
     lower, upper = space.limits
+    guides = space.guides(ends[0])
+    for aside, first, second in zip(RAISED_AND_BACK_M, guides[::2], guides[1::2], strict=True):
+        way = paths.through([request.start, first, second, ends[0]])
+        if fault(request, way, JUDGED_RAD) is None:
+            words = "by way of both ends, raised by {:g} m and drawn back by {:g} m".format(*aside)
+            return FreeWay(way, [f"modified: {words}; tested: free"])
     drawn = 0
     for attempt in range(ATTEMPTS):
         seed = ATTEMPTS * request.seed + attempt
         found = search(
-            request.start, ends, space.steer, lower, upper, space.weights, seed=seed, samples=SAMPLES - drawn
+            request.start,
+            ends,
+            space.steer,
+            lower,
+            upper,
+            space.weights,
+            seed=seed,
+            samples=SAMPLES - drawn,
+            guides=guides if attempt == 0 else (),
         )
         if not isinstance(found, Found):
             return drawn + found
@@ -77,6 +93,17 @@ class _Space:
         """Lower and upper joint limits (rad); the start is within them."""
         limits, margin = self._request.arm.limits, self._request.way_margin_rad
         return np.minimum(limits.lower + margin, self._start), np.maximum(limits.upper - margin, self._start)
+
+    def guides(self, goal: Array) -> list[Array]:
+        """Postures with the hand raised, drawn back, or both, from the start and from the goal in turn: in a cell with
+        racks and bays they often suffice."""
+        lower, upper = self.limits
+        found = []
+        for up_m, back_m in RAISED_AND_BACK_M:
+            for end in (self._start, goal):
+                back = geometry.rotate(self._request.arm.fk(end), (0.0, 0.0, -back_m))
+                found.append(np.clip(self._request.arm.moved_by(back + np.array((0.0, 0.0, up_m)), end), lower, upper))
+        return found
 
     def _straight(self, here: Array, there: Array) -> tuple[list[Array], bool]:
         share = self._free_share(here, there)

@@ -93,10 +93,12 @@ def search(
     *,
     seed: int,
     samples: int,
+    guides: Sequence[Array] = (),
 ) -> Found | int:
     """Way-points from `start` to one of `goals` (rad), or the number of samples that were drawn in vain.
 
-    `lower`, `upper`: joint limits (rad). `weights`: of each joint in the distance between postures.
+    `lower`, `upper`: joint limits (rad). `weights`: of each joint in the distance between postures. `guides`: postures
+    that are taken before random ones, in turn for the tree of the start and that of the goals.
     """
     rng = np.random.default_rng(seed)
     ours, others = _Tree([start], weights), _Tree(goals, weights)
@@ -105,10 +107,13 @@ def search(
     for n in range(samples):
         if n == STUCK_AFTER and not (ours.has_grown and others.has_grown):
             return n
-        wide = min(1.0, n / WIDE_AFTER)
-        q = rng.uniform(least + wide * (lower - least), most + wide * (upper - most))
-        if rng.random() < MIXED:
-            q = np.where(rng.random(len(q)) < 0.5, ends[rng.integers(len(ends))], q)
+        if n < len(guides):
+            q = guides[n]
+        else:
+            wide = min(1.0, n / WIDE_AFTER)
+            q = rng.uniform(least + wide * (lower - least), most + wide * (upper - most))
+            if rng.random() < MIXED:
+                q = np.where(rng.random(len(q)) < 0.5, ends[rng.integers(len(ends))], q)
         new = _extend(ours, q, steer, weights)
         if new is not None:
             met = _connect(others, ours.nodes[new], steer, weights)
@@ -148,6 +153,7 @@ def _connect(tree: _Tree, q: Array, steer: Steer, weights: Array) -> int | None:
 def shorten(waypoints: list[Array], steer: Steer, weights: Array, *, seed: int) -> list[Array]:
     """The path with way-points left out and corners cut wherever a shorter way is free."""
     rng = np.random.default_rng(seed)
+    steer = _remembering(steer)
     path, in_vain = _skip(waypoints, steer, weights), 0
     for _ in range(SHORTCUTS):
         if len(path) < 3 or in_vain == IN_VAIN:
@@ -166,6 +172,19 @@ def shorten(waypoints: list[Array], steer: Steer, weights: Array, *, seed: int) 
         if arrived and _along([first, *chain], weights)[-1] < GAIN * (b - a):
             path, in_vain = [*path[: i + 1], first, *chain, *path[j + 1 :]], 0
     return _skip(path, steer, weights)
+
+
+def _remembering(steer: Steer) -> Steer:
+    """Without checking a line twice."""
+    known: dict[tuple[bytes, bytes], tuple[list[Array], bool]] = {}
+
+    def remembered(here: Array, there: Array) -> tuple[list[Array], bool]:
+        line = (here.tobytes(), there.tobytes())
+        if line not in known:
+            known[line] = steer(here, there)
+        return known[line]
+
+    return remembered
 
 
 def _along(path: list[Array], weights: Array) -> Array:
