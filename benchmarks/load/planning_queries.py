@@ -17,7 +17,8 @@ from rtc.robot import geometry
 from rtc.robot.collision import Held, Scene
 from rtc.robot.geometry import Array
 from workers.planning.motion import path as paths
-from workers.planning.motion.plan import PlanningRequest, fault, free_posture
+from workers.planning.motion.constraints import FREE, Rules
+from workers.planning.motion.request import PlanningRequest, fault, free_posture
 from workers.planning.robot_models import CellModel
 
 TRIES = 2000  # maximum number of samples for one free posture
@@ -27,17 +28,23 @@ FINGERS_M = 0.02  # opening of a hand that holds an object
 
 @dataclass(frozen=True, eq=False)
 class Query:
-    """`request` holds the start and the scene; `goal` is the nearest free posture (rad) at the pose of the goal."""
+    """`request` holds the start and the scene; `goals` are the free postures (rad) at one pose, the nearest first."""
 
     request: PlanningRequest
-    goal: Array
-    kind: str  # such as "empty, near a seat"
+    goals: list[Array]
+    kind: str  # such as "empty hand, near a seat"
+
+    @property
+    def goal(self) -> Array:
+        return self.goals[0]
 
 
 class Queries:
     """An endless stream of queries for one arm of a cell."""
 
-    def __init__(self, model: CellModel, arm: str, seed: int) -> None:
+    def __init__(self, model: CellModel, arm: str, seed: int, attitude: str = "") -> None:
+        """`attitude`: kept by start and goal, and by the motion; goals are near seats then."""
+        self._attitude = model.cell.attitudes[attitude] if attitude else None
         self._model, self._cell = model, model.cell
         self._arm = model.arms[arm]
         self._rng = np.random.default_rng((seed, len(arm), ord(arm[0])))
@@ -50,17 +57,17 @@ class Queries:
             request, holds = self._block()
             for _ in range(10):
                 made = self._query(request, holds)
-                if made is not None:
-                    yield made
-                    count -= 1
-                    if count == 0:
-                        return
-                    request = self._next_start(made)
+                yield made
+                count -= 1
+                if count == 0:
+                    return
+                request = self._next_start(made)
 
     def _block(self) -> tuple[PlanningRequest, str]:
         """A scene in which all arms are free, and what this arm holds."""
         holds = self._things[self._rng.integers(len(self._things))] if self._rng.random() < 0.5 else None
         scene = Scene(moving=self._arm.name)
+        rules = FREE if self._attitude is None else Rules(attitude=self._attitude, attitude_name="kept")
         if holds is not None:
             point = holds.grasp_points[self._rng.integers(len(holds.grasp_points))]
             grasp = geometry.inverse(point.frame.pose)
@@ -68,17 +75,17 @@ class Queries:
                 scene, held={holds.name: Held(self._arm.name, grasp)}, openings_m={self._arm.name: FINGERS_M}
             )
         joints = {arm.name: np.array(arm.home_rad) for arm in self._cell.arms}
-        request = PlanningRequest(self._arm, self._model.collision, joints, scene, margin_rad=self._margin_rad)
-        joints[self._arm.name] = self._free(request)
+        request = PlanningRequest(self._arm, self._model.collision, joints, scene, rules, margin_rad=self._margin_rad)
+        joints[self._arm.name] = self._goals(request, near_seat=self._attitude is not None)[0]
         for other in self._cell.arms:
             if other.name != self._arm.name:
                 joints[other.name] = self._at_rest(replace(request, arm=self._model.arms[other.name]))
-        return replace(request, joints=joints), "laden" if holds else "empty"
+        return replace(request, joints=joints), "laden hand" if holds else "empty hand"
 
     def _at_rest(self, request: PlanningRequest) -> Array:
         """Where another arm may rest (rad): at home, stowed, at one of its places, or anywhere free."""
         arm = self._cell.arm(request.arm.name)
-        request = replace(request, scene=replace(request.scene, moving=arm.name))
+        request = replace(request, scene=replace(request.scene, moving=arm.name), rules=FREE)
         drawn, test = self._rng.random(), free_posture(request)
         places = [place.poses[arm.name].pose for place in self._cell.places if arm.name in place.poses]
         usual = [np.array(arm.home_rad), np.array(arm.stow_rad)]
@@ -98,15 +105,19 @@ class Queries:
                 return q
         raise AssertionError(f"{request.arm.name}: {TRIES} samples, and none is free")
 
-    def _query(self, request: PlanningRequest, holds: str) -> Query | None:
-        near_seat = self._rng.random() < 0.5
+    def _query(self, request: PlanningRequest, holds: str) -> Query:
+        near_seat = self._attitude is not None or self._rng.random() < 0.5
+        return Query(request, self._goals(request, near_seat), f"{holds}, {'near a seat' if near_seat else 'anywhere'}")
+
+    def _goals(self, request: PlanningRequest, near_seat: bool) -> list[Array]:
+        """The free postures at a pose, the nearest first."""
+        test = free_posture(request)
         for _ in range(TRIES):
             pose = self._near_a_seat() if near_seat else request.arm.fk(self._free(request))
-            test = free_posture(request)
-            for q in request.arm.ik(pose, request.start, self._margin_rad):
-                if test(q) is None:
-                    return Query(request, q, f"{holds}, {'near a seat' if near_seat else 'anywhere'}")
-        return None
+            found = [q for q in request.arm.ik(pose, request.start, self._margin_rad) if test(q) is None]
+            if found:
+                return found
+        raise AssertionError(f"{request.arm.name}: {TRIES} poses, and none is free")
 
     def _near_a_seat(self) -> Array:
         seat: parts.Seat = self._cell.seats[self._rng.integers(len(self._cell.seats))]
@@ -114,7 +125,7 @@ class Queries:
         off = self._rng.uniform((-OFF_M[0], -OFF_M[1], -OFF_M[2]), (0.0, OFF_M[1], OFF_M[2]))
         turn = self._rng.normal(size=3)
         turn *= self._rng.uniform(0.0, OFF_RAD) / np.linalg.norm(turn)
-        turned = geometry.compose(level, geometry.from_rpy((0.0, 0.0, 0.0), turn))
+        turned = geometry.compose(level, geometry.from_rpy((0.0, 0.0, 0.0), turn)) if self._attitude is None else level
         return geometry.translate(turned, off)
 
     def _next_start(self, made: Query) -> PlanningRequest:

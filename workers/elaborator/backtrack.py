@@ -2,7 +2,7 @@
 
 generate  all inverse solutions at the goal, nearest first
 test      each path segment of the script in order, from the arm's position: limits, lines, collisions
-modify    the next solution if one is blocked; if all are blocked, paths with detours
+modify    the next solution if one is blocked; if all are blocked, ways round by sampling
 
 The first that passes is taken; `notes` record the attempts. Values known only at execution time (a step relative to the
 current hand pose, a measured pose) are tested with their planned values.
@@ -13,8 +13,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import msgspec
+import numpy as np
 
 from rtc.programs import expressions
 from rtc.programs.schema import PlanLine, ScriptFile, ScriptStep
@@ -28,7 +30,7 @@ from workers.planning.motion.plan import PlanningRequest
 from workers.planning.motion.timing import Pace
 from workers.planning.segments import Target
 
-MOST_DETOURED = 3  # maximum number of inverse solutions for which detours are tried
+MOST_DETOURED = 3  # maximum number of inverse solutions to which ways round are searched
 PLAN = "/plan"  # suffix: NAME/plan is the pose from which the joint values NAME were solved, for `replan`
 
 
@@ -128,12 +130,18 @@ def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Ancho
         return _unreachable(script, candidate, lines, request)
     notes: list[str] = []
     first: Refusal | None = None
+    searched = 0
     for n, joints, detours in _order(ways):
+        if detours and searched == MOST_DETOURED:
+            break
         tried = _try(script, candidate, lines, joints, request, detours)
         what = f"way {n} of {len(ways)}" + (" with detours" if detours else "")
         if not isinstance(tried, Refusal):
             return joints, [*notes, f"generated {what}; tested: free"] if script.plan else [], tried
         notes.append(f"generated {what}; tested: {tried.message}")
+        if "samples" in tried.detail:
+            searched += 1
+            first = tried if searched == 1 else first  # states more than the refusal of a direct way
         first = first or tried
     assert first is not None
     first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, candidate.program.clears)
@@ -144,14 +152,14 @@ def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, 
     """Attempts in order, as (number, joint values, with detours).
 
     The nearest solution with a detour is better than a distant solution that turns the arm over. Detours are expensive,
-    so the nearest direct solutions come first.
+    so the nearest direct solutions come first. `_search` ends after `MOST_DETOURED` searches.
     """
     numbered = list(enumerate(ways, 1))
     head, tail = numbered[:MOST_DETOURED], numbered[MOST_DETOURED:]
     yield from ((n, way, False) for n, way in head)
     yield from ((n, way, True) for n, way in head[:1])
     yield from ((n, way, False) for n, way in tail)
-    yield from ((n, way, True) for n, way in head[1:])
+    yield from ((n, way, True) for n, way in numbered[1:])
 
 
 def _request(script: ScriptFile, candidate: TaskCandidate) -> PlanningRequest:
@@ -230,6 +238,7 @@ def _try(
     index of its step. The later segments start where the arm will come to rest, which is not known yet."""
     here = start = request.start
     ways: dict[int, Way] = {}
+    last: _Test | None = None
     for n, step in enumerate(script.steps, 1):
         if not step.to:
             continue
@@ -239,13 +248,38 @@ def _try(
             return _where(target, f"step {n} ({step.to})")
         if step.space not in segments.SPACES:
             return _program(f"step {n}: no space {step.space}; there are {', '.join(segments.SPACES)}")
-        segment = segments.check_segment(now, step.space, target, detours, first=here is start)
+        test = _Test(n, step, now, target, detours, first=here is start)
+        if detours and test.first and step.space == "move_joint" and target.joints is not None:
+            last, here = test, np.asarray(target.joints, dtype=float)  # a search is expensive: after the other segments
+            continue
+        segment = test.run(ways)
         if isinstance(segment, Refusal):
-            return _where(segment, f"step {n} ({step.to})")
-        if here is start and (way := segment.way(now, step.space)) is not None:
-            ways[n - 1] = way
+            return segment
         here = segment.end
+    if last is not None and isinstance(blocked := last.run(ways), Refusal):
+        return blocked
     return ways
+
+
+class _Test(NamedTuple):
+    """The test of one segment."""
+
+    n: int  # of its step, from 1
+    step: ScriptStep
+    request: PlanningRequest
+    target: Target
+    detours: bool
+    first: bool  # it starts where the arm is
+
+    def run(self, ways: dict[int, Way]) -> segments.Segment | Refusal:
+        """The segment; the way of the first one is added to `ways`."""
+        space = self.step.space
+        segment = segments.check_segment(self.request, space, self.target, self.detours, self.first)
+        if isinstance(segment, Refusal):
+            return _where(segment, f"step {self.n} ({self.step.to})")
+        if self.first and (way := segment.way(self.request, space)) is not None:
+            ways[self.n - 1] = way
+        return segment
 
 
 def _target(

@@ -64,7 +64,7 @@ def find_joint_way(request: PlanningRequest, goal: Floats) -> FreeWay | Refusal:
     problem = request.arm.why_not_within(goal, request.margin_rad) or free_posture(request)(goal)
     if problem is not None:
         return problem
-    roomy = replace(request, scene=_with_room(request, goal))
+    roomy = replace(request, scene=roomy_scene(request, goal))
     found = _generate_and_test(roomy, goal)
     if isinstance(found, Refusal) and roomy.scene is not request.scene:
         found = _generate_and_test(request, goal)
@@ -85,7 +85,7 @@ def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> 
     if not with_room:
         return fault(request, line)
     occupied = free_posture(request)(goal)
-    if occupied is None and fault(replace(request, scene=_with_room(request, goal)), line) is None:
+    if occupied is None and fault(replace(request, scene=roomy_scene(request, goal)), line) is None:
         return FreeWay(line, [DIRECT])
     return fault(request, line) or occupied
 
@@ -119,7 +119,7 @@ def _straight(request: PlanningRequest, goal: Array) -> Path | Refusal:
     return Refusal(reason=RefusalReason.INFEASIBLE, message=f"{request.arm.name} would end with other joint values")
 
 
-def _with_room(request: PlanningRequest, goal: Array) -> Scene:
+def roomy_scene(request: PlanningRequest, goal: Array) -> Scene:
     """The scene with `CLEARANCE_M`, except for bodies that are closer at either end of the path.
 
     Returns the scene unchanged if the command states a clearance, or if more than NEAR_AT_MOST bodies are close.

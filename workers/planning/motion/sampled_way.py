@@ -38,10 +38,10 @@ def find_sampled_way(request: PlanningRequest, goals: Sequence[Floats]) -> FreeW
     lower, upper = space.limits
     guides = space.guides(ends[0])
     for aside, first, second in zip(RAISED_AND_BACK_M, guides[::2], guides[1::2], strict=True):
-        way = paths.through([request.start, first, second, ends[0]])
-        if fault(request, way, JUDGED_RAD) is None:
+        guided = paths.through([request.start, first, second, ends[0]])
+        if fault(request, guided, JUDGED_RAD) is None:
             words = "by way of both ends, raised by {:g} m and drawn back by {:g} m".format(*aside)
-            return FreeWay(way, [f"modified: {words}; tested: free"])
+            return FreeWay(guided, [f"modified: {words}; tested: free"])
     drawn = 0
     for attempt in range(ATTEMPTS):
         seed = ATTEMPTS * request.seed + attempt

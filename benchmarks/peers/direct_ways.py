@@ -1,0 +1,56 @@
+"""Peer of `benchmarks.planning`: the direct ways alone, as before the sampling planner.
+
+A line in joint space, a straight line of the hand, and up to 24 splines with the hand raised or drawn back, first with
+the clearance of freely chosen ways and then without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from toppra import SplineInterpolator
+
+from rtc.protocol.outcomes import Refusal
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+from workers.planning.motion import path as paths
+from workers.planning.motion import plan
+from workers.planning.motion.path import Path
+from workers.planning.motion.request import PlanningRequest, fault
+
+RAISE_M, BACK_M = (0.0, 0.15, 0.30), (0.0, 0.10, 0.20)
+
+
+def find(request: PlanningRequest, goal: Array) -> Path | None:
+    """The first direct way that is free."""
+    roomy = replace(request, scene=plan.roomy_scene(request, goal))
+    requests = [roomy] if roomy.scene is request.scene else [roomy, request]
+    return next((way for asked in requests for way in _ways(asked, goal) if fault(asked, way) is None), None)
+
+
+def _ways(request: PlanningRequest, goal: Array) -> Iterator[Path]:
+    yield paths.joint_line(request.start, goal)
+    straight = paths.task_line(request.arm, request.start, request.arm.fk(goal), request.way_margin_rad)
+    if not isinstance(straight, Refusal) and np.abs(straight.knots[-1] - goal).max() < plan.SAME_RAD:
+        yield straight
+    ends = [(request.arm.fk(q), q) for q in (request.start, goal)]
+    for back in BACK_M:
+        for up in RAISE_M:
+            moved = [
+                geometry.translate(geometry.compose(pose, (0, 0, -back, 0, 0, 0, 1)), (0, 0, up)) for pose, _ in ends
+            ]
+            first, second = (request.arm.follow(pose, q) for pose, (_, q) in zip(moved, ends, strict=True))
+            if back == up == 0.0 or first is None or second is None:
+                continue
+            yield _spline([request.start, first, second, goal])
+            yield _spline([request.start, first, goal])
+            yield _spline([request.start, second, goal])
+
+
+def _spline(waypoints: list[Array]) -> Path:
+    knots = np.array(waypoints)
+    steps = np.maximum(np.abs(np.diff(knots, axis=0)).max(axis=1), 1e-6)
+    s = np.concatenate(((0.0,), np.cumsum(steps))) / steps.sum()
+    return Path("joint", s, knots, SplineInterpolator(s, knots, bc_type="natural"))
