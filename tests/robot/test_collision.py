@@ -211,3 +211,17 @@ def test_the_broad_phase_misses_nothing(world, arms):
 def test_every_arm_must_be_somewhere(world, home):
     with pytest.raises(ValueError, match="joints of LEFT-ARM are missing"):
         world.check({"RIGHT-ARM": home["RIGHT-ARM"]})
+
+
+def test_a_search_finds_the_same_first_contact_as_a_path_check(world, right, home):
+    random = np.random.default_rng(8)
+    counted = 0
+    for _ in range(60):
+        ends = random.uniform(right.limits.lower, right.limits.upper, (2, 6))
+        rows = ends[0] + np.linspace(0.0, 0.3, random.integers(2, 40))[:, None] * (ends[1] - ends[0])
+        if world.check({**home, "RIGHT-ARM": rows[0]}) is not None:
+            continue
+        hit = world.check_path("RIGHT-ARM", rows, home)
+        assert world.free_until("RIGHT-ARM", rows, home) == (len(rows) if hit is None else hit.index)
+        counted += hit is not None
+    assert counted > 5

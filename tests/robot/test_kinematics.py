@@ -180,3 +180,17 @@ def test_what_can_be_reached_has_no_reason_why_not(right, home):
 def test_singularities_show(right):
     assert right.sigma_min([0.2, 0.9, -2.4, 0.7, 0.0, 0.4]) < 1e-9  # wrist straight
     assert right.sigma_min([0.2, 0.9, -2.4, 0.7, 0.8, 0.4]) > 0.1
+
+
+def test_a_posture_is_turned_to_an_attitude_and_moved_with_it(right):
+    random = np.random.default_rng(4)
+    for q in random.uniform(0.5 * right.limits.lower, 0.5 * right.limits.upper, (20, 6)):
+        turned = right.turned_to(right.fk(random.uniform(right.limits.lower, right.limits.upper)), q)
+        assert turned is None or np.isfinite(turned).all()
+    near = np.array([0.2, 0.9, -2.4, 0.3, 0.6, 0.4])
+    level = geometry.compose(right.fk(near), geometry.from_rpy((0, 0, 0), (0.3, -0.2, 0.4)))
+    turned = right.turned_to(level, near)
+    assert geometry.angle(right.fk(turned), level) < 2e-3
+    moved = right.moved_by((0.02, -0.03, 0.10), turned)
+    assert geometry.distance(right.fk(moved), geometry.translate(right.fk(turned), (0.02, -0.03, 0.10))) < 0.003
+    assert geometry.angle(right.fk(moved), right.fk(turned)) < 0.01

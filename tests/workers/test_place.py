@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import msgspec
+import numpy as np
 import pytest
 
-from rtc.protocol.messages import Validity
+from rtc.protocol.messages import Limits, Validity
 from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.robot import geometry
+from workers.planning.motion.request import free_posture
+from workers.planning.motion.timing import Pace
 from workers.planning.robot_models import CellModel
+from workers.planning.world_query import WorldQuery
 
-from .conftest import CELL
+from .conftest import CELL, MODEL
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 LIFT = "LIFT MACS-NEW BY 15 CM"
@@ -32,6 +36,48 @@ def test_straight_from_the_lift_into_either_seat(either, seat):
     assert run.reasons[2:4] == ["contact", "contact"]  # set down, and tugged at
     assert either.world.value("MACS-NEW.seat") == seat
     assert either.world.get("MACS-NEW.frame").validity is Validity.VALID
+
+
+@pytest.mark.parametrize(
+    ("arm", "thing", "rack"), [("RIGHT-ARM", "MACS-NEW", "RACK-1"), ("LEFT-ARM", "MACS-OLD", "RACK-2")]
+)
+@pytest.mark.parametrize("handle", ["HANDLE-A", "HANDLE-B"])
+def test_from_anywhere_with_either_handle(bench, arm, thing, rack, handle):
+    """From free postures all over the reach, wherever a halt may have left the arm."""
+    for sentence in (f"GRASP {arm.replace('ARM', 'END-EFF')} {thing} {handle}", f"LIFT {thing} BY 15 CM"):
+        assert bench.do(sentence).succeeded
+    held, random = bench.world, np.random.default_rng(11)
+    query = WorldQuery(MODEL, held)
+    request = query.planning_request(arm, query.scene(arm, Limits()), Limits(), Pace(), 0.06)
+    lower, upper = request.arm.limits.lower + 0.06, request.arm.limits.upper - 0.06
+    postures = (random.uniform(lower, upper) for _ in range(10_000))
+    free = [q for q in postures if free_posture(request)(q) is None][:3]
+    for q in free:
+        for seat in (rack, "BAY-2"):
+            bench.world = held
+            bench.set_fact(f"{arm}.joints", q.tolist())
+            bench.subsystem.joints[arm] = q.copy()
+            run = bench.do(f"PLACE {thing} ON {seat}")
+            assert run.succeeded, (seat, q, run.refusal)
+            bench.subsystem.widths[arm] = 0.02
+
+
+@pytest.mark.slow
+def test_on_physics_ways_found_by_sampling_are_followed(physical):
+    """Beside the satellite no direct way is free; and with an attitude kept."""
+    ways = []
+    for sentence in (
+        GRASP,
+        "LIFT MACS-NEW BY 20 CM",
+        "MOVE RIGHT-ARM TO POSITION 57 -61 52 CM",
+        "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN POSE-DURING-MOTION LEVEL",
+        "PLACE MACS-NEW ON BAY-2",
+    ):
+        run = physical.do(sentence)
+        assert run.succeeded, (sentence, run.refusal, run.assessments)
+        ways += [step.way for step in run.script.steps if step.way is not None]
+    assert physical.world.value("MACS-NEW.seat") == "BAY-2"
+    assert sum("samples of seed" in way.notes[-1] for way in ways) >= 1
 
 
 def test_what_touches_nothing_is_not_in_its_seat(bench):

@@ -6,7 +6,7 @@ and `request.fault` judges it as any other path. With an attitude to keep, each 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +24,7 @@ ATTEMPTS = 3  # maximum number of ways found, of which the finer check rejects a
 MORE_M = 0.002  # clearance of the search beyond that of the request
 JUDGED_RAD = 0.012  # step of the final check: shortened ways pass obstacles closely, so it is finer than `CHECK_RAD`
 OUTER = 0.4  # weight of the joints after the third in distances: they move the hand less
+BACK = 0.85  # share of the free part of a blocked line after which its node is set, away from the obstacle
 PROJECTED_RAD = 0.15  # weighted length of a step between two projections
 AWAY = 0.5  # a projected step must make this share of its length towards its end
 RAISED_AND_BACK_M = ((0.15, 0.0), (0.0, 0.15), (0.3, 0.15))  # of the first samples
@@ -37,10 +38,9 @@ def find_sampled_way(request: PlanningRequest, goals: Sequence[Floats]) -> FreeW
     space = _Space(_with_more_room(request, ends))
     lower, upper = space.limits
     guides = space.guides(ends[0])
-    for aside, first, second in zip(RAISED_AND_BACK_M, guides[::2], guides[1::2], strict=True):
-        guided = paths.through([request.start, first, second, ends[0]])
+    for by_m, guided in _aside(request, ends[0], guides):
         if fault(request, guided, JUDGED_RAD) is None:
-            words = "by way of both ends, raised by {:g} m and drawn back by {:g} m".format(*aside)
+            words = "by way of both ends, raised by {:g} m and drawn back by {:g} m".format(*by_m)
             return FreeWay(guided, [f"modified: {words}; tested: free"])
     drawn = 0
     for attempt in range(ATTEMPTS):
@@ -55,6 +55,7 @@ def find_sampled_way(request: PlanningRequest, goals: Sequence[Floats]) -> FreeW
             seed=seed,
             samples=SAMPLES - drawn,
             guides=guides if attempt == 0 else (),
+            onto=space.onto,
         )
         if not isinstance(found, Found):
             return drawn + found
@@ -65,6 +66,18 @@ def find_sampled_way(request: PlanningRequest, goals: Sequence[Floats]) -> FreeW
             words = f"by way of {len(way.knots) - 2} points, found with {drawn} samples of seed {seed}"
             return FreeWay(way, [f"modified: {words}; tested: free"])
     return drawn
+
+
+def _aside(request: PlanningRequest, goal: Array, guides: list[Array]) -> Iterator[tuple[Floats, Path]]:
+    """Ways by both ends moved aside, which often suffice; they keep no attitude."""
+    if request.rules.attitude is None:
+        for by_m, first, second in zip(RAISED_AND_BACK_M, guides[::2], guides[1::2], strict=True):
+            yield by_m, paths.through([request.start, first, second, goal])
+
+
+def _moved(pose: Array, up_m: float, back_m: float) -> Array:
+    """The displacement (m, world) of a hand that is raised, and drawn back along its own axis."""
+    return geometry.rotate(pose, (0.0, 0.0, -back_m)) + np.array((0.0, 0.0, up_m))
 
 
 def _with_more_room(request: PlanningRequest, goals: Sequence[Array]) -> PlanningRequest:
@@ -105,6 +118,15 @@ class _Space:
                 found.append(np.clip(self._request.arm.moved_by(back + np.array((0.0, 0.0, up_m)), end), lower, upper))
         return found
 
+    def onto(self, q: Array) -> Array | None:
+        """The posture, turned to the attitude to keep; None: not found within the joint limits."""
+        attitude = self._request.rules.attitude
+        if attitude is None:
+            return q
+        turned = self._request.arm.turned_to(attitude.pose, q)
+        lower, upper = self.limits
+        return turned if turned is not None and bool((turned >= lower).all() and (turned <= upper).all()) else None
+
     def _straight(self, here: Array, there: Array) -> tuple[list[Array], bool]:
         share = self._free_share(here, there)
         if share >= 1.0:
@@ -124,19 +146,16 @@ class _Space:
         if request.rules.work_range is not None or request.rules.attitude is not None:
             broken = (n for n in range(free) if request.rules.broken_by(request.arm, rows[n]) is not None)
             free = next(broken, free)
-        return 1.0 if free > count else max(0, free - 1) / count
+        return 1.0 if free > count else BACK * max(0, free - 1) / count
 
     def _projected(self, here: Array, there: Array) -> tuple[list[Array], bool]:
         """In short steps, each projected onto the attitude to keep."""
-        attitude = self._request.rules.attitude
-        assert attitude is not None
-        lower, upper = self.limits
         chain: list[Array] = []
         left = self._length(there - here)
         while left > PROJECTED_RAD:
             onward = here + (PROJECTED_RAD / left) * (there - here)
-            step = self._request.arm.turned_to(attitude.pose, onward)
-            if step is None or bool((step < lower).any() or (step > upper).any()):
+            step = self.onto(onward)
+            if step is None:
                 return chain, False
             remains = self._length(there - step)
             too_far = self._length(step - here) > 2 * PROJECTED_RAD

@@ -94,11 +94,13 @@ def search(
     seed: int,
     samples: int,
     guides: Sequence[Array] = (),
+    onto: Callable[[Array], Array | None] = lambda q: q,
 ) -> Found | int:
     """Way-points from `start` to one of `goals` (rad), or the number of samples that were drawn in vain.
 
     `lower`, `upper`: joint limits (rad). `weights`: of each joint in the distance between postures. `guides`: postures
-    that are taken before random ones, in turn for the tree of the start and that of the goals.
+    that are taken before random ones, in turn for the tree of the start and that of the goals. `onto`: projects a
+    sample onto the constraints; None: it cannot.
     """
     rng = np.random.default_rng(seed)
     ours, others = _Tree([start], weights), _Tree(goals, weights)
@@ -114,7 +116,8 @@ def search(
             q = rng.uniform(least + wide * (lower - least), most + wide * (upper - most))
             if rng.random() < MIXED:
                 q = np.where(rng.random(len(q)) < 0.5, ends[rng.integers(len(ends))], q)
-        new = _extend(ours, q, steer, weights)
+        aim = onto(q)
+        new = None if aim is None else _extend(ours, aim, steer, weights)
         if new is not None:
             met = _connect(others, ours.nodes[new], steer, weights)
             if met is not None:

@@ -14,7 +14,9 @@ from rtc.robot.collision import Scene
 from workers.planning import segments
 from workers.planning.motion import handed, plan
 from workers.planning.motion.constraints import Rules
+from workers.planning.motion.path import through
 from workers.planning.motion.plan import PlanningRequest
+from workers.planning.motion.request import FreeWay
 from workers.planning.motion.timing import Pace
 from workers.planning.segments import Target
 
@@ -75,6 +77,14 @@ def test_a_way_with_detours_is_handed_on_too(asked, goal, monkeypatch, untested)
     handed_on = segments.plan_segment(asked, "move_joint", Target(joints=goal), sent(way))
     assert "modified" in handed_on.notes[-1]
     assert np.allclose(handed_on.goal_joints, goal)
+
+
+def test_rounded_corners_are_handed_on_as_they_are(asked, goal):
+    path = through([asked.start, (asked.start + goal) / 2 + 0.2, asked.start - 0.1, goal], np.array([0.05, 0.02]))
+    sent_on = handed.from_message(sent(handed.to_message(b"", FreeWay(path, ["found"]))))
+    s = np.linspace(0.0, path.length, 50)
+    assert all(np.array_equal(a, b) for a, b in zip(sent_on.path.at(s), path.at(s), strict=True))
+    assert sent_on.notes == ["found"]
 
 
 def _beside(asked):

@@ -170,6 +170,17 @@ def test_work_range_and_attitude_are_maintained(setting, cell, right, world, hom
     assert max(geometry.angle(right.fk(q), level(0, 0, 0)) for q in motion.timed.positions) < math.radians(5)
 
 
+def test_an_attitude_is_kept_on_a_way_round(setting, cell, right, world, home):
+    """Neither line to the front of the bay is free; each step of the search is projected onto the attitude."""
+    upright = Rules(attitude=cell.attitudes["LEVEL"], attitude_name="LEVEL")
+    at = PlanningRequest(right, world, with_joints(setting, *FRONT), rules=upright)
+    motion = plan_joint_motion(at, goal_at(at, 0.48, -0.085, 0.70))
+    assert "samples" in motion.notes[-1]
+    assert max(geometry.angle(right.fk(q), level(0, 0, 0)) for q in motion.path.dense(0.005)[1]) < math.radians(5)
+    assert max(geometry.angle(right.fk(q), level(0, 0, 0)) for q in motion.timed.positions) < math.radians(5)
+    assert world.check_path("RIGHT-ARM", motion.path.dense(0.005)[1], home) is None
+
+
 def test_an_arm_too_near_a_limit_may_leave_from_there(setting, right, world, home):
     near_limit = np.array(home["RIGHT-ARM"])
     near_limit[4] = right.limits.upper[4] - math.radians(1)
