@@ -29,6 +29,7 @@ ENGINES = ("ray", "dask", "distributed", "kubernetes", "nomad", "submitit")
 ONLY_IN = {
     "pybullet": ("sim_mcm/",),
     "PIL": ("sim_mcm/picture.py",),
+    "pyapriltags": ("rtc/sensing/detector.py",),
     "pinocchio": ("rtc/robot/", "workers/planning/motion/", "sim_mcm/"),
     "coal": ("rtc/robot/", "workers/planning/motion/", "sim_mcm/"),
     "lark": ("rtc/language/",),
@@ -45,7 +46,7 @@ ONLY_IN = {
 PURE = (
     "rtc/protocol/", "rtc/language/", "rtc/robot/geometry.py", "rtc/world/model.py", "rtc/world/spread.py",
     "broker/decisions/", "broker/dispatch/", "sim_mcm/control/",
-    "rtc/observers/viewer_schema.py",
+    "rtc/observers/viewer_schema.py", "rtc/sensing/",
 )  # fmt: skip
 #: packages whose modules all lie in packages of their own
 ROOMS = ("rtc", "workers")

@@ -1,0 +1,50 @@
+"""Where the bodies of the cell are, from the tags in pictures of one or several cameras at one time.
+
+It knows the cell file and pictures, never a true pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from rtc.cells.parts import Tag
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+from rtc.sensing.detector import Mark
+from rtc.sensing.optics import CORNERS, View
+from rtc.sensing.pose_fit import Fit, Sighting, fit
+
+
+class Seen(NamedTuple):
+    """The tags in one picture."""
+
+    view: View
+    marks: Sequence[Mark]
+
+
+def corners(tag: Tag) -> Array:
+    """Corners of a tag in the axes of its body, 4 x 3, m."""
+    matrix = geometry.to_matrix(tag.frame.pose)
+    found: Array = 0.5 * tag.size_m * CORNERS @ matrix[:3, :3].T + matrix[:3, 3]
+    return found
+
+
+def sightings(tags: Iterable[Tag], pictures: Iterable[Seen]) -> dict[str, list[Sighting]]:
+    """Sightings by body. Tags that the cell does not know are ignored."""
+    known = {tag.id: tag for tag in tags}
+    found: dict[str, list[Sighting]] = {}
+    for picture in pictures:
+        for mark in picture.marks:
+            if (tag := known.get(mark.tag)) is not None:
+                sighting = Sighting(tag.id, picture.view, np.asarray(mark.corners), corners(tag))
+                found.setdefault(tag.body, []).append(sighting)
+    return found
+
+
+def locate(tags: Iterable[Tag], pictures: Iterable[Seen]) -> Mapping[str, Fit]:
+    """The bodies that are seen, by name."""
+    fits = {body: fit(seen) for body, seen in sightings(tags, pictures).items()}
+    return {body: found for body, found in fits.items() if found is not None}

@@ -1,0 +1,62 @@
+"""An ideal camera as numbers: where a point of the world appears in its picture. Pure.
+
+Pixels: x to the right, y down, the corner of the picture is (0, 0). Camera axes: x right, y down, z forward.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rtc.cells.parts import Camera
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+
+
+class View(NamedTuple):
+    """A camera at the time of a picture."""
+
+    camera: str
+    rotation: Array  # 3 x 3, world to camera
+    translation: Array  # m, world to camera
+    focal_px: float
+    size_px: tuple[int, int]
+
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        return 0.5 * self.size_px[0], 0.5 * self.size_px[1]
+
+    def to_camera(self, points: Array) -> Array:
+        """Points (n x 3, m) of the world in the axes of the camera."""
+        seen: Array = points @ self.rotation.T + self.translation
+        return seen
+
+    def pixels(self, points: Array) -> Array:
+        """Pixels (n x 2) of points of the world (n x 3, m), which must lie in front of the camera."""
+        seen = self.to_camera(points)
+        found: Array = self.focal_px * seen[:, :2] / seen[:, 2:] + self.centre_px
+        return found
+
+
+def view(camera: Camera, tcp: geometry.Floats | None = None) -> View:
+    """The view of a camera of the cell. `tcp`: world pose, for a camera on an arm."""
+    pose = camera.pose if tcp is None else geometry.compose(tcp, camera.pose)
+    matrix = geometry.to_matrix(geometry.inverse(pose))
+    focal_px = 0.5 * camera.size_px[1] / math.tan(math.radians(0.5 * camera.field_of_view_deg))
+    return View(camera.name, matrix[:3, :3], matrix[:3, 3], focal_px, camera.size_px)
+
+
+#: corners of a tag in its own axes, in halves of its size: lower left, lower right, upper right, upper left
+CORNERS = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], dtype=np.float64)
+
+
+def visible(view: View, corners: Array, normal: Array) -> bool:
+    """Whether a tag faces the camera and lies in the picture, if nothing is in front of it. `corners`: 4 x 3, m, and
+    `normal`, world frame."""
+    seen = view.to_camera(corners)
+    if not np.all(seen[:, 2] > 0.0) or float(seen.mean(axis=0) @ (view.rotation @ normal)) >= 0.0:
+        return False
+    pixels = view.pixels(corners)
+    return bool(np.all(pixels >= 0.0) and np.all(pixels <= view.size_px))
