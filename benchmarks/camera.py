@@ -39,7 +39,7 @@ TAGS = [
 BUDGET_R_M, BUDGET_TILT_DEG = (0.6, 1.2), (0.0, 50.0)
 DISTANCES_M = (0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 1.8)
 TILTS_DEG = (0, 15, 30, 45, 60, 70, 78)
-APART_DEG = 60.0  # azimuth between the two cameras of a pair
+SECOND_TILT_DEG, APART_DEG = 40.0, 120.0  # the second camera of a pair: its tilt, and its azimuth against the first
 #: title -> (number of tags, number of cameras)
 SETS = {"1 tag": (1, 1), "4 tags": (4, 1), "4 tags, 2 cameras": (4, 2)}
 
@@ -87,7 +87,8 @@ def shots(views: Sequence[Geometry], cameras: int = 2, seed: int = SEED) -> list
     middle = cell.object_pose(MODULE)[:3] + np.array((0.0, 0.0, TOP_M))
     pairs = []
     for n, view in enumerate(views):
-        beside = view._replace(azimuth_rad=view.azimuth_rad + math.radians(APART_DEG))
+        turned = view.azimuth_rad + math.radians(APART_DEG)
+        beside = Geometry(view.distance_m, math.radians(SECOND_TILT_DEG), turned)
         places = (view, beside)[:cameras]
         pairs.append([_camera(f"CAMERA-{n}-{side}", middle, at) for side, at in enumerate(places)])
     every = [camera for pair in pairs for camera in pair]
