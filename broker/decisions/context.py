@@ -149,6 +149,7 @@ class DecisionContext:
                 input=job.input,
                 locations=job.locations,
                 client=client,
+                doubt=job.doubt,
             )
         )
 

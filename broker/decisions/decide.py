@@ -193,7 +193,6 @@ def on_job_declined(context: DecisionContext, event: JobDeclined) -> None:
         context, command, job, event.refusal.message
     ):
         return
-    command.job = None
     stimulate(context, command, Stimulus.REFUSAL, event.refusal)
 
 

@@ -2,7 +2,8 @@
 
 Every change must reach the world database, or the next command plans with wrong facts. The touched names therefore
 stay quarantined, and the analysis is repeated until its changes are written. Its verdict is not used. An analysis that
-is refused, or that kills its workers, is given up, because a retry would fail too.
+is refused, or that kills its workers, is given up, because a retry would fail too. Its job then makes the facts about
+these names suspect, and is repeated until the world database has done that.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class DeferralStimulus(StrEnum):
 
     DEFER = "defer"  # its command ends before the analysis is done; payload: the command
     DONE = "done"  # its changes are written
-    REFUSAL = "refusal"
+    REFUSAL = "refusal"  # or the analysis was refused, or poison, before its command ended
     UNAVAILABLE = "unavailable"  # the world database, or every analyzer, is unavailable
     WORKER_LOST = "worker_lost"  # payload: the event
     TIMEOUT = "timeout"  # time for a retry
@@ -41,6 +42,10 @@ def defer(context: DecisionContext, command: Command) -> None:
 
 def on_unavailable(context: DecisionContext, command: str) -> None:
     DEFERRED.run(context, command, DeferralStimulus.UNAVAILABLE)
+
+
+def on_given_up(context: DecisionContext, command: str) -> None:
+    DEFERRED.run(context, command, DeferralStimulus.REFUSAL)
 
 
 def on_broker_restarted(context: DecisionContext, event: BrokerRestarted) -> None:
@@ -110,7 +115,7 @@ def retry(context: DecisionContext, name: str, _: object) -> None:
 def retry_or_give_up(context: DecisionContext, name: str, loss: JobLost) -> None:
     """Retry, unless MAX_DEATHS workers have died of this job."""
     job = context.state.deferred_analyses[name].job
-    if len(job.deaths) + loss.blamed >= MAX_DEATHS:
+    if job.doubt or len(job.deaths) + loss.blamed >= MAX_DEATHS:
         give_up(context, name, loss)
         return
     if loss.blamed:
@@ -119,9 +124,13 @@ def retry_or_give_up(context: DecisionContext, name: str, loss: JobLost) -> None
 
 
 def give_up(context: DecisionContext, name: str, event: object) -> None:
-    """Drop the analysis and open its names. Its changes are lost, and the facts are not marked suspect."""
-    context.count("analyses_given_up")
-    finish(context, name, event)
+    """Make the facts suspect instead: the changes are unknown. This is retried without a maximum count."""
+    analysis = context.state.deferred_analyses[name]
+    if not analysis.job.doubt:
+        context.count("analyses_given_up")
+        analysis.job.doubt = f"the analysis of {name} was given up"
+        analysis.job.locations = sorted({*(analysis.job.locations or ()), *analysis.names})
+    schedule_retry(context, name, event)
 
 
 def finish(context: DecisionContext, name: str, _: object) -> None:
@@ -140,9 +149,9 @@ _ROWS: dict[Deferral, dict[DeferralStimulus, TableCell[Deferral]]] = {
     },
     D.RUNNING: {
         S.DONE: cell(finish, D.NONE),
-        S.REFUSAL: cell(give_up, D.NONE),
+        S.REFUSAL: cell(give_up, D.WAITING),
         S.UNAVAILABLE: cell(schedule_retry, D.WAITING),
-        S.WORKER_LOST: cell(retry_or_give_up, D.RUNNING, D.NONE),
+        S.WORKER_LOST: cell(retry_or_give_up, D.RUNNING, D.WAITING),
         S.BROKER_RESTARTED: cell(retry, D.RUNNING),
     },
     D.WAITING: {

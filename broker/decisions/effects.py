@@ -25,6 +25,7 @@ class DispatchJob(Effect, frozen=True, kw_only=True, gc=False):
     input: msgspec.Raw
     locations: list[str] | None = None  # names in the lease that is sent with the job
     client: str = ""  # client of its command: the jobs of all clients are assigned in turn
+    doubt: str = ""  # why the facts of `locations` become suspect, instead of an analysis
 
 
 class CancelJob(Effect, frozen=True, kw_only=True, gc=False):

@@ -115,6 +115,8 @@ class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     """Time when the job was created."""
     deaths: list[str] = []
     """Evidence of each worker that died while it processed this job."""
+    doubt: str = ""
+    """Why the analysis was given up: the worker only makes the facts of `locations` suspect. Empty: it analyses."""
 
 
 class Deferral(StrEnum):

@@ -48,6 +48,7 @@ class Egress:
                     cell=job.cell,
                     input=job.input,
                     lease=None if not job.locations else sign(core.given.lease_key, job.job, job.locations),
+                    doubt=job.doubt,
                 )
                 for job in jobs
             ]

@@ -240,6 +240,7 @@ class Job(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=Fals
     cell: str = ""  # digest of the cell; empty = not needed by this kind
     input: msgspec.Raw  # ParserInput | ElaboratorInput | BinderInput | AnalyzerInput
     lease: Lease | None = None  # analyzers only
+    doubt: str = ""  # not empty: only make the leased facts suspect, for this reason
 
 
 class JobBatch(Message, frozen=True, kw_only=True):
@@ -685,8 +686,10 @@ class Commit(Message, frozen=True, kw_only=True):
 
 
 class Doubt(Message, frozen=True, kw_only=True):
-    """From the broker alone, by a lease without locations: it is unknown what was executed. Every fact that a motion
-    changes becomes suspect; the same lease again changes nothing."""
+    """Facts that a motion changes become suspect; the same lease again changes nothing.
+
+    By a lease of the broker for itself: all of them, because it is unknown what was executed. By the lease of an
+    analysis that was given up: those of its locations, unless that job has written its changes before."""
 
     request: Name
     lease: Lease

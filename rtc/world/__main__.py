@@ -22,7 +22,7 @@ from rtc.runtime.process import Every, Process, inbox, now_s, send
 from rtc.runtime.settings import BOUNDS, Settings
 from rtc.world import lease
 from rtc.world.model import initial_facts
-from rtc.world.server import Packer, Server, doubt_everything
+from rtc.world.server import Packer, Server, make_suspect
 from rtc.world.store import Store
 
 FILE = "world.db"
@@ -86,7 +86,7 @@ def _begin(me: Process, given: handover.Handed, store: Store) -> None:
 
         store.write("cell", initial_facts(Cell.load(given.settings.cell)), source="cell", at_s=now_s())
     if version:
-        doubt_everything(store, f"{lease.DOUBT}{store.version + 1}", why, _fixed(given.settings), now_s())
+        make_suspect(store, f"{lease.DOUBT}{store.version + 1}", why, _fixed(given.settings), now_s())
         me.note(f"{why}; facts of arms and things are suspect")
     store.save()
     given.remember("world", BORN, store.version)

@@ -71,7 +71,8 @@ class WorldClient:
         return answer.refusal if isinstance(answer, WorldRefused) else _expect(answer, Committed)
 
     def doubt(self, lease: Lease, why: str) -> None:
-        """Makes all facts that a motion changes suspect. Raises ClusterError as `view` does."""
+        """Makes facts that a motion changes suspect: those of the lease's locations, or all, if the lease is of the
+        broker itself. Raises ClusterError as `view` does, and if the lease is refused."""
         _expect(self._ask(Doubt(request=self._request(), lease=lease, why=why)), Committed)
 
     def close(self) -> None:

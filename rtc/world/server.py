@@ -73,12 +73,13 @@ class Server:
 
     def _doubt(self, request: Doubt, at_s: float) -> Committed | WorldRefused:
         lease = request.lease
-        if not leases.check(self._key, lease) or not lease.job.startswith(leases.DOUBT):
-            refusal = _not_allowed("only this cluster's broker may make all facts suspect", lease.job)
+        if not leases.check(self._key, lease):
+            refusal = _not_allowed("the lease was not signed by this cluster's broker", lease.job)
             return WorldRefused(request=request.request, refusal=refusal)
         before = self.store.committed(lease.job)
         if before is None:
-            before = doubt_everything(self.store, lease.job, request.why, self._fixed(), at_s)
+            of = None if lease.job.startswith(leases.DOUBT) else lease.locations
+            before = make_suspect(self.store, lease.job, request.why, self._fixed(), at_s, of)
         return Committed(request=request.request, version=before)
 
     def _no(self, request: Commit) -> Refusal | None:
@@ -96,9 +97,19 @@ class Server:
         return None
 
 
-def doubt_everything(store: Store, job: str, why: str, fixed: Collection[str], at_s: float) -> int:
-    """Makes all facts that a motion changes suspect, with `why` as their source; returns the new version."""
-    moved = (key for key in store.facts if key.rpartition(".")[2] in MOVED and location(key) not in fixed)
+def make_suspect(
+    store: Store, job: str, why: str, fixed: Collection[str], at_s: float, locations: Collection[str] | None = None
+) -> int:
+    """Make the facts that a motion changes suspect, with `why` as their source; returns the new version.
+
+    `locations`: only their facts; None = all."""
+    moved = (
+        key
+        for key in store.facts
+        if key.rpartition(".")[2] in MOVED
+        and location(key) not in fixed
+        and (locations is None or location(key) in locations)
+    )
     changes = [WorldChange(key=key, keep_value=True, validity=Validity.SUSPECT) for key in moved]
     return store.write(job, changes, source=why, at_s=at_s)
 

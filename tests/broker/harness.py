@@ -40,6 +40,7 @@ def brief(effect: do.Effect) -> str:
     match effect:
         case do.DispatchJob():
             lease = f" lease {'+'.join(effect.locations)}" if effect.locations is not None else ""
+            lease += " doubt" if effect.doubt else ""
             return f"job {effect.job} {effect.kind.value} #{effect.attempt}{lease}"
         case do.CancelJob():
             return f"cancel {effect.job}"

@@ -386,9 +386,13 @@ class Cluster:
         """How long the world database will not answer."""
         return self.world_back_s - self.clock.now_s
 
-    def commit(self, lease: m.Lease, changes: list[m.WorldChange]) -> Refusal | None:
-        """Of a worker, to the world database; now and then the first answer is lost, and it asks again."""
-        request = m.Commit(request="1", lease=lease, changes=changes, source=lease.job)
+    def commit(self, lease: m.Lease, changes: list[m.WorldChange] | None) -> Refusal | None:
+        """Of a worker, to the world database; now and then the first answer is lost, and it asks again.
+
+        `changes`: None makes the leased facts suspect."""
+        request: m.Commit | m.Doubt = m.Doubt(request="1", lease=lease, why=lease.job)
+        if changes is not None:
+            request = m.Commit(request="1", lease=lease, changes=changes, source=lease.job)
         for _ in range(1 + (self.random.random() < 0.05)):
             answer = self.world.answer(request, self.clock.now_s)
             self.world.store.save()

@@ -66,7 +66,7 @@ class LossyCluster(Cluster):
         store, version = Store(":memory:"), self.world.store.version
         store.version = version
         _write_cell(store)
-        server.doubt_everything(store, f"{DOUBT}{version}", "the world began anew", (), self.clock.now_s)
+        server.make_suspect(store, f"{DOUBT}{version}", "the world began anew", (), self.clock.now_s)
         store.save()
         self.world = Server(store, KEY)
 

@@ -99,20 +99,24 @@ class Worker:
     def _done(self, job: m.Job, took_s: float) -> None:
         if not self.alive or self.hung:
             return
+        product: Any = None
         try:
-            product = skills.FUNCTIONS[self.kind.value](job.input)
+            if not job.doubt:
+                product = skills.FUNCTIONS[self.kind.value](job.input)
         except skills.Kill:
             self.cluster.kill(self, f"by {job.id}")
             return
-        if isinstance(product, m.Assessment) and job.lease is not None and self.cluster.world_away_s > 0.0:
+        writes = bool(job.doubt) or isinstance(product, m.Assessment)
+        if writes and job.lease is not None and self.cluster.world_away_s > 0.0:
             if took_s >= LIMIT_S:
                 product = Refusal(reason=RefusalReason.TIMEOUT, message="the world database did not answer")
             else:
                 left_s = min(self.cluster.world_away_s, LIMIT_S - took_s) + 1e-6
                 self.cluster.clock.after(left_s, self._done, job, took_s + left_s)
                 return
-        elif isinstance(product, m.Assessment) and job.lease is not None:
-            refusal = self.cluster.commit(job.lease, product.changes)
+        elif writes and job.lease is not None:
+            changes = None if job.doubt else product.changes
+            refusal = self.cluster.commit(job.lease, changes)
             if refusal is not None:
                 product = refusal
             if self.cluster.random.random() < self.cluster.dies_after_commit:

@@ -25,7 +25,7 @@ def _essence(model: Model) -> list[Any]:
         [_of_command(model, command) for command in du.commands.values()],
         du.resources,
         [
-            (c, len(left.job.deaths), left.phase, left.job.id in model.timers)
+            (c, len(left.job.deaths), bool(left.job.doubt), left.phase, left.job.id in model.timers)
             for c, left in du.deferred_analyses.items()
         ],
         deferred_at_work(model),

@@ -52,5 +52,5 @@ def test_a_broker_that_takes_any_mcm_is_found(monkeypatch):
 
 
 def test_a_world_that_trusts_itself_after_a_loss_is_found(monkeypatch):
-    monkeypatch.setattr(server, "doubt_everything", lambda store, *_: store.version)
+    monkeypatch.setattr(server, "make_suspect", lambda store, *_: store.version)
     assert "and the world trusts" in first_problem()

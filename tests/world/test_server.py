@@ -131,10 +131,34 @@ def test_the_same_doubt_again_changes_nothing(server):
     assert server.store.facts["A.seat"].validity is Validity.VALID
 
 
-@pytest.mark.parametrize("request_", [doubt(job="C-1/4"), doubt(key=b"other" * 7)], ids=["another lease", "a stranger"])
-def test_who_is_not_the_broker_may_not_doubt(server, request_):
-    assert isinstance(server.answer(request_, 0.0), WorldRefused)
+def test_a_lease_that_the_broker_has_not_signed_makes_nothing_suspect(server):
+    assert isinstance(server.answer(doubt(key=b"other" * 7), 0.0), WorldRefused)
     assert server.store.facts["A.seat"].validity is Validity.VALID
+
+
+def doubt_of_analysis(*locations):
+    lease = sign(KEY, "C-1/4", locations)
+    return Doubt(request="r", lease=lease, why="the analysis of C-1 was given up")
+
+
+def test_the_lease_of_an_analysis_makes_its_own_locations_suspect(server):
+    assert isinstance(server.answer(doubt_of_analysis("A"), 1.0), Committed)
+    validity = {key: server.store.facts[key].validity for key in ("A.seat", "B.seat")}
+    assert validity == {"A.seat": Validity.SUSPECT, "B.seat": Validity.VALID}
+
+
+def test_an_analysis_that_has_written_its_changes_makes_nothing_suspect(server):
+    server.answer(commit("C-1/4", {"A.seat": "RACK-1"}), 1.0)
+    server.answer(doubt_of_analysis("A"), 2.0)
+    assert server.store.facts["A.seat"].validity is Validity.VALID
+
+
+def test_changes_that_come_after_the_doubt_of_their_job_are_not_written(server):
+    """A worker that counted as dead may still answer."""
+    server.answer(doubt_of_analysis("A"), 1.0)
+    server.answer(commit("C-1/4", {"A.seat": "RACK-1"}), 2.0)
+    fact = server.store.facts["A.seat"]
+    assert (fact.value, fact.validity) == ("BAY-1", Validity.SUSPECT)
 
 
 # --- beginning -----------------------------------------------------------------------------------------

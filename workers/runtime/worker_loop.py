@@ -267,6 +267,10 @@ class Shell:
 
     def _work(self, job: Job, came_s: float) -> msgspec.Raw | Refusal:
         """Run the function and commit the changes of its product; returns the encoded product."""
+        if job.doubt:
+            if job.lease is not None:
+                self._view.make_suspect(job.lease, job.doubt)
+            return wire.raw(None)  # the broker does not read it
         function = self._function
         program = self._made(self._programs, job.program)
         if isinstance(program, Refusal):
@@ -360,6 +364,11 @@ class WorldView:
             self._read_at_s = read_at_s
         self.version_read = self._world.version
         return self._world
+
+    def make_suspect(self, lease: Lease, why: str) -> None:
+        """Raises ClusterError if the database is unavailable."""
+        self._read_at_s = -1.0
+        self._client.doubt(lease, why)
 
     def commit(self, lease: Lease, assessment: Assessment, source: str) -> Refusal | None:
         self._read_at_s = -1.0  # the next job of this batch must read this commit

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from broker.decisions import deferred_analysis
-from broker.decisions.command.jobs import QUARANTINED, dispatch_again, retry_analysis
+from broker.decisions.command.jobs import QUARANTINED, SUSPECT, dispatch_again, has_moved, retry_analysis
 from broker.decisions.command.limits import CLOSING_LIMIT_S
 from broker.decisions.command.termination import cancel, end
 from broker.decisions.context import DecisionContext
@@ -39,7 +39,7 @@ def stop_after_analysis(context: DecisionContext, command: Command, ending: Pend
 
 
 def finish_closing(context: DecisionContext, command: Command, product: Any) -> None:
-    """End after the last analysis. `product`: its ignored verdict; None or a refusal if it failed."""
+    """End after the last analysis. `product`: its ignored verdict."""
     assert command.pending_outcome is not None
     context.stop_timer(command)
     cancel(context, command)
@@ -50,15 +50,28 @@ def finish_closing(context: DecisionContext, command: Command, product: Any) -> 
 def retry_last_analysis(context: DecisionContext, command: Command, loss: JobLost) -> None:
     """Dispatch the lost last analysis again; end without it if the job is poison."""
     if dispatch_again(context, command, loss):
+        give_up_closing_analysis(context, command, None)
+
+
+def give_up_closing_analysis(context: DecisionContext, command: Command, _: Any) -> None:
+    """End without the last analysis: it was refused, or is poison. The facts become suspect first."""
+    if not has_moved(command):
         finish_closing(context, command, None)
+        return
+    _end_deferred(context, command, SUSPECT)
+    deferred_analysis.on_given_up(context, command.id)
 
 
 def defer_closing_analysis(context: DecisionContext, command: Command, refusal: Refusal | None) -> None:
     """Defer the last analysis and end the command. `refusal`: the world database is unavailable; None: time limit."""
+    _end_deferred(context, command, QUARANTINED)
+    if refusal is not None:
+        deferred_analysis.on_unavailable(context, command.id)
+
+
+def _end_deferred(context: DecisionContext, command: Command, consequence: str) -> None:
     assert command.pending_outcome is not None
     context.stop_timer(command)
     ending = command.pending_outcome
-    message = f"{ending.message}; {QUARANTINED}"
+    message = f"{ending.message}; {consequence}"
     end(context, command, ending.kind, message=message, stop=ending.stop, refusal=ending.refusal, defer_analysis=True)
-    if refusal is not None:
-        deferred_analysis.on_unavailable(context, command.id)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
+
 from broker.decisions import deferred_analysis
 from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
@@ -12,6 +14,7 @@ from broker.decisions.state import Command
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
 QUARANTINED = "the names it touched stay quarantined until the world database is updated"
+SUSPECT = "the facts about what it moved become suspect"
 
 
 def fail_unavailable(context: DecisionContext, command: Command, refusal: Refusal) -> None:
@@ -54,7 +57,27 @@ def retry_job(context: DecisionContext, command: Command, loss: JobLost) -> None
 def retry_lost_analysis(context: DecisionContext, command: Command, loss: JobLost) -> None:
     """Dispatch a lost analysis again. The motion is done, so the command fails if the job is poison."""
     if poison := dispatch_again(context, command, loss):
-        end(context, command, OutcomeKind.FAILED, message=poison.message, refusal=poison)
+        give_up = has_moved(command)
+        message = f"{poison.message}; {SUSPECT}" if give_up else poison.message
+        end(context, command, OutcomeKind.FAILED, message=message, refusal=poison, defer_analysis=give_up)
+        if give_up:
+            deferred_analysis.on_given_up(context, command.id)
+
+
+def has_moved(command: Command) -> bool:
+    """True if its pending analysis is of a motion, so that facts are wrong without it. A stated fact moves nothing."""
+    return command.job is not None and bool(command.primitive)
+
+
+def give_up_analysis(context: DecisionContext, command: Command, refusal: Refusal) -> None:
+    """End a command whose analysis is refused. If it has moved something, the facts become suspect first."""
+    give_up = has_moved(command)
+    if give_up:
+        deferred_analysis.defer(context, command)
+        refusal = msgspec.structs.replace(refusal, message=f"{refusal.message}; {SUSPECT}")
+    refuse(context, command, refusal)
+    if give_up:
+        deferred_analysis.on_given_up(context, command.id)
 
 
 def dispatch_again(context: DecisionContext, command: Command, loss: JobLost) -> Refusal | None:

@@ -75,7 +75,7 @@ _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
     },
     P.ANALYZING: {
         S.PRODUCT: cell(nominal.on_assessed, *STEP),
-        S.REFUSAL: cell(termination.refuse, P.ENDED),
+        S.REFUSAL: cell(jobs.give_up_analysis, P.ENDED),
         S.UNAVAILABLE: cell(jobs.schedule_analysis_retry, P.ANALYZING, P.ENDED),
         S.WORKER_LOST: cell(jobs.retry_lost_analysis, P.ANALYZING, P.ENDED),
         S.STOP: cell(closing.stop_after_analysis, P.CLOSING),
@@ -98,7 +98,7 @@ _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
     },
     P.CLOSING: {
         S.PRODUCT: cell(closing.finish_closing, P.ENDED),
-        S.REFUSAL: cell(closing.finish_closing, P.ENDED),
+        S.REFUSAL: cell(closing.give_up_closing_analysis, P.ENDED),
         S.UNAVAILABLE: cell(closing.defer_closing_analysis, P.ENDED),
         S.WORKER_LOST: cell(closing.retry_last_analysis, P.CLOSING, P.ENDED),
         S.TIMEOUT: cell(closing.defer_closing_analysis, P.ENDED),

@@ -143,10 +143,32 @@ def test_a_refusal_ends_the_command(reach):
     assert s.declines("C-1") == ["note C-1 ended", "end C-1 refused"]
 
 
-def test_an_analyzer_that_refuses_ends_the_command():
+def test_an_analyzer_that_refuses_ends_the_command_and_closes_its_names_until_their_facts_are_suspect():
+    s = Harness()
+    s.analyzing(script(resources=("RIGHT-ARM", "MODULE")))
+    assert s.declines("C-1") == ["note C-1 ended", "end C-1 refused", "timer C-1/4"]
+    assert "become suspect" in s.outcome("C-1").message
+    assert s.state.resources.quarantine == dict.fromkeys(("RIGHT-ARM", "MODULE"), (WORLD, "C-1"))
+    assert s.rings("C-1/4") == ["job C-1/4 analyzer #3 lease MODULE+RIGHT-ARM doubt"]
+    assert s.tells("C-1") == []
+    assert (s.state.deferred_analyses, s.state.resources.quarantine) == ({}, {})
+
+
+def test_an_analysis_of_a_motion_that_kills_its_workers_leaves_suspect_facts():
     s = Harness()
     s.analyzing()
+    s.loses_worker("C-1")
+    s.loses_worker("C-1")
+    assert s.loses_worker("C-1") == ["note C-1 ended", "end C-1 failed", "timer C-1/4"]
+    assert s.rings("C-1/4") == ["job C-1/4 analyzer #5 lease RIGHT-ARM doubt"]
+
+
+def test_a_refused_analysis_of_a_stated_fact_changes_no_fact():
+    s = Harness()
+    s.elaborated(script(resources=("MODULE",)))
+    assert s.answers("C-1", stated())[-1] == "note C-1 analyzing"
     assert s.declines("C-1") == ["note C-1 ended", "end C-1 refused"]
+    assert s.state.deferred_analyses == {}
 
 
 def test_a_product_that_is_none_is_a_refusal_and_no_crash():
@@ -1132,8 +1154,13 @@ def test_an_analysis_left_that_kills_its_workers_is_given_up():
     s.mcm_hello(pid=2)
     for deaths in (1, 2):
         assert s.tells("C-1", "dies") == [f"job C-1/4 analyzer #{deaths + 1} lease RIGHT-ARM"]
-    assert s.tells("C-1", "dies") == []
+    for attempt in (5, 7):
+        assert s.tells("C-1", "dies") == ["timer C-1/4"]
+        assert s.rings("C-1/4") == [f"job C-1/4 analyzer #{attempt} lease RIGHT-ARM doubt"]
+        assert s.state.resources.quarantine == {"RIGHT-ARM": (WORLD, "C-1")}
+    assert s.tells("C-1") == []
     assert (s.state.deferred_analyses, s.state.resources.quarantine) == ({}, {})
+    assert s.state.counts["analyses_given_up"] == 1
 
 
 def test_a_restarted_broker_asks_the_world_at_once():

@@ -82,7 +82,8 @@ def closing(s: Harness) -> None:
 def test_a_refused_last_analysis_does_not_change_the_outcome():
     s = Harness()
     closing(s)
-    assert s.declines("C-1")[-1] == "end C-1 halted"
+    assert s.declines("C-1")[-2:] == ["end C-1 halted", "timer C-1/4"]
+    assert s.state.deferred_analyses["C-1"].job.doubt
 
 
 def test_a_last_analysis_that_kills_its_workers_does_not_change_the_outcome():
@@ -91,7 +92,8 @@ def test_a_last_analysis_that_kills_its_workers_does_not_change_the_outcome():
     for _ in range(2):
         s.loses_worker("C-1")
         assert s.phase("C-1") == "closing"
-    assert s.loses_worker("C-1")[-1] == "end C-1 halted"
+    assert s.loses_worker("C-1")[-2:] == ["end C-1 halted", "timer C-1/4"]
+    assert s.state.deferred_analyses["C-1"].job.doubt
 
 
 # --- deferred analysis -------------------------------------------------------------------------------
@@ -114,13 +116,17 @@ def test_a_restart_repeats_a_deferred_analysis_at_once():
     assert s.state.deferred_analyses["C-1"].phase is Deferral.RUNNING
 
 
-def test_a_refused_deferred_analysis_is_given_up_and_opens_the_arm():
+def test_a_refused_deferred_analysis_opens_the_arm_when_its_facts_are_suspect():
     s = Harness()
     deferred(s)
     s.rings("C-1/4")
     job = s.state.deferred_analyses["C-1"].job
     refusal = Refusal(reason=RefusalReason.INFEASIBLE, message="no")
-    s.handle(JobDeclined, job=job.id, attempt=job.attempt, node="worker", refusal=refusal)
+    for _ in range(2):  # a refusal of the doubt is retried too
+        s.handle(JobDeclined, job=job.id, attempt=job.attempt, node="worker", refusal=refusal)
+        assert "RIGHT-ARM" in s.state.resources.quarantine
+        assert s.rings("C-1/4") == [f"job C-1/4 analyzer #{job.attempt} lease RIGHT-ARM doubt"]
+    s.tells("C-1")
     assert (s.state.deferred_analyses, s.state.resources.quarantine) == ({}, {})
     assert s.state.counts["analyses_given_up"] == 1
 

@@ -24,6 +24,7 @@ from rtc.protocol.messages import (
     ProgramWanted,
     ResultBatch,
     Shutdown,
+    Validity,
     WorkerHello,
     WorkerKind,
     WorkerToBroker,
@@ -257,6 +258,20 @@ def test_changes_are_committed_before_the_answer_and_seen_by_the_next_job(at):
     assessment, after = at.broker.results(2)
     assert value(assessment)["verdict"] == "continue"
     assert value(after)[1:] == ["RACK-1", 2]
+
+
+def test_a_job_with_a_doubt_makes_its_leased_facts_suspect_without_its_program(at, world):
+    lease = sign(KEY, "C-1/1", ["A"])
+    doubtful = Job(
+        id="C-1/1", attempt=1, program="lost", input=wire.raw(ParserInput(text="raise")), lease=lease, doubt="given up"
+    )
+    at.broker.send(JobBatch(jobs=[doubtful]))
+    (done,) = at.broker.results(1)
+    assert isinstance(done, JobDone)
+    client = WorldClient(world, at.process_of_broker.context)
+    (fact,) = client.view(keys=["A.seat"]).facts
+    client.close()
+    assert (fact.value, fact.validity, fact.source) == ("BAY-1", Validity.SUSPECT, "given up")
 
 
 def test_a_commit_outside_the_lease_is_a_refusal(at):
