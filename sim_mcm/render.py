@@ -247,11 +247,17 @@ def compose(studio: Studio, wanted: Picture) -> sheet.Image.Image:
     return sheet.composed(done, wanted.caption)
 
 
-def _drawn(studio: Studio, wanted: Picture | CameraPicture) -> sheet.Image.Image:
+def _draw_to_file(studio: Studio, wanted: Picture | CameraPicture) -> None:
+    file = Path(wanted.out)
     if isinstance(wanted, Picture):
-        return compose(studio, wanted)
+        return sheet.save(compose(studio, wanted), file)
     studio.pose(wanted.scene)
-    return sheet.Image.fromarray(studio.camera_picture(wanted.camera, wanted.scene, wanted.seed))
+    image = studio.camera_picture(wanted.camera, wanted.scene, wanted.seed)
+    if file.suffix == ".npy":
+        np.save(file, image)
+    else:
+        sheet.save(sheet.Image.fromarray(image), file)
+    return None
 
 
 def _anchors(studio: Studio, panel: Panel) -> list[tuple[str, str, Array]]:
@@ -291,7 +297,7 @@ def serve() -> None:
         try:
             if studio is None or built != wanted.cell:
                 studio, built = Studio(Cell.load(wanted.cell)), wanted.cell
-            sheet.save(_drawn(studio, wanted), Path(wanted.out))
+            _draw_to_file(studio, wanted)
         except (OSError, RtcError) as trouble:
             error = str(trouble)
         print(msgspec.json.encode(Drawn(out=wanted.out, error=error)).decode(), flush=True)

@@ -52,8 +52,9 @@ class Picture(msgspec.Struct, frozen=True, kw_only=True, tag=True):
 
 
 class CameraPicture(msgspec.Struct, frozen=True, kw_only=True, tag=True):
-    """What a renderer is asked for: the picture of a camera of the cell, without any text. `scene` needs the tcp of the
-    arm that carries the camera. `seed`: of the noise; none: a new one for each picture."""
+    """What a renderer is asked for: the picture of a camera of the cell, without any text; a file .npy gets the pixels
+    as an array. `scene` needs the tcp of the arm that carries the camera. `seed`: of the noise; none: a new one for
+    each picture."""
 
     out: str
     cell: str

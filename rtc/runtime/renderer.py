@@ -8,11 +8,14 @@ import select
 import subprocess
 import sys
 import time
+from tempfile import TemporaryDirectory
 from types import TracebackType
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
-from rtc.cells.scene import CameraPicture, Drawn, Picture
+from rtc.cells.scene import CameraPicture, Drawn, Picture, SceneView
 from rtc.protocol.outcomes import RtcError
 
 COMMAND = [sys.executable, "-P", "-m", "sim_mcm.render", "--serve"]
@@ -50,6 +53,14 @@ class Renderer:
         self.request(picture)
         if not self.drawn(LIMIT_S):
             raise RtcError(f"the renderer has not answered within {LIMIT_S:.0f} s")
+
+    def photograph(self, cell: str, camera: str, scene: SceneView, seed: int | None = None) -> NDArray[np.uint8]:
+        """What a camera of the cell sees: height x width x 3. `seed`: of its noise. Raises RtcError."""
+        with TemporaryDirectory(prefix="rtc-camera-") as folder:
+            file = f"{folder}/{camera}.npy"
+            self.draw(CameraPicture(out=file, cell=cell, camera=camera, scene=scene, seed=seed))
+            pixels: NDArray[np.uint8] = np.load(file)
+            return pixels
 
     def request(self, picture: Picture | CameraPicture) -> None:
         """Order one picture, without waiting; call `drawn` until it is there. Raises RtcError."""

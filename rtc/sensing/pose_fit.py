@@ -87,7 +87,7 @@ def planar(sighting: Sighting) -> list[Solution]:
 
 def _solutions(sightings: Sequence[Sighting]) -> list[Solution]:
     """Local minima over all sightings, best first, from the poses that the largest tags alone allow."""
-    largest = sorted(sightings, key=lambda sighting: -_area(sighting.pixels))[:STARTS]
+    largest = sorted(sightings, key=lambda sighting: -area_px(sighting.pixels))[:STARTS]
     starts = [solution for sighting in largest for solution in planar(sighting)]
     if len(sightings) == 1:
         return starts
@@ -114,7 +114,8 @@ def _consistent(sightings: list[Sighting]) -> tuple[list[Sighting], list[Solutio
     return sightings, solutions
 
 
-def _area(pixels: Array) -> float:
+def area_px(pixels: Array) -> float:
+    """Of a polygon, n x 2 pixels."""
     x, y = pixels.T
     return float(0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 

@@ -215,6 +215,20 @@ def test_look_draws_the_scene_and_tells_what_is_not_where_it_is_believed(
     assert rtc("look", "--camera", "nowhere").returncode == 2
 
 
+def test_a_camera_locates_a_module_that_has_moved(rtc: Run, run_dir: Path, tmp_path: Path) -> None:
+    with Client(run_dir, need_broker=False) as bench:
+        bench.displace("MACS-OLD", [0.02, 0.0, 0.0, 0.0, 0.0, 0.05])
+        try:
+            done = rtc("picture", "CAMERA-2", "--locate", "--json", "-o", str(tmp_path / "a.png"))
+        finally:
+            bench.displace("MACS-OLD", [-0.02, 0.0, 0.0, 0.0, 0.0, -0.05])
+    bodies = {row["name"]: row for row in last_json(done)["bodies"]}
+
+    assert bodies["MACS-OLD"]["off_m"] == pytest.approx(0.02, abs=0.002)
+    assert bodies["MACS-OLD"]["turned_rad"] == pytest.approx(0.05, abs=0.01)
+    assert bodies["MACS-NEW"]["cause"] == "out of view"
+
+
 def test_a_camera_gives_its_picture(rtc: Run, tmp_path: Path) -> None:
     done = rtc("picture", "camera_1", "-o", str(tmp_path / "a.png"), "--json")
     unknown = rtc("picture", "CAMERA-9")
