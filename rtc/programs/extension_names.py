@@ -45,6 +45,7 @@ ARGS = (
     *("by_m", "by_rad", "width_m", "least_m", "most_m", "grip_n", "duration_s", "within_m"),
     *("speed_m_s", "force_n", "contact_n", "torque_nm"),
     *("beyond_m", "felt_m", "lever_m", "aside_m", "pad_m", "centre_n_m", "play_m"),  # of the centring touches
+    *("stiffness_n_m", "press_n"),  # of a compliant step; force set-point along its axis
     *("needs_m", "needs_rad"),  # required accuracy of the held object's pose
 )
 #: performers of steps

@@ -56,6 +56,43 @@ def test_guarded_lines_onto_a_rigid_wall(physical) -> None:
     assert "as asked: UNLESS FORCE EXCEEDS 15 N THEN STOP" in made.message
 
 
+PRESS = """
+script: hold
+case: 1
+uses: [hand, duration_s]
+steps:
+  - {do: hold, stop: hold, label: press, args: {duration_s: duration_s, stiffness_n_m: 1000, press_n: FORCE},
+     words: {axis: AXIS}}
+"""
+
+
+@pytest.mark.parametrize(("axis", "component"), [("TOOL-Z", 2), ("FORWARD", 2)])
+def test_a_script_presses_with_a_force(physical, axis: str, component: int) -> None:
+    physical.load("elaborator", PRESS.replace("FORCE", "10").replace("AXIS", axis))
+    physical.subsystem.displace("SATELLITE", [-0.092, 0.0, 0.0])
+    assert physical.do(f"MOVE {ARM} BY 15 CM ALONG DOWN").succeeded
+    run = physical.do(f"HOLD {ARM} FOR 5 SEC")
+    assert run.succeeded, run.assessments
+    assert run.reports[-1].trip_wrench[component] == pytest.approx(-10.0, rel=0.05)  # in the last tick
+    assert run.reports[-1].peak_force_n < 45.0  # the touch at 5 mm/s: 8 kg in one tick
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (PRESS.replace("FORCE", "95").replace("AXIS", "TOOL-Z"), "force limit is 89 N"),
+        (PRESS.replace("FORCE", "-1").replace("AXIS", "TOOL-Z"), "force limit"),
+        (PRESS.replace("FORCE", "10").replace("AXIS", "TOOL-Z").replace("stiffness_n_m: 1000, ", ""), "compliant"),
+    ],
+)
+def test_a_press_that_cannot_be_is_refused(physical, text: str, words: str) -> None:
+    physical.load("elaborator", text)
+    run = physical.do(f"HOLD {ARM} FOR 1 SEC")
+    assert run.refusal is not None
+    assert words in run.refusal.message
+    assert not run.primitives
+
+
 @pytest.mark.parametrize(("speed_cm_s", "most_n"), [(2, 15.0), (5, 25.0), (10, 40.0)])
 def test_a_guarded_move_onto_a_rigid_wall_keeps_its_force_at_any_stated_speed(physical, speed_cm_s, most_n) -> None:
     physical.subsystem.displace("SATELLITE", [-0.088, 0.0, 0.0])

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import msgspec
 
@@ -34,6 +35,7 @@ from rtc.protocol.primitive import (
 )
 from rtc.protocol.primitive_id import command_of, seed_of
 from rtc.robot import geometry
+from rtc.robot.axis_names import AXES
 from rtc.world.model import World
 from workers.binder import impact, replan, stop_conditions
 from workers.binder.impact import Impact
@@ -310,7 +312,7 @@ def bind_still(task: BindTask) -> BoundStep | Refusal:
         context=task.data.context,
         step=step,
         arm=task.arm,
-        goal_pose=query.tcp(task.arm).tolist() if known else None,
+        goal_pose=query.tcp(task.arm).tolist() if known and "press_n" not in values else None,
         goal_joints=list(query.joints(task.arm)) if known else None,
         held=query.holding(task.arm),
         predicted_s=duration_s,
@@ -356,6 +358,8 @@ def primitive(
     )
     if isinstance(trajectory, JointTrajectory):
         stops += stop_conditions.maintained(task.data, task.query, values)
+    if (refusal := refuse_press(task, stop_class, values)) is not None:
+        return refusal
     every_s = task.data.step.args.get("report_every_s")
     lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > task.query.hand_width(task.arm)
     load = None if lets_go else task.query.load(task.arm)
@@ -372,7 +376,7 @@ def primitive(
         performer=task.arm,
         trajectory=trajectory,
         stop_functions=stops,
-        control_law=control_law(stop_class, values, trajectory, load),
+        control_law=control_law(stop_class, values, trajectory, load, str(task.data.step.args.get("axis", "TOOL-Z"))),
         reporting=Reporting(every_s=float(every_s) if every_s is not None else None),
     )
     return BoundStep(
@@ -385,8 +389,31 @@ def primitive(
     )
 
 
-def control_law(stop_class: StopClass, values: Values, trajectory: Trajectory, load: Load | None) -> ControlLaw:
+def refuse_press(task: BindTask, stop_class: StopClass, values: Values) -> Refusal | None:
+    """Refuse a force set-point that would have no effect, or would trip the step's own force limit."""
+    if "press_n" not in values:
+        return None
+    axis = str(task.data.step.args.get("axis", "TOOL-Z"))
+    if axis not in AXES:
+        return suggestions.unknown("axis", axis, AXES)
+    if "stiffness_n_m" not in values or stop_class.rigid:
+        return refused_program("press_n needs a compliant step", "stiffness_n_m of the step, and another stop class")
+    if not 0.0 < values["press_n"] < values["force_n"]:
+        return Refusal(
+            reason=RefusalReason.INFEASIBLE,
+            message=f"a press with {values['press_n']:g} N is asked for; the force limit is {values['force_n']:g} N",
+            clears=f"a press with less than {values['force_n']:g} N",
+            detail={"cause": "force", "value_n": values["press_n"], "limit_n": values["force_n"], "arm": task.arm},
+        )
+    return None
+
+
+def control_law(
+    stop_class: StopClass, values: Values, trajectory: Trajectory, load: Load | None, axis: str
+) -> ControlLaw:
     """M: the law of the stop class, or impedance if the command or the step names a stiffness.
+
+    `press_n` of the step is a force set-point along its axis.
 
     Its spring pulls with a share of the force and torque limits, so a blocked arm leans on the obstacle within them.
     """
@@ -395,10 +422,18 @@ def control_law(stop_class: StopClass, values: Values, trajectory: Trajectory, l
     if stiffness_n_m is None or stop_class.rigid or isinstance(trajectory, HandMotion):
         return ControlLaw(name=stop_class.control_law, load=load, gains=gains)
     factor = values["spring_factor"]
+    frame: Literal["tool", "world"] = "tool"
+    wrench: list[float | None] = []
+    if "press_n" in values:
+        owner, direction = AXES[axis]
+        frame = "tool" if owner == "tool" else "world"
+        wrench = [values["press_n"] * n if n else None for n in direction] + [None] * 3
     compliance = Compliance(
         stiffness=[stiffness_n_m] * 3 + [values["turn_m"] ** 2 * stiffness_n_m] * 3,
         most_n=factor * values["force_n"],
         most_nm=factor * values["torque_nm"],
+        frame=frame,
+        wrench=wrench,
     )
     return ControlLaw(name="impedance", load=load, gains=gains, compliance=compliance)
 
