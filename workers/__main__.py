@@ -14,7 +14,7 @@ from pathlib import Path
 
 import msgspec
 
-from rtc.protocol.messages import WorkerKind
+from rtc.protocol.messages import NODES, WorkerKind
 from rtc.protocol.outcomes import ClusterError, KeyTrouble
 from rtc.runtime import fork_server, handover, process
 from rtc.runtime.keys import KeyFile
@@ -32,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
         "--with", dest="key", type=Path, metavar="FILE", help="a worker's key, for a cluster on another machine"
     )
     made.add_argument("--template", action="store_true", help="run as the fork server for workers")
-    made.add_argument("--kind", type=WorkerKind, choices=list(WorkerKind), metavar="KIND")
+    made.add_argument("--kind", choices=[kind.value for kind in WorkerKind])
     made.add_argument("--node", type=int, help="address in the cube; with --with the cluster assigns one by default")
     made.add_argument(
         "--lost-after",
@@ -57,15 +57,20 @@ def main() -> None:
         asked.error("--lost-after and --health are for workers with a key (--with); a supervisor watches the others")
     if given.lost_after is not None and not given.lost_after > 0.0:
         asked.error("--lost-after must be longer than 0 s")
-    if given.template and given.run_dir:
+    if given.template and given.key is not None:
+        asked.error("--template is for workers of this machine (--run-dir); one line starts one worker with a key")
+    if given.node is not None and not 0 <= given.node < NODES:
+        asked.error(f"--node must be from 0 to {NODES - 1}")
+    kind = WorkerKind(given.kind) if given.kind else None
+    if given.template:
         serve(handover.load(given.run_dir, given.handed).settings)
-    elif given.kind is None or (given.node is None and given.key is None):
+    elif kind is None or (given.node is None and given.key is None):
         asked.error("a worker needs --kind, and without a key --node")
     elif given.key:
-        far(given.key, given.kind, given.node, given.lost_after or LIMIT_S, given.health)
+        far(given.key, kind, given.node, given.lost_after or LIMIT_S, given.health)
     else:
         settings = handover.load(given.run_dir, given.handed).settings
-        work(settings, given.kind, given.node, preload([given.kind], settings.cell))
+        work(settings, kind, given.node, preload([kind], settings.cell))
 
 
 class Order(msgspec.Struct, frozen=True):

@@ -122,8 +122,10 @@ class Sessions:
         if endpoint == "workers":
             if hello.node is None:
                 return f"a {hello.kind} without an address needs an instance, and a free address"
-            if name != f"{hello.kind}@{hello.node}" or list(m.WorkerKind)[hello.node & 3] is not hello.kind:
-                return f"{name!r:.60} is not a name of a {hello.kind} at node {hello.node}"
+            if (kind := list(m.WorkerKind)[hello.node & 3]) is not hello.kind:
+                return f"the two low bits of node {hello.node} are those of a {kind}; leave out --node"
+            if name != f"{hello.kind}@{hello.node}":
+                return f"{name!r:.60} is not the name of a {hello.kind} at node {hello.node}"
             if hello.node < (first := self._settings.first_far_node):
                 return f"node {hello.node} is one of the cluster's own machine; others begin at {first}"
         other = self._named.get((endpoint, name))
@@ -225,7 +227,11 @@ class Sessions:
         self.remove(link, process.LINGER_MS, in_order)
 
     def remove_of_keys(self, public: Collection[str]) -> None:
-        self._remove_where(lambda link: link.key.public in public)
+        for link in [link for link in self._links.values() if link.key.public in public]:
+            if link.endpoint == "workers":
+                self.remove_lost(link)
+            else:
+                self.remove(link)
 
     def remove_at(self, endpoints: Collection[str]) -> None:
         self._remove_where(lambda link: link.endpoint in endpoints)

@@ -13,7 +13,6 @@ blocks.
 from __future__ import annotations
 
 import math
-import struct
 import time
 from collections import deque
 from collections.abc import Callable
@@ -25,6 +24,7 @@ from rtc.protocol import messages as m
 from rtc.protocol.outcomes import NoCluster, Refusal, RefusalReason, RequestDeclined, WireError
 from rtc.protocol.wire import MAX_BYTES, frames, reader_of_many, together
 from rtc.runtime.keys import Endpoints
+from rtc.runtime.link import WATCHED, LinkState
 from rtc.runtime.settings import BOUNDS
 
 HELLO_S, FAR_HELLO_S = 0.8, 3.0  # time limit of the first Welcome, local and over tcp
@@ -35,9 +35,6 @@ LAST_WORDS_MS = 200  # time limit for sending the rest at close
 SILENCE_S = 2.0  # without a message for this long, the broker is probed
 LAST_ANSWERS = (m.Declined, m.CommandEnded, m.StatusReply, m.TraceReply, m.ProgramLoaded, m.ProgramReply)
 ACTS = (m.CommandText, m.ProgramText)  # only for the cluster that they were submitted to
-
-FAILED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
-WATCHED = zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED | FAILED
 
 _read = reader_of_many(m.BrokerToClient)
 
@@ -50,8 +47,7 @@ class BrokerConnection:
     ) -> None:
         self.name = name
         self._address, self._far = endpoints.endpoint("front"), endpoints.far
-        self._connected = self._key_unknown = False  # over tcp: a process listens there; it refused our key
-        self._is_up = False  # the handshake with the broker succeeded
+        self._link = LinkState()
         self._sent_at_s = 0.0
         self._cluster = cluster
         self.welcome: m.Welcome | None = None
@@ -76,7 +72,6 @@ class BrokerConnection:
         self._poller = zmq.Poller()
         self._poller.register(self._socket, zmq.POLLIN)
         self._poller.register(self._monitor, zmq.POLLIN)
-        self._handshakes = 0
         self._socket.connect(self._address)
         self._send_hello()
 
@@ -90,8 +85,8 @@ class BrokerConnection:
         reported = False
         while self.welcome is None:
             left_s = limit_s - time.monotonic()
-            if self._key_unknown or (self._far and left_s <= 0):
-                raise NoCluster(self._diagnose_far())
+            if self._link.key_refused or (self._far and left_s <= 0):
+                raise NoCluster(self._link.diagnose(self._address))
             if left_s <= 0 and time.monotonic() - began_s < RESTART_S and restarting():
                 if not reported:
                     report()
@@ -163,7 +158,7 @@ class BrokerConnection:
     @property
     def key_refused(self) -> str:
         """A message if the cluster has refused our key (over tcp only), otherwise empty."""
-        return self._diagnose_far() if self._key_unknown else ""
+        return self._link.diagnose(self._address) if self._link.key_refused else ""
 
     def close(self) -> None:
         self._send_unsent()
@@ -202,7 +197,7 @@ class BrokerConnection:
     def _probe(self) -> None:
         """Send a hello; its Welcome makes us repeat all open requests. Without a connection this waits for the next."""
         self._resend = True
-        if self._is_up:
+        if self._link.is_up:
             self._send_hello()
 
     def _take_welcome(self, welcome: m.Welcome) -> None:
@@ -220,27 +215,6 @@ class BrokerConnection:
                 if not self._send_frames(self._parts(message)):
                     break
 
-    def _diagnose_far(self) -> str:
-        """The probable reason why a cluster over tcp does not answer."""
-        if self._key_unknown:
-            return f"the cluster at {self._address} does not know this key (any more?); there: rtc keys list"
-        if self._handshakes:
-            return f"the gateway at {self._address} answers, but not its broker; there: rtc status"
-        if self._connected:
-            return (
-                f"the process at {self._address} is not the cluster of this key file, or has a new key of its own; "
-                "make a new key file there: rtc keys new"
-            )
-        return f"no answer from {self._address}: is the cluster up, with --listen, and is this the right address?"
-
     def _watch_connection(self) -> None:
-        event, _ = struct.unpack("=HI", self._monitor.recv_multipart()[0])
-        self._connected |= event == zmq.EVENT_CONNECTED
-        self._key_unknown |= event == zmq.EVENT_HANDSHAKE_FAILED_AUTH
-        if event == zmq.EVENT_DISCONNECTED:
-            self._is_up = False
-        if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
-            self._key_unknown, self._is_up = False, True
-            self._handshakes += 1
-            if self._handshakes > 1:  # a new broker, or the old one again: messages in transit may be lost
-                self._probe()
+        if self._link.take(self._monitor.recv_multipart()) and self._link.handshakes > 1:
+            self._probe()  # a new broker, or the old one again: messages in transit may be lost

@@ -89,7 +89,11 @@ class KeyFile(msgspec.Struct, frozen=True, kw_only=True):
     def endpoint(self, name: str) -> str:
         """The address of an endpoint. Raises KeyTrouble if the role of this key has no access to it."""
         if self.role not in MAY.get(name, {}):
-            raise KeyTrouble(f"{self.name} is a key for the role {self.role}, which has no access to {name!r} over tcp")
+            may = ", ".join(role for role in Role if role in MAY.get(name, {})) or "none"
+            raise KeyTrouble(
+                f"{self.name} is a key for the role {self.role}, which has no access to {name!r} over tcp; "
+                f"these roles have: {may}"
+            )
         return endpoint_address(self.address, name)
 
     def secure(self, socket: zmq.Socket[Any]) -> None:

@@ -349,27 +349,6 @@ def _inode(endpoint: str) -> int:
         return 0
 
 
-class Reconnections:
-    """Detects that a connecting socket has reconnected: the peer is probably a new process without our state."""
-
-    def __init__(self, me: Process, socket: zmq.Socket[bytes]) -> None:
-        self._socket = socket
-        self._monitor = socket.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED)
-        self._first = True
-        me.poller.register(self._monitor, zmq.POLLIN)
-
-    def happened(self) -> bool:
-        """True once after each reconnection; the first connection does not count."""
-        found = sum(1 for _ in inbox(self._monitor))
-        again, self._first = found > (1 if self._first else 0), self._first and not found
-        return again
-
-    def close(self) -> None:
-        """Must be called before the context ends, because an open monitor blocks its end."""
-        self._socket.disable_monitor()
-        self._monitor.close(linger=0)
-
-
 class Disconnections:
     """Detects that a bound socket has lost a peer. The event does not name the peer, and it is sent shortly before a
     send to that peer fails."""

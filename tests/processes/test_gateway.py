@@ -273,6 +273,20 @@ def test_a_worker_whose_cluster_has_ended_ends_by_itself(tmp_path: Path) -> None
             assert b"the broker has not answered parser@16 for 3 s" in process.stderr.read()
 
 
+def test_a_worker_whose_key_is_revoked_or_unknown_ends_at_once_with_the_reason(
+    new_key: Callable[[str], Path], run_dir: Path
+) -> None:
+    key, patient = new_key("worker"), ("--lost-after", str(LIMIT_S * 10))
+    with worker(key, None, *patient, kind="parser") as process, Client(run_dir) as here:
+        wait_for(lambda: any(row["key"] == key.stem and row["joined"] for row in here.status()["hosts"]))
+        KeyRing(run_dir).revoke(key.stem)
+        assert process.wait(LIMIT_S) == 1
+        assert b"or it was revoked" in process.stderr.read()
+    with worker(key, None, *patient, kind="parser") as process:
+        assert process.wait(LIMIT_S) == 1
+        assert b"does not know this key" in process.stderr.read()
+
+
 @contextlib.contextmanager
 def worker(
     key: Path, node: int | None, *options: str, kind: str = "binder", environment: dict[str, str] | None = None

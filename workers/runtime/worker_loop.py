@@ -44,7 +44,8 @@ from rtc.protocol.messages import (
     WorkerHello,
 )
 from rtc.protocol.outcomes import ClusterError, ProgramError, Refusal, RefusalReason, WireError
-from rtc.runtime.process import Every, Process, Reconnections, inbox, now_s, send, show_name
+from rtc.runtime.link import Link
+from rtc.runtime.process import Every, Process, inbox, now_s, send, show_name
 from rtc.world.client import WorldClient
 from rtc.world.model import World
 from workers.runtime.contact import BrokerContact
@@ -112,7 +113,7 @@ class Shell:
         self._contact = contact
         self._retiring = False
         self._why = ""  # reason of an end that this process did not receive as a signal
-        self._reconnections = Reconnections(me, socket)
+        self._link = Link(me, socket)
         self._heartbeat = Every(HEARTBEAT_S)
         self._hello_sent_s = 0.0
         self._socket_read_s = 0.0
@@ -129,7 +130,7 @@ class Shell:
         while not self._me.stopping and not (self._retiring and not self._queue):
             if not self._queue:
                 self._me.wait(self._heartbeat.left_s(now_s()))
-                if self._reconnections.happened():
+                if self._link.reconnected():
                     self._begin_anew()
                 if self._heartbeat.due(now := now_s()):
                     self._send_heartbeat(now)
@@ -142,18 +143,26 @@ class Shell:
                 if self._contact is not None:
                     self._contact.worked(self._worked_s)
             self._flush(late=not self._queue)
-            if self._contact is not None and not self._queue and self._contact.lost(now_s()):
-                self._why = f"the broker has not answered {self._hello.name} for {self._contact.limit_s:g} s"
+            if not self._queue and self._contact is not None and (why := self._why_lost(self._contact)):
+                self._why = why
                 break
         self._end()
         return self._why
+
+    def _why_lost(self, contact: BrokerContact) -> str:
+        """The reason for which a remote worker must end: its key is refused, or no answer in time; else empty."""
+        if self._link.key_refused:  # libzmq does not connect again after a refusal
+            return self._link.diagnose()
+        if not contact.lost(now_s()):
+            return ""
+        return f"the broker has not answered {self._hello.name} for {contact.limit_s:g} s: {self._link.diagnose()}"
 
     def _end(self) -> None:
         """Send the results that are left. A remote worker takes leave: its other jobs need not wait for a limit."""
         self._flush(late=True)
         if self._contact is not None and not self._why:
             self._send(WorkerGone(name=self._hello.name, in_order=True))
-        self._reconnections.close()
+        self._link.close()
 
     # --- to and from the broker ------------------------------------------------------------------------
 

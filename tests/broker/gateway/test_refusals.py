@@ -244,3 +244,10 @@ def test_a_holder_that_sends_without_end_is_out_within_a_second(cluster: Reporte
     finally:
         stop.set()
         sender.join()
+
+
+def test_the_workers_of_a_revoked_key_are_reported_as_lost(cluster: Reported) -> None:
+    """So their jobs do not wait for a time limit."""
+    joined(cluster)
+    cluster.ring.revoke("w1")
+    assert cluster.recv()[1] == m.WorkerGone(name="binder@18")

@@ -253,6 +253,7 @@ def test_the_process_ends_with_a_status_and_a_message(tmp_path: Path) -> None:
         )
     assert done.returncode == 1
     assert "the broker has not answered parser for 0.5 s" in done.stderr
+    assert address.rpartition(":")[0] in done.stderr
     assert not (tmp_path / "health").exists()
 
 
@@ -270,14 +271,26 @@ def test_the_probe_has_a_status_and_a_reason(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout.startswith("the broker answered binder@18")) == (0, True)
 
 
-@pytest.mark.parametrize("options", [["--lost-after", "5"], ["--health", "x"]])
-def test_options_of_remote_workers_are_refused_for_local_ones(options: list[str]) -> None:
+LOCAL, REMOTE = ["--run-dir", "x", "--kind", "parser", "--node", "0"], ["--with", "w.key", "--kind", "parser"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        [*LOCAL, "--lost-after", "5"],
+        [*LOCAL, "--health", "x"],
+        [*REMOTE, "--template"],
+        [*REMOTE, "--node", "-1"],
+        [*REMOTE, "--node", "99999999999999999999"],
+        [*REMOTE, "--lost-after", "nan"],
+    ],
+)
+def test_options_without_effect_or_out_of_range_are_refused(
+    options: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     from workers import __main__ as program
 
-    argv = sys.argv
-    sys.argv = ["workers", "--run-dir", "x", "--kind", "parser", "--node", "0", *options]
-    try:
-        with pytest.raises(SystemExit):
-            program.main()
-    finally:
-        sys.argv = argv
+    monkeypatch.setattr(sys, "argv", ["workers", *options])
+    with pytest.raises(SystemExit) as ended:
+        program.main()
+    assert ended.value.code == 2  # of argparse; a missing key file would end with a message
