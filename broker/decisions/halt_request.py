@@ -15,7 +15,7 @@ from broker.decisions.context import DecisionContext
 from broker.decisions.effects import DeclineHalt, PublishHalt, SendHalt
 from broker.decisions.events import HaltCalled, Stimulus
 from broker.decisions.machine import Ignored, Machine, TableCell, cell
-from broker.decisions.state import Command, HaltPhase, HaltSentence, Link, PendingOutcome, State
+from broker.decisions.state import Command, HaltPhase, HaltSentence, LinkState, PendingOutcome, State
 from rtc.protocol.messages import HaltRequested, Phase
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 
@@ -128,7 +128,7 @@ def order(
         state.halted_at_s[scope] = max(at_s, state.halted_at_s.get(scope, 0.0))  # an earlier halt may arrive later
     for name, subsystem in state.subsystems.items():
         concerned = scope == "ALL" or name == performer or any(c.subsystem == name for c in targets)
-        if concerned and subsystem.link is not Link.LOST:
+        if concerned and subsystem.link is not LinkState.LOST:
             context.effects.append(
                 SendHalt(subsystem=name, halt=halt_id, scope=scope, called_at_s=called_at_s, call=call)
             )

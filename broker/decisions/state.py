@@ -243,7 +243,7 @@ class HaltSentence(msgspec.Struct, kw_only=True):
     """Its outcome is decided."""
 
 
-class Link(StrEnum):
+class LinkState(StrEnum):
     """Connection of a subsystem to the broker (`broker.decisions.subsystem_link`)."""
 
     UNKNOWN = "unknown"  # it is not in the state
@@ -259,7 +259,7 @@ class Subsystem(msgspec.Struct, kw_only=True):
     """Process id; a new one means that it was restarted."""
     performers: list[str]
     """Names of its arms and hands."""
-    link: Link = Link.CONNECTED
+    link: LinkState = LinkState.CONNECTED
     """Row of its transition table."""
     came_at_rest: bool = True
     """It was at rest when it connected; False once it is lost."""

@@ -14,7 +14,7 @@ from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendHalt
 from broker.decisions.events import BrokerRestarted, Stimulus, SubsystemConnected, SubsystemGone
 from broker.decisions.machine import Ignored, Machine, TableCell, cell
-from broker.decisions.state import NIL, Link, State, Subsystem
+from broker.decisions.state import NIL, LinkState, State, Subsystem
 from rtc.protocol.messages import Phase
 from rtc.protocol.primitive_id import command_of, number_of
 
@@ -76,14 +76,14 @@ def replace(context: DecisionContext, name: str, event: SubsystemConnected) -> N
 
 def lose(context: DecisionContext, name: str, event: SubsystemGone) -> None:
     subsystem = context.state.subsystems[name]
-    subsystem.link = Link.LOST
+    subsystem.link = LinkState.LOST
     subsystem.came_at_rest = False
     context.count("subsystems_lost")
     _stop_users(context, name, event.why)
 
 
 def await_hello(context: DecisionContext, name: str, event: BrokerRestarted) -> None:
-    context.state.subsystems[name].link = Link.AWAITED
+    context.state.subsystems[name].link = LinkState.AWAITED
 
 
 def _connect(context: DecisionContext, event: SubsystemConnected) -> None:
@@ -118,15 +118,15 @@ def _stop_users(context: DecisionContext, name: str, why: str) -> None:
 def _forget_one(state: State) -> bool:
     """Delete one lost subsystem that nothing waits for. False: there is none."""
     wanted = {c.subsystem for c in state.commands.values()} | {q.subsystem for q in state.resources.quarantine.values()}
-    lost = (name for name, s in state.subsystems.items() if s.link is Link.LOST and name not in wanted)
+    lost = (name for name, s in state.subsystems.items() if s.link is LinkState.LOST and name not in wanted)
     return state.subsystems.pop(next(lost, ""), None) is not None
 
 
 # --- table -------------------------------------------------------------------------------------------
 
-S, L = LinkStimulus, Link
+S, L = LinkStimulus, LinkState
 
-_ROWS: dict[Link, dict[LinkStimulus, TableCell[Link]]] = {
+_ROWS: dict[LinkState, dict[LinkStimulus, TableCell[LinkState]]] = {
     L.UNKNOWN: {
         S.HELLO: cell(register, L.CONNECTED, L.UNKNOWN),
     },
@@ -146,16 +146,16 @@ _ROWS: dict[Link, dict[LinkStimulus, TableCell[Link]]] = {
         S.NEW_PROCESS: cell(replace, L.CONNECTED),
     },
 }
-_IGNORED: list[Ignored[Link, LinkStimulus]] = [
+_IGNORED: list[Ignored[LinkState, LinkStimulus]] = [
     Ignored([L.UNKNOWN], [S.NEW_PROCESS, S.GONE, S.BROKER_RESTARTED], "it has never connected, or is forgotten"),
     Ignored([L.AWAITED], [S.BROKER_RESTARTED], "it is awaited already"),
     Ignored([L.LOST], [S.GONE, S.BROKER_RESTARTED], "it is lost already, until it connects"),
 ]
 
 
-def link_of(state: State, name: str) -> Link:
+def link_of(state: State, name: str) -> LinkState:
     subsystem = state.subsystems.get(name)
     return L.UNKNOWN if subsystem is None else subsystem.link
 
 
-LINK = Machine(Link, LinkStimulus, _ROWS, _IGNORED, first=L.UNKNOWN, state_of=link_of)
+LINK = Machine(LinkState, LinkStimulus, _ROWS, _IGNORED, first=L.UNKNOWN, state_of=link_of)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import zmq
 from zmq.utils import z85
 
-from broker.gateway.endpoints import HALTS, Endpoints
+from broker.gateway.endpoints import HALTS, ServerSockets
 from broker.gateway.halts import HaltForwarder
 from rtc.protocol.roles import a_role, admits
 from rtc.runtime.keys import KeyRing, KnownKey
@@ -26,7 +26,7 @@ class Admission:
         me: Process,
         socket: zmq.Socket[bytes],
         ring: KeyRing,
-        endpoints: Endpoints,
+        endpoints: ServerSockets,
         halts: HaltForwarder,
         cut: Callable[[dict[str, KnownKey]], None],
     ) -> None:

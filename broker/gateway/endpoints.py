@@ -36,7 +36,7 @@ class Peer(NamedTuple):
     host: str  # network address
 
 
-class Endpoints:
+class ServerSockets:
     """`outside`: the tcp sockets by endpoint. `inside`: subscriptions in the cluster, of the published ones.
     `lost_workers`: connections of workers that were closed.
 

@@ -22,7 +22,7 @@ import msgspec
 import zmq
 
 from broker.gateway.admission import RELOAD_S, Admission
-from broker.gateway.endpoints import HALTS, MOST_MESSAGES, PUBLISHED, Endpoints, Peer, push
+from broker.gateway.endpoints import HALTS, MOST_MESSAGES, PUBLISHED, Peer, ServerSockets, push
 from broker.gateway.halts import RETRY_S, HaltForwarder
 from broker.gateway.sessions import Link, Sessions, node_of
 from rtc.language.parse import default_grammar, parse
@@ -61,7 +61,7 @@ class Gateway:
         self._me = me
         # First, so that each handshake at the endpoints finds it.
         handshakes: zmq.Socket[bytes] = me.socket(zmq.REP, "inproc://zeromq.zap.01", bind=True)
-        self._endpoints = Endpoints(me, settings, ring.cluster())
+        self._endpoints = ServerSockets(me, settings, ring.cluster())
         self._halts = HaltForwarder(me, settings, self._endpoints)
         self._sessions = Sessions(me, settings, self._endpoints)
         self._admission = Admission(me, handshakes, ring, self._endpoints, self._halts, self._cut_removed)

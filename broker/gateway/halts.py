@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import msgspec
 import zmq
 
-from broker.gateway.endpoints import MOST_MESSAGES, Endpoints, close
+from broker.gateway.endpoints import MOST_MESSAGES, ServerSockets, close
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import RefusalReason, WireError
@@ -36,7 +36,7 @@ class Waiting(NamedTuple):
 
 
 class HaltForwarder:
-    def __init__(self, me: Process, settings: Settings, endpoints: Endpoints) -> None:
+    def __init__(self, me: Process, settings: Settings, endpoints: ServerSockets) -> None:
         self._me, self._settings, self._endpoints = me, settings, endpoints
         self._lines: dict[tuple[str, str], zmq.Socket[bytes]] = {}  # by endpoint and public key
         self._endpoint_of: dict[Any, str] = {}  # socket -> endpoint

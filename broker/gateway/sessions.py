@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import zmq
 
-from broker.gateway.endpoints import Endpoints, Peer, close, push
+from broker.gateway.endpoints import Peer, ServerSockets, close, push
 from broker.gateway.peers import Connection
 from rtc.protocol import messages as m
 from rtc.protocol import wire
@@ -48,7 +48,7 @@ class Link:
 
 
 class Sessions:
-    def __init__(self, me: Process, settings: Settings, endpoints: Endpoints) -> None:
+    def __init__(self, me: Process, settings: Settings, endpoints: ServerSockets) -> None:
         self._me, self._settings, self._endpoints = me, settings, endpoints
         self._links: dict[tuple[str, bytes], Link] = {}  # by endpoint and session
         self._named: dict[tuple[str, str], Link] = {}  # by endpoint and internal name, for NAMED

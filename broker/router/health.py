@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from broker.decisions.events import ClientGone, JobDeclined, SubsystemGone
-from broker.decisions.state import Link
+from broker.decisions.state import LinkState
 from broker.dispatch.autoscaler import Autoscaler
 from broker.dispatch.more_workers import MoreWorkers
 from broker.dispatch.worker_registry import LostJob
@@ -92,9 +92,9 @@ class Health:
             del self.subsystem_seen_s[name]
         for name, subsystem in known.items():
             silent_s = now - self.subsystem_seen_s.get(name, self._core.began_s)
-            if subsystem.link is not Link.LOST and silent_s > SUBSYSTEM_SILENCE_S:
+            if subsystem.link is not LinkState.LOST and silent_s > SUBSYSTEM_SILENCE_S:
                 self._core.enqueue(SubsystemGone(at_s=now, subsystem=name, why=f"silent for {silent_s:.1f} s"))
-            elif subsystem.link is Link.LOST and silent_s > SUBSYSTEM_DEAF_S:
+            elif subsystem.link is LinkState.LOST and silent_s > SUBSYSTEM_DEAF_S:
                 self._restart_deaf(name, subsystem.pid, silent_s, now)
 
     def _restart_deaf(self, name: str, pid: int, silent_s: float, now: float) -> None:

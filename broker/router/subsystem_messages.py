@@ -8,7 +8,7 @@ from typing import Any
 
 from broker.decisions import reporting
 from broker.decisions.events import HaltConfirmed, PrimitiveEnded, PrimitiveStarted, SubsystemConnected
-from broker.decisions.state import Link
+from broker.decisions.state import LinkState
 from broker.router.core import Core, name_of, peer_of
 from broker.router.egress import Egress
 from broker.router.halts import Halts
@@ -68,7 +68,7 @@ class SubsystemMessages:
 
     def _mark_alive(self, name: str, peer: bytes, message: m.Heartbeat, now: float) -> None:
         known = self._core.state.subsystems.get(name)
-        if known is None or known.link is not Link.CONNECTED:  # an empty acknowledgement requests a hello message
+        if known is None or known.link is not LinkState.CONNECTED:  # an empty acknowledgement requests a hello message
             send(self._core.sockets["subsystems"], m.ReportAck(primitive=""), peer)
 
     def _started(self, name: str, peer: bytes, message: m.Started, now: float) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from broker.decisions import effects as do
 from broker.decisions import events
 from broker.decisions.decide import decide
-from broker.decisions.state import Command, Link
+from broker.decisions.state import Command, LinkState
 from rtc.protocol.messages import Phase, WorkerKind
 from tests.simulation.environment import event_of
 from tests.simulation.model import (
@@ -61,9 +61,9 @@ def _moves(model: Model, scenario: Scenario) -> Iterator[Move]:
         yield ("rest" if arm in mcm.braking else "goal"), arm
     if mcm.alive:
         yield ("mcm dies",)
-        if du.subsystems["MCM"].link is not Link.LOST and not mcm.outbox:
+        if du.subsystems["MCM"].link is not LinkState.LOST and not mcm.outbox:
             yield ("mcm silent",)
-        if du.subsystems["MCM"].link is not Link.CONNECTED and not any(
+        if du.subsystems["MCM"].link is not LinkState.CONNECTED and not any(
             type(outbox) is events.SubsystemConnected for outbox in mcm.outbox
         ):
             yield ("hello",)
@@ -142,7 +142,7 @@ def fair(model: Model, scenario: Scenario) -> Move | None:
         return ("born",) if mcm.exit_reported else ("exit reported",)
     if mcm.outbox:
         return ("delivered",)
-    if model.du.subsystems["MCM"].link is not Link.CONNECTED:
+    if model.du.subsystems["MCM"].link is not LinkState.CONNECTED:
         return ("hello",)
     for arm, primitive in mcm.arms.items():
         if primitive:

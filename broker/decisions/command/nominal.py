@@ -16,7 +16,7 @@ from broker.decisions.context import DecisionContext, step_in_words
 from broker.decisions.effects import AcknowledgeReport, SendPrimitive
 from broker.decisions.events import Stimulus
 from broker.decisions.resources import Claim
-from broker.decisions.state import NIL, AssessmentHead, BoundHead, Command, Link, PendingOutcome, ScriptHead
+from broker.decisions.state import NIL, AssessmentHead, BoundHead, Command, LinkState, PendingOutcome, ScriptHead
 from rtc.protocol import wire
 from rtc.protocol.messages import EndReport, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
@@ -80,7 +80,7 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
         next_step(context, command)
         return
     subsystem = context.state.subsystems.get(result.subsystem)
-    if subsystem is None or subsystem.link is Link.LOST:
+    if subsystem is None or subsystem.link is LinkState.LOST:
         lost = f"{result.subsystem} is not connected; this step moved nothing: give the sentence again when it is back"
         end(context, command, OutcomeKind.LOST_SUBSYSTEM, message=lost, stop=StopReason.SUBSYSTEM_LOST)
         return
@@ -117,7 +117,7 @@ def send(context: DecisionContext, command: Command) -> None:
     command.sent_at_s = context.now
     command.at_rest = False
     subsystem = context.state.subsystems[command.subsystem]
-    if subsystem.link is Link.CONNECTED:
+    if subsystem.link is LinkState.CONNECTED:
         context.effects.append(
             SendPrimitive(
                 subsystem=command.subsystem,

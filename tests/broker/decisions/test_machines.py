@@ -9,7 +9,7 @@ from broker.decisions.effects import ReportEnd
 from broker.decisions.events import BrokerRestarted, JobDeclined, ProgramInstalled
 from broker.decisions.halt_request import HALT
 from broker.decisions.program_rollout import ROLLOUT
-from broker.decisions.state import Deferral, HaltPhase, Link, RolloutPhase
+from broker.decisions.state import Deferral, HaltPhase, LinkState, RolloutPhase
 from broker.decisions.subsystem_link import LINK
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
@@ -19,7 +19,7 @@ from tests.broker.harness import Harness, bound, go_on, script
 def test_names_that_are_not_stored_are_in_the_first_state_of_their_machine():
     state = Harness().state
     assert [machine.state_of(state, "nothing") for machine in (LINK, HALT, DEFERRED, ROLLOUT)] == [
-        Link.UNKNOWN,
+        LinkState.UNKNOWN,
         HaltPhase.NEW,
         Deferral.NONE,
         RolloutPhase.NONE,
@@ -173,7 +173,7 @@ def test_a_subsystem_that_died_with_the_broker_ends_its_commands(come):
     s = Harness()
     s.executing()
     s.handle(BrokerRestarted)
-    assert s.state.subsystems["MCM"].link is Link.AWAITED
+    assert s.state.subsystems["MCM"].link is LinkState.AWAITED
     come(s)
     assert s.phase("C-1") == "closing"
     assert s.state.commands["C-1"].pending_outcome.kind.value == "lost_subsystem"
@@ -183,9 +183,9 @@ def test_a_lost_subsystem_stays_lost_over_a_restart_until_it_connects():
     s = Harness()
     s.mcm_gone()
     s.handle(BrokerRestarted)
-    assert s.state.subsystems["MCM"].link is Link.LOST
+    assert s.state.subsystems["MCM"].link is LinkState.LOST
     s.mcm_hello()
-    assert s.state.subsystems["MCM"].link is Link.CONNECTED
+    assert s.state.subsystems["MCM"].link is LinkState.CONNECTED
 
 
 # --- program roll-out --------------------------------------------------------------------------------
