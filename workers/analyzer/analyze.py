@@ -197,13 +197,13 @@ def _trim(data: AnalyzerInput, reason: StopReason) -> int:
 
 
 def _arm_changes(report: EndReport, query: WorldQuery, arm: str) -> Changes:
-    """Joints and hand width as reported; suspect and unchanged if the report has no joints."""
+    """Joints and hand width as reported; suspect and unchanged, like what it holds, if the report has no joints."""
     if not arm:
         return []  # a stated or observed fact moves no arm
     if len(report.joints) != len(query.cell.arm(arm).joints):
         return [
             WorldChange(key=f"{arm}.{attribute}", keep_value=True, validity=Validity.SUSPECT)
-            for attribute in ("joints", "hand_width")
+            for attribute in ("joints", "hand_width", "holding")
         ]
     return [
         WorldChange(key=f"{arm}.joints", value=list(report.joints)),
@@ -226,8 +226,8 @@ def _held_object_changes(
     if grasp is None or any(change.key == f"{thing}.grasp" for change in changes):
         return []
     if not data.report.tcp_pose:  # hand position unknown, so the held object's too
-        doubtful = [f"{thing}.frame", f"{thing}.grasp"] if suspect else []
-        return [WorldChange(key=key, keep_value=True, validity=Validity.SUSPECT) for key in doubtful]
+        doubtful = ("frame", "grasp", "held_by", "seat") if suspect else ()  # the hand may have opened, in a seat
+        return [WorldChange(key=f"{thing}.{name}", keep_value=True, validity=Validity.SUSPECT) for name in doubtful]
     opened = data.report.hand_width_m > query.hand_width(arm) + program.values["opened_m"]
     fact = query.world.get(f"{thing}.grasp")
     trusted = fact is None or fact.validity in TRUSTED

@@ -15,6 +15,7 @@ from workers.planning.world_query import WorldQuery
 
 Changes = list[WorldChange]
 
+IN_SEAT_M = 0.02  # maximum distance from the seated pose at which RELEASE accepts that an object is in a seat
 CATCHES_M = 0.005  # maximum distance from the seated pose at which a catch holds a released object
 
 
@@ -77,8 +78,12 @@ def let_go(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Change
     seat = data.evaluation.step.args.get("seat")
     if isinstance(seat, str) and seat:
         changes.append(WorldChange(key=f"{context.object}.seat", value=seat, validity=validity))
-    elif _off_m(query, context.object) > CATCHES_M:
+        return changes
+    near, off_m = _nearest_seat(query, context.object)
+    if off_m > CATCHES_M:
         changes.append(WorldChange(key=f"{context.object}.frame", keep_value=True, validity=Validity.SUSPECT))
+    if off_m < IN_SEAT_M and query.seat(context.object) != near:  # probably seated; a tug has not tested it
+        changes.append(WorldChange(key=f"{context.object}.seat", value=near, validity=Validity.SUSPECT))
     return changes
 
 
@@ -92,10 +97,11 @@ def let_drift(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Cha
     ]
 
 
-def _off_m(query: WorldQuery, thing: str) -> float:
-    """Distance (m) of an object from the nearest seated pose."""
-    places = (query.seated_pose(seat.name) for seat in query.cell.seats)
-    return min((geometry.distance(query.frame(thing), place) for place in places), default=math.inf)
+def _nearest_seat(query: WorldQuery, thing: str) -> tuple[str, float]:
+    """The seat with the nearest seated pose, and the object's distance (m) from it; "" without a seat."""
+    places = ((geometry.distance(query.frame(thing), query.seated_pose(s.name)), s.name) for s in query.cell.seats)
+    off_m, name = min(places, default=(math.inf, ""))
+    return name, off_m
 
 
 def gone(arm: str, thing: str) -> Changes:
