@@ -69,6 +69,7 @@ class ArmModel:
         self.model = model
         self.base_pose = geometry.normalise(base_pose)
         self._data = model.createData()
+        self._laden: tuple[tuple[float, ...], pin.Model] | None = None  # the last load and its dynamics
         self.tcp_frame = self._tcp = model.getFrameId(tcp_link)  # of `model` and of every `laden` one
         self._base = pin.SE3(geometry.to_matrix(self.base_pose))
         self._to_world = np.kron(np.eye(2), self._base.rotation)  # for a Jacobian
@@ -106,11 +107,15 @@ class ArmModel:
 
         `com_m`: centre of mass in tcp axes; `inertia_kg_m2`: about the centre of mass, xx yy zz xy xz yz.
         """
+        load = (mass_kg, *com_m, *inertia_kg_m2)
+        if self._laden is not None and self._laden[0] == load:
+            return self._laden[1]
         xx, yy, zz, xy, xz, yz = inertia_kg_m2
         about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         model, tip = self.model.copy(), self.model.frames[self._tcp]
         body = pin.Inertia(mass_kg, np.asarray(com_m, dtype=float), about_com)
         model.appendBodyToJoint(tip.parentJoint, body, tip.placement)
+        self._laden = (load, model)
         return model
 
     def torques(self, joints: Array, velocities: Array, accelerations: Array, laden: pin.Model | None = None) -> Array:
