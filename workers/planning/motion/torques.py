@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -14,8 +15,8 @@ from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
 
 SHARE = 0.9  # of the joints' effort that a planned motion may use; the rest is for the control law
-SAMPLED = 12  # number of knots that suffice if none of them needs as much as `FAR_FROM` of the limits
-FAR_FROM = 0.6
+FAR_FROM = 0.6  # of the limits: an arm that needs less at its limits of speed and acceleration is not checked further
+POSTURES = 64  # number of postures for that
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,20 +33,27 @@ class Torques:
         laden = arm.laden(load.mass_kg, load.com_m, load.inertia_kg_m2) if load is not None else None
         return cls(arm, load, laden, SHARE * arm.limits.effort)
 
+    @property
+    def weightless(self) -> bool:
+        return not np.any(self.arm.model.gravity.linear)
+
+    @property
+    def worst_share(self) -> float:
+        """The greatest share of a torque limit at the limits of speed and acceleration, without weight."""
+        load = self.load
+        key = None if load is None else (load.mass_kg, tuple(load.com_m), tuple(load.inertia_kg_m2))
+        return _worst_share(self.arm, key)
+
     def excess(self, joints: Array, velocities: Array, accelerations: Array) -> float | Refusal:
         """The factor by which the accelerations and squared speeds are too great; 1 or less: all within the limits.
 
         Refused if the weight alone is too great for a joint at one of these postures.
         """
-        if len(joints) > 2 * SAMPLED and not np.any(self.arm.model.gravity.linear):
-            some = np.append(np.arange(0, len(joints), len(joints) // SAMPLED), np.abs(accelerations).argmax(axis=0))
-            few = self.arm.torques(joints[some], velocities[some], accelerations[some], self.laden)
-            share = float((np.abs(few) / self.limits).max())
-            if share < FAR_FROM:
-                return share
+        if self.weightless and self.worst_share < FAR_FROM:
+            return self.worst_share
         moving = self.arm.torques(joints, velocities, accelerations, self.laden)
         weight = np.zeros_like(moving)
-        if np.any(self.arm.model.gravity.linear):
+        if not self.weightless:
             still = np.zeros_like(joints)
             weight = self.arm.torques(joints, still, still, self.laden)
             if (np.abs(weight) >= self.limits).any():
@@ -87,3 +95,19 @@ class Torques:
                 "fraction": float(row) / max(1, len(weight) - 1),
             },
         )
+
+
+@lru_cache(maxsize=32)
+def _worst_share(arm: ArmModel, load: tuple[float, tuple[float, ...], tuple[float, ...]] | None) -> float:
+    """In seeded postures, with the worst signs of all accelerations and random signs of all speeds."""
+    random = np.random.default_rng(POSTURES)
+    model = arm.model if load is None else arm.laden(*load)
+    data, limits = model.createData(), SHARE * arm.limits.effort
+    still, worst = np.zeros(model.nv), 0.0
+    for q in random.uniform(arm.limits.lower, arm.limits.upper, (POSTURES, model.nq)):
+        upper = np.triu(pin.crba(model, data, q))
+        inertial = np.abs(upper + np.triu(upper, 1).T) @ arm.limits.acceleration
+        speeds = arm.limits.velocity * random.choice((-1.0, 1.0), model.nv)
+        centrifugal = np.abs(pin.rnea(model, data, q, speeds, still))
+        worst = max(worst, float(((inertial + centrifugal) / limits).max()))
+    return worst
