@@ -168,6 +168,7 @@ class Station:
             joints=truth["joints"],
             fingers=truth["fingers"],
             held=self._simulation.held(),
+            seats=truth["seats"],
         )
 
 

@@ -99,9 +99,10 @@ class Studio:
     def pose(self, scene: SceneView) -> None:
         """Set all poses from the scene; anything not in it takes its initial pose."""
         poses = {name: scene.poses.get(name, self.cell.object_pose(name).tolist()) for name in self.world.objects}
-        for name, body in self.world.objects.items():
+        poses |= {name: scene.seats.get(name, seat.home.tolist()) for name, seat in self.world.seats.items()}
+        for name, body in (*self.world.objects.items(), *self.world.seats.items()):
             self.world.place(body, poses[name])
-        self.tags.place(lambda name: poses[name] if name in poses else self.world.seats[name].home)
+        self.tags.place(poses)
         for arm in self.cell.arms:
             half = 0.5 * arm.gripper.max_opening_m
             wanted = dict(zip(arm.joints, scene.joints.get(arm.name, arm.home_rad), strict=True))

@@ -5,7 +5,7 @@ Each tag is a body of its own, placed where its object or seat is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -26,10 +26,10 @@ class TagPlates:
         with TemporaryDirectory(prefix="rtc-tags-") as folder:  # pybullet caches files by name, so each run has its own
             self._bodies = [(tag, self._plate(tag, Path(folder))) for tag in tags]
 
-    def place(self, pose: Callable[[str], geometry.Floats]) -> None:
-        """Move all tags to their bodies. `pose`: world pose of an object or seat by name."""
+    def place(self, poses: Mapping[str, geometry.Floats]) -> None:
+        """Move all tags to their bodies. `poses`: world pose of each object and seat."""
         for tag, body in self._bodies:
-            at = geometry.compose(pose(tag.body), tag.frame.pose).tolist()
+            at = geometry.compose(poses[tag.body], tag.frame.pose).tolist()
             pybullet.resetBasePositionAndOrientation(body, at[:3], at[3:], physicsClientId=self._client)
 
     def on(self, name: str) -> list[int]:
@@ -39,7 +39,7 @@ class TagPlates:
     def _plate(self, tag: Tag, folder: Path) -> int:
         half = 0.5 * tag.size_m * tag_family.WHOLE / tag_family.BLACK
         square, texture = folder / f"tag-{tag.id}.obj", folder / f"tag-{tag.id}.png"
-        square.write_text(_square(half), encoding="ascii")
+        square.write_text(_square(half), encoding="ascii")  # pybullet reads it when the body is made
         shades = np.where(tag_family.cells(tag.id), 255, 0).astype(np.uint8)
         whole = np.kron(shades, np.ones((PIXELS_PER_CELL,) * 2, np.uint8))
         picture.save(picture.Image.fromarray(whole).convert("RGB"), texture)  # pybullet shows a grey texture as black

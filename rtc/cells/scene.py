@@ -21,12 +21,13 @@ STEEP_DEG = 89.9
 
 
 class SceneView(msgspec.Struct, frozen=True, kw_only=True):
-    """Where everything is. An object or arm that is missing is drawn as the cell begins."""
+    """Where everything is. An object, seat or arm that is missing is drawn as the cell begins."""
 
     poses: dict[str, list[float]] = {}
     joints: dict[str, list[float]] = {}
     fingers: dict[str, list[float]] = {}  # arm -> its two finger joints
     tcp: dict[str, list[float]] = {}
+    seats: dict[str, list[float]] = {}
 
 
 class Panel(msgspec.Struct, frozen=True, kw_only=True):
@@ -145,12 +146,19 @@ def believed(
                 turned_rad=geometry.angle(pose, true_pose) if true_pose else None,
             )
         )
-    scene = SceneView(poses={row.name: row.pose for row in objects}, joints=joints, fingers=fingers, tcp=tcp)
+    seats = {seat.name: value(f"{seat.name}.frame") for seat in cell.seats}
+    scene = SceneView(
+        poses={row.name: row.pose for row in objects},
+        joints=joints,
+        fingers=fingers,
+        tcp=tcp,
+        seats={name: list(pose) for name, pose in seats.items() if isinstance(pose, list)},
+    )
     return Believed(scene=scene, arms=arms, objects=objects)
 
 
 def true_scene(truth: m.SimTruthReply) -> SceneView:
-    return SceneView(poses=truth.poses, joints=truth.joints, fingers=truth.fingers, tcp=truth.tcp)
+    return SceneView(poses=truth.poses, joints=truth.joints, fingers=truth.fingers, tcp=truth.tcp, seats=truth.seats)
 
 
 # --- for people ----------------------------------------------------------------------------------------

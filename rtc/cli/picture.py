@@ -136,11 +136,8 @@ def _measured(rtc: Client) -> dict[str, m.ArmSample]:
 def _believed(rtc: Client, cell: Cell, arms: dict[str, m.ArmSample]) -> dict[str, list[float]]:
     """Believed poses of objects and seats, world frame."""
     facts = {fact.key: fact for fact in rtc.world.view().facts}
-    poses = {row.name: row.pose for row in believed(cell, facts, arms, None).objects}
-    for seat in cell.seats:
-        fact = facts.get(f"{seat.name}.frame")
-        poses[seat.name] = list(fact.value) if fact and isinstance(fact.value, list) else seat.frame.pose.tolist()
-    return poses
+    scene = believed(cell, facts, arms, None).scene
+    return {seat.name: seat.frame.pose.tolist() for seat in cell.seats} | scene.poses | scene.seats
 
 
 def _located(cell: Cell, view: optics.View, pixels: NDArray[np.uint8], poses: dict[str, list[float]]) -> list[Located]:

@@ -860,6 +860,7 @@ class SimTruthReply(Message, frozen=True, kw_only=True):
     joints: dict[str, list[float]]
     fingers: dict[str, list[float]]  # the two finger joints, m
     held: dict[str, list[str]]  # arm -> objects that both its fingers press on
+    seats: dict[str, list[float]] = {}  # every seat of the cell, world frame
 
 
 class SimDisplace(Message, frozen=True, kw_only=True):

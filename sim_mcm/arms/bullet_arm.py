@@ -206,6 +206,7 @@ class BulletCell:
         samples = {name: arm.read() for name, arm in self.arms.items()}
         return {
             "poses": {name: self.world.pose(name).tolist() for name in self.world.objects},
+            "seats": {name: seat.home.tolist() for name, seat in self.world.seats.items()},
             "velocities": {name: self.world.velocity(name) for name in self.world.objects},
             "tcp": {name: self.arms[name].tcp_pose(sample.joints).tolist() for name, sample in samples.items()},
             "joints": {name: sample.joints for name, sample in samples.items()},

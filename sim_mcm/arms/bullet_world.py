@@ -32,7 +32,7 @@ class Body:
         self.name = name
         self.home = pose
         self.parts = pieces  # (pybullet id, pose in the axes of the object or seat)
-        self.id = pieces[0][0]  # a movable object has only this one
+        self.id = pieces[0][0] if pieces else -1  # a movable object has only this one
 
 
 class PhysicsWorld:
@@ -131,7 +131,7 @@ class PhysicsWorld:
             self._rub(part, shape)
             pieces.append((part, shape.frame.pose))
         if not pieces:  # a seat may have no shapes
-            return Body(thing.name, pose, [(-1, geometry.make_pose((0, 0, 0)))])
+            return Body(thing.name, pose, [])
         return Body(thing.name, pose, pieces)
 
     def _object(self, thing: parts.Object) -> Body:

@@ -91,6 +91,7 @@ class KinematicCell:
         names = [thing.name for thing in self.cell.objects]
         return {
             "poses": {name: self.poses[name].tolist() for name in names},
+            "seats": {seat.name: self.poses[seat.name].tolist() for seat in self.cell.seats},
             "velocities": {name: [0.0] * 6 for name in names},
             "tcp": {name: arm.pose.tolist() for name, arm in self.arms.items()},
             "joints": {name: list(arm.joints) for name, arm in self.arms.items()},

@@ -37,7 +37,8 @@ def test_the_cameras_of_the_cell_see_a_module_that_has_moved() -> None:
         )
         for name, by in (("MACS-NEW", (0.0, 0.02, 0.0)), ("MACS-OLD", (-0.02, 0.0, 0.0)))
     }
-    scene = SceneView(poses={name: pose.tolist() for name, pose in moved.items()})
+    rack = geometry.translate(cell.seat("RACK-1").frame.pose, (0.0, 0.02, 0.0))
+    scene = SceneView(poses={name: pose.tolist() for name, pose in moved.items()}, seats={"RACK-1": rack.tolist()})
     studio.pose(scene)
     detector = TagDetector()
     pictures = [
@@ -50,6 +51,7 @@ def test_the_cameras_of_the_cell_see_a_module_that_has_moved() -> None:
     for name, pose in moved.items():
         assert geometry.distance(found[name].pose, pose) < 0.002, name
         assert geometry.angle(found[name].pose, pose) < math.radians(0.5), name
+    assert found["RACK-1"].pose[1] == pytest.approx(rack[1], abs=0.008)  # one tag, seen at an angle of 64 degrees
 
 
 @pytest.mark.slow
