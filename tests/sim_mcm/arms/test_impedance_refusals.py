@@ -7,7 +7,7 @@ import pytest
 
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
-from rtc.protocol.outcomes import StopReason
+from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.arms.servo import Servo
@@ -67,6 +67,15 @@ def test_an_exact_arm_refuses_to_comply(cell, make) -> None:
     executor = Executor(KinematicCell(cell).arms["RIGHT-ARM"])
     law = p.ControlLaw(name="impedance", compliance=p.Compliance(stiffness=GOOD))
     answer = executor.accept(make.primitive(p.HoldStill(duration_s=1.0), control_law=law), 0.0)[0]
+    assert isinstance(answer, m.EndReport)
+    assert answer.reason is StopReason.REFUSED
+    assert "exact arm" in answer.message
+
+
+def test_an_exact_arm_refuses_the_reflex_comply(cell, make) -> None:
+    executor = Executor(KinematicCell(cell).arms["RIGHT-ARM"])
+    trip = make.stop(StopReason.CONTACT, p.ForceAbove(limit_n=5.0), Reflex.COMPLY)
+    answer = executor.accept(make.primitive(p.HoldStill(duration_s=1.0), trip), 0.0)[0]
     assert isinstance(answer, m.EndReport)
     assert answer.reason is StopReason.REFUSED
     assert "exact arm" in answer.message
