@@ -31,6 +31,9 @@ TAIL_BYTES = 4096
 def check_more(settings: Settings) -> None:
     """Check the command line. Raises ClusterError, with what would clear it, if it could have no effect."""
     if not settings.more:
+        default = Settings(run_dir=settings.run_dir)
+        if (settings.more_most, settings.more_wait_s) != (default.more_most, default.more_wait_s):
+            raise ClusterError("--more-most and --more-wait have no effect without --more; give a command line, too")
         return
     words = _words(settings.more)
     if not settings.listen:

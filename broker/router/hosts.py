@@ -110,6 +110,8 @@ def _state(peer: PeerRow, there: Collection[Worker], now: float) -> str:
         return "ready" if there else "registering"
     if any(worker.assigned for worker in there):  # a worker is silent during a job
         return "busy"
+    if not there:
+        return f"silent for {silent_s:.1f} s; jobs go to other workers"  # stopped: its kernel still answers
     return f"silent for {silent_s:.1f} s, limit {LINK_LIMIT_S:g} s"
 
 

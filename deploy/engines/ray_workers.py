@@ -132,7 +132,7 @@ def parser() -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
         prog="python -m deploy.engines.ray_workers", description="Workers of a cluster as Ray actors; Ctrl-C ends them."
     )
-    made.add_argument("--kind", type=WorkerKind, choices=list(WorkerKind), metavar="KIND", required=True)
+    made.add_argument("--kind", choices=[kind.value for kind in WorkerKind], required=True)
     made.add_argument("--count", type=int, default=1, metavar="N", help="number of workers; each takes one CPU of Ray")
     made.add_argument("--with", dest="key", type=Path, metavar="FILE", required=True, help="a worker's key")
     made.add_argument("--lost-after", type=float, default=LIMIT_S, metavar="S", help="as of python -m workers")
@@ -141,7 +141,12 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main() -> None:
-    given = parser().parse_args()
+    asked = parser()
+    given = asked.parse_args()
+    if given.count < 1:
+        asked.error("--count must be at least 1")
+    if not given.lost_after > 0.0:
+        asked.error("--lost-after must be longer than 0 s")
     try:
         import ray
     except ImportError:
@@ -151,10 +156,13 @@ def main() -> None:
         key.endpoint("workers")
     except KeyTrouble as error:
         sys.exit(str(error))
-    ray.init(address=given.ray)
+    try:
+        ray.init(address=given.ray)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        sys.exit(f"Ray cannot be reached at {given.ray or 'its default address'} (--ray): {error}")
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
-    fleet = Fleet(ray, key, given.kind, given.count, given.lost_after)
+    fleet = Fleet(ray, key, WorkerKind(given.kind), given.count, given.lost_after)
     try:
         while True:
             fleet.step()

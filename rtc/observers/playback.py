@@ -107,9 +107,9 @@ def extract(run: RecordedRun, folder: Path) -> list[Path]:
 
 def in_words(run: RecordedRun) -> Iterator[str]:
     """The story, a line per event; times in seconds since the first message."""
-    began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.first_s))
+    began = time.strftime("from %Y-%m-%d %H:%M:%S", time.localtime(run.first_s)) if run.first_s else "without a message"
     cluster = f"cluster {run.about['cluster']}, " if run.about.get("cluster") else ""
-    yield f"{cluster}cell {run.about.get('cell', '?')}, from {began}, {run.last_s - run.first_s:.1f} s"
+    yield f"{cluster}cell {run.about.get('cell', '?')}, {began}, {run.last_s - run.first_s:.1f} s"
     yield "each line: time, command, the phase that begins; in brackets what ended the phase before, after how long"
     phases: dict[str, tuple[m.Phase, str]] = {}  # command -> its phase and step
     for at_s, event in run.events:

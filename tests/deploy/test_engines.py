@@ -29,7 +29,7 @@ def worker(line: list[str], python: str = PYTHON) -> Namespace:
     """The options of the line of a worker, parsed by the worker's own parser."""
     assert line[:3] == [python, "-m", "workers"]
     given = parser().parse_args(line[3:])
-    assert given.kind is WorkerKind.BINDER
+    assert given.kind == WorkerKind.BINDER
     assert given.node is None  # all replicas have the same line
     return given
 

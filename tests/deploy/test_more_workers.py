@@ -9,6 +9,7 @@ import sys
 import threading
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from deploy.more_workers import RUN_LIMIT_S, MoreCommand, check_more
@@ -25,6 +26,13 @@ PYTHON = f"{sys.executable} -S -E -c"
 
 def settings(more: str, listen: str = "tcp://127.0.0.1:5555") -> Settings:
     return Settings(run_dir="/nowhere", more=more, listen=listen)
+
+
+@pytest.mark.parametrize("options", [{"more_most": 4}, {"more_wait_s": 5.0}])
+def test_options_of_more_without_a_command_line_are_refused(options: dict[str, float]) -> None:
+    with pytest.raises(ClusterError, match="without --more"):
+        check_more(msgspec.structs.replace(settings(""), **options))
+    check_more(settings(""))
 
 
 @pytest.mark.parametrize(

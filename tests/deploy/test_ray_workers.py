@@ -8,6 +8,7 @@ import random
 import re
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from deploy.engines.ray_workers import Fleet, parser
+from deploy.engines.ray_workers import Fleet, main, parser
 from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol.messages import WorkerKind
@@ -40,6 +41,14 @@ def test_the_launcher_needs_kind_and_key(capsys: pytest.CaptureFixture[str]) -> 
     assert (given.kind, given.count, given.key) == (WorkerKind.BINDER, 8, Path("w1.key"))
     with pytest.raises(SystemExit):
         parser().parse_args(["--kind", "binder"])
+
+
+@pytest.mark.parametrize("options", [["--count", "0"], ["--lost-after", "0"], ["--lost-after", "nan"]])
+def test_the_launcher_refuses_what_would_start_nothing(options: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["ray_workers", "--kind", "binder", "--with", "missing.key", *options])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2  # of argparse, before Ray or the key is looked for
 
 
 @pytest.fixture(scope="module")

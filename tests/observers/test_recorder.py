@@ -136,3 +136,8 @@ def test_a_free_name_is_found(tmp_path):
         assert recorder.unused(path).name == n
         recorder.unused(path).touch()
     assert recorder.unused(path).name == "a-3.mcap"
+
+
+def test_a_recording_without_a_message_has_no_time() -> None:
+    lines = list(playback.in_words(playback.RecordedRun(about={"cell": "swapout"})))
+    assert "without a message" in lines[0]

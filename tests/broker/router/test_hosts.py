@@ -80,6 +80,12 @@ def test_a_silent_host_is_shown_with_its_limit_unless_its_worker_is_busy(registr
     assert row_of(registry, silent)["state"] == "busy"
 
 
+def test_a_stopped_worker_that_the_broker_has_given_up_has_no_limit_any_more(registry: WorkerRegistry) -> None:
+    """The kernel of its host still answers, so its connection is not lost."""
+    stopped = peer(workers=[far("binder@30", last_message_at_s=NOW - 7.0)])
+    assert row_of(registry, stopped)["state"] == "silent for 7.0 s; jobs go to other workers"
+
+
 @pytest.mark.parametrize(
     ("about", "state"),
     [
