@@ -42,8 +42,6 @@ def exposed(image: NDArray[np.uint8], camera: Camera, random: np.random.Generato
     """The image as the camera's sensor gives it. Height x width x 3."""
     if camera.noise == 0.0 and camera.exposure == 1.0:
         return image
-    noise = random.standard_normal(
-        (*image.shape[:2], 1), dtype=np.float32
-    )  # the same in all colours: three times faster
+    noise = random.standard_normal((*image.shape[:2], 1), dtype=np.float32)  # the same in all colours: faster
     light = np.float32(camera.exposure) * image + np.float32(camera.noise) * noise
     return np.clip(np.rint(light), 0, 255).astype(np.uint8)
