@@ -184,13 +184,16 @@ def test_a_client_whose_identity_another_takes_is_still_answered(running: Runnin
             second.close(linger=0)
             second = running.endpoint("front")
     first.close(linger=0)
-    again = running.endpoint("front", identity="panel")  # its bearer has gone
-    until(lambda: _welcome(again))
+    until(lambda: _welcome(running))  # its bearer has gone
 
 
-def _welcome(endpoint: zmq.Socket[bytes]) -> bool:
+def _welcome(running: Running) -> bool:
+    """A new connection each time: one that comes while the identity is still in use is never accepted."""
+    endpoint = running.endpoint("front", identity="panel")
     send(endpoint, type="ClientHello", client="panel")
-    return recv(endpoint, 0.2) is not None
+    answer = recv(endpoint, 0.2)
+    endpoint.close(linger=0)
+    return answer is not None
 
 
 @pytest.mark.parametrize("endpoint", ["halt", "estop"])
