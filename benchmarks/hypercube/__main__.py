@@ -20,6 +20,7 @@ from typing import Any
 
 from benchmarks.hypercube import check, experiments, page, plots
 from benchmarks.hypercube.costs import Costs, from_data, load
+from benchmarks.hypercube.neighbour import neighbours
 from benchmarks.report import RESULTS, finish, question
 
 SEED = 16
@@ -54,11 +55,12 @@ def measure() -> None:
     """Run all microbenchmarks, and write what they give."""
     from benchmarks.hypercube import broker_costs, process_costs
 
-    question("hypercube_costs", "what do broker, workers, client, subsystem and links cost, each alone?")
-    data: dict[str, Any] = {
-        "broker": broker_costs.measure(REPETITIONS),
-        "processes": process_costs.measure(REPETITIONS),
-    }
+    question("hypercube_costs", "what does each of broker, workers, client, subsystem and links cost, on shared cores?")
+    with neighbours(len(os.sched_getaffinity(0))):
+        data: dict[str, Any] = {
+            "broker": broker_costs.measure(REPETITIONS),
+            "processes": process_costs.measure(REPETITIONS),
+        }
     costs = from_data(data)
     rows = [(f"broker, per {name}", f"{1e6 * cost:.1f} us") for name, cost in costs.broker.items()]
     rows.append(("broker, heartbeat of a worker", f"{1e6 * costs.heartbeat:.1f} us"))

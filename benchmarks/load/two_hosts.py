@@ -35,6 +35,7 @@ from rtc.runtime.keys import KeyRing
 from workers.runtime import lazy_import
 from workers.runtime.preload import preload
 
+ROOT = Path(__file__).parents[2]  # this package is not installed: it is found in the working directory only
 CLONE_NEWNET = 0x40000000
 TUNSETIFF, IFF_TUN, IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
 TUN = "/dev/net/tun"
@@ -90,9 +91,10 @@ class TwoHosts:
     def fork_worker(self, run_dir: Path, node: int) -> str:
         """The same, forked from a process that has imported everything: much faster. Returns its name."""
         if self._server is None:
-            command = [sys.executable, "-P", "-m", __name__, "workers", str(self._key(run_dir))]
+            command = [sys.executable, "-m", __name__, "workers", str(self._key(run_dir).absolute())]
             with inside(self.far), open(run_dir / "far.log", "ab") as log:
-                self._server = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log)
+                pipe = subprocess.PIPE
+                self._server = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=log, cwd=ROOT)
         assert self._server.stdin is not None
         assert self._server.stdout is not None
         self._server.stdin.write(f"{node}\n".encode())
@@ -177,15 +179,19 @@ def _namespace() -> Iterator[int]:
 
 @contextlib.contextmanager
 def _link(near: int, far: int, delay_s: float, jitter_s: float) -> Iterator[None]:
-    command = [sys.executable, "-P", "-m", __name__, "link", str(delay_s), str(jitter_s)]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    command = [sys.executable, "-m", __name__, "link", str(delay_s), str(jitter_s)]
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, cwd=ROOT)
     assert process.stdin is not None
     assert process.stdout is not None
     assert process.stderr is not None
     try:
         devices = process.stdout.readline().decode().split()
         if len(devices) != 2:
-            raise Unavailable(process.stderr.read().decode().strip().rpartition("\n")[2] or "the link did not start")
+            why = process.stderr.read().decode().strip()
+            if why.startswith(TUN):
+                raise Unavailable(why)
+            raise RuntimeError(f"the link between the hosts did not start: {why}")
         for device, namespace, address in zip(devices, (near, far), (NEAR, FAR), strict=True):
             _ip("link", "set", device, "netns", f"/proc/{os.getpid()}/fd/{namespace}", "name", DEVICE)
             with inside(namespace):
