@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import random
 import re
 import signal
-import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -21,8 +19,9 @@ from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import OutcomeKind
-from rtc.protocol.roles import TCP_ENDPOINTS, Role
+from rtc.protocol.roles import Role
 from rtc.runtime.keys import KeyFile, KeyRing
+from tests.processes.test_gateway import free_ports
 
 ROOT = Path(__file__).parents[2]
 COUNT = 2
@@ -82,20 +81,6 @@ def run_dir() -> Iterator[Path]:
 def key(run_dir: Path) -> KeyFile:
     with Client(run_dir) as rtc:
         return KeyRing(run_dir).new("w1", Role.WORKER, rtc.settings.listen, run_dir / "w1.key")
-
-
-def free_ports() -> int:
-    for first in random.SystemRandom().sample(range(20_000, 32_000, len(TCP_ENDPOINTS)), k=100):
-        held = []
-        try:
-            held += [socket.create_server(("127.0.0.1", first + n)) for n in range(len(TCP_ENDPOINTS))]
-        except OSError:
-            continue
-        finally:
-            for one in held:
-                one.close()
-        return first
-    raise AssertionError("no free ports")
 
 
 class Load:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import random
-import socket as sockets
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,10 +14,11 @@ from broker.gateway.gateway import Gateway
 from broker.gateway.sessions import PEERS_OF_KEY
 from rtc.protocol import messages as m
 from rtc.protocol import wire
-from rtc.protocol.roles import TCP_ENDPOINTS, Role
+from rtc.protocol.roles import Role
 from rtc.runtime.keys import KeyFile, KeyRing
 from rtc.runtime.process import Process
 from rtc.runtime.settings import Settings
+from tests.processes.test_gateway import free_ports
 
 LIMIT_MS = 10_000
 BINDER, ANALYZER = m.WorkerKind.BINDER, m.WorkerKind.ANALYZER
@@ -99,21 +98,6 @@ class Cluster:
     def close(self) -> None:
         self.stop_gateway()
         self.context.destroy(linger=0)
-
-
-def free_ports() -> int:
-    for first in random.SystemRandom().sample(range(20_000, 32_000, len(TCP_ENDPOINTS)), k=100):
-        held = []
-        try:
-            for port in range(first, first + len(TCP_ENDPOINTS)):
-                held.append(sockets.create_server(("127.0.0.1", port)))
-        except OSError:
-            continue
-        finally:
-            for one in held:
-                one.close()
-        return first
-    raise AssertionError("no free ports")
 
 
 @pytest.fixture
