@@ -72,6 +72,11 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
         """Make the next step the current one. The stack must not be empty."""
         self.step = self.refs.pop()
 
+    def put_back(self) -> None:
+        """Make the current step the next one again."""
+        assert self.step is not None
+        self.refs.append(self.step)
+
     def assign(self, values: Mapping[str, ValueT]) -> None:
         """Set variables. The script and earlier payloads keep their values."""
         if values:

@@ -13,12 +13,13 @@ from broker.decisions.action_stack import NOMINAL, ActionStack
 from broker.decisions.effects import DispatchJob, Effect, PublishNote, StartTimer, StopTimer
 from broker.decisions.events import Stimulus
 from broker.decisions.resources import WORLD, Quarantine
-from broker.decisions.state import NOTES_KEPT, Command, PendingJob, ScriptHead, State, StepHead
+from broker.decisions.state import NOTES_KEPT, ArmMotion, Command, PendingJob, ScriptHead, State, StepHead
 from rtc.protocol import wire
 from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
 from rtc.protocol.outcomes import Measured
 
 read_step = wire.decoder(StepHead)
+PLANNERS = (WorkerKind.ELABORATOR, WorkerKind.BINDER)  # they plan beside the motions of other arms
 
 
 class DecisionContext:
@@ -70,6 +71,7 @@ class DecisionContext:
                 )
         opened = self.state.resources.confirm_rest(subsystem, performers, moved)
         self.quarantine_deferred()
+        self.forget_motions()
         self.grant(opened)
 
     def quarantine_deferred(self) -> None:
@@ -77,6 +79,55 @@ class DecisionContext:
         for command, left in self.state.deferred_analyses.items():
             for name in left.names:
                 self.state.resources.quarantine.setdefault(name, Quarantine(WORLD, command))
+
+    def begin_motion(self, command: Command, arm: str, body: msgspec.Raw) -> None:
+        """Other arms plan beside this motion from now on: it is known where the arm goes."""
+        self.state.motions[arm] = ArmMotion(
+            command=command.id, primitive=command.primitive, body=body, beside=command.beside
+        )
+        self.state.motions_begun += 1
+        self._recheck_space(arm)
+
+    def end_motions(self, command: Command) -> None:
+        """The world database has the results of this command's motions. Stimulate the commands that wait for that."""
+        for arm in [arm for arm, motion in self.state.motions.items() if motion.command == command.id]:
+            self._forget(arm)
+
+    def forget_motions(self) -> None:
+        """Forget the motions of ended commands, except of an arm in quarantine: its position is not known."""
+        state = self.state
+        for arm, motion in list(state.motions.items()):
+            if motion.command not in state.commands and arm not in state.resources.quarantine:
+                self._forget(arm)
+
+    def _forget(self, arm: str) -> None:
+        del self.state.motions[arm]
+        self.state.motions_ended += 1
+        self._recheck_space(arm)
+
+    def _recheck_space(self, arm: str) -> None:
+        for waiting in self.state.space_lines.get(arm, ()):
+            self.follow(waiting, Stimulus.SPACE)
+
+    def owner_of(self, arm: str) -> Command | None:
+        """The live command that holds this arm."""
+        holders = self.state.resources.holders.get(arm, {})
+        return next((self.state.commands[name] for name, exclusive in holders.items() if exclusive), None)
+
+    def leave_space_line(self, command: Command) -> None:
+        if not command.waits_for:
+            return
+        line = self.state.space_lines[command.waits_for]
+        line.remove(command.id)
+        if not line:
+            del self.state.space_lines[command.waits_for]
+        command.waits_for = ""
+
+    def check_space_lines(self) -> None:
+        """Stimulate the commands that wait for an arm without an owner: it will not leave by itself."""
+        for arm in self.state.space_lines:
+            if self.owner_of(arm) is None:
+                self._recheck_space(arm)
 
     def count(self, what: str) -> None:
         self.state.counts[what] = self.state.counts.get(what, 0) + 1
@@ -125,6 +176,8 @@ class DecisionContext:
 
     def create_job(self, command: Command, kind: WorkerKind, data: Any, locations: list[str] | None = None) -> None:
         """Create the next job of this command, with the programs the command began with, and dispatch it."""
+        if kind in PLANNERS:
+            data |= self._motions_beside(command)
         command.jobs += 1
         command.job = job = PendingJob(
             id=f"{command.id}/{command.jobs}",
@@ -136,6 +189,17 @@ class DecisionContext:
             since_s=self.now,
         )
         self.dispatch(job, command.client)
+
+    def _motions_beside(self, command: Command) -> dict[str, Any]:
+        """The motions of other commands, as a field of a planner's input; what the job knows is kept in the command."""
+        state = self.state
+        command.motions_seen = (state.motions_begun, state.motions_ended)
+        if not state.motions:  # the usual case
+            command.beside = []
+            return {}
+        others = [motion for motion in state.motions.values() if motion.command != command.id]
+        command.beside = [motion.primitive for motion in others]
+        return {"moving": [motion.body for motion in others]} if others else {}
 
     def dispatch(self, job: PendingJob, client: str = "") -> None:
         """`client`: the client of its command; empty for a command that has ended."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from broker.decisions import deferred_analysis, halt_request, journal_loss, program_rollout, subsystem_link
+from broker.decisions import deferred_analysis, faults, halt_request, journal_loss, program_rollout, subsystem_link
 from broker.decisions.command import control, limits, stopping, termination
 from broker.decisions.command.table import stimulate
 from broker.decisions.context import DecisionContext
@@ -238,6 +238,7 @@ def on_ended(context: DecisionContext, event: PrimitiveEnded) -> None:
         return
     context.node, context.took_s = event.subsystem, event.at_s - command.sent_at_s
     stimulate(context, command, Stimulus.REPORT, report)
+    faults.stop_others(context, command, report)
 
 
 def on_halt_confirmed(context: DecisionContext, event: HaltConfirmed) -> None:

@@ -136,7 +136,9 @@ def give_up(context: DecisionContext, name: str, event: object) -> None:
 def finish(context: DecisionContext, name: str, _: object) -> None:
     """Open the names again."""
     del context.state.deferred_analyses[name]
-    context.grant(context.state.resources.confirm_rest(WORLD, moved=name, names=()))
+    opened = context.state.resources.confirm_rest(WORLD, moved=name, names=())
+    context.forget_motions()
+    context.grant(opened)
 
 
 # --- table -------------------------------------------------------------------------------------------

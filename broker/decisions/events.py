@@ -22,6 +22,7 @@ class Stimulus(StrEnum):
     WORKER_LOST = "worker_lost"  # the worker died, hung or raised
     GRANT = "grant"  # all resources of its claim are free
     RELEASE = "release"  # the command it waits for has ended or begun, or the earlier ones of its client are parsed
+    SPACE = "space"  # the arm in its way has begun to move or has rested, or its command has ended
     REPORT = "report"  # the end report of its primitive
     STOP = "stop"  # a HALT or ABORT reaches it
     PAUSE = "pause"

@@ -20,7 +20,7 @@ BY_JOB = (Phase.PARSING, Phase.ELABORATING, Phase.BINDING, Phase.ANALYZING, Phas
 
 def violations(state: State) -> list[str]:
     """The violated invariants in words; an empty list means a valid state."""
-    return [*_resources(state), *_motions(state), *_commands(state)]
+    return [*_resources(state), *_motions(state), *_space(state), *_commands(state)]
 
 
 def _resources(state: State) -> Iterable[str]:
@@ -63,6 +63,30 @@ def _motions(state: State) -> Iterable[str]:
                 moving[performer] = command.id
                 if not state.resources.held.get(command.id, {}).get(performer):
                     yield f"{command.id} moves {performer} without holding it"
+
+
+def _space(state: State) -> Iterable[str]:
+    """Of two motions that may meet, the later one was planned beside the earlier one; and no wait is for ever."""
+    motions = list(state.motions.items())
+    for n, (arm, motion) in enumerate(motions):
+        if motion.command not in state.commands and arm not in state.resources.quarantine:
+            yield f"the motion {motion.primitive} of {arm} is of a command that has ended"
+        for _, other in motions[n + 1 :]:
+            same = motion.command == other.command
+            if not same and other.primitive not in motion.beside and motion.primitive not in other.beside:
+                yield f"{motion.primitive} and {other.primitive} were planned without each other"
+    lines = {(command, arm) for arm, waiting in state.space_lines.items() for command in waiting}
+    if lines != {(c.id, c.waits_for) for c in state.commands.values() if c.phase is Phase.WAITING}:
+        yield f"{lines} are not the commands that wait for space"
+    for first in state.commands.values():
+        seen, command = set(), first
+        while command.phase is Phase.WAITING:
+            owners = [name for name, alone in state.resources.holders.get(command.waits_for, {}).items() if alone]
+            if not owners or command.id in seen:
+                yield f"{first.id} waits for space of an arm that cannot leave"
+                break
+            seen.add(command.id)
+            command = state.commands[owners[0]]
 
 
 def _commands(state: State) -> Iterable[str]:

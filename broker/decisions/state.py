@@ -119,6 +119,19 @@ class PendingJob(msgspec.Struct, kw_only=True, gc=False):
     """Why the analysis was given up: the worker only makes the facts of `locations` suspect. Empty: it analyses."""
 
 
+class ArmMotion(msgspec.Struct, kw_only=True, gc=False):
+    """A motion of an arm, from its order until the world database has its result: other arms plan beside it."""
+
+    command: str
+    """Command that moves the arm."""
+    primitive: str
+    """Id of the primitive."""
+    body: msgspec.Raw
+    """The encoded primitive, input of the binders of other arms."""
+    beside: list[str] = []
+    """Ids of the motions of other arms that its binder knew."""
+
+
 class Deferral(StrEnum):
     """State of a deferred analysis (`broker.decisions.deferred_analysis`)."""
 
@@ -220,6 +233,12 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """The preceding command of the same client, for AFTER LAST."""
     measured: Measured | None = None
     """Values at the end of the latest primitive that REPORT asks for."""
+    beside: list[str] = []
+    """Ids of the motions of other arms that its latest job of an elaborator or a binder knows."""
+    motions_seen: tuple[int, int] = (0, 0)
+    """`motions_begun` and `motions_ended` when that job was created."""
+    waits_for: str = ""
+    """WAITING: the arm that must leave the space it needs."""
 
 
 class HaltPhase(StrEnum):
@@ -334,6 +353,14 @@ class State(msgspec.Struct, kw_only=True):
     """Command -> commands that start when it begins to move (TOGETHER-WITH)."""
     subsystems: dict[str, Subsystem] = {}
     """By name, lost ones included."""
+    motions: dict[str, ArmMotion] = {}
+    """Arm -> its motion, until the world database has the result."""
+    motions_begun: int = 0
+    """Number of entries that `motions` has got so far."""
+    motions_ended: int = 0
+    """Number of entries that have been removed from `motions`."""
+    space_lines: dict[str, list[str]] = {}
+    """Arm -> commands that wait until it leaves the space they need."""
     programs: dict[str, str] = {}
     """Worker kind (or "cell") -> digest of the program in use."""
     program_files: dict[str, tuple[str, float]] = {}

@@ -20,6 +20,7 @@ from rtc.cli.output import COLOUR, console, quoted, refusal_lines, seconds, tabl
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Measured, Outcome, OutcomeKind
 
+WAITS = (m.Phase.HELD, m.Phase.WAITING)  # the note names what the command waits for
 #: phases that are too short for their own line (`rtc trace` shows them); ENDED has the result line
 PASSING = {m.Phase.PARSING, m.Phase.ELABORATING, m.Phase.BINDING, m.Phase.ANALYZING, m.Phase.ENDED}
 
@@ -100,13 +101,13 @@ class Board:
         changed = (note.phase.value, note.step) != (row.phase, row.of)
         row.of = note.step
         row.phase, row.node = note.phase.value, note.node or row.node
-        row.step = note.step or (note.note if note.phase is m.Phase.HELD else "")
+        row.step = what = note.note if note.phase in WAITS else note.step
         if note.expected_s:
             row.step += f" (about {duration(note.expected_s)})"
         if changed and note.phase not in PASSING:
             done = f"  ({note.node}, {seconds(note.took_s)})" if note.node else ""
             about = f"  about {duration(note.expected_s)}" if note.expected_s else ""
-            self._line(f"{note.command}  {note.phase.value:<11} {note.step or note.note}{about}{done}".rstrip())
+            self._line(f"{note.command}  {note.phase.value:<11} {what or note.note}{about}{done}".rstrip())
 
     def _report(self, note: m.ProgressNote) -> None:
         """A report of REPORT EVERY: a line on the screen, or kept for the JSON result."""

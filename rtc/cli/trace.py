@@ -153,7 +153,7 @@ def why(
     """
     record, run = recall(command, previous, run_dir, key)
     waits: list[str] = []
-    if run is None and record.phase is m.Phase.HELD:
+    if run is None and record.phase in (m.Phase.HELD, m.Phase.WAITING):
         with Client(run_dir, key=key) as rtc:
             waits = waits_for(rtc.status(), record)
     if json:
@@ -181,7 +181,7 @@ def waits_for(status: dict[str, Any], record: m.CommandRecord) -> list[str]:
     give_up = f"to give this one up: ABORT {record.command}"
     if owners := list(dict.fromkeys(owners)):
         lines.append(f"to clear it: wait for {', '.join(owners)}, or: ABORT {owners[0]}; {give_up}")
-    elif not lines and record.notes:  # for another command, not for a resource; its abort would end this one too
+    elif not lines and record.notes:  # for another command, or for the space of an arm
         lines += [record.notes[-1].note, give_up]
     return lines
 

@@ -119,6 +119,7 @@ class Phase(StrEnum):
     PARSING = "parsing"
     ELABORATING = "elaborating"
     HELD = "held"  # waits for its resources
+    WAITING = "waiting"  # waits until another arm leaves the space that it needs
     BINDING = "binding"
     EXECUTING = "executing"
     ANALYZING = "analyzing"
@@ -471,16 +472,18 @@ class ElaboratorInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     command: str
     parsed: ParsedCommand
     at_s: float = 0.0
+    moving: list[Primitive] = []  # of other arms: executing, or ended and not in the world database yet
 
 
 class BinderInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """`at_s`: as in `ElaboratorInput`."""
+    """`at_s`, `moving`: as in `ElaboratorInput`."""
 
     primitive_id: str
     context: ScriptContext
     step: Step
     bindings: dict[str, Binding]
     at_s: float = 0.0
+    moving: list[Primitive] = []
 
 
 class AnalyzerInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -64,6 +64,7 @@ class StopReason(StrEnum):
     if several conditions hold in the same servo tick, the first in this list is reported."""
 
     HALT = "halt"  # a halt from outside
+    ARM_CONTACT = "arm_contact"  # two arms touch: a global fault, which stops both
     COLLISION = "collision"  # unplanned contact of two bodies
     JOINT_LIMIT = "joint_limit"  # a joint came within its margin of a limit
     COMMAND_LIMIT = "command_limit"  # the next setpoint was beyond the limits of the arm, and was not executed
@@ -80,10 +81,24 @@ class StopReason(StrEnum):
     NO_CONTACT = "no_contact"  # a contact ended; or, derived by the analyzer, the goal was reached without one
     # The reasons below do not come from a servo tick.
     REFUSED = "refused"  # the subsystem did not start the primitive
+    BLOCKED = "blocked"  # the subsystem did not start it: another arm has not left the space that it needs
     SUBSYSTEM_LOST = "subsystem_lost"  # the subsystem was lost before its report
 
 
 PRIORITY: dict[StopReason, int] = {reason: n for n, reason in enumerate(StopReason)}
+
+
+class FaultScope(StrEnum):
+    """What a stop reason concerns (R47, A30)."""
+
+    COMMAND = "command"  # the command of the primitive alone; other arms go on
+    SUBSYSTEM = "subsystem"  # every arm of the subsystem, and every command that has been taken up for one
+
+
+FAULT_SCOPE: dict[StopReason, FaultScope] = dict.fromkeys(StopReason, FaultScope.COMMAND) | {
+    StopReason.ARM_CONTACT: FaultScope.SUBSYSTEM,
+    StopReason.SUBSYSTEM_LOST: FaultScope.SUBSYSTEM,
+}
 
 
 class Reflex(StrEnum):
@@ -122,6 +137,9 @@ class OutcomeKind(StrEnum):
     HALTED = "halted"  # halted, and rest is confirmed
     HALT_NOT_CONFIRMED = "halt_not_confirmed"  # halted, but rest was not confirmed
     LOST_SUBSYSTEM = "lost_subsystem"  # the connection to the executing subsystem was lost
+
+
+IN_THE_WAY = "in_the_way"  # key of `Refusal.detail`: name of the arm that blocks a motion, now or on its way
 
 
 class Refusal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

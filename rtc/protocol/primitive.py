@@ -208,6 +208,10 @@ class JointMarginBelow(msgspec.Struct, frozen=True, tag="joint-margin-below"):
     margin_rad: float  # of the nearest joint limit, moving towards it
 
 
+class ArmTouch(msgspec.Struct, frozen=True, tag="arm-touch"):
+    """The arm or its hand is in contact with another arm. The MCM adds one to each primitive."""
+
+
 class BodyTouch(msgspec.Struct, frozen=True, tag="body-touch"):
     """A link of the arm (not palm or fingers, which may touch) is in contact with anything."""
 
@@ -267,6 +271,7 @@ Predicate = (
     | SpeedAbove
     | FollowingErrorAbove
     | JointMarginBelow
+    | ArmTouch
     | BodyTouch
     | GripForceBelow
     | HandWidthBelow
@@ -298,6 +303,22 @@ class Reporting(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     every_s: float | None = None  # progress reports at this period
 
 
+class StartAfter(msgspec.Struct, frozen=True, kw_only=True):
+    """A start condition: a primitive of another arm has left the space that this one needs.
+
+    It is met when that primitive has executed its trajectory up to `path_s`, also if it was stopped later than that. It
+    cannot be met if that primitive ended earlier, or `within_s` has passed; then nothing starts.
+    """
+
+    primitive: str
+    path_s: float  # time along its trajectory
+    within_s: float  # maximum wait, in the time of the simulation
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.path_s <= LONGEST_S and 0.0 < self.within_s <= LONGEST_S):  # false for nan too
+            raise ValueError(f"a start condition has times of 0 to {LONGEST_S:g} s")
+
+
 class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="Primitive"):
     """T = (P, M, F, R) for one performer. The constructor refuses F without a goal and a time limit (R82)."""
 
@@ -307,6 +328,7 @@ class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, t
     stop_functions: list[StopFunction]
     control_law: ControlLaw = ControlLaw()
     reporting: Reporting = Reporting()
+    start_after: list[StartAfter] = []  # all must be met before it starts; nothing moves until then
 
     def __post_init__(self) -> None:
         kinds = [type(stop.when) for stop in self.stop_functions]

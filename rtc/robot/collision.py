@@ -18,6 +18,7 @@ import pinocchio as pin
 from rtc.cells import cell as cells
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import bodies
+from rtc.robot.apart import ApartCheck
 from rtc.robot.geometry import Array, Floats
 from rtc.robot.levers import ball, levers, of_pairs
 
@@ -123,6 +124,7 @@ class CollisionWorld:
         self._placed: dict[str, tuple[str, tuple[float, ...]]] = {}  # body -> the arm that holds it, and its pose there
         self._pairs_of_scene: dict[tuple[object, ...], Pairs] = {}  # by all that `_pairs_in` reads of a scene
         self._pair_levers: dict[int, Array] = {}  # by the first joint of an arm
+        self._apart: ApartCheck | None = None  # made when it is first needed
         self._index()
         self._put_in_force(self._pairs_in(AS_BUILT))
         self._arrange(AS_BUILT)
@@ -200,6 +202,17 @@ class CollisionWorld:
                 if self._touches_any():
                     return n
         return count
+
+    def compare_arms(self, arm: str, other: str, scene: Scene) -> ApartCheck:
+        """Checks of the distance between two arms, each with what it holds in this scene. Both hands count as open."""
+        if scene is not self._scene:
+            self._arrange(scene)
+        carrier = self._carriers(scene)
+        one, two = carrier == self._number[arm], carrier == self._number[other]
+        openings_m = {name: self.cell.arm(name).gripper.max_opening_m for name in self._bodies.arms}
+        self._apart = self._apart or ApartCheck(self._bodies)
+        self._apart.compare(arm, other, self._between(one, two), self._levers, openings_m)
+        return self._apart
 
     # --- inside ------------------------------------------------------------------------------------------
 
@@ -374,10 +387,9 @@ class CollisionWorld:
 
     def _pairs_in(self, scene: Scene) -> Pairs:
         moving = self._arm_piece.copy()  # pieces that move with an arm
-        carrier = self._owner.copy()  # number of the owner that moves each piece
-        for name, held in scene.held.items():
+        carrier = self._carriers(scene)
+        for name in scene.held:
             moving |= self._owner == self._number[name]
-            carrier[self._owner == self._number[name]] = self._number[held.arm]
         first, second = self._first, self._second
         if scene.moving:
             moving = carrier == self._number[scene.moving]
@@ -391,6 +403,13 @@ class CollisionWorld:
         margin = np.where(carrier[first] == carrier[second], 0.0, scene.clearance_m)
         margin[self._touches(scene.near)] = 0.0
         return Pairs(active, margin, self._as_matrix(active), self._as_matrix(margin))
+
+    def _carriers(self, scene: Scene) -> np.ndarray:
+        """Number of the owner that moves each piece."""
+        carrier = self._owner.copy()
+        for name, held in scene.held.items():
+            carrier[self._owner == self._number[name]] = self._number[held.arm]
+        return carrier
 
     def _index(self) -> None:
         """Builds arrays over pieces and pairs, so that a scene is applied by masks."""

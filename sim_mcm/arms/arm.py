@@ -115,6 +115,9 @@ class ArmInterface(Protocol):
     def touches(self) -> Mapping[str, float]:
         """Contacts of the arm's links (without palm and fingers): "LINK touches BODY" -> normal force (N)."""
 
+    def arm_touches(self) -> Mapping[str, float]:
+        """Contacts of the arm or its hand with other arms: "LINK touches ARM LINK" -> normal force (N)."""
+
 
 class Simulation(Protocol):
     """A cell with its arms: can be stepped, observed and disturbed. Only the test bench reads the true state."""

@@ -29,7 +29,7 @@ FINGER_FRICTION = 1.0
 SPINNING_FRICTION = 0.012  # m, of a soft pad; a smaller value lets a module turn between the pads
 SEATED_M = 0.02  # maximum distance from the seated place at which a module counts as seated
 NOTHING: Mapping[str, float] = {}
-BODY_B, LINK_A, NORMAL_FORCE = 2, 3, 9  # fields of a contact point
+BODY_B, LINK_A, LINK_B, NORMAL_FORCE = 2, 3, 4, 9  # fields of a contact point
 
 
 class BulletArm:
@@ -47,6 +47,8 @@ class BulletArm:
         self._arm = [joints[joint] for joint in spec.joints]
         self._finger_joints = [joints[joint] for joint in spec.gripper.finger_joints]
         self.fingers = [links[link] for link in spec.gripper.finger_links]
+        self._links = {n: link for link, n in links.items()}
+        self.others: list[BulletArm] = []  # the other arms of the world
         self._all = [*self._arm, *self._finger_joints]
         sensor = joints[spec.sensor_joint]
         self._read_from = [*self._all, sensor]
@@ -98,6 +100,20 @@ class BulletArm:
                 words = f"{self.upstream[point[LINK_A]]} touches {self._world.names[point[BODY_B]]}"
                 found[words] = found.get(words, 0.0) + point[NORMAL_FORCE]
         return found
+
+    def arm_touches(self) -> Mapping[str, float]:
+        found: dict[str, float] = {}
+        for other in self.others:
+            points = pybullet.getContactPoints(bodyA=self.body, bodyB=other.body, physicsClientId=self._client)
+            for point in points or ():
+                if point[NORMAL_FORCE] > 0.0:
+                    mine, theirs = self.link_name(point[LINK_A]), other.link_name(point[LINK_B])
+                    words = f"{self.traits.name} {mine} touches {other.traits.name} {theirs}"
+                    found[words] = found.get(words, 0.0) + point[NORMAL_FORCE]
+        return found or NOTHING
+
+    def link_name(self, index: int) -> str:
+        return self._links.get(index, "base")
 
     # --- simulation step --------------------------------------------------------------------------------
 
@@ -186,6 +202,8 @@ class BulletCell:
         self.cell = cell
         self.world = PhysicsWorld(cell)
         self.arms = {arm.name: BulletArm(self.world, arm.name) for arm in cell.arms}
+        for arm in self.arms.values():
+            arm.others = [other for other in self.arms.values() if other is not arm]
         self._detents = Detents(self.world)
         self._settle()
 

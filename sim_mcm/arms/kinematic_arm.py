@@ -201,6 +201,9 @@ class KinematicArm:
     def touches(self) -> Mapping[str, float]:
         return {}  # left out, see the module docstring
 
+    def arm_touches(self) -> Mapping[str, float]:
+        return {}  # exact arms pass through each other
+
     @property
     def pose(self) -> Array:
         """Present pose of the tcp, world frame."""

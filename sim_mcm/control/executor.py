@@ -9,8 +9,9 @@ holds something if its fingers press.
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import msgspec
 
@@ -25,7 +26,15 @@ from sim_mcm.control.modes import AFTER_STOP, MOVING, TRANSITIONS, Mode, Trigger
 from sim_mcm.control.reports import Peaks, Trip, end_report, magnitudes, not_begun
 
 # After these reasons the arm may lean on an obstacle; the command then moves to the measured position.
-TOUCHED = frozenset({StopReason.CONTACT, StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT, StopReason.COLLISION})
+TOUCHED = frozenset(
+    {
+        StopReason.CONTACT,
+        StopReason.FORCE_LIMIT,
+        StopReason.TORQUE_LIMIT,
+        StopReason.COLLISION,
+        StopReason.ARM_CONTACT,
+    }
+)
 
 # Rest means that joints and fingers stay within these spreads for a window of ticks. Speeds are not used: they
 # alternate from tick to tick while a held object is pressed. Equal to 0.005 rad/s and 0.002 m/s of uniform motion.
@@ -75,6 +84,7 @@ class Executor:
         self._report_every: int | None = None
         self._yielded = self._releasing = False
         self._leaning_ticks = 0
+        self._stopped_at_s = 0.0  # time along the trajectory, of the latest stop
         self._tcp_of: Sample | None = None  # the sample that `_tcp_pose` belongs to
         self._tcp_pose: Array = arm.tcp_pose(self.sample.joints)
         self._was_compliant = False  # up to the stop
@@ -127,11 +137,17 @@ class Executor:
         self._apply(Trigger.ACCEPTED)
         return [m.Started(primitive=primitive.id, at_s=now_s)]
 
-    def halt(self) -> bool:
-        """Brake with the next tick, in any state. Returns True if the arm was in motion."""
+    @property
+    def path_s(self) -> float:
+        """Time along its trajectory that the present or latest primitive has reached (s); infinite at its goal."""
+        return self._profile_time_s if self.state is Mode.EXECUTING else self._stopped_at_s
+
+    def halt(self, reason: StopReason = StopReason.HALT, words: str = "") -> bool:
+        """Brake with the next tick, in any state. Returns True if the arm was in motion. `reason`: of the end report,
+        unless the primitive is ending already."""
         was_moving = self.moving
         if self.state is Mode.EXECUTING:
-            self._trip(Trip(reason=StopReason.HALT), Trigger.HALTED)
+            self._trip(Trip(reason=reason, message=words), Trigger.HALTED)
         else:
             if self.trip is not None:  # keep the reason; cancel the rest of the reflex
                 self.trip = msgspec.structs.replace(self.trip, reflex=Reflex.STOP)
@@ -146,7 +162,7 @@ class Executor:
             return []
         if self._ticks == 0:
             self._bias = list(sample.wrench)
-            self._touched_before |= self.arm.touches()
+            self._touched_before |= {**self.arm.touches(), **self.arm.arm_touches()}
         self._ticks += 1
         self._wrench = self.wrench
         reports = self._work[self.state](now_s)
@@ -164,7 +180,7 @@ class Executor:
 
     def _begin_holding(self) -> None:
         self._touched_before = {}
-        if self.trip is not None and self.trip.reason is StopReason.COLLISION:
+        if self.trip is not None and self.trip.reason in (StopReason.COLLISION, StopReason.ARM_CONTACT):
             self._touched_before[self.trip.message] = (
                 0.0  # contact may be intermittent, so it is not measured in every tick
             )
@@ -215,6 +231,7 @@ class Executor:
         assert self.primitive is not None
         assert self.trip is not None
         self._was_compliant = self._compliant
+        self._stopped_at_s = math.inf if self.trip.reason is StopReason.GOAL else self._profile_time_s
         if self._compliant:
             self._stiffen(self.primitive.control_law)
         self._use(profiles.Brake(self._command, laden=min(self.sample.finger_forces) > SQUEEZE_N))
@@ -415,6 +432,7 @@ class Executor:
             self._command[0],
             lambda: self.arm.tcp_pose(self._command[0]),
             self._tcp_speed_m_s,
+            self._arm_touch,
         )
 
     def _tcp(self) -> Array:
@@ -429,10 +447,16 @@ class Executor:
         return geometry.distance(before, self._tcp()) / (max(1, len(self._window) - 1) * TICK_S)
 
     def _touch(self) -> str:
-        """The contact of the arm, as text, or ''. A contact from before the start counts only if its force has grown:
-        otherwise the arm could never move away from an obstacle."""
+        return self._new_touch(self.arm.touches())
+
+    def _arm_touch(self) -> str:
+        return self._new_touch(self.arm.arm_touches())
+
+    def _new_touch(self, touches: Mapping[str, float]) -> str:
+        """A contact, as text, or ''. A contact from before the start counts only if its force has grown: otherwise the
+        arm could never move away from an obstacle."""
         before = self._touched_before
-        for words, force_n in self.arm.touches().items():
+        for words, force_n in touches.items():
             if force_n > before.get(words, -LEAN_N) + LEAN_N:
                 return words
         return ""

@@ -40,6 +40,7 @@ class Moment(msgspec.Struct):
     commanded: list[float]  # commanded joints of this tick (rad)
     commanded_tcp: Callable[[], Array]
     tcp_speed_m_s: Callable[[], float]
+    arm_touch: Callable[[], str] = str  # contact with another arm, in words
 
 
 Check = Callable[[Moment], Finding | None]
@@ -54,13 +55,22 @@ RIGID_RAD, COMPLIANT_RAD = 0.1, 0.5
 def always(primitive: p.Primitive) -> list[p.StopFunction]:
     limit_rad = RIGID_RAD if primitive.control_law.compliance is None else COMPLIANT_RAD
     return [
+        p.StopFunction(reason=StopReason.ARM_CONTACT, when=p.ArmTouch()),
         p.StopFunction(reason=StopReason.OVERSPEED, when=p.SpeedAbove(1.5)),
         p.StopFunction(reason=StopReason.FOLLOWING_ERROR, when=p.FollowingErrorAbove(limit_rad)),
     ]
 
 
 # After these reasons only the reflex STOP is safe.
-STOP_ONLY = frozenset({StopReason.HALT, StopReason.COMMAND_LIMIT, StopReason.OVERSPEED, StopReason.FOLLOWING_ERROR})
+STOP_ONLY = frozenset(
+    {
+        StopReason.HALT,
+        StopReason.ARM_CONTACT,
+        StopReason.COMMAND_LIMIT,
+        StopReason.OVERSPEED,
+        StopReason.FOLLOWING_ERROR,
+    }
+)
 
 
 def compile_stops(primitive: p.Primitive, traits: Traits) -> Stops:
@@ -167,6 +177,10 @@ def _joint_margin(when: p.JointMarginBelow, traits: Traits) -> Check:
         return None
 
     return check
+
+
+def _arm_touch(when: p.ArmTouch, traits: Traits) -> Check:
+    return lambda now: (None, None, words) if (words := now.arm_touch()) else None
 
 
 def _body_touch(when: p.BodyTouch, traits: Traits) -> Check:
@@ -300,6 +314,7 @@ CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
     p.SpeedAbove: _speed,
     p.FollowingErrorAbove: _following,
     p.JointMarginBelow: _joint_margin,
+    p.ArmTouch: _arm_touch,
     p.BodyTouch: _body_touch,
     p.GripForceBelow: _grip,
     p.HandWidthBelow: _width,

@@ -23,10 +23,11 @@ import msgspec
 
 from rtc.protocol import messages as m
 from rtc.protocol import wire
-from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from rtc.protocol.outcomes import FAULT_SCOPE, FaultScope, Refusal, RefusalReason, StopReason
+from rtc.protocol.primitive import Primitive, StartAfter
 from rtc.protocol.primitive_id import LONGEST, is_name
 from rtc.runtime.halt_admission import HaltRateLimiter
-from sim_mcm.arms.arm import ArmInterface
+from sim_mcm.arms.arm import TICK_S, ArmInterface
 from sim_mcm.control.executor import Executor
 from sim_mcm.control.reports import not_begun
 
@@ -71,6 +72,13 @@ class Halt(msgspec.Struct):
         return [(sender, msgspec.structs.replace(message, call=call)) for sender, call in self.callers]
 
 
+class Pending(msgspec.Struct):
+    """An order that waits for its start condition: another arm must leave the space that it needs."""
+
+    order: m.Execute
+    ticks: int = 0  # waited so far
+
+
 class McmSubsystem:
     def __init__(self, arms: Mapping[str, ArmInterface], name: str = "MCM", pid: int = 0) -> None:
         self.name = name
@@ -80,6 +88,8 @@ class McmSubsystem:
             str, tuple[m.EndReport, float]
         ] = {}  # unacknowledged end reports: primitive -> (report, time of the next repetition)
         self._ended: OrderedDict[str, m.EndReport] = OrderedDict()  # the last end reports; they answer repeated orders
+        self._reached_s: dict[str, float] = {}  # how far each of them came along its trajectory
+        self._pending: dict[str, Pending] = {}  # by performer
         self._content_hashes: dict[str, int] = {}  # primitive id -> hash of the whole primitive
         self._begun: Counter[str] = Counter()  # number of started primitives, by performer
         self._halts: OrderedDict[tuple[str, str], Halt] = OrderedDict()  # by name and scope
@@ -93,6 +103,7 @@ class McmSubsystem:
     @property
     def outstanding(self) -> list[str]:
         running = [e.primitive_id for e in self.executors.values() if e.primitive]
+        running += [pending.order.primitive.id for pending in self._pending.values()]
         return running + [primitive for primitive in self._kept if primitive not in running]
 
     @property
@@ -101,7 +112,7 @@ class McmSubsystem:
 
     @property
     def idle(self) -> bool:
-        return all(e.primitive is None for e in self.executors.values())
+        return not self._pending and all(e.primitive is None for e in self.executors.values())
 
     def handle(
         self, message: m.Execute | m.HaltOrder | m.ReportAck | InvalidOrder, sender: bytes, now_s: float
@@ -119,6 +130,7 @@ class McmSubsystem:
 
     def brake(self) -> None:
         """Stop every arm without a halt to answer: the process ends."""
+        self._pending.clear()
         for executor in self.executors.values():
             executor.halt()
 
@@ -146,9 +158,14 @@ class McmSubsystem:
         for executor in self.executors.values():
             for message in executor.tick(now_s):
                 if isinstance(message, m.EndReport):
+                    self._reached_s[message.primitive] = executor.path_s
                     out += self._end(message, now_s)
                 else:
                     out.append((BROKER, message))
+            if executor.trip is not None and FAULT_SCOPE[executor.trip.reason] is FaultScope.SUBSYSTEM:
+                out += self._stop_all(executor.trip.reason, executor.trip.message, now_s)
+        if self._pending:
+            out += self._follow_pending(now_s)
         if self._open_halts:
             out += self._follow_halts(now_s)
         if (merged := self._halt_limiter.due(now_s)) is not None:
@@ -176,26 +193,78 @@ class McmSubsystem:
         if executor is None:
             why = f"{self.name} has no {primitive.performer}; it has {', '.join(self.executors)}"
             return self._end(not_begun(primitive.id, primitive.performer, why, at_s=now_s), now_s)
-        if executor.primitive_id == primitive.id:
-            return []  # it is being executed
+        pending = self._pending.get(executor.name)
+        if primitive.id in (executor.primitive_id, pending and pending.order.primitive.id):
+            return []  # it is being executed, or waits for its start
+        if pending is not None:
+            why = f"{executor.name} is busy with {pending.order.primitive.id}, which waits for its start"
+            return self._end(self._not_begun(primitive, StopReason.REFUSED, why, now_s), now_s)
         if (halt := self._halted_before(order)) is not None:
             why = f"the broker had not yet acknowledged halt {halt} when it sent this; not started"
-            pose = executor.arm.tcp_pose(executor.sample.joints)
-            report = not_begun(
-                primitive.id,
-                primitive.performer,
-                why,
-                at_s=now_s,
-                reason=StopReason.HALT,
-                sample=executor.sample,
-                tcp_pose=pose,
-            )
-            return self._end(report, now_s)
+            return self._end(self._not_begun(primitive, StopReason.HALT, why, now_s), now_s)
+        if primitive.start_after:
+            self._pending[executor.name] = Pending(order)
+            return self._follow_pending(now_s)
+        return self._begin(executor, primitive, now_s)
+
+    def _begin(self, executor: Executor, primitive: Primitive, now_s: float) -> Outgoing:
         out: Outgoing = []
         for message in executor.accept(primitive, now_s):
             self._begun[executor.name] += isinstance(message, m.Started)
             out += self._end(message, now_s) if isinstance(message, m.EndReport) else [(BROKER, message)]
         return out
+
+    def _follow_pending(self, now_s: float) -> Outgoing:
+        """Begin the orders whose start conditions are met; end those whose conditions cannot be met any more."""
+        out: Outgoing = []
+        for name, pending in list(self._pending.items()):
+            primitive, waited_s = pending.order.primitive, pending.ticks * TICK_S
+            pending.ticks += 1
+            whys = [self._why_not(condition, waited_s) for condition in primitive.start_after]
+            if None in whys:
+                continue
+            del self._pending[name]
+            if why := next(filter(None, whys), ""):
+                out += self._end(self._not_begun(primitive, StopReason.BLOCKED, why, now_s), now_s)
+            else:
+                out += self._begin(self.executors[name], primitive, now_s)
+        return out
+
+    def _why_not(self, condition: StartAfter, waited_s: float) -> str | None:
+        """Empty: the condition is met. None: it may be met later. Otherwise the reason why it cannot be met."""
+        name = condition.primitive
+        running = next((e for e in self.executors.values() if e.primitive_id == name), None)
+        waiting = any(pending.order.primitive.id == name for pending in self._pending.values())
+        reached_s = running.path_s if running is not None else self._reached_s.get(name, 0.0)
+        if reached_s >= condition.path_s and (running is not None or name in self._reached_s):
+            return ""
+        if running is None and not waiting:
+            return f"{name} has ended before it left the space that this needs"
+        if waited_s > condition.within_s:
+            return f"{name} has not left the space that this needs within {condition.within_s:.3g} s"
+        return None
+
+    def _stop_all(self, reason: StopReason, words: str, now_s: float) -> Outgoing:
+        """Stop every arm for a fault that concerns all of them."""
+        for executor in self.executors.values():
+            if executor.primitive is not None and executor.trip is None:
+                executor.halt(reason, words)
+        return self._drop_pending("ALL", reason, words, now_s)
+
+    def _drop_pending(self, scope: str, reason: StopReason, why: str, now_s: float) -> Outgoing:
+        out: Outgoing = []
+        for name, pending in list(self._pending.items()):
+            if _in_scope(scope, name, pending.order.primitive.id):
+                del self._pending[name]
+                out += self._end(self._not_begun(pending.order.primitive, reason, why, now_s), now_s)
+        return out
+
+    def _not_begun(self, primitive: Primitive, reason: StopReason, why: str, now_s: float) -> m.EndReport:
+        executor = self.executors[primitive.performer]
+        pose = executor.arm.tcp_pose(executor.sample.joints)
+        return not_begun(
+            primitive.id, executor.name, why, at_s=now_s, reason=reason, sample=executor.sample, tcp_pose=pose
+        )
 
     def _refuse(self, order: InvalidOrder, now_s: float) -> Outgoing:
         """Answer an invalid order with an end report, because the broker waits for one."""
@@ -216,6 +285,7 @@ class McmSubsystem:
         if len(self._ended) > REMEMBERED:
             oldest, _ = self._ended.popitem(last=False)
             self._content_hashes.pop(oldest, None)
+            self._reached_s.pop(oldest, None)
         return [(BROKER, report)]
 
     def _repeat_reports(self, now_s: float) -> Outgoing:
@@ -242,6 +312,12 @@ class McmSubsystem:
             return [(sender, m.Declined(request=order.halt, refusal=refusal))]
         reached = [e for e in self.executors.values() if _in_scope(order.scope, e.name, e.primitive_id)]
         moving = [e.name for e in reached if e.halt()]
+        dropped = self._drop_pending(order.scope, StopReason.HALT, "halted before its start", now_s)
+        return [*dropped, *self._answer_halt(order, sender, reached, moving, now_s)]
+
+    def _answer_halt(
+        self, order: m.HaltOrder, sender: bytes, reached: list[Executor], moving: list[str], now_s: float
+    ) -> Outgoing:
         if sender == BROKER:  # the broker knows this halt in every later message on this socket
             self._fences = {scope: seen for scope, seen in self._fences.items() if not _acknowledges(order, seen)}
             return self._answer(order, sender, reached, moving, now_s)

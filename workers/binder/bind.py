@@ -41,7 +41,9 @@ from workers.binder import impact, replan, stop_conditions
 from workers.binder.impact import Impact
 from workers.binder.stop_conditions import Values
 from workers.planning import advice, axes, certainty, segments, suggestions
+from workers.planning.motion import beside
 from workers.planning.motion.plan import Motion
+from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import Pace
 from workers.planning.robot_models import CellModel
 from workers.planning.segments import Target
@@ -90,7 +92,7 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
     if step.do not in compiled.actions:
         return refused_program(f"unknown action {step.do}", f"there are {', '.join(compiled.actions)}")
     try:
-        query = WorldQuery(cell, world, data.at_s, seed_of(command_of(data.primitive_id)))
+        query = WorldQuery(cell, world, data.at_s, seed_of(command_of(data.primitive_id)), data.moving)
         return ACTIONS[compiled.actions[step.do]](BindTask(compiled, query, data))
     except expressions.ExpressionError as error:
         return refused_program(
@@ -147,7 +149,27 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     )
     against = against_motion(query.tcp(task.arm).tolist(), motion) if step.space == "move_task" else None
     trajectory = motion.timed.trajectory()
-    return primitive(task, stop_class, values, trajectory, evaluation, against, "; ".join((*slowed, *motion.notes)))
+    note = "; ".join((*slowed, *motion.notes))
+    bound = primitive(task, stop_class, values, trajectory, evaluation, against, note)
+    return bound if isinstance(bound, Refusal) else beside_others(task, request, bound)
+
+
+def beside_others(task: BindTask, request: PlanningRequest, bound: BoundStep) -> BoundStep | Refusal:
+    """The step with the conditions of its start beside the motions of other arms."""
+    if not task.query.moving or bound.primitive is None:
+        return bound
+    conditions = beside.start_conditions(request, bound.primitive, task.query.moving)
+    if isinstance(conditions, Refusal):
+        return conditions
+    if not conditions:
+        return bound
+    awaited = ", ".join(command_of(condition.primitive) for condition in conditions)
+    return msgspec.structs.replace(
+        bound,
+        primitive=msgspec.structs.replace(bound.primitive, start_after=conditions),
+        limit_s=bound.limit_s + max(condition.within_s for condition in conditions),
+        note=f"{bound.note}; starts when {awaited} has left the space that it needs",
+    )
 
 
 def impact_of(task: BindTask, target: Target, values: Values, held: str) -> Impact | None:

@@ -20,7 +20,7 @@ from rtc.programs import expressions
 from rtc.programs.loader import decode
 from rtc.programs.schema import Branch, BranchCondition, ElaboratorProgram, ScriptFile, ScriptPiece, ScriptStep
 from rtc.protocol.messages import ElaboratorInput, Limits, Script, ScriptContext, Step, Trim
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.protocol.primitive_id import seed_of
 from rtc.robot import geometry
 from rtc.world.model import World
@@ -79,7 +79,7 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
         problem = reflexes.refuse_unsupported(reflex, parsed.object is not None)
         if problem is not None:
             return problem
-    query = WorldQuery(cell, world, data.at_s, seed_of(data.command))
+    query = WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving)
     if parsed.kind == "data":
         return set_fact.script(program, compiled.scripts[branches[0].script], parsed, query)
     candidates = _candidates(compiled, parsed, limits, query)
@@ -227,7 +227,7 @@ def _first_feasible(compiled: Compiled, options: list[ScriptOption]) -> Script |
         if isinstance(made, Script):
             return made
         notes.append(f"generated {option.name}; tested: {made.message}")
-        if first is None or _PRECEDENCE[made.reason] < _PRECEDENCE[first.reason]:
+        if first is None or _rank(made) < _rank(first):
             first = made
     assert first is not None
     if len(options) == 1 or _PRECEDENCE[first.reason] == 0 or first.reason is RefusalReason.NO_SCRIPT:
@@ -248,6 +248,11 @@ _PRECEDENCE = dict.fromkeys(RefusalReason, 1) | {
     RefusalReason.PROGRAM: 2,
     RefusalReason.NO_SCRIPT: 3,
 }
+
+
+def _rank(refusal: Refusal) -> tuple[int, bool]:
+    """A refusal that another arm causes is the best of its rank: it may be cleared by waiting."""
+    return _PRECEDENCE[refusal.reason], IN_THE_WAY not in refusal.detail
 
 
 # --- the script ------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ corrects the fact.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from rtc.cells import cell as cells
 from rtc.cells import parts
 from rtc.protocol.messages import Limits, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.protocol.primitive import Load
+from rtc.protocol.primitive import JointTrajectory, Load, Primitive
 from rtc.robot import geometry
 from rtc.robot.collision import Held, Scene
 from rtc.robot.geometry import Array
@@ -39,13 +39,14 @@ class WorldQuery:
     """Queries on one world view of one cell. Poses are [x y z qx qy qz qw] in m, in the world frame unless stated.
 
     `at_s`: when the query is made (the clock of `Fact.at_s`); 0: unknown, so that no fact has an age.
-    `seed`: of the sampling planner in this job.
+    `seed`: of the sampling planner in this job. `moving`: the primitives that other arms execute now.
     """
 
     model: CellModel
     world: World
     at_s: float = 0.0
     seed: int = 0
+    moving: Sequence[Primitive] = ()
 
     @property
     def cell(self) -> cells.Cell:
@@ -54,7 +55,10 @@ class WorldQuery:
     # --- facts ---------------------------------------------------------------------------------------------
 
     def joints(self, arm: str) -> list[float]:
-        """Joint values as last reported (rad); the home position before any report."""
+        """Joint values as last reported (rad); the home position before any report. Of a moving arm: at its goal."""
+        for primitive in self.moving:
+            if primitive.performer == arm and isinstance(primitive.trajectory, JointTrajectory):
+                return primitive.trajectory.positions[-1]
         return self.world.value(f"{arm}.joints") or self.cell.arm(arm).home_rad
 
     def tcp(self, arm: str) -> Array:

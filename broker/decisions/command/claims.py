@@ -41,6 +41,7 @@ def claim_or_wait(context: DecisionContext, command: Command, claim: Claim) -> b
     assert command.head is not None
     resources = context.state.resources
     result = resources.take(command.id, claim)
+    context.check_space_lines()
     if isinstance(result, list):
         context.grant(result)
         return True
@@ -51,6 +52,7 @@ def claim_or_wait(context: DecisionContext, command: Command, claim: Claim) -> b
         refuse(context, command, Refusal(reason=RefusalReason.RESOURCE, message=message, owner=owner, clears=clears))
         return False
     context.grant(resources.wait(command.id, claim))
+    context.check_space_lines()
     context.enter(command, Phase.HELD, f"{name} is in use by {owner}")
     return False
 
@@ -65,11 +67,16 @@ def on_granted(context: DecisionContext, command: Command, _: Any) -> None:
 
 
 def elaborate(context: DecisionContext, command: Command) -> None:
+    """Elaborate with the granted claim. The number of times is limited."""
     command.elaborations += 1
     if command.elaborations > MAX_ELABORATIONS:
         message = f"its claim changed {MAX_ELABORATIONS} times while it waited for it"
         refuse(context, command, Refusal(reason=RefusalReason.OVERLOAD, message=message))
         return
+    start_elaboration(context, command)
+
+
+def start_elaboration(context: DecisionContext, command: Command) -> None:
     data = {"command": command.id, "parsed": command.parsed, "at_s": context.now}
     context.create_job(command, WorkerKind.ELABORATOR, data)
     context.enter(command, Phase.ELABORATING)

@@ -92,6 +92,8 @@ def _will_pause(command: Command) -> Answer:
         return False, "is paused already"
     if command.phase in (Phase.HALTING, Phase.CLOSING):
         return False, "is ending"
+    if command.phase is Phase.WAITING and command.actions is not None:
+        return True, f"pauses before step {command.step_words}"
     if command.actions is None or command.actions.step is None:
         return True, "pauses before its first step"
     if command.actions.refs:

@@ -20,7 +20,7 @@ from broker.decisions.state import NIL, AssessmentHead, BoundHead, Command, Link
 from rtc.protocol import wire
 from rtc.protocol.messages import EndReport, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
-from rtc.protocol.primitive import Primitive
+from rtc.protocol.primitive import JointTrajectory, Primitive
 from rtc.protocol.primitive_id import belongs_to, primitive_id
 
 read_script = wire.decoder(ScriptHead)
@@ -60,9 +60,20 @@ def next_step(context: DecisionContext, command: Command) -> None:
     else:
         actions.pop()
         command.step_words = step_in_words(actions)
-        name = primitive_id(command.id, command.primitives + 1, context.state.life)
-        context.create_job(command, WorkerKind.BINDER, {**actions.binder_input(name), "at_s": context.now})
-        context.enter(command, Phase.BINDING)
+        bind_step(context, command)
+
+
+def bind_step(context: DecisionContext, command: Command, note: str = "") -> None:
+    """Bind the current step; a wanted pause comes first."""
+    actions = command.actions
+    assert actions is not None
+    if command.pause_wanted:
+        actions.put_back()
+        context.enter(command, Phase.PAUSED, "paused between two steps")
+        return
+    name = primitive_id(command.id, command.primitives + 1, context.state.life)
+    context.create_job(command, WorkerKind.BINDER, {**actions.binder_input(name), "at_s": context.now})
+    context.enter(command, Phase.BINDING, note)
 
 
 def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
@@ -97,6 +108,10 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
         message = "the binder made a primitive without an evaluation for the analyzer"
         refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
         return
+    moves = isinstance(primitive.trajectory, JointTrajectory)
+    if moves and context.state.motions_begun != command.motions_seen[0]:
+        bind_step(context, command, "another arm has begun to move meanwhile: planned again beside it")
+        return
     command.primitives += 1
     command.primitive = primitive.id
     command.primitive_body = result.primitive
@@ -104,6 +119,8 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
     command.subsystem = result.subsystem
     command.evaluation = result.evaluation
     command.limit_s = result.limit_s
+    if moves:
+        context.begin_motion(command, primitive.performer, result.primitive)
     send(context, command)
     context.enter(command, Phase.EXECUTING, result.note, expected_s=result.predicted_s * context.state.timeout_scale)
     if command.primitives == 1:
@@ -162,6 +179,7 @@ def on_assessed(context: DecisionContext, command: Command, product: msgspec.Raw
     assert command.actions is not None
     assessment = read_assessment(product)
     command.actions.assign(assessment.keep)
+    context.end_motions(command)
     if assessment.verdict == "continue":
         command.steps_done += 1
         context.note(command, assessment.message or f"{assessment.reason}: as expected")

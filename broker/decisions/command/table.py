@@ -15,6 +15,7 @@ from broker.decisions.command import (
     intake,
     jobs,
     nominal,
+    space,
     stopping,
     termination,
 )
@@ -41,7 +42,7 @@ _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
     },
     P.ELABORATING: {
         S.PRODUCT: cell(nominal.on_elaborated, P.HELD, *STEP),
-        S.REFUSAL: cell(termination.refuse, P.ENDED),
+        S.REFUSAL: cell(space.on_refused, P.WAITING, P.ELABORATING, P.ENDED),
         S.UNAVAILABLE: cell(jobs.fail_unavailable, P.ENDED),
         S.WORKER_LOST: cell(jobs.retry_job, P.ELABORATING, P.ENDED),
         S.STOP: cell(termination.stop, P.ENDED),
@@ -55,9 +56,16 @@ _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
         S.PAUSE: cell(control.request_pause, P.HELD),
         S.RESUME: cell(control.withdraw_pause, P.HELD),
     },
+    P.WAITING: {
+        S.SPACE: cell(space.plan_again, P.ELABORATING, P.BINDING, P.PAUSED),
+        S.STOP: cell(termination.stop, P.ENDED),
+        S.PAUSE: cell(space.pause, P.WAITING, P.PAUSED),
+        S.RESUME: cell(control.withdraw_pause, P.WAITING),
+        S.SUBSYSTEM_LOST: cell(stopping.stop_lost, P.ENDED),
+    },
     P.BINDING: {
         S.PRODUCT: cell(nominal.on_bound, P.EXECUTING, P.ANALYZING, *STEP),
-        S.REFUSAL: cell(termination.refuse, P.ENDED),
+        S.REFUSAL: cell(space.on_refused, P.WAITING, P.BINDING, P.PAUSED, P.ENDED),
         S.UNAVAILABLE: cell(jobs.fail_unavailable, P.ENDED),
         S.WORKER_LOST: cell(jobs.retry_job, P.BINDING, P.ENDED),
         S.STOP: cell(termination.stop, P.ENDED),
@@ -66,7 +74,7 @@ _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
         S.SUBSYSTEM_LOST: cell(stopping.stop_lost, P.ENDED),
     },
     P.EXECUTING: {
-        S.REPORT: cell(nominal.on_reported, P.ANALYZING, P.CLOSING),
+        S.REPORT: cell(space.on_reported, P.ANALYZING, P.CLOSING, P.WAITING, P.BINDING, P.PAUSED, P.ENDED),
         S.STOP: cell(stopping.stop_primitive, P.HALTING),
         S.PAUSE: cell(control.request_pause, P.EXECUTING),
         S.RESUME: cell(control.withdraw_pause, P.EXECUTING),
@@ -108,14 +116,15 @@ _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
 
 _ANSWERS = (S.PRODUCT, S.REFUSAL, S.UNAVAILABLE, S.WORKER_LOST)  # of the worker that has the command's job
 _IGNORED: list[Ignored[Phase, Stimulus]] = [
-    Ignored((P.HELD, P.EXECUTING, P.PAUSED, P.HALTING), _ANSWERS, "no job is pending; the answer is late"),
+    Ignored((P.HELD, P.WAITING, P.EXECUTING, P.PAUSED, P.HALTING), _ANSWERS, "no job is pending; the answer is late"),
     Ignored([p for p in P if p not in (P.HELD, P.ENDED)], [S.GRANT], "it waits for no resource"),
+    Ignored([p for p in P if p not in (P.WAITING, P.ENDED)], [S.SPACE], "it waits for no arm"),
     Ignored([p for p in P if p not in (P.PARSING, P.HELD, P.ENDED)], [S.RELEASE], "it waits for no other command"),
     Ignored([p for p in P if p not in (P.EXECUTING, P.HALTING, P.ENDED)], [S.REPORT], "no primitive is executing"),
     Ignored([p for p in P if p not in (P.HALTING, P.ENDED)], [S.REST], "no halt of it is open"),
     Ignored([p for p in P if p not in (P.HALTING, P.ENDED)], [S.HALT_SETTLED], "it is not a HALT sentence"),
     Ignored(
-        [P.PARSING, P.ELABORATING, P.HELD, P.BINDING, P.PAUSED],
+        [P.PARSING, P.ELABORATING, P.HELD, P.WAITING, P.BINDING, P.PAUSED],
         [S.TIMEOUT],
         "no timer runs: it was stopped as it fired",
     ),

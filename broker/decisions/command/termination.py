@@ -53,6 +53,8 @@ def end(
     context.enter(command, Phase.ENDED, f"{kind}: {message}" if message else f"{kind}")
     in_doubt = Quarantine(command.subsystem, command.primitive) if _in_doubt(command, kind) else None
     granted = state.resources.release(command.id, in_doubt, frozenset(command.performers))
+    context.leave_space_line(command)
+    context.check_space_lines()
     for waiting in state.awaiting.pop(command.id, ()):
         context.follow(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
     for waiting in state.joining.pop(command.id, ()):
@@ -86,6 +88,7 @@ def end(
     if not state.live[command.client]:
         del state.live[command.client]
     _remember(context, command, ended)
+    context.forget_motions()
 
 
 def _in_doubt(command: Command, kind: OutcomeKind) -> bool:

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from rtc.protocol.outcomes import Refusal
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal
 from rtc.protocol.primitive import Load
-from rtc.robot.collision import AS_BUILT, CollisionWorld, Scene
+from rtc.robot.collision import AS_BUILT, Collision, CollisionWorld, Scene
 from rtc.robot.geometry import Array, Floats
 from rtc.robot.kinematics import ArmModel
 from workers.planning.motion.constraints import FREE, Rules
@@ -55,9 +55,20 @@ def free_posture(request: PlanningRequest) -> Callable[[Array], Refusal | None]:
 
     def test(joints: Array) -> Refusal | None:
         hit = request.world.check({**request.joints, request.arm.name: joints}, request.scene)
-        return hit.refusal() if hit is not None else request.rules.broken_by(request.arm, joints)
+        return blocked(request, hit) if hit is not None else request.rules.broken_by(request.arm, joints)
 
     return test
+
+
+def blocked(request: PlanningRequest, hit: Collision) -> Refusal:
+    """The refusal for a collision. It names another arm that is in the way, because that arm may leave."""
+    refusal, held = hit.refusal(), request.scene.held
+    for body in (hit.body_a, hit.body_b):
+        owner = body.split()[0]
+        arm = held[owner].arm if owner in held else owner
+        if arm in request.joints and arm != request.arm.name:
+            return msgspec.structs.replace(refusal, detail={**refusal.detail, IN_THE_WAY: arm})
+    return refusal
 
 
 def fault(request: PlanningRequest, way: Path, step_rad: float = CHECK_RAD) -> Refusal | None:
@@ -73,7 +84,7 @@ def fault(request: PlanningRequest, way: Path, step_rad: float = CHECK_RAD) -> R
         )
         if problem is not None:
             return _at(problem, float(s[n]) / way.length)
-    return None if hit is None else _at(hit.collision.refusal(), float(s[hit.index]) / way.length)
+    return None if hit is None else _at(blocked(request, hit.collision), float(s[hit.index]) / way.length)
 
 
 def _at(problem: Refusal, fraction: float) -> Refusal:

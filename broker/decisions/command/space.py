@@ -1,0 +1,103 @@
+"""A command that waits until another arm leaves the space that it needs. Pure.
+
+A planner refuses a motion and names the arm in its way, or the subsystem has not started a motion because another arm
+did not leave in time. If another live command owns that arm, the command keeps what it holds and waits until that arm
+has rested, or its owner has ended; then it plans again. A wait that would close a circle is refused. So a chain of such
+waits always ends in a command that can go on, and there is no deadlock, although a command holds its claims while it
+waits. A command in the line of a resource holds nothing, so it is in no such chain.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from broker.decisions.command import nominal
+from broker.decisions.command.claims import start_elaboration
+from broker.decisions.command.nominal import bind_step
+from broker.decisions.command.termination import refuse
+from broker.decisions.context import DecisionContext
+from broker.decisions.state import Command
+from rtc.protocol.messages import EndReport, Phase
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, StopReason
+
+
+def on_refused(context: DecisionContext, command: Command, refusal: Refusal) -> None:
+    """Wait for the arm in the way, if it can be expected to leave; otherwise end the command."""
+    command.job = None
+    arm = refusal.detail.get(IN_THE_WAY)
+    if not isinstance(arm, str):
+        refuse(context, command, refusal)
+        return
+    if command.motions_seen != (context.state.motions_begun, context.state.motions_ended):
+        plan_again(context, command, None)  # the plan was made for motions that have changed
+        return
+    _wait(context, command, arm, refusal)
+
+
+def on_reported(context: DecisionContext, command: Command, report: EndReport) -> None:
+    """Plan again after a motion that was not started; wait first while the arm in its way is still on its path."""
+    if report.reason is not StopReason.BLOCKED:
+        nominal.on_reported(context, command, report)
+        return
+    context.stop_timer(command)
+    nominal.acknowledge(context, command)
+    context.end_motions(command)
+    arms = [arm for arm, motion in context.state.motions.items() if motion.primitive in command.beside]
+    if not arms:
+        bind_step(context, command, f"nothing has moved: {report.message}; planned again")
+        return
+    refusal = Refusal(reason=RefusalReason.INFEASIBLE, message=report.message, clears=f"wait for {arms[0]}")
+    _wait(context, command, arms[0], refusal)
+
+
+def _wait(context: DecisionContext, command: Command, arm: str, refusal: Refusal) -> None:
+    owner = context.owner_of(arm)
+    if owner is None or owner is command:
+        refuse(context, command, refusal)
+    elif circle := _circle(context, command, owner):
+        message = f"{refusal.message}; {command.id} cannot wait for {owner.id}: {circle}"
+        clears = f"ABORT {owner.id}, or move {arm} first"
+        refuse(context, command, msgspec.structs.replace(refusal, message=message, owner=owner.id, clears=clears))
+    elif command.head is not None and command.head.now:
+        message = f"{refusal.message}, {arm} is in use by {owner.id}, and the sentence contains NOW"
+        clears = f"wait for {owner.id}, abort it, or leave out NOW"
+        now = Refusal(reason=RefusalReason.RESOURCE, message=message, owner=owner.id, clears=clears)
+        refuse(context, command, now)
+    else:
+        command.waits_for = arm
+        context.state.space_lines.setdefault(arm, []).append(command.id)
+        context.enter(command, Phase.WAITING, f"waits for space of {arm}, which {owner.id} moves: {refusal.message}")
+
+
+def _circle(context: DecisionContext, command: Command, owner: Command) -> str:
+    """The chain of waits from `owner` back to `command`, in words; empty if there is none."""
+    words = []
+    while owner.phase is Phase.WAITING:
+        words.append(f"{owner.id} waits for space of {owner.waits_for}")
+        following = context.owner_of(owner.waits_for)
+        if following is command:
+            return ", ".join(words)
+        if following is None:
+            return ""
+        owner = following
+    return ""
+
+
+def plan_again(context: DecisionContext, command: Command, _: Any) -> None:
+    """Repeat the job that was refused, with what other arms do now."""
+    context.leave_space_line(command)
+    if command.actions is None:
+        start_elaboration(context, command)
+    else:
+        bind_step(context, command)
+
+
+def pause(context: DecisionContext, command: Command, _: Any) -> None:
+    """Pause before the step that waits. A command without a plan pauses before its first step."""
+    command.pause_wanted = True
+    if command.actions is None:
+        context.note(command, "will pause before its first step")
+    else:
+        plan_again(context, command, None)

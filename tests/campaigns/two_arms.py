@@ -1,0 +1,187 @@
+"""Do two arms with crossing motions, commanded separately at the same time, ever touch?
+
+Pairs of random motions of the two arms of the simulated cell, in physics. Each arm starts and ends at a random free
+posture before the bay, and somewhere the path of one arm meets the path of the other. Both commands are given at once.
+The whole cluster runs in one process: the real Decision Unit, workers and MCM. Contacts between the arms are looked for
+in every tick, whatever the commands report. Two motions overlap if both arms are on their paths in the same tick.
+
+    python -m tests.campaigns.two_arms [--pairs 200]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.report import finish, percentile, question
+from rtc.protocol.outcomes import OutcomeKind, Refusal
+from rtc.robot import geometry
+from rtc.robot.collision import AS_BUILT, Scene
+from rtc.robot.geometry import Array
+from sim_mcm.arms.arm import TICK_S, ArmState, HandCommand
+from sim_mcm.arms.bullet_arm import BulletCell
+from sim_mcm.control.executor import Executor
+from tests.campaigns import RESULTS
+from tests.workers.conftest import CELL, MODEL
+from tests.workers.one_process import OneProcess
+from workers.planning.motion.beside import SPACE_M, clear_from, course
+from workers.planning.motion.path import joint_line
+from workers.planning.motion.timing import time_path
+
+SEED = 5
+ARMS = ("RIGHT-ARM", "LEFT-ARM")
+LOW, HIGH = (0.30, -0.35, 0.50), (0.65, 0.35, 1.05)  # of the goals of both hands, world (m)
+TILT_RAD = 0.6  # greatest deviation of a hand from horizontal
+MARGIN_RAD = 0.08  # from every joint limit
+CLEAR_M = 0.03  # of starts and goals from everything
+
+
+class Pair(NamedTuple):
+    """Start and goal of each arm (rad)."""
+
+    starts: dict[str, Array]
+    goals: dict[str, Array]
+
+
+class Ended(NamedTuple):
+    kinds: list[str]
+    touches: int  # ticks with a contact between the arms
+    overlap_s: float
+    shorter_s: float  # duration of the shorter motion
+    took_s: float  # from the sentences to the last end
+    waited: bool  # one arm started on a condition, or planned again
+    causes: list[str]
+
+
+def random_pairs(seed: int) -> Iterator[Pair]:
+    """Crossing pairs: some posture on the path of one arm meets some posture on the path of the other."""
+    random = np.random.default_rng(seed)
+    postures = {arm: _postures(arm, random) for arm in ARMS}
+    while True:
+        starts = {arm: next(postures[arm]) for arm in ARMS}
+        goals = {arm: next(postures[arm]) for arm in ARMS}
+        if _free(starts) and _free(goals) and _crosses(starts, goals):
+            yield Pair(starts, goals)
+
+
+def _postures(arm: str, random: np.random.Generator) -> Iterator[Array]:
+    model = MODEL.arms[arm]
+    while True:
+        point = random.uniform(LOW, HIGH)
+        turn = (random.uniform(-TILT_RAD, TILT_RAD), math.pi / 2 + random.uniform(-TILT_RAD, TILT_RAD), 0.0)
+        found = model.ik(geometry.from_rpy(point, turn).tolist(), CELL.arm(arm).home_rad, MARGIN_RAD)
+        if len(found):
+            yield np.asarray(found[0])
+
+
+def _free(joints: dict[str, Array]) -> bool:
+    return MODEL.collision.check(joints, Scene(clearance_m=CLEAR_M)) is None
+
+
+def _crosses(starts: dict[str, Array], goals: dict[str, Array]) -> bool:
+    lines = [time_path(MODEL.arms[arm], joint_line(starts[arm], goals[arm])) for arm in ARMS]
+    check = MODEL.collision.compare_arms(*ARMS, AS_BUILT)
+    courses = []
+    for line, reach in zip(lines, check.reaches, strict=True):
+        if isinstance(line, Refusal):
+            return False
+        courses.append(course(line.trajectory(), reach))
+    return clear_from(check, courses[0], courses[1], SPACE_M) != 0.0
+
+
+class Runner:
+    """The cell in physics, used for one pair after another."""
+
+    def __init__(self) -> None:
+        self._sim = BulletCell(CELL)
+        self._state = self._sim.state()
+
+    def run(self, pair: Pair) -> Ended:
+        cluster = self._at(pair.starts)
+        for arm, goal in pair.goals.items():
+            words = " ".join(f"{x:.6f}" for x in goal)
+            cluster.give(f"MOVE {arm} TO JOINTS {words} RAD JOINT-MOTION", client=arm)
+        touches = 0
+        while cluster.state.commands:
+            assert cluster.ticks < 120_000, [c.notes[-1] for c in cluster.state.commands.values()]
+            cluster.tick()
+            touches += any(arm.arm_touches() for arm in self._sim.arms.values())
+        ticks = [set(cluster.moving[arm]) for arm in ARMS]
+        outcomes = cluster.outcomes.values()
+        return Ended(
+            kinds=[outcome.kind.value for outcome in outcomes],
+            touches=touches,
+            overlap_s=len(ticks[0] & ticks[1]) * TICK_S,
+            shorter_s=min(map(len, ticks)) * TICK_S,
+            took_s=cluster.ticks * TICK_S,
+            waited=any("space" in note.note or "planned again" in note.note for note in cluster.notes),
+            causes=[outcome.message for outcome in outcomes if outcome.kind is not OutcomeKind.SUCCEEDED],
+        )
+
+    def _at(self, starts: dict[str, Array]) -> OneProcess:
+        """A fresh cluster, with the arms at these postures."""
+        for arm, joints in starts.items():
+            width = CELL.arm(arm).gripper.max_opening_m
+            hand = HandCommand(width, CELL.arm(arm).gripper.max_force_n, CELL.arm(arm).gripper.speed_m_s)
+            fingers = (0.5 * width, 0.5 * width)
+            self._state.arms[arm] = ArmState(joints=joints.tolist(), fingers=fingers, hand=hand, opening_m=width)
+        self._sim.restore(self._state)
+        cluster = OneProcess(self._sim)
+        cluster.mcm.executors = {name: Executor(arm) for name, arm in self._sim.arms.items()}
+        cluster.know_joints(starts)
+        return cluster
+
+    def close(self) -> None:
+        self._sim.close()
+
+
+def main() -> None:
+    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("--pairs", type=int, default=200)
+    given = words.parse_args()
+    question("two_arms", "do two arms with crossing motions, commanded at the same time, ever touch?", seed=SEED)
+    runner, runs = Runner(), []
+    for n, pair in enumerate(random_pairs(SEED), 1):
+        runs.append(runner.run(pair))
+        if runs[-1].causes:
+            print(f"  pair {n}: {'; '.join(runs[-1].causes)}", flush=True)
+        if n % 20 == 0:
+            print(f"  {n} of {given.pairs} pairs", flush=True)
+        if n == given.pairs:
+            break
+    runner.close()
+    metrics, rows = _results(runs)
+    finish("two_arms", metrics, rows, RESULTS)
+
+
+def _results(runs: list[Ended]) -> tuple[dict[str, float | None], list[tuple[str, str]]]:
+    touched = sum(run.touches > 0 for run in runs)
+    overlapped = [run for run in runs if run.overlap_s > 0.0]
+    shares = [run.overlap_s / run.shorter_s for run in overlapped]
+    share = percentile(shares, 50) if shares else 0.0
+    both = sum(run.kinds == ["succeeded", "succeeded"] for run in runs)
+    metrics: dict[str, float | None] = {
+        "pairs": float(len(runs)),
+        "touched": float(touched),
+        "overlap_percent": 100.0 * len(overlapped) / len(runs),
+        "both_succeeded_percent": 100.0 * both / len(runs),
+        "waited_percent": 100.0 * sum(run.waited for run in runs) / len(runs),
+        "overlap_share_p50": share,
+    }
+    rows = [
+        ("pairs whose arms touched", f"{touched} of {len(runs)}"),
+        ("both motions at once, at least for a time", f"{len(overlapped)} of {len(runs)}"),
+        ("share of the shorter motion, of those", f"p50 {share:.2f}"),
+        ("one arm waited for space", f"{sum(run.waited for run in runs)} of {len(runs)}"),
+        ("both commands succeeded", f"{both} of {len(runs)}"),
+        ("from the sentences to the last end", f"p50 {percentile([r.took_s for r in runs], 50):.1f} s"),
+    ]
+    return metrics, rows
+
+
+if __name__ == "__main__":
+    main()

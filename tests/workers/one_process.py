@@ -1,0 +1,175 @@
+"""Decision Unit, workers and MCM in one process and one time, without sockets: commands on several arms at once.
+
+The parts are the real ones. Time passes in ticks of the MCM. Each job takes some ticks, so the planners of two commands
+overlap: a product is computed from the world at the start of its job and delivered at its end.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from typing import Any
+
+import msgspec
+
+from broker.decisions import effects as do
+from broker.decisions import events
+from broker.decisions.decide import decide
+from broker.decisions.invariants import violations
+from broker.decisions.state import State
+from rtc.programs import loader
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.protocol.messages import WorkerKind
+from rtc.protocol.outcomes import Outcome, Refusal
+from rtc.protocol.primitive import JointTrajectory
+from rtc.world.model import World, initial_facts
+from sim_mcm.arms.arm import TICK_S
+from sim_mcm.control.subsystem import BROKER, McmSubsystem
+from tests.workers.conftest import CELL, MODEL, record
+from workers.analyzer import analyze as analyzer
+from workers.binder import bind as binder
+from workers.elaborator import elaborate as elaborator
+
+FUNCTIONS: dict[WorkerKind, Any] = {
+    WorkerKind.ELABORATOR: elaborator,
+    WorkerKind.BINDER: binder,
+    WorkerKind.ANALYZER: analyzer,
+}
+TICKS = {WorkerKind.PARSER: 2, WorkerKind.ELABORATOR: 15, WorkerKind.BINDER: 15, WorkerKind.ANALYZER: 5}  # of a job
+COMPILED: dict[WorkerKind, Any] = {}  # shared: the programs never change here
+
+
+def compiled(kind: WorkerKind) -> Any:
+    if kind not in COMPILED:
+        COMPILED[kind] = FUNCTIONS[kind].compile(loader.default(kind))
+    return COMPILED[kind]
+
+
+class OneProcess:
+    """A cell with its arms, and the cluster that commands it."""
+
+    def __init__(self, sim: Any) -> None:
+        self.sim = sim
+        self.mcm = McmSubsystem(sim.arms, pid=1)
+        self.state = State()
+        self.world = World().overlay(initial_facts(CELL))
+        self.ticks = 0
+        self.outcomes: dict[str, Outcome] = {}
+        self.notes: list[m.ProgressNote] = []
+        self.moving: dict[str, dict[int, str]] = {name: {} for name in sim.arms}  # arm -> tick -> primitive on its path
+        self._number = itertools.count()
+        self._due: list[tuple[int, int, events.Event]] = []  # tick, order, event
+        self._timers: dict[str, int] = {}
+        for kind in WorkerKind:
+            self._handle(events.ProgramInstalled(at_s=self.now_s, kind=kind, digest="x"))
+        self._handle(events.ListenersChanged(at_s=self.now_s, listening=True))
+        self._from_mcm(self.mcm.hello())
+
+    @property
+    def now_s(self) -> float:
+        return 1.0 + self.ticks * TICK_S
+
+    def give(self, sentence: str, client: str = "ann") -> str:
+        """Give a sentence; returns the number of its command."""
+        request = f"r{next(self._number)}"
+        self._handle(events.CommandReceived(at_s=self.now_s, client=client, request=request, text=sentence))
+        return f"C-{self.state.accepted}"
+
+    def know_joints(self, joints: dict[str, Any]) -> None:
+        """State the position of the arms (rad) in the world."""
+        self.world = self.world.overlay(
+            [m.WorldChange(key=f"{arm}.joints", value=[float(q) for q in values]) for arm, values in joints.items()]
+        )
+
+    def run(self, limit_s: float = 60.0) -> None:
+        """Until all commands have ended. Raises AssertionError after the limit."""
+        last = self.ticks + round(limit_s / TICK_S)
+        while self.state.commands:
+            assert self.ticks < last, [(c.id, c.phase.value, c.notes[-1].note) for c in self.state.commands.values()]
+            self.tick()
+
+    def tick(self) -> None:
+        self.ticks += 1
+        while self._due and self._due[0][0] <= self.ticks:
+            self._handle(heapq.heappop(self._due)[2])
+        for timer in [name for name, at in self._timers.items() if at <= self.ticks]:
+            del self._timers[timer]
+            self._handle(events.TimerFired(at_s=self.now_s, timer=timer))
+        self.sim.step()
+        self._from_mcm(self.mcm.tick(self.now_s))
+        for name, executor in self.mcm.executors.items():
+            if executor.moving and executor.primitive and isinstance(executor.primitive.trajectory, JointTrajectory):
+                self.moving[name][self.ticks] = executor.primitive_id
+
+    # --- inside ------------------------------------------------------------------------------------------
+
+    def _handle(self, event: events.Event) -> None:
+        for effect in decide(self.state, event):
+            self._perform(effect)
+        wrong = violations(self.state)
+        assert not wrong, wrong
+
+    def _later(self, ticks: int, event: events.Event) -> None:
+        heapq.heappush(self._due, (self.ticks + ticks, next(self._number), event))
+
+    def _perform(self, effect: do.Effect) -> None:
+        match effect:
+            case do.DispatchJob():
+                self._later(TICKS[effect.kind], self._worked(effect))
+            case do.SendPrimitive():
+                primitive = msgspec.msgpack.decode(effect.primitive, type=m.Primitive)
+                self._from_mcm(self.mcm.handle(m.Execute(primitive=primitive, pid=effect.pid), BROKER, self.now_s))
+            case do.SendHalt():
+                order = m.HaltOrder(halt=effect.halt, scope=effect.scope, call=effect.call)
+                self._from_mcm(self.mcm.handle(order, BROKER, self.now_s))
+            case do.AcknowledgeReport():
+                self.mcm.handle(m.ReportAck(primitive=effect.primitive), BROKER, self.now_s)
+            case do.StartTimer():
+                self._timers[effect.timer] = round((effect.at_s - 1.0) / TICK_S)
+            case do.StopTimer():
+                self._timers.pop(effect.timer, None)
+            case do.PublishNote():
+                self.notes.append(effect.note)
+            case do.ReportEnd():
+                self.outcomes[effect.ended.command] = effect.ended.outcome
+
+    def _worked(self, job: do.DispatchJob) -> events.Event:
+        at_s = self.now_s + TICKS[job.kind] * TICK_S
+        if job.kind is WorkerKind.PARSER:
+            product: Any = record(msgspec.msgpack.decode(job.input)["text"])
+        else:
+            function = FUNCTIONS[job.kind]
+            data = wire.decoder(function.INPUT)(job.input)
+            product = function.run(compiled(job.kind), MODEL, self.world, data)
+        if isinstance(product, Refusal):
+            return events.JobDeclined(at_s=at_s, job=job.job, attempt=job.attempt, node="w", refusal=product)
+        if isinstance(product, m.Assessment):
+            self.world = self.world.overlay(product.changes, source=job.job, at_s=at_s)
+        return events.JobFinished(at_s=at_s, job=job.job, attempt=job.attempt, node="w", product=wire.raw(product))
+
+    def _from_mcm(self, outgoing: Any) -> None:
+        for _, message in outgoing:
+            if (event := self._event(message)) is not None:
+                self._later(1, event)
+
+    def _event(self, message: Any) -> events.Event | None:
+        at_s = self.now_s + TICK_S
+        match message:
+            case m.SubsystemHello():
+                return events.SubsystemConnected(
+                    at_s=at_s, subsystem="MCM", pid=message.pid, performers=message.performers, at_rest=message.at_rest
+                )
+            case m.Started():
+                return events.PrimitiveStarted(at_s=at_s, subsystem="MCM", primitive=message.primitive)
+            case m.EndReport():
+                return events.PrimitiveEnded(at_s=at_s, subsystem="MCM", report=message)
+            case m.HaltAtRest():
+                return events.HaltConfirmed(
+                    at_s=at_s,
+                    subsystem="MCM",
+                    halt=message.halt,
+                    at_rest=message.at_rest,
+                    performers=message.performers,
+                )
+        return None

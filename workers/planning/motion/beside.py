@@ -1,0 +1,160 @@
+"""Motions of two arms at once: from when on one may start, so that the two cannot meet. Pure.
+
+Either arm may be stopped anywhere on its path, at any time, and the other one goes on. So two motions may overlap in
+time only if no posture of one meets any posture that the other still has before it. The part of a path that an arm has
+left behind is free. A motion therefore starts at once, or when the other arm has come far enough along its trajectory;
+the subsystem, which moves both arms, knows when that is.
+
+The search divides both paths into intervals and proves with one check that two intervals cannot meet, or divides them
+further (`rtc.robot.apart`). It is conservative: it never calls two motions free that may meet.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
+from rtc.protocol.primitive import LONGEST_S, JointTrajectory, Primitive, StartAfter
+from rtc.protocol.primitive_id import command_of
+from rtc.robot.apart import ApartCheck
+from rtc.robot.geometry import Array
+from workers.planning.motion.request import PlanningRequest
+
+SPACE_M = 0.01  # minimum distance of two moving arms from each other's path
+STEP_M = 0.02  # smallest interval of a path: no point of the arm moves farther in it
+MOST_CHECKS = 3000  # beyond it what is not decided counts as meeting; some 60 ms
+SOFT_M = 0.1  # greatest distance of a compliant arm from its path that is taken into account
+LAG_S = 0.05  # an arm is at most this far behind its command
+WAIT_FACTOR, WAIT_MARGIN_S = 1.5, 2.0  # limit of the wait for a start, from the time that the other arm needs
+
+
+class Course(NamedTuple):
+    """A path in small intervals: the postures at their ends (rad), [n][joints], and the time of each (s)."""
+
+    time_s: Array
+    postures: Array
+
+
+class Interval(NamedTuple):
+    """From the posture `first` of a course to the posture `last`."""
+
+    first: int
+    last: int
+
+    def halves(self) -> tuple[Interval, Interval]:
+        middle = (self.first + self.last) // 2
+        return Interval(self.first, middle), Interval(middle, self.last)
+
+
+def start_conditions(
+    request: PlanningRequest, motion: Primitive, others: Sequence[Primitive]
+) -> list[StartAfter] | Refusal:
+    """What must be met before this motion of the requested arm starts, beside the motions of other arms.
+
+    Refused if the motion meets the place where another arm will come to rest.
+    """
+    conditions = []
+    for other in others:
+        if other.performer == motion.performer or other.performer not in request.joints:
+            continue
+        if not isinstance(other.trajectory, JointTrajectory) or not isinstance(motion.trajectory, JointTrajectory):
+            continue
+        free_from_s = _clear_from(request, motion, motion.trajectory, other, other.trajectory)
+        if free_from_s is None:
+            return _in_the_way(motion.performer, other)
+        if free_from_s > 0.0:
+            conditions.append(_condition(other, other.trajectory, free_from_s))
+    return conditions
+
+
+def _clear_from(
+    request: PlanningRequest, motion: Primitive, path: JointTrajectory, other: Primitive, their_path: JointTrajectory
+) -> float | None:
+    check = request.world.compare_arms(motion.performer, other.performer, request.scene)
+    mine, theirs = (course(*pair) for pair in zip((path, their_path), check.reaches, strict=True))
+    return clear_from(check, mine, theirs, SPACE_M + _softness_m(motion) + _softness_m(other))
+
+
+def _softness_m(motion: Primitive) -> float:
+    """How far a compliant arm may be pushed away from its path."""
+    compliance = motion.control_law.compliance
+    if compliance is None:
+        return 0.0
+    softest = min(compliance.stiffness[:3])
+    if compliance.most_n is None or softest <= 0.0:
+        return SOFT_M
+    return min(SOFT_M, compliance.most_n / softest)
+
+
+def _condition(other: Primitive, path: JointTrajectory, free_from_s: float) -> StartAfter:
+    """A motion that may back off returns on its path, so its end must be awaited."""
+    path_s = free_from_s + LAG_S
+    if path_s >= path.duration_s or any(stop.back_off_m > 0.0 for stop in other.stop_functions):
+        path_s = LONGEST_S  # reached at its goal only
+    within_s = WAIT_FACTOR * min(path_s, path.duration_s) + WAIT_MARGIN_S
+    return StartAfter(primitive=other.id, path_s=path_s, within_s=within_s)
+
+
+def _in_the_way(arm: str, other: Primitive) -> Refusal:
+    command = command_of(other.id)
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"{arm} would meet {other.performer} where {command} brings it",
+        owner=command,
+        clears=f"wait until {command} has ended, or move {other.performer} away",
+        detail={"cause": "space", "arm": arm, IN_THE_WAY: other.performer},
+    )
+
+
+def clear_from(check: ApartCheck, mine: Course, theirs: Course, clearance_m: float) -> float | None:
+    """The time on their course (s) from which on the rest of it is clear of all of mine: 0 if all of it is.
+
+    None: their end is not clear of my path.
+    """
+    end = len(theirs.time_s) - 1
+    open_: list[tuple[int, Interval, Interval]] = [
+        (-end, Interval(0, end), Interval(0, len(mine.time_s) - 1))
+    ]  # their latest interval first
+    reach, their_reach = check.reaches
+    for _ in range(MOST_CHECKS):
+        if not open_:
+            return 0.0
+        _, late, part = heapq.heappop(open_)
+        here, turns = _middle(mine, part)
+        there, their_turns = _middle(theirs, late)
+        if check.apart(here, turns, there, their_turns, clearance_m):
+            continue
+        divisible = [interval.last - interval.first > 1 for interval in (late, part)]
+        if not any(divisible):
+            return None if late.last == end else float(theirs.time_s[late.last])
+        if divisible[0] and (not divisible[1] or their_reach @ their_turns > reach @ turns):
+            for half in late.halves():
+                heapq.heappush(open_, (-half.last, half, part))
+        else:
+            for half in part.halves():
+                heapq.heappush(open_, (-late.last, late, half))
+    latest = max((late.last for _, late, _ in open_), default=0)
+    return None if latest == end else float(theirs.time_s[latest])
+
+
+def _middle(course: Course, part: Interval) -> tuple[Array, Array]:
+    """A posture of the interval, and how far its other postures turn away from it at most, by joint (rad)."""
+    rows = course.postures[part.first : part.last + 1]
+    low, high = rows.min(axis=0), rows.max(axis=0)
+    return 0.5 * (low + high), 0.5 * (high - low)
+
+
+def course(path: JointTrajectory, reach: Array) -> Course:
+    """The trajectory in intervals of at most STEP_M. `reach`: of each joint, as in `ApartCheck.reaches`.
+
+    Between two knots the line is used: the difference is small against SPACE_M."""
+    knots, time_s = np.asarray(path.positions), np.asarray(path.time_s)
+    pieces = np.maximum(1, np.ceil(np.abs(np.diff(knots, axis=0)) @ reach / STEP_M)).astype(int)
+    index = np.append(0, np.cumsum(pieces)).astype(float)
+    at = np.arange(pieces.sum() + 1, dtype=float)
+    postures = np.column_stack([np.interp(at, index, knots[:, n]) for n in range(knots.shape[1])])
+    return Course(np.interp(at, index, time_s), postures)
