@@ -1,9 +1,10 @@
 """Resource allocation: claims, waiting lines and quarantine (R46, R110, A27-A29).
 
 Pure: it knows the names of commands and resources only. A claim is all or nothing: a command holds every name it
-claims, or waits in line and holds none. A command never waits while holding, so a deadlock is impossible. The lines are
-ordered by command number, also for a command that returns with a larger claim. A claim is granted only if no earlier
-command in line wants one of its names, so starvation is impossible.
+claims, or waits in line and holds none. A command never waits in line while holding, so a deadlock is impossible. (A
+wait for space keeps its claims, see `broker.decisions.command.space`.) The lines are ordered by command number, also
+for a command that returns with a larger claim. A claim is granted only if no earlier command in line wants one of its
+names, so starvation is impossible.
 
 A claim on a name is exclusive (non-sharable resources, locations that will be written) or shared (locations a plan
 relies on). A name in quarantine is closed: its holder has ended, but its subsystem has not confirmed rest.

@@ -26,14 +26,19 @@ from rtc.protocol.messages import (
     Step,
     Trim,
 )
-from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
-from rtc.protocol.primitive import GoalReached, HoldStill, Primitive, StopFunction, TimeAbove
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, StopReason
+from rtc.protocol.primitive import GoalReached, HoldStill, JointTrajectory, Primitive, StopFunction, TimeAbove
 
 CONTEXT = ScriptContext(verb="GRASP", script="test", arm="RIGHT-ARM", object="MODULE")
 F = [
     StopFunction(reason=StopReason.GOAL, when=GoalReached()),
     StopFunction(reason=StopReason.TIMEOUT, when=TimeAbove(5.0)),
 ]
+
+STILL = [[0.0], [0.0]]
+PATH = JointTrajectory(
+    space="joint", time_s=[0.0, 1.0], positions=[[0.0], [1.0]], velocities=STILL, accelerations=STILL
+)
 
 
 def brief(effect: do.Effect) -> str:
@@ -120,6 +125,12 @@ class Harness:
         refusal = Refusal(reason=reason, message="no")
         return self.handle(events.JobDeclined, job=job.id, attempt=job.attempt, node="worker", refusal=refusal)
 
+    def is_blocked(self, command: str, arm: str) -> list[str]:
+        """The planner of this command's pending job finds another arm in its way."""
+        job = self.state.commands[command].job
+        refusal = in_the_way(arm)
+        return self.handle(events.JobDeclined, job=job.id, attempt=job.attempt, node="worker", refusal=refusal)
+
     def loses_worker(self, command: str, blamed: bool = True) -> list[str]:
         job = self.state.commands[command].job
         return self.handle(
@@ -190,6 +201,10 @@ class Harness:
         return next(e.ended.outcome for e in self.log if isinstance(e, do.ReportEnd) and e.ended.command == command)
 
 
+def in_the_way(arm: str) -> Refusal:
+    return Refusal(reason=RefusalReason.INFEASIBLE, message=f"{arm} is in the way", detail={IN_THE_WAY: arm})
+
+
 def record(kind: str = "task", verb: str = "GRASP", **fields: Any) -> ParsedCommand:
     fields.setdefault("hand", "RIGHT-ARM" if kind == "task" else None)
     return ParsedCommand(kind=kind, verb=verb, **fields)  # type: ignore[arg-type]
@@ -216,8 +231,9 @@ def trim(n: int = 1, then: Any = "retry_step", steps: int = 1) -> Trim:
     return Trim(n=n, label=f"trim {n}", then=then, steps=[Step(do="move", label="mend") for _ in range(steps)])
 
 
-def bound(primitive: str, performer: str = "RIGHT-ARM") -> BoundStep:
-    body = Primitive(id=primitive, performer=performer, trajectory=HoldStill(), stop_functions=F)
+def bound(primitive: str, performer: str = "RIGHT-ARM", *, moves: bool = False) -> BoundStep:
+    """`moves`: the arm leaves its place."""
+    body = Primitive(id=primitive, performer=performer, trajectory=PATH if moves else HoldStill(), stop_functions=F)
     evaluation = EvaluationContext(context=CONTEXT, step=Step(do="move", label="x"), arm=performer)
     return BoundStep(subsystem="MCM", primitive=body, evaluation=evaluation, limit_s=5.0)
 

@@ -35,6 +35,7 @@ class SteeredArm:
         self.wrench = [0.0] * 6
         self.forces = (0.0, 0.0)
         self.leaning: dict[str, float] = {}  # "LINK touches BODY" -> N
+        self.meeting: dict[str, float] = {}  # with another arm
         self.hand = HandCommand(0.08, 60.0, 0.05)
         self.width = 0.08
         self.lag = 0.0  # of the measured joints behind the commanded, rad
@@ -66,6 +67,9 @@ class SteeredArm:
 
     def touches(self) -> dict[str, float]:
         return dict(self.leaning)
+
+    def arm_touches(self) -> dict[str, float]:
+        return dict(self.meeting)
 
     def move_hand(self) -> None:
         """One tick of a hand with nothing in it."""

@@ -25,8 +25,8 @@ from broker.decisions.invariants import forbidden, violations
 from broker.decisions.state import State
 from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, EndReport, Phase, WorkerKind
-from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
-from tests.broker.harness import bound, give_up, go_on, mend, record, report, script, trim
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason, StopReason
+from tests.broker.harness import bound, give_up, go_on, in_the_way, mend, record, report, script, trim
 from tests.simulation.model import (
     ARMS,
     CLIENTS,
@@ -119,6 +119,10 @@ def _work(model: Model, scenario: Scenario, command: str, product: str) -> event
     live = model.du.commands[command]
     assert live.job is not None
     del model.given[live.job.id]
+    if product == IN_THE_WAY:
+        arm = sentence_of(command, scenario).meets
+        about = {"job": live.job.id, "attempt": live.job.attempt, "node": "w"}
+        return events.JobDeclined(at_s=model.now, refusal=in_the_way(arm), **about)
     step = live.actions.step if live.actions else None
     body = _product(sentence_of(command, scenario), live.job.kind, command, live.primitives + 1, step, product)
     return events.JobFinished(at_s=model.now, job=live.job.id, attempt=live.job.attempt, node="w", product=body)
@@ -141,7 +145,8 @@ def _product(
                 return wire.raw(BoundStep(note="nothing to do"))
             if sentence.stated:
                 return wire.raw(BoundStep(report=report("", StopReason.GOAL), evaluation=bound("").evaluation))
-            return wire.raw(bound(f"{command}.{primitive}", sentence.arms[(primitive - 1) % len(sentence.arms)]))
+            arm = sentence.arms[(primitive - 1) % len(sentence.arms)]
+            return wire.raw(bound(f"{command}.{primitive}", arm, moves=sentence.moves))
         case WorkerKind.ANALYZER:
             if product.startswith("trim"):
                 return wire.raw(mend(int(product[5:])))
@@ -380,6 +385,13 @@ def _goal(model: Model, arm: str) -> None:
     _confirm(model)
 
 
+def _blocked(model: Model, arm: str) -> None:
+    """It is not begun: another arm has not left its space."""
+    del model.begun[model.mcm.arms[arm]]
+    _end(model, arm, StopReason.BLOCKED)
+    _confirm(model)
+
+
 def _rest(model: Model, arm: str) -> None:
     _end(model, arm, StopReason.HALT)
     _confirm(model)
@@ -464,6 +476,7 @@ def _send_again(model: Model, primitive: str) -> None:
 
 OF_MCM: dict[str, Callable[..., None]] = {
     "goal": _goal,
+    "blocked": _blocked,
     "rest": _rest,
     "estop": _estop,
     "estop again": _estop_again,

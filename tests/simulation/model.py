@@ -37,6 +37,8 @@ class Sentence(msgspec.Struct, frozen=True, kw_only=True):
     stated: bool = False  # its steps are stated facts, without a subsystem
     arms: tuple[str, ...] = ("RIGHT-ARM",)
     trims: int = 0
+    moves: bool = False  # its arm leaves its place
+    meets: str = ""  # the arm that may be in its way
     halt_if_lost: bool = False
 
 

@@ -9,6 +9,8 @@ from broker.decisions import events
 from broker.decisions.decide import decide
 from broker.decisions.state import Command, LinkState
 from rtc.protocol.messages import Phase, WorkerKind
+from rtc.protocol.outcomes import IN_THE_WAY
+from rtc.protocol.primitive_id import command_of
 from tests.simulation.environment import event_of
 from tests.simulation.model import (
     NEVER_EXHAUSTED,
@@ -59,6 +61,8 @@ def _moves(model: Model, scenario: Scenario) -> Iterator[Move]:
         if not primitive:
             continue
         yield ("rest" if arm in mcm.braking else "goal"), arm
+        if arm not in mcm.braking and sentence_of(command_of(primitive), scenario).meets:
+            yield "blocked", arm
     if mcm.alive:
         yield ("mcm dies",)
         if du.subsystems["MCM"].link is not LinkState.LOST and not mcm.outbox:
@@ -132,6 +136,8 @@ def products(command: Command, scenario: Scenario) -> list[str]:
     if command.job.kind is WorkerKind.ANALYZER and command.phase is Phase.ANALYZING:
         trims = sentence_of(command.id, scenario).trims
         return ["go on", "give up", *(f"trim {n}" for n in range(1, trims + 1))]
+    if command.job.kind in (WorkerKind.ELABORATOR, WorkerKind.BINDER) and sentence_of(command.id, scenario).meets:
+        return ["go on", IN_THE_WAY]
     return ["go on"]
 
 

@@ -168,6 +168,9 @@ class TinyArm:
     def tcp_pose(self, joints: Sequence[float]) -> Any:
         return POSE
 
+    def arm_touches(self) -> dict[str, float]:
+        return {}
+
     def touches(self) -> dict[str, float]:
         return {}
 

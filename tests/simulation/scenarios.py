@@ -12,6 +12,10 @@ def _control(verb: str, object: str | None = "C-1", hand: str | None = None) -> 
     return Sentence(parsed=(("kind", "control"), ("verb", verb), ("hand", hand), ("object", object)))
 
 
+def _moving(arm: tuple[str, ...], meets: tuple[str, ...]) -> Sentence:
+    return Sentence(arms=arm, meets=meets[0], moves=True)
+
+
 SCENARIOS = (
     Scenario(name="same arm", sentences=(ONE, ONE)),
     Scenario(name="same arm, one client", sentences=(ONE, ONE), one_client=True),
@@ -19,6 +23,7 @@ SCENARIOS = (
     Scenario(name="same arm, a trim", sentences=(Sentence(trims=1), ONE)),
     Scenario(name="different arms", sentences=(ONE, Sentence(arms=LEFT))),
     Scenario(name="both arms, then one", sentences=(Sentence(arms=BOTH, steps=2), Sentence(arms=LEFT, empty_steps=1))),
+    Scenario(name="arms in each other's way", sentences=(_moving(RIGHT, LEFT), _moving(LEFT, RIGHT)), faults=1),
     Scenario(name="facts stated", sentences=(ONE, Sentence(stated=True, trims=1))),
     Scenario(name="after", sentences=(ONE, Sentence(parsed=(("after", "C-1"),)))),
     Scenario(name="together with", sentences=(ONE, Sentence(arms=LEFT, parsed=(("together_with", "C-1"),)))),

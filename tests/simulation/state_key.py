@@ -29,6 +29,7 @@ def _essence(model: Model) -> list[Any]:
             for c, left in du.deferred_analyses.items()
         ],
         deferred_at_work(model),
+        [du.space_lines, [(arm, _name(model, motion.primitive)) for arm, motion in du.motions.items()]],
         [du.awaiting, du.joining, {c: r.succeeded for c, r in du.ended.items()}],
         [(name, request.unconfirmed) for name, request in du.halt_sentences.items()],
         [(s.pid, s.link, s.came_at_rest) for s in du.subsystems.values()],
@@ -63,6 +64,11 @@ def _of_command(model: Model, c: Command) -> list[Any]:
         and [c.job.kind, len(c.job.deaths), c.job.program, at_work(model, c), model.now - c.job.since_s > LIMIT_S],
         [c.head is not None, actions and [actions.refs, actions.step, actions.trims_used, len(actions.trim_labels)]],
         c.steps_done,
+        [c.waits_for, [_name(model, name) for name in c.beside]],
+        [
+            now == seen
+            for now, seen in zip((model.du.motions_begun, model.du.motions_ended), c.motions_seen, strict=True)
+        ],
         [bool(c.primitive), min(c.primitives, 2), c.primitive_body != NIL, c.performers],
         [c.primitives - begun, begun - model.goals.get(c.id, 0), c.primitive in model.begun],
         halted,

@@ -1,0 +1,111 @@
+"""Motions beside each other: when one may start so that the two cannot meet, whatever stops either of them."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, StopReason
+from rtc.protocol.primitive import (
+    LONGEST_S,
+    Compliance,
+    ControlLaw,
+    GoalReached,
+    JointTrajectory,
+    Primitive,
+    StopFunction,
+    TimeAbove,
+)
+from rtc.robot.collision import Scene
+from tests.workers.conftest import CELL, MODEL
+from workers.planning.motion.beside import SPACE_M, clear_from, course, start_conditions
+from workers.planning.motion.path import joint_line
+from workers.planning.motion.request import PlanningRequest
+from workers.planning.motion.timing import time_path
+
+RIGHT, LEFT = "RIGHT-ARM", "LEFT-ARM"
+F = [
+    StopFunction(reason=StopReason.GOAL, when=GoalReached()),
+    StopFunction(reason=StopReason.TIMEOUT, when=TimeAbove(60.0)),
+]
+HOME = {arm.name: np.array(arm.home_rad) for arm in CELL.arms}
+SCENE = Scene()
+
+
+def at(arm: str, y_m: float, x_m: float = 0.48) -> np.ndarray:
+    """The posture of the hand pointing to the bay, nearest to home."""
+    return np.asarray(MODEL.arms[arm].ik([x_m, y_m, 0.95, 0.0, 2**-0.5, 0.0, 2**-0.5], HOME[arm], 0.06)[0])
+
+
+def motion(arm: str, start: np.ndarray, goal: np.ndarray, id: str = "C-1.1") -> Primitive:
+    timed = time_path(MODEL.arms[arm], joint_line(start, goal))
+    assert not isinstance(timed, Refusal)
+    return Primitive(id=id, performer=arm, trajectory=timed.trajectory(), stop_functions=F)
+
+
+def conditions(mine: Primitive, theirs: Primitive) -> object:
+    start = {mine.performer: mine.trajectory.positions[0], theirs.performer: theirs.trajectory.positions[-1]}
+    request = PlanningRequest(MODEL.arms[mine.performer], MODEL.collision, start, SCENE)
+    return start_conditions(request, mine, [theirs])
+
+
+INTO = motion(RIGHT, at(RIGHT, -0.4), at(RIGHT, 0.1))  # into the middle
+OUT = motion(RIGHT, at(RIGHT, 0.1), at(RIGHT, -0.4))
+MINE = motion(LEFT, at(LEFT, 0.4), at(LEFT, 0.0), "C-2.1")
+
+
+def test_motions_that_do_not_meet_start_at_once():
+    theirs = motion(RIGHT, at(RIGHT, -0.4), at(RIGHT, -0.3))
+    assert conditions(MINE, theirs) == []
+
+
+def test_a_motion_waits_until_the_other_arm_has_left_its_path():
+    (condition,) = conditions(MINE, OUT)
+    assert condition.primitive == "C-1.1"
+    assert 0.0 < condition.path_s < OUT.trajectory.duration_s
+
+
+def test_a_motion_to_where_the_other_arm_goes_is_refused_and_names_that_arm():
+    refusal = conditions(MINE, INTO)
+    assert isinstance(refusal, Refusal)
+    assert (refusal.detail[IN_THE_WAY], refusal.owner) == (RIGHT, "C-1")
+
+
+def test_an_arm_that_may_back_off_must_reach_its_goal_first():
+    stops = [*F, StopFunction(reason=StopReason.FORCE_LIMIT, when=TimeAbove(50.0), back_off_m=0.02)]
+    (condition,) = conditions(MINE, msgspec.structs.replace(OUT, stop_functions=stops))
+    assert condition.path_s == LONGEST_S
+
+
+def test_a_soft_arm_needs_more_space():
+    law = ControlLaw(name="impedance", compliance=Compliance(stiffness=[200.0] * 3 + [10.0] * 3, most_n=10.0))
+    (stiff,), (soft,) = conditions(MINE, OUT), conditions(MINE, msgspec.structs.replace(OUT, control_law=law))
+    assert soft.path_s > stiff.path_s
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_posture_of_a_motion_meets_what_the_other_has_before_it(seed):
+    """The answer holds for random pairs of postures, whatever the timing; and it is not needlessly late."""
+    random = np.random.default_rng(seed)
+    y = random.uniform(0.0, 0.1, 4)
+    mine = motion(LEFT, at(LEFT, 0.35 + y[0]), at(LEFT, y[1]), "C-2.1").trajectory
+    theirs = motion(RIGHT, at(RIGHT, y[2]), at(RIGHT, -0.4 - y[3])).trajectory
+    check = MODEL.collision.compare_arms(LEFT, RIGHT, SCENE)
+    courses = [course(path, reach) for path, reach in zip((mine, theirs), check.reaches, strict=True)]
+    free_s = clear_from(check, courses[0], courses[1], SPACE_M)
+    assert free_s is not None
+    for _ in range(300):
+        one = _at(mine, random.uniform(0.0, mine.duration_s))
+        other = _at(theirs, random.uniform(free_s, theirs.duration_s))
+        assert MODEL.collision.check({LEFT: one, RIGHT: other}, Scene(moving=LEFT)) is None
+    if seed:  # the hands cross
+        assert free_s > 0.0
+        earlier = _at(theirs, max(0.0, free_s - 0.25))
+        path = np.array([_at(mine, t) for t in np.linspace(0.0, mine.duration_s, 200)])
+        assert MODEL.collision.check_path(LEFT, path, {RIGHT: earlier}, Scene(moving=LEFT, clearance_m=0.08))
+
+
+def _at(path: JointTrajectory, time_s: float) -> np.ndarray:
+    positions = np.asarray(path.positions)
+    return np.array([np.interp(time_s, path.time_s, column) for column in positions.T])

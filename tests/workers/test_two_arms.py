@@ -1,0 +1,81 @@
+"""Two arms with crossing motions, commanded separately at the same time: Decision Unit, workers and MCM as one."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from sim_mcm.arms.kinematic_arm import KinematicCell
+from tests.campaigns.two_arms import Runner, random_pairs
+from tests.workers.conftest import CELL
+from tests.workers.one_process import OneProcess
+
+MIDDLE, RIGHT_SIDE = "POSITION 48 0 95 CM", "POSITION 48 -45 95 CM"
+
+
+@pytest.mark.slow
+def test_crossing_pairs_of_motions_never_touch_in_physics():
+    runner = Runner()
+    try:
+        runs = [runner.run(pair) for pair in itertools.islice(random_pairs(seed=11), 4)]
+    finally:
+        runner.close()
+    assert [run.touches for run in runs] == [0] * 4
+    assert all(set(run.kinds) == {"succeeded"} for run in runs), [run.causes for run in runs]
+    assert sum(run.overlap_s > 0.0 for run in runs) >= 2
+
+
+@pytest.fixture
+def cluster() -> OneProcess:
+    return OneProcess(KinematicCell(CELL))
+
+
+def phases(cluster: OneProcess, command: str) -> list[str]:
+    return [note.phase.value for note in cluster.notes if note.command == command]
+
+
+def test_a_command_waits_for_an_arm_that_is_where_it_goes_and_follows_when_it_leaves(cluster):
+    cluster.give(f"MOVE RIGHT-ARM TO {MIDDLE}", client="ann")
+    cluster.give(f"MOVE RIGHT-ARM TO {RIGHT_SIDE}", client="ann")
+    cluster.give(f"MOVE LEFT-ARM TO {MIDDLE}", client="bob")
+    cluster.run()
+    assert {c: o.kind.value for c, o in cluster.outcomes.items()} == dict.fromkeys(("C-1", "C-2", "C-3"), "succeeded")
+    assert "waiting" in phases(cluster, "C-3")
+    both = cluster.moving["RIGHT-ARM"].keys() & cluster.moving["LEFT-ARM"].keys()
+    assert both  # the left arm starts before the right one has arrived
+
+
+def test_a_command_is_refused_if_the_arm_in_its_way_stays_there(cluster):
+    cluster.give(f"MOVE RIGHT-ARM TO {MIDDLE}", client="ann")
+    cluster.give(f"MOVE LEFT-ARM TO {MIDDLE}", client="bob")
+    cluster.run()
+    assert cluster.outcomes["C-1"].kind.value == "succeeded"
+    assert cluster.outcomes["C-2"].kind.value == "refused"
+    assert cluster.outcomes["C-2"].refusal.detail["in_the_way"] == "RIGHT-ARM"
+    assert "waiting" in phases(cluster, "C-2")
+
+
+def test_motions_apart_from_each_other_do_not_wait(cluster):
+    cluster.give("MOVE RIGHT-ARM TO RACK-1-FRONT", client="ann")
+    cluster.give("MOVE LEFT-ARM TO RACK-2-FRONT", client="bob")
+    cluster.run()
+    begun = [min(cluster.moving[arm]) for arm in ("RIGHT-ARM", "LEFT-ARM")]
+    assert abs(begun[0] - begun[1]) < 100  # ticks; the later one was planned again beside the earlier one
+    assert "waiting" not in phases(cluster, "C-1") + phases(cluster, "C-2")
+
+
+def test_an_arm_that_is_halted_in_the_way_of_the_other_keeps_it_waiting(cluster):
+    cluster.give(f"MOVE RIGHT-ARM TO {MIDDLE}", client="ann")
+    cluster.run()
+    cluster.give(f"MOVE RIGHT-ARM TO {RIGHT_SIDE}", client="ann")
+    cluster.give(f"MOVE LEFT-ARM TO {MIDDLE}", client="bob")
+    while "C-2.1" not in cluster.moving["RIGHT-ARM"].values():
+        cluster.tick()
+    for _ in range(100):  # still in the middle
+        cluster.tick()
+    cluster.give("HALT RIGHT-ARM", client="ann")
+    cluster.run()
+    assert cluster.outcomes["C-2"].kind.value == "halted"
+    assert cluster.outcomes["C-3"].kind.value == "refused"
+    assert not cluster.moving["LEFT-ARM"]
