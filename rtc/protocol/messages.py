@@ -628,6 +628,7 @@ class EndReport(Message, frozen=True, kw_only=True):
     message: str = ""  # for REFUSED: why; for COLLISION: the bodies' link names
     reflex: Reflex = Reflex.STOP  # what was done after the stop: BACK_OFF, RELEASE
     facts: dict[str, Any] = {}  # stated or sensed, by key (MACS-OLD.frame), SI; an analyzer writes them
+    partner: EndReport | None = None  # of the second arm, if the primitive has one
 
 
 class HaltStarted(Message, frozen=True, kw_only=True):

@@ -319,6 +319,17 @@ class StartAfter(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError(f"a start condition has times of 0 to {LONGEST_S:g} s")
 
 
+class Partner(msgspec.Struct, frozen=True, kw_only=True):
+    """The part of a second arm in one primitive: both arms start in the same tick, and a stop of one stops the other.
+
+    Two arms that hold one object form a closed chain: one leads, the other complies (impedance)."""
+
+    performer: str
+    trajectory: JointTrajectory
+    control_law: ControlLaw
+    stop_functions: list[StopFunction]
+
+
 class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="Primitive"):
     """T = (P, M, F, R) for one performer. The constructor refuses F without a goal and a time limit (R82)."""
 
@@ -329,13 +340,25 @@ class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, t
     control_law: ControlLaw = ControlLaw()
     reporting: Reporting = Reporting()
     start_after: list[StartAfter] = []  # all must be met before it starts; nothing moves until then
+    partner: Partner | None = None  # a second arm that moves with it
 
     def __post_init__(self) -> None:
-        kinds = [type(stop.when) for stop in self.stop_functions]
-        if TimeAbove not in kinds:
-            raise ValueError("F is not complete: no TimeAbove")
-        if GoalReached not in kinds:
-            raise ValueError("F is not complete: no GoalReached")
+        for stops in (self.stop_functions, *([self.partner.stop_functions] if self.partner else ())):
+            kinds = [type(stop.when) for stop in stops]
+            if TimeAbove not in kinds:
+                raise ValueError("F is not complete: no TimeAbove")
+            if GoalReached not in kinds:
+                raise ValueError("F is not complete: no GoalReached")
+        if self.partner is not None:
+            if self.partner.performer == self.performer:
+                raise ValueError(f"{self.performer} cannot be its own partner")
+            if not isinstance(self.trajectory, JointTrajectory):
+                raise ValueError("only a motion along a path has a partner")
+
+    @property
+    def performers(self) -> list[str]:
+        """All arms that it moves, the leading one first."""
+        return [self.performer, *([self.partner.performer] if self.partner else ())]
 
     def by_priority(self) -> list[StopFunction]:
         return in_priority(self.stop_functions)

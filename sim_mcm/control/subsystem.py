@@ -29,6 +29,7 @@ from rtc.protocol.primitive_id import LONGEST, is_name
 from rtc.runtime.halt_admission import HaltRateLimiter
 from sim_mcm.arms.arm import TICK_S, ArmInterface
 from sim_mcm.control.executor import Executor
+from sim_mcm.control.pairs import Pairs
 from sim_mcm.control.reports import not_begun
 
 BROKER = b""  # not a possible identity of a caller at the estop socket
@@ -84,6 +85,7 @@ class McmSubsystem:
         self.name = name
         self.pid = pid
         self.executors = {arm: Executor(part) for arm, part in arms.items()}
+        self._pairs = Pairs(self.executors)
         self._kept: dict[
             str, tuple[m.EndReport, float]
         ] = {}  # unacknowledged end reports: primitive -> (report, time of the next repetition)
@@ -102,7 +104,7 @@ class McmSubsystem:
 
     @property
     def outstanding(self) -> list[str]:
-        running = [e.primitive_id for e in self.executors.values() if e.primitive]
+        running = list(dict.fromkeys(e.primitive_id for e in self.executors.values() if e.primitive))
         running += [pending.order.primitive.id for pending in self._pending.values()]
         return running + [primitive for primitive in self._kept if primitive not in running]
 
@@ -157,13 +159,14 @@ class McmSubsystem:
         out: Outgoing = []
         for executor in self.executors.values():
             for message in executor.tick(now_s):
-                if isinstance(message, m.EndReport):
-                    self._reached_s[message.primitive] = executor.path_s
-                    out += self._end(message, now_s)
-                else:
+                if not isinstance(message, m.EndReport):
                     out.append((BROKER, message))
+                elif (whole := self._pairs.whole(message)) is not None:
+                    self._reached_s[whole.primitive] = executor.path_s
+                    out += self._end(whole, now_s)
             if executor.trip is not None and FAULT_SCOPE[executor.trip.reason] is FaultScope.SUBSYSTEM:
                 out += self._stop_all(executor.trip.reason, executor.trip.message, now_s)
+        self._pairs.couple()
         if self._pending:
             out += self._follow_pending(now_s)
         if self._open_halts:
@@ -196,8 +199,7 @@ class McmSubsystem:
         pending = self._pending.get(executor.name)
         if primitive.id in (executor.primitive_id, pending and pending.order.primitive.id):
             return []  # it is being executed, or waits for its start
-        if pending is not None:
-            why = f"{executor.name} is busy with {pending.order.primitive.id}, which waits for its start"
+        if why := self._busy(primitive):
             return self._end(self._not_begun(primitive, StopReason.REFUSED, why, now_s), now_s)
         if (halt := self._halted_before(order)) is not None:
             why = f"the broker had not yet acknowledged halt {halt} when it sent this; not started"
@@ -207,10 +209,22 @@ class McmSubsystem:
             return self._follow_pending(now_s)
         return self._begin(executor, primitive, now_s)
 
+    def _busy(self, primitive: Primitive) -> str:
+        """Why an arm of this primitive is not free, apart from what its executor checks; else empty."""
+        for name in primitive.performers:
+            if name not in self.executors:
+                return f"{self.name} has no {name}; it has {', '.join(self.executors)}"
+            for pending in self._pending.values():
+                if name in pending.order.primitive.performers:
+                    return f"{name} is busy with {pending.order.primitive.id}, which waits for its start"
+        return ""
+
     def _begin(self, executor: Executor, primitive: Primitive, now_s: float) -> Outgoing:
         out: Outgoing = []
-        for message in executor.accept(primitive, now_s):
-            self._begun[executor.name] += isinstance(message, m.Started)
+        paired = primitive.partner is not None
+        for message in self._pairs.begin(primitive, now_s) if paired else executor.accept(primitive, now_s):
+            for name in primitive.performers:
+                self._begun[name] += isinstance(message, m.Started)
             out += self._end(message, now_s) if isinstance(message, m.EndReport) else [(BROKER, message)]
         return out
 
@@ -254,7 +268,8 @@ class McmSubsystem:
     def _drop_pending(self, scope: str, reason: StopReason, why: str, now_s: float) -> Outgoing:
         out: Outgoing = []
         for name, pending in list(self._pending.items()):
-            if _in_scope(scope, name, pending.order.primitive.id):
+            primitive = pending.order.primitive
+            if any(_in_scope(scope, performer, primitive.id) for performer in primitive.performers):
                 del self._pending[name]
                 out += self._end(self._not_begun(pending.order.primitive, reason, why, now_s), now_s)
         return out
@@ -298,7 +313,7 @@ class McmSubsystem:
         """The fence that stops this order: a halt in scope that the broker had not acknowledged when it sent the
         order."""
         for scope, halt in self._fences.items():
-            if _in_scope(scope, order.primitive.performer, order.primitive.id):
+            if any(_in_scope(scope, name, order.primitive.id) for name in order.primitive.performers):
                 return halt.halt
         return None
 
