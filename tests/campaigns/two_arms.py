@@ -1,7 +1,8 @@
 """Do two arms with crossing motions, commanded separately at the same time, ever touch?
 
 Pairs of random motions of the two arms of the simulated cell, in physics. Each arm starts and ends at a random free
-posture before the bay, and somewhere the path of one arm meets the path of the other. Both commands are given at once.
+posture before the bay, and somewhere the line of one arm in joint space meets that of the other. One after the other
+in at least one order, both motions are possible. Both commands are given at once.
 The whole cluster runs in one process: the real Decision Unit, workers and MCM. Contacts between the arms are looked for
 in every tick, whatever the commands report. Two motions overlap if both arms are on their paths in the same tick.
 
@@ -30,6 +31,8 @@ from tests.workers.conftest import CELL, MODEL
 from tests.workers.one_process import OneProcess
 from workers.planning.motion.beside import SPACE_M, clear_from, course
 from workers.planning.motion.path import joint_line
+from workers.planning.motion.plan import find_joint_way
+from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import time_path
 
 SEED = 5
@@ -64,7 +67,7 @@ def random_pairs(seed: int) -> Iterator[Pair]:
     while True:
         starts = {arm: next(postures[arm]) for arm in ARMS}
         goals = {arm: next(postures[arm]) for arm in ARMS}
-        if _free(starts) and _free(goals) and _crosses(starts, goals):
+        if _free(starts) and _free(goals) and _crosses(starts, goals) and _possible(starts, goals):
             yield Pair(starts, goals)
 
 
@@ -91,6 +94,19 @@ def _crosses(starts: dict[str, Array], goals: dict[str, Array]) -> bool:
             return False
         courses.append(course(line.trajectory(), reach))
     return clear_from(check, courses[0], courses[1], SPACE_M) != 0.0
+
+
+def _possible(starts: dict[str, Array], goals: dict[str, Array]) -> bool:
+    """Whether the planner finds a way for each arm, in one order or the other."""
+    return any(
+        _way(one, starts, goals) and _way(other, {**starts, one: goals[one]}, goals)
+        for one, other in (ARMS, ARMS[::-1])
+    )
+
+
+def _way(arm: str, joints: dict[str, Array], goals: dict[str, Array]) -> bool:
+    request = PlanningRequest(MODEL.arms[arm], MODEL.collision, joints, Scene(moving=arm), margin_rad=MARGIN_RAD)
+    return not isinstance(find_joint_way(request, goals[arm]), Refusal)
 
 
 class Runner:

@@ -65,5 +65,5 @@ def _rates(arm: ArmModel, q: Array, rates: Array, partner: ArmModel, theirs: Arr
     twist = arm.jacobian(q) @ rates
     across = partner.fk(theirs)[:3] - arm.fk(q)[:3]
     linear = twist[:3] + np.cross(twist[3:], across)
-    found: Array = np.linalg.lstsq(partner.jacobian(theirs), np.concatenate((linear, twist[3:])), rcond=None)[0]
-    return found
+    rates_of_all = np.linalg.lstsq(partner.jacobian(theirs), np.concatenate((linear, twist[3:])), rcond=None)[0]
+    return np.asarray(rates_of_all, dtype=float)
