@@ -1,58 +1,281 @@
-"""Numeric inverse kinematics of any arm: damped Gauss-Newton (Levenberg-Marquardt) from several starts.
+"""Numeric inverse kinematics of any serial arm, by damped Gauss-Newton from many starts at once. Deterministic.
 
-Deterministic, because the starts have a fixed seed. Slower than the closed form (about 1 ms per start), and it may miss
-branches; used only for arms without a closed form.
+A table of seeded random postures is computed once for each arm. A search begins at a reference and at the postures of
+the table whose tcp is nearest to the goal, so a few iterations suffice. All starts run together as arrays. An arm with
+more than six joints moves away from its limits in the null space on the way, so its results differ in the redundant
+joints too. The number of iterations is bounded: a search without a result ends after some 20 ms.
+
+Values of joints are rad, or m for a joint that slides. Poses are in the axes of the base.
 """
 
 from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from rtc.robot.geometry import Array
 
-STARTS = 24  # number of starts
-STEPS = 60  # maximum number of iterations per start
+TABLE = 2048  # postures in the table
+SEED = 560
+BATCHES = (31, 96)  # number of starts from the table; the second batch runs only if the first has no result
+STEPS = (24, 60)  # maximum number of iterations of each batch
 ENOUGH = 1e-9  # norm of the residual twist (m and rad) for convergence
-SAME = 1e-3  # rad; nearer results count as equal
+WANTED, WANTED_STEPS = 12, 9  # with this many results a batch ends after this many iterations
+METRES_PER_RAD = 0.25  # of the distance between poses, to choose starts
+MOST_STEP = 0.6  # maximum change of a joint in one iteration (rad, m)
+DAMPING, LEAST_DAMPING = 0.1, 1e-10  # share of the squared residual, and floor
+NULL_STEPS, NULL_GAIN = 6, 0.15  # iterations with motion in the null space, and its gain
+SAME = 1e-3  # nearer results count as equal
+APART = 0.1  # the same for an arm with redundant joints, whose results are not isolated
+# Penalty of the ranking, in seconds and as a factor of the motion time.
+NEAR_LIMIT = 0.06  # share of a joint's range; a joint that is nearer to its limit is penalised
+NEAR_SINGULAR = 0.25  # share of the arm's typical manipulability; a smaller one is penalised
+PENALTY_S = 0.3
+FOLLOW_STEPS = 12  # maximum number of iterations of `follow`
+FOLLOW_GAIN = 0.02
 
 
-def branches(model: pin.Model, data: pin.Data, frame: int, goal: pin.SE3, reference: Array) -> list[list[float]]:
-    """Joint vectors (rad) within the limits that bring `frame` to `goal`, given in the arm's base frame."""
-    random = np.random.default_rng(560)
-    lower, upper = model.lowerPositionLimit, model.upperPositionLimit
-    starts = [reference, *random.uniform(lower, upper, (STARTS - 1, model.nq))]
-    found: list[Array] = []
-    for start in starts:
-        q = _descend(model, data, frame, goal, start)
-        if q is not None and all(np.abs(q - other).max() > SAME for other in found):
-            found.append(q)
-    return [q.tolist() for q in found]
+class Approach(NamedTuple):
+    """The nearest approach to a goal that is out of reach."""
+
+    joints: Array
+    metres: float
+    radians: float
 
 
-def _descend(model: pin.Model, data: pin.Data, frame: int, goal: pin.SE3, start: Array) -> Array | None:
-    q, damping = np.clip(start, model.lowerPositionLimit, model.upperPositionLimit), 1e-2
-    error = _error(model, data, frame, goal, q)
-    for _ in range(STEPS):
-        if error @ error < ENOUGH * ENOUGH:
-            return q
-        jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
-        normal = jacobian.T @ jacobian + damping * np.eye(model.nv)
-        candidate = np.clip(
-            q + np.linalg.solve(normal, jacobian.T @ error), model.lowerPositionLimit, model.upperPositionLimit
+class Chain:
+    """A serial chain of joints up to the tcp, for many configurations at once.
+
+    `model`: the reduced model of pinocchio, each joint on the one before. Raises ValueError for other joints than
+    revolute and prismatic ones.
+    """
+
+    def __init__(self, model: pin.Model, tcp: int) -> None:
+        self._model, self._data, self._tcp = model, model.createData(), tcp
+        self.lower, self.upper = model.lowerPositionLimit.copy(), model.upperPositionLimit.copy()
+        self.velocity = np.maximum(model.velocityLimit, 1e-6)
+        self.count = model.nv
+        if model.nq != model.nv:
+            raise ValueError("a continuous joint has no limits")
+        self.slides = np.zeros(self.count, dtype=bool)
+        self._joints = [self._joint(n) for n in range(1, model.njoints)]
+        tip = model.frames[tcp].placement
+        self._tip_turn, self._tip_at = tip.rotation.copy(), tip.translation.copy()
+
+    def _joint(self, n: int) -> tuple[Array, Array, Array, Array, Array]:
+        """(position, axis, and three matrices: R(q) = M0 + sin q M1 + (1 - cos q) M2) in the joint before."""
+        model, at = self._model, self._model.jointPlacements[n]
+        motion = pin.computeJointJacobian(model, self._data, pin.neutral(model), n)[:, n - 1]
+        slides = bool(np.linalg.norm(motion[:3]) > 0.5)
+        self.slides[n - 1] = slides
+        axis = motion[:3] if slides else motion[3:]
+        cross = pin.skew(axis)
+        turn = at.rotation
+        return at.translation.copy(), turn @ axis, turn.copy(), turn @ cross, turn @ cross @ cross
+
+    def fk(self, q: Array) -> tuple[Array, Array]:
+        """Rotation [rows][3][3] and position [rows][3] of the tcp of each row of joint values."""
+        return self._place(q)[:2]
+
+    def _place(self, q: Array) -> tuple[Array, Array, Array, Array]:
+        """As `fk`, and axis and position of every joint, [rows][joints][3]."""
+        rows = len(q)
+        turn, at = np.broadcast_to(np.eye(3), (rows, 3, 3)), np.zeros((rows, 3))
+        axes, places = np.empty((rows, self.count, 3)), np.empty((rows, self.count, 3))
+        sine, rest = np.sin(q), 1.0 - np.cos(q)
+        for n, (offset, axis, m0, m1, m2) in enumerate(self._joints):
+            at = at + turn @ offset
+            axes[:, n], places[:, n] = turn @ axis, at
+            if self.slides[n]:
+                at = at + q[:, n, None] * axes[:, n]
+                turn = turn @ m0
+            else:
+                turn = turn @ (m0 + sine[:, n, None, None] * m1 + rest[:, n, None, None] * m2)
+        return turn @ self._tip_turn, at + turn @ self._tip_at, axes, places
+
+    def _jacobian(self, at: Array, axes: Array, places: Array) -> Array:
+        """[rows][6][joints], linear above angular, in base axes."""
+        jacobian = np.zeros((len(at), 6, self.count))
+        jacobian[:, :3] = np.cross(axes, at[:, None] - places).transpose(0, 2, 1)
+        jacobian[:, 3:] = axes.transpose(0, 2, 1)
+        if self.slides.any():
+            jacobian[:, :3, self.slides] = axes[:, self.slides].transpose(0, 2, 1)
+            jacobian[:, 3:, self.slides] = 0.0
+        return jacobian
+
+    def manipulability(self, q: Array) -> Array:
+        """sqrt(det(J J')) of each row; 0 in a singularity."""
+        _, at, axes, places = self._place(q)
+        jacobian = self._jacobian(at, axes, places)
+        return np.sqrt(np.maximum(np.linalg.det(jacobian @ jacobian.transpose(0, 2, 1)), 0.0))
+
+    @cached_property
+    def _table(self) -> tuple[Array, Array, Array, float]:
+        """(postures, positions, rotations as rows of nine, typical manipulability)."""
+        q = np.random.default_rng(SEED).uniform(self.lower, self.upper, (TABLE, self.count))
+        turn, at = self.fk(q)
+        return q, at, turn.reshape(TABLE, 9), float(np.median(self.manipulability(q[:256])))
+
+    # --- search ------------------------------------------------------------------------------------------
+
+    def solutions(self, goal: pin.SE3, reference: Array, margin: float = 0.0) -> list[Array]:
+        """Joint values that bring the tcp to the goal, each at least `margin` from its limits; the best first.
+
+        The best have a short motion time from `reference`, and are far from limits and singularities.
+        """
+        found = self._search(goal, reference, self.lower + margin, self.upper - margin)
+        if not len(found):
+            return []
+        order = np.argsort(self._costs_s(found, reference), kind="stable")
+        return _different(found[order], SAME if self.count <= 6 else APART)
+
+    def without_limits(self, goal: pin.SE3, reference: Array) -> list[Array]:
+        """As `solutions`, with every limit wider by its range."""
+        reach = np.where(self.slides, 1.0, math.pi)
+        found = self._search(goal, reference, self.lower - reach, self.upper + reach)
+        return _different(found, SAME)
+
+    def nearest_approach(self, goal: pin.SE3, reference: Array) -> Approach:
+        """The posture within the limits that comes nearest to a goal out of reach, of those tried."""
+        starts = np.vstack((reference, self._nearest(goal, BATCHES[0])))
+        q, _ = self._descend(goal, starts, self.lower, self.upper, STEPS[0], keep_all=True)
+        off = self._errors(goal, *self.fk(q))
+        metres, radians = np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1)
+        best = int(np.argmin(metres + METRES_PER_RAD * radians))
+        return Approach(q[best], float(metres[best]), float(radians[best]))
+
+    def follow(self, goal: pin.SE3, near: Array) -> Array | None:
+        """Joint values near `near` that bring the tcp to the goal, regardless of limits; None: not found.
+
+        For small steps along a line. Redundant joints move away from their limits.
+        """
+        model, data, tcp = self._model, self._data, self._tcp
+        q = np.array(near, dtype=float)
+        for step in range(FOLLOW_STEPS):
+            pin.framesForwardKinematics(model, data, q)
+            error = pin.log6(data.oMf[tcp].actInv(goal)).vector
+            size = float(error @ error)
+            if size < ENOUGH * ENOUGH:
+                return q
+            jacobian = pin.computeFrameJacobian(model, data, q, tcp, pin.LOCAL)
+            squared = jacobian @ jacobian.T
+            squared[np.diag_indices(6)] += DAMPING * 0.01 * size + LEAST_DAMPING
+            move = jacobian.T @ np.linalg.solve(squared, error)
+            if self.count > 6 and step == 0:
+                away = FOLLOW_GAIN * self._away(q[None])[0]
+                move += away - jacobian.T @ np.linalg.solve(squared, jacobian @ away)
+            most = np.abs(move).max()
+            q = q + move * min(1.0, MOST_STEP / max(most, 1e-12))
+        return None
+
+    def _search(self, goal: pin.SE3, reference: Array, lower: Array, upper: Array) -> Array:
+        nearest = self._nearest(goal, sum(BATCHES))
+        found = np.empty((0, self.count))
+        for first, number, steps in zip((0, BATCHES[0]), BATCHES, STEPS, strict=True):
+            starts = nearest[first : first + number]
+            if first == 0:
+                starts = np.vstack((reference, starts))
+            q, converged = self._descend(goal, starts, lower, upper, steps)
+            found = q[converged]
+            if len(found):
+                break
+        return found
+
+    def _nearest(self, goal: pin.SE3, number: int) -> Array:
+        """The postures of the table whose tcp is nearest to the goal."""
+        q, at, turns, _ = self._table
+        cosine = np.clip(0.5 * (turns @ goal.rotation.reshape(9) - 1.0), -1.0, 1.0)
+        away = np.sqrt(((at - goal.translation) ** 2).sum(axis=1)) + METRES_PER_RAD * np.arccos(cosine)
+        chosen = np.argpartition(away, number)[:number]
+        return q[chosen[np.argsort(away[chosen], kind="stable")]]
+
+    def _descend(
+        self, goal: pin.SE3, starts: Array, lower: Array, upper: Array, steps: int, keep_all: bool = False
+    ) -> tuple[Array, Array]:
+        """(joint values, whether each row has converged). Without `keep_all` it ends when enough have."""
+        q = np.clip(starts, lower, upper)
+        converged = np.zeros(len(q), dtype=bool)
+        for step in range(steps):
+            active = np.flatnonzero(~converged)
+            here = q[active]
+            turn, at, axes, places = self._place(here)
+            error = self._errors(goal, turn, at)
+            size = (error**2).sum(axis=1)
+            done = size < ENOUGH * ENOUGH
+            converged[active[done]] = True
+            if done.all() or (not keep_all and step >= WANTED_STEPS and converged.sum() >= WANTED):
+                break
+            left = ~done
+            move = self._step(here[left], error[left], size[left], (at[left], axes[left], places[left]), step)
+            q[active[left]] = np.clip(here[left] + move, lower, upper)
+        return q, converged
+
+    def _step(self, q: Array, error: Array, size: Array, placed: tuple[Array, Array, Array], step: int) -> Array:
+        """One damped step of every row."""
+        jacobian = self._jacobian(*placed)
+        transposed = jacobian.transpose(0, 2, 1)
+        squared = jacobian @ transposed
+        squared[:, np.arange(6), np.arange(6)] += (DAMPING * size + LEAST_DAMPING)[:, None]
+        wanted = error
+        away = None
+        if self.count > 6 and step < NULL_STEPS:
+            away = NULL_GAIN * self._away(q)
+            wanted = error - (jacobian @ away[:, :, None])[:, :, 0]
+        move = (transposed @ np.linalg.solve(squared, wanted[:, :, None]))[:, :, 0]
+        if away is not None:
+            move += away
+        most = np.abs(move).max(axis=1, keepdims=True)
+        scaled: Array = move * np.minimum(1.0, MOST_STEP / np.maximum(most, 1e-12))
+        return scaled
+
+    def _away(self, q: Array) -> Array:
+        """A motion away from the limits: towards the middle of each range, weak there and strong near its ends."""
+        half = 0.5 * (self.upper - self.lower)
+        off = (q - 0.5 * (self.upper + self.lower)) / half
+        moved: Array = -half * np.clip(off, -1.2, 1.2) ** 3
+        return moved
+
+    def _errors(self, goal: pin.SE3, turn: Array, at: Array) -> Array:
+        """The twist from each tcp to the goal, base axes: m and rad, [rows][6]."""
+        rows = np.empty((len(at), 6))
+        rows[:, :3] = goal.translation - at
+        between = goal.rotation @ turn.transpose(0, 2, 1)
+        axis = 0.5 * np.stack(
+            (
+                between[:, 2, 1] - between[:, 1, 2],
+                between[:, 0, 2] - between[:, 2, 0],
+                between[:, 1, 0] - between[:, 0, 1],
+            ),
+            axis=1,
         )
-        trial = _error(model, data, frame, goal, candidate)
-        if trial @ trial < error @ error:
-            q, error, damping = candidate, trial, max(damping * 0.2, 1e-12)
-        else:
-            damping *= 8.0
-            if damping > 1e6:
-                return None
-    return q if error @ error < ENOUGH * ENOUGH else None
+        sine = np.sqrt((axis**2).sum(axis=1))
+        cosine = 0.5 * (between[:, 0, 0] + between[:, 1, 1] + between[:, 2, 2] - 1.0)
+        angle = np.arctan2(sine, cosine)
+        rows[:, 3:] = axis * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 1.0)[:, None]
+        # Half a turn away the axis vanishes; any axis leads out of there.
+        rows[:, 3] += np.where((sine <= 1e-6) & (cosine < 0.0), 1.0, 0.0)
+        return rows
+
+    def _costs_s(self, q: Array, reference: Array) -> Array:
+        """Motion time from the reference (s), with penalties near limits and singularities."""
+        times = (np.abs(q - reference) / self.velocity).max(axis=1)
+        margin = np.minimum((q - self.lower), (self.upper - q)) / (self.upper - self.lower)
+        near_limit = np.clip(1.0 - margin.min(axis=1) / NEAR_LIMIT, 0.0, 1.0)
+        typical = self._table[3]
+        near_singular = np.clip(1.0 - self.manipulability(q) / (NEAR_SINGULAR * typical + 1e-12), 0.0, 1.0)
+        penalty = near_limit + near_singular
+        costs: Array = times * (1.0 + penalty) + PENALTY_S * penalty
+        return costs
 
 
-def _error(model: pin.Model, data: pin.Data, frame: int, goal: pin.SE3, q: Array) -> Array:
-    """The twist (tool axes) from the pose of `frame` to the goal."""
-    pin.framesForwardKinematics(model, data, q)
-    twist: Array = pin.log6(data.oMf[frame].actInv(goal)).vector
-    return twist
+def _different(rows: Array, apart: float) -> list[Array]:
+    """The rows in order, without those nearer than `apart` to an earlier one."""
+    found: list[Array] = []
+    for q in rows:
+        if all(np.abs(q - other).max() > apart for other in found):
+            found.append(q)
+    return found
