@@ -1,7 +1,8 @@
 """Kinematics of one arm from its URDF and base pose: forward, Jacobian, inverse, and causes of IK failure.
 
-Joint vectors are float64 arrays (rad) in the order of the cell's `joints`. Poses are seven floats of the tcp in the
-world frame. IK returns all branches: in closed form for a PUMA-like arm, by seeded numeric search for any other.
+Joint vectors are float64 arrays in the order of the cell's `joints`: rad, and m for a joint that slides. Poses are
+seven floats of the tcp in the world frame. IK returns all branches in closed form for a PUMA-like arm, and by seeded
+numeric search for any other.
 Collisions are checked in `rtc.robot.collision`, not here.
 """
 
@@ -25,11 +26,13 @@ PROJECTIONS = 12  # maximum number of steps of `turned_to`
 PROJECTED_RAD = 1e-3  # its greatest error
 DAMPING = 1e-6  # of its steps near singularities
 MOVES, MOVE_DAMPING = 4, 1e-3  # number of steps of `moved_by`, and their damping
+WHOLE_M, LEAST_WEIGHT = 0.6, 1.0 / 3.0  # a joint that moves the hand by this much per rad, or more, has the weight 1
+NEAR_M, NEAR_RAD = 0.0005, 0.005  # smaller distances are not stated
 
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Arrays in joint order: rad, rad/s, rad/s^2, N.m."""
+    """Arrays in joint order: rad, rad/s, rad/s^2, N.m; m, m/s, m/s^2, N for a joint that slides."""
 
     lower: Array
     upper: Array
@@ -85,9 +88,19 @@ class ArmModel:
         self._base_inverse = np.linalg.inv(geometry.to_matrix(self.base_pose))
         tip = model.frames[self._tcp]
         self._tool_inverse = np.linalg.inv(tip.placement.homogeneous)
-        self._puma = puma_ik.recognise([model.jointPlacements[i].homogeneous for i in range(1, model.njoints)])
         if tip.parentJoint != model.njoints - 1:
             raise ProgramError(f"{name}: {tcp_link} must be fixed to the last joint")
+        try:
+            self._chain = numeric_ik.Chain(model, self._tcp)
+        except ValueError as error:
+            raise ProgramError(f"{name}: {error}") from error
+        self.slides: list[bool] = self._chain.slides.tolist()  # by joint: it slides (m), or it turns (rad)
+        turning_about_z = all(model.joints[i].shortname() == "JointModelRZ" for i in range(1, model.njoints))
+        placements = [model.jointPlacements[i].homogeneous for i in range(1, model.njoints)]
+        self._closed_form = puma_ik.recognise(placements) if turning_about_z else None
+        sweeps = _sweeps(placements, tip.placement.translation, self._chain.slides)
+        #: by joint: the weight of its displacement along a path, because some joints move the hand less
+        self.step_weights = np.where(self._chain.slides, 1.0, np.clip(sweeps / WHOLE_M, LEAST_WEIGHT, 1.0))
 
     @classmethod
     def of(cls, cell: cells.Cell, arm: str) -> ArmModel:
@@ -167,11 +180,16 @@ class ArmModel:
     # --- inverse -----------------------------------------------------------------------------------------
 
     def ik(self, target: Floats, near: Floats | None = None, margin_rad: float = 0.0) -> list[Array]:
-        """All joint vectors that bring the tcp to `target`, each at least `margin_rad` from every limit.
+        """Joint vectors that bring the tcp to `target`, each at least `margin_rad` from every limit.
 
         Sorted by the motion time from `near`, or from mid-range without it. If empty, `why_no_ik` returns the cause.
+        Without a closed form some branches may be missing, and the order prefers distance from limits and
+        singularities; of an arm with more than six joints they are samples of an infinite number.
         """
         reference = np.asarray(near, dtype=float) if near is not None else self.middle
+        if self._closed_form is None:
+            found = self._chain.solutions(self._goal(target), reference, margin_rad)
+            return [q for raw in found for q in self._nearest_turns(raw, reference, margin_rad)]
         within = [q for raw in self._branches(target, reference) for q in self._turns_within(raw, margin_rad)]
         if len(within) < 2:
             return within
@@ -201,9 +219,11 @@ class ArmModel:
         """
         now = np.asarray(near, dtype=float).tolist()
         found: list[list[float]] = []
+        if self._closed_form is None:
+            return self._followed(targets, np.asarray(near, dtype=float))
         flanges = self._base_inverse @ geometry.to_matrices(targets) @ self._tool_inverse
-        for target, flange in zip(targets, flanges[:, :3].tolist(), strict=True):
-            branch = self._nearest_branch(target, flange, now)
+        for flange in flanges[:, :3].tolist():
+            branch = puma_ik.nearest(self._closed_form, flange, now, self._speeds)
             if branch is None:
                 break
             found.append(branch)
@@ -241,6 +261,8 @@ class ArmModel:
 
     def why_no_ik(self, target: Floats, margin_rad: float = 0.0) -> Refusal | None:
         """The cause of an IK failure: the missing reach, or the exceeded joint limit. None: IK succeeds."""
+        if self._closed_form is None and self._chain.solutions(self._goal(target), self.middle, margin_rad):
+            return None
         raws = self._branches(target, self.middle)
         if not raws:
             return self._out_of_reach(target)
@@ -271,30 +293,41 @@ class ArmModel:
         pin.framesForwardKinematics(self.model, self._data, np.asarray(joints, dtype=float))
         return self._data.oMf[self._tcp]
 
-    def _branches(self, target: Floats, reference: Array) -> list[list[float]]:
-        last_link = self._base_inverse @ geometry.to_matrix(target) @ self._tool_inverse
-        if self._puma is not None:
-            return puma_ik.branches(self._puma, last_link, float(reference[3]))
-        goal = pin.SE3(self._base_inverse @ geometry.to_matrix(target))
-        return numeric_ik.branches(self.model, self._data, self._tcp, goal, reference)
+    def _goal(self, target: Floats) -> pin.SE3:
+        """A tcp pose in the axes of the base."""
+        return pin.SE3(self._base_inverse @ geometry.to_matrix(target))
 
-    def _nearest_branch(self, target: Floats, flange: puma_ik.Rows, near: list[float]) -> list[float] | None:
-        """The branch of a tcp pose nearest to `near` (rad); `flange`: the same pose as frame 6 in frame 0."""
-        if self._puma is not None:
-            return puma_ik.nearest(self._puma, flange, near, self._speeds)
-        raws = self._branches(target, np.array(near))
-        if not raws:
-            return None
-        table = np.array(raws)
-        table -= _TURN * np.round((table - near) / _TURN)
-        best: list[float] = table[int((np.abs(table - near) / self.limits.velocity).max(axis=1).argmin())].tolist()
-        return best
+    def _branches(self, target: Floats, reference: Array) -> list[list[float]]:
+        """Joint values regardless of limits."""
+        if self._closed_form is not None:
+            last_link = self._base_inverse @ geometry.to_matrix(target) @ self._tool_inverse
+            return puma_ik.branches(self._closed_form, last_link, float(reference[3]))
+        return [q.tolist() for q in self._chain.without_limits(self._goal(target), reference)]
+
+    def _followed(self, targets: Sequence[Floats] | Array, near: Array) -> Array:
+        """As `follow_all`, without a closed form."""
+        found: list[Array] = []
+        for target in targets:
+            q = self._chain.follow(self._goal(target), near)
+            if q is None:
+                break
+            found.append(q)
+            near = q
+        return np.array(found, dtype=float).reshape(-1, len(self.joints))
+
+    def _nearest_turns(self, q: Array, reference: Array, margin: float) -> list[Array]:
+        """The same posture with whole turns added where the limits allow: as found, and nearest to `reference`."""
+        turned = q - _TURN * np.round((q - reference) / _TURN) * ~self._chain.slides
+        outside = (turned < self.limits.lower + margin) | (turned > self.limits.upper - margin)
+        turned = np.where(outside, q, turned)
+        return [q] if np.array_equal(turned, q) else [turned, q]
 
     def _turns_within(self, raw: list[float], margin: float) -> list[Array]:
         """The same posture with each angle shifted by -1, 0 or 1 turn, as far as the limits allow."""
         choices = []
-        for angle, lower, upper in zip(raw, self._lower, self._upper, strict=True):
-            fits = [a for a in (angle, angle - _TURN, angle + _TURN) if lower + margin <= a <= upper - margin]
+        for angle, slides, lower, upper in zip(raw, self.slides, self._lower, self._upper, strict=True):
+            same = (angle,) if slides else (angle, angle - _TURN, angle + _TURN)
+            fits = [a for a in same if lower + margin <= a <= upper - margin]
             if not fits:
                 return []
             choices.append(fits)
@@ -306,22 +339,23 @@ class ArmModel:
         for n, (angle, lower, upper) in enumerate(zip(raw, self._lower, self._upper, strict=True)):
             best = min(
                 max((lower + margin - a, n, a, lower), (a - upper + margin, n, a, upper))
-                for a in (angle, angle - _TURN, angle + _TURN)
+                for a in ((angle,) if self.slides[n] else (angle, angle - _TURN, angle + _TURN))
             )
             worst = max(worst, best)
         return worst
 
     def _limit_passed(self, joint: int, value: float, limit: float, margin: float) -> Refusal:
         side = "upper" if limit == self._upper[joint] else "lower"
-        lowest, highest = (math.degrees(n) for n in (self._lower[joint] + margin, self._upper[joint] - margin))
-        kept = f", with a margin of {math.degrees(margin):.1f} deg" if margin else ""
+        slides = self.slides[joint]
+        lowest, highest = (self._shown(joint, n) for n in (self._lower[joint] + margin, self._upper[joint] - margin))
+        kept = f", with a margin of {self._shown(joint, margin)}" if margin else ""
         return Refusal(
             reason=RefusalReason.INFEASIBLE,
             message=(
-                f"{self.name} would have to turn {self.joints[joint]} to {math.degrees(value):.1f} deg; "
-                f"its {side} limit is {math.degrees(limit):.1f} deg{kept}"
+                f"{self.name} would have to {'move' if slides else 'turn'} {self.joints[joint]} to "
+                f"{self._shown(joint, value)}; its {side} limit is {self._shown(joint, limit)}{kept}"
             ),
-            clears=f"{self.joints[joint]} between {lowest:.1f} and {highest:.1f} deg: "
+            clears=f"{self.joints[joint]} between {lowest} and {highest}: "
             "other joint values, or another attitude, arm or grasp point",
             detail={
                 "cause": "joint_limit",
@@ -334,18 +368,39 @@ class ArmModel:
             },
         )
 
+    def _shown(self, joint: int, value: float) -> str:
+        """A value of a joint in deg, or in mm if it slides."""
+        return f"{1e3 * value:.0f} mm" if self.slides[joint] else f"{math.degrees(value):.1f} deg"
+
     def _out_of_reach(self, target: Floats) -> Refusal:
-        words, missing = "out of reach", 0.0
-        if self._puma is not None:
+        detail: dict[str, str | float] = {}
+        if self._closed_form is not None:
             last_link = self._base_inverse @ geometry.to_matrix(target) @ self._tool_inverse
-            words, missing = puma_ik.shortfall(self._puma, last_link[:3, 3])
-        by = f" by {missing * 1000:.0f} mm" if missing else ""
+            words, missing = puma_ik.shortfall(self._closed_form, last_link[:3, 3])
+            message = f"the wrist would have to be {words or 'out of reach'}"
+            message += f" by {missing * 1000:.0f} mm" if missing else ""
+        else:
+            near = self._chain.nearest_approach(self._goal(target), self.middle)
+            words, missing = "out of reach", near.metres
+            off = [f"{1e3 * near.metres:.0f} mm"] if near.metres >= NEAR_M else []
+            off += [f"{math.degrees(near.radians):.0f} deg"] if near.radians >= NEAR_RAD else []
+            message = f"the nearest posture found ends {' and '.join(off) or 'just'} short of it"
+            detail = {"turned_rad": near.radians}
         return Refusal(
             reason=RefusalReason.INFEASIBLE,
-            message=f"{self.name} cannot reach: the wrist would have to be {words}{by}",
-            clears="another arm, or a nearer place",
-            detail={"cause": "reach", "arm": self.name, "which": words, "distance_m": missing},
+            message=f"{self.name} cannot reach: {message}",
+            clears="another arm, or a nearer place" if missing else "another attitude, arm or place",
+            detail={"cause": "reach", "arm": self.name, "which": words, "distance_m": missing, **detail},
         )
+
+
+def _sweeps(placements: Sequence[Array], tool: Array, slides: Array) -> Array:
+    """By joint: how far the hand moves at most when it turns (m per rad) or slides (1)."""
+    lengths = [float(np.linalg.norm(at[:3, 3])) for at in placements[1:]] + [float(np.linalg.norm(tool))]
+    beyond = np.cumsum(lengths[::-1])[::-1]
+    # A joint that turns about the line to the next one does not move it.
+    axial = [abs(float(at[2, 3])) for at in placements[1:]] + [0.0]
+    return np.where(slides, 1.0, beyond - axial)
 
 
 def _revolute(model: pin.Model) -> list[str]:

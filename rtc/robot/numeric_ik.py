@@ -29,12 +29,13 @@ METRES_PER_RAD = 0.25  # of the distance between poses, to choose starts
 MOST_STEP = 0.6  # maximum change of a joint in one iteration (rad, m)
 DAMPING, LEAST_DAMPING = 0.1, 1e-10  # share of the squared residual, and floor
 NULL_STEPS, NULL_GAIN = 6, 0.15  # iterations with motion in the null space, and its gain
+SELF_MOTIONS, SELF_STEPS = (-1.2, -0.8, -0.4, 0.4, 0.8, 1.2), 7  # rad, of further starts beside the best result
 SAME = 1e-3  # nearer results count as equal
 APART = 0.1  # the same for an arm with redundant joints, whose results are not isolated
 # Penalty of the ranking, in seconds and as a factor of the motion time.
 NEAR_LIMIT = 0.06  # share of a joint's range; a joint that is nearer to its limit is penalised
 NEAR_SINGULAR = 0.25  # share of the arm's typical manipulability; a smaller one is penalised
-PENALTY_S = 0.3
+PENALTY_S = 1.0
 FOLLOW_STEPS = 12  # maximum number of iterations of `follow`
 FOLLOW_GAIN = 0.02
 
@@ -130,6 +131,11 @@ class Chain:
         found = self._search(goal, reference, self.lower + margin, self.upper - margin)
         if not len(found):
             return []
+        if self.count > 6:
+            nearest = found[int(np.argmin(self._costs_s(found, reference)))]
+            starts = self._self_motions(nearest)
+            beside, converged = self._descend(goal, starts, self.lower + margin, self.upper - margin, SELF_STEPS)
+            found = np.vstack((found, beside[converged]))
         order = np.argsort(self._costs_s(found, reference), kind="stable")
         return _different(found[order], SAME if self.count <= 6 else APART)
 
@@ -142,7 +148,7 @@ class Chain:
     def nearest_approach(self, goal: pin.SE3, reference: Array) -> Approach:
         """The posture within the limits that comes nearest to a goal out of reach, of those tried."""
         starts = np.vstack((reference, self._nearest(goal, BATCHES[0])))
-        q, _ = self._descend(goal, starts, self.lower, self.upper, STEPS[0], keep_all=True)
+        q, _ = self._descend(goal, starts, self.lower, self.upper, keep_all=True)
         off = self._errors(goal, *self.fk(q))
         metres, radians = np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1)
         best = int(np.argmin(metres + METRES_PER_RAD * radians))
@@ -185,6 +191,13 @@ class Chain:
                 break
         return found
 
+    def _self_motions(self, q: Array) -> Array:
+        """Starts beside a posture, along the motions of the arm that hardly move its hand."""
+        _, at, axes, places = self._place(q[None])
+        null = np.linalg.svd(self._jacobian(at, axes, places)[0])[2][6:]
+        starts: Array = (q + np.array(SELF_MOTIONS)[:, None, None] * null).reshape(-1, self.count)
+        return starts
+
     def _nearest(self, goal: pin.SE3, number: int) -> Array:
         """The postures of the table whose tcp is nearest to the goal."""
         q, at, turns, _ = self._table
@@ -194,7 +207,7 @@ class Chain:
         return q[chosen[np.argsort(away[chosen], kind="stable")]]
 
     def _descend(
-        self, goal: pin.SE3, starts: Array, lower: Array, upper: Array, steps: int, keep_all: bool = False
+        self, goal: pin.SE3, starts: Array, lower: Array, upper: Array, steps: int = STEPS[0], keep_all: bool = False
     ) -> tuple[Array, Array]:
         """(joint values, whether each row has converged). Without `keep_all` it ends when enough have."""
         q = np.clip(starts, lower, upper)
@@ -236,7 +249,7 @@ class Chain:
         """A motion away from the limits: towards the middle of each range, weak there and strong near its ends."""
         half = 0.5 * (self.upper - self.lower)
         off = (q - 0.5 * (self.upper + self.lower)) / half
-        moved: Array = -half * np.clip(off, -1.2, 1.2) ** 3
+        moved: Array = -half * np.clip(off, -1.1, 1.1) ** 5
         return moved
 
     def _errors(self, goal: pin.SE3, turn: Array, at: Array) -> Array:

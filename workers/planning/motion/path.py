@@ -59,13 +59,12 @@ class Path:
         q = self.knots[0] + s[:, None] * slope
         return q, np.zeros(q.shape) + slope, np.zeros(q.shape)
 
-    def dense(self, step_rad: float = CHECK_RAD) -> tuple[Array, Array]:
+    def dense(self, step_rad: float = CHECK_RAD, weights: Array | float = 1.0) -> tuple[Array, Array]:
         """(s, joints) at a spacing for collision checks.
 
-        The first three joints move at most `step_rad` between neighbours, the wrist joints three times as much.
+        Between neighbours each joint, times its weight, moves at most `step_rad`. `weights`: `ArmModel.step_weights`.
         """
-        turned = np.abs(self.knots[1:] - self.knots[:-1])
-        turned[:, 3:] *= 1.0 / 3.0
+        turned = np.abs(self.knots[1:] - self.knots[:-1]) * weights
         pieces = np.maximum(1, np.ceil(turned.max(axis=1) / step_rad)).astype(int)
         if len(pieces) == 1:
             s = even(0.0, self.length, int(pieces[0]))

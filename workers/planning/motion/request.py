@@ -73,7 +73,7 @@ def blocked(request: PlanningRequest, hit: Collision) -> Refusal:
 
 def fault(request: PlanningRequest, way: Path, step_rad: float = CHECK_RAD) -> Refusal | None:
     """The first problem along a path, with its position; None if the path is free. `step_rad`: as of `Path.dense`."""
-    s, configurations = way.dense(step_rad)
+    s, configurations = way.dense(step_rad, request.arm.step_weights)
     hit = request.world.check_path(request.arm.name, configurations, request.joints, request.scene)
     free = configurations if hit is None else configurations[: hit.index]
     margin = request.way_margin_rad - 1e-9

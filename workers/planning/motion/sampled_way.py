@@ -13,6 +13,7 @@ import numpy as np
 
 from rtc.robot import geometry
 from rtc.robot.geometry import Array, Floats
+from rtc.robot.kinematics import LEAST_WEIGHT
 from workers.planning.motion import path as paths
 from workers.planning.motion.blended import lengths, widest
 from workers.planning.motion.path import CHECK_RAD, Path
@@ -23,7 +24,7 @@ SAMPLES = 600  # budget of one search; of 400 seeded problems of the default cel
 ATTEMPTS = 3  # maximum number of ways found, of which the finer check rejects all but the last
 MORE_M = 0.002  # clearance of the search beyond that of the request
 JUDGED_RAD = 0.012  # step of the final check: shortened ways pass obstacles closely, so it is finer than `CHECK_RAD`
-OUTER = 0.4  # weight of the joints after the third in distances: they move the hand less
+OUTER = 0.4  # weight in distances of the joints that move the hand least; that of the others is between it and 1
 BACK = 0.85  # share of the free part of a blocked line after which its node is set, away from the obstacle
 PROJECTED_RAD = 0.15  # weighted length of a step between two projections
 AWAY = 0.5  # a projected step must make this share of its length towards its end
@@ -94,9 +95,9 @@ class _Space:
 
     def __init__(self, request: PlanningRequest) -> None:
         self._request = request
-        count = len(request.start)
-        self.weights = np.where(np.arange(count) < 3, 1.0, OUTER)
-        self._per_rad = np.where(np.arange(count) < 3, 1.0, 1.0 / 3.0) / CHECK_RAD  # as `Path.dense`
+        steps = request.arm.step_weights
+        self.weights = OUTER + (1.0 - OUTER) * (steps - LEAST_WEIGHT) / (1.0 - LEAST_WEIGHT)
+        self._per_rad = steps / CHECK_RAD  # as `Path.dense`
         self._start = request.start
         self._touches_at_start = free_posture(request)(self._start) is not None
         self.steer = self._straight if request.rules.attitude is None else self._projected

@@ -65,7 +65,7 @@ def test_derivatives_are_those_of_the_joints(right, home):
 
 def test_dense_leaves_no_gap(right, home):
     path = joint_line(home["RIGHT-ARM"], at(right, home, 0.45, -0.885, 0.6))
-    s, joints = path.dense()
+    s, joints = path.dense(weights=right.step_weights)
     hands = np.array([right.fk(q)[:3] for q in joints])
     assert np.linalg.norm(np.diff(hands, axis=0), axis=1).max() < 0.03
     assert np.allclose(joints[[0, -1]], path.knots)
