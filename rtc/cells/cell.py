@@ -37,7 +37,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
     tags: list[Tag] = []
     attitudes: dict[str, Frame] = {}  # of the tcp, world frame; for POSE-DURING-MOTION
     numbers: Numbers = Numbers()
-    texts: dict[str, str] = {}  # URDF and SRDF by file name; filled by `load`
+    texts: dict[str, str] = {}  # URDF, SRDF and hulls by file name; filled by `load`
 
     def __post_init__(self) -> None:
         for place, problem in _problems(self):
@@ -63,6 +63,9 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
                         texts[file] = (path.parent / file).read_text(encoding="utf-8")
                     except OSError as error:
                         raise ProgramError(f"{path}: $.arms[{n}].{field}: cannot read {file}: {error}") from error
+            for file in model_checks.hulls(texts[arm.urdf]):
+                if file not in texts and (path.parent / file).is_file():
+                    texts[file] = (path.parent / file).read_text(encoding="utf-8", errors="replace")
         cell = msgspec.structs.replace(bare, texts=texts)
         for place, problem in model_checks.problems(cell.arms, cell.texts):
             raise ProgramError(f"{path}: $.{place}: {problem}")

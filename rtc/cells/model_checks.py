@@ -16,6 +16,7 @@ from rtc.cells.parts import Arm
 from rtc.robot import geometry
 
 MOVING = ("revolute", "continuous", "prismatic")
+HULL = ".obj"
 WIDTH_SLACK_M = 0.0005
 OPPOSED = 1e-3  # maximum norm of the sum of two opposed unit vectors
 
@@ -34,7 +35,7 @@ def problems(arms: Sequence[Arm], texts: Mapping[str, str]) -> Problems:
             yield f"{place}.urdf", f"the model of {arm.name} is not XML: {error}"
             continue
         try:
-            found = list(_arm(arm, _Model(root)))
+            found = list(_arm(arm, _Model(root), texts))
         except ValueError as error:
             found = [("urdf", f"a value is not a number: {error}")]
         for field, problem in found:
@@ -48,7 +49,7 @@ class _Model:
         self.links = {str(link.get("name")) for link in root.findall("link")}
         self.joints = {str(joint.get("name")): joint for joint in root.findall("joint")}
         self.carriers = {_link(joint, "child"): name for name, joint in self.joints.items()}
-        self.meshes = sorted({str(mesh.get("filename")) for mesh in root.iter("mesh")})
+        self.meshes = sorted({str(mesh.get("filename")) for mesh in root.findall("link/collision//mesh")})
 
     def type(self, joint: str) -> str:
         return str(self.joints[joint].get("type"))
@@ -78,11 +79,20 @@ class _Model:
         return found / float(np.linalg.norm(found))
 
 
-def _arm(arm: Arm, model: _Model) -> Problems:
+def hulls(urdf: str) -> list[str]:
+    """The hull files that a URDF names in its collision shapes, relative to its own folder."""
+    try:
+        root = ElementTree.fromstring(urdf)
+    except ElementTree.ParseError:
+        return []
+    return [mesh for mesh in _Model(root).meshes if mesh.endswith(HULL) and not mesh.startswith(("/", "package:"))]
+
+
+def _arm(arm: Arm, model: _Model, texts: Mapping[str, str]) -> Problems:
     fields: dict[str, tuple[Sequence[str], Mapping[str, object] | set[str], str]] = {
         "joints": (arm.joints, model.joints, "joint"),
         "tcp_link": ([arm.tcp_link], model.links, "link"),
-        "sensor_joint": ([arm.sensor_joint], model.joints, "joint"),
+        "sensor_joint": ([arm.sensor_joint] if arm.sensor_joint is not None else [], model.joints, "joint"),
         "gripper.finger_joints": (arm.gripper.finger_joints, model.joints, "joint"),
         "gripper.finger_links": (arm.gripper.finger_links, model.links, "link"),
         "gripper.palm_link": ([arm.gripper.palm_link], model.links, "link"),
@@ -100,12 +110,15 @@ def _arm(arm: Arm, model: _Model) -> Problems:
     yield from _postures(arm, model)
     yield from _fingers(arm, model)
     for mesh in model.meshes:
-        if not (mesh.startswith("/") and Path(mesh).is_file()):
-            yield "urdf", f"mesh {mesh} is not found: name it by its absolute path, or use boxes, cylinders and spheres"
+        if mesh not in texts and not (mesh.startswith("/") and Path(mesh).is_file()):
+            yield "urdf", f"mesh {mesh} is not found: `rtc cell new` makes hulls of meshes; or use boxes and cylinders"
 
 
 def _chain(arm: Arm, model: _Model) -> Problems:
     moving = [joint for joint in model.way_to(arm.tcp_link) if model.type(joint) in MOVING]
+    endless = [joint for joint in moving if model.type(joint) == "continuous"]
+    if endless:
+        yield "joints", f"{', '.join(endless)} is continuous: make it revolute with limits, such as -6.28 and 6.28"
     if moving != arm.joints:
         yield (
             "joints",
@@ -115,6 +128,8 @@ def _chain(arm: Arm, model: _Model) -> Problems:
     loose = [joint for joint in others if joint not in arm.gripper.finger_joints]
     if loose:
         yield "gripper.finger_joints", f"{', '.join(loose)} can move, but is neither a joint of the arm nor of a finger"
+    if arm.sensor_joint is None:
+        return
     if model.type(arm.sensor_joint) != "fixed":
         yield "sensor_joint", f"{arm.sensor_joint} is {model.type(arm.sensor_joint)}; the sensor needs a fixed joint"
     elif arm.sensor_joint not in model.way_to(arm.gripper.palm_link):
@@ -125,12 +140,23 @@ def _chain(arm: Arm, model: _Model) -> Problems:
 
 
 def _postures(arm: Arm, model: _Model) -> Problems:
-    for field, posture in (("home_deg", arm.home_deg), ("stow_deg", arm.stow_deg)):
-        for joint, degrees in zip(arm.joints, posture, strict=True):
-            limits = model.limits(joint)
-            if limits is not None and not limits[0] <= math.radians(degrees) <= limits[1]:
-                low, high = (math.degrees(limit) for limit in limits)
-                yield field, f"{joint} is at {degrees:g} deg there; its limits are {low:.1f} and {high:.1f} deg"
+    postures = {"home_deg": (arm.home_deg, arm.home_rad), "stow_deg": (arm.stow_deg, arm.stow_rad)}
+    for field, (given, values) in postures.items():
+        for joint, written, value in zip(arm.joints, given, values, strict=True):
+            slides, limits = model.type(joint) == "prismatic", model.limits(joint)
+            if slides != isinstance(written, str):
+                yield field, f"{joint} {'slides: write metres, such as 0.5 m' if slides else 'turns: write degrees'}"
+            elif limits is not None and not limits[0] <= value <= limits[1]:
+                at = written if slides else f"{written:g} deg"
+                yield field, f"{joint} is at {at} there; its limits are {_range(limits, slides)}"
+    for joint, rate in zip(arm.joints, arm.acceleration_deg_s2, strict=True):
+        if (model.type(joint) == "prismatic") != isinstance(rate, str):
+            yield "acceleration_deg_s2", f"{joint}: write a number in deg/s2, or for a joint that slides such as 1 m/s2"
+
+
+def _range(limits: tuple[float, float], slides: bool) -> str:
+    low, high = limits
+    return f"{low:g} and {high:g} m" if slides else f"{math.degrees(low):.1f} and {math.degrees(high):.1f} deg"
 
 
 def _fingers(arm: Arm, model: _Model) -> Problems:

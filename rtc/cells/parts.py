@@ -22,6 +22,11 @@ Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Pixels = Annotated[int, Meta(ge=16, le=4096)]
 Vec3 = tuple[float, float, float]
+# A joint that turns has a number, in degrees. One that slides has its unit beside it: "0.5 m", "1 m/s2".
+Metres = Annotated[str, Meta(pattern=r"^[-+]?[0-9]+(\.[0-9]+)? m$")]
+MetresPerS2 = Annotated[str, Meta(pattern=r"^[0-9]+(\.[0-9]+)? m/s2$")]
+JointValue = float | Metres
+JointAcceleration = Positive | MetresPerS2
 
 
 class CellPart(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True):
@@ -99,24 +104,32 @@ class Arm(CellPart, frozen=True, kw_only=True):
     base: Frame  # pose of the URDF's root link, world frame
     joints: list[str]  # names in the URDF, from the base to the hand
     tcp_link: str = "tcp"
-    sensor_joint: str = "wrist_ft"  # fixed joint; its reaction is the measured wrench
-    home_deg: list[float]
-    stow_deg: list[float]
-    acceleration_deg_s2: list[Positive]  # the URDF has no field for it
+    sensor_joint: str | None = (
+        "wrist_ft"  # fixed joint; its reaction is the measured wrench. null: joint torques give it
+    )
+    home_deg: list[JointValue]
+    stow_deg: list[JointValue]
+    acceleration_deg_s2: list[JointAcceleration]  # the URDF has no field for it
     payload_kg: Positive
     gripper: Gripper
 
     @property
     def home_rad(self) -> list[float]:
-        return [math.radians(n) for n in self.home_deg]
+        """rad, and m for a joint that slides."""
+        return _si(self.home_deg)
 
     @property
     def stow_rad(self) -> list[float]:
-        return [math.radians(n) for n in self.stow_deg]
+        return _si(self.stow_deg)
 
     @property
     def acceleration_rad_s2(self) -> list[float]:
-        return [math.radians(n) for n in self.acceleration_deg_s2]
+        return _si(self.acceleration_deg_s2)
+
+
+def _si(given: Sequence[float | str]) -> list[float]:
+    """Values of joints: rad for a number in degrees, m for a text such as 0.5 m."""
+    return [float(n.split()[0]) if isinstance(n, str) else math.radians(n) for n in given]
 
 
 class KnownWithin(CellPart, frozen=True, kw_only=True):
@@ -176,11 +189,11 @@ class Place(CellPart, frozen=True, kw_only=True):
 
     name: Name
     poses: dict[str, Frame] = {}
-    joints_deg: dict[str, list[float]] = {}
+    joints_deg: dict[str, list[JointValue]] = {}
 
     def joints_rad(self, arm: str) -> list[float] | None:
-        degrees = self.joints_deg.get(arm)
-        return None if degrees is None else [math.radians(n) for n in degrees]
+        given = self.joints_deg.get(arm)
+        return None if given is None else _si(given)
 
 
 class Region(CellPart, frozen=True, kw_only=True):

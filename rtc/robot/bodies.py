@@ -17,6 +17,7 @@ import pinocchio as pin
 from rtc.cells import cell as cells
 from rtc.cells import parts
 from rtc.protocol.outcomes import ProgramError
+from rtc.robot import hulls
 from rtc.robot.geometry import Floats
 
 #: shape of a cell -> its geometry for coal
@@ -34,7 +35,7 @@ class CollisionPiece:
 
     owner: str
     part: str
-    kind: str  # "arm", "fixed", "movable", "region"
+    kind: str  # "arm", "base" (of an arm, moved by none of its joints), "fixed", "movable", "region"
     in_owner: pin.SE3  # in the owner's axes; of an arm: in the axes of the parent joint
 
     @property
@@ -71,12 +72,13 @@ def build(cell: cells.Cell) -> Bodies:
     for arm in cell.arms:
         text = _prefixed(cell.urdf(arm.name), arm.name)
         own = pin.buildModelFromXML(text)
-        shapes = pin.buildGeomFromUrdfString(own, text, pin.GeometryType.COLLISION)
+        shapes = hulls.shapes(own, text, cell.texts)
         model, geometry = pin.appendModel(model, own, geometry, shapes, 0, se3(arm.base.pose))
         disabled |= _disabled_pairs(cell.srdf(arm.name), arm.name)
     for item in geometry.geometryObjects:
         owner, part = item.name.rsplit("_", 1)[0].split(" ", 1)  # pinocchio adds _0, _1 to the link's name
-        pieces.append(CollisionPiece(owner, part, "arm", item.placement.copy()))
+        kind = "arm" if item.parentJoint > 0 else "base"
+        pieces.append(CollisionPiece(owner, part, kind, item.placement.copy()))
     for arm in cell.arms:
         slots[arm.name] = _slots(model, arm)
     for seat in cell.seats:
@@ -112,20 +114,19 @@ def _add(
 
 def _candidates(pieces: list[CollisionPiece]) -> list[tuple[int, int]]:
     """The relevant pairs: an arm with any body, a movable object with any other body."""
-    moving = ("arm", "movable")
+    moving, arms = ("arm", "movable"), ("arm", "base")
     return [
         (i, j)
         for i, a in enumerate(pieces)
         for j, b in enumerate(pieces[i + 1 :], i + 1)
-        if (a.kind in moving or b.kind in moving)
-        and (a.owner != b.owner or a.kind == "arm")
-        and not (a.part == "pedestal" and b.part == "pedestal")
+        if (a.kind in moving or b.kind in moving) and (a.owner != b.owner or a.kind in arms)
     ]
 
 
 def _is_disabled(pieces: list[CollisionPiece], pair: tuple[int, int], disabled: set[frozenset[str]]) -> bool:
     a, b = (pieces[n] for n in pair)
-    return a.kind == b.kind == "arm" and (a.label == b.label or frozenset((a.label, b.label)) in disabled)
+    arms = ("arm", "base")
+    return a.kind in arms and b.kind in arms and (a.label == b.label or frozenset((a.label, b.label)) in disabled)
 
 
 def _slots(model: pin.Model, arm: parts.Arm) -> ArmSlots:

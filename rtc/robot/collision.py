@@ -314,7 +314,7 @@ class CollisionWorld:
         middle = 0.5 * (np.asarray(result.getNearestPoint1()) + np.asarray(result.getNearestPoint2()))
         x, y, z = (float(n) for n in middle)
         first, second = self._bodies.pieces[i], self._bodies.pieces[j]
-        if first.kind == "movable" and second.kind == "arm":
+        if first.kind == "movable" and second.kind in ("arm", "base"):
             first, second = second, first
         return Collision(first.label, second.label, float(distance), (x, y, z))
 

@@ -20,7 +20,7 @@ import pinocchio as pin
 from rtc.cells import cell as cells
 from rtc.cells import parts
 from rtc.protocol.primitive import ControlLaw
-from rtc.robot import geometry
+from rtc.robot import geometry, hulls
 from rtc.robot.bodies import COAL_SHAPES
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
@@ -366,10 +366,10 @@ REQUEST.num_max_contacts = 1
 
 
 def _hand_parts(cell: cells.Cell, arm: str) -> list[tuple[str, Any, Callable[[float], Array]]]:
-    """(name, coal shape, finger travel -> 4 x 4 in tcp axes) of palm and fingers, from the URDF's collision boxes."""
+    """(name, coal shape, finger travel -> 4 x 4 in tcp axes) of palm and fingers, from the URDF's collision shapes."""
     spec = cell.arm(arm)
     model = pin.buildModelFromXML(cell.urdf(arm))
-    shapes = pin.buildGeomFromUrdfString(model, cell.urdf(arm), pin.GeometryType.COLLISION)
+    shapes = hulls.shapes(model, cell.urdf(arm), cell.texts)
     data, shape_data = model.createData(), shapes.createData()
     names = {spec.gripper.palm_link: "palm", **dict(zip(spec.gripper.finger_links, FINGERS, strict=True))}
     found: list[tuple[str, Any, Callable[[float], Array]]] = []
