@@ -149,8 +149,6 @@ def _decode(document: bytes, source: str) -> Cell:
 
 def _problems(cell: Cell) -> Iterator[tuple[str, str]]:
     """(place, problem) for faults that the types do not exclude."""
-    if any(cell.gravity_m_s2):
-        yield "gravity_m_s2", "only zero gravity is supported: the control laws do not compensate weight"
     yield from _repeated_names(cell)
     seats = {seat.name for seat in cell.seats}
     arms = {arm.name: arm for arm in cell.arms}

@@ -56,6 +56,7 @@ class ArmModel:
         joints: Sequence[str] | None = None,
         tcp_link: str = "tcp",
         acceleration_rad_s2: Floats | None = None,
+        gravity_m_s2: Floats = (0.0, 0.0, 0.0),
     ) -> None:
         full = pin.buildModelFromXML(urdf_text)
         names = list(joints) if joints is not None else _revolute(full)
@@ -66,7 +67,8 @@ class ArmModel:
         model = pin.buildReducedModel(full, others, pin.neutral(full))  # other joints do not move the tcp
         if list(model.names)[1:] != names:
             raise ProgramError(f"{name}: joints {names} are not in the URDF's order {list(model.names)[1:]}")
-        model.gravity.linear[:] = 0  # pinocchio presets the gravity of the earth
+        # pinocchio presets the gravity of the earth. That of the cell is in world axes, that of the model in base axes.
+        model.gravity.linear[:] = geometry.rotate(geometry.inverse(geometry.normalise(base_pose)), gravity_m_s2)
         self.name = name
         self.joints = names
         self.model = model
@@ -113,6 +115,7 @@ class ArmModel:
             joints=spec.joints,
             tcp_link=spec.tcp_link,
             acceleration_rad_s2=spec.acceleration_rad_s2,
+            gravity_m_s2=cell.gravity_m_s2,
         )
 
     def laden(self, mass_kg: float, com_m: Floats, inertia_kg_m2: Floats) -> pin.Model:

@@ -7,6 +7,7 @@ measured values of the parameters. This module must not know primitives.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +15,7 @@ import pybullet
 
 from rtc.cells import cell as cells
 from rtc.cells import parts
-from rtc.protocol.primitive import ControlLaw
+from rtc.protocol.primitive import ControlLaw, Load
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
@@ -30,6 +31,27 @@ SPINNING_FRICTION = 0.012  # m, of a soft pad; a smaller value lets a module tur
 SEATED_M = 0.02  # maximum distance from the seated place at which a module counts as seated
 NOTHING: Mapping[str, float] = {}
 BODY_B, LINK_A, LINK_B, NORMAL_FORCE = 2, 3, 4, 9  # fields of a contact point
+
+
+class HandWeight(NamedTuple):
+    """Weight of what the wrist sensor carries: the hand, and the load of the control law."""
+
+    gravity_m_s2: Array  # world
+    mass_kg: float
+    centre_m: Array  # tool axes
+
+    def removed(self, wrench: list[float], tcp: Array, load: Load | None) -> list[float]:
+        """The wrench without these weights, which the sensor feels like forces of the environment."""
+        down = geometry.rotate(geometry.inverse(tcp), self.gravity_m_s2)
+        felt = np.array(wrench)
+        parts = [(self.mass_kg, self.centre_m)]
+        if load is not None:
+            parts.append((load.mass_kg, np.asarray(load.com_m)))
+        for mass_kg, centre_m in parts:
+            felt[:3] -= mass_kg * down
+            felt[3:] -= np.cross(centre_m, mass_kg * down)
+        without: list[float] = felt.tolist()
+        return without
 
 
 class BulletArm:
@@ -56,6 +78,8 @@ class BulletArm:
         self.upstream = {n: link for link, n in links.items() if n not in hand}
         self._wrench = _wrench_at_tcp(world.cell, name)
         self._prepare(spec, sensor)
+        self._load: Load | None = None  # of the present control law
+        self._hand_weight = self._weigh_hand(sensor) if any(world.cell.gravity_m_s2) else None
         self._servo = Servo(self._model, spec.home_rad)
         self._hand = Hand(
             HandCommand(spec.gripper.max_opening_m, spec.gripper.max_force_n, spec.gripper.speed_m_s),
@@ -72,7 +96,10 @@ class BulletArm:
         *joints, a, b, _ = positions
         *speeds, va, vb, _ = velocities
         forces = pressed(self._finger_forces)
-        self._sample = Sample(joints, speeds, self._wrench(reactions[-1]), (a, b), (va, vb), forces)
+        wrench = self._wrench(reactions[-1])
+        if self._hand_weight is not None:
+            wrench = self._hand_weight.removed(wrench, self._model.fk(joints), self._load)
+        self._sample = Sample(joints, speeds, wrench, (a, b), (va, vb), forces)
         return self._sample
 
     def follow(self, motion: Motion) -> None:
@@ -80,6 +107,7 @@ class BulletArm:
 
     def use_law(self, law: ControlLaw) -> None:
         self._servo.use_law(law, self._sample.joints)
+        self._load = law.load
 
     def feel(self, wrench: list[float]) -> None:
         self._servo.feel(wrench)
@@ -177,6 +205,19 @@ class BulletArm:
         pybullet.enableJointForceTorqueSensor(self.body, sensor, True, physicsClientId=client)
         half = 0.5 * spec.gripper.max_opening_m
         self._put([*spec.home_rad, half, half])
+
+    def _weigh_hand(self, sensor: int) -> HandWeight:
+        """The links behind the sensor. Open fingers are as far on one side as on the other."""
+        client = self._client
+        links = range(sensor, pybullet.getNumJoints(self.body, physicsClientId=client))
+        masses = [pybullet.getDynamicsInfo(self.body, n, physicsClientId=client)[0] for n in links]
+        centres = [
+            pybullet.getLinkState(self.body, n, computeForwardKinematics=1, physicsClientId=client)[0] for n in links
+        ]
+        joints = [pybullet.getJointState(self.body, n, physicsClientId=client)[0] for n in self._arm]
+        centre = np.average(centres, axis=0, weights=masses)
+        at = geometry.transform_point(geometry.inverse(self._model.fk(joints)), centre)
+        return HandWeight(np.asarray(self._world.cell.gravity_m_s2), sum(masses), at)
 
     def rub(self, factor: float) -> None:
         """Scale the friction of the pads."""

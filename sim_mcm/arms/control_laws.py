@@ -5,8 +5,8 @@ A law computes joint torques from the wanted and the measured motion. The projec
 
     factory(model: pin.Model, gains: dict[str, float]) -> Law        raises ValueError for unacceptable gains
 
-`model` is the arm without fingers and gravity, with a share of the primitive's load. A law must not know sockets,
-samples or primitives.
+`model` is the arm without fingers, with a share of the primitive's load. It has no gravity: the servo adds the weight.
+A law must not know sockets, samples or primitives.
 """
 
 from __future__ import annotations
@@ -86,6 +86,9 @@ def make(law: ControlLaw, arm: ArmModel, laws: Mapping[str, Factory]) -> Law:
     else:
         inertia = [LOAD_SHARE * part for part in load.inertia_kg_m2]
         model = arm.laden(LOAD_SHARE * load.mass_kg, load.com_m, inertia)
+    if model.gravity.linear.any():  # the servo carries all weight
+        model = model.copy()
+        model.gravity.linear[:] = 0.0
     if law.name == IMPEDANCE:
         return _impedance(law, arm, model)
     if law.compliance is not None:

@@ -7,15 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from rtc.protocol.primitive import ControlLaw
+import numpy as np
+import pinocchio as pin
+
+from rtc.protocol.primitive import ControlLaw, Load
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms import control_laws
 from sim_mcm.arms.arm import Motion
 
 
 class Servo:
+    """Under every law it also carries the weight of the arm and of the whole load, if the model has gravity."""
+
     def __init__(self, model: ArmModel, joints: Sequence[float]) -> None:
         self._arm = model
+        self._weight = self._weight_of(None)
         self._laws = control_laws.known()
         self._name = ControlLaw()
         self._law = control_laws.make(self._name, model, self._laws)
@@ -33,6 +39,8 @@ class Servo:
         if why:
             raise ValueError(f"control law {law.name}: {why}")
         self._law = control_laws.make(law, self._arm, self._laws)
+        if law.load != self._name.load:
+            self._weight = self._weight_of(law.load)
         self._name = law
         self._feel = getattr(self._law, "feel", None)
 
@@ -41,12 +49,23 @@ class Servo:
         if self._feel is not None:
             self._feel(wrench)
 
+    def _weight_of(self, load: Load | None) -> tuple[pin.Model, pin.Data] | None:
+        """Model of the arm with the whole load under gravity; None without gravity."""
+        arm = self._arm
+        if not arm.model.gravity.linear.any():
+            return None
+        model = arm.model if load is None else arm.laden(load.mass_kg, load.com_m, load.inertia_kg_m2)
+        return model, model.createData()
+
     def want(self, motion: Motion) -> None:
         self._wanted = motion
 
     def torque(self, joints: list[float], velocities: list[float]) -> list[float]:
         """Torques of this tick, clipped to the motor limits (N.m)."""
         torques = self._law.torque(self._wanted, joints, velocities)
+        if self._weight is not None:
+            weight = pin.computeGeneralizedGravity(*self._weight, np.array(joints))
+            torques = [torque + part for torque, part in zip(torques, weight.tolist(), strict=True)]
         return [
             torque if -most < torque < most else (most if torque > 0.0 else -most)
             for torque, most in zip(torques, self._effort, strict=True)

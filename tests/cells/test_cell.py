@@ -110,10 +110,6 @@ def spoil_place_arm(cell):
     cell["places"][0]["poses"]["MIDDLE-ARM"] = {"xyz": [0, 0, 1]}
 
 
-def spoil_gravity(cell):
-    cell["gravity_m_s2"] = [0, 0, -9.81]
-
-
 def spoil_field(cell):
     cell["objects"][0]["mas_kg"] = 3
 
@@ -172,7 +168,6 @@ def spoil_tag_family(cell):
         (spoil_joints, "$.arms[1].home_deg: 6 joints need as many values"),
         (spoil_place_joints, "$.places[0].joints_deg.LEFT-ARM: 6 joints need as many values"),
         (spoil_place_arm, "$.places[0].poses.MIDDLE-ARM: no arm MIDDLE-ARM; there are LEFT-ARM, RIGHT-ARM"),
-        (spoil_gravity, "$.gravity_m_s2: only zero gravity is supported"),
         (spoil_field, "$.objects[0]"),
         (spoil_way_out, "$.seats[2].way_out: must be of unit length"),
         (spoil_urdf, "$.arms[1].urdf: cannot read puma999.urdf"),
