@@ -23,6 +23,7 @@ from sim_mcm.arms.arm import ArmState, CellState, HandCommand, Motion, Sample, T
 from sim_mcm.arms.bullet_world import PhysicsWorld
 from sim_mcm.arms.detents import Detents
 from sim_mcm.arms.hand import Hand, pressed
+from sim_mcm.arms.joint_torques import JointTorques
 from sim_mcm.arms.kinematic_arm import displaced
 from sim_mcm.arms.servo import Servo
 
@@ -72,15 +73,17 @@ class BulletArm:
         self._links = {n: link for link, n in links.items()}
         self.others: list[BulletArm] = []  # the other arms of the world
         self._all = [*self._arm, *self._finger_joints]
-        sensor = joints[spec.sensor_joint]
-        self._read_from = [*self._all, sensor]
+        sensor = None if spec.sensor_joint is None else joints[spec.sensor_joint]
+        self._read_from = self._all if sensor is None else [*self._all, sensor]
         hand = {*self.fingers, links[spec.gripper.palm_link], links.get(spec.tcp_link, -1)}
         self.upstream = {n: link for link, n in links.items() if n not in hand}
-        self._wrench = _wrench_at_tcp(world.cell, name)
+        self._wrench = _no_wrench if sensor is None else _wrench_at_tcp(world.cell, name)
         self._prepare(spec, sensor)
         self._load: Load | None = None  # of the present control law
-        self._hand_weight = self._weigh_hand(sensor) if any(world.cell.gravity_m_s2) else None
+        weighs = sensor is not None and any(world.cell.gravity_m_s2)
+        self._hand_weight = self._weigh_hand(sensor) if sensor is not None and weighs else None
         self._servo = Servo(self._model, spec.home_rad)
+        self._estimate = JointTorques(self._model) if sensor is None else None
         self._hand = Hand(
             HandCommand(spec.gripper.max_opening_m, spec.gripper.max_force_n, spec.gripper.speed_m_s),
             spec.gripper.max_opening_m,
@@ -93,12 +96,15 @@ class BulletArm:
     def read(self) -> Sample:
         states = pybullet.getJointStates(self.body, self._read_from, physicsClientId=self._client)
         positions, velocities, reactions, _ = zip(*states, strict=True)
-        *joints, a, b, _ = positions
-        *speeds, va, vb, _ = velocities
+        count = len(self._arm)
+        joints, speeds = list(positions[:count]), list(velocities[:count])
+        a, b, va, vb = *positions[count : count + 2], *velocities[count : count + 2]
         forces = pressed(self._finger_forces)
         wrench = self._wrench(reactions[-1])
         if self._hand_weight is not None:
             wrench = self._hand_weight.removed(wrench, self._model.fk(joints), self._load)
+        if self._estimate is not None:
+            wrench = self._estimate.wrench(joints, speeds)
         self._sample = Sample(joints, speeds, wrench, (a, b), (va, vb), forces)
         return self._sample
 
@@ -108,6 +114,8 @@ class BulletArm:
     def use_law(self, law: ControlLaw) -> None:
         self._servo.use_law(law, self._sample.joints)
         self._load = law.load
+        if self._estimate is not None:
+            self._estimate.carry(law.load)
 
     def feel(self, wrench: list[float]) -> None:
         self._servo.feel(wrench)
@@ -149,6 +157,8 @@ class BulletArm:
         """Apply the motor torques of this tick; pybullet keeps them for one step."""
         sample = self._sample
         torques = self._servo.torque(sample.joints, sample.velocities)
+        if self._estimate is not None:
+            self._estimate.drive(torques)
         self._finger_forces = self._hand.forces(sample.fingers, sample.finger_speeds)
         pybullet.setJointMotorControlArray(
             self.body,
@@ -182,6 +192,8 @@ class BulletArm:
         still = [0.0] * len(state.joints)
         self._servo.want((list(state.joints), still, still))
         self._hand = Hand(state.hand, state.opening_m)
+        if self._estimate is not None:
+            self._estimate.begin()
 
     # --- construction ----------------------------------------------------------------------------------
 
@@ -191,7 +203,7 @@ class BulletArm:
         infos = [pybullet.getJointInfo(self.body, n, physicsClientId=self._client) for n in range(count)]
         return {info[field].decode(): info[0] for info in infos}
 
-    def _prepare(self, spec: parts.Arm, sensor: int) -> None:
+    def _prepare(self, spec: parts.Arm, sensor: int | None) -> None:
         client = self._client
         for link in range(-1, pybullet.getNumJoints(self.body, physicsClientId=client)):
             pybullet.changeDynamics(
@@ -202,7 +214,8 @@ class BulletArm:
         pybullet.setJointMotorControlArray(
             self.body, self._all, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._all), physicsClientId=client
         )
-        pybullet.enableJointForceTorqueSensor(self.body, sensor, True, physicsClientId=client)
+        if sensor is not None:
+            pybullet.enableJointForceTorqueSensor(self.body, sensor, True, physicsClientId=client)
         half = 0.5 * spec.gripper.max_opening_m
         self._put([*spec.home_rad, half, half])
 
@@ -329,6 +342,11 @@ class BulletCell:
     def _sits_in(self, name: str, seat: str) -> bool:
         place = geometry.compose(self.world.seats[seat].home, self.cell.seat(seat).module_frame.pose)
         return geometry.distance(self.world.pose(name), place) < SEATED_M
+
+
+def _no_wrench(reading: tuple[float, ...]) -> list[float]:
+    """Of an arm without a wrist sensor."""
+    return [0.0] * 6
 
 
 def _wrench_at_tcp(cell: cells.Cell, name: str) -> Callable[[tuple[float, ...]], list[float]]:

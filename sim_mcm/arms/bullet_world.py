@@ -13,16 +13,19 @@ from pathlib import Path
 from typing import Any
 
 import pybullet
+import pybullet_data
 
 from rtc.cells import cell as cells
 from rtc.cells import parts
-from rtc.robot import geometry
+from rtc.robot import geometry, hulls
 from rtc.robot.geometry import Array
 
 STEP_S = 0.001
 SOLVER_ITERATIONS = 50  # with fewer the wrist sensor shows spikes of 20 N while carrying
 # With a larger residual the number of iterations varies from step to step, and a held object chatters.
 SOLVER_RESIDUAL = 1e-7
+
+NEARLY_NOTHING = "1e-9"  # kg, kg m2
 
 
 class Body:
@@ -69,7 +72,12 @@ class PhysicsWorld:
         base = spec.base.pose.tolist()
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / spec.urdf
-            file.write_text(_embodied(self.cell.urdf(name)), encoding="utf-8")
+            urdf = _seen(self.cell.urdf(name)) if self._visual else _unseen(self.cell.urdf(name))
+            file.write_text(_embodied(urdf), encoding="utf-8")
+            for hull in hulls.files(urdf):
+                if hull in self.cell.texts:
+                    (Path(folder) / hull).parent.mkdir(parents=True, exist_ok=True)
+                    (Path(folder) / hull).write_text(self.cell.texts[hull], encoding="utf-8")
             body: int = pybullet.loadURDF(
                 str(file),
                 basePosition=base[:3],
@@ -183,6 +191,43 @@ class PhysicsWorld:
         return made
 
 
+def _unseen(urdf: str) -> str:
+    """The URDF without visuals, which physics does not need; their meshes may be missing here."""
+    robot = ElementTree.fromstring(urdf)
+    for link in robot.findall("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def _seen(urdf: str) -> str:
+    """The URDF with visuals that can be drawn here: a link whose meshes are missing shows its collision shapes."""
+    robot = ElementTree.fromstring(urdf)
+    for link in robot.findall("link"):
+        meshes = [mesh for visual in link.findall("visual") for mesh in visual.iter("mesh")]
+        for mesh in meshes:
+            mesh.set("filename", _known_here(str(mesh.get("filename"))))
+        visuals = link.findall("visual")
+        if visuals and all(Path(str(mesh.get("filename"))).is_file() for mesh in meshes):
+            continue
+        for visual in visuals:
+            link.remove(visual)
+        for collision in link.findall("collision"):
+            shown = ElementTree.SubElement(link, "visual")
+            shown.extend(part for part in collision if part.tag in ("origin", "geometry"))
+            if (
+                material := next((part for visual in visuals for part in visual.findall("material")), None)
+            ) is not None:
+                shown.append(material)
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def _known_here(file: str) -> str:
+    """The absolute path of a mesh; one of `package://pybullet_data/` is a file of that package."""
+    prefix = "package://pybullet_data/"
+    return str(Path(pybullet_data.getDataPath(), file.removeprefix(prefix))) if file.startswith(prefix) else file
+
+
 def _embodied(urdf: str) -> str:
     """The URDF without massless frames: Bullet would give one kilogram to every link without inertia."""
     robot = ElementTree.fromstring(urdf)
@@ -195,10 +240,13 @@ def _embodied(urdf: str) -> str:
         if name in children and name not in parents:
             robot.remove(link)
             robot.remove(children[name])
-        elif name not in children:  # the root is fixed, so any values will do
+        else:  # the root is fixed, so any values will do; a frame between two links has next to nothing
+            mass, inertia = (NEARLY_NOTHING, NEARLY_NOTHING) if name in children else ("1", "1")
             inertial = ElementTree.SubElement(link, "inertial")
-            ElementTree.SubElement(inertial, "mass", value="1")
-            ElementTree.SubElement(inertial, "inertia", ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1")
+            ElementTree.SubElement(inertial, "mass", value=mass)
+            ElementTree.SubElement(
+                inertial, "inertia", ixx=inertia, ixy="0", ixz="0", iyy=inertia, iyz="0", izz=inertia
+            )
     ElementTree.indent(robot)  # Bullet's parser needs line breaks
     return ElementTree.tostring(robot, encoding="unicode")
 
