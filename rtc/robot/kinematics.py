@@ -166,10 +166,15 @@ class ArmModel:
     def effective_mass_kg(self, joints: Floats, direction: Floats) -> float:
         """Effective mass of the unloaded tcp along a direction (unit vector, world axes): 1 / (d J M^-1 J' d)."""
         q = np.asarray(joints, dtype=float)
-        upper = np.triu(pin.crba(self.model, self._data, q))
-        mass = upper + np.triu(upper, 1).T
+        mass = self.mass_matrix(q)
         along = np.asarray(direction, dtype=float) @ self.jacobian(q)[:3]
         return 1.0 / max(float(along @ np.linalg.solve(mass, along)), 1e-6)
+
+    def mass_matrix(self, joints: Floats) -> Array:
+        """Joint-space inertia of the unloaded arm (kg m^2; kg for a joint that slides)."""
+        upper = np.triu(pin.crba(self.model, self._data, np.asarray(joints, dtype=float)))
+        full: Array = upper + np.triu(upper, 1).T
+        return full
 
     def sigma_min(self, joints: Floats) -> float:
         """Least singular value of the Jacobian, 0 in a singularity. It mixes m and rad: use it for comparison only."""
