@@ -44,6 +44,7 @@ FLOOR_COLOURS = ((0.86, 0.87, 0.89, 1.0), (0.80, 0.82, 0.85, 1.0))
 SKY = (232, 238, 246)
 PANEL = (760, 600)  # pixels, of two side by side
 ALONE = (960, 720)
+LEAST_RADIUS_M = 0.75  # of a cell with little in it, so that its arm fits
 CLOSE_M = 1.0  # distance from the eye to the target of a close view
 #: view -> (direction from the cell's centre to the eye, distance in radii of the cell)
 DIRECTIONS = {
@@ -132,12 +133,17 @@ class Studio:
         points += [frame.xyz for place in self.cell.places for frame in place.poses.values()]
         points += [tuple(self.cell.object_pose(thing.name)[:3].tolist()) for thing in self.cell.objects]
         low, high = np.min(points, axis=0), np.max(points, axis=0)
-        radius = max(0.5, 0.5 * float(np.linalg.norm(high - low)))
-        return 0.5 * (low + high) + [
-            0.0,
-            0.0,
-            0.12 * radius,
-        ], radius  # raised, because arms reach up and only the floor is below
+        radius = max(LEAST_RADIUS_M, 0.5 * float(np.linalg.norm(high - low)))
+        middle = 0.5 * (low + high) + [0.0, 0.0, 0.12 * radius]  # raised: arms reach up, and only the floor is below
+        middle[2] = max(middle[2], 0.5 * self._highest())
+        return middle, radius
+
+    def _highest(self) -> float:
+        """Height (m) of the highest joint of the arms."""
+        client = self.world.client
+        joints = [(body, joint) for name, body in self.arms.items() for joint in self.joints[name].values()]
+        rows = [pybullet.getLinkState(*one, computeForwardKinematics=1, physicsClientId=client)[0] for one in joints]
+        return max(row[2] for row in rows)
 
     def _target(self, name: str, scene: SceneView) -> Array:
         cell = self.cell

@@ -22,6 +22,7 @@ from rtc.robot.geometry import Array
 HAND = Path(__file__).with_name("hand.urdf")
 BELOW_TIP_M = 0.015  # distance of the tcp below the finger tips, at most a quarter of a finger
 TCP = "tcp"
+INERTIA = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
 OPPOSED = 1e-3
 DEFAULT_EFFORT, DEFAULT_SPEED = 50.0, 1.0  # of a joint without a motor in the URDF
 SENSOR_WORDS = ("force", "torque", "ft_", "_ft", "wrench")
@@ -61,7 +62,7 @@ def adapt(path: Path, folder: str, tip: str = "") -> AdaptedArm:
     fingers = None if tip else _fingers(robot, notes)
     if fingers is None:
         _cut(robot, tip or _deepest(robot), notes)
-        robot = _with_hand(robot, tip or _deepest(robot), notes)
+        _mount_hand(robot, tip or _deepest(robot), notes)
         fingers = ("finger_a_slide", "finger_b_slide")
     palm = robot.parent[fingers[0]]
     arm = AdaptedArm(robot, robot.moving_way(palm), palm, fingers, notes=notes)
@@ -126,23 +127,21 @@ def _cut(robot: RobotFile, tip: str, notes: list[str]) -> None:
         if beyond or branch:
             gone += robot.below(robot.child[joint])
     for link in dict.fromkeys(gone):
-        joint = robot.carrier.pop(link)
-        robot.robot.remove(robot.links.pop(link))
-        robot.robot.remove(robot.joints.pop(joint))
-        del robot.parent[joint], robot.child[joint]
+        robot.robot.remove(robot.links[link])
+        robot.robot.remove(robot.joints[robot.carrier[link]])
+    robot.index()
     if gone:
         notes.append(f"removed beyond {tip}: {', '.join(dict.fromkeys(gone))}")
 
 
-def _with_hand(robot: RobotFile, tip: str, notes: list[str]) -> RobotFile:
-    """The arm with the parallel hand on its last link, along the axis of the last joint."""
+def _mount_hand(robot: RobotFile, tip: str, notes: list[str]) -> None:
+    """Adds the parallel hand on the last link, along the axis of the last joint."""
     last = robot.moving_way(tip)[-1]
     turn = robot.pose_in(tip, robot.child[last])[:3, :3].T
     axis = turn @ robot.axis(last)
-    reach = max((float((points @ axis).max()) for points in _points(robot, tip)), default=0.0)
-    behind = min((float((points @ axis).min()) for points in _points(robot, tip)), default=0.0)
-    if -behind > reach + 1e-3:  # the link extends against its axis
-        axis, reach = -axis, -behind
+    if float(_before(robot, tip) @ axis) > 0.0:
+        axis = -axis
+    reach = max([0.0, *(float((points @ axis).max()) for points in _points(robot, tip))])
     mount = ElementTree.SubElement(robot.robot, "joint", name="wrist_ft", type="fixed")
     ElementTree.SubElement(mount, "parent", link=tip)
     ElementTree.SubElement(mount, "child", link="sensor")
@@ -155,7 +154,19 @@ def _with_hand(robot: RobotFile, tip: str, notes: list[str]) -> RobotFile:
         raise ProgramError(f"{robot.path}: rename {', '.join(taken)}: the hand that is mounted has these names")
     robot.robot.extend(hand)
     notes.append(f"the hand is on {tip}, {1000 * reach:.0f} mm beyond its origin: check the picture")
-    return _again(robot)
+    robot.index()
+
+
+def _before(robot: RobotFile, tip: str) -> Array:
+    """The middle of the body before the last moving joint, in the axes of the tip: the hand points away from it."""
+    link = robot.parent[robot.moving_way(tip)[-1]]
+    while not _points(robot, link) and link in robot.carrier:
+        link = robot.parent[robot.carrier[link]]
+    clouds = _points(robot, link)
+    middle = np.vstack(clouds).mean(axis=0) if clouds else np.zeros(3)
+    pose = np.linalg.inv(robot.pose_in(tip, link))
+    found: Array = pose[:3, :3] @ middle + pose[:3, 3]
+    return found
 
 
 def _looking_along(axis: Array, at: Array) -> Array:
@@ -167,17 +178,6 @@ def _looking_along(axis: Array, at: Array) -> Array:
     matrix[:3, :3] = np.stack((x, np.cross(axis, x), axis), axis=1)
     matrix[:3, 3] = at
     return matrix
-
-
-def _again(robot: RobotFile) -> RobotFile:
-    """The same file with the tables of its changed elements."""
-    fresh = copy.copy(robot)
-    fresh.links = {str(link.get("name")): link for link in robot.robot.findall("link")}
-    fresh.joints = {str(joint.get("name")): joint for joint in robot.robot.findall("joint")}
-    fresh.parent = {n: str(j.find("parent").get("link")) for n, j in fresh.joints.items()}  # type: ignore[union-attr]
-    fresh.child = {n: str(j.find("child").get("link")) for n, j in fresh.joints.items()}  # type: ignore[union-attr]
-    fresh.carrier = {link: name for name, link in fresh.child.items()}
-    return fresh
 
 
 # --- links and joints ----------------------------------------------------------------------------------
@@ -206,11 +206,31 @@ def _tidy(arm: AdaptedArm) -> None:
         _motor(arm, name, joint)
     for name, link in robot.links.items():
         inertial = link.find("inertial")
+        if _made_possible(inertial):
+            arm.notes.append(f"no rigid body has the inertia of {name}: its smaller moments are raised")
         mass = None if inertial is None else inertial.find("mass")
         if inertial is not None and (mass is None or number(mass, "value") == 0.0):
             link.remove(inertial)
             if name != robot.root and name in {robot.child[joint] for joint in kept}:
                 arm.notes.append(f"link {name} has no mass: state one in the URDF, its joint moves nothing")
+
+
+def _made_possible(inertial: ElementTree.Element | None) -> bool:
+    """Raise the smaller principal moments until their sum is that of the greatest; True if that was necessary."""
+    inertia = None if inertial is None else inertial.find("inertia")
+    if inertia is None:
+        return False
+    matrix = np.array([[number(inertia, key) for key in row] for row in INERTIA])
+    moments, axes = np.linalg.eigh(matrix)
+    missing = float(moments[2] - moments[0] - moments[1])
+    if missing <= 1e-9:
+        return False
+    moments[:2] += 0.505 * missing
+    fitted = axes @ np.diag(moments) @ axes.T
+    for row, keys in enumerate(INERTIA):
+        for column, key in enumerate(keys):
+            inertia.set(key, f"{fitted[row, column]:.6g}")
+    return True
 
 
 def _motor(arm: AdaptedArm, name: str, joint: ElementTree.Element) -> None:
@@ -327,7 +347,7 @@ def _tool(arm: AdaptedArm) -> None:
         rpy=" ".join(f"{round(x, 9) + 0.0:g}" for x in rpy),
     )
     ElementTree.SubElement(robot.robot, "link", name=TCP)
-    arm.robot = _again(robot)
+    robot.index()
     arm.notes.append(f"the frame {TCP} is {1000 * height:.0f} mm from {arm.palm}, between the fingers")
 
 

@@ -114,7 +114,7 @@ def _gripper(adapted: AdaptedArm) -> Gripper:
     speed_m_s = min(number(limit, "velocity", SPEED_M_S) for limit in limits if limit is not None)
     if force_n < GRIP_N:
         adapted.notes.append(
-            f"the fingers have {force_n:g} N in the URDF; the scripts grip with up to 45 N: the cell states {GRIP_N:g} N"
+            f"the fingers have {force_n:g} N in the URDF; scripts grip with up to 45 N: the cell states {GRIP_N:g} N"
         )
     return Gripper(
         max_opening_m=round(opening, 4),
@@ -127,7 +127,7 @@ def _gripper(adapted: AdaptedArm) -> Gripper:
 
 
 def _floor() -> Object:
-    top = Box(name="plate", size_m=(3.0, 3.0, 0.02), frame=Frame(xyz=(0.0, 0.0, -0.01)), colour=(0.62, 0.64, 0.66, 1.0))
+    top = Box(name="plate", size_m=(3.0, 3.0, 0.02), frame=Frame(xyz=(0.0, 0.0, -0.012)), colour=(0.62, 0.64, 0.66, 1.0))
     return Object(name="FLOOR", kind="structure", fixed=True, mass_kg=100.0, shapes=[top])
 
 

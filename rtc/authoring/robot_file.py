@@ -26,10 +26,11 @@ Element = ElementTree.Element
 class RobotFile:
     """A parsed URDF. Raises ProgramError for a file that cannot be read, or is not one tree of links."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, text: str | None = None) -> None:
+        """`text`: instead of that of the file."""
         self.path = path
         try:
-            self.robot = ElementTree.fromstring(path.read_text(encoding="utf-8"))
+            self.robot = ElementTree.fromstring(path.read_text(encoding="utf-8") if text is None else text)
         except OSError as error:
             raise ProgramError(f"cannot read {path}: {error.strerror}") from error
         except (ElementTree.ParseError, UnicodeDecodeError) as error:
@@ -37,12 +38,16 @@ class RobotFile:
         if self.robot.tag != "robot":
             raise ProgramError(f"{path} is not a URDF: its outermost element is <{self.robot.tag}>, not <robot>")
         self.name = self.robot.get("name", path.stem)
+        self.index()
+
+    def index(self) -> None:
+        """Builds the tables of links and joints. Raises ProgramError if they are not one tree."""
         self.links = {str(link.get("name")): link for link in self.robot.findall("link")}
         self.joints = {str(joint.get("name")): joint for joint in self.robot.findall("joint")}
         self.parent = {name: end(joint, "parent") for name, joint in self.joints.items()}
         self.child = {name: end(joint, "child") for name, joint in self.joints.items()}
         for faulty in self._broken():
-            raise ProgramError(f"{path}: {faulty}")
+            raise ProgramError(f"{self.path}: {faulty}")
         self.carrier = {link: name for name, link in self.child.items()}
         self.root = next(link for link in self.links if link not in self.carrier)
 

@@ -40,7 +40,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
     texts: dict[str, str] = {}  # URDF, SRDF and hulls by file name; filled by `load`
 
     def __post_init__(self) -> None:
-        for place, problem in _problems(self):
+        for place, problem in problems(self):
             raise ValueError(f"$.{place}: {problem}")
 
     # --- reading and sending ---------------------------------------------------------------------------
@@ -147,7 +147,7 @@ def _decode(document: bytes, source: str) -> Cell:
         raise ProgramError(f"{source}: {error}") from error
 
 
-def _problems(cell: Cell) -> Iterator[tuple[str, str]]:
+def problems(cell: Cell) -> Iterator[tuple[str, str]]:
     """(place, problem) for faults that the types do not exclude."""
     yield from _repeated_names(cell)
     seats = {seat.name for seat in cell.seats}

@@ -35,6 +35,7 @@ COMMANDS = {
     "log": "log",
     "trace": "trace",
     "why": "trace",
+    "cell": "cell",
     "names": "names",
     "world": "world",
     "load": "programs",

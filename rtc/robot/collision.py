@@ -214,6 +214,15 @@ class CollisionWorld:
         self._apart.compare(arm, other, self._between(one, two), self._levers, openings_m)
         return self._apart
 
+    def deepest_contact(self, name: str, joints: Mapping[str, Floats]) -> Collision | None:
+        """The nearest pair of a body and any other as the cell begins; None if the body has no pair."""
+        self._set(joints, AS_BUILT)
+        self._place()
+        region = self._region_piece[self._first] | self._region_piece[self._second]
+        pairs = np.flatnonzero(self._touches([name]) & ~region).tolist()
+        found = [self._describe(pair) for pair in pairs]
+        return min(found, key=lambda collision: collision.distance_m, default=None)
+
     # --- inside ------------------------------------------------------------------------------------------
 
     def _touches_any(self) -> bool:
