@@ -22,6 +22,7 @@ from rtc.robot.geometry import Array
 HAND = Path(__file__).with_name("hand.urdf")
 BELOW_TIP_M = 0.015  # distance of the tcp below the finger tips, at most a quarter of a finger
 TCP = "tcp"
+GYRATION = 1.0  # greatest plausible radius of gyration, as a share of the size of a link
 INERTIA = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
 OPPOSED = 1e-3
 DEFAULT_EFFORT, DEFAULT_SPEED = 50.0, 1.0  # of a joint without a motor in the URDF
@@ -233,6 +234,22 @@ def _made_possible(inertial: ElementTree.Element | None) -> bool:
     return True
 
 
+def _made_plausible(link: ElementTree.Element, outline: Array) -> bool:
+    """Replace an inertia whose radius of gyration is beyond the size of the link by that of a solid box."""
+    mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
+    if mass is None or inertia is None or not number(mass, "value") > 0.0:
+        return False
+    kilograms, size = number(mass, "value"), outline.max(axis=0) - outline.min(axis=0)
+    greatest = max(number(inertia, key) for key in ("ixx", "iyy", "izz"))
+    if math.sqrt(greatest / kilograms) <= GYRATION * float(np.linalg.norm(size)):
+        return False
+    x, y, z = (size**2).tolist()
+    values = {"ixx": y + z, "iyy": x + z, "izz": x + y}
+    inertia.attrib = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+    inertia.attrib |= {key: f"{kilograms / 12.0 * value:.4g}" for key, value in values.items()}
+    return True
+
+
 def _motor(arm: AdaptedArm, name: str, joint: ElementTree.Element) -> None:
     limit = joint.find("limit")
     if limit is None:
@@ -286,6 +303,9 @@ def _meshes(arm: AdaptedArm, folder: str) -> None:
             arm.hulls[file] = hull.text
             worst_m = max(worst_m, hull.left_out_m)
             mesh.attrib = {"filename": file}
+            at = origin(collision)
+            if name != robot.root and _made_plausible(link, hull.vertices @ at[:3, :3].T + at[:3, 3]):
+                arm.notes.append(f"the inertia of {name} is far too great for its size: that of a box is taken")
         for visual in link.findall("visual"):
             mesh = visual.find("geometry/mesh")
             if mesh is not None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from rtc.authoring import self_collisions
 from rtc.authoring.adapt import TCP, AdaptedArm, adapt
-from rtc.authoring.robot_file import number
+from rtc.authoring.robot_file import RobotFile, number
 from rtc.cells.cell import Cell
 from rtc.cells.parts import Arm, Box, Frame, GraspPoint, Gripper, Object, Place, Seat, Vec3
 from rtc.protocol.outcomes import ProgramError
@@ -52,7 +52,7 @@ class Draft:
 
 def draft(urdf: Path, name: str = "", tip: str = "") -> Draft:
     """The first cell for the arm of a URDF file. `name`: of the arm in sentences. Raises ProgramError."""
-    stem = _plain(urdf.stem)
+    stem = _plain(name or RobotFile(urdf).name)
     adapted = adapt(urdf, f"{stem}-hulls", tip)
     files = {f"{stem}.urdf": adapted.urdf, **adapted.hulls}
     files[f"{stem}.srdf"], notes = self_collisions.srdf(adapted.robot, files[f"{stem}.urdf"], files)
@@ -127,7 +127,9 @@ def _gripper(adapted: AdaptedArm) -> Gripper:
 
 
 def _floor() -> Object:
-    top = Box(name="plate", size_m=(3.0, 3.0, 0.02), frame=Frame(xyz=(0.0, 0.0, -0.012)), colour=(0.62, 0.64, 0.66, 1.0))
+    top = Box(
+        name="plate", size_m=(3.0, 3.0, 0.02), frame=Frame(xyz=(0.0, 0.0, -0.012)), colour=(0.62, 0.64, 0.66, 1.0)
+    )
     return Object(name="FLOOR", kind="structure", fixed=True, mass_kg=100.0, shapes=[top])
 
 

@@ -19,6 +19,7 @@ import numpy as np
 import yaml
 
 from rtc.authoring import self_collisions
+from rtc.authoring.adapt import GYRATION
 from rtc.authoring.robot_file import MOVING, RobotFile, number
 from rtc.cells import cell as cells
 from rtc.cells import model_checks
@@ -31,7 +32,6 @@ from rtc.robot.kinematics import ArmModel
 
 TRIANGLE_SLACK = 1e-9
 LARGE_M = 5.0  # a mesh of an arm that is larger is probably in millimetres
-GYRATION = 1.5  # a radius of gyration beyond this many times the size of the link is implausible
 PENETRATION_M = 0.002  # of two bodies at the beginning
 WEIGHT_SHARE = 0.9  # of the motor torque, as planning allows
 

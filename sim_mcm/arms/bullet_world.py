@@ -71,7 +71,7 @@ class PhysicsWorld:
         spec = self.cell.arm(name)
         base = spec.base.pose.tolist()
         with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / spec.urdf
+            file = Path(folder) / Path(spec.urdf).name
             urdf = _seen(self.cell.urdf(name)) if self._visual else _unseen(self.cell.urdf(name))
             file.write_text(_embodied(urdf), encoding="utf-8")
             for hull in hulls.files(urdf):
