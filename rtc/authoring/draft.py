@@ -32,7 +32,8 @@ ACCELERATIONS = (0.5, 10.0)  # rad/s^2, m/s^2: range of what is proposed
 PAYLOADS_KG = (0.5, 10.0)
 GRAVITY = (0.0, 0.0, -9.81)
 GRIP_N, SPEED_M_S = 60.0, 0.05  # of a hand whose URDF states none
-CUBE_M, CUBE_KG, PAD_M, PAD_HEIGHT_M = 0.04, 0.3, 0.12, 0.05
+CUBE_M, CUBE_KG, PAD_M, PAD_HEIGHT_M = 0.04, 0.5, 0.12, 0.05
+MAGNET_N = 10.0  # of a pad: the cube must not slide when a hand feels its sides with 5 N
 MARGIN_RAD = math.radians(8.0)
 ABOVE_M = 0.20  # a pad is reachable with the hand over it up to this height
 CARRY_M = 0.25  # height of the place before the arm
@@ -247,7 +248,15 @@ def _pad(name: str, reach_m: float, bearing: float) -> Seat:
         frame=Frame(xyz=(0.0, 0.0, -0.5 * (PAD_HEIGHT_M + CUBE_M))),
         colour=(0.45, 0.48, 0.52, 1.0),
     )
-    return Seat(name=name, kind="pad", frame=Frame(xyz=at), way_out=(0.0, 0.0, 1.0), depth_m=0.02, shapes=[block])
+    return Seat(
+        name=name,
+        kind="pad",
+        frame=Frame(xyz=at),
+        way_out=(0.0, 0.0, 1.0),
+        depth_m=0.02,
+        detent_n=MAGNET_N,
+        shapes=[block],
+    )
 
 
 def _cube() -> Object:

@@ -1,0 +1,42 @@
+"""First cells of two arms that the project does not know, from the URDF files of pybullet_data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pybullet_data
+import pytest
+
+from rtc.authoring.draft import draft
+from rtc.cells.cell import Cell
+
+DATA = Path(pybullet_data.getDataPath())
+ARMS = {
+    "PANDA": (DATA / "franka_panda" / "panda.urdf", ""),
+    "IIWA": (DATA / "kuka_iiwa" / "model.urdf", ""),
+    "XARM": (DATA / "xarm" / "xarm6_with_gripper.urdf", "link6"),
+}
+
+
+@pytest.fixture(scope="session")
+def first_cell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """The file of the first cell of an arm, as `rtc cell new` writes it."""
+    made: dict[str, Path] = {}
+
+    def file_of(arm: str) -> Path:
+        if arm not in made:
+            urdf, tip = ARMS[arm]
+            found, folder = draft(urdf, arm, tip), tmp_path_factory.mktemp(arm.lower())
+            for name, text in {**found.files, "cell.yaml": found.yaml}.items():
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_text(text)
+            made[arm] = folder / "cell.yaml"
+        return made[arm]
+
+    return file_of
+
+
+@pytest.fixture
+def panda_cell(first_cell: Callable[[str], Path]) -> Cell:
+    return Cell.load(first_cell("PANDA"))
