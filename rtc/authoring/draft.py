@@ -33,6 +33,7 @@ PAYLOADS_KG = (0.5, 10.0)
 GRAVITY = (0.0, 0.0, -9.81)
 GRIP_N, SPEED_M_S = 60.0, 0.05  # of a hand whose URDF states none
 CUBE_M, CUBE_KG, PAD_M, PAD_HEIGHT_M = 0.04, 0.5, 0.12, 0.05
+ABOVE_MIDDLE_M = 0.008  # of the cube is its grasp point, so that the finger tips do not touch the pad
 MAGNET_N = 10.0  # of a pad: the cube must not slide when a hand feels its sides with 5 N
 MARGIN_RAD = math.radians(8.0)
 ABOVE_M = 0.20  # a pad is reachable with the hand over it up to this height
@@ -269,7 +270,11 @@ def _cube() -> Object:
         mass_kg=CUBE_KG,
         inertia_kg_m2=(inertia, inertia, inertia),
         shapes=[Box(name="body", size_m=side, colour=(0.15, 0.45, 0.75, 1.0))],
-        grasp_points=[GraspPoint(name="TOP", frame=Frame(rpy_deg=(180.0, 0.0, 0.0)), width_m=CUBE_M)],
+        grasp_points=[
+            GraspPoint(
+                name="TOP", frame=Frame(xyz=(0.0, 0.0, ABOVE_MIDDLE_M), rpy_deg=(180.0, 0.0, 0.0)), width_m=CUBE_M
+            )
+        ],
     )
 
 
