@@ -1,0 +1,102 @@
+"""`rtc cell check`: all faults at once, each with its place, its line and what was expected."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from rtc.authoring.review import Finding, review
+from rtc.cells.cell import CELLS
+from rtc.protocol.outcomes import ProgramError
+
+from tests.authoring.conftest import DATA
+
+
+@pytest.fixture
+def copy(first_cell, tmp_path):
+    """A first cell that a test may spoil."""
+    shutil.copytree(first_cell("PANDA").parent, tmp_path / "cell")
+    return tmp_path / "cell" / "cell.yaml"
+
+
+def spoil(file: Path, *changes: tuple[str, str]) -> None:
+    text = file.read_text()
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after, 1)
+    file.write_text(text)
+
+
+def found(file: Path) -> dict[str, Finding]:
+    return {finding.where: finding for finding in review(file)[0]}
+
+
+@pytest.mark.parametrize("name", sorted(path.parent.name for path in CELLS.glob("*/cell.yaml")))
+def test_the_cells_of_the_project_have_no_fault(name):
+    assert review(CELLS / name)[0] == []
+
+
+def test_all_faults_of_the_fields_are_found_at_once(copy):
+    spoil(
+        copy,
+        ("payload_kg: ", "payload_kg: -"),
+        ("kind: pad", "kindd: pad"),
+        ("mass_kg: 0.5", "mass_kg: heavy"),
+        ("name: panda", "name: panda\nlights: 3"),
+    )
+    rows = found(copy)
+    assert {"$.arms[0].payload_kg", "$.seats[0].kindd", "$.objects[1].mass_kg", "$.lights"} <= set(rows)
+    lines = copy.read_text().splitlines()
+    assert "payload_kg" in lines[rows["$.arms[0].payload_kg"].line - 1]
+    assert "heavy" in lines[rows["$.objects[1].mass_kg"].line - 1]
+
+
+def test_references_and_models_are_checked_too(copy):
+    spoil(copy, ("seat: PAD-1", "seat: PAD-9"), ("panda_joint7]", "panda_joint8]"))
+    spoil(copy.parent / "panda.urdf", ('velocity="2.1750"', 'velocity="0"'))
+    spoil(copy.parent / "panda.srdf", ('link2="panda_link7"', 'link2="panda_link77"'))
+    rows = found(copy)
+    assert {"$.objects[1].seat", "$.arms[0].joints", "joint panda_joint1", "link2 panda_link77"} <= set(rows)
+    assert "panda_joint1" in (copy.parent / "panda.urdf").read_text().splitlines()[rows["joint panda_joint1"].line - 1]
+
+
+def test_geometry_is_checked(copy):
+    """A place out of reach, a home in the floor, a neighbour that is not in the SRDF, one body inside another."""
+    spoil(copy, ("poses: {PANDA: {xyz: [0", "poses: {PANDA: {xyz: [1"), ("seat: PAD-1", "frame: {xyz: [0, 0, 0.0]}"))
+    text = copy.read_text()
+    home = next(line for line in text.splitlines() if "home_deg" in line)
+    spoil(copy, (home, "    home_deg: [0, 100, 0, -10, 0, 90, 0]"))
+    spoil(copy.parent / "panda.srdf", ('link2="panda_link1"', 'link2="panda_link0"'))
+    rows = found(copy)
+    assert {"$.places[0].poses.PANDA", "$.arms[0].home_deg", "$.arms[0].srdf", "$.objects[1].frame"} <= set(rows)
+    assert "cannot reach" in rows["$.places[0].poses.PANDA"].problem
+    assert rows["$.arms[0].srdf"].severity == "warning"
+
+
+def test_a_posture_that_the_motors_cannot_hold_is_an_error(copy):
+    spoil(copy.parent / "panda.urdf", ('effort="87"', 'effort="2"'), ('effort="87"', 'effort="2"'))
+    rows = found(copy)
+    assert "its motor has 2" in rows["$.arms[0].home_deg"].problem
+
+
+def test_a_urdf_alone_is_checked():
+    rows = found(DATA / "xarm" / "xarm6_with_gripper.urdf")
+    assert set(rows) == {"link link2", "link link3"}
+    assert "rigid body" in rows["link link2"].problem
+    assert found(DATA / "kuka_iiwa" / "model.urdf") == {}
+
+
+def test_yaml_that_cannot_be_read_has_a_line(tmp_path):
+    file = tmp_path / "cell.yaml"
+    file.write_text("name: x\narms: [\n")
+    (finding,) = review(file)[0]
+    assert finding.severity == "error"
+
+
+def test_other_files_are_refused(tmp_path):
+    with pytest.raises(ProgramError, match=r"\.urdf"):
+        review(tmp_path / "arm.xacro")
+    with pytest.raises(ProgramError, match="cannot read"):
+        review(tmp_path / "missing.yaml")
