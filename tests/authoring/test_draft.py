@@ -16,7 +16,6 @@ from rtc.protocol.outcomes import ProgramError
 from rtc.robot import geometry, hulls
 from rtc.robot.collision import CollisionWorld
 from rtc.robot.kinematics import ArmModel
-
 from tests.authoring.conftest import ARMS, DATA
 
 

@@ -10,7 +10,6 @@ import pytest
 from rtc.authoring.review import Finding, review
 from rtc.cells.cell import CELLS
 from rtc.protocol.outcomes import ProgramError
-
 from tests.authoring.conftest import DATA
 
 
