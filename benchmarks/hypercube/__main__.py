@@ -1,6 +1,6 @@
 """Where does one broker end, and what then? A simulated cluster of 4 to 65,536 workers, with measured times.
 
-    python -m benchmarks.hypercube --measure     time single processes of the real cluster (half a minute)
+    python -m benchmarks.hypercube --measure     time single processes of the real cluster (two minutes)
     python -m benchmarks.hypercube --check       compare with the real cluster: results/scaling.json of this machine
     python -m benchmarks.hypercube               simulate d = 2 to 16 and draw the plots (minutes)
     python -m benchmarks.hypercube --dims 2 8    fewer sizes
@@ -20,12 +20,14 @@ from typing import Any
 
 from benchmarks.hypercube import check, experiments, page, plots
 from benchmarks.hypercube.costs import Costs, from_data, load
+from benchmarks.hypercube.fit import middle
 from benchmarks.hypercube.neighbour import neighbours
 from benchmarks.report import RESULTS, finish, question
 
 SEED = 16
 DIMS = tuple(range(2, 17))
 REPETITIONS = 12
+ROUNDS = 5  # of all microbenchmarks; the median of each figure is used
 
 
 def main() -> None:
@@ -53,14 +55,22 @@ def main() -> None:
 
 def measure() -> None:
     """Run all microbenchmarks, and write what they give."""
-    from benchmarks.hypercube import broker_costs, process_costs
+    from benchmarks.hypercube import broker_costs, lone_costs, process_costs
 
     question("hypercube_costs", "what does each of broker, workers, client, subsystem and links cost, on shared cores?")
-    with neighbours(len(os.sched_getaffinity(0))):
-        data: dict[str, Any] = {
-            "broker": broker_costs.measure(REPETITIONS),
-            "processes": process_costs.measure(REPETITIONS),
-        }
+    rounds: list[dict[str, Any]] = []
+    for n in range(ROUNDS):
+        with neighbours(len(os.sched_getaffinity(0))):
+            rounds.append(
+                {"broker": broker_costs.measure(REPETITIONS), "processes": process_costs.measure(REPETITIONS)}
+            )
+        rounds[-1]["lone"] = lone_costs.measure()  # a cluster has its own neighbours
+        turn_us, event_us = (1e6 * rounds[-1]["broker"]["per"][name] for name in ("turn", "elaborated"))
+        print(
+            f"  round {n + 1} of {ROUNDS}: a turn of the broker {turn_us:.0f} us, an event {event_us:.1f} us",
+            flush=True,
+        )
+    data = middle(rounds)
     costs = from_data(data)
     rows = [(f"broker, per {name}", f"{1e6 * cost:.1f} us") for name, cost in costs.broker.items()]
     rows.append(("broker, heartbeat of a worker", f"{1e6 * costs.heartbeat:.1f} us"))

@@ -13,7 +13,9 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import cycle
 from pathlib import Path
+from statistics import median
 from typing import Any, NamedTuple
 
 import msgspec
@@ -21,7 +23,7 @@ import zmq
 
 from benchmarks.hypercube.fit import fitted, medians, ratios
 from benchmarks.load.subsystem import Instant
-from benchmarks.load.trivial import FUNCTIONS, SUBSYSTEM, performer
+from benchmarks.load.trivial import FUNCTIONS, PERFORMERS, SUBSYSTEM, performer
 from broker.__main__ import _first_programs
 from broker.decisions.effects import DispatchJob
 from broker.decisions.state import State
@@ -29,7 +31,7 @@ from broker.dispatch.autoscaler import Autoscaler
 from broker.dispatch.worker_registry import WorkerRegistry
 from broker.persistence.journal import Journal
 from broker.persistence.program_store import ProgramStore
-from broker.router.loop import Router
+from broker.router.loop import SNAPSHOT_EVENTS, Router
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.messages import WorkerKind
@@ -39,16 +41,18 @@ from rtc.runtime.settings import Settings, prepare_run_dir
 from rtc.world.lease import KEY_BYTES
 
 STAGES = ("accept", "parsed", "elaborated", "bound", "reported", "analyzed")  # kinds of events, in order
-FEATURES = ("turn", "wake_up", "message_in", "message_out", *STAGES)
+FEATURES = ("turn", "message_in", "message_out", *STAGES)
 TOGETHER = (1, 2, 4, 8, 16, 32, 48)  # commands in one turn, of quick workers: one message
 APART = (1, 2, 4, 8, 16)  # of slow workers: one message each
 QUICK_S, SLOW_S = 1e-5, 3e-3  # reported duration of a job
 ALONE_S = 0.0002  # pause before a turn, so that all messages have arrived
-WARM, COLD = False, True  # whether the thread has slept before a turn: then the turn begins slowly
+IN_PROGRESS = 1000  # commands that are executing meanwhile, as many as in the trivial workload
+STANDING_AT_ONCE = 25
 LATE_S = 0.2
 START_LIMIT_S = 20.0
 SETTLED = 8  # commands of each kind of worker that make its mean duration known
 NEVER_S = 1e9
+CLOCK = 1e-3  # seconds of the router per second
 SIZES = (4, 64, 1024, 4096, 16384, 65536)  # workers, for the costs that grow with their number
 
 
@@ -71,8 +75,15 @@ class BrokerBench:
         state = State(life=secrets.token_hex(2))
         self.journal = Journal.open(run_dir / "journal.db", settings.run, state)
         store = ProgramStore(self.journal, state.programs)
-        self.router = Router(
-            self.me, settings, self.journal, state, store, Handed(settings, secrets.token_bytes(KEY_BYTES))
+        began_s, handed = time.monotonic(), Handed(settings, secrets.token_bytes(KEY_BYTES))
+        self.router = Router(  # its clock is slow, so that the commands that stand do not reach their time limit
+            self.me,
+            settings,
+            self.journal,
+            state,
+            store,
+            handed,
+            lambda: began_s + CLOCK * (time.monotonic() - began_s),
         )
         self.router._checks = Every(NEVER_S, time.monotonic() + NEVER_S)  # the health checks are timed apart
         for installed in _first_programs(settings, store, time.monotonic()):
@@ -83,12 +94,13 @@ class BrokerBench:
         self.client = self._peer(settings, "front", "load")
         self.subsystem = self._peer(settings, "subsystems", SUBSYSTEM)
         self.workers = {kind: [self._peer(settings, "workers", _name(kind, n)) for n in range(slots)] for kind in KINDS}
-        self.instant = Instant(os.getpid(), [performer(n) for n in range(2048)])
+        self.instant = Instant(os.getpid(), [performer(n) for n in range(PERFORMERS)])
         self._read_job = wire.reader(m.BrokerToWorker)
         self._read_client = wire.reader_of_many(m.BrokerToClient)
         self._read_order = wire.reader_of_many(m.BrokerToSubsystem)
         self._inputs = {kind: wire.decoder(FUNCTIONS[kind].INPUT) for kind in KINDS}
         self._number = 0
+        self._performers = cycle(range(PERFORMERS))
         self._greet(settings)
 
     def _peer(self, settings: Settings, endpoint: str, identity: str) -> zmq.Socket[bytes]:
@@ -112,11 +124,11 @@ class BrokerBench:
 
     # --- one turn --------------------------------------------------------------------------------------
 
-    def turn(self, sent: int, events: int, stage: str, cold: bool) -> tuple[TurnCost | None, Sent]:
+    def turn(self, sent: int, events: int, stage: str) -> tuple[TurnCost | None, Sent]:
         """Let the broker read `sent` messages in one turn. Returns its cost, and the messages that it sent.
 
         The cost is None if some messages were late: then there were several turns."""
-        (time.sleep if cold else _spin)(ALONE_S + 2e-5 * sent)
+        _spin(ALONE_S + 2e-5 * sent)
         io_s, began_s = _run_s(self._io), time.thread_time()
         self.router.run_once(self.me.wait(LATE_S))
         main_s = time.thread_time() - began_s
@@ -131,7 +143,7 @@ class BrokerBench:
             self.router.run_once(self.me.wait(LATE_S))
             time.sleep(10 * ALONE_S)
         counts = [float(name == stage) * events for name in STAGES]
-        return None if late else TurnCost((1.0, float(cold), float(sent), float(len(out)), *counts), main_s, io_s), out
+        return None if late else TurnCost((1.0, float(sent), float(len(out)), *counts), main_s, io_s), out
 
     def _drain(self, out: Sent) -> int:
         """Receive what the broker has sent; the number of commands in `out` that it has passed on."""
@@ -150,29 +162,38 @@ class BrokerBench:
 
     # --- one group of commands --------------------------------------------------------------------------
 
-    def pass_through(self, how_many: int, took_s: float, cold: bool = WARM) -> Iterator[TurnCost]:
-        """Pass this many commands through all stages; yields a turn for each stage, unless messages were late."""
+    def pass_through(self, how_many: int, took_s: float, last: str = STAGES[-1]) -> Iterator[TurnCost]:
+        """Pass this many commands through the stages up to `last`; yields a turn for each stage, unless messages were
+        late."""
         texts = []
         for _ in range(how_many):
             self._number += 1
+            text = f"MOVE {performer(next(self._performers))}"
             texts.append(
-                m.CommandText(
-                    request=str(self._number),
-                    text=f"MOVE {performer(self._number % 2048)}",
-                    progress=False,
-                    sent_at_s=time.monotonic(),
-                )
+                m.CommandText(request=str(self._number), text=text, progress=False, sent_at_s=time.monotonic())
             )
         for parts in wire.together(texts):
             self.client.send_multipart(parts)
-        messages, events, stage = 1, how_many, "accept"
-        for following in (*STAGES[1:], ""):
-            turn, out = self.turn(messages, events, stage, cold)
+        messages, events = 1, how_many
+        for stage in STAGES:
+            turn, out = self.turn(messages, events, stage)
             if turn is not None:
                 yield turn
-            if following:
-                messages, events = self._answer(out, following, took_s)
-                stage = following
+            if stage == last:
+                return
+            messages, events = self._answer(out, STAGES[STAGES.index(stage) + 1], took_s)
+
+    def stand(self, how_many: int) -> None:
+        """Leave this many commands executing."""
+        for _ in range(how_many // STANDING_AT_ONCE):
+            list(self.pass_through(STANDING_AT_ONCE, QUICK_S, last="bound"))
+        self._performers = cycle(range(next(self._performers), PERFORMERS))
+
+    def snapshot_s(self) -> float:
+        """Processor time (s) of a snapshot of the state."""
+        began_s = time.thread_time()
+        self.journal.snapshot(self.router.state)
+        return time.thread_time() - began_s
 
     def _answer(self, out: Sent, stage: str, took_s: float) -> tuple[int, int]:
         """The peers' answers of the next stage; (messages, events)."""
@@ -219,7 +240,7 @@ class BrokerBench:
         name = _name(KINDS[0], 0)
         for _ in range(how_many):
             self.workers[KINDS[0]][0].send_multipart(wire.frames(m.Heartbeat(name=name)))
-        turn, _ = self.turn(how_many, 0, "", WARM)
+        turn, _ = self.turn(how_many, 0, "")
         assert turn is not None
         return turn.main_s / how_many
 
@@ -250,15 +271,17 @@ def measure(repetitions: int) -> dict[str, Any]:
             for _ in range(SETTLED):
                 list(broker.pass_through(slots, took_s))
             freeze_heap()
+            if slots == 1:
+                broker.stand(IN_PROGRESS)
             for _ in range(repetitions):
                 for size in sizes:
-                    for cold in (WARM, COLD):
-                        turns += broker.pass_through(size, took_s, cold)
+                    turns += broker.pass_through(size, took_s)
             if slots == 1:
                 heartbeat_s = min(broker.heartbeats(100) for _ in range(5))
+                snapshot_s = median(broker.snapshot_s() for _ in range(5))
     rows, main = [turn.features for turn in turns], [turn.main_s for turn in turns]
     costs = fitted(*medians(rows, main))
-    io = [(1.0, turn.features[2] + turn.features[3]) for turn in turns if turn.io_s > 0]
+    io = [(1.0, turn.features[1] + turn.features[2]) for turn in turns if turn.io_s > 0]
     io_costs = fitted(*medians(io, [turn.io_s for turn in turns if turn.io_s > 0]))
     scan_s, check_s = growth()
     return {
@@ -267,6 +290,7 @@ def measure(repetitions: int) -> dict[str, Any]:
         "io_per_turn": io_costs[0],
         "io_per_message": io_costs[1],
         "heartbeat": heartbeat_s,
+        "snapshot_per_event": snapshot_s / SNAPSHOT_EVENTS,
         "assign_per_worker": scan_s,
         "check_per_worker": check_s,
         "samples": len(turns),

@@ -40,7 +40,7 @@ class Comparison(NamedTuple):
     @property
     def broker_us(self) -> float:
         """Simulated processor time of the broker per command."""
-        return 1e6 * self.simulated.broker_busy / max(1e-9, self.simulated.commands_per_s)
+        return self.simulated.broker_us
 
     def line(self) -> str:
         low, high = self.real_range

@@ -49,6 +49,7 @@ class Result(NamedTuple):
     halt_p50_ms: float
     halt_p99_ms: float
     broker_busy: float  # share of time, mean of the brokers
+    broker_us: float  # its processor time per command, with its I/O thread
     background: float  # of it health checks and heartbeats
     worker_busy: float  # share of time in slow jobs, mean of the workers of the busiest kind
     relay_busy: float  # share of time, the busiest node
@@ -116,13 +117,13 @@ def simulate(costs: Costs, plan: Plan, *, seconds: float, seed: int, warm_up_s: 
         own = workers if plan.shared else workers[n * share : (n + 1) * share]
         if plan.nearest:
             own = sorted(own, key=lambda worker: (hops(worker[0], node), worker[0] ^ node))
-        brokers.append(Broker(world, node, own, plan.arms))
+        brokers.append(Broker(world, node, own, plan.arms, costs.payload.get(plan.workload, 0.0)))
         clients.append(Client(world, brokers[-1], plan))
     _run_until(sim, clients, warm_up_s, FULL_BEFORE * plan.window if plan.rate == 0.0 else 0)
     for client, broker in zip(clients, brokers, strict=True):
         client.ended.clear()
         broker.halts_s.clear()
-        broker.busy_s = broker.background_s = 0.0
+        broker.busy_s = broker.io_s = broker.background_s = 0.0
     for _, worker in workers:
         worker.busy_s = 0.0
     world.network.relay_busy_s.clear()
@@ -144,6 +145,7 @@ def simulate(costs: Costs, plan: Plan, *, seconds: float, seed: int, warm_up_s: 
         halt_p50_ms=percentile(halts_ms, 50),
         halt_p99_ms=percentile(halts_ms, 99),
         broker_busy=sum(broker.busy_s for broker in brokers) / seconds / len(brokers),
+        broker_us=1e6 * sum(broker.busy_s + broker.io_s for broker in brokers) / max(1, len(ended)),
         background=sum(broker.background_s for broker in brokers) / seconds / len(brokers),
         worker_busy=max(sum(w.busy_s for _, w in workers[kind::4]) for kind in range(4))
         / seconds

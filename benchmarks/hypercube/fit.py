@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from statistics import median
+from typing import Any
 
 import numpy as np
 
@@ -54,3 +55,15 @@ def quantiles(samples: Sequence[float] | np.ndarray) -> list[float]:
         return [float(value) for value in ranked]
     edges = np.linspace(0, len(ranked), QUANTILES + 1).astype(int)
     return [float(ranked[low:high].mean()) for low, high in pairwise(edges)]
+
+
+def middle(rounds: Sequence[Any]) -> Any:
+    """The median of each number in data of the same form: dictionaries, lists, numbers. Text is that of the first.
+
+    Lists of unequal length are shortened to the shortest one."""
+    first = rounds[0]
+    if isinstance(first, dict):
+        return {name: middle([each[name] for each in rounds]) for name in first}
+    if isinstance(first, (list, tuple)):
+        return [middle(some) for some in zip(*rounds, strict=False)]
+    return first if isinstance(first, str) else median(rounds)

@@ -12,7 +12,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 from benchmarks.hypercube.costs import Costs, PeerCosts, WorkerCosts
-from benchmarks.hypercube.queues import NICE_5, NORMAL, REAL_TIME, Host, Simulation
+from benchmarks.hypercube.queues import NORMAL, REAL_TIME, Host, Simulation
 from benchmarks.hypercube.registry import Registry, Slot
 from benchmarks.hypercube.routing import between
 from broker.router.ingress import MOST_EVENTS
@@ -89,11 +89,13 @@ class Worker:
         self._queue: deque[tuple[Broker, Slot, Command]] = deque()
         self._busy = False
         self._quick = not asleep and sum(costs.service) / len(costs.service) < QUICK_S
+        self._woken = False
         self.busy_s = 0.0
 
     def receive(self, broker: Broker, slot: Slot, jobs: list[Command]) -> None:
         self._inbox.append((broker, slot, jobs))
         if not self._busy:
+            self._woken = True
             self._next()
 
     def _next(self) -> None:
@@ -105,20 +107,22 @@ class Worker:
         if not self._busy:
             return
         costs, work = self._costs, self._world.host.work
+        fixed_s = costs.per_message + self._woken * costs.wake_up
         if self._quick:
             some = list(self._queue)
             self._queue.clear()
             took = [(each, self._service()) for each in some]
             extra_s = sum(max(0.0, s - costs.per_item) for _, s in took)
-            work(NICE_5, messages * costs.per_message + len(some) * costs.per_item + extra_s, self._answer, took)
+            more_s = (messages - 1) * costs.per_message + len(some) * costs.per_item + extra_s
+            work(NORMAL, fixed_s + more_s, self._answer, took)
         else:
             job = self._queue.popleft()
             service_s = self._service()
             self.busy_s += service_s
             if self._asleep:
-                self._world.sim.after(service_s, work, NICE_5, costs.per_message, self._answer, [(job, service_s)])
+                self._world.sim.after(service_s, work, NORMAL, fixed_s, self._answer, [(job, service_s)])
             else:
-                work(NICE_5, costs.per_message + costs.per_item + service_s, self._answer, [(job, service_s)])
+                work(NORMAL, fixed_s + costs.per_item + service_s, self._answer, [(job, service_s)])
 
     def _service(self) -> float:
         times = self._costs.service
@@ -128,11 +132,11 @@ class Worker:
         by_broker: dict[Broker, list[tuple[Slot, Command, float]]] = {}
         for (broker, slot, job), service_s in took:
             by_broker.setdefault(broker, []).append((slot, job, service_s))
+        io_s = self._costs.io_per_message + self._woken * self._costs.io_wake_up
+        self._woken = False
         for broker, results in by_broker.items():
             send = self._world.network.send
-            send(
-                self._costs.io_per_message, self.node, broker.node, broker.receive, "results", (self.node & 3, results)
-            )
+            send(io_s, self.node, broker.node, broker.receive, "results", (self.node & 3, results))
         self._next()
 
 
@@ -147,14 +151,15 @@ class Peer:
     def receive(self, items: list[Any]) -> None:
         self._inbox.append(items)
         if not self._busy:
-            self._next()
+            self._next(wakes=True)
 
-    def _next(self) -> None:
+    def _next(self, *, wakes: bool = False) -> None:
         self._busy = bool(self._inbox)
         if self._busy:
-            messages, items = len(self._inbox), [item for some in self._inbox for item in some]
+            costs, messages, items = self._costs, len(self._inbox), [item for some in self._inbox for item in some]
             self._inbox.clear()
-            demand_s = messages * self._costs.per_message + len(items) * self._costs.per_item
+            woken_s = wakes * (costs.wake_up + costs.io_wake_up)
+            demand_s = woken_s + messages * costs.per_message + len(items) * costs.per_item
             self._world.host.work(NORMAL, demand_s, self._complete, items)
 
     def _complete(self, items: list[Any]) -> None:
@@ -167,9 +172,11 @@ class Halt(NamedTuple):
 
 
 class Broker:
-    """`arms`: performers of its subsystem; each executes one command at a time."""
+    """`arms`: performers of its subsystem; each executes one command at a time. `payload_s`: more per event."""
 
-    def __init__(self, world: World, node: int, workers: list[tuple[int, Worker]], arms: int) -> None:
+    def __init__(
+        self, world: World, node: int, workers: list[tuple[int, Worker]], arms: int, payload_s: float = 0.0
+    ) -> None:
         self._world, self.node = world, node
         self.registry = Registry(workers)
         self.halts_s: list[float] = []
@@ -185,7 +192,8 @@ class Broker:
         self._lines: list[deque[Command]] = [deque() for _ in range(arms)]  # the first one has the arm
         self._busy = False
         self._background_s = 0.0  # health checks and heartbeats that are due
-        self.busy_s = self.background_s = 0.0
+        self._payload_s = payload_s + world.costs.snapshot_per_event
+        self.busy_s = self.io_s = self.background_s = 0.0
         self.turns = 0
         world.sim.after(CHECK_S * (1.0 + world.rng.random()), self._check)
 
@@ -229,7 +237,7 @@ class Broker:
             self._read(batch)
         background_s, self._background_s = self._background_s, 0.0
         self.background_s += background_s
-        demand_s = batch.cost_s(self._world.costs, self.registry.count, self._ratio()) + background_s
+        demand_s = batch.cost_s(self._world.costs, self.registry.count, self._ratio(), self._payload_s) + background_s
         self.busy_s += demand_s
         self.turns += 1
         self._world.host.work(REAL_TIME, demand_s, self._end, batch)
@@ -298,7 +306,9 @@ class Broker:
     def _end(self, batch: _Batch) -> None:
         """Send what the turn has produced; then the next turn."""
         world, send = self._world, self._world.network.send
-        io_s = world.costs.io_per_message + world.costs.io_per_turn / max(1, batch.messages_out)
+        turn_s = world.costs.io_per_turn + batch.wakes * world.costs.io_wake_up
+        io_s = world.costs.io_per_message + turn_s / max(1, batch.messages_out)
+        self.io_s += batch.messages_out * io_s
         for halt in batch.halts:
             send(io_s, -1, -1, self.subsystem.receive, [halt])
         for _, slot, jobs in batch.jobs:
@@ -335,11 +345,12 @@ class _Batch:
         orders, answers = len(self.primitives) + self.acknowledged, self.accepted + len(self.ended)
         return len(self.halts) + len(self.jobs) + -(-orders // MOST_TOGETHER) + -(-answers // MOST_TOGETHER)
 
-    def cost_s(self, costs: Costs, workers: int, ratio: float) -> float:
+    def cost_s(self, costs: Costs, workers: int, ratio: float, payload_s: float) -> float:
+        """Processor time of the turn. `payload_s`: more per event."""
         per = costs.broker
         messages_s = self.messages_in * per["message_in"] + self.messages_out * per["message_out"]
         fixed_s = per["turn"] + self.wakes * per["wake_up"] + messages_s
-        events_s = sum(how_many * per[event] for event, how_many in self.events.items())
+        events_s = sum(how_many * (per[event] + payload_s) for event, how_many in self.events.items())
         scanned_s = len(self.jobs) * costs.assign_per_worker * workers
         empty = not (self.messages_in or self.jobs)
         return (0.0 if empty else (fixed_s + events_s) * ratio) + scanned_s

@@ -21,12 +21,7 @@ from typing import Any
 import zmq
 
 from benchmarks.hypercube.fit import fitted, medians, quantiles
-from benchmarks.load.client import LoadClient
-from benchmarks.load.cluster import cluster
 from benchmarks.load.trivial import bind, elaborate, parse
-from benchmarks.load.verdict import JournalReader
-from benchmarks.throughput import PLANNERS, motion
-from broker.decisions.events import JobFinished
 from rtc.language.record import ParsedCommand
 from rtc.protocol import messages as m
 from rtc.protocol import wire
@@ -42,7 +37,6 @@ ASLEEP_S = (0.001, 0.004)
 ITEMS = 16  # least number of items per repetition, so that a block is longer than a tick of the kernel
 BLOCKS = 7  # the median of so many blocks of repetitions is taken, so that a disturbed one does not count
 LIMIT_MS = 5_000
-REAL_S = 4.0  # duration of the run with real planners
 AHEAD = 2  # jobs at a worker whose jobs take some milliseconds: one in progress, one ahead
 RELAY_MESSAGES = 64  # in flight through a relay
 
@@ -208,23 +202,6 @@ def stream(read: Any, process: Peer, body: Any, how_many: int) -> list[float]:
     return took_s
 
 
-def real_services() -> dict[str, list[float]]:
-    """Durations of the jobs of the real planners (s), one command at a time, so that nothing waits."""
-    times: dict[str, list[float]] = {kind: [] for kind in KINDS}
-    with cluster(2, real=PLANNERS) as running, LoadClient(running.settings, motion, window=1) as client:
-        client.run(1.0)
-        client.drain()
-        journal = JournalReader(running.run_dir)
-        journal.read()
-        client.run(REAL_S)
-        client.drain()
-        for event in journal.read():
-            if isinstance(event, JobFinished):
-                times[event.node.partition("@")[0]].append(event.took_s)
-        journal.close()
-    return {kind: quantiles(values) for kind, values in times.items()}
-
-
 # --- subsystem and client -------------------------------------------------------------------------------
 
 
@@ -336,8 +313,6 @@ def measure(repetitions: int) -> dict[str, Any]:
     for asleep_s in ASLEEP_S:
         found = worker(WorkerKind.PARSER, data[WorkerKind.PARSER], asleep_s, repetitions)
         workers[f"asleep-{round(1e3 * asleep_s)}ms"] = dict.fromkeys(KINDS, found)
-    services = real_services()
-    workers["real"] = {k: {**workers["trivial"][k], "service": services[k]} for k in KINDS}
     return {
         "workers": workers,
         "subsystem": subsystem(repetitions),

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import heapq
-import math
 from collections.abc import Callable
 from typing import Any
 
 Act = Callable[..., None]
-NORMAL, NICE_5 = 1024.0, 335.0  # weights of the Linux scheduler at niceness 0 and 5
-REAL_TIME = math.inf  # runs before all others
+NORMAL, REAL_TIME = False, True  # priorities
 
 
 class Simulation:
@@ -35,9 +33,10 @@ class Simulation:
 
 
 class Host:
-    """Cores that are shared by weight among the tasks that can run; a task uses one core at most.
+    """Cores that run tasks in the order of their arrival, each on one core until its end.
 
-    Real-time tasks have a core each before the others. `cores` None: each task has a core of its own.
+    A real-time task takes a core from another at once. The scheduler of Linux lets a task run on for a slice of some
+    milliseconds, and the tasks of this model are shorter. `cores` None: each task has a core of its own.
     """
 
     def __init__(self, sim: Simulation, cores: int | None = None) -> None:
@@ -50,13 +49,13 @@ class Host:
     def limited(self) -> bool:
         return self._cores is not None
 
-    def work(self, weight: float, demand_s: float, act: Act, *about: Any) -> None:
+    def work(self, real_time: bool, demand_s: float, act: Act, *about: Any) -> None:
         """Call `act` when a task with this demand of processor time (s) is complete."""
         if self._cores is None:
             self._sim.after(demand_s, act, *about)
             return
         self._advance()
-        self._tasks.append(_Task(weight, demand_s, act, about))
+        self._tasks.append(_Task(real_time, demand_s, act, about))
         self._plan()
 
     def _advance(self) -> None:
@@ -86,26 +85,16 @@ class Host:
 
 
 class _Task:
-    __slots__ = ("about", "act", "left_s", "rate", "weight")
+    __slots__ = ("about", "act", "left_s", "rate", "real_time")
 
-    def __init__(self, weight: float, left_s: float, act: Act, about: tuple[Any, ...]) -> None:
-        self.weight, self.left_s, self.act, self.about = weight, left_s, act, about
-        self.rate = 0.0  # share of a core
+    def __init__(self, real_time: bool, left_s: float, act: Act, about: tuple[Any, ...]) -> None:
+        self.real_time, self.left_s, self.act, self.about = real_time, left_s, act, about
+        self.rate = 0.0  # share of a core: 0 or 1
 
 
 def set_rates(tasks: list[_Task], cores: int) -> None:
-    """Share the cores: one to each real-time task, the rest by weight, at most one core per task."""
-    left = float(cores)
-    normal = []
-    for task in tasks:
-        if task.weight == REAL_TIME:
-            task.rate = min(1.0, left)
-            left -= task.rate
-        else:
-            normal.append(task)
-    normal.sort(key=lambda task: -task.weight)
-    weight = sum(task.weight for task in normal)
-    for task in normal:  # the heaviest first: what it cannot use is left for the others
-        task.rate = min(1.0, left * task.weight / weight) if left > 0.0 else 0.0
-        left -= task.rate
-        weight -= task.weight
+    """A core to each real-time task, then to the others in the order of their arrival."""
+    left = cores
+    for task in sorted(tasks, key=lambda task: not task.real_time):
+        task.rate = 1.0 if left > 0 else 0.0
+        left -= 1

@@ -28,9 +28,12 @@ def costs(turn=0.0, event=1e-5, service=0.0, link=1e-5, relay=1e-5, **others):
     load = "asleep-4ms" if service else "trivial"
     given = {
         "broker": free | dict.fromkeys(STAGES, event),
+        "payload": {},
+        "snapshot_per_event": 0.0,
         "ratios": [1.0],
         "io_per_turn": 0.0,
         "io_per_message": 0.0,
+        "io_wake_up": 0.0,
         "heartbeat": 0.0,
         "assign_per_worker": 0.0,
         "check_per_worker": 0.0,

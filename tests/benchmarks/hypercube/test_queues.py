@@ -1,4 +1,4 @@
-"""The clock of the simulator, and hosts whose cores are shared."""
+"""The clock of the simulator, and hosts whose cores run tasks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from benchmarks.hypercube.queues import NICE_5, NORMAL, REAL_TIME, Host, Simulation
+from benchmarks.hypercube.queues import NORMAL, REAL_TIME, Host, Simulation
 
 
 def test_events_of_one_time_occur_in_the_order_in_which_they_were_scheduled():
@@ -20,40 +20,35 @@ def test_events_of_one_time_occur_in_the_order_in_which_they_were_scheduled():
 
 
 def ends(cores, *tasks):
-    """Times at which tasks (weight, demand), all begun at 0, are complete."""
+    """Times at which tasks (priority, demand), all begun at 0, are complete."""
     sim, found = Simulation(), {}
     host = Host(sim, cores)
-    for n, (weight, demand_s) in enumerate(tasks):
-        host.work(weight, demand_s, lambda n: found.setdefault(n, sim.now_s), n)
+    for n, (priority, demand_s) in enumerate(tasks):
+        host.work(priority, demand_s, lambda n: found.setdefault(n, sim.now_s), n)
     sim.run(1e6)
     return [pytest.approx(found[n]) for n in range(len(tasks))]
 
 
 def test_tasks_with_a_core_each_do_not_delay_each_other():
     assert ends(None, (NORMAL, 1.0), (NORMAL, 2.0)) == [1.0, 2.0]
-    assert ends(2, (NORMAL, 1.0), (NICE_5, 2.0)) == [1.0, 2.0]
+    assert ends(2, (NORMAL, 1.0), (NORMAL, 2.0)) == [1.0, 2.0]
 
 
-def test_tasks_share_one_core_by_weight():
-    assert ends(1, (NORMAL, 1.0), (NORMAL, 1.0)) == [2.0, 2.0]
-    light_done = NICE_5 / NORMAL  # of the light task's second, when the heavy one is complete
-    assert ends(1, (NORMAL, 1.0), (NICE_5, 1.0)) == [1.0 + light_done, 1.0 + light_done + (1.0 - light_done)]
+def test_tasks_run_in_the_order_of_their_arrival():
+    assert ends(1, (NORMAL, 1.0), (NORMAL, 1.0)) == [1.0, 2.0]
+    assert ends(2, (NORMAL, 2.0), (NORMAL, 2.0), (NORMAL, 2.0)) == [2.0, 2.0, 4.0]
 
 
-def test_a_real_time_task_has_a_core_and_a_task_uses_one_core_at_most():
+def test_a_real_time_task_takes_a_core_at_once():
     assert ends(1, (NORMAL, 1.0), (REAL_TIME, 1.0)) == [2.0, 1.0]
-    assert ends(2, (REAL_TIME, 1.0), (NORMAL, 1.0), (NORMAL, 1.0)) == [1.0, 1.5, 1.5]
-
-
-def test_three_equal_tasks_share_two_cores():
-    assert ends(2, (NORMAL, 2.0), (NORMAL, 2.0), (NORMAL, 2.0)) == [3.0, 3.0, 3.0]
+    assert ends(2, (REAL_TIME, 1.0), (NORMAL, 1.0), (NORMAL, 1.0)) == [1.0, 1.0, 2.0]
 
 
 def test_all_work_is_done_and_no_core_is_idle_while_there_is_work():
     rng, sim = Random(3), Simulation()
     host, demands, done = Host(sim, 2), [rng.expovariate(1.0) for _ in range(200)], []
     for demand_s in demands:
-        host.work(rng.choice((NORMAL, NICE_5)), demand_s, lambda: done.append(sim.now_s))
+        host.work(rng.choice((NORMAL, NORMAL, REAL_TIME)), demand_s, lambda: done.append(sim.now_s))
     sim.run(1e6)
     assert len(done) == len(demands)
     assert sum(demands) / 2 <= max(done) <= sum(demands) / 2 + max(demands)
