@@ -171,7 +171,7 @@ class DecisionContext:
         notes.append(note)
         if len(notes) > NOTES_KEPT:
             del notes[NOTES_KEPT // 2]
-        if command.progress or state.has_subscribers:
+        if command.progress or (state.has_subscribers and not command.unwatched):
             self.effects.append(PublishNote(client=command.client if command.progress else "", note=note))
 
     def create_job(self, command: Command, kind: WorkerKind, data: Any, locations: list[str] | None = None) -> None:

@@ -104,6 +104,7 @@ def on_command(context: DecisionContext, event: CommandReceived) -> None:
         text=event.text[:MAX_TEXT],
         source=event.source,
         progress=event.progress,
+        unwatched=state.crowded,
         halt_if_lost=event.halt_if_lost,
         accepted_at_s=event.at_s,
         given_at_s=min(event.sent_at_s or event.at_s, event.at_s),
@@ -113,6 +114,8 @@ def on_command(context: DecisionContext, event: CommandReceived) -> None:
     state.last_given[event.client] = command.id  # the latest client last
     if len(state.last_given) > CLIENTS_KEPT:
         del state.last_given[next(iter(state.last_given))]
+    if state.crowded:
+        context.count("unwatched")
     state.commands[command.id] = command
     state.live[event.client] = live + 1
     state.requests[key] = command.id
@@ -258,7 +261,7 @@ def on_halt_confirmed(context: DecisionContext, event: HaltConfirmed) -> None:
 def on_listeners(context: DecisionContext, event: ListenersChanged) -> None:
     if event.listening and not context.state.has_subscribers:
         journal_loss.publish(context)
-    context.state.has_subscribers = event.listening
+    context.state.has_subscribers, context.state.crowded = event.listening, event.crowded
 
 
 # --- time and restart --------------------------------------------------------------------------------
@@ -281,7 +284,7 @@ def on_timer(context: DecisionContext, event: TimerFired) -> None:
 def on_restart(context: DecisionContext, event: BrokerRestarted) -> None:
     """Dispatch all pending jobs again and wait for the subsystems, which continue by themselves."""
     context.count("broker_restarts")
-    context.state.has_subscribers = False  # subscribers subscribe again
+    context.state.has_subscribers = context.state.crowded = False  # subscribers subscribe again
     subsystem_link.on_broker_restarted(context, event)
     deferred_analysis.on_broker_restarted(context, event)
     for command in context.state.commands.values():

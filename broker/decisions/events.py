@@ -138,9 +138,13 @@ class ProgramInstalled(Event, frozen=True, kw_only=True, gc=False):
 
 
 class ListenersChanged(Event, frozen=True, kw_only=True, gc=False):
-    """The event stream gained its first subscriber or lost its last: notes are published only for subscribers."""
+    """The event stream gained its first subscriber or lost its last: notes are published only for subscribers.
+
+    `crowded`: too many notes are published; commands accepted now publish none.
+    """
 
     listening: bool
+    crowded: bool = False
 
 
 class JournalLost(Event, frozen=True, kw_only=True, gc=False):

@@ -179,6 +179,8 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """The command is halted when its client disappears."""
     accepted_at_s: float
     """Time of acceptance."""
+    unwatched: bool = False
+    """Accepted while the event stream was crowded: subscribers get its end, but not its notes."""
     given_at_s: float = 0.0
     """Time at the client; a halt after this time stops the command before it starts."""
     programs: dict[str, str] = {}
@@ -377,6 +379,8 @@ class State(msgspec.Struct, kw_only=True):
     """HALT sentences that wait for rest, by the id of their command."""
     has_subscribers: bool = False
     """A client subscribes to the event stream."""
+    crowded: bool = False
+    """The event stream has its maximum of notes per second; see `Command.unwatched`."""
     timeout_scale: float = 1.0
     """Wall seconds per simulated second: limits of primitives are in simulated time."""
     counts: dict[str, int] = {}

@@ -15,6 +15,7 @@ from rtc.runtime.process import Every, send
 from rtc.world.lease import sign
 
 REFUSALS_PER_S = 100  # maximum number of refused requests published per second; others are counted as dropped
+NOTES_PER_S = 3_000  # published per second; commands accepted after that publish none until the next second
 TEXT_SHOWN = 200  # characters of a refused sentence
 
 
@@ -23,6 +24,8 @@ class Egress:
         self._core = core
         self._now = core.clock()  # time of the batch that is performed
         self._refusals, self._second = 0, Every(1.0)  # published in this second
+        self._notes, self._note_second = 0, Every(1.0)
+        self._crowded = False  # NOTES_PER_S are published in this second
         self.topics: set[bytes] = set()  # prefixes that the subscribers of the event stream want
         self.clients = Outbox(lambda: core.sockets["front"])
         self.subsystems = Outbox(lambda: core.sockets["subsystems"])
@@ -31,6 +34,9 @@ class Egress:
     def perform(self, effects: Iterable[do.Effect]) -> None:
         """Perform effects in order. Their events must be in the journal."""
         self._now, perform = self._core.clock(), self._perform
+        if self._notes and self._note_second.due(self._now):
+            self._notes = 0
+            self._set_crowded(False)
         for effect in effects:
             perform[type(effect)](effect)
         self.clients.flush()
@@ -72,6 +78,7 @@ class Egress:
         changed = bool(topics) is not bool(self.topics)
         self.topics = topics
         if changed:
+            self._crowded = False
             self._core.enqueue(ListenersChanged(at_s=now, listening=bool(topics)))
 
     # --- one method per effect ------------------------------------------------------------------------
@@ -115,6 +122,15 @@ class Egress:
             self.clients.put(peer_of(effect.client), effect.note)
         if self.topics:
             send(self._core.sockets["events"], effect.note)
+            self._notes += 1
+            if self._notes > NOTES_PER_S:
+                self._set_crowded(True)
+
+    def _set_crowded(self, crowded: bool) -> None:
+        """Let the Decision Unit write no notes of new commands, or notes again."""
+        if crowded is not self._crowded:
+            self._crowded = crowded
+            self._core.enqueue(ListenersChanged(at_s=self._now, listening=True, crowded=crowded))
 
     def _report_end(self, effect: do.ReportEnd) -> None:
         kept = self._core.state.ended.get(effect.ended.command)

@@ -129,6 +129,8 @@ def _of_status(status: dict[str, Any]) -> Iterator[Metric]:
     yield GaugeMetricFamily("rtc_cluster_uptime_seconds", "Since the start of the run", status.get("uptime_s", 0.0))
     yield GaugeMetricFamily("rtc_commands_in_progress", "Commands not ended", status.get("commands_live", 0))
     yield CounterMetricFamily("rtc_commands_accepted", "Accepted sentences", status.get("commands_accepted", 0))
+    unwatched = counters.get("unwatched", 0)
+    yield CounterMetricFamily("rtc_commands_unwatched", "Commands whose notes were not published", unwatched)
     yield CounterMetricFamily("rtc_halts", "Halts received", status.get("halts", {}).get("called", 0))
     yield CounterMetricFamily("rtc_messages_dropped", "Unreadable or excessive messages", dropped)
     yield CounterMetricFamily("rtc_process_restarts", "Restarts of all processes", restarts)

@@ -20,7 +20,7 @@ from rtc.runtime.process import Every, Process, now_s
 from rtc.runtime.settings import Settings
 
 WAIT_S = 0.1
-NICENESS = 10  # of every observer: on busy cores the cluster comes first
+NICENESS = 19  # of every observer: on busy cores the cluster comes first
 RATE_HZ = 20.0  # default maximum rate of arm samples
 LOST_S = 5.0  # shortest time between two messages about lost events
 CELL = "swapout"  # of a cluster that is reached by a key, whose settings are not known

@@ -140,7 +140,8 @@ class Traces:
                 self._keep_parent(ended.command, ended.request)
                 if not self._shares_clock:
                     self._offset_s = time.time() - (time.monotonic() - received.at_s) - ended.at_s
-                self._export(ended, self._commands.pop(ended.command, Followed()))
+                if (followed := self._commands.pop(ended.command, None)) is not None:
+                    self._export(ended, followed)  # otherwise its notes were not published
 
     def close(self) -> None:
         """Send what is left, within EXPORT_S."""

@@ -11,7 +11,7 @@ from broker.decisions.command.limits import CLOSING_LIMIT_S, REPORT_MARGIN_S
 from broker.decisions.command.table import COMMAND, stimulate
 from broker.decisions.context import DecisionContext
 from broker.decisions.decide import CLIENTS_KEPT
-from broker.decisions.effects import PublishHalt, PublishNote, SendHalt, SendPrimitive
+from broker.decisions.effects import PublishHalt, PublishNote, ReportEnd, SendHalt, SendPrimitive
 from broker.decisions.events import (
     BrokerRestarted,
     ClientGone,
@@ -1543,6 +1543,24 @@ def test_notes_are_sent_to_the_client_that_wants_them_and_to_listeners_and_kept_
     assert [line for line in s.says("X", progress=False) if line.startswith("note")] == []
     assert all(len(command.notes) == 1 for command in s.state.commands.values())
     assert [e.client for e in s.log if isinstance(e, PublishNote)] == ["ann", ""]
+
+
+def test_a_command_accepted_while_the_stream_is_crowded_publishes_its_end_alone():
+    s = Harness()
+    s.handle(ListenersChanged, listening=True)
+    s.says("X", progress=False)
+    s.handle(ListenersChanged, listening=True, crowded=True)
+    s.says("Y", progress=False)
+    assert "note C-3 parsing" in s.says("Z")  # its client wants them
+    s.handle(ListenersChanged, listening=True)
+    s.log.clear()
+    for command in ("C-1", "C-2"):
+        s.declines(command, RefusalReason.NAME)
+    assert {e.note.command for e in s.log if isinstance(e, PublishNote)} == {"C-1"}
+    ends = [e for e in s.log if isinstance(e, ReportEnd)]
+    assert [e.ended.command for e in ends] == ["C-1", "C-2"]
+    assert len(ends[1].record.notes) > 1
+    assert s.state.counts["unwatched"] == 2
 
 
 def test_a_restarted_broker_has_no_listeners_until_they_come_back():

@@ -30,7 +30,7 @@ from broker.persistence.journal import Journal
 from broker.persistence.program_loads import MOST_WAITING, ProgramLoads
 from broker.persistence.program_store import ProgramStore
 from broker.router.client_messages import QUERIES_PER_S
-from broker.router.egress import REFUSALS_PER_S
+from broker.router.egress import NOTES_PER_S, REFUSALS_PER_S
 from broker.router.halts import CALLERS_KEPT, HALTS_OF_CALLER
 from broker.router.loop import ORPHAN_LIMIT_S, Router
 from rtc.programs import loader
@@ -330,6 +330,24 @@ def test_a_flood_of_refused_requests_does_not_drown_the_event_stream(working: Be
     working.now += 1.0
     working.send("front", b"ann", again)
     assert len(published(working, m.RequestRefused)) == REFUSALS_PER_S + 1
+
+
+def test_a_flood_of_commands_publishes_a_limited_number_of_notes(working: Bench) -> None:
+    subscribe(working)
+
+    def flood(how_many: int) -> None:
+        for first in range(0, how_many, 100):
+            numbers = range(first, first + 100)
+            texts = (m.CommandText(request=str(n), text="STOW LEFT-ARM", progress=False) for n in numbers)
+            working.send("front", f"ann-{first // 1000}".encode(), *texts)
+
+    flood(NOTES_PER_S + 1000)
+    notes = len(published(working, m.ProgressNote))
+    assert NOTES_PER_S < notes < NOTES_PER_S + 500
+    working.now += 1.0
+    working.send("front", b"bob", m.CommandText(request="1", text="STOW LEFT-ARM"))
+    working.send("front", b"bob", m.CommandText(request="2", text="STOW LEFT-ARM"))
+    assert len(published(working, m.ProgressNote)) > notes
 
 
 def test_one_client_asks_so_often_and_another_is_served(bench: Bench) -> None:
