@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
@@ -54,6 +55,10 @@ def record(
     from rtc.observers.feed import Feed
 
     path = out or recorder.unused(Path(recorder.default_name()))
+    for folder in {file.parent for file in (path if mcap else None, raw) if file is not None}:
+        if not os.access(folder, os.W_OK | os.X_OK):
+            why = "is not writable" if folder.is_dir() else "is not a directory"
+            raise trouble(f"{folder} {why}; choose another place for the file", 2)
     sinks: list[recorder.Sink] = []
     process.log_to_stderr(logging.WARNING)
     with process.start("rtc record", default_run_dir() if run_dir is None else run_dir) as me:

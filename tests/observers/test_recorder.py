@@ -122,6 +122,16 @@ def test_play_shows_the_story_of_a_recording(watched, tmp_path):
     assert set(shown["arms"]) == {"LEFT-ARM", "RIGHT-ARM"}
 
 
+@pytest.mark.parametrize("option", ["-o", "--raw"])
+def test_a_recording_without_a_directory_for_it_does_not_begin(watched, tmp_path, option):
+    place = tmp_path / "absent" / "run"
+    command = [*RTC, "record", option, str(place), "--run-dir", str(watched.run_dir)]
+    found = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=90.0)
+    assert found.returncode == 2
+    assert str(place.parent) in found.stderr + found.stdout
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_missing_library_is_named_with_its_cure(monkeypatch):
     monkeypatch.setitem(extras.EXTRAS, "record", ("mcap", "no_such_package.inside"))
     need = extras.missing("record")
