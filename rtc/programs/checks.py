@@ -37,8 +37,12 @@ def _script(script: ScriptFile, place: str) -> Problems:
         for n, role in enumerate(getattr(script, section)):
             if role != role.upper():  # a name of the cell is in capitals
                 yield from _known("resource", role, extension_names.ROLES, f"{place}.{section}[{n}]")
+    poses = {line.name for line in script.plan if not line.solve}
+    poses |= {step.name for step in script.steps if step.do == "let"}
     for n, step in enumerate(script.steps):
         yield from _step(step, f"{place}.steps[{n}]")
+        if (about := step.words.get("about", "HERE")) != "HERE":
+            yield from _known("pose of the plan (without solve)", about, poses, f"{place}.steps[{n}].words.about")
 
 
 def _step(step: ScriptStep, place: str) -> Problems:
@@ -47,6 +51,27 @@ def _step(step: ScriptStep, place: str) -> Problems:
             yield from _known("placeholder", name, extension_names.PLACEHOLDERS, f"{place}.{field}")
     for name in step.words:
         yield from _known("word that acts", name, extension_names.WORDS, f"{place}.words.{name}")
+    yield from _path(step, place)
+
+
+def _path(step: ScriptStep, place: str) -> Problems:
+    """Figures that would not shape the path of the step, and curves without theirs."""
+    shapes = extension_names.SPACE_ARGS.get(step.space, ())
+    needed = extension_names.CURVES.get(step.space, ())
+    if needed and step.to != "HERE":
+        yield f"{place}.to", f"{step.space} begins HERE, not at {step.to or 'nothing'}"
+    for name in step.args:
+        if name in extension_names.SHAPING and name not in shapes:
+            yield f"{place}.args.{name}", f"{name} does not shape a path in {step.space or 'no space'}"
+        if name in ("by_m", "by_rad") and step.to != "HERE":
+            yield f"{place}.args.{name}", f"{name} is a step from HERE, not from {step.to or 'nowhere'}"
+    for name in needed:
+        if name not in step.args and name not in step.words:
+            yield place, f"{step.space} needs {name}"
+    if "about" in step.words and "about" not in needed:
+        yield f"{place}.words.about", f"about is the axis of a move_circle, not of {step.space or 'no space'}"
+    if "press_n" in step.args and "about" in needed:
+        yield f"{place}.args.press_n", f"a {step.space} has no axis to press along"
 
 
 def failure_words(program: AnalyzerProgram) -> Problems:

@@ -17,8 +17,22 @@ ANCHORS = ("grasp_point", "destination", "stow", "seat")
 #: directions; WAY-OUT is the exit direction of the target seat, for plans only
 AXES = ("TOOL-X", "TOOL-Y", "TOOL-Z", "X", "Y", "Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK")
 PLAN_AXES = (*AXES, "WAY-OUT")
-#: values of the column `space` of a script
-SPACES = ("move_joint", "move_task")
+#: values of the column `space` of a script, and the args of a step that shape its path
+SPACE_ARGS = {
+    "move_joint": ("by_m", "by_rad"),
+    "move_task": ("by_m", "by_rad"),
+    "move_circle": ("by_rad", "by_m", "hand_turn"),
+    "move_spiral": ("radius_m", "pitch_m", "by_m"),
+    "move_raster": ("radius_m", "pitch_m", "by_m"),
+}
+SPACES = tuple(SPACE_ARGS)
+SHAPING = frozenset(name for names in SPACE_ARGS.values() for name in names)
+#: spaces of curves, which begin where the hand is, and the args and words that each needs
+CURVES = {
+    "move_circle": ("about", "by_rad"),
+    "move_spiral": ("radius_m", "pitch_m"),
+    "move_raster": ("radius_m", "pitch_m"),
+}
 #: elaborator: parameters from outside the command-object table: of the cell, the hand and the sentence
 FIGURES = (
     *Numbers.__struct_fields__,
@@ -39,10 +53,11 @@ FAILURE_PLACEHOLDERS = (
     *("width", "wanted", "off"),
 )
 #: keys of `words` of a step that have an effect
-WORDS = ("axis", "effect", "missed", "needs", "seat")
+WORDS = ("about", "axis", "effect", "missed", "needs", "seat")
 #: args of a step that are not values of the binder's program
 ARGS = (
-    *("by_m", "by_rad", "width_m", "least_m", "most_m", "grip_n", "duration_s", "within_m"),
+    *("by_m", "by_rad", "hand_turn", "radius_m", "pitch_m"),  # shape of a path, see SPACE_ARGS
+    *("width_m", "least_m", "most_m", "grip_n", "duration_s", "within_m"),
     *("speed_m_s", "force_n", "contact_n", "torque_nm"),
     *("beyond_m", "felt_m", "lever_m", "aside_m", "pad_m", "centre_n_m", "play_m"),  # of the centring touches
     *("stiffness_n_m", "press_n"),  # of a compliant step; force set-point along its axis

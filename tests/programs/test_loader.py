@@ -189,6 +189,9 @@ steps:
   - {step}
 """
 GOOD = "{do: move, to: HERE, stop: move_free, space: move_task, label: x}"
+CIRCLE = GOOD.replace("move_task, ", "move_circle, args: {by_rad: 1, by_m: 0}, words: {about: HERE}, ")
+SPIRAL = GOOD.replace("move_task, ", "move_spiral, args: {radius_m: 0.01, pitch_m: 0.001}, ")
+PLAN = "plan: [{name: A, at: destination, solve: true}]"
 
 
 @pytest.mark.parametrize(
@@ -199,7 +202,7 @@ GOOD = "{do: move, to: HERE, stop: move_free, space: move_task, label: x}"
             "",
             r"line 7: .*steps\[1\].stop: no stop class move_fast; .*move_free",
         ),
-        (GOOD.replace("move_task", "move_moon"), "", r"line 7: .*no space move_moon; there are move_joint, move_task"),
+        (GOOD.replace("move_task", "move_moon"), "", r"line 7: .*no space move_moon; there are move_circle"),
         (
             GOOD.replace("do: move", "do: jump"),
             "",
@@ -216,6 +219,17 @@ GOOD = "{do: move, to: HERE, stop: move_free, space: move_task, label: x}"
         ("{do: grip, op: open, label: x, keep: {W: report.weight}}", "", r"line 7: .*no measured value report.weight"),
         ("{do: grip, op: open, label: x, args: {width_m: amout_m}}", "", r"line 7: .*no figure amout_m; .*amount_m"),
         (GOOD.replace("label", "words: {axis: SIDEWAYS}, label"), "", r"line 7: .*no axis SIDEWAYS; there are BACK"),
+        (GOOD.replace("label", "args: {pitch_m: 0.001}, label"), "", r"line 7: .*pitch_m does not shape a path"),
+        (GOOD.replace("HERE", "A").replace("label", "args: {by_m: 0.1}, label"), PLAN, r"line 7: .*by_m is a step"),
+        (GOOD.replace("label", "words: {about: HERE}, label"), "", r"line 7: .*about is the axis of a move_circle"),
+        (CIRCLE.replace("by_rad: 1, ", ""), "", r"line 7: .*move_circle needs by_rad"),
+        (CIRCLE.replace("words: {about: HERE}, ", ""), "", r"line 7: .*move_circle needs about"),
+        (CIRCLE.replace("to: HERE", "to: A"), PLAN, r"line 7: .*move_circle begins HERE, not at A"),
+        (CIRCLE.replace("about: HERE", "about: A"), PLAN, r"line 7: .*no pose of the plan .*A"),
+        (CIRCLE.replace("by_m: 0", "press_n: 3"), "", r"line 7: .*a move_circle has no axis to press along"),
+        (SPIRAL.replace("pitch_m", "by_m"), "", r"line 7: .*move_spiral needs pitch_m"),
+        (SPIRAL.replace("move_spiral", "move_raster").replace("radius_m", "by_m"), "", r"line 7: .*needs radius_m"),
+        (SPIRAL.replace("label", "words: {about: HERE}, label"), "", r"line 7: .*about is the axis of a move_circle"),
         (GOOD, "needs: [hand_clean]", r"line 4: .*no condition of the world hand_clean; there are hand_empty"),
         (GOOD, "plan: [{name: A, at: moon}]", r"line 4: .*no anchor moon; there are destination"),
         (GOOD, "plan: [{name: A, at: seat, along: SIDEWAYS}]", r"line 4: .*no axis SIDEWAYS; .*WAY-OUT"),

@@ -90,9 +90,10 @@ def _wrong(program: AnalyzerProgram, data: AnalyzerInput) -> str:
         least, most = evaluation.width_m
         return "narrow" if report.hand_width_m < least else "wide" if report.hand_width_m > most else ""
     within_m = evaluation.step.args.get("within_m")
-    if isinstance(within_m, float) and _off_m(data) > within_m:
-        return "elsewhere"
-    if report.reason is StopReason.GOAL and evaluation.goal_pose is not None:
+    if isinstance(within_m, float):  # instead of the tolerance of the program
+        return "elsewhere" if _off_m(data) > within_m else ""
+    pressed = "press_n" in evaluation.step.args  # it ends where the obstacle is
+    if report.reason is StopReason.GOAL and evaluation.goal_pose is not None and not pressed:
         turned = geometry.angle(report.tcp_pose, evaluation.goal_pose)
         if _off_m(data) > program.values["position_m"] or turned > program.values["angle_rad"]:
             return "off_goal"

@@ -16,6 +16,7 @@ import msgspec
 
 from rtc.language.units import in_words
 from rtc.programs import expressions
+from rtc.programs.extension_names import SPACE_ARGS
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext
@@ -36,11 +37,12 @@ from rtc.protocol.primitive import (
 from rtc.protocol.primitive_id import command_of, seed_of
 from rtc.robot import geometry
 from rtc.robot.axis_names import AXES
+from rtc.robot.geometry import Floats
 from rtc.world.model import World
 from workers.binder import impact, replan, stop_conditions
 from workers.binder.impact import Impact
 from workers.binder.stop_conditions import Values
-from workers.planning import advice, axes, certainty, segments, suggestions
+from workers.planning import advice, axes, certainty, curves, segments, suggestions
 from workers.planning.motion import beside
 from workers.planning.motion.plan import Motion
 from workers.planning.motion.request import PlanningRequest
@@ -127,7 +129,7 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         exempt=[name for name in (context.object, context.target) if name],
     )
     hit = impact_of(task, target, values, held)
-    expected = step.space == "move_task" or stop_class.touches
+    expected = step.space != "move_joint" or stop_class.touches
     speed_m_s, slowed = pace_of(task, values, hit, touches=expected, firmly=stop_class.slow_for_force)
     pace = Pace(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
     margin_rad = math.radians(values["joint_margin_deg"])
@@ -178,7 +180,9 @@ def impact_of(task: BindTask, target: Target, values: Values, held: str) -> Impa
     if limit_n is None:
         return None
     arm, joints = task.query.model.arms[task.arm], task.query.joints(task.arm)
-    goal = target.pose if target.pose is not None else arm.fk(target.joints or joints)
+    goal: Floats = arm.fk(target.joints or joints) if target.pose is None else target.pose
+    if target.poses is not None:
+        goal = target.poses[1]  # the direction in which it begins
     way = [there - here for there, here in zip(goal[:3], task.query.tcp(task.arm)[:3], strict=True)]
     load = task.query.load(task.arm) if held else None
     carried_kg = load.mass_kg if load else 0.0
@@ -225,12 +229,28 @@ def target_of(task: BindTask) -> Target | Refusal:
     axis = str(step.args.get("axis", "TOOL-Z"))
     if axis not in axes.AXES:
         return suggestions.unknown("axis", axis, axes.AXES)
+    if step.space in curves.CURVES:
+        return _curve_of(task, pose, axis)
     by_m, by_rad = (float(step.args.get(name, 0.0)) for name in ("by_m", "by_rad"))
     if by_m:
         pose = axes.shifted(pose, axis, by_m).tolist()
     if by_rad:
         pose = axes.turned(pose, axis, by_rad).tolist()
     return Target(pose=pose)
+
+
+def _curve_of(task: BindTask, start: list[float], axis: str) -> Target | Refusal:
+    step, about = task.data.step, start
+    if (name := str(step.args.get("about", "HERE"))) != "HERE":
+        if name not in task.data.bindings:
+            return refused_program(f"nothing binds {name}", f"there are {', '.join(task.data.bindings)}")
+        found = world_pose(task, task.data.bindings[name], name)
+        if isinstance(found, Refusal):
+            return found
+        about = found
+    figures = {name: float(step.args[name]) for name in SPACE_ARGS[step.space] if name in step.args}
+    poses = curves.curve(step.space, start, about, axis, figures)
+    return poses if isinstance(poses, Refusal) else Target(poses=poses)
 
 
 def world_pose(task: BindTask, binding: Binding, name: str) -> list[float] | Refusal:

@@ -18,14 +18,14 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from rtc.programs import expressions
+from rtc.programs import expressions, extension_names
 from rtc.programs.schema import PlanLine, ScriptFile, ScriptStep
 from rtc.protocol.messages import Binding, Way
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
 from workers.elaborator.anchors import ANCHORS, Anchor
 from workers.elaborator.task_candidate import TaskCandidate
-from workers.planning import advice, axes, segments, suggestions
+from workers.planning import advice, axes, curves, segments, suggestions
 from workers.planning.motion.plan import PlanningRequest
 from workers.planning.motion.timing import Pace
 from workers.planning.segments import Target
@@ -299,12 +299,34 @@ def _target(
     axis = candidate.fill_in(step.words.get("axis", "TOOL-Z"))
     if axis not in axes.AXES:
         return suggestions.unknown("axis", axis, axes.AXES)
+    if step.space in curves.CURVES:
+        return _curve(step, candidate, lines, now, axis)
     try:
         by_m, by_rad = (expressions.number(step.args.get(name, 0.0), candidate.figures) for name in ("by_m", "by_rad"))
     except expressions.ExpressionError as error:
         return _program(str(error))
     pose = axes.shifted(now.arm.fk(now.start), axis, by_m)
     return Target(pose=axes.turned(pose, axis, by_rad).tolist())
+
+
+def _curve(
+    step: ScriptStep, candidate: TaskCandidate, lines: dict[str, Anchor], now: PlanningRequest, axis: str
+) -> Target | Refusal:
+    here = about = now.arm.fk(now.start)
+    if (name := step.words.get("about", "HERE")) != "HERE":
+        if name not in lines or lines[name].pose is None:
+            return _program(f"{name} is not a pose of the plan")
+        about = np.array(_world(candidate, lines[name]))
+    try:
+        figures = {
+            name: expressions.number(step.args[name], candidate.figures)
+            for name in extension_names.SPACE_ARGS[step.space]
+            if name in step.args
+        }
+    except expressions.ExpressionError as error:
+        return _program(str(error))
+    poses = curves.curve(step.space, here, about, axis, figures)
+    return poses if isinstance(poses, Refusal) else Target(poses=poses)
 
 
 def _where(refusal: Refusal, where: str) -> Refusal:

@@ -1,4 +1,4 @@
-"""Path segments of a script: from the arm's position to a target, in joint space or straight in task space. Pure.
+"""Path segments of a script: from the arm's position to a target, in joint space, straight or along a curve. Pure.
 
 The keys of `SPACES` are the words of the fourth column of the paper's Figure 4. The elaborator calls `check_segment`
 (is there a path, and where does it end); the binder calls `plan_segment` (the timed motion).
@@ -15,11 +15,13 @@ import numpy as np
 from rtc.protocol.messages import Way
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot.geometry import Array, Floats
+from workers.planning import curves
 from workers.planning.motion import handed, ik
 from workers.planning.motion.plan import (
     FreeWay,
     Motion,
     PlanningRequest,
+    find_curve,
     find_direct_way,
     find_joint_way,
     find_task_way,
@@ -32,12 +34,13 @@ from workers.planning.motion.plan import (
 SAME_RAD = 0.02  # tolerance of the joint values at the end of a straight line
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Target:
-    """Exactly one is set: joint values (rad), or a pose of the tcp (world frame)."""
+    """Exactly one is set: joint values (rad), a pose of the tcp (world frame), or the poses of a curve, [poses][7]."""
 
     joints: list[float] | None = None
     pose: list[float] | None = None
+    poses: Array | None = None
 
 
 class Segment(NamedTuple):
@@ -150,12 +153,29 @@ def _other_end(request: PlanningRequest, target: Target, end: Array) -> Refusal 
     )
 
 
+# --- curves ----------------------------------------------------------------------------------------------
+
+
+def _timed_curve(request: PlanningRequest, target: Target, known: Way | None) -> Motion | Refusal:
+    assert target.poses is not None
+    found = find_curve(request, target.poses, request.way_margin_rad)
+    return found if isinstance(found, Refusal) else in_time(request, found)
+
+
+def _tested_curve(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment | Refusal:
+    assert target.poses is not None
+    found = find_curve(request, target.poses, request.margin_rad)
+    return found if isinstance(found, Refusal) else Segment(found.path.knots[-1], target.poses[-1])
+
+
 #: fourth column of a script -> planner of its segments
 SPACES: dict[str, Callable[[PlanningRequest, Target, Way | None], Motion | Refusal]] = {
     "move_joint": _timed_joint,
     "move_task": _timed_task,
+    **dict.fromkeys(curves.CURVES, _timed_curve),
 }
 _TESTS: dict[str, Callable[[PlanningRequest, Target, bool, bool], Segment | Refusal]] = {
     "move_joint": _tested_joint,
     "move_task": _tested_task,
+    **dict.fromkeys(curves.CURVES, _tested_curve),
 }

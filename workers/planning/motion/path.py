@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import msgspec
@@ -115,6 +116,20 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
         fraction = float(fractions[n])
         return _at(problem, fraction, fraction * metres, metres)
     return Path("task", fractions * length, table, Spline(fractions * length, table))
+
+
+def task_curve(arm: ArmModel, start: Floats, poses: Array, margin_rad: float = 0.0) -> Path | Refusal:
+    """The tcp through these poses (world, [poses][7], the first where `start` is), on one branch. At least four."""
+    metres = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    turns = np.array([geometry.angle(a, b) for a, b in pairwise(poses)])
+    s = np.concatenate(((0.0,), np.cumsum(np.maximum(metres, METRES_PER_RAD * turns))))
+    table = np.vstack((np.asarray(start, dtype=float), arm.follow_all(poses[1:], start)))
+    n = _first_problem(arm, table, margin_rad)
+    if n < len(poses):
+        problem = _problem(arm, poses[n], table[n] if n < len(table) else None, table[n - 1], margin_rad)
+        assert problem is not None
+        return _at(problem, float(s[n] / s[-1]), float(metres[:n].sum()), float(metres.sum()))
+    return Path("task", s, table, Spline(s, table))
 
 
 def _first_problem(arm: ArmModel, table: Array, margin_rad: float) -> int:

@@ -52,6 +52,14 @@ def find_task_way(request: PlanningRequest, goal_pose: Floats, margin_rad: float
     return fault(request, line) or FreeWay(line, ["generated a straight line of the hand; tested: free"])
 
 
+def find_curve(request: PlanningRequest, poses: Array, margin_rad: float) -> FreeWay | Refusal:
+    """The tcp through these poses (world, [poses][7]) from the start, with `margin_rad` from every joint limit."""
+    line = paths.task_curve(request.arm, request.start, poses, margin_rad)
+    if isinstance(line, Refusal):
+        return line
+    return fault(request, line) or FreeWay(line, ["generated a curve of the hand; tested: free"])
+
+
 def plan_joint_motion(request: PlanningRequest, goal: Floats) -> Motion | Refusal:
     """Plan a motion to the joint values `goal` (rad) on any path, with `CLEARANCE_M` if such a path exists."""
     found = find_joint_way(request, goal)

@@ -93,7 +93,8 @@ def time_path(arm: ArmModel, path: Path, pace: Pace = FREE_PACE, load: Load | No
 
 def _time_line(arm: ArmModel, path: Path, pace: Pace, share: float = 1.0) -> Timed:
     """`share`: of the acceleration that the other limits allow."""
-    q, slope, bend = path.at(even(0.0, path.length, SAMPLES - 1))
+    samples = SAMPLES if len(path.s) <= SAMPLES else 2 * len(path.s)  # a search pattern bends at every knot
+    q, slope, bend = path.at(even(0.0, path.length, samples - 1))
     rate = 1.0 if path.space == "task" else float(arm.tcp_speeds(q, slope).max())
     velocity, acceleration = arm.limits.velocity * pace.ratio, arm.limits.acceleration * pace.ratio
     slope, bend = np.abs(slope) + 1e-12, np.abs(bend) + 1e-12
@@ -107,7 +108,8 @@ def _time_line(arm: ArmModel, path: Path, pace: Pace, share: float = 1.0) -> Tim
         pace.acceleration_m_s2 / max(rate, 1e-9), float(((acceleration - bend * pace_limit**2) / slope).min())
     )
     profile = rest_to_rest(path.length, pace_limit, change_limit, change_limit / RAMP_S)
-    time_s = _knot_times(profile.duration_s, pace_limit / change_limit + RAMP_S, pace.speed_m_s)
+    step_s = KNOT_M / pace.speed_m_s if len(path.s) <= SAMPLES else path.length / len(path.s) / pace_limit
+    time_s = _knot_times(profile.duration_s, pace_limit / change_limit + RAMP_S, step_s)
     along, along_v, along_a = profile.at(time_s)
     q, slope, bend = path.at(along)
     accelerations = bend * along_v[:, None] ** 2 + slope * along_a[:, None]
@@ -141,7 +143,7 @@ def _time_curve(arm: ArmModel, path: Path, pace: Pace, torques: Torques | None =
     solver = toppra.algorithm.TOPPRA(constraints, path.curve, gridpoints=grid)
     curve = solver.compute_trajectory(0.0, 0.0)
     assert curve is not None, "a rest-to-rest profile always exists at a low speed"
-    time_s = _knot_times(curve.duration, CURVE_RAMP_S, pace.speed_m_s)
+    time_s = _knot_times(curve.duration, CURVE_RAMP_S, KNOT_M / pace.speed_m_s)
     return _at_rest(Timed(path.space, time_s, curve(time_s), curve(time_s, 1), curve(time_s, 2)), path)
 
 
@@ -156,12 +158,12 @@ def _grid(path: Path) -> Array:
     return grid[np.concatenate(((True,), np.diff(grid) > GRID_STEP * path.length))]
 
 
-def _knot_times(duration_s: float, ramp_s: float, speed_m_s: float) -> Array:
-    """Knot times: dense in both ramps, where the pace changes, and sparse in between."""
+def _knot_times(duration_s: float, ramp_s: float, step_s: float) -> Array:
+    """Knot times: dense in both ramps, where the pace changes, and some `step_s` apart in between."""
     ramp_s = min(ramp_s, 0.5 * duration_s)
     n = max(2, math.ceil(ramp_s / KNOT_S))
     cruise_s = duration_s - 2 * ramp_s
-    m = math.ceil(cruise_s / max(KNOT_S, KNOT_M / speed_m_s) - 1e-9)
+    m = math.ceil(cruise_s / max(KNOT_S, step_s) - 1e-9)
     ramp_up, ramp_down = even(0.0, ramp_s, n), even(duration_s - ramp_s, duration_s, n)
     cruise = even(ramp_s, duration_s - ramp_s, m)[1:] if m > 0 else ()
     return np.concatenate((ramp_up, cruise, ramp_down[1:]))

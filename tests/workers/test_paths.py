@@ -1,0 +1,123 @@
+"""Paths of the arm in physics, each from a sentence or a script: circles, patterns, via points, timed motions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rtc.robot import geometry
+from tests.workers.conftest import Bench, Physical
+
+pytestmark = pytest.mark.slow
+ARM = "RIGHT-ARM"
+HOME = "38.95 DEG 86.558 DEG -179.578 DEG 86.271 DEG 39.048 DEG -85.203 DEG"
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[Physical]:
+    made = Physical()
+    yield made
+    made.sim.close()  # type: ignore[attr-defined]
+
+
+class Traced:
+    """Sentences on the one robot of this module, and where the tcp went."""
+
+    def __init__(self, robot: Physical) -> None:
+        self.bench = Bench(robot)
+        self.arm = self.bench.model.arms[ARM]
+        self.executor = robot.executors[ARM]
+        self.bench.set_fact(f"{ARM}.joints", self.executor.sample.joints)
+        self.poses: list[Any] = []
+        robot.disturb = self._trace
+
+    def _trace(self, tick: int) -> None:
+        if tick % 20 == 0:
+            self.poses.append(self.arm.fk(self.executor.sample.joints))
+
+    def do(self, sentence: str) -> Any:
+        self.poses.clear()
+        return self.bench.do(sentence)
+
+    @property
+    def path(self) -> Any:
+        return np.array(self.poses)
+
+
+@pytest.fixture
+def traced(robot) -> Iterator[Traced]:
+    made = Traced(robot)
+    assert made.do(f"MOVE {ARM} TO JOINTS {HOME}").succeeded
+    yield made
+    robot.disturb = None
+
+
+SWING = """
+script: move
+case: 2
+uses: [hand, place]
+plan:
+  - {name: HINGE, at: destination}
+steps:
+  - {do: move, to: HERE, stop: move_guarded, space: move_circle, label: swing,
+     args: {by_rad: 0.6, hand_turn: 0, stiffness_n_m: 600}, words: {about: HINGE, axis: Z}}
+"""
+SEARCH = """
+script: hold
+case: 2
+uses: [hand, duration_s]
+steps:
+  - {do: move, to: HERE, stop: move_guarded, space: SPACE, label: search,
+     args: {radius_m: 0.006, pitch_m: 0.002, stiffness_n_m: 3000, press_n: 5, force_n: 89,
+     speed_m_s: 0.02}, words: {axis: TOOL-Z}}
+"""
+
+
+def test_a_script_swings_a_compliant_hand_about_a_hinge(traced) -> None:
+    traced.bench.load("elaborator", SWING)
+    run = traced.do(f"MOVE {ARM} TO POSITION 64 -3 106 CM")
+
+    assert run.succeeded, run.assessments or run.refusal
+    assert run.primitives[-1].control_law.compliance is not None
+    radii = np.linalg.norm(traced.path[:, :2] - (0.64, -0.03), axis=1)
+    assert np.ptp(radii) < 0.003
+    turned = [np.arctan2(y + 0.03, x - 0.64) for x, y in traced.path[[0, -1], :2]]
+    assert turned[1] - turned[0] == pytest.approx(0.6, abs=0.01)
+    assert geometry.angle(traced.path[0], traced.path[-1]) < 0.01
+    assert traced.path[:, 2] == pytest.approx(traced.path[0, 2], abs=0.002)
+
+
+@pytest.mark.parametrize("space", ["move_spiral", "move_raster"])
+def test_a_script_searches_a_pattern_and_presses(traced, robot, space) -> None:
+    traced.bench.load("elaborator", SEARCH.replace("SPACE", space))
+    robot.displace("SATELLITE", [-0.092, 0.0, 0.0])
+    assert traced.do(f"MOVE {ARM} BY 15 CM ALONG DOWN").succeeded
+    run = traced.do(f"HOLD {ARM} FOR 1 SEC")
+    robot.displace("SATELLITE", [0.092, 0.0, 0.0])
+
+    assert run.succeeded, run.assessments or run.refusal
+    end = run.reports[-1]
+    assert end.trip_wrench[2] == pytest.approx(-5.0, rel=0.1)
+    aside = traced.path[:, 1:3] - traced.path[0, 1:3]
+    assert np.ptp(aside, axis=0) == pytest.approx([0.012, 0.012], abs=0.004)
+
+
+@pytest.mark.parametrize(
+    ("text", "cause"),
+    [
+        (SWING.replace("0.6", "3.0"), "reach"),
+        (SWING.replace("0.6", "1.2").replace("axis: Z", "axis: Y"), "collision"),
+        (SWING.replace("hand_turn: 0", "hand_turn: 2"), "curve"),
+        (SWING.replace("by_rad: 0.6", "by_rad: 0"), "curve"),
+    ],
+)
+def test_a_circle_that_no_arm_can_follow_is_refused_and_nothing_moves(traced, text, cause) -> None:
+    for script in ("move", "move-line"):
+        traced.bench.load("elaborator", text.replace("script: move", f"script: {script}"))
+    run = traced.do(f"MOVE {ARM} TO POSITION 64 -3 81 CM")
+    assert run.refusal is not None
+    assert run.refusal.detail["cause"] == cause, run.refusal
+    assert not run.primitives

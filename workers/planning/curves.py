@@ -1,0 +1,163 @@
+"""Curves of the hand: circles about an axis, and search patterns in a plane. Pure.
+
+A curve is a table of tcp poses in world axes, [poses][7], from the pose where it begins. The names are spaces of a
+script's steps; `rtc.programs.extension_names.SPACE_ARGS` lists the figures that each uses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
+from rtc.robot.geometry import Array, Floats
+from workers.planning import axes, suggestions
+from workers.planning.motion.path import KNOT_M
+
+MOST_POSES = 4000  # maximum number of poses of one curve
+CIRCLE_RAD = 0.04  # maximum turn between two poses of a circle; the hand then keeps its radius to some 0.05 mm
+PATTERN_RAD = 0.2  # maximum turn between two poses of a pattern
+Figures = Mapping[str, float]
+
+
+def curve(space: str, start: Floats, about: Floats, axis: str, figures: Figures) -> Array | Refusal:
+    """The curve of a step that begins at the tcp pose `start`, or the refusal of its figures.
+
+    `axis`: of a circle, through the origin of the pose `about` and a TOOL axis is one of that pose; of a pattern, the
+    normal of its plane, and a TOOL axis is one of the hand. All poses are in world axes.
+    """
+    if axis not in axes.AXES:
+        return suggestions.unknown("axis", axis, axes.AXES)
+    return CURVES[space](np.asarray(start, dtype=float), np.asarray(about, dtype=float), axis, figures)
+
+
+def _circle(start: Array, about: Array, axis: str, figures: Figures) -> Array | Refusal:
+    """A turn by `by_rad` about the axis, with a rise of `by_m` along it. `hand_turn`: share of the turn that the hand
+    makes with it: 1 (default) as if fixed to the hinge, 0 with its attitude kept."""
+    by_rad, by_m, share = figures.get("by_rad", 0.0), figures.get("by_m", 0.0), figures.get("hand_turn", 1.0)
+    if not abs(by_rad) > 1e-6 or not math.isfinite(by_rad + by_m):
+        return _refused(f"a circle by {by_rad:g} rad has no direction", "by_rad other than 0")
+    if not 0.0 <= share <= 1.0:
+        return _refused(f"hand_turn {share:g} is not a share of the turn", "hand_turn of 0 to 1")
+    along = _direction(about, axis)
+    arm = start[:3] - about[:3]
+    arm = arm - along * float(arm @ along)
+    count = _count(abs(by_rad) * float(np.linalg.norm(arm)) / KNOT_M, abs(by_rad) / CIRCLE_RAD, abs(by_m) / KNOT_M)
+    if isinstance(count, Refusal):
+        return count
+    poses = []
+    for fraction in np.linspace(0.0, 1.0, count + 1).tolist():
+        angle = fraction * by_rad
+        turned = arm * math.cos(angle) + np.cross(along, arm) * math.sin(angle)
+        position = start[:3] + (turned - arm) + fraction * by_m * along
+        poses.append(geometry.make_pose(position, _turned(start, along, share * angle)))
+    return np.array(poses)
+
+
+def _spiral(start: Array, about: Array, axis: str, figures: Figures) -> Array | Refusal:
+    """From the hand outwards to `radius_m`, with `pitch_m` between turns, and `by_m` along the normal in all."""
+    size = _pattern(figures)
+    if isinstance(size, Refusal):
+        return size
+    radius, pitch = size
+    turns = radius / pitch
+    count = _count(2.0 * math.pi * turns / PATTERN_RAD)
+    if isinstance(count, Refusal):
+        return count
+    angle = np.linspace(0.0, 2.0 * math.pi * turns, count + 1)
+    plane = np.stack((np.cos(angle), np.sin(angle)), axis=1) * (pitch * angle / (2.0 * math.pi))[:, None]
+    return _in_plane(start, axis, plane, figures.get("by_m", 0.0))
+
+
+def _raster(start: Array, about: Array, axis: str, figures: Figures) -> Array | Refusal:
+    """Lines back and forth at a distance of `pitch_m`, joined by half circles, over a square of half side `radius_m`
+    round the hand; it begins in the middle and goes to a corner first."""
+    size = _pattern(figures)
+    if isinstance(size, Refusal):
+        return size
+    radius, pitch = size
+    lines = 2 * math.ceil(radius / pitch) + 1
+    half_turn = math.ceil(math.pi / PATTERN_RAD)
+    per_line = max(8, math.ceil(2.0 * radius / KNOT_M))
+    count = _count((lines + 1) * (half_turn + per_line))
+    if isinstance(count, Refusal):
+        return count
+    corner = np.array((-radius, -0.5 * (lines - 1) * pitch))
+    rows = [_bend((np.zeros(2), 0.5 * corner, corner - (pitch, 0.0), corner), half_turn)]
+    side = -1.0
+    for n in range(lines):
+        y = (n - 0.5 * (lines - 1)) * pitch
+        rows.append(np.linspace((side * radius, y), (-side * radius, y), per_line + 1))
+        side = -side
+        if n < lines - 1:
+            angle = np.linspace(0.0, math.pi, half_turn, endpoint=False)[1:]
+            bend = np.stack((side * np.sin(angle), 1.0 - np.cos(angle)), axis=1) * 0.5 * pitch
+            rows.append(bend + np.array((side * radius, y)))
+    return _in_plane(start, axis, np.concatenate(rows), figures.get("by_m", 0.0))
+
+
+def _bend(corners: tuple[Array, Array, Array, Array], count: int) -> Array:
+    """A cubic Bezier curve, without its last point, so that the hand enters the first line along it."""
+    t = np.linspace(0.0, 1.0, count, endpoint=False)[:, None]
+    a, b, c, d = corners
+    found: Array = (1 - t) ** 3 * a + 3 * t * (1 - t) ** 2 * b + 3 * t * t * (1 - t) * c + t**3 * d
+    return found
+
+
+def _pattern(figures: Figures) -> tuple[float, float] | Refusal:
+    radius, pitch = figures.get("radius_m", 0.0), figures.get("pitch_m", 0.0)
+    if not 0.0 < pitch <= radius < math.inf:  # false for nan too
+        return _refused(
+            f"a pattern with a radius of {radius:g} m and a pitch of {pitch:g} m covers nothing",
+            "pitch_m above 0 and at most radius_m",
+        )
+    return radius, pitch
+
+
+def _in_plane(start: Array, axis: str, plane: Array, by_m: float) -> Array:
+    """The poses at these points (m) of a plane through the hand, with its attitude."""
+    normal = _direction(start, axis)
+    aside = np.eye(3)[int(np.abs(normal).argmin())]
+    first = np.cross(normal, aside)
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    along = np.concatenate(((0.0,), np.cumsum(np.linalg.norm(np.diff(plane, axis=0), axis=1))))
+    rise = np.outer(along * (by_m / along[-1]), normal)
+    poses = np.tile(start, (len(plane), 1))
+    poses[:, :3] += plane @ np.stack((first, second)) + rise
+    return poses
+
+
+def _direction(pose: Array, axis: str) -> Array:
+    """Unit vector (world) of a named axis; a TOOL axis is one of the pose."""
+    owner, vector = axes.AXES[axis]
+    return geometry.rotate(pose, vector) if owner == "tool" else np.array(vector, dtype=float)
+
+
+def _turned(start: Array, along: Array, angle: float) -> list[float]:
+    turn = (0.0, 0.0, 0.0, *(math.sin(0.5 * angle) * along).tolist(), math.cos(0.5 * angle))
+    attitude: list[float] = geometry.compose(turn, (0.0, 0.0, 0.0, *start[3:].tolist()))[3:].tolist()
+    return attitude
+
+
+def _count(*wanted: float) -> int | Refusal:
+    count = max(4, *(math.ceil(n) for n in wanted))
+    if count <= MOST_POSES:
+        return count
+    message = f"the curve would have {count} knots; {MOST_POSES} is the maximum"
+    return _refused(message, "a smaller one, or a wider pitch")
+
+
+def _refused(message: str, clears: str) -> Refusal:
+    return Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=clears, detail={"cause": "curve"})
+
+
+#: space of a step -> its curve
+CURVES: dict[str, Callable[[Array, Array, str, Figures], Array | Refusal]] = {
+    "move_circle": _circle,
+    "move_spiral": _spiral,
+    "move_raster": _raster,
+}
