@@ -1,11 +1,11 @@
 """REPORT clause: measured values that a sentence requests beyond the standard end report. Pure.
 
-The router forwards periodic reports directly, without the Decision Unit.
+The router forwards reports of EVERY and WHEN directly, without the Decision Unit.
 """
 
 from __future__ import annotations
 
-from broker.decisions.state import Command
+from broker.decisions.state import Command, ReportHead
 from rtc.protocol.messages import EndReport, ProgressNote, ProgressReport
 from rtc.protocol.outcomes import Measured
 
@@ -27,20 +27,26 @@ def at_end(command: Command, report: EndReport) -> Measured | None:
     )
 
 
-def wants_periodic(command: Command | None, report: ProgressReport, subsystem: str) -> bool:
+def wants(command: Command | None, report: ProgressReport, subsystem: str) -> bool:
     """True if the report is from the current primitive of this command and its sentence requests it."""
     return (
         command is not None
         and command.progress
         and command.head is not None
         and command.head.report is not None
-        and command.head.report.every_s is not None
+        and _asked(command.head.report, report)
         and (command.primitive, command.subsystem) == (report.primitive, subsystem)
     )
 
 
-def periodic(command: Command, report: ProgressReport, at_s: float) -> ProgressNote:
-    """The progress note with the requested values. EVERY alone requests all measured values."""
+def _asked(asked: ReportHead, report: ProgressReport) -> bool:
+    if report.condition is None:
+        return asked.every_s is not None
+    return 0 <= report.condition < len(asked.when)
+
+
+def note_of(command: Command, report: ProgressReport, at_s: float) -> ProgressNote:
+    """The progress note with the requested values. EVERY or WHEN alone requests all measured values."""
     assert command.head is not None
     asked = command.head.report
     assert asked is not None
@@ -58,5 +64,16 @@ def periodic(command: Command, report: ProgressReport, at_s: float) -> ProgressN
         phase=command.phase,
         step=command.step_words,
         node=command.subsystem,
+        note=_met(asked, report),
         measured=measured,
     )
+
+
+def _met(asked: ReportHead, report: ProgressReport) -> str:
+    """The condition that is true, in the words of the sentence, with the measured value; empty if it is periodic."""
+    if report.condition is None:
+        return ""
+    condition = asked.when[report.condition]
+    unit = condition.quantity.unit.upper() if condition.quantity else ""
+    measured = f": {report.measured:.3g} {unit}".rstrip() if report.measured is not None else ""
+    return condition.sentence + measured

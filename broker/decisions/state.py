@@ -12,6 +12,7 @@ import msgspec
 
 from broker.decisions.action_stack import ActionStack
 from broker.decisions.resources import Resources
+from rtc.language.record import Condition
 from rtc.protocol.messages import Phase, ProgressNote, WorkerKind
 from rtc.protocol.outcomes import Measured, OutcomeKind, Refusal, StopReason
 
@@ -27,6 +28,12 @@ class ReportHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     forces: bool = False
     pose: bool = False
     every_s: float | None = None
+    when: list[Condition] = []
+
+    @property
+    def in_motion(self) -> str:
+        """The word of the clause that requests reports during motion; empty if none does."""
+        return "EVERY" if self.every_s is not None else "WHEN" if self.when else ""
 
 
 class ParsedHead(msgspec.Struct, frozen=True, kw_only=True, gc=False):

@@ -117,7 +117,10 @@ class ClientMessages:
         self._egress.answer(peer, m.StatusReply(request=message.request, status=status(view, core.clock())))
 
     def _send_trace(self, peer: bytes, message: m.TraceQuery, now: float) -> None:
-        self._egress.answer(peer, trace(self._core.state, self._core.journal.record, message))
+        reply = trace(self._core.state, self._core.journal.record, message)
+        if isinstance(reply, m.TraceReply):
+            reply = m.TraceReply(request=reply.request, record=self._core.reports.add_to(reply.record))
+        self._egress.answer(peer, reply)
 
     def _send_program(self, peer: bytes, message: m.ProgramQuery, now: float) -> None:
         digest = self._core.state.programs.get(message.kind, "")

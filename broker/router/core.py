@@ -18,6 +18,7 @@ from broker.dispatch.worker_registry import LostJob, WorkerRegistry
 from broker.persistence.journal import Journal
 from broker.persistence.program_loads import Check, InProcessCheck, ProgramLoads
 from broker.persistence.program_store import ProgramStore
+from broker.router.recent_reports import RecentReports
 from rtc.programs import sandbox
 from rtc.protocol.messages import Asked, PeerRow
 from rtc.runtime.handover import Handed
@@ -59,6 +60,7 @@ class Core:
         self.asked: Sequence[Asked] = ()  # requests for more workers, from the same table
         self.peers: Sequence[PeerRow] = ()  # the gateway's latest report
         self.peers_at_s = self.began_s  # time of that report
+        self.reports = RecentReports()
         self.late_results: Counter[str] = Counter()  # results of attempts that a worker does not have now, by worker
         self._subsystem_peers: dict[str, bytes] = {}  # of the subsystems in the state
         self.sockets: dict[str, zmq.Socket[bytes]] = {}

@@ -102,9 +102,9 @@ class SubsystemMessages:
         count_dropped(self._core, message, DROP_COUNTERS)
 
     def _forward_report(self, name: str, peer: bytes, report: m.ProgressReport, now: float) -> None:
-        """Send a report of REPORT EVERY to the command's client, without an event or a journal entry."""
+        """Send a report of EVERY or WHEN to the command's client, without an event or a journal entry."""
         command = self._core.state.commands.get(command_of(report.primitive))
-        if command is None or not reporting.wants_periodic(command, report, name):
+        if command is None or not reporting.wants(command, report, name):
             return
         if self._second.due(now):
             self._forwarded.clear()
@@ -112,7 +112,9 @@ class SubsystemMessages:
         if self._forwarded[command.client] > reporting.MOST_PER_S:
             self._core.dropped["reports"] += 1
             return
-        self._egress.answer(peer_of(command.client), reporting.periodic(command, report, now))
+        note = reporting.note_of(command, report, now)
+        self._core.reports.keep(note)
+        self._egress.answer(peer_of(command.client), note)
 
 
 def _check_name(sender: str, stated: str) -> None:

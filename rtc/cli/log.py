@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
+from rtc.cli.measured import in_words
 from rtc.cli.output import COLOUR, AsJson, RunDir, With, console, emit_json, quoted, seconds, table
 from rtc.cli.trace import Previous, print_run, run_as_json
 from rtc.client.client import Client
@@ -52,8 +53,15 @@ def print_log(records: list[m.CommandRecord], run: Past | None, *, far: bool = F
         row = as_row(record, run, far=far)
         at = row["at"] and clock_time(datetime.fromisoformat(row["at"]).timestamp())
         outcome = Text(row["outcome"], style=COLOUR[record.outcome.kind] if record.outcome else "cyan")
-        out.add_row(record.command, at or "-", seconds(row["took_s"]), outcome, Text(quoted(record.text)))
+        reports = f"  ({row['reports']} reports)" if row["reports"] else ""
+        sentence = Text(quoted(record.text)).append(reports, style="dim")
+        out.add_row(record.command, at or "-", seconds(row["took_s"]), outcome, sentence)
     console.print(out)
+    for record in records:
+        if record.reports:
+            latest = record.reports[-1]
+            words = ([latest.note] if latest.note else []) + (in_words(latest.measured) if latest.measured else [])
+            console.print(Text(f"{record.command}  latest report: {'; '.join(words)}"))
 
 
 def _records(
@@ -99,4 +107,5 @@ def as_row(record: m.CommandRecord, run: Past | None, *, far: bool = False) -> d
         "took_s": round(max(0.0, until_s - record.accepted_at_s), 6),
         "outcome": record.outcome.kind.value if record.outcome else record.phase.value,
         "message": record.outcome.message if record.outcome else "",
+        "reports": record.reports_older + len(record.reports),
     }

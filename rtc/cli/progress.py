@@ -6,7 +6,7 @@ A client's callbacks feed it; it sends no messages.
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -18,14 +18,14 @@ from rich.text import Text
 from rtc.cli.measured import duration, in_words
 from rtc.cli.output import COLOUR, console, quoted, refusal_lines, seconds, table
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import Measured, Outcome, OutcomeKind
+from rtc.protocol.outcomes import Outcome, OutcomeKind
 
 WAITS = (m.Phase.HELD, m.Phase.WAITING)  # the note names what the command waits for
 #: phases that are too short for their own line (`rtc trace` shows them); ENDED has the result line
 PASSING = {m.Phase.PARSING, m.Phase.ELABORATING, m.Phase.BINDING, m.Phase.ANALYZING, m.Phase.ENDED}
 
 
-REPORTS_KEPT = 1000  # maximum number of reports of REPORT EVERY per command in the JSON result
+REPORTS_KEPT = 1000  # maximum number of reports of EVERY and WHEN per command in the JSON result
 
 
 @dataclass
@@ -45,7 +45,8 @@ class Board:
     def __init__(self, texts: list[str], *, quiet: bool = False, out: Console = console) -> None:
         self._rows = [BoardRow(text) for text in texts]
         self._row_of: dict[str, BoardRow] = {}
-        self.reports: dict[str, deque[tuple[float, Measured]]] = {}  # command -> (at_s, report of REPORT EVERY)
+        self.reports: dict[str, deque[m.ProgressNote]] = {}  # command -> its latest reports of EVERY and WHEN
+        self.reports_older: Counter[str] = Counter()  # command -> number of those before them
         self.on_long: Callable[[m.ProgressNote], None] | None = None  # called with every note; asks about a long step
         self.kinds: list[OutcomeKind] = []  # outcomes of all ended commands
         self.quiet = quiet
@@ -110,12 +111,14 @@ class Board:
             self._line(f"{note.command}  {note.phase.value:<11} {what or note.note}{about}{done}".rstrip())
 
     def _report(self, note: m.ProgressNote) -> None:
-        """A report of REPORT EVERY: a line on the screen, or kept for the JSON result."""
+        """A report of EVERY or WHEN: a line on the screen, or kept for the JSON result."""
         assert note.measured is not None
         kept = self.reports.setdefault(note.command, deque(maxlen=REPORTS_KEPT))
-        kept.append((note.at_s, note.measured))
+        if len(kept) == REPORTS_KEPT:
+            self.reports_older[note.command] += 1
+        kept.append(note)
         if not self.quiet:
-            for line in in_words(note.measured):
+            for line in ([note.note] if note.note else []) + in_words(note.measured):
                 self._out.print(Text(f"{time.monotonic() - self._begun_s:7.2f} s  {note.command}  {line}"))
 
     def ended(self, n: int, ended: m.CommandEnded) -> None:

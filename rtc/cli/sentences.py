@@ -279,12 +279,20 @@ def _lines(file: Path) -> list[str]:
 
 
 def _result(ended: m.CommandEnded, text: str, board: Board) -> dict[str, Any]:
-    """One result of --json. `reports`: the reports of REPORT EVERY, if the sentence has it."""
+    """One result of --json. `reports`: those of EVERY and WHEN, the latest if they are many."""
     outcome = msgspec.to_builtins(ended.outcome)
     result = {"command": ended.command, "text": text, **outcome, "took_s": round(ended.took_s, 6)}
     if reports := board.reports.get(ended.command):
-        result["reports"] = [{"at_s": at_s, **msgspec.to_builtins(measured)} for at_s, measured in reports]
+        result["reports"] = [_report(note) for note in reports]
+        if older := board.reports_older[ended.command]:
+            result["reports_older"] = older
     return result
+
+
+def _report(note: m.ProgressNote) -> dict[str, Any]:
+    """A report. `when`: the condition that was true, with what was measured; without it the report is periodic."""
+    when = {"when": note.note} if note.note else {}
+    return {"at_s": note.at_s, **when, **msgspec.to_builtins(note.measured)}
 
 
 def _source(name: str) -> Source:

@@ -129,7 +129,17 @@ def print_trace(record: m.CommandRecord) -> None:
             step = note.step
             console.print(Text(step, style="cyan"))
         console.print(Text(trace_line(note, record.accepted_at_s)))
+    print_reports(record)
     _print_decision(record)
+
+
+def print_reports(record: m.CommandRecord) -> None:
+    """The latest reports of EVERY and WHEN, which the running broker keeps."""
+    if record.reports_older:
+        console.print(Text(f"reports: {record.reports_older} older ones are no longer kept", style="dim"))
+    for note in record.reports:
+        words = ([note.note] if note.note else []) + (in_words(note.measured) if note.measured else [])
+        console.print(Text(f"{seconds(note.at_s - record.accepted_at_s):>9}  reported: {'; '.join(words)}"))
 
 
 def trace_line(note: m.ProgressNote, accepted_at_s: float) -> str:

@@ -397,7 +397,18 @@ def operator_agent(_: Parts) -> str:
 
 
 def report(parts: Parts) -> Fields:
-    return {"report": Report(**merge(parts))}
+    return {"report": Report(**report_items(parts))}
+
+
+def report_items(parts: Parts) -> Fields:
+    """The fields of an item and of the items after it; conditions are collected in their order."""
+    fields: Fields = {}
+    for part in parts:
+        if isinstance(part, dict):
+            if "every_s" in part and "every_s" in fields:
+                raise Wrong(parts[0].start_pos or 0, "EVERY is given twice.")
+            fields = {**fields, **part, "when": [*fields.get("when", []), *part.get("when", [])]}
+    return fields
 
 
 def reported(parts: Parts) -> Fields:
@@ -407,6 +418,10 @@ def reported(parts: Parts) -> Fields:
 def reported_every(parts: Parts) -> Fields:
     period = checked(parts[1], PERIOD, "EVERY")
     return {"every_s": 1 / period.value if period.unit == "Hz" else period.value}
+
+
+def reported_when(parts: Parts) -> Fields:
+    return {"when": [parts[1]]}
 
 
 def after(parts: Parts) -> Fields:
@@ -502,7 +517,8 @@ _MEANINGS: tuple[Callable[[Parts], Any], ...] = (
     amount, to_value, duration, handoff,
     verify, maintain, named_constraint, shared_constraint, measured_constraint, until,
     guarded, unguarded, reflex_item, event, measured_condition, along, above, below, action, trim, performer,
-    operator_agent, report, reported, reported_every, after, together_with, now, everything, set_value, name_datum,
+    operator_agent, report, report_items, reported, reported_every, reported_when, after, together_with, now,
+    everything, set_value, name_datum,
     number_datum, cannot, task_sentence, control_sentence, data_sentence, operator_sentence, test_sentence,
 )  # fmt: skip
 

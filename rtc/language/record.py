@@ -41,6 +41,19 @@ class Condition(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     bound: Literal["above", "below"] | None = None
     quantity: Quantity | None = None
 
+    @property
+    def words(self) -> str:
+        """The words of a sentence, without the figure: FORCE ALONG TOOL-Z EXCEEDS."""
+        if self.event is not None:
+            return self.event
+        bound = "EXCEEDS" if self.bound == "above" else "BELOW"
+        return " ".join(filter(None, (self.measure, self.along and f"ALONG {self.along}", bound)))
+
+    @property
+    def sentence(self) -> str:
+        """The same with the figure."""
+        return self.words + (f" {self.quantity.value:g} {self.quantity.unit.upper()}" if self.quantity else "")
+
 
 class ReflexItem(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """UNLESS condition THEN action [AND TRY script] (A8)."""
@@ -66,6 +79,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     forces: bool = False
     pose: bool = False
     every_s: float | None = None  # period of event reports
+    when: list[Condition] = []  # one report at the first moment of each step in which it is true
 
 
 BOTH_ARMS = "BOTH-ARMS"  # in the place of a hand: every arm

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
 import msgspec
 
-from rtc.language.record import ParsedCommand, ReflexItem
+from rtc.language.record import Condition, ParsedCommand, ReflexItem
 from rtc.protocol.outcomes import Measured, Outcome, Reflex, Refusal, StopReason
 from rtc.protocol.primitive import Primitive
 
@@ -132,7 +132,7 @@ class Phase(StrEnum):
 class ProgressNote(Message, frozen=True, kw_only=True):
     """One event in the journey of a command; also one line of a trace."""
 
-    seq: int  # number in the broker's event stream; 0: a report of REPORT EVERY, outside that stream
+    seq: int  # number in the broker's event stream; 0: a report of EVERY or WHEN, outside that stream
     at_s: float
     command: str
     phase: Phase  # the phase it is in now
@@ -191,6 +191,8 @@ class CommandRecord(Message, frozen=True, kw_only=True):
     notes: list[ProgressNote] = []
     outcome: Outcome | None = None
     ended_at_s: float | None = None
+    reports: list[ProgressNote] = []  # the latest reports of EVERY and WHEN; the broker that sent them keeps some
+    reports_older: int = 0  # number of those before them
 
 
 class TraceReply(Message, frozen=True, kw_only=True):
@@ -425,6 +427,7 @@ class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     limits: Limits = Limits()
     guarded: bool = False
     reflexes: list[ReflexItem] = []
+    report_when: list[Condition] = []
     fits: dict[int, list[StopReason]] = {}  # entry of the trimming stack -> failures it may correct; empty = any
     # Facts stated by the sentence itself, by key, SI.
     stated: dict[str, Any] = msgspec.field(default_factory=dict, name="told")
@@ -597,13 +600,16 @@ class Started(Message, frozen=True, kw_only=True):
 
 
 class ProgressReport(Message, frozen=True, kw_only=True):
-    """A report during a motion, at the period requested in R."""
+    """A report during a motion: at the period requested in R, or because a condition of R is true."""
 
     primitive: str
     at_s: float
     joints: list[float]
     wrench: list[float]
     tcp_pose: list[float]
+    condition: int | None = None  # number of the condition; None: a periodic report
+    measured: float | None = None  # what the condition compares
+    limit: float | None = None
 
 
 class EndReport(Message, frozen=True, kw_only=True):

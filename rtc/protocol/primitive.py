@@ -297,10 +297,22 @@ class StopFunction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     back_off_m: float = 0.0  # for BACK_OFF: back along the path
 
 
+class ReportCondition(msgspec.Struct, frozen=True, kw_only=True):
+    """A condition that is reported and does not stop: once, at the first moment in which it is true."""
+
+    n: int  # number of the condition in the sentence, from 0; several predicates may share it
+    when: Predicate
+
+    def __post_init__(self) -> None:
+        if isinstance(self.when, GoalReached):
+            raise ValueError("the goal is in the end report")
+
+
 class Reporting(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """R: additions to the standard end report, which always has joints, wrench and reason (R65)."""
 
     every_s: float | None = None  # progress reports at this period
+    when: list[ReportCondition] = []  # at most one report for each `n`
 
 
 class StartAfter(msgspec.Struct, frozen=True, kw_only=True):

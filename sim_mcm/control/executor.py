@@ -82,6 +82,7 @@ class Executor:
         self._touched_before: dict[str, float] = {}
         self._peaks = Peaks()
         self._report_every: int | None = None
+        self._report_when: stop_functions.Reports = []  # not reported yet
         self._yielded = self._releasing = False
         self._leaning_ticks = 0
         self._stopped_at_s = 0.0  # time along the trajectory, of the latest stop
@@ -210,6 +211,7 @@ class Executor:
     def _execute(self, now_s: float) -> Reports:
         moment = self._moment()
         self._peaks.take(moment.force_n, moment.torque_nm)
+        reports = self._conditions_met(moment, now_s)
         found = stop_functions.first(self._stops, moment)
         if found is not None:
             stop, (measured, limit, words) = found
@@ -222,10 +224,22 @@ class Executor:
                 message=words,
             )
             self._trip(trip, Trigger.TRIPPED)
-            return self._stop(now_s)
+            return reports + self._stop(now_s)
         if self._report_every is not None and self._ticks % self._report_every == 0:
-            return [self._progress(now_s)]
-        return []
+            reports.append(self._progress(now_s))
+        return reports
+
+    def _conditions_met(self, moment: stop_functions.Moment, now_s: float) -> Reports:
+        """A report for each condition of R that is true for the first time."""
+        met: dict[int, m.ProgressReport] = {}
+        for n, check in self._report_when:
+            if (finding := check(moment)) is not None and n not in met:
+                measured, limit, _ = finding
+                progress = self._progress(now_s)
+                met[n] = msgspec.structs.replace(progress, condition=n, measured=measured, limit=limit)
+        if met:
+            self._report_when = [(n, check) for n, check in self._report_when if n not in met]
+        return list(met.values())
 
     def _begin_stopping(self) -> None:
         assert self.primitive is not None
@@ -351,6 +365,7 @@ class Executor:
             if why:
                 return why
             stops = stop_functions.compile_stops(primitive, self.arm.traits)
+            conditions = stop_functions.compile_reports(primitive, self.arm.traits)
             if any(stop.reflex is Reflex.COMPLY for stop in primitive.stop_functions):
                 self.arm.use_law(_limp(primitive.control_law))  # an arm that cannot comply refuses here
             self.arm.use_law(primitive.control_law)
@@ -358,7 +373,7 @@ class Executor:
             return str(error)
         except Exception as error:  # a bad primitive must not end the process that controls the other arm
             return f"it cannot be checked: {type(error).__name__}: {error}"
-        self._stops = stops
+        self._stops, self._report_when = stops, conditions
         return ""
 
     def _within_limits(self, command: Motion) -> bool:

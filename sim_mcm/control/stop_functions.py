@@ -77,10 +77,23 @@ def compile_stops(primitive: p.Primitive, traits: Traits) -> Stops:
     """The checks of a primitive by priority. Raises ValueError for a condition that cannot be checked."""
     stops: Stops = []
     for stop in p.in_priority([*primitive.stop_functions, *always(primitive)]):
-        for problem in _problems(stop):
+        for problem in _problems(stop.when):
             raise ValueError(problem)
         stops.append((stop, CHECKS[type(stop.when)](stop.when, traits)))
     return stops
+
+
+Reports = list[tuple[int, Check]]
+
+
+def compile_reports(primitive: p.Primitive, traits: Traits) -> Reports:
+    """The conditions of R with their numbers. Raises ValueError for one that cannot be checked."""
+    conditions: Reports = []
+    for condition in primitive.reporting.when:
+        for problem in _problems(condition.when):
+            raise ValueError(problem)
+        conditions.append((condition.n, CHECKS[type(condition.when)](condition.when, traits)))
+    return conditions
 
 
 def first(stops: Stops, moment: Moment) -> tuple[p.StopFunction, Finding] | None:
@@ -334,10 +347,10 @@ CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
 LENGTHS = {"centre": 7, "attitude": 4}  # of lists; all others have three numbers
 
 
-def _problems(stop: p.StopFunction) -> Iterator[str]:
+def _problems(when: p.Predicate) -> Iterator[str]:
     """Errors that the types do not exclude."""
-    kind = type(stop.when).__name__
-    for field, value in msgspec.structs.asdict(stop.when).items():
+    kind = type(when).__name__
+    for field, value in msgspec.structs.asdict(when).items():
         if isinstance(value, list) and len(value) != LENGTHS.get(field, 3):
             yield f"{kind}.{field}: {LENGTHS.get(field, 3)} numbers are needed, not {len(value)}"
         numbers = value if isinstance(value, list) else [] if value is None else [value]

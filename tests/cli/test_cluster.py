@@ -135,7 +135,7 @@ def test_trace_and_why_tell_the_story(rtc: Run) -> None:
 
 def test_why_without_a_number_is_of_the_last_command_and_log_lists_it(rtc: Run) -> None:
     number = last_json(rtc("do", "STOW RIGHT-ARM", "--json"))["results"][0]["command"]
-    log = last_json(rtc("log", "-n", "2", "--json"))["commands"]
+    log = last_json(rtc("log", "-n", "3", "--json"))["commands"]
 
     assert last_json(rtc("why", "--json"))["command"] == number
     assert last_json(rtc("trace", number.removeprefix("C-"), "--json"))["command"] == number
@@ -343,21 +343,30 @@ def test_without_a_terminal_an_interrupt_halts_the_commands(run_dir: Path) -> No
 def test_what_was_measured_is_reported_at_the_end_and_on_the_way(rtc: Run) -> None:
     held, stowed = (
         "HOLD LEFT-ARM FOR 2 SEC REPORT FORCES AND EVERY 0.5 SEC",
-        "STOW LEFT-ARM REPORT POSE AND JOINTS AFTER LAST",
+        "STOW LEFT-ARM REPORT POSE AND JOINTS AND WHEN DISTANCE EXCEEDS 1 CM AFTER LAST",
     )
-    done = rtc("do", "--parallel", held, stowed, "--json")
-    first, second = last_json(done)["results"]
+    done = rtc("do", "--parallel", held, stowed, "HOLD RIGHT-ARM FOR 0.1 SEC", "--json")
+    first, second, brief = last_json(done)["results"]
 
     assert done.returncode == 0, done.stdout + done.stderr
     assert 3 <= len(first["reports"]) <= 4  # of two seconds, in the time of the arms
     assert all(set(one) == {"at_s", "arm", "wrench"} for one in first["reports"])
     assert set(first["measured"]) == {"arm", "wrench", "peak_force_n", "peak_torque_nm"}
     assert (len(second["measured"]["tcp_pose"]), len(second["measured"]["joints"])) == (7, 6)
-    assert "reports" not in second
+    assert [(one["when"].partition(": ")[0], len(one["joints"])) for one in second["reports"]] == [
+        ("DISTANCE EXCEEDS 0.01 M", 6)
+    ]
+    assert {row["command"]: row["reports"] for row in last_json(rtc("log", "-n", "2", "--json"))["commands"]} == {
+        first["command"]: len(first["reports"]),
+        second["command"]: 1,
+        brief["command"]: 0,
+    }
+    assert "DISTANCE EXCEEDS 0.01 M: " in rtc("trace", second["command"]).stdout
     why = last_json(rtc("why", second["command"], "--json"))
     assert why["outcome"]["measured"] == second["measured"]
     trace = last_json(rtc("trace", first["command"], "--json"))
     assert next(note["expected_s"] for note in trace["notes"] if note["phase"] == "executing") == 2.0
+    assert len(trace["notes"]) == len(last_json(rtc("trace", brief["command"], "--json"))["notes"])  # R57
     assert any(f"waits for {first['command']}" in line for line in why["chain"])
 
 

@@ -6,7 +6,7 @@ import io
 
 from rich.console import Console
 
-from rtc.cli.progress import Board, print_result
+from rtc.cli.progress import REPORTS_KEPT, Board, print_result
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Measured, Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
 
@@ -52,7 +52,27 @@ def test_a_step_says_how_long_it_takes_and_reports_are_lines_of_their_own() -> N
 
     lines = [line.split(" s  ", 1)[-1] for line in text.getvalue().splitlines()]
     assert lines[1:] == ["C-7  executing   1 of 1: go  about 4.2 s", "C-7  LEFT-ARM joints: 0.0 deg"]
-    assert [measured.joints for _, measured in board.reports["C-7"]] == [[0.0]]
+    assert [report.measured.joints for report in board.reports["C-7"]] == [[0.0]]
+
+
+def test_a_condition_that_was_met_is_a_line_and_old_reports_are_counted() -> None:
+    out, text = plain()
+    measured = Measured(arm="LEFT-ARM", joints=[0.0])
+    note = m.ProgressNote(
+        seq=0, at_s=0.0, command="C-7", phase=m.Phase.EXECUTING, note="FORCE EXCEEDS 5 N: 6 N", measured=measured
+    )
+    with Board(["X"], out=out) as board:
+        board.accepted(0, "C-7")
+        board.progress(note)
+        board.quiet = True
+        for _ in range(REPORTS_KEPT):
+            board.progress(note)
+
+    assert [line.split(" s  ", 1)[-1] for line in text.getvalue().splitlines()[1:]] == [
+        "C-7  FORCE EXCEEDS 5 N: 6 N",
+        "C-7  LEFT-ARM joints: 0.0 deg",
+    ]
+    assert (len(board.reports["C-7"]), board.reports_older["C-7"]) == (REPORTS_KEPT, 1)
 
 
 def test_a_warning_is_a_line_although_the_phase_passes() -> None:

@@ -419,7 +419,10 @@ def primitive(
         trajectory=trajectory,
         stop_functions=stops,
         control_law=control_law(stop_class, values, trajectory, load, str(task.data.step.args.get("axis", "TOOL-Z"))),
-        reporting=Reporting(every_s=float(every_s) if every_s is not None else None),
+        reporting=Reporting(
+            every_s=float(every_s) if every_s is not None else None,
+            when=stop_conditions.reported(task.data, task.query, values),
+        ),
     )
     return BoundStep(
         subsystem=SUBSYSTEM,

@@ -24,6 +24,7 @@ from rtc.protocol.primitive import (
     HandWidthBelow,
     JointMarginBelow,
     Predicate,
+    ReportCondition,
     StopFunction,
     TcpFar,
     TcpNear,
@@ -160,23 +161,37 @@ def reason_of(condition: Condition) -> StopReason | None:
 
 def refuse_unsupported(reflex: ReflexItem, about_object: bool) -> Refusal | None:
     """Refuse a reflex that cannot be performed; None if it can. `about_object`: the command names an object."""
-    words = _words(reflex.condition)
-    if _row(reflex.condition) is None:
+    problem = refuse_condition(reflex.condition, about_object)
+    if problem is not None or reflex.action in ACTIONS:
+        return problem
+    word = reflex.action.upper().replace("_", "-")
+    return _no(f"THEN {word} is not supported", [action.upper().replace("_", "-") for action in ACTIONS])
+
+
+def refuse_condition(condition: Condition, about_object: bool, word: str = "UNLESS") -> Refusal | None:
+    """Refuse a condition that the motion loop does not measure; None if it does. `word`: that introduces it."""
+    words = f"{word} {condition.words}"
+    if _row(condition) is None:
         known = [*EVENTS, *(f"{measure} {bound}" for measure, bound in MEASURES)]
-        return _no(f"UNLESS {words}: nothing in the motion loop measures that", known)
-    if reflex.action not in ACTIONS:
-        word = reflex.action.upper().replace("_", "-")
-        done = [action.upper().replace("_", "-") for action in ACTIONS]
-        return _no(f"THEN {word} is not supported", done)
-    if reflex.condition.measure == "GRIP-FORCE" and reflex.condition.along is not None:
-        return _no(f"UNLESS {words}: the fingers press along one axis only", [], "leave out ALONG and its axis")
-    if reflex.condition.measure == "DISTANCE" and reflex.condition.bound == "below" and not about_object:
-        message = f"UNLESS {words} measures the distance to the object of the command, but this command names none"
-        return _no(message, [], "leave it out, or use a verb that takes an object")
-    along = reflex.condition.along
-    if along is not None and along not in axes.AXES:
-        return suggestions.unknown("axis", along, axes.AXES, where=f"UNLESS {words}")
+        return _no(f"{words}: nothing in the motion loop measures that", known, word=word)
+    if condition.measure == "GRIP-FORCE" and condition.along is not None:
+        return _no(f"{words}: the fingers press along one axis only", [], "leave out ALONG and its axis", word)
+    if condition.measure == "DISTANCE" and condition.bound == "below" and not about_object:
+        message = f"{words} measures the distance to the object of the command, but this command names none"
+        return _no(message, [], "leave it out, or use a verb that takes an object", word)
+    if condition.along is not None and condition.along not in axes.AXES:
+        return suggestions.unknown("axis", condition.along, axes.AXES, where=words)
     return None
+
+
+def report_conditions(conditions: list[Condition], state: StepState) -> list[ReportCondition]:
+    """Build the conditions of REPORT WHEN for one step, numbered as in the sentence."""
+    made = []
+    for n, condition in enumerate(conditions):
+        row = _row(condition)
+        assert row is not None, condition
+        made += [ReportCondition(n=n, when=when) for when in row[1](condition, state)]
+    return made
 
 
 def stop_functions(reflexes: list[ReflexItem], state: StepState) -> list[StopFunction]:
@@ -202,15 +217,10 @@ def _row(condition: Condition) -> tuple[StopReason, Maker] | None:
     return MEASURES.get((condition.measure or "", condition.bound or ""))
 
 
-def _words(condition: Condition) -> str:
-    if condition.event is not None:
-        return condition.event
-    bound = "EXCEEDS" if condition.bound == "above" else "BELOW"
-    return " ".join(filter(None, (condition.measure, condition.along and f"ALONG {condition.along}", bound)))
-
-
-def _no(message: str, expected: list[str], clears: str = "leave it out, or use one of those expected") -> Refusal:
-    return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where="UNLESS", expected=expected, clears=clears)
+def _no(
+    message: str, expected: list[str], clears: str = "leave it out, or use one of those expected", word: str = "UNLESS"
+) -> Refusal:
+    return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where=word, expected=expected, clears=clears)
 
 
 # --- evaluation of a report ------------------------------------------------------------------------------
@@ -228,9 +238,7 @@ def find_requested(reflexes: list[ReflexItem], report: EndReport) -> ReflexItem 
 
 def in_words(reflex: ReflexItem) -> str:
     """The reflex in the words of a sentence."""
-    quantity = reflex.condition.quantity
-    figure = f" {quantity.value:g} {quantity.unit.upper()}" if quantity else ""
-    return f"UNLESS {_words(reflex.condition)}{figure} THEN {reflex.action.upper().replace('_', '-')}"
+    return f"UNLESS {reflex.condition.sentence} THEN {reflex.action.upper().replace('_', '-')}"
 
 
 def describe_action(report: EndReport) -> str:

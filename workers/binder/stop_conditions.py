@@ -23,6 +23,7 @@ from rtc.protocol.primitive import (
     HandWidthBelow,
     JointMarginBelow,
     Predicate,
+    ReportCondition,
     SpeedAbove,
     StopFunction,
     TcpInside,
@@ -129,11 +130,19 @@ def maintained(data: BinderInput, query: WorldQuery, values: Values) -> list[Sto
 
 def from_command(data: BinderInput, query: WorldQuery, values: Values) -> list[StopFunction]:
     """Stop functions of the command's UNLESS ... THEN ... for this step."""
+    return reflexes.stop_functions(data.context.reflexes, _state(data, query, values))
+
+
+def reported(data: BinderInput, query: WorldQuery, values: Values) -> list[ReportCondition]:
+    """Conditions of the command's REPORT WHEN for this step."""
+    return reflexes.report_conditions(data.context.report_when, _state(data, query, values))
+
+
+def _state(data: BinderInput, query: WorldQuery, values: Values) -> reflexes.StepState:
     context = data.context
-    state = reflexes.StepState(
+    return reflexes.StepState(
         values=values,
         hand_pose=query.tcp(context.arm),
         holding=bool(query.holding(context.arm)),
         object_at=query.frame(context.object)[:3].tolist() if context.object else None,
     )
-    return reflexes.stop_functions(context.reflexes, state)

@@ -79,6 +79,10 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
         problem = reflexes.refuse_unsupported(reflex, parsed.object is not None)
         if problem is not None:
             return problem
+    for condition in parsed.report.when if parsed.report else ():
+        problem = reflexes.refuse_condition(condition, parsed.object is not None, "REPORT WHEN")
+        if problem is not None:
+            return problem
     query = WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving)
     if parsed.kind == "data":
         return set_fact.script(program, compiled.scripts[branches[0].script], parsed, query)
@@ -327,6 +331,7 @@ def _context(option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]
         limits=candidate.limits,
         guarded=candidate.parsed.guarded,
         reflexes=candidate.parsed.reflexes,
+        report_when=candidate.parsed.report.when if candidate.parsed.report else [],
         fits={entry.n: entry.fits for entry in entries if entry.fits},
     )
 

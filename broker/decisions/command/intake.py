@@ -52,10 +52,10 @@ def _broker_refusal(command: Command, head: ParsedHead) -> Refusal | None:
         message = f"{word} {LAST}: this client has given no command before this one"
         clears = f"give the number: {word} C-n (`rtc log` lists the commands), or leave it out"
         return Refusal(reason=RefusalReason.NAME, message=message, where=LAST, clears=clears)
-    if head.report is not None and head.report.every_s is not None and not command.progress:
-        message = "REPORT EVERY: this client does not take progress notes, so the reports would not be delivered"
-        clears = "wait for the command (rtc do without --no-wait; on_progress in Python), or leave out EVERY"
-        return Refusal(reason=RefusalReason.STATE, message=message, where="EVERY", clears=clears)
+    if head.report is not None and (word := head.report.in_motion) and not command.progress:
+        message = f"REPORT {word}: this client does not take progress notes, so the reports would not be delivered"
+        clears = f"wait for the command (rtc do without --no-wait; on_progress in Python), or leave out {word}"
+        return Refusal(reason=RefusalReason.STATE, message=message, where=word, clears=clears)
     return None
 
 

@@ -33,6 +33,8 @@ from broker.router.client_messages import QUERIES_PER_S
 from broker.router.egress import NOTES_PER_S, REFUSALS_PER_S
 from broker.router.halts import CALLERS_KEPT, HALTS_OF_CALLER
 from broker.router.loop import ORPHAN_LIMIT_S, Router
+from broker.router.recent_reports import COMMANDS, REPORTS, RecentReports
+from rtc.language.record import Condition, Quantity
 from rtc.programs import loader
 from rtc.programs.digest import digest
 from rtc.programs.sandbox import Asked, Checked
@@ -535,6 +537,36 @@ def test_periodic_reports_are_bounded(reporting: Bench) -> None:
     reporting.send("subsystems", b"MCM", *[progress()] * (2 * MOST_PER_S))
     assert len(forwarded(reporting)) == MOST_PER_S
     assert reporting.router.core.dropped["reports"] == MOST_PER_S
+
+
+def test_a_condition_goes_to_the_client_in_the_words_of_its_sentence(reporting: Bench) -> None:
+    force = Condition(measure="FORCE", bound="above", quantity=Quantity(5.0, "N"))
+    head = ReportHead(joints=True, when=[Condition(event="CONTACT"), force])
+    reporting.state.commands["C-1"].head = ParsedHead(kind="task", verb="STOW", report=head)
+
+    met = {"measured": 6.0, "limit": 5.0}
+    reports = [msgspec.structs.replace(progress(), condition=n, **met) for n in (1, 0, 2)]
+    reporting.send("subsystems", b"MCM", *reports)
+
+    assert [note.note for note in forwarded(reporting)] == ["FORCE EXCEEDS 5 N: 6 N", "CONTACT: 6"]
+
+
+def test_the_latest_reports_are_in_the_trace_and_older_ones_counted(reporting: Bench) -> None:
+    reporting.send("subsystems", b"MCM", *[progress()] * (REPORTS + 3))
+    (reply,) = reporting.send("front", b"bob", m.TraceQuery(request="q", command="C-1"))
+    assert (len(reply.record.reports), reply.record.reports_older) == (REPORTS, 3)
+    assert reply.record.reports[0].measured.joints == [0.5]
+
+
+def test_reports_are_kept_of_the_latest_commands_only() -> None:
+    kept = RecentReports()
+    for n in range(COMMANDS + 1):
+        kept.keep(m.ProgressNote(seq=0, at_s=0.0, command=f"C-{n}", phase=m.Phase.EXECUTING))
+    records = [
+        m.CommandRecord(command=f"C-{n}", text="", source="", request="", accepted_at_s=0.0, phase=m.Phase.ENDED)
+        for n in range(COMMANDS + 1)
+    ]
+    assert [len(kept.add_to(record).reports) for record in records] == [0] + [1] * COMMANDS
 
 
 def test_the_status_tells_how_old_the_list_of_processes_is(supervised: Bench) -> None:

@@ -115,6 +115,39 @@ def test_progress_is_reported_at_its_period_and_only_if_asked(rig) -> None:
     assert len(rig.sent) == 2  # Started and the end, however long it takes (R57)
 
 
+def conditions(*when: p.Predicate) -> p.Reporting:
+    return p.Reporting(when=[p.ReportCondition(n=n, when=predicate) for n, predicate in enumerate(when)])
+
+
+def test_a_condition_is_reported_once_and_stops_nothing(rig) -> None:
+    rig.accept(rig.swing(reporting=conditions(p.ForceAbove(limit_n=5.0), p.TimeAbove(0.4), p.ForceAbove(limit_n=50.0))))
+    rig.tick(100)
+    for force in (6.0, 0.0, 7.0, 0.0):
+        rig.arm.wrench[0] = force
+        rig.tick(50)
+    assert rig.until_end().reason is StopReason.GOAL
+
+    reports = [sent for sent in rig.sent if isinstance(sent, m.ProgressReport)]
+    assert [(one.condition, one.limit) for one in reports] == [(0, 5.0), (1, 0.4)]
+    assert (reports[0].measured, reports[0].wrench[0]) == (6.0, 6.0)
+
+
+def test_a_condition_of_two_predicates_is_reported_once(rig) -> None:
+    both = [p.ReportCondition(n=0, when=p.TimeAbove(limit_s)) for limit_s in (0.1, 0.2)]
+    rig.accept(rig.swing(reporting=p.Reporting(when=both)))
+    rig.until_end()
+    assert sum(isinstance(sent, m.ProgressReport) for sent in rig.sent) == 1
+
+
+def test_what_stops_a_motion_is_reported_before_its_end(rig, make) -> None:
+    limit = make.stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=5.0))
+    rig.accept(rig.swing(limit, reporting=conditions(p.ForceAbove(limit_n=5.0))))
+    rig.tick(100)
+    rig.arm.wrench[0] = 6.0
+    rig.until_end()
+    assert [type(sent) for sent in rig.sent] == [m.Started, m.ProgressReport, m.EndReport]
+
+
 # --- refusals --------------------------------------------------------------------------------------------
 
 
@@ -160,6 +193,7 @@ def _bad(rig, make, kind: str) -> p.Primitive:
         "wide": lambda: make.primitive(p.HandMotion(width_m=0.2, force_n=10.0)),
         "strong": lambda: make.primitive(p.HandMotion(width_m=0.0, force_n=500.0)),
         "period": lambda: make.primitive(swing, reporting=p.Reporting(every_s=0.0)),
+        "not finite": lambda: make.primitive(swing, reporting=conditions(p.ForceAbove(limit_n=float("nan")))),
     }[kind]()
 
 

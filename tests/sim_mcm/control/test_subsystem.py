@@ -64,6 +64,21 @@ def test_the_same_primitive_is_never_executed_twice(bench, swing) -> None:
     assert bench.subsystem.idle
 
 
+def test_the_messages_of_a_motion_do_not_depend_on_its_duration(cell, make, swing) -> None:
+    """R57. Only EVERY sends more of a longer motion."""
+    when = [p.ReportCondition(n=n, when=p.TimeAbove(0.1 * n)) for n in range(3)]
+    sent = {}
+    for n, (duration_s, reporting) in enumerate(
+        [(1.0, p.Reporting()), (5.0, p.Reporting()), (1.0, p.Reporting(when=when)), (5.0, p.Reporting(when=when))]
+    ):
+        bench = make.Bench(KinematicCell(cell))
+        bench.perform(msgspec.structs.replace(swing(f"C-{n}.1", duration_s=duration_s), reporting=reporting))
+        sent[duration_s, bool(reporting.when)] = [type(message) for _, message in bench.sent]
+    plain = [m.Started, m.EndReport]
+    assert sent[1.0, False] == sent[5.0, False] == plain
+    assert sent[1.0, True] == sent[5.0, True] == [m.Started, *[m.ProgressReport] * 3, m.EndReport]
+
+
 @pytest.mark.parametrize("ticks", [500, 1100], ids=["while it is done", "when it is done"])
 def test_another_primitive_of_a_known_id_is_refused_and_not_answered_from_memory(bench, swing, ticks: int) -> None:
     bench.handle(m.Execute(primitive=swing()))
