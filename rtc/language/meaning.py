@@ -74,6 +74,8 @@ MEASURES: dict[str, Takes] = {
     "TORQUE": Takes(("N.m",), "not negative"),
     "GRIP-FORCE": Takes(("N",), "not negative"),
     "DISTANCE": Takes(("m",), "not negative"),
+    "CLEARANCE": Takes(("m",)),
+    "TURN": Takes(("rad", "turn")),
 }
 
 ARMS = {"LEFT-END-EFF": "LEFT-ARM", "RIGHT-END-EFF": "RIGHT-ARM"}

@@ -35,8 +35,8 @@ class Destination(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 class Condition(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """An event, or a measured value beyond a bound. Either `event` or (`measure`, `bound`, `quantity`)."""
 
-    event: str | None = None  # CONTACT NO-CONTACT COLLISION SLIP OBJECT-LOST JOINT-LIMIT TIMEOUT
-    measure: str | None = None  # FORCE TORQUE GRIP-FORCE DISTANCE
+    event: str | None = None  # CONTACT NO-CONTACT COLLISION SLIP OBJECT-LOST JOINT-LIMIT TIMEOUT NO-PROGRESS
+    measure: str | None = None  # FORCE TORQUE GRIP-FORCE DISTANCE CLEARANCE TURN
     along: str | None = None  # axis of the measure; None = magnitude
     bound: Literal["above", "below"] | None = None
     quantity: Quantity | None = None

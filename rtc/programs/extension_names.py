@@ -80,6 +80,8 @@ PREDICATES = (
     "body-touch",
     "grip-force-below",
     "hand-width-below",
+    "no-progress",
+    "turn-above",
 )
 #: analyzer: effects of success on the world, and values of a report that a step may keep
 EFFECTS = ("taken", "let_go", "let_drift", "still_held", "verified", "felt", "pinched", "passed", "landed")

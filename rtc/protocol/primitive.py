@@ -263,6 +263,43 @@ class TcpTurned(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-turned"):
     limit_rad: float
 
 
+class TurnAbove(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="turn-above"):
+    """A turn since the start of the primitive, either way: whole turns are counted.
+
+    Without a point: of the hand about `axis`, or by the whole change of its attitude (at most pi). With a point: of the
+    tcp round the line through it along `axis`, such as a hinge.
+    """
+
+    limit_rad: float
+    axis: Vector | None = None  # unit vector, world
+    point: Vector | None = None  # world, m; needs an axis
+
+    def __post_init__(self) -> None:
+        if self.point is not None and self.axis is None:
+            raise ValueError("a turn round a point needs an axis")
+
+
+class JointTurnAbove(msgspec.Struct, frozen=True, kw_only=True, tag="joint-turn-above"):
+    """A joint has turned, either way, by more than this since the start of the primitive."""
+
+    joint: int  # index, from the base
+    limit_rad: float
+
+
+class ClearanceBelow(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="clearance-below"):
+    """A link of the arm, the palm or a finger is nearer than this to another body, without what the fingers hold.
+
+    A body that is that near at the start counts once it has been farther. Filter: measured every 20 ms.
+    """
+
+    limit_m: float
+    except_near: list[Vector] = []  # balls [x y z radius] (m, world): a nearest point inside one does not count
+
+    def __post_init__(self) -> None:
+        if any(len(ball) != 4 for ball in self.except_near):
+            raise ValueError("a ball has a centre of 3 numbers and a radius")
+
+
 Predicate = (
     GoalReached
     | TimeAbove
@@ -285,6 +322,9 @@ Predicate = (
     | TcpOutside
     | TcpInside
     | TcpTurned
+    | TurnAbove
+    | JointTurnAbove
+    | ClearanceBelow
 )
 
 

@@ -19,6 +19,7 @@ from rtc.robot.kinematics import ArmModel
 
 TICK_S = 0.001  # period of the servo and of the simulation
 
+Near = tuple[float, Sequence[float], str]  # distance (m), nearest point of the body (world), "LINK near BODY"
 Motion = tuple[list[float], list[float], list[float]]  # joints (rad), velocities, accelerations
 
 
@@ -117,6 +118,9 @@ class ArmInterface(Protocol):
 
     def arm_touches(self) -> Mapping[str, float]:
         """Contacts of the arm or its hand with other arms: "LINK touches ARM LINK" -> normal force (N)."""
+
+    def near(self, within_m: float) -> Sequence[Near]:
+        """Bodies within a distance of the arm's links, its palm or a finger, without what the fingers hold."""
 
 
 class Simulation(Protocol):

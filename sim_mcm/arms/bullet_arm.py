@@ -19,7 +19,7 @@ from rtc.protocol.primitive import ControlLaw, Load
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
-from sim_mcm.arms.arm import ArmState, CellState, HandCommand, Motion, Sample, Traits
+from sim_mcm.arms.arm import ArmState, CellState, HandCommand, Motion, Near, Sample, Traits
 from sim_mcm.arms.bullet_world import PhysicsWorld
 from sim_mcm.arms.detents import Detents
 from sim_mcm.arms.hand import Hand, pressed
@@ -31,7 +31,7 @@ FINGER_FRICTION = 1.0
 SPINNING_FRICTION = 0.012  # m, of a soft pad; a smaller value lets a module turn between the pads
 SEATED_M = 0.02  # maximum distance from the seated place at which a module counts as seated
 NOTHING: Mapping[str, float] = {}
-BODY_B, LINK_A, LINK_B, NORMAL_FORCE = 2, 3, 4, 9  # fields of a contact point
+BODY_B, LINK_A, LINK_B, ON_B, DISTANCE, NORMAL_FORCE = 2, 3, 4, 6, 8, 9  # fields of a contact point
 
 
 class HandWeight(NamedTuple):
@@ -150,6 +150,17 @@ class BulletArm:
 
     def link_name(self, index: int) -> str:
         return self._links.get(index, "base")
+
+    def near(self, within_m: float) -> Sequence[Near]:
+        own = {self.body, *self.pressed_on()}
+        found = []
+        for body, name in self._world.names.items():
+            if body in own:
+                continue
+            for point in pybullet.getClosestPoints(self.body, body, within_m, physicsClientId=self._client):
+                if point[LINK_A] >= 0 and point[DISTANCE] < within_m:
+                    found.append((point[DISTANCE], point[ON_B], f"{self.link_name(point[LINK_A])} near {name}"))
+        return found
 
     # --- simulation step --------------------------------------------------------------------------------
 

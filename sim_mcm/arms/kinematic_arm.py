@@ -25,7 +25,7 @@ from rtc.robot.bodies import COAL_SHAPES
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms import control_laws
-from sim_mcm.arms.arm import TICK_S, ArmState, CellState, HandCommand, Motion, Sample, Traits
+from sim_mcm.arms.arm import TICK_S, ArmState, CellState, HandCommand, Motion, Near, Sample, Traits
 from sim_mcm.arms.hand import CENTRE_N_M
 from sim_mcm.arms.kinematic_seats import Seats
 
@@ -203,6 +203,9 @@ class KinematicArm:
 
     def arm_touches(self) -> Mapping[str, float]:
         return {}  # exact arms pass through each other
+
+    def near(self, within_m: float) -> Sequence[Near]:
+        return ()  # left out like the touches of links
 
     @property
     def pose(self) -> Array:

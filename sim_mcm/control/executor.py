@@ -448,6 +448,7 @@ class Executor:
             lambda: self.arm.tcp_pose(self._command[0]),
             self._tcp_speed_m_s,
             self._arm_touch,
+            self.arm.near,
         )
 
     def _tcp(self) -> Array:

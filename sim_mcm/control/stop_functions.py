@@ -1,8 +1,8 @@
 """Stop functions: the stop conditions of a primitive, compiled to memoryless checks (F in the paper; R66, A21).
 
 `compile_stops` returns the checks in their fixed priority; `first` returns the first one that is true, and only that
-one (R83). A check sees the current `Moment` only, except `_Fallen`, which remembers that a value has been high. The
-executor carries out the reflex (stop, retreat, comply).
+one (R83). A check sees the current `Moment` only, except those that compare it with the start of the primitive, and
+`_Fallen`, which remembers that a value has been high. The executor carries out the reflex (stop, retreat, comply).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
-from sim_mcm.arms.arm import TICK_S, Traits
+from sim_mcm.arms.arm import TICK_S, Near, Traits
 
 Finding = tuple[float | None, float | None, str]  # measured, limit, words
 
@@ -41,6 +41,7 @@ class Moment(msgspec.Struct):
     commanded_tcp: Callable[[], Array]
     tcp_speed_m_s: Callable[[], float]
     arm_touch: Callable[[], str] = str  # contact with another arm, in words
+    near: Callable[[float], Sequence[Near]] = lambda within_m: ()  # bodies within a distance (m), see ArmInterface
 
 
 Check = Callable[[Moment], Finding | None]
@@ -50,6 +51,7 @@ Stops = list[tuple[p.StopFunction, Check]]
 # task. Greatest values measured in pybullet: 0.6 of a speed limit; 6 mrad of following error, placing a module.
 # A compliant arm is pushed away from its command on purpose, so its spring may be stretched further.
 RIGID_RAD, COMPLIANT_RAD = 0.1, 0.5
+NEAR_TICKS = 20  # interval of ClearanceBelow: a look for near bodies costs as much as three ticks
 
 
 def always(primitive: p.Primitive) -> list[p.StopFunction]:
@@ -290,6 +292,87 @@ def _no_progress(when: p.NoProgress, traits: Traits) -> Check:
     return check
 
 
+def _joint_turn(when: p.JointTurnAbove, traits: Traits) -> Check:
+    if not 0 <= when.joint < len(traits.joint_names):
+        raise ValueError(f"JointTurnAbove.joint: {traits.name} has no joint {when.joint}")
+    n, limit, name = when.joint, when.limit_rad, traits.joint_names[when.joint]
+    start: list[float] = []
+
+    def check(now: Moment) -> Finding | None:
+        if not start:
+            start.append(now.joints[n])
+        turned = abs(now.joints[n] - start[0])
+        return (turned, limit, f"{name} has turned by {math.degrees(turned):.1f} deg") if turned > limit else None
+
+    return check
+
+
+class _Turn:
+    """The turn since the first call, see TurnAbove."""
+
+    def __init__(self, when: p.TurnAbove) -> None:
+        self._when = when
+        self._last: Array | None = None
+        self._start: Array | None = None
+        self._turned = 0.0
+
+    def __call__(self, now: Moment) -> Finding | None:
+        turned = abs(self._turn(now.tcp()))
+        limit = self._when.limit_rad
+        return (turned, limit, f"it has turned by {math.degrees(turned):.1f} deg") if turned > limit else None
+
+    def _turn(self, tcp: Array) -> float:
+        if self._last is None or self._start is None:
+            self._last = self._start = tcp
+            return 0.0
+        when, last, self._last = self._when, self._last, tcp
+        if when.axis is None:
+            return geometry.angle(self._start, tcp)
+        if when.point is None:
+            self._turned += sum(a * b for a, b in zip(when.axis, geometry.rotation_vector(last, tcp), strict=True))
+        else:
+            self._turned += _angle_about(when.axis, _off(when.point, last), _off(when.point, tcp))
+        return self._turned
+
+
+def _off(point: Sequence[float], pose: Array) -> list[float]:
+    return [q - at for q, at in zip(pose[:3].tolist(), point, strict=True)]
+
+
+def _angle_about(axis: Sequence[float], before: Sequence[float], after: Sequence[float]) -> float:
+    """The signed angle from one direction to another, seen along the axis."""
+    (x, y, z), (a, b, c), (d, e, f) = axis, before, after
+    sine = x * (b * f - c * e) + y * (c * d - a * f) + z * (a * e - b * d)
+    along_before, along_after = x * a + y * b + z * c, x * d + y * e + z * f
+    return math.atan2(sine, a * d + b * e + c * f - along_before * along_after)
+
+
+class _Clearance:
+    """The nearest body, see ClearanceBelow."""
+
+    def __init__(self, when: p.ClearanceBelow) -> None:
+        self._limit, self._balls = when.limit_m, when.except_near
+        self._wait = 0
+        self._near_at_start: set[str] | None = None
+        self._found: Finding | None = None
+
+    def __call__(self, now: Moment) -> Finding | None:
+        if self._wait > 0:
+            self._wait -= 1
+            return self._found
+        self._wait = NEAR_TICKS - 1
+        near = {words: away for away, point, words in now.near(self._limit) if not self._excepted(point)}
+        if self._near_at_start is None:
+            self._near_at_start = set(near)
+        self._near_at_start &= near.keys()
+        words = min((name for name in near if name not in self._near_at_start), key=lambda name: near[name], default="")
+        self._found = (near[words], self._limit, f"{words}, {1e3 * near[words]:.0f} mm away") if words else None
+        return self._found
+
+    def _excepted(self, point: Sequence[float]) -> bool:
+        return any(math.dist(point, ball[:3]) < ball[3] for ball in self._balls)
+
+
 class _Fallen:
     """True when a value has been below its limit for some ticks, after it has been above `armed` once."""
 
@@ -341,16 +424,24 @@ CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
     p.TcpOutside: _outside,
     p.TcpInside: _inside,
     p.TcpTurned: _turned,
+    p.TurnAbove: lambda when, traits: _Turn(when),
+    p.JointTurnAbove: _joint_turn,
+    p.ClearanceBelow: lambda when, traits: _Clearance(when),
 }
 
 
 LENGTHS = {"centre": 7, "attitude": 4}  # of lists; all others have three numbers
+BALLS = "except_near"
 
 
 def _problems(when: p.Predicate) -> Iterator[str]:
     """Errors that the types do not exclude."""
     kind = type(when).__name__
-    for field, value in msgspec.structs.asdict(when).items():
+    fields = {field: value for field, value in msgspec.structs.asdict(when).items() if field != BALLS}
+    for n, ball in enumerate(getattr(when, BALLS, [])):
+        if not all(math.isfinite(x) for x in ball):
+            yield f"{kind}.{BALLS}[{n}]: not a finite number"
+    for field, value in fields.items():
         if isinstance(value, list) and len(value) != LENGTHS.get(field, 3):
             yield f"{kind}.{field}: {LENGTHS.get(field, 3)} numbers are needed, not {len(value)}"
         numbers = value if isinstance(value, list) else [] if value is None else [value]

@@ -20,7 +20,7 @@ from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms import control_laws
-from sim_mcm.arms.arm import TICK_S, HandCommand, Motion, Sample, Traits
+from sim_mcm.arms.arm import TICK_S, HandCommand, Motion, Near, Sample, Traits
 from sim_mcm.control.executor import Executor
 from sim_mcm.control.subsystem import BROKER, McmSubsystem
 
@@ -36,6 +36,7 @@ class SteeredArm:
         self.forces = (0.0, 0.0)
         self.leaning: dict[str, float] = {}  # "LINK touches BODY" -> N
         self.meeting: dict[str, float] = {}  # with another arm
+        self.around: list[Near] = []
         self.hand = HandCommand(0.08, 60.0, 0.05)
         self.width = 0.08
         self.lag = 0.0  # of the measured joints behind the commanded, rad
@@ -64,6 +65,9 @@ class SteeredArm:
 
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         return self.model.fk(joints)
+
+    def near(self, within_m: float) -> list[Near]:
+        return [(away, point, words) for away, point, words in self.around if away < within_m]
 
     def touches(self) -> dict[str, float]:
         return dict(self.leaning)

@@ -396,7 +396,7 @@ def primitive(
     values = {**values, "time_limit_s": limit_s}
     rows = [*stop_class.stops, *(task.program.holding if moves and evaluation.held else [])]
     stops: list[StopFunction] = stop_conditions.stop_functions(
-        rows, values, against, stop_conditions.from_command(task.data, task.query, values)
+        rows, values, against, stop_conditions.from_command(task.data, task.query, values), turn_line(task)
     )
     if isinstance(trajectory, JointTrajectory):
         stops += stop_conditions.maintained(task.data, task.query, values)
@@ -432,6 +432,20 @@ def primitive(
         limit_s=values["report_factor"] * limit_s + values["report_margin_s"],
         note=note,
     )
+
+
+def turn_line(task: BindTask) -> stop_conditions.Line:
+    """The line about which the step turns; of a step without an axis any change of attitude counts."""
+    step, query = task.data.step, task.query
+    axis, name = step.args.get("axis"), str(step.args.get("about", "HERE"))
+    if not isinstance(axis, str) and name == "HERE":
+        return stop_conditions.Line(None, None)
+    here = query.tcp(task.arm)
+    found = world_pose(task, task.data.bindings[name], name) if name in task.data.bindings else here.tolist()
+    if isinstance(found, Refusal):  # `target_of` has refused it
+        return stop_conditions.Line(None, None)
+    along = axes.direction(found, str(axis or "TOOL-Z"))
+    return stop_conditions.Line(along, found[:3] if name != "HERE" else None)
 
 
 def refuse_press(task: BindTask, stop_class: StopClass, values: Values) -> Refusal | None:

@@ -17,12 +17,14 @@ from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import Reflex, Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
     BodyTouch,
+    ClearanceBelow,
     ForceAbove,
     ForceBelow,
     GripForceAbove,
     GripForceBelow,
     HandWidthBelow,
     JointMarginBelow,
+    NoProgress,
     Predicate,
     ReportCondition,
     StopFunction,
@@ -31,6 +33,8 @@ from rtc.protocol.primitive import (
     TimeAbove,
     TorqueAbove,
     TorqueBelow,
+    TurnAbove,
+    Vector,
 )
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
@@ -48,10 +52,11 @@ ACTIONS: dict[str, Reflex] = {
 class StepState:
     """State of a step at binding: figures in force, tcp pose (world), position of the command's object (world, m)."""
 
-    values: dict[str, float]  # contact_n, lost_contact_n, joint_margin_rad, time_limit_s, held_width_m, back_off_m
+    values: dict[str, float]  # contact_n, lost_contact_n, joint_margin_rad, time_limit_s, held_width_m, jam_m ...
     hand_pose: Array
     holding: bool
     object_at: list[float] | None
+    beside: list[Vector]  # balls [x y z radius] round what the command may come near to
 
 
 Maker = Callable[[Condition, StepState], list[Predicate]]
@@ -74,6 +79,10 @@ def _lost(_: Condition, state: StepState) -> list[Predicate]:
     return [HandWidthBelow(state.values["held_width_m"] - state.values["lost_m"])] if state.holding else []
 
 
+def _jam(_: Condition, state: StepState) -> list[Predicate]:
+    return [NoProgress(behind_m=state.values["jam_m"], force_n=state.values["jam_n"])]
+
+
 #: event -> stop reason and constructor of its predicates (an empty list: nothing to monitor in this step)
 EVENTS: dict[str, tuple[StopReason, Maker]] = {
     "CONTACT": (StopReason.CONTACT, _contact),
@@ -82,13 +91,15 @@ EVENTS: dict[str, tuple[StopReason, Maker]] = {
     "SLIP": (StopReason.SLIP, _slip),
     "OBJECT-LOST": (StopReason.OBJECT_LOST, _lost),
     "JOINT-LIMIT": (StopReason.JOINT_LIMIT, lambda c, state: [JointMarginBelow(state.values["joint_margin_rad"])]),
+    "NO-PROGRESS": (StopReason.FORCE_LIMIT, _jam),
     "TIMEOUT": (StopReason.TIMEOUT, lambda c, state: [TimeAbove(state.values["time_limit_s"])]),
 }
 
 
 def _figure(condition: Condition) -> float:
+    """The figure of a condition as predicates have it: turns in rad."""
     assert condition.quantity is not None
-    return condition.quantity.value
+    return condition.quantity.value * (2.0 * math.pi if condition.quantity.unit == "turn" else 1.0)
 
 
 def _both_ways(condition: Condition, state: StepState) -> list[list[float] | None]:
@@ -133,6 +144,14 @@ def _far(condition: Condition, state: StepState) -> list[Predicate]:
     return [TcpFar(point=point, distance_m=_figure(condition), axis=_in_world(condition, state))]
 
 
+def _close(condition: Condition, state: StepState) -> list[Predicate]:
+    return [ClearanceBelow(limit_m=_figure(condition), except_near=state.beside)]
+
+
+def _turn(condition: Condition, state: StepState) -> list[Predicate]:
+    return [TurnAbove(limit_rad=_figure(condition), axis=_in_world(condition, state))]
+
+
 def _in_world(condition: Condition, state: StepState) -> list[float] | None:
     if condition.along is None:
         return None
@@ -150,6 +169,8 @@ MEASURES: dict[tuple[str, str], tuple[StopReason, Maker]] = {
     ("GRIP-FORCE", "above"): (StopReason.FORCE_LIMIT, _squeeze),
     ("DISTANCE", "below"): (StopReason.CONTACT, _near),
     ("DISTANCE", "above"): (StopReason.OUT_OF_RANGE, _far),
+    ("CLEARANCE", "below"): (StopReason.OUT_OF_RANGE, _close),
+    ("TURN", "above"): (StopReason.OUT_OF_RANGE, _turn),
 }
 
 
@@ -176,6 +197,11 @@ def refuse_condition(condition: Condition, about_object: bool, word: str = "UNLE
         return _no(f"{words}: nothing in the motion loop measures that", known, word=word)
     if condition.measure == "GRIP-FORCE" and condition.along is not None:
         return _no(f"{words}: the fingers press along one axis only", [], "leave out ALONG and its axis", word)
+    if condition.measure == "CLEARANCE" and condition.along is not None:
+        return _no(f"{words}: a clearance is measured in all directions", [], "leave out ALONG and its axis", word)
+    if condition.measure == "TURN" and condition.along is None and _figure(condition) > math.pi:
+        message = f"{words}: without an axis the change of attitude is measured, which is 180 DEG at most"
+        return _no(message, [], "TURN ALONG an axis, such as TURN ALONG TOOL-Z EXCEEDS 2 TURNS", word)
     if condition.measure == "DISTANCE" and condition.bound == "below" and not about_object:
         message = f"{words} measures the distance to the object of the command, but this command names none"
         return _no(message, [], "leave it out, or use a verb that takes an object", word)
@@ -229,8 +255,8 @@ def _no(
 def find_requested(reflexes: list[ReflexItem], report: EndReport) -> ReflexItem | None:
     """The reflex of the command that ended the primitive (same reason, figure and action); None if there is none."""
     for reflex in reflexes:
-        quantity = reflex.condition.quantity
-        same = quantity is None or (report.limit is not None and math.isclose(quantity.value, report.limit))
+        given = reflex.condition.quantity is not None
+        same = not given or (report.limit is not None and math.isclose(_figure(reflex.condition), report.limit))
         if reason_of(reflex.condition) is report.reason and same and ACTIONS.get(reflex.action) is report.reflex:
             return reflex
     return None

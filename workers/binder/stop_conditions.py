@@ -6,22 +6,27 @@ MAINTAIN can only tighten them. Rows of the program name predicates of the primi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import msgspec
 
+from rtc.cells import parts
 from rtc.programs import expressions
 from rtc.programs.schema import BinderProgram, StopClass, StopRow
 from rtc.protocol.messages import BinderInput
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import (
     BodyTouch,
+    ClearanceBelow,
     FollowingErrorAbove,
     ForceAbove,
     GoalReached,
     GripForceBelow,
     HandWidthBelow,
     JointMarginBelow,
+    NoProgress,
     Predicate,
     ReportCondition,
     SpeedAbove,
@@ -32,28 +37,40 @@ from rtc.protocol.primitive import (
     TcpTurned,
     TimeAbove,
     TorqueAbove,
+    TurnAbove,
     Vector,
 )
 from workers.binder import reflexes
 from workers.planning.world_query import WorldQuery
 
-#: tag of a predicate -> constructor from (limit, axis or None)
-MAKERS: dict[str, Callable[[float, Vector | None], Predicate]] = {
-    "goal-reached": lambda limit, axis: GoalReached(),
-    "time-above": lambda limit, axis: TimeAbove(limit),
-    "force-above": lambda limit, axis: ForceAbove(limit_n=limit, axis=axis),
-    "torque-above": lambda limit, axis: TorqueAbove(limit_nm=limit, axis=axis),
-    "speed-above": lambda limit, axis: SpeedAbove(limit),
-    "following-error-above": lambda limit, axis: FollowingErrorAbove(limit),
-    "joint-margin-below": lambda limit, axis: JointMarginBelow(limit),
-    "body-touch": lambda limit, axis: BodyTouch(),
-    "grip-force-below": lambda limit, axis: GripForceBelow(limit),
-    "hand-width-below": lambda limit, axis: HandWidthBelow(limit),
+Values = dict[str, float]
+
+
+class Line(NamedTuple):
+    """The line about which a step turns (world): that of a circle, or the axis of the step through the hand."""
+
+    axis: Vector | None  # unit vector; None: any change of attitude
+    point: Vector | None  # None: the hand
+
+
+#: tag of a predicate -> constructor from the limit, the axis of an opposing force (tool frame), the line and figures
+MAKERS: dict[str, Callable[[float, Vector | None, Line, Values], Predicate]] = {
+    "goal-reached": lambda limit, axis, line, values: GoalReached(),
+    "time-above": lambda limit, axis, line, values: TimeAbove(limit),
+    "force-above": lambda limit, axis, line, values: ForceAbove(limit_n=limit, axis=axis),
+    "torque-above": lambda limit, axis, line, values: TorqueAbove(limit_nm=limit, axis=axis),
+    "speed-above": lambda limit, axis, line, values: SpeedAbove(limit),
+    "following-error-above": lambda limit, axis, line, values: FollowingErrorAbove(limit),
+    "joint-margin-below": lambda limit, axis, line, values: JointMarginBelow(limit),
+    "body-touch": lambda limit, axis, line, values: BodyTouch(),
+    "grip-force-below": lambda limit, axis, line, values: GripForceBelow(limit),
+    "hand-width-below": lambda limit, axis, line, values: HandWidthBelow(limit),
+    "no-progress": lambda limit, axis, line, values: NoProgress(behind_m=limit, force_n=values["jam_n"]),
+    "turn-above": lambda limit, axis, line, values: TurnAbove(limit_rad=limit, axis=line.axis, point=line.point),
 }
 #: limit of MAINTAIN -> the figure that it tightens
 TIGHTENED = {"speed_m_s": "speed_m_s", "force_n": "force_n", "torque_nm": "torque_nm"}
-
-Values = dict[str, float]
+NEAR_M = 0.05  # added to the radius of what a command may come near to: how far it may be from where it is believed
 
 
 def figures_in_force(program: BinderProgram, stop_class: StopClass, query: WorldQuery, data: BinderInput) -> Values:
@@ -81,18 +98,19 @@ def figures_in_force(program: BinderProgram, stop_class: StopClass, query: World
 
 
 def stop_functions(
-    rows: list[StopRow], values: Values, against: Vector | None, requested: list[StopFunction]
+    rows: list[StopRow], values: Values, against: Vector | None, requested: list[StopFunction], line: Line
 ) -> list[StopFunction]:
     """Build F: the stop functions of the command, then those of the program's rows.
 
     Of two with the same reason the first true one wins. A reflex of the command therefore precedes the program's stop
-    at the same figure, and neither loosens the other. `against`: unit vector (tool frame) of an opposing force.
+    at the same figure, and neither loosens the other. `against`: unit vector (tool frame) of an opposing force. `line`:
+    about which the step turns.
     """
     made = list(requested)
     for row in rows:
         limit = _limit(row, values)
         if limit is not None:
-            when = MAKERS[row.when](limit, against if row.against_motion else None)
+            when = MAKERS[row.when](limit, against if row.against_motion else None, line, values)
             made.append(StopFunction(reason=row.reason, when=when, reflex=row.reflex, back_off_m=row.back_off_m))
     return made
 
@@ -122,6 +140,9 @@ def maintained(data: BinderInput, query: WorldQuery, values: Values) -> list[Sto
     if limits.attitude:
         attitude = cell.attitudes[limits.attitude].pose[3:].tolist()
         made.append((StopReason.OUT_OF_RANGE, TcpTurned(attitude=attitude, limit_rad=values["turned_rad"])))
+    if limits.clearance_m:
+        least_m = max(limits.clearance_m - margin_m, 0.5 * limits.clearance_m)
+        made.append((StopReason.OUT_OF_RANGE, ClearanceBelow(limit_m=least_m, except_near=_beside(data, query))))
     if limits.speed_m_s is not None or limits.speed_ratio is not None:
         most_m_s = values["fast_factor"] * values["speed_m_s"] + values["fast_m_s"]
         made.append((StopReason.OVERSPEED, TcpSpeedAbove(most_m_s)))
@@ -145,4 +166,32 @@ def _state(data: BinderInput, query: WorldQuery, values: Values) -> reflexes.Ste
         hand_pose=query.tcp(context.arm),
         holding=bool(query.holding(context.arm)),
         object_at=query.frame(context.object)[:3].tolist() if context.object else None,
+        beside=_beside(data, query),
     )
+
+
+def _reach_m(shape: parts.AnyShape) -> float:
+    """The greatest distance of a point of the shape from the origin of its body."""
+    match shape:
+        case parts.Box():
+            half = 0.5 * math.hypot(*shape.size_m)
+        case parts.Sphere():
+            half = shape.radius_m
+        case _:
+            half = shape.radius_m + 0.5 * shape.length_m
+    return math.hypot(*shape.frame.xyz) + half
+
+
+def _beside(data: BinderInput, query: WorldQuery) -> list[Vector]:
+    """Balls round the object and the target of the command, and round their seats: a command may come near to them."""
+    context, cell = data.context, query.cell
+    things = {thing.name: thing.shapes for thing in cell.objects}
+    seats = {seat.name: seat.shapes for seat in cell.seats}
+    meant = [context.object, context.target, query.holding(context.arm)]
+    meant += [query.seat(name) for name in meant if name in things]
+    balls = []
+    for name in dict.fromkeys(meant):
+        if shapes := things.get(name) or seats.get(name):
+            frame = query.seat_frame(name) if name in seats else query.frame(name)
+            balls.append([*frame[:3].tolist(), max(map(_reach_m, shapes)) + NEAR_M])
+    return balls

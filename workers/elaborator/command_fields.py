@@ -24,6 +24,7 @@ EVERYWHERE = frozenset({"kind", "verb", "test", "constraints", "guarded", "refle
 }
 
 
+SOFT = "stiffness_n_m"  # figure of a compliant step
 LEAST_REPORT_S = 0.1  # minimum interval of REPORT EVERY, in arm time
 #: field of the record -> its words in a sentence; other fields use their own name
 _WORDS = {
@@ -109,7 +110,12 @@ def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Lim
 
 
 def refuse_without_effect(program: ElaboratorProgram, parsed: ParsedCommand, script: ScriptFile) -> Refusal | None:
-    """Refuse a constraint that applies to none of the script's steps; None if each applies to one."""
+    """Refuse a constraint or condition that applies to none of the script's steps; None if each applies to one."""
+    soft = any(c.slot == "STIFFNESS" for c in parsed.constraints) or any(SOFT in s.args for s in script.steps)
+    conditions = [item.condition for item in parsed.reflexes] + (parsed.report.when if parsed.report else [])
+    if not soft and any(condition.event == "NO-PROGRESS" for condition in conditions):
+        message = f"NO-PROGRESS is about a compliant arm; {parsed.verb} moves a rigid one, which its force limit stops"
+        return _refused(message, "NO-PROGRESS", "MAINTAIN STIFFNESS, such as 600 N/M; or leave out NO-PROGRESS")
     for constraint in parsed.constraints:
         wanted = program.acts_on.get(constraint.slot)
         if wanted is None or any(_is(step, wanted) for step in script.steps):

@@ -33,6 +33,12 @@ def turned(pose: Floats, axis: str, by_rad: float) -> Array:
     return geometry.make_pose(here[:3], geometry.compose(turn, (0.0, 0.0, 0.0, *here[3:]))[3:])
 
 
+def direction(pose: Floats, axis: str) -> list[float]:
+    """Unit vector (world) of a named axis; a TOOL axis is one of `pose`."""
+    owner, vector = AXES[axis]
+    return geometry.rotate(pose, vector).tolist() if owner == "tool" else list(vector)
+
+
 def in_tool(pose: Floats, axis: str) -> list[float]:
     """Unit vector of a named axis in the tool frame of `pose`."""
     owner, vector = AXES[axis]

@@ -42,7 +42,7 @@ def _circle(start: Array, about: Array, axis: str, figures: Figures) -> Array | 
         return _refused(f"a circle by {by_rad:g} rad has no direction", "by_rad other than 0")
     if not 0.0 <= share <= 1.0:
         return _refused(f"hand_turn {share:g} is not a share of the turn", "hand_turn of 0 to 1")
-    along = _direction(about, axis)
+    along = np.array(axes.direction(about, axis))
     arm = start[:3] - about[:3]
     arm = arm - along * float(arm @ along)
     count = _count(abs(by_rad) * float(np.linalg.norm(arm)) / KNOT_M, abs(by_rad) / CIRCLE_RAD, abs(by_m) / KNOT_M)
@@ -119,7 +119,7 @@ def _pattern(figures: Figures) -> tuple[float, float] | Refusal:
 
 def _in_plane(start: Array, axis: str, plane: Array, by_m: float) -> Array:
     """The poses at these points (m) of a plane through the hand, with its attitude."""
-    normal = _direction(start, axis)
+    normal = np.array(axes.direction(start, axis))
     aside = np.eye(3)[int(np.abs(normal).argmin())]
     first = np.cross(normal, aside)
     first /= np.linalg.norm(first)
@@ -129,12 +129,6 @@ def _in_plane(start: Array, axis: str, plane: Array, by_m: float) -> Array:
     poses = np.tile(start, (len(plane), 1))
     poses[:, :3] += plane @ np.stack((first, second)) + rise
     return poses
-
-
-def _direction(pose: Array, axis: str) -> Array:
-    """Unit vector (world) of a named axis; a TOOL axis is one of the pose."""
-    owner, vector = axes.AXES[axis]
-    return geometry.rotate(pose, vector) if owner == "tool" else np.array(vector, dtype=float)
 
 
 def _turned(start: Array, along: Array, angle: float) -> list[float]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +14,9 @@ from hypothesis import strategies as st
 
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import PRIORITY, StopReason
+from rtc.robot import geometry
 from rtc.robot.geometry import Array
-from sim_mcm.arms.arm import Traits
+from sim_mcm.arms.arm import Near, Traits
 from sim_mcm.control import stop_functions
 from sim_mcm.control.stop_functions import Moment
 
@@ -42,6 +45,7 @@ def moment(**changes: object) -> Moment:
         "commanded": [0.0, 1.0, -1.0, 0.0, 0.0, 0.0],
         "commanded_tcp": lambda: HERE,
         "tcp_speed_m_s": lambda: 0.0,
+        "near": lambda within_m: (),
     }
     if "joints" in changes:
         figures["commanded"] = changes["joints"]
@@ -99,6 +103,27 @@ ROWS = [
     (p.NoProgress(behind_m=0.015, force_n=15.0), {"force_n": 16.0, "commanded_tcp": at(0.5, 0, 0.8)}, {}),
 ]
 
+
+def turned(*rpy: float, x: float = 0.5, y: float = 0.0) -> Callable[[], Array]:
+    return lambda: geometry.from_rpy((x, y, 0.7), rpy)
+
+
+def beside(*, away_m: float, point: tuple[float, ...] = (0.5, 0.1, 0.7)) -> Callable[[float], Sequence[Near]]:
+    return lambda within_m: [(away_m, point, "forearm near RACK-1 floor")] if away_m < within_m else []
+
+
+# (condition, moments in order that do not meet it, and one that then does)
+SINCE_THE_START = [
+    (p.TurnAbove(limit_rad=0.5), [turned(0, 0, 0), turned(0.4, 0, 0)], turned(0.4, 0, 0.4)),
+    (p.TurnAbove(limit_rad=7.0, axis=[0, 0, 1]), [turned(0, 0, n) for n in range(8)], turned(0, 0, 7.1)),
+    (p.TurnAbove(limit_rad=0.5, axis=[0, 0, 1]), [turned(0, 0, 0), turned(1, 0, 0)], turned(1, 0, -0.6)),
+    (
+        p.TurnAbove(limit_rad=3.0, axis=[0, 0, 1], point=[0.0, 0.0, 0.0]),
+        [turned(0, 0, 0, x=math.cos(n / 2), y=math.sin(n / 2)) for n in range(7)],
+        turned(0, 0, 0, x=math.cos(3.1), y=math.sin(3.1)),
+    ),
+]
+
 # (condition, a moment above its limit, one below it)
 FALLEN = [
     (p.ForceBelow(limit_n=5.0), {"force_n": 6.0}, {"force_n": 4.0}),
@@ -111,6 +136,76 @@ FALLEN = [
     (p.TorqueBelow(limit_nm=1.0), {"torque_nm": 2.0}, {"torque_nm": 0.5}),
     (p.TorqueBelow(limit_nm=1.0, axis=[1, 0, 0]), {"wrench": [0, 0, 0, 2.0, 0, 0]}, {"wrench": [0, 0, 0, 0, 5.0, 0]}),
 ]
+
+
+@pytest.mark.parametrize(("when", "before", "after"), SINCE_THE_START, ids=lambda value: type(value).__name__)
+def test_a_turn_is_counted_from_the_start(traits, make, when, before, after) -> None:
+    stops = stop_functions.compile_stops(make.primitive(p.HoldStill(), make.stop(StopReason.HALT, when)), traits)
+    assert [stop_functions.first(stops, moment(tcp=tcp)) for tcp in before] == [None] * len(before)
+    found = stop_functions.first(stops, moment(tcp=after))
+    assert found is not None
+    assert found[0].when == when
+
+
+def test_a_joint_is_watched_from_where_it_began(traits, make) -> None:
+    when = p.JointTurnAbove(joint=1, limit_rad=0.2)
+    stops = stop_functions.compile_stops(make.primitive(p.HoldStill(), make.stop(StopReason.HALT, when)), traits)
+    for q in (1.0, 1.19, 0.81):
+        assert stop_functions.first(stops, moment(joints=[0.0, q, -1.0, 0, 0, 0])) is None
+    found = stop_functions.first(stops, moment(joints=[0.0, 0.79, -1.0, 0, 0, 0]))
+    assert found is not None
+    assert found[1][0] == pytest.approx(0.21)
+
+
+def watched(make, traits, when: p.Predicate, *moments: dict[str, object]) -> list[bool]:
+    """Whether the condition holds in the last tick of each moment; each lasts as long as the filter."""
+    stops = stop_functions.compile_stops(make.primitive(p.HoldStill(), make.stop(StopReason.HALT, when)), traits)
+    return [
+        [stop_functions.first(stops, moment(**now)) is not None for _ in range(stop_functions.NEAR_TICKS)][-1]
+        for now in moments
+    ]
+
+
+def test_a_body_that_comes_near_is_seen_and_one_that_was_near_first_has_to_leave(traits, make) -> None:
+    when = p.ClearanceBelow(limit_m=0.03)
+    far, close = {"near": beside(away_m=0.04)}, {"near": beside(away_m=0.02)}
+    assert watched(make, traits, when, far, close, far) == [False, True, False]
+    assert watched(make, traits, when, close, close, far, close) == [False, False, False, True]
+
+
+def test_a_body_that_may_come_near_is_left_out(traits, make) -> None:
+    when = p.ClearanceBelow(limit_m=0.03, except_near=[[0.5, 0.0, 0.7, 0.2]])
+    inside, outside = beside(away_m=0.02), beside(away_m=0.02, point=(0.5, 0.3, 0.7))
+    assert watched(make, traits, when, {}, {"near": inside}, {"near": outside}) == [False, False, True]
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        p.JointTurnAbove(joint=6, limit_rad=0.1),
+        p.JointTurnAbove(joint=-1, limit_rad=0.1),
+        p.TurnAbove(limit_rad=math.nan),
+        p.TurnAbove(limit_rad=1.0, axis=[0.0, 1.0]),
+        p.ClearanceBelow(limit_m=math.inf),
+        p.ClearanceBelow(limit_m=0.1, except_near=[[0.0, 0.0, 0.0, math.nan]]),
+    ],
+)
+def test_a_condition_that_no_arm_can_check_is_refused(traits, make, bad) -> None:
+    with pytest.raises(ValueError, match=type(bad).__name__):
+        stop_functions.compile_stops(make.primitive(p.HoldStill(), make.stop(StopReason.HALT, bad)), traits)
+
+
+@pytest.mark.parametrize(
+    "make_bad",
+    [
+        lambda: p.TurnAbove(limit_rad=1.0, point=[0.0, 0.0, 0.0]),
+        lambda: p.ClearanceBelow(limit_m=0.1, except_near=[[0.0, 0.0, 0.0]]),
+        lambda: p.ReportCondition(n=0, when=p.GoalReached()),
+    ],
+)
+def test_a_condition_without_a_meaning_cannot_be_made(make_bad) -> None:
+    with pytest.raises(ValueError, match=r"axis|ball|goal"):
+        make_bad()
 
 
 @pytest.fixture(scope="module")
@@ -148,8 +243,30 @@ def test_a_value_that_is_low_for_a_moment_only_does_not_count(traits, make) -> N
     assert all(stop_functions.first(stops, moment(force_n=4.0 if n % 15 else 6.0)) is None for n in range(200))
 
 
+KINDS = set(p.Predicate.__args__)  # type: ignore[attr-defined]
+
+
 def test_every_predicate_of_the_contract_can_be_checked() -> None:
-    assert set(stop_functions.CHECKS) == set(p.Predicate.__args__)  # type: ignore[attr-defined]
+    assert set(stop_functions.CHECKS) == KINDS
+    apart = {p.JointTurnAbove, p.ClearanceBelow}  # have tests of their own
+    assert {type(row[0]) for row in (*ROWS, *FALLEN, *SINCE_THE_START)} | apart == KINDS
+
+
+def test_every_predicate_and_its_filter_are_in_the_documentation() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "physics.md").read_text()
+    missing = [kind.__struct_config__.tag for kind in KINDS if f"| `{kind.__struct_config__.tag}` |" not in page]
+    assert missing == []
+
+
+def test_of_any_two_reasons_one_comes_first_in_whatever_order_they_are_given(traits, make) -> None:
+    """F is unambiguous by construction: every pair of reasons, both true, in both orders."""
+    always = p.TimeAbove(0.0)
+    for first, second in itertools.permutations(StopReason, 2):
+        wanted = make.primitive(p.HoldStill(), make.stop(first, always), make.stop(second, always))
+        found = stop_functions.first(stop_functions.compile_stops(wanted, traits), moment())
+        assert found is not None
+        assert found[0].reason is min(first, second, key=PRIORITY.__getitem__)
+    assert sorted(PRIORITY.values()) == list(range(len(StopReason)))
 
 
 def test_a_joint_near_its_limit_is_named(traits, make) -> None:
