@@ -86,6 +86,7 @@ class Executor:
         self._yielded = self._releasing = False
         self._leaning_ticks = 0
         self._stopped_at_s = 0.0  # time along the trajectory, of the latest stop
+        self._watch = stop_functions.RetreatWatch([])
         self._tcp_of: Sample | None = None  # the sample that `_tcp_pose` belongs to
         self._tcp_pose: Array = arm.tcp_pose(self.sample.joints)
         self._was_compliant = False  # up to the stop
@@ -264,6 +265,7 @@ class Executor:
 
     def _begin_retreat(self) -> None:
         assert self.trip is not None
+        self._watch = stop_functions.RetreatWatch(self._stops)
         joints = self._command[0]
         if self._follow is None or self.trip.back_off_m <= 0.0:
             self._use(profiles.Stay(joints))  # no path to retrace
@@ -274,10 +276,26 @@ class Executor:
         self._use(profiles.Retrace(self._follow, tripped_s, joints, self.trip.back_off_m, self.arm.tcp_pose))
 
     def _retreat(self, now_s: float) -> Reports:
+        moment = self._moment()
+        self._peaks.take(moment.force_n, moment.torque_nm)
+        met = self._watch.first(moment)
+        if met is not None:
+            self._cut_retreat(*met)
+            return self._stop(now_s)
         if self._profile_time_s < self._profile.duration_s:
             return []
         self._apply(Trigger.DONE)
         return self._settle(now_s)
+
+    def _cut_retreat(self, reason: StopReason, finding: stop_functions.Finding) -> None:
+        """Stop the retreat. The reason of the primitive stays; its message gets the obstacle."""
+        assert self.trip is not None
+        measured, limit, words = finding
+        figures = "" if measured is None or limit is None else f"{measured:.3g} where {limit:.3g} is the limit"
+        what = f"backing off was stopped: {reason.value}, {words or figures}"
+        message = "; ".join(filter(None, (self.trip.message, what)))
+        self.trip = msgspec.structs.replace(self.trip, reflex=Reflex.STOP, message=message)
+        self._apply(Trigger.TRIPPED)
 
     def _begin_release(self) -> None:
         self._releasing = True

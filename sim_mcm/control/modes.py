@@ -11,7 +11,7 @@ class Mode(Enum):
     HOLDING = "holding"  # no primitive; the arm stays where it is, the hand keeps its grip
     EXECUTING = "executing"  # stop functions are evaluated every tick
     STOPPING = "stopping"  # the reason is fixed; braking, jerk-limited; thresholds masked
-    RETREATING = "retreating"  # reflex BACK_OFF
+    RETREATING = "retreating"  # reflex BACK_OFF; the limits are watched again
     RELEASING = "releasing"  # reflex RELEASE
     COMPLYING = "complying"  # reflex COMPLY: the arm gives way to every force
     SETTLING = "settling"  # commanded to rest; waits until rest is measured, then reports the end
@@ -31,7 +31,11 @@ TRANSITIONS: dict[Mode, dict[Trigger, Mode]] = {
         Trigger.DONE: Mode.SETTLING,
         Trigger.HALTED: Mode.STOPPING,
     },  # DONE: the next state is in AFTER_STOP
-    Mode.RETREATING: {Trigger.DONE: Mode.SETTLING, Trigger.HALTED: Mode.STOPPING},
+    Mode.RETREATING: {
+        Trigger.DONE: Mode.SETTLING,
+        Trigger.TRIPPED: Mode.STOPPING,  # it meets something on its way back
+        Trigger.HALTED: Mode.STOPPING,
+    },
     Mode.RELEASING: {Trigger.DONE: Mode.SETTLING, Trigger.HALTED: Mode.STOPPING},
     Mode.COMPLYING: {Trigger.DONE: Mode.SETTLING, Trigger.HALTED: Mode.STOPPING},
     Mode.SETTLING: {Trigger.DONE: Mode.HOLDING, Trigger.HALTED: Mode.SETTLING},

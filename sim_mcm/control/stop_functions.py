@@ -107,6 +107,29 @@ def first(stops: Stops, moment: Moment) -> tuple[p.StopFunction, Finding] | None
     return None
 
 
+# Watched while the arm backs off too. The others would end a retreat that does what it should.
+IN_RETREAT = frozenset({StopReason.COLLISION, StopReason.JOINT_LIMIT, StopReason.FORCE_LIMIT, StopReason.TORQUE_LIMIT})
+IN_RETREAT |= {StopReason.OVERSPEED, StopReason.FOLLOWING_ERROR, StopReason.OUT_OF_RANGE}
+
+
+class RetreatWatch:
+    """The conditions of F while the arm backs off. One that is true at the start counts once it has been false."""
+
+    def __init__(self, stops: Stops) -> None:
+        self._stops = [(stop, check) for stop, check in stops if stop.reason in IN_RETREAT]
+        self._armed = [False] * len(self._stops)
+
+    def first(self, moment: Moment) -> tuple[StopReason, Finding] | None:
+        """The first condition that has become true."""
+        for n, (stop, check) in enumerate(self._stops):
+            finding = check(moment)
+            if finding is None:
+                self._armed[n] = True
+            elif self._armed[n]:
+                return stop.reason, finding
+        return None
+
+
 def _with_reflex(stop: p.StopFunction, stops: Stops, moment: Moment) -> p.StopFunction:
     """`stop` with the reflex of the first true condition whose reflex is more than STOP. So a requested reflex does
     not depend on which of two exceeded limits is reported."""

@@ -320,6 +320,37 @@ def test_backing_off_goes_no_farther_than_where_it_began(rig, make) -> None:
     assert rig.until_end().joints == pytest.approx(rig.home, abs=1e-6)
 
 
+def test_an_arm_that_meets_something_while_it_backs_off_stops_there(rig, make) -> None:
+    limit = make.stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=30.0))
+    rig.accept(rig.swing(_feel(make, Reflex.BACK_OFF, 0.20), limit))
+    rig.tick(600)
+    rig.arm.wrench = [6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    rig.tick(300)
+    assert rig.executor.state is Mode.RETREATING
+    rig.tick(500)
+    rig.arm.wrench = [-31.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    report = rig.until_end()
+
+    assert report.reason is StopReason.CONTACT
+    assert report.reflex is Reflex.STOP
+    assert "backing off was stopped: force_limit" in report.message
+    backed_m = np.linalg.norm(np.array(report.tcp_pose[:3]) - report.trip_pose[:3])
+    assert 0.005 < backed_m < 0.05
+    assert report.peak_force_n == 31.0
+
+
+def test_what_the_arm_backs_away_from_does_not_stop_its_retreat(rig, make) -> None:
+    limit = make.stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=30.0), Reflex.BACK_OFF, 0.05)
+    rig.accept(rig.swing(limit))
+    rig.tick(600)
+    rig.arm.wrench = [31.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    rig.tick(400)
+    rig.arm.wrench = [0.0] * 6
+    report = rig.until_end()
+    assert (report.reflex, report.message) == (Reflex.BACK_OFF, "")
+    assert np.linalg.norm(np.array(report.tcp_pose[:3]) - report.trip_pose[:3]) == pytest.approx(0.05, abs=0.003)
+
+
 def test_releasing_opens_the_hand_after_the_stop(rig, make) -> None:
     rig.arm.hand = HandCommand(0.02, 30.0, 0.05)
     rig.arm.width = 0.02
