@@ -62,6 +62,8 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
     """Step, as "trim/index" -> numbers of the trims already used for it; each is used once per step."""
     trim_labels: list[str] = []
     """Labels of all trims used, in order; for the outcome."""
+    moved_s: float = 0.0
+    """Duration of all primitives so far, in the time of the arms: it counts against the time limit of the command."""
 
     def restart(self) -> None:
         """Put all nominal steps on the stack, with the values that the script begins with."""
@@ -123,6 +125,7 @@ class ActionStack(msgspec.Struct, Generic[ScriptT, ValueT], kw_only=True, omit_d
             "context": self.script.context,
             "step": self.step_body,
             "bindings": self.bindings,
+            "moved_s": self.moved_s,
         }
 
     def analyzer_input(self, evaluation: Any, report: Any) -> dict[str, Any]:

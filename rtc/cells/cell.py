@@ -17,7 +17,7 @@ import msgspec
 import msgspec.yaml
 
 from rtc.cells import model_checks
-from rtc.cells.parts import Arm, Camera, Frame, Numbers, Object, Place, Region, Seat, Tag, Vec3, named
+from rtc.cells.parts import Arm, Camera, Frame, Maintained, Numbers, Object, Place, Region, Seat, Tag, Vec3, named
 from rtc.programs.digest import digest
 from rtc.protocol.outcomes import ProgramError
 from rtc.robot import geometry
@@ -36,6 +36,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
     cameras: list[Camera] = []
     tags: list[Tag] = []
     attitudes: dict[str, Frame] = {}  # of the tcp, world frame; for POSE-DURING-MOTION
+    maintain: Maintained = Maintained()
     numbers: Numbers = Numbers()
     texts: dict[str, str] = {}  # URDF, SRDF and hulls by file name; filled by `load`
 
@@ -175,6 +176,12 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
         for name, joints in place.joints_deg.items():
             if len(joints) != len(arms[name].joints):
                 yield f"places[{n}].joints_deg.{name}", f"{len(arms[name].joints)} joints need as many values"
+    regions = sorted(region.name for region in cell.regions)
+    for field, known in (("safe_work_range", regions), ("avoid_task_region", regions)):
+        if (name := getattr(cell.maintain, field)) is not None and name not in known:
+            yield f"maintain.{field}", f"no region {name}; there are {', '.join(known)}"
+    if (name := cell.maintain.pose_during_motion) is not None and name not in cell.attitudes:
+        yield "maintain.pose_during_motion", f"no attitude {name}; there are {', '.join(sorted(cell.attitudes))}"
     yield from _blind_cameras(cell, arms)
     yield from _loose_tags(cell)
 

@@ -208,6 +208,42 @@ class Region(CellPart, frozen=True, kw_only=True):
         return all(abs(x) <= 0.5 * size for x, size in zip(local.tolist(), self.size_m, strict=True))
 
 
+class Maintained(CellPart, frozen=True, kw_only=True):
+    """What each MAINTAIN item means in this cell when the sentence gives no argument. None: it is refused then."""
+
+    safe_work_range: Name | None = None  # a region
+    avoid_task_region: Name | None = None  # a region
+    avoid_neighbors_m: Positive | None = None
+    pose_during_motion: Name | None = None  # an attitude
+    speed_m_s: Positive | None = None
+    force_limit_n: Positive | None = None
+    torque_limit_nm: Positive | None = None
+    grip_force_n: Positive | None = None
+    stiffness_n_m: Positive | None = None
+    time_limit_s: Positive | None = None
+
+    def meaning(self, slot: str) -> tuple[str, str | float] | None:
+        """(unit, value) of an item such as SPEED; the unit `name` for a region or an attitude. None: no meaning."""
+        field, unit = MAINTAINED.get(slot, ("", ""))
+        value = getattr(self, field, None)
+        return None if value is None else (unit, value)
+
+
+#: item -> field of `Maintained`, and the unit of its value
+MAINTAINED: dict[str, tuple[str, str]] = {
+    "SAFE-WORK-RANGE": ("safe_work_range", "name"),
+    "AVOID-TASK-REGION": ("avoid_task_region", "name"),
+    "AVOID-NEIGHBORS": ("avoid_neighbors_m", "m"),
+    "POSE-DURING-MOTION": ("pose_during_motion", "name"),
+    "SPEED": ("speed_m_s", "m/s"),
+    "FORCE-LIMIT": ("force_limit_n", "N"),
+    "TORQUE-LIMIT": ("torque_limit_nm", "N.m"),
+    "GRIP-FORCE": ("grip_force_n", "N"),
+    "STIFFNESS": ("stiffness_n_m", "N/m"),
+    "TIME-LIMIT": ("time_limit_s", "s"),
+}
+
+
 class Camera(CellPart, frozen=True, kw_only=True):
     """A camera without distortion. `arm`: whose hand carries it; then all axes are those of the tcp, else the world's.
     Its own axes: x right, y down in the picture, z forward."""

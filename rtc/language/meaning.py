@@ -60,7 +60,7 @@ STEP = Takes(("m", "rad"), "any", most_deg=180.0)
 ATTITUDE = Takes(("rad",), "any", most_deg=360.0)  # roll, pitch and yaw of a pose; bolts and cranks turn further
 
 CONSTRAINTS: dict[str, Takes] = {
-    "AVOID-NEIGHBORS": Takes(("m",), "not negative"),
+    "AVOID-NEIGHBORS": LENGTH,
     "SPEED": Takes(("m/s", "rad/s", "ratio")),
     "FORCE-LIMIT": Takes(("N",)),
     "TORQUE-LIMIT": Takes(("N.m",)),

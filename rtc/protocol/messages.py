@@ -479,7 +479,8 @@ class ElaboratorInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
 
 
 class BinderInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """`at_s`, `moving`: as in `ElaboratorInput`."""
+    """`at_s`, `moving`: as in `ElaboratorInput`. `moved_s`: duration of the command's motions so far, in the time of the
+    arms."""
 
     primitive_id: str
     context: ScriptContext
@@ -487,6 +488,7 @@ class BinderInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     bindings: dict[str, Binding]
     at_s: float = 0.0
     moving: list[Primitive] = []
+    moved_s: float = 0.0
 
 
 class AnalyzerInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

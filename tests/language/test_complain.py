@@ -125,7 +125,7 @@ WRONG = [
     ("GRASP X MAINTAIN SPEED ¦150 PERCENT", ["100 PERCENT"], [], "at most 100 PERCENT"),
     ("LIFT X BY ¦-5 CM", [A_LENGTH], [], "LIFT BY -5 CM makes no sense"),
     ("HOLD LEFT-ARM FOR ¦-1 SEC", [A_TIME], [], "FOR -1 SEC makes no sense"),
-    ("GRASP X MAINTAIN AVOID-NEIGHBORS BY ¦-1 CM", [A_LENGTH], [], "must be not negative"),
+    ("GRASP X MAINTAIN AVOID-NEIGHBORS BY ¦0 CM", [A_LENGTH], [], "must be more than nothing"),
     ("GRASP X UNLESS FORCE EXCEEDS ¦-5 N THEN STOP", [A_FORCE], [], "must be not negative"),
     ("SET X ATTITUDE 0 ¦999 0 DEG", [AN_ANGLE], [], "from -360 to 360 DEG"),
     ("SET X ATTITUDE ¦-6.3 RAD", [AN_ANGLE], [], "from -360 to 360 DEG"),

@@ -242,6 +242,12 @@ class Bench:
             BinderInput(primitive_id=name, context=script.context, step=step, bindings=given, at_s=self.now_s)
         )
 
+    def bind_after(self, script: Script, step: Step, moved_s: float) -> Any:
+        """As `bind`, after motions of the same command."""
+        name = f"C-{self.commands}.2"
+        given = {"context": script.context, "step": step, "bindings": script.bindings, "at_s": self.now_s}
+        return self._bind(BinderInput(primitive_id=name, moved_s=moved_s, **given))
+
     def _bind(self, data: BinderInput) -> Any:
         return binder.run(binder.compile(self.programs["binder"]), MODEL, self.world, data)
 
@@ -279,6 +285,7 @@ class Bench:
             if report is None:
                 continue
             run.reports.append(report)
+            actions.moved_s += report.duration_s
             judged = self._analyze(AnalyzerInput(**actions.analyzer_input(bound.evaluation, report)))
             if isinstance(judged, Refusal):
                 run.refusal = judged

@@ -345,8 +345,11 @@ def bind_still(task: BindTask) -> BoundStep | Refusal:
         return stop_class
     values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data)
     duration_s = values["duration_s"]
-    if task.data.context.limits.time_s is not None:
-        duration_s = min(duration_s, task.data.context.limits.time_s)
+    left_s = time_left_s(task)
+    if left_s is not None:
+        if left_s <= 0.0:
+            return _refuse_time(task, 0.0, left_s)
+        duration_s = min(duration_s, left_s)
     known = query.trusts(
         f"{task.arm}.joints"
     )  # otherwise the arm holds an unknown position, which the report will contain
@@ -383,16 +386,11 @@ def primitive(
     `moves`: the arm moves, so the held object is monitored. `timed`: the command's time limit applies.
     """
     limit_s = values["time_factor"] * evaluation.predicted_s + values["time_margin_s"]
-    most_s = task.data.context.limits.time_s
-    if most_s is not None and timed:
-        if evaluation.predicted_s > most_s:
-            return Refusal(
-                reason=RefusalReason.INFEASIBLE,
-                message=f"this step takes {evaluation.predicted_s:.3g} s; the time limit is {most_s:g} s",
-                clears="more time, or more speed",
-                detail={"cause": "time", "predicted_s": evaluation.predicted_s, "limit_s": most_s},
-            )
-        limit_s = min(limit_s, most_s)
+    left_s = time_left_s(task)
+    if left_s is not None and timed:
+        if evaluation.predicted_s > left_s:
+            return _refuse_time(task, evaluation.predicted_s, left_s)
+        limit_s = min(limit_s, left_s)
     values = {**values, "time_limit_s": limit_s}
     rows = [*stop_class.stops, *(task.program.holding if moves and evaluation.held else [])]
     stops: list[StopFunction] = stop_conditions.stop_functions(
@@ -400,6 +398,8 @@ def primitive(
     )
     if isinstance(trajectory, JointTrajectory):
         stops += stop_conditions.maintained(task.data, task.query, values)
+    if evaluation.held or isinstance(trajectory, HandMotion):
+        stops += stop_conditions.squeezed(task.data, values)
     if (refusal := refuse_press(task, stop_class, values)) is not None:
         return refusal
     every_s = task.data.step.args.get("report_every_s")
@@ -431,6 +431,23 @@ def primitive(
         predicted_s=evaluation.predicted_s,
         limit_s=values["report_factor"] * limit_s + values["report_margin_s"],
         note=note,
+    )
+
+
+def time_left_s(task: BindTask) -> float | None:
+    """What the motions of the command have left of its TIME-LIMIT; None without one."""
+    most_s = task.data.context.limits.time_s
+    return None if most_s is None else most_s - task.data.moved_s
+
+
+def _refuse_time(task: BindTask, predicted_s: float, left_s: float) -> Refusal:
+    most_s, moved_s = task.data.context.limits.time_s or 0.0, task.data.moved_s
+    left = f", of which {max(left_s, 0.0):.3g} s are left" if moved_s else ""
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"this step takes {predicted_s:.3g} s; the time limit is {most_s:g} s{left}",
+        clears="more time, or more speed",
+        detail={"cause": "time", "predicted_s": predicted_s, "limit_s": most_s, "moved_s": moved_s},
     )
 
 

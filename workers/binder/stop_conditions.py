@@ -23,6 +23,7 @@ from rtc.protocol.primitive import (
     FollowingErrorAbove,
     ForceAbove,
     GoalReached,
+    GripForceAbove,
     GripForceBelow,
     HandWidthBelow,
     JointMarginBelow,
@@ -147,6 +148,15 @@ def maintained(data: BinderInput, query: WorldQuery, values: Values) -> list[Sto
         most_m_s = values["fast_factor"] * values["speed_m_s"] + values["fast_m_s"]
         made.append((StopReason.OVERSPEED, TcpSpeedAbove(most_m_s)))
     return [StopFunction(reason=reason, when=when) for reason, when in made]
+
+
+def squeezed(data: BinderInput, values: Values) -> list[StopFunction]:
+    """Stop functions of MAINTAIN GRIP-FORCE for a hand that closes or holds something."""
+    grip_n = data.context.limits.grip_force_n
+    if grip_n is None:
+        return []
+    most_n = values["squeeze_factor"] * grip_n + values["squeeze_n"]
+    return [StopFunction(reason=StopReason.FORCE_LIMIT, when=GripForceAbove(most_n))]
 
 
 def from_command(data: BinderInput, query: WorldQuery, values: Values) -> list[StopFunction]:

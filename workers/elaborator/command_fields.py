@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from rtc.cells.cell import Cell
-from rtc.language.record import ParsedCommand, Quantity
+from rtc.language.record import Constraint, ParsedCommand, Quantity
 from rtc.language.units import KINDS, such_as
 from rtc.programs.schema import ActsOn, ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
@@ -91,22 +91,37 @@ def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Lim
             message = f"MAINTAIN {constraint.slot} is not supported"
             clears = f"leave out {constraint.slot}; supported are {', '.join(sorted(program.constraints))}"
             return _refused(message, constraint.slot, clears)
-        unit = "name" if constraint.name else constraint.value.unit if constraint.value else ""
+        unit, value = argument(constraint, cell)
         if unit not in kept:
             return _needs(constraint.slot, kept, unit, cell)
-        limit = kept[unit]
-        if constraint.value is not None and constraint.slot in program.ranges:
-            problem = _range(constraint.slot, constraint.value, *program.ranges[constraint.slot])
-            if problem is not None:
-                return problem
-        if limit and constraint.value is not None:
-            figures[limit] = constraint.value.value
-        elif limit and constraint.name is not None:
-            problem = _name(limit, constraint.name, cell)
-            if problem is not None:
-                return problem
-            figures[limit] = [constraint.name] if limit == "keep_out" else constraint.name
-    return msgspec.convert(figures, Limits)
+        problem = _impossible(program, constraint.slot, kept[unit], unit, value, cell)
+        if problem is not None:
+            return problem
+        figures[kept[unit]] = [value] if kept[unit] == "keep_out" else value
+    return msgspec.convert({limit: value for limit, value in figures.items() if limit}, Limits)
+
+
+def argument(constraint: Constraint, cell: Cell) -> tuple[str, str | float]:
+    """(unit, value) of a constraint: that of the sentence, else that of the cell.
+
+    The unit of a name is `name`; an empty unit: the constraint has no argument and no meaning here.
+    """
+    if constraint.name is not None:
+        return "name", constraint.name
+    if constraint.value is not None:
+        return constraint.value.unit, constraint.value.value
+    return cell.maintain.meaning(constraint.slot) or ("", 0.0)
+
+
+def _impossible(
+    program: ElaboratorProgram, slot: str, limit: str, unit: str, value: str | float, cell: Cell
+) -> Refusal | None:
+    """Refusal for a name that the cell lacks, or for a value that no arm can keep."""
+    if isinstance(value, str):
+        return _name(limit, value, cell)
+    if slot in program.ranges:
+        return _range(slot, Quantity(value, unit), *program.ranges[slot])
+    return None
 
 
 def refuse_without_effect(program: ElaboratorProgram, parsed: ParsedCommand, script: ScriptFile) -> Refusal | None:
@@ -150,7 +165,8 @@ def _needs(slot: str, kept: dict[str, str], unit: str, cell: Cell) -> Refusal:
             ways.append(such_as(way))
     given = "" if not unit else f", not {KINDS[unit].word if unit in KINDS else f'a {unit}'}"
     needed = " or ".join(ways)
-    return _refused(f"{slot} needs {needed}{given}", slot, f"give {slot} {needed}, or leave it out")
+    here = "" if given else f"; {cell.name} has no meaning of its own for it (`maintain` of the cell)"
+    return _refused(f"{slot} needs {needed}{given}{here}", slot, f"give {slot} {needed}, or leave it out")
 
 
 def _range(slot: str, value: Quantity, least: float, most: float) -> Refusal | None:

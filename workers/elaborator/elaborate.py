@@ -268,6 +268,7 @@ def _script(
     candidate, script = option.candidate, compiled.scripts[option.branch.script]
     problem = command_fields.refuse_unused_field(candidate.parsed, script.script, script.uses)
     problem = problem or command_fields.refuse_without_effect(candidate.program, candidate.parsed, script)
+    problem = problem or _too_tight(candidate)
     for need in script.needs:
         problem = problem or preconditions.refuse_if_unmet(need, candidate)
     if problem is None and (place := candidate.parsed.place) is not None and place.name:
@@ -457,6 +458,20 @@ def _unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | Non
     if not held or script.despite_grasp or not any(step.to for step in script.steps):
         return None
     return candidate.query.distrusted(f"{held}.grasp", candidate.program.clears)
+
+
+def _too_tight(candidate: TaskCandidate) -> Refusal | None:
+    """Refuse a grip force that the hand does not have, before any motion."""
+    grip_n, arm = candidate.limits.grip_force_n, candidate.arm
+    if grip_n is None or grip_n <= arm.gripper.max_force_n:
+        return None
+    most_n = arm.gripper.max_force_n
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"GRIP-FORCE {grip_n:g} N is asked for; {arm.end_effector} grips with {most_n:g} N at most",
+        clears=f"GRIP-FORCE of at most {most_n:g} N",
+        detail={"cause": "grip force", "value_n": grip_n, "limit_n": most_n, "arm": arm.name},
+    )
 
 
 def verbs(program: ElaboratorProgram) -> Iterator[str]:

@@ -150,6 +150,8 @@ def send(context: DecisionContext, command: Command) -> None:
 def on_reported(context: DecisionContext, command: Command, report: EndReport) -> None:
     context.stop_timer(command)
     acknowledge(context, command)
+    if command.actions is not None:
+        command.actions.moved_s += report.duration_s
     command.measured = reporting.at_end(command, report)
     note = f"ended: {report.reason}" + (f" ({report.message})" if report.message else "")
     if report.reason is StopReason.HALT:

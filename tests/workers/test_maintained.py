@@ -1,0 +1,366 @@
+"""MAINTAIN: every item with and without its argument, in the plan, and in motion against a disturbance in physics."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pybullet
+import pytest
+
+from rtc.cells.parts import MAINTAINED, Maintained
+from rtc.language.parse import default_grammar, parse
+from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from rtc.protocol.primitive import (
+    ClearanceBelow,
+    ForceAbove,
+    GripForceAbove,
+    HandMotion,
+    TcpInside,
+    TcpOutside,
+    TcpSpeedAbove,
+    TcpTurned,
+    TimeAbove,
+    TorqueAbove,
+)
+from rtc.robot import geometry
+from workers.planning.robot_models import CellModel
+
+ARM = "RIGHT-ARM"
+slow = pytest.mark.slow
+S1 = (
+    "GRASP LEFT-END-EFF MACS-OLD HANDLE-A MAINTAIN SAFE-WORK-RANGE AVOID-TASK-REGION AVOID-NEIGHBORS "
+    "POSE-DURING-MOTION SPEED GUARDED"
+)
+TO = f"MOVE {ARM} TO BAY-2-FRONT"
+#: item, argument, limit in the script's context, and its value with and without the argument
+ITEMS = [
+    ("SAFE-WORK-RANGE", "BAY-2-RANGE", "work_range", "BAY-2-RANGE", "CELL-RANGE"),
+    ("AVOID-TASK-REGION", "BAY-2-RANGE", "keep_out", ["BAY-2-RANGE"], ["SOLAR-ARRAY"]),
+    ("AVOID-NEIGHBORS", "BY 2 CM", "clearance_m", 0.02, 0.01),
+    ("POSE-DURING-MOTION", "LEVEL", "attitude", "LEVEL", "LEVEL"),
+    ("SPEED", "5 CM/S", "speed_m_s", 0.05, 0.10),
+    ("FORCE-LIMIT", "12 N", "force_n", 12.0, 30.0),
+    ("TORQUE-LIMIT", "2 NM", "torque_nm", 2.0, 4.0),
+    ("GRIP-FORCE", "20 N", "grip_force_n", 20.0, 30.0),
+    ("STIFFNESS", "400 N/M", "stiffness_n_m", 400.0, 600.0),
+    ("TIME-LIMIT", "60 SEC", "time_s", 60.0, 300.0),
+]
+
+
+def test_every_item_of_the_language_is_here() -> None:
+    assert {item[0] for item in ITEMS} == set(MAINTAINED)
+
+
+@pytest.mark.parametrize("item", ITEMS, ids=lambda item: item[0])
+def test_an_item_has_its_argument_or_what_the_cell_says(bench, item) -> None:
+    slot, argument, limit, given, meant = item
+    verb = f"CLOSE {ARM}" if slot == "GRIP-FORCE" else f"MOVE {ARM} BY 1 CM ALONG DOWN"
+    for words, wanted in ((f" {argument}", given), ("", meant)):
+        made = bench.elaborate(f"{verb} MAINTAIN {slot}{words}")
+        if isinstance(made, Refusal):  # the arm is inside that region
+            assert (slot, made.detail["cause"]) == ("AVOID-TASK-REGION", "collision")
+        else:
+            assert getattr(made.context.limits, limit) == wanted
+
+
+@pytest.fixture(scope="module")
+def silent(bench_model) -> CellModel:
+    """A cell that gives no meanings."""
+    return CellModel(msgspec.structs.replace(bench_model.cell, maintain=Maintained()))
+
+
+@pytest.fixture(scope="module")
+def bench_model() -> CellModel:
+    from tests.workers.conftest import MODEL
+
+    return MODEL
+
+
+@pytest.mark.parametrize("slot", [item[0] for item in ITEMS])
+def test_a_cell_that_gives_no_meaning_refuses_an_item_without_its_argument(bench, silent, slot) -> None:
+    verb = f"CLOSE {ARM}" if slot == "GRIP-FORCE" else f"MOVE {ARM} BY 1 CM ALONG DOWN"
+    refusal = bench.elaborate(f"{verb} MAINTAIN {slot}", silent)
+    assert isinstance(refusal, Refusal)
+    assert refusal.reason is RefusalReason.NO_SCRIPT
+    assert f"{slot} needs " in refusal.message
+    assert f"give {slot} " in refusal.clears
+
+
+# --- in the plan -----------------------------------------------------------------------------------------
+
+
+def bound(bench, sentence: str, step: int = 0):
+    script = bench.elaborate(sentence)
+    assert not isinstance(script, Refusal), script
+    made = bench.bind(script, script.steps[step])
+    assert not isinstance(made, Refusal), made
+    return made.primitive
+
+
+def conditions(primitive, kind: type) -> list:
+    return [stop.when for stop in primitive.stop_functions if isinstance(stop.when, kind)]
+
+
+def poses(bench, primitive) -> list:
+    return [bench.model.arms[ARM].fk(q) for q in primitive.trajectory.positions]
+
+
+@pytest.mark.parametrize(("words", "most_m_s"), [(" 5 CM/S", 0.05), ("", 0.10)])
+def test_speed_is_planned_and_watched(bench, words, most_m_s) -> None:
+    primitive = bound(bench, f"{TO} MAINTAIN SPEED{words}")
+    way = primitive.trajectory
+    arm = bench.model.arms[ARM]
+    speeds = arm.tcp_speeds(np.array(way.positions), np.array(way.velocities))
+    assert 0.8 * most_m_s < speeds.max() <= 1.02 * most_m_s
+    assert conditions(primitive, TcpSpeedAbove) == [TcpSpeedAbove(pytest.approx(1.2 * most_m_s + 0.005))]
+
+
+@pytest.mark.parametrize(
+    ("item", "kind", "limit"),
+    [
+        ("FORCE-LIMIT 12 N", ForceAbove, "limit_n"),
+        ("FORCE-LIMIT", ForceAbove, "limit_n"),
+        ("TORQUE-LIMIT 2 NM", TorqueAbove, "limit_nm"),
+        ("TORQUE-LIMIT", TorqueAbove, "limit_nm"),
+    ],
+)
+def test_force_and_torque_limits_are_watched(bench, item, kind, limit) -> None:
+    figure = {"FORCE-LIMIT 12 N": 12.0, "FORCE-LIMIT": 30.0, "TORQUE-LIMIT 2 NM": 2.0, "TORQUE-LIMIT": 4.0}[item]
+    assert min(getattr(when, limit) for when in conditions(bound(bench, f"{TO} MAINTAIN {item}"), kind)) == figure
+
+
+@pytest.mark.parametrize(("words", "grip_n"), [(" 20 N", 20.0), ("", 30.0)])
+def test_grip_force_is_commanded_and_watched(bench, words, grip_n) -> None:
+    primitive = bound(bench, f"CLOSE {ARM} MAINTAIN GRIP-FORCE{words}")
+    assert isinstance(primitive.trajectory, HandMotion)
+    assert primitive.trajectory.force_n == grip_n
+    assert conditions(primitive, GripForceAbove) == [GripForceAbove(pytest.approx(1.3 * grip_n + 3.0))]
+
+
+@pytest.mark.parametrize(("words", "stiffness"), [(" 400 N/M", 400.0), ("", 600.0)])
+def test_stiffness_makes_the_arm_compliant(bench, words, stiffness) -> None:
+    law = bound(bench, f"{TO} MAINTAIN STIFFNESS{words}").control_law
+    assert law.name == "impedance"
+    assert law.compliance.stiffness[:3] == [stiffness] * 3
+
+
+def test_a_time_limit_is_that_of_all_motions_of_the_command(bench) -> None:
+    script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A MAINTAIN TIME-LIMIT 20 SEC")
+    assert not isinstance(script, Refusal), script
+    step = next(step for step in script.steps if step.to == "JAP")
+    for moved_s, limit_s in ((0.0, 20.0), (8.0, 12.0)):
+        made = bench.bind_after(script, step, moved_s)
+        assert min(when.limit_s for when in conditions(made.primitive, TimeAbove)) <= limit_s
+    late = bench.bind_after(script, step, 19.5)
+    assert isinstance(late, Refusal)
+    assert (late.detail["cause"], late.detail["moved_s"]) == ("time", 19.5)
+    assert "0.5 s are left" in late.message
+
+
+def test_a_time_limit_without_an_argument_is_that_of_the_cell(bench) -> None:
+    script = bench.elaborate(f"HOLD {ARM} MAINTAIN TIME-LIMIT")
+    assert bench.bind(script, script.steps[0]).primitive.trajectory.duration_s == 300.0
+
+
+def test_the_hand_stays_in_its_range(bench) -> None:
+    primitive = bound(bench, f"{TO} MAINTAIN SAFE-WORK-RANGE BAY-2-RANGE")
+    region = bench.model.cell.region("BAY-2-RANGE")
+    assert all(region.contains(pose[:3]) for pose in poses(bench, primitive))
+    assert len(conditions(primitive, TcpOutside)) == 1
+    assert len(conditions(bound(bench, f"{TO} MAINTAIN SAFE-WORK-RANGE"), TcpOutside)) == 1
+
+
+def test_a_way_leads_round_a_region_that_must_be_avoided(bench) -> None:
+    """A finger would pass through it otherwise."""
+    region = bench.model.cell.region("SOLAR-ARRAY")
+    assert bench.do(f"MOVE {ARM} TO POSITION 69 -77 96 CM").succeeded
+    sentence = f"MOVE {ARM} TO POSITION 59 -4 112 CM"
+    free, around = bound(bench, sentence), bound(bench, f"{sentence} MAINTAIN AVOID-TASK-REGION SOLAR-ARRAY")
+    assert around.trajectory.positions != free.trajectory.positions
+    assert not any(region.contains(pose[:3]) for pose in poses(bench, around))
+    assert len(conditions(around, TcpInside)) == 1
+
+
+@pytest.mark.parametrize(("words", "least_m"), [(" BY 3 CM", 0.025), ("", 0.005)])
+def test_a_clearance_is_planned_and_watched_but_not_beside_what_the_command_is_about(bench, words, least_m) -> None:
+    primitive = bound(bench, f"{TO} MAINTAIN AVOID-NEIGHBORS{words}")
+    assert conditions(primitive, ClearanceBelow) == [ClearanceBelow(limit_m=pytest.approx(least_m))]
+    grasp = bound(bench, f"GRASP RIGHT-END-EFF MACS-NEW HANDLE-A MAINTAIN AVOID-NEIGHBORS{words}", 2)
+    assert len(conditions(grasp, ClearanceBelow)[0].except_near) == 2  # the module and its rack
+
+
+@pytest.mark.parametrize("words", [" LEVEL", ""])
+def test_an_attitude_is_kept_all_the_way(bench, words) -> None:
+    primitive = bound(bench, f"{TO} MAINTAIN POSE-DURING-MOTION{words}")
+    assert all(
+        geometry.angle(pose, geometry.make_pose((0, 0, 0), geometry.LEVEL)) < 0.09 for pose in poses(bench, primitive)
+    )
+    assert len(conditions(primitive, TcpTurned)) == 1
+
+
+@pytest.mark.parametrize(
+    ("sentence", "words"),
+    [
+        (f"{TO} MAINTAIN SAFE-WORK-RANGE NOWHERE", "NOWHERE"),
+        (f"{TO} MAINTAIN SAFE-WORK-RANGE SOLAR-ARRAY", "leave SOLAR-ARRAY"),
+        (f"{TO} MAINTAIN AVOID-TASK-REGION NOWHERE", "NOWHERE"),
+        (f"{TO} MAINTAIN AVOID-TASK-REGION BAY-2-RANGE", "BAY-2-RANGE"),
+        (f"{TO} MAINTAIN AVOID-NEIGHBORS BY 0 CM", "more than nothing"),
+        (f"{TO} MAINTAIN AVOID-NEIGHBORS BY 2 M", "comes within"),
+        (f"{TO} MAINTAIN POSE-DURING-MOTION SIDEWAYS", "SIDEWAYS"),
+        (f"{TO} MAINTAIN POSE-DURING-MOTION 5 DEG", "POSE-DURING-MOTION"),
+        (f"{TO} MAINTAIN SPEED 0 CM/S", "SPEED"),
+        (f"{TO} MAINTAIN SPEED 5 DEG/S", "turning speed"),
+        (f"{TO} MAINTAIN SPEED 120 PERCENT", "PERCENT"),
+        (f"{TO} MAINTAIN FORCE-LIMIT -3 N", "FORCE-LIMIT"),
+        (f"{TO} MAINTAIN FORCE-LIMIT 3 NM", "FORCE-LIMIT"),
+        (f"{TO} MAINTAIN TORQUE-LIMIT 3 N", "TORQUE-LIMIT"),
+        (f"HOLD {ARM} MAINTAIN TORQUE-LIMIT 3 NM", "motions of the arm"),
+        (f"CLOSE {ARM} MAINTAIN GRIP-FORCE 90 N", "60 N"),
+        ("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A MAINTAIN GRIP-FORCE 90 N", "60 N"),
+        (f"{TO} MAINTAIN GRIP-FORCE 20 N", "closing of the hand"),
+        (f"{TO} MAINTAIN STIFFNESS 50 N/M", "100 to 5000"),
+        (f"OPEN {ARM} MAINTAIN STIFFNESS 500 N/M", "motions of the arm"),
+        (f"{TO} MAINTAIN TIME-LIMIT 0.1 SEC", "0.1 s"),
+        (f"{TO} MAINTAIN TIME-LIMIT 3 N", "TIME-LIMIT"),
+        (f"{TO} MAINTAIN SHARED WRIST", "SHARED"),
+        (f"{TO} MAINTAIN SPEED AND SPEED", "repeated"),
+        (f"{TO} UNLESS NO-PROGRESS THEN STOP", "compliant"),
+    ],
+)
+def test_a_wrong_argument_is_refused_and_nothing_moves(bench, sentence, words) -> None:
+    parsed = parse(default_grammar(), sentence)
+    if isinstance(parsed, Refusal):
+        assert words in parsed.message
+        return
+    run = bench.do(sentence)
+    assert run.refusal is not None
+    assert words in run.refusal.message
+    assert not run.primitives
+
+
+# --- in motion -------------------------------------------------------------------------------------------
+
+
+@slow
+def test_the_sentence_of_figure_2_is_executed_in_physics(physical) -> None:
+    run = physical.do(S1)
+    assert run.succeeded, run.refusal or [a.message for a in run.assessments]
+    assert math.isclose(run.script.context.limits.speed_m_s, 0.1)
+
+
+PALM = 7  # link of the URDF
+LINE = f"MOVE {ARM} BY 4 CM ALONG DOWN MAINTAIN"
+
+
+@pytest.fixture
+def push(physical):
+    """Push at the tcp from tick 1000 of every following primitive: force (N), torque (N.m), world axes."""
+
+    def set_push(force=(0, 0, 0), torque=(0, 0, 0), until: int = 10_000) -> None:
+        arm, client = physical.subsystem.sim.arms[ARM], physical.subsystem.sim.world.client
+
+        def disturb(tick: int) -> None:
+            if 1000 <= tick < until:
+                at = arm.tcp_pose(arm._sample.joints)[:3].tolist()
+                pybullet.applyExternalForce(arm.body, PALM, force, at, pybullet.WORLD_FRAME, physicsClientId=client)
+                pybullet.applyExternalTorque(arm.body, PALM, torque, pybullet.WORLD_FRAME, physicsClientId=client)
+
+        physical.subsystem.disturb = disturb
+
+    return set_push
+
+
+# (item with and without its argument, what else the sentence maintains, push, reason, words of the report)
+SOFT = "STIFFNESS 100 N/M AND FORCE-LIMIT 400 N"
+DISTURBED = [
+    ("FORCE-LIMIT 12 N", "SPEED 1 CM/S", ((0, 14, 0), (0, 0, 0)), StopReason.FORCE_LIMIT, ""),
+    ("FORCE-LIMIT", "SPEED 1 CM/S", ((0, 32, 0), (0, 0, 0)), StopReason.FORCE_LIMIT, ""),
+    ("TORQUE-LIMIT 2 NM", "SPEED 1 CM/S", ((0, 0, 0), (0, 0, 3)), StopReason.TORQUE_LIMIT, ""),
+    ("TORQUE-LIMIT", "SPEED 1 CM/S", ((0, 0, 0), (0, 0, 5)), StopReason.TORQUE_LIMIT, ""),
+    ("SPEED 1 CM/S", SOFT, ((0, 25, 0), (0, 0, 0)), StopReason.OVERSPEED, "the tool moves at"),
+    ("TIME-LIMIT 8 SEC", f"{SOFT} AND SPEED 1 CM/S", ((0, 3, 0), (0, 0, 0)), StopReason.TIMEOUT, ""),
+]
+
+
+@slow
+@pytest.mark.parametrize(("item", "others", "pushed", "reason", "words"), DISTURBED, ids=lambda value: str(value)[:20])
+def test_a_disturbance_in_motion_is_noticed(physical, push, item, others, pushed, reason, words) -> None:
+    if "SPEED" in others:  # a push is faster than the path
+        physical.load("binder", "values: {fast_factor: 1000}")
+    assert physical.do(f"{LINE} {item} AND {others}").succeeded
+    push(*pushed)
+    report = physical.do(f"{LINE.replace('DOWN', 'UP')} {item} AND {others}").reports[-1]
+    assert report.reason is reason
+    assert words in report.message
+
+
+@slow
+@pytest.mark.parametrize(
+    ("item", "pushed", "words"),
+    [
+        ("SAFE-WORK-RANGE", ((0, 0, 16), (0, 0, 0)), "outside its range"),
+        ("AVOID-TASK-REGION", ((14, 0, 8), (0, 0, 0)), "inside a region"),
+        ("POSE-DURING-MOTION", ((0, 0, 0), (0, 0, 1)), "turned by"),
+    ],
+)
+def test_what_the_cell_means_is_watched_too(physical, push, item, pushed, words) -> None:
+    """As tests/workers/test_conditions.py does for the same items with their arguments."""
+    physical.load("binder", "values: {fast_factor: 1000}")
+    if item == "SAFE-WORK-RANGE":
+        assert physical.do(f"MOVE {ARM} TO POSITION 50 -28 144 CM").succeeded
+    assert physical.do(f"{LINE} {SOFT} AND {item} AND SPEED 1 CM/S").succeeded
+    push(*pushed)
+    report = physical.do(f"{LINE.replace('DOWN', 'UP')} {SOFT} AND {item} AND SPEED 1 CM/S").reports[-1]
+    assert report.reason is StopReason.OUT_OF_RANGE
+    assert words in report.message
+
+
+@slow
+@pytest.mark.parametrize(("words", "least_m"), [(" BY 3 CM", 0.025), ("", 0.005)])
+def test_a_body_that_comes_near_stops_the_arm_before_it_touches(physical, words, least_m) -> None:
+    """A module drifts towards the hand, which the world does not know."""
+    sim = physical.subsystem.sim
+    sim._detents.let_go("MACS-NEW")
+    sim.world.place(sim.world.objects["MACS-NEW"], geometry.make_pose((0.95, -0.28, 1.12)))
+
+    def drift(tick: int) -> None:
+        if tick == 500:
+            body = sim.world.objects["MACS-NEW"].id
+            pybullet.resetBaseVelocity(body, [-0.05, 0.0, 0.0], physicsClientId=sim.world.client)
+
+    physical.subsystem.disturb = drift
+    report = physical.do(f"MOVE {ARM} BY 10 CM ALONG UP MAINTAIN AVOID-NEIGHBORS{words} AND SPEED 2 CM/S").reports[-1]
+    assert report.reason is StopReason.OUT_OF_RANGE
+    assert "near MACS-NEW" in report.message
+    assert 0.0 < report.measured <= least_m
+    assert report.peak_force_n < 5.0
+
+
+@slow
+@pytest.mark.parametrize(("words", "grip_n"), [(" 20 N", 20.0), ("", 30.0)])
+def test_a_hand_that_is_pressed_too_hard_is_noticed(physical, words, grip_n) -> None:
+    assert physical.do(f"GRASP RIGHT-END-EFF MACS-NEW HANDLE-A MAINTAIN GRIP-FORCE{words}").succeeded
+    hand = physical.subsystem.sim.arms[ARM]._hand
+    physical.subsystem.disturb = lambda tick: setattr(
+        hand, "command", msgspec.structs.replace(hand.command, force_n=55.0)
+    )
+    report = physical.do(f"LIFT MACS-NEW BY 4 CM WITH RIGHT-ARM MAINTAIN GRIP-FORCE{words}").reports[-1]
+    assert report.reason is StopReason.FORCE_LIMIT
+    assert report.limit == pytest.approx(1.3 * grip_n + 3.0)
+
+
+@slow
+@pytest.mark.parametrize(("words", "stiffness"), [(" 400 N/M", 400.0), ("", 600.0)])
+def test_a_push_moves_a_soft_arm_by_what_its_stiffness_says(physical, push, words, stiffness) -> None:
+    physical.load("binder", "values: {fast_factor: 1000}")
+    push((0, 6, 0))
+    off = []
+    arm = physical.subsystem.sim.arms[ARM]
+    pushed = physical.subsystem.disturb
+    physical.subsystem.disturb = lambda tick: (pushed(tick), off.append(arm.tcp_pose(arm._sample.joints)[1]))
+    run = physical.do(f"{LINE} STIFFNESS{words} AND SPEED 1 CM/S")
+    assert run.reports, run.refusal
+    assert max(off) - off[0] == pytest.approx(6.0 / stiffness, rel=0.15)
