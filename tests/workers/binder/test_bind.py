@@ -181,7 +181,8 @@ def test_hands(bench):
 
 
 def test_a_grip_beyond_the_hands_force_is_refused(bench):
-    refusal = refused(bench, "CLOSE RIGHT-END-EFF MAINTAIN GRIP-FORCE 80 N", "close")
+    bench.load("elaborator", "command_object_table: [{verb: CLOSE, values: {grip_n: 80.0}}]")
+    refusal = refused(bench, "CLOSE RIGHT-END-EFF", "close")
 
     assert refusal.reason is RefusalReason.INFEASIBLE
     assert refusal.detail["limit_n"] == 60
