@@ -479,8 +479,7 @@ class ElaboratorInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
 
 
 class BinderInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """`at_s`, `moving`: as in `ElaboratorInput`. `moved_s`: duration of the command's motions so far, in the time of the
-    arms."""
+    """`at_s`, `moving`: as in `ElaboratorInput`. `moved_s`: how long this command has moved, in arm time."""
 
     primitive_id: str
     context: ScriptContext

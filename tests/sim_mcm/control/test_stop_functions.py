@@ -75,6 +75,7 @@ ROWS = [
         {"commanded": [0.0, 1.0, -1.051, 0.0, 0.0, 0.0]},
         {"commanded": [0.0, 1.0, -1.049, 0.0, 0.0, 0.0]},
     ),
+    (p.ArmTouch(), {"arm_touch": lambda: "RIGHT-ARM forearm touches LEFT-ARM palm"}, {}),
     (p.BodyTouch(), {"touch": lambda: "forearm touches MACS-OLD"}, {}),
     (p.GripForceBelow(20.0), {"grip_n": 19.0}, {"grip_n": 21.0}),
     (p.HandWidthBelow(0.018), {"width_m": 0.017}, {"width_m": 0.019}),
