@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from broker.decisions import deferred_analysis, faults, halt_request, journal_loss, program_rollout, subsystem_link
-from broker.decisions.command import control, limits, stopping, termination
+from broker.decisions.command import control, limits, pacing, stopping, termination
 from broker.decisions.command.table import stimulate
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import AcknowledgeReport, Effect, TellClient
@@ -32,6 +32,7 @@ from broker.decisions.events import (
     JournalLost,
     ListenersChanged,
     PrimitiveEnded,
+    PrimitivePaced,
     PrimitiveStarted,
     ProgramInstalled,
     Stimulus,
@@ -308,6 +309,7 @@ HANDLERS: dict[type[Event], Callable[[DecisionContext, Any], None]] = {
     JobDeclined: on_job_declined,
     JobLost: on_job_lost,
     PrimitiveStarted: on_started,
+    PrimitivePaced: pacing.on_paced,
     PrimitiveEnded: on_ended,
     HaltConfirmed: on_halt_confirmed,
     SubsystemConnected: subsystem_link.on_hello,

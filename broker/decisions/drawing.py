@@ -32,7 +32,7 @@ TEXT = {
 | rest | its subsystem confirms rest for the halt of its primitive |
 | halt_settled | a HALT sentence only: rest is confirmed, or it is not |
 | stop | a HALT or ABORT reaches it |
-| pause, resume | they take effect between two steps |
+| pause, resume | in *executing* the subsystem pauses the motion on its path, if it can; else between two steps |
 | timeout | its time limit for an end report, for rest or for the last analysis; in *analyzing*: time for a retry |
 | subsystem_lost | a subsystem that it has used is lost |
 

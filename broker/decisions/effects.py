@@ -40,6 +40,14 @@ class SendPrimitive(Effect, frozen=True, kw_only=True, gc=False):
     pid: int  # process id of the addressee: a restarted subsystem must not receive it
 
 
+class SendPace(Effect, frozen=True, kw_only=True, gc=False):
+    """Pause a primitive on its path, or let it go on."""
+
+    subsystem: str
+    primitive: str
+    paused: bool
+
+
 class SendHalt(Effect, frozen=True, kw_only=True, gc=False):
     subsystem: str
     halt: str
@@ -102,6 +110,7 @@ AnyEffect = (
     DispatchJob
     | CancelJob
     | SendPrimitive
+    | SendPace
     | SendHalt
     | AcknowledgeReport
     | StartTimer

@@ -91,6 +91,15 @@ class PrimitiveStarted(Event, frozen=True, kw_only=True, gc=False):
     primitive: str
 
 
+class PrimitivePaced(Event, frozen=True, kw_only=True, gc=False):
+    """A primitive has come to rest on its path, or has gone on from there."""
+
+    subsystem: str
+    primitive: str
+    paused: bool
+    done: float = 0.0  # part of its duration
+
+
 class PrimitiveEnded(Event, frozen=True, kw_only=True, gc=False):
     subsystem: str
     report: EndReport
@@ -114,6 +123,8 @@ class SubsystemConnected(Event, frozen=True, kw_only=True, gc=False):
     performers: list[str]
     outstanding: list[str] = []
     at_rest: bool = True
+    pauses: bool = False  # it can pause a primitive on its path
+    paused: list[str] = []  # primitives that it was ordered to pause
 
 
 class SubsystemGone(Event, frozen=True, kw_only=True, gc=False):
@@ -167,6 +178,7 @@ AnyEvent = (
     | JobDeclined
     | JobLost
     | PrimitiveStarted
+    | PrimitivePaced
     | PrimitiveEnded
     | HaltConfirmed
     | SubsystemConnected

@@ -291,6 +291,8 @@ class Subsystem(msgspec.Struct, kw_only=True):
     """Row of its transition table."""
     came_at_rest: bool = True
     """It was at rest when it connected; False once it is lost."""
+    pauses: bool = False
+    """It can pause a primitive on its path."""
 
 
 class RolloutPhase(StrEnum):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from enum import StrEnum
 
 from broker.decisions import halt_request
-from broker.decisions.command import nominal, stopping
+from broker.decisions.command import nominal, pacing, stopping
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendHalt
 from broker.decisions.events import BrokerRestarted, Stimulus, SubsystemConnected, SubsystemGone
@@ -66,6 +66,8 @@ def reconnect(context: DecisionContext, name: str, event: SubsystemConnected) ->
                 stopping.order_halt(context, command)
             elif command.phase is Phase.EXECUTING and command.primitive not in event.outstanding:
                 nominal.send(context, command)
+            elif command.phase is Phase.EXECUTING and command.pause_wanted is not (command.primitive in event.paused):
+                pacing.send_pace(context, command)  # the order was lost
 
 
 def replace(context: DecisionContext, name: str, event: SubsystemConnected) -> None:
@@ -89,7 +91,9 @@ def await_hello(context: DecisionContext, name: str, event: BrokerRestarted) -> 
 def _connect(context: DecisionContext, event: SubsystemConnected) -> None:
     """Store the link, and halt what moves there without a command that waits for it."""
     state, name = context.state, event.subsystem
-    state.subsystems[name] = Subsystem(pid=event.pid, performers=event.performers, came_at_rest=event.at_rest)
+    state.subsystems[name] = Subsystem(
+        pid=event.pid, performers=event.performers, came_at_rest=event.at_rest, pauses=event.pauses
+    )
     for primitive in event.outstanding:
         state.accepted = max(state.accepted, number_of(primitive))  # a journal after a loss may lack it
         owner = command_of(primitive)

@@ -99,6 +99,10 @@ class Egress:
         }
         self.subsystems.put(self._core.subsystem_peer(effect.subsystem), message)
 
+    def _send_pace(self, effect: do.SendPace) -> None:
+        order = m.Pace(primitive=effect.primitive, paused=effect.paused)
+        self.subsystems.put(self._core.subsystem_peer(effect.subsystem), order)
+
     def _send_halt(self, effect: do.SendHalt) -> None:
         order = m.HaltOrder(halt=effect.halt, scope=effect.scope, called_at_s=effect.called_at_s, call=effect.call)
         self.subsystems.send_now(self._core.subsystem_peer(effect.subsystem), order)
@@ -166,6 +170,7 @@ PERFORM: dict[type[do.Effect], Callable[[Egress, Any], None]] = {
     do.DispatchJob: Egress._dispatch_job,
     do.CancelJob: Egress._cancel_job,
     do.SendPrimitive: Egress._send_primitive,
+    do.SendPace: Egress._send_pace,
     do.SendHalt: Egress._send_halt,
     do.AcknowledgeReport: Egress._acknowledge_report,
     do.StartTimer: Egress._start_timer,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from broker.decisions import reporting
-from broker.decisions.events import HaltConfirmed, PrimitiveEnded, PrimitiveStarted, SubsystemConnected
+from broker.decisions.events import HaltConfirmed, PrimitiveEnded, PrimitivePaced, PrimitiveStarted, SubsystemConnected
 from broker.decisions.state import LinkState
 from broker.router.core import Core, name_of, peer_of
 from broker.router.egress import Egress
@@ -63,6 +63,8 @@ class SubsystemMessages:
                 performers=message.performers,
                 outstanding=message.outstanding,
                 at_rest=message.at_rest,
+                pauses=message.pauses,
+                paused=message.paused,
             )
         )
 
@@ -73,6 +75,13 @@ class SubsystemMessages:
 
     def _started(self, name: str, peer: bytes, message: m.Started, now: float) -> None:
         self._core.enqueue(PrimitiveStarted(at_s=now, subsystem=name, primitive=message.primitive))
+
+    def _paced(self, name: str, peer: bytes, message: m.Paced, now: float) -> None:
+        self._core.enqueue(
+            PrimitivePaced(
+                at_s=now, subsystem=name, primitive=message.primitive, paused=message.paused, done=message.done
+            )
+        )
 
     def _ended(self, name: str, peer: bytes, message: m.EndReport, now: float) -> None:
         self._core.enqueue(PrimitiveEnded(at_s=now, subsystem=name, report=message))
@@ -126,6 +135,7 @@ HANDLERS: dict[type, Callable[[SubsystemMessages, str, bytes, Any, float], None]
     m.SubsystemHello: SubsystemMessages._connect,
     m.Heartbeat: SubsystemMessages._mark_alive,
     m.Started: SubsystemMessages._started,
+    m.Paced: SubsystemMessages._paced,
     m.EndReport: SubsystemMessages._ended,
     m.HaltOrder: SubsystemMessages._call_halt,
     m.HaltStarted: SubsystemMessages._halt_started,

@@ -563,6 +563,8 @@ class SubsystemHello(Message, frozen=True, kw_only=True):
     outstanding: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []
     at_rest: bool = True
     arrays: bool = False  # as in ClientHello
+    pauses: bool = False  # it obeys Pace; else its commands pause between two steps only
+    paused: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []  # primitives that it was ordered to pause
 
 
 class Execute(Message, frozen=True, kw_only=True):
@@ -589,6 +591,15 @@ class HaltOrder(Message, frozen=True, kw_only=True):
     received_at_s: float = 0.0
 
 
+class Pace(Message, frozen=True, kw_only=True):
+    """Pause a primitive on its path, or let it go on. Repeating it changes nothing; one that has ended ignores it.
+
+    F is checked during a pause. A time limit does not count from the order to pause until the order to go on."""
+
+    primitive: Name
+    paused: bool
+
+
 class ReportAck(Message, frozen=True, kw_only=True):
     """The broker has journalled the end report of this primitive; the subsystem may forget it."""
 
@@ -598,6 +609,15 @@ class ReportAck(Message, frozen=True, kw_only=True):
 class Started(Message, frozen=True, kw_only=True):
     primitive: str
     at_s: float
+
+
+class Paced(Message, frozen=True, kw_only=True):
+    """A primitive has come to rest on its path, or has gone on from there."""
+
+    primitive: str
+    at_s: float
+    paused: bool
+    done: float = 0.0  # part of the duration of its trajectory, 0 to 1
 
 
 class ProgressReport(Message, frozen=True, kw_only=True):
@@ -620,7 +640,7 @@ class EndReport(Message, frozen=True, kw_only=True):
     performer: Name
     reason: StopReason
     at_s: float
-    duration_s: float  # in the time of the simulation
+    duration_s: float  # in the time of the simulation, pauses included
     joints: list[float]  # rad, after coming to rest
     tcp_pose: list[float]  # at rest
     wrench: list[float]  # at rest
@@ -915,9 +935,18 @@ BrokerToClient = (
 WorkerToBroker = WorkerHello | Heartbeat | ResultBatch | ProgramWanted | WorkerGone
 BrokerToWorker = JobBatch | Drop | ProgramBody | Shutdown | WorkerAddress | Heartbeat
 SubsystemToBroker = (
-    SubsystemHello | Heartbeat | Started | ProgressReport | EndReport | HaltStarted | HaltAtRest | HaltOrder | Dropped
+    SubsystemHello
+    | Heartbeat
+    | Started
+    | Paced
+    | ProgressReport
+    | EndReport
+    | HaltStarted
+    | HaltAtRest
+    | HaltOrder
+    | Dropped
 )
-BrokerToSubsystem = Execute | HaltOrder | ReportAck | Declined  # Declined: the name is in use
+BrokerToSubsystem = Execute | Pace | HaltOrder | ReportAck | Declined  # Declined: the name is in use
 ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
 FromHalt = HaltStarted | HaltAtRest | Declined
 ToWorld = ReadView | Commit | WorldHistory | Doubt

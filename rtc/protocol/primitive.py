@@ -151,7 +151,7 @@ class GoalReached(msgspec.Struct, frozen=True, tag="goal-reached"):
 
 
 class TimeAbove(msgspec.Struct, frozen=True, tag="time-above"):
-    limit_s: float  # since the start of the primitive, in the time of the simulation
+    limit_s: float  # since the start of the primitive, in the time of the simulation, without pauses
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.limit_s <= LONGEST_S:  # false for nan too

@@ -23,6 +23,7 @@ from rtc.robot.geometry import Array
 from sim_mcm.arms.arm import TICK_S, ArmInterface, HandCommand, Motion, Sample
 from sim_mcm.control import acceptance, profiles, stop_functions
 from sim_mcm.control.modes import AFTER_STOP, MOVING, TRANSITIONS, Mode, Trigger
+from sim_mcm.control.pace import Pace
 from sim_mcm.control.reports import Peaks, Trip, end_report, magnitudes, not_begun
 
 # After these reasons the arm may lean on an obstacle; the command then moves to the measured position.
@@ -56,7 +57,7 @@ RELEASE_LIMIT_S = 3.0
 LIMP = p.Compliance(stiffness=[0.0] * 6)
 COMPLIED_N, COMPLY_LIMIT_S = 1.0, 3.0
 
-Reports = list[m.Started | m.ProgressReport | m.EndReport]
+Reports = list[m.Started | m.Paced | m.ProgressReport | m.EndReport]
 
 
 class Executor:
@@ -73,6 +74,10 @@ class Executor:
         self._ticks = 0  # since the start of this primitive
         self._profile: profiles.Profile = profiles.Stay(self.sample.joints)
         self._profile_ticks = 0
+        self._shift_s = 0.0  # time of the profile minus that of its ticks: what passed at another rate
+        self._pace = Pace()
+        self._stands = False  # on its path, in a pause
+        self._paused_ticks = 0  # of this primitive
         self._command: Motion = self._profile.at(0.0)
         self._follow: profiles.Follow | None = None  # the path, if the primitive has one
         self._hand = HandCommand(sum(self.sample.fingers), arm.traits.max_grip_n, arm.traits.hand_speed_m_s)
@@ -156,6 +161,25 @@ class Executor:
             self._apply(Trigger.HALTED)
         return was_moving
 
+    @property
+    def paused(self) -> bool:
+        """Whether its primitive is to pause on its path, or does."""
+        return self.state is Mode.EXECUTING and self._pace.paused
+
+    def pace(self, paused: bool) -> None:
+        """Pause the primitive on its path, or let it go on. F is checked as before; its time limit does not count from
+        the order to pause until the order to go on. Without effect on an arm that stops."""
+        if self.state is not Mode.EXECUTING or paused is self._pace.paused:
+            return
+        self._pace.paused = paused
+        assert self.primitive is not None
+        trajectory = self.primitive.trajectory
+        if isinstance(trajectory, p.HandMotion):
+            if paused:
+                self._freeze_hand()
+            else:
+                self._move_hand(trajectory)
+
     def tick(self, now_s: float) -> Reports:
         """One servo tick: read the sample, evaluate, command."""
         sample = self.sample = self.arm.read()
@@ -168,8 +192,7 @@ class Executor:
         self._ticks += 1
         self._wrench = self.wrench
         reports = self._work[self.state](now_s)
-        self._profile_ticks += 1
-        command = self._profile.at(self._profile_ticks * TICK_S)
+        command = self._advance()
         if not self._within_limits(command):
             command = self._brake_instead(command)
         self._command = command
@@ -193,7 +216,8 @@ class Executor:
     def _begin_executing(self) -> None:
         assert self.primitive is not None
         trajectory = self.primitive.trajectory
-        self._ticks = 0
+        self._ticks = self._paused_ticks = 0
+        self._stands = False
         self._compliant = self.primitive.control_law.compliance is not None
         self._peaks = Peaks()
         self._yielded = self._releasing = False
@@ -207,7 +231,7 @@ class Executor:
         else:
             self._use(profiles.Stay(joints))
         if isinstance(trajectory, p.HandMotion):
-            self._use_hand(HandCommand(trajectory.width_m, trajectory.force_n, trajectory.speed_m_s))
+            self._move_hand(trajectory)
 
     def _execute(self, now_s: float) -> Reports:
         moment = self._moment()
@@ -226,6 +250,8 @@ class Executor:
             )
             self._trip(trip, Trigger.TRIPPED)
             return reports + self._stop(now_s)
+        if self._pace.paused or self._stands:
+            reports += self._paced(now_s)
         if self._report_every is not None and self._ticks % self._report_every == 0:
             reports.append(self._progress(now_s))
         return reports
@@ -241,6 +267,16 @@ class Executor:
         if met:
             self._report_when = [(n, check) for n, check in self._report_when if n not in met]
         return list(met.values())
+
+    def _paced(self, now_s: float) -> Reports:
+        """Count a tick of a pause, and report when the arm stands on its path or goes on."""
+        self._paused_ticks += self._pace.paused
+        stands = self._pace.rate == 0.0
+        if stands is self._stands:
+            return []
+        self._stands = stands
+        done = min(1.0, self._profile_time_s / self._profile.duration_s) if self._profile.duration_s else 0.0
+        return [m.Paced(primitive=self.primitive_id, at_s=now_s, paused=stands, done=done)]
 
     def _begin_stopping(self) -> None:
         assert self.primitive is not None
@@ -270,7 +306,7 @@ class Executor:
         if self._follow is None or self.trip.back_off_m <= 0.0:
             self._use(profiles.Stay(joints))  # no path to retrace
             return
-        tripped_s = self.trip.at_tick * TICK_S
+        tripped_s = self.trip.at_path_s
         if self._was_compliant:  # the arm may be far behind its command
             tripped_s = self._follow.nearest_s(joints, tripped_s)
         self._use(profiles.Retrace(self._follow, tripped_s, joints, self.trip.back_off_m, self.arm.tcp_pose))
@@ -372,7 +408,7 @@ class Executor:
     def _trip(self, trip: Trip, event: Trigger) -> None:
         assert self.trip is None, "a primitive ends for one reason"
         pose = self.arm.tcp_pose(self.sample.joints).tolist()
-        self.trip = msgspec.structs.replace(trip, at_tick=self._ticks, pose=pose, wrench=list(self._wrench))
+        self.trip = msgspec.structs.replace(trip, at_path_s=self._profile_time_s, pose=pose, wrench=list(self._wrench))
         self._apply(event)
 
     def _objection(self, primitive: p.Primitive) -> str:
@@ -420,7 +456,22 @@ class Executor:
 
     def _use(self, profile: profiles.Profile) -> None:
         self._profile = profile
-        self._profile_ticks = 0
+        self._profile_ticks, self._shift_s = 0, 0.0
+        self._pace = Pace()
+
+    def _advance(self) -> Motion:
+        """The command of this tick."""
+        if self._pace.full:
+            self._profile_ticks += 1
+            return self._profile.at(self._profile_time_s)
+        most = self.arm.traits.acceleration
+        if min(self.sample.finger_forces) > SQUEEZE_N:
+            most = [min(a, profiles.LADEN_ACCELERATION_RAD_S2) for a in most]
+        self._shift_s += self._pace.advance(self._profile, self._profile_time_s, most)
+        return self._pace.scaled(self._profile.at(self._profile_time_s))
+
+    def _move_hand(self, motion: p.HandMotion) -> None:
+        self._use_hand(HandCommand(motion.width_m, motion.force_n, motion.speed_m_s))
 
     def _use_hand(self, command: HandCommand) -> None:
         self._hand = command
@@ -444,13 +495,13 @@ class Executor:
 
     @property
     def _profile_time_s(self) -> float:
-        return self._profile_ticks * TICK_S
+        return self._profile_ticks * TICK_S + self._shift_s
 
     def _moment(self) -> stop_functions.Moment:
         sample = self.sample
         force_n, torque_nm = magnitudes(self._wrench)
         return stop_functions.Moment(
-            self._ticks * TICK_S,
+            (self._ticks - self._paused_ticks) * TICK_S,
             sample.joints,
             sample.velocities,
             self._wrench,

@@ -27,6 +27,7 @@ LADEN_JERK_RAD_S3 = 400.0
 # Limits while the command moves to the position where contact has stopped the arm, to relieve the pressure.
 YIELD_VELOCITY_RAD_S, YIELD_ACCELERATION_RAD_S2, YIELD_JERK_RAD_S3 = 0.2, 2.0, 200.0
 BLOCK = 64  # number of ticks of a path computed at once
+SAME_S = 1e-7  # rounding of a time that counts ticks
 BLEND_S = 0.25  # time in which an initial offset between command and path fades out
 RETREAT_SPEED_M_S = 0.05  # maximum tcp speed in a reflex
 RETREAT_LEAST_S = 0.2
@@ -63,17 +64,17 @@ class Follow:
         self._blend = bool(np.abs(self._offset).max() > 1e-9)
         self.duration_s = max(self._length_s, BLEND_S) if self._blend else self._length_s
         self._end = Stay(trajectory.positions[-1]).at(0.0)
-        self._block: list[list[list[float]]] = []  # motions of the ticks from _first on
-        self._first = 0
+        self._block: list[list[list[float]]] = []  # motions from _first_s on, one per tick
+        self._first_s = 0.0
 
     def at(self, time_s: float) -> Motion:
         if time_s >= self.duration_s:
             return self._end
-        n = round(time_s / TICK_S) - self._first
-        if not 0 <= n < len(self._block):
-            self._first += n
+        n = round((time_s - self._first_s) / TICK_S)
+        if not 0 <= n < len(self._block) or abs(time_s - self._first_s - n * TICK_S) > SAME_S:
+            self._first_s = time_s
             n = 0
-            times_s: Array = (self._first + np.arange(BLOCK, dtype=np.float64)) * TICK_S
+            times_s: Array = time_s + TICK_S * np.arange(BLOCK, dtype=np.float64)
             block = self.path(times_s)
             if self._blend and times_s[0] < BLEND_S:
                 block += self._remaining_offset(times_s)
@@ -103,7 +104,7 @@ class Follow:
         """The remaining part of the initial offset."""
         rows = []
         for t in times_s.tolist():
-            fade, slope, bend = _smooth(t / BLEND_S)
+            fade, slope, bend = smooth(t / BLEND_S)
             rows.append((1.0 - fade, -slope / BLEND_S, -bend / BLEND_S**2))
         return np.asarray(rows)[:, :, None] * self._offset
 
@@ -172,7 +173,7 @@ class Retrace:
         if time_s >= self.duration_s:
             return self._end
         span_s = self._to_s - self._from_s
-        fade, slope, bend = _smooth(time_s / self.duration_s)
+        fade, slope, bend = smooth(time_s / self.duration_s)
         rate, change = span_s * slope / self.duration_s, span_s * bend / self.duration_s**2
         q, qd, qdd = self._followed.path(np.array([self._from_s + span_s * fade]))[0]
         d = self.duration_s
@@ -183,7 +184,7 @@ class Retrace:
         )
 
 
-def _smooth(x: float) -> tuple[float, float, float]:
+def smooth(x: float) -> tuple[float, float, float]:
     """Quintic step from 0 to 1 with rest at both ends: value, slope, second derivative."""
     x = min(max(x, 0.0), 1.0)
     return x**3 * (10 + x * (6 * x - 15)), 30 * (x * (x - 1)) ** 2, 60 * x * (1 - x) * (1 - 2 * x)

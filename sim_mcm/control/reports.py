@@ -22,7 +22,7 @@ class Trip(msgspec.Struct, frozen=True, kw_only=True):
     measured: float | None = None
     limit: float | None = None
     message: str = ""
-    at_tick: int = 0
+    at_path_s: float = 0.0  # time of the profile
     pose: list[float] | None = None  # of the tcp, in that tick
     wrench: list[float] | None = None
 

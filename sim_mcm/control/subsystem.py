@@ -117,7 +117,7 @@ class McmSubsystem:
         return not self._pending and all(e.primitive is None for e in self.executors.values())
 
     def handle(
-        self, message: m.Execute | m.HaltOrder | m.ReportAck | InvalidOrder, sender: bytes, now_s: float
+        self, message: m.Execute | m.Pace | m.HaltOrder | m.ReportAck | InvalidOrder, sender: bytes, now_s: float
     ) -> Outgoing:
         if isinstance(message, m.HaltOrder):
             return self._halt(message, sender, now_s)
@@ -125,6 +125,11 @@ class McmSubsystem:
             if not message.primitive:  # without an id: the broker asks for a hello
                 return self.hello()
             self._kept.pop(message.primitive, None)
+            return []
+        if isinstance(message, m.Pace):
+            for executor in self.executors.values():
+                if executor.primitive_id == message.primitive:  # else it has ended, and its report is on the way
+                    executor.pace(message.paused)
             return []
         if isinstance(message, InvalidOrder):
             return self._refuse(message, now_s)
@@ -146,6 +151,8 @@ class McmSubsystem:
             outstanding=self.outstanding,
             at_rest=self.at_rest,
             arrays=True,
+            pauses=True,
+            paused=[executor.primitive_id for executor in self.executors.values() if executor.paused],
         )
         halts = self._fences.values()
         return [

@@ -51,6 +51,8 @@ def brief(effect: do.Effect) -> str:
             return f"cancel {effect.job}"
         case do.SendPrimitive():
             return f"primitive {effect.id} to {effect.subsystem}"
+        case do.SendPace():
+            return f"{'pause' if effect.paused else 'go on'} {effect.primitive} at {effect.subsystem}"
         case do.SendHalt():
             return f"halt {effect.scope} to {effect.subsystem}"
         case do.AcknowledgeReport():
@@ -95,7 +97,9 @@ class Harness:
 
     # --- who speaks ---
 
-    def mcm_hello(self, pid: int = 1, outstanding: list[str] | None = None, at_rest: bool = True) -> list[str]:
+    def mcm_hello(
+        self, pid: int = 1, outstanding: list[str] | None = None, at_rest: bool = True, **more: Any
+    ) -> list[str]:
         return self.handle(
             events.SubsystemConnected,
             subsystem="MCM",
@@ -103,6 +107,7 @@ class Harness:
             performers=["LEFT-ARM", "RIGHT-ARM"],
             outstanding=outstanding or [],
             at_rest=at_rest,
+            **more,
         )
 
     def says(self, text: str, client: str = "ann", request: str = "", **fields: Any) -> list[str]:

@@ -22,6 +22,7 @@ from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms import control_laws
 from sim_mcm.arms.arm import TICK_S, HandCommand, Motion, Near, Sample, Traits
 from sim_mcm.control.executor import Executor
+from sim_mcm.control.profiles import Follow
 from sim_mcm.control.subsystem import BROKER, McmSubsystem
 
 ARM, OTHER = "RIGHT-ARM", "LEFT-ARM"
@@ -241,4 +242,5 @@ def make() -> SimpleNamespace:
         Rig=Rig,
         Bench=Bench,
         SteeredArm=SteeredArm,
+        Follow=Follow,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from broker.decisions.command.nominal import next_step
+from broker.decisions.command.pacing import can_pause
 from broker.decisions.command.scope import has_ended, in_scope, no_target, scope_of, subsystem_of
 from broker.decisions.command.termination import end, refuse
 from broker.decisions.context import DecisionContext
@@ -42,7 +43,7 @@ def control(context: DecisionContext, command: Command, head: ParsedHead) -> Non
     stimulus = CONTROLS[head.verb]
     words = f"{head.verb} of {', '.join(targets)}" if targets else f"{head.verb} had nothing to act on"
     if answer := PAUSE_ANSWERS.get(stimulus):
-        answers = {name: answer(context.state.commands[name]) for name in targets}
+        answers = {name: answer(context, context.state.commands[name]) for name in targets}
         targets = [name for name, (will, _) in answers.items() if will]
         words = "; ".join(f"{name} {what}" for name, (_, what) in answers.items()) or words
         if answers and not targets:
@@ -86,8 +87,8 @@ def _given_after(other: Command, command: Command) -> bool:
 Answer = tuple[bool, str]  # (is the request accepted?, what the command does, in words)
 
 
-def _will_pause(command: Command) -> Answer:
-    """Whether a command can pause. It pauses between two steps only (R101), so not in its last step."""
+def _will_pause(context: DecisionContext, command: Command) -> Answer:
+    """Whether a command can pause: on the path of its motion if its subsystem can do that, else between two steps."""
     if command.phase is Phase.PAUSED:
         return False, "is paused already"
     if command.phase in (Phase.HALTING, Phase.CLOSING):
@@ -96,12 +97,14 @@ def _will_pause(command: Command) -> Answer:
         return True, f"pauses before step {command.step_words}"
     if command.actions is None or command.actions.step is None:
         return True, "pauses before its first step"
+    if command.phase is Phase.EXECUTING and can_pause(context, command):
+        return True, f"slows down on its path and pauses, in step {command.step_words}"
     if command.actions.refs:
         return True, f"pauses after step {command.step_words}"
     return False, f"is in its last step ({command.step_words}) and ends with it"
 
 
-def _will_resume(command: Command) -> Answer:
+def _will_resume(context: DecisionContext, command: Command) -> Answer:
     going = command.phase is not Phase.PAUSED and not command.pause_wanted
     return (False, "was not paused") if going else (True, "goes on")
 

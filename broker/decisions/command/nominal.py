@@ -11,6 +11,7 @@ from broker.decisions import action_stack, reporting
 from broker.decisions.command.claims import claim_or_wait
 from broker.decisions.command.closing import close
 from broker.decisions.command.limits import report_limit_s
+from broker.decisions.command.pacing import send_pace
 from broker.decisions.command.termination import end, end_given_up, refuse
 from broker.decisions.context import DecisionContext, step_in_words
 from broker.decisions.effects import AcknowledgeReport, SendPrimitive
@@ -144,6 +145,8 @@ def send(context: DecisionContext, command: Command) -> None:
                 pid=subsystem.pid,
             )
         )
+        if command.pause_wanted:
+            send_pace(context, command)
     context.start_timer(command, report_limit_s(context.state, command))
 
 

@@ -15,6 +15,7 @@ from broker.decisions.command import (
     intake,
     jobs,
     nominal,
+    pacing,
     space,
     stopping,
     termination,
@@ -76,9 +77,9 @@ _ROWS: dict[Phase, dict[Stimulus, TableCell[Phase]]] = {
     P.EXECUTING: {
         S.REPORT: cell(space.on_reported, P.ANALYZING, P.CLOSING, P.WAITING, P.BINDING, P.PAUSED, P.ENDED),
         S.STOP: cell(stopping.stop_primitive, P.HALTING),
-        S.PAUSE: cell(control.request_pause, P.EXECUTING),
-        S.RESUME: cell(control.withdraw_pause, P.EXECUTING),
-        S.TIMEOUT: cell(stopping.stop_overdue, P.HALTING),
+        S.PAUSE: cell(pacing.pause_motion, P.EXECUTING),
+        S.RESUME: cell(pacing.resume_motion, P.EXECUTING),
+        S.TIMEOUT: cell(pacing.on_overdue, P.HALTING, P.EXECUTING),
         S.SUBSYSTEM_LOST: cell(stopping.on_subsystem_lost, P.CLOSING),
     },
     P.ANALYZING: {

@@ -18,6 +18,7 @@ from broker.decisions.events import (
     HaltCalled,
     HaltConfirmed,
     ListenersChanged,
+    PrimitivePaced,
     ProgramInstalled,
     Stimulus,
     SubsystemConnected,
@@ -800,6 +801,66 @@ def test_a_pause_in_the_last_step_is_refused():
     assert outcome.refusal is not None
     assert outcome.message == "C-1 is in its last step (1 of 1: step 1) and ends with it"
     assert outcome.refusal.clears == "HALT C-1 stops now, and ends it"
+
+
+def moving() -> Harness:
+    """A command in its only step, on a subsystem that can pause it on its path."""
+    s = Harness(mcm=False)
+    s.mcm_hello(pauses=True)
+    s.executing(script(steps=1))
+    return s
+
+
+def test_a_motion_pauses_on_its_path_and_goes_on_even_in_the_last_step():
+    s = moving()
+    s.says("PAUSE C-1")
+    assert s.answers("C-2", record(kind="control", verb="PAUSE", object="C-1"))[2:] == [
+        "note C-1 executing",
+        "pause C-1.1 at MCM",
+    ]
+    assert s.outcome("C-2").message == "C-1 slows down on its path and pauses, in step 1 of 1: step 1"
+    s.handle(PrimitivePaced, subsystem="MCM", primitive="C-1.1", paused=True, done=0.4)
+    assert s.state.commands["C-1"].notes[-1].note == "stands on its path, 40% done"
+    s.says("RESUME C-1")
+    answers = s.answers("C-3", record(kind="control", verb="RESUME", object="C-1"))
+    assert answers[2:] == ["timer C-1", "go on C-1.1 at MCM"]
+    s.reports("C-1")
+    assert s.answers("C-1", go_on())[-1] == "end C-1 succeeded"
+
+
+def test_the_time_limit_of_a_report_waits_for_the_end_of_a_pause():
+    s = moving()
+    s.parsed(kind="control", verb="PAUSE", object="C-1")
+    assert s.rings("C-1") == ["timer C-1"]
+    s.parsed(kind="control", verb="RESUME", object="C-1")
+    assert "halt C-1 to MCM" in s.rings("C-1")
+
+
+def test_a_motion_that_ends_before_it_stands_pauses_before_the_next_step():
+    s = Harness(mcm=False)
+    s.mcm_hello(pauses=True)
+    s.executing(script(steps=2))
+    s.parsed(kind="control", verb="PAUSE", object="C-1")
+    s.reports("C-1")
+    assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "note C-1 paused"]
+
+
+@pytest.mark.parametrize("paused", [[], ["C-1.1"]])
+@pytest.mark.parametrize("wanted", [True, False])
+def test_a_pause_order_that_was_lost_is_sent_again(paused, wanted):
+    s = moving()
+    s.state.commands["C-1"].pause_wanted = wanted
+    sent = s.mcm_hello(outstanding=["C-1.1"], at_rest=False, pauses=True, paused=paused)
+    expected = [] if wanted is bool(paused) else ["pause C-1.1 at MCM" if wanted else "go on C-1.1 at MCM"]
+    assert sent == expected
+
+
+def test_a_motion_that_pauses_can_be_halted():
+    s = moving()
+    s.parsed(kind="control", verb="PAUSE", object="C-1")
+    s.halts()
+    s.reports("C-1", StopReason.HALT)
+    assert s.answers("C-1", go_on())[-1] == "end C-1 halted"
 
 
 def test_a_paused_command_can_be_halted():

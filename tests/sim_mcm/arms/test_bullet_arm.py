@@ -86,6 +86,31 @@ def test_a_line_at_full_speed_is_followed_within_a_tenth_of_a_millimetre(world, 
     assert report.peak_force_n < 2.0  # of the hand's own inertia
 
 
+def test_a_paused_line_is_left_by_less_than_a_millimetre(bench, cell, model, go) -> None:
+    """Pause in the fastest part, stand, go on."""
+    executor = bench.subsystem.executors[ARM]
+    start, way = model.fk(cell.arm(ARM).home_rad), np.array([-0.15, 0.1, -0.25])
+    along = way / np.linalg.norm(way)
+    off, ticks, stood = [], [0], []
+
+    def watch() -> None:
+        ticks[0] += 1
+        if ticks[0] == 1000:
+            executor.pace(True)
+        elif ticks[0] == 2500:
+            executor.pace(False)
+        part = model.fk(executor.sample.joints)[:3] - start[:3]
+        off.append(float(np.linalg.norm(part - (part @ along) * along)))
+        if 2400 < ticks[0] < 2500:
+            stood.append(part)
+
+    report = go(geometry.translate(start, way), 0.25, watch=watch)
+    assert report.reason is StopReason.GOAL
+    assert max(off) < 1e-3
+    assert np.ptp(stood, axis=0).max() < 1e-5
+    assert 0.1 < np.linalg.norm(stood[-1]) < 0.3
+
+
 @pytest.mark.parametrize("scale", [1.0, 0.4])
 def test_a_guarded_move_feels_the_handle_in_that_tick_and_hardly_presses(bench, make, handle, go, scale) -> None:
     front = geometry.compose(handle, (0.0, 0.0, -0.1, 0.0, 0.0, 0.0, 1.0))
