@@ -23,7 +23,8 @@ from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.clock import Clock
 from sim_mcm.control.subsystem import BROKER, McmSubsystem, Outgoing
-from sim_mcm.sockets import Sockets
+from sim_mcm.faults import FARTHEST, Injections
+from sim_mcm.sockets import Question, Sockets
 from sim_mcm.state_file import StateFile
 
 NAME = "MCM"
@@ -31,7 +32,6 @@ HEARTBEAT_S = 0.25
 TELEMETRY_S = 0.02
 END_S = 1.0  # simulated: maximum time for the arms to come to rest before the process ends
 LAST_S = 1.0  # for the rest of that end
-FARTHEST = 10.0  # m or rad, maximum of a belief error; pybullet fails at 1e300 m
 RANK, NICENESS = 2, -5  # above the broker and the workers, if the system permits it
 IO_RANK = 1  # of its I/O threads: below the servo tick, so that a flood of messages does not delay it
 
@@ -50,6 +50,7 @@ class Station:
         if (before := self._state_file.load()) is not None:
             simulation.restore(before)
         self._subsystem = McmSubsystem(self._simulation.arms, NAME, os.getpid())
+        self._faults = Injections(self._simulation.cell, self._simulation, self._subsystem.executors)
         self._sockets = Sockets(me, settings, given.identity(NAME))
         self._clock = Clock(settings.speed, process.now_s())
         self._heartbeat = process.Every(HEARTBEAT_S)
@@ -58,7 +59,7 @@ class Station:
     def run(self) -> None:
         """Run until the process receives the order to stop."""
         clock, subsystem = self._clock, self._subsystem
-        self._sockets.send(subsystem.hello())
+        self._sockets.send([*subsystem.hello(), self._injected])
         process.freeze_heap()
         self._me.ready()
         while not self._me.stopping:
@@ -109,8 +110,10 @@ class Station:
         """Work that is not urgent."""
         sockets = self._sockets
         self._me.beat(now_s)
+        if self._faults.tick_s:
+            time.sleep(self._faults.tick_s)
         if sockets.newly_connected():
-            sockets.send(self._subsystem.hello())
+            sockets.send([*self._subsystem.hello(), self._injected])
         if self._heartbeat.due(now_s):
             sockets.send([(BROKER, m.Heartbeat(name=NAME))])
             if sockets.dropped:
@@ -123,6 +126,13 @@ class Station:
             self._state_file.save(self._simulation.state())
         for caller, question in sockets.questions(now_s):
             sockets.answer(caller, self._answer(question))
+            if isinstance(question, m.SimInject | m.SimUndo):
+                self._me.log.info("injected faults: %s", "; ".join(self._faults.active) or "none")
+                sockets.send([self._injected])
+
+    @property
+    def _injected(self) -> tuple[bytes, m.Injected]:
+        return BROKER, m.Injected(active=self._faults.active)
 
     def _log_started(self, out: Outgoing) -> None:
         """Log every started primitive: the log shows, over all MCM processes, whether one ran twice."""
@@ -147,20 +157,30 @@ class Station:
             subsystem=NAME, at_s=now_s, sim_s=clock.sim_s, late_ticks=clock.late_ticks, ticks=clock.ticks, arms=arms
         )
 
-    def _answer(self, question: m.SimTruth | m.SimDisplace | m.SimFactors) -> m.SimTruthReply | m.SimDone:
-        if isinstance(question, m.SimFactors):
-            error = self._simulation.change_physics(question.mass, question.friction)
-            return m.SimDone(request=question.request, error=error)
-        if isinstance(question, m.SimDisplace):
-            if len(question.offset) != 6 or not all(abs(part) <= FARTHEST for part in question.offset):
-                words = f"offset: six finite numbers are required, none beyond {FARTHEST:g} m or rad"
-                return m.SimDone(request=question.request, error=words)
-            return m.SimDone(
-                request=question.request, error=self._simulation.displace(question.object, question.offset)
-            )
+    def _answer(self, question: Question) -> m.SimTruthReply | m.SimDone:
+        request, note = question.request, ""
+        match question:
+            case m.SimTruth():
+                return self._truth(request)
+            case m.SimFactors():
+                error = self._simulation.change_physics(question.mass, question.friction)
+            case m.SimDisplace():
+                error = self._displace(question.object, question.offset)
+            case m.SimInject():
+                error = self._faults.inject(question.fault)
+            case m.SimUndo():
+                error, note = self._faults.undo(question.fault)
+        return m.SimDone(request=request, error=error, note=note, active=self._faults.active)
+
+    def _displace(self, name: str, offset: list[float]) -> str:
+        if len(offset) != 6 or not all(abs(part) <= FARTHEST for part in offset):
+            return f"offset: six finite numbers are required, none beyond {FARTHEST:g} m or rad"
+        return self._simulation.displace(name, offset)
+
+    def _truth(self, request: str) -> m.SimTruthReply:
         truth = self._simulation.truth()
         return m.SimTruthReply(
-            request=question.request,
+            request=request,
             sim_s=self._clock.sim_s,
             poses=truth["poses"],
             velocities=truth["velocities"],
@@ -169,6 +189,7 @@ class Station:
             fingers=truth["fingers"],
             held=self._simulation.held(),
             seats=truth["seats"],
+            blind=sorted(self._faults.blind),
         )
 
 

@@ -207,6 +207,8 @@ class Studio:
                 raise RtcError(f"{name} is on {camera.arm}, whose tcp is not known")
             pose = geometry.compose(scene.tcp[camera.arm], pose)
         width, height = camera.size_px
+        if name in scene.blind:
+            return np.zeros((height, width, 3), dtype=np.uint8)
         matrices = lens.matrices(camera, pose)
         _, _, pixels, _, bodies = pybullet.getCameraImage(
             width,

@@ -33,6 +33,7 @@ HALTS_PER_TICK = 10
 QUESTIONS_PER_TICK = 1
 LOG_EVERY_S = 1.0
 NONE: frozenset[Any] = frozenset()
+Question = m.SimTruth | m.SimDisplace | m.SimFactors | m.SimInject | m.SimUndo
 
 _read_broker = reader(m.BrokerToSubsystem)
 _read_bench = reader(m.ToSim)
@@ -99,7 +100,7 @@ class Sockets:
             elif (invalid := invalid_order(parts)) is not None:
                 yield invalid
 
-    def questions(self, now_s: float) -> Iterator[tuple[bytes, m.SimTruth | m.SimDisplace | m.SimFactors]]:
+    def questions(self, now_s: float) -> Iterator[tuple[bytes, Question]]:
         """Queries and commands of the test bench: (caller, message)."""
         if self._bench not in self._ready:
             return

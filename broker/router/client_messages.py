@@ -113,6 +113,7 @@ class ClientMessages:
             peers=core.peers,
             peers_at_s=core.peers_at_s,
             late_results=core.late_results,
+            injected=core.injected,
         )
         self._egress.answer(peer, m.StatusReply(request=message.request, status=status(view, core.clock())))
 

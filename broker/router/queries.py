@@ -39,6 +39,7 @@ class BrokerView:
     peers: Sequence[m.PeerRow]  # the gateway's latest report
     peers_at_s: float  # time of that report
     late_results: Mapping[str, int]  # by worker
+    injected: Mapping[str, Sequence[str]]  # faults in simulated subsystems
 
 
 def status(view: BrokerView, now: float) -> dict[str, Any]:
@@ -102,6 +103,7 @@ def status(view: BrokerView, now: float) -> dict[str, Any]:
                 "pid": s.pid,
                 "performers": s.performers,
                 "executing": [c.primitive for c in executing if c.subsystem == name],
+                "injected": list(view.injected.get(name, ())),
             }
             for name, s in state.subsystems.items()
         ],

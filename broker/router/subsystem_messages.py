@@ -107,6 +107,10 @@ class SubsystemMessages:
             )
         )
 
+    def _injected(self, name: str, peer: bytes, message: m.Injected, now: float) -> None:
+        if name in self._core.state.subsystems or name in TOKEN_BEARERS:  # their number is bounded
+            self._core.injected[name] = message.active
+
     def _count_dropped(self, name: str, peer: bytes, message: m.Dropped, now: float) -> None:
         count_dropped(self._core, message, DROP_COUNTERS)
 
@@ -140,6 +144,7 @@ HANDLERS: dict[type, Callable[[SubsystemMessages, str, bytes, Any, float], None]
     m.HaltOrder: SubsystemMessages._call_halt,
     m.HaltStarted: SubsystemMessages._halt_started,
     m.HaltAtRest: SubsystemMessages._confirm_rest,
+    m.Injected: SubsystemMessages._injected,
     m.Dropped: SubsystemMessages._count_dropped,
     m.ProgressReport: SubsystemMessages._forward_report,
 }

@@ -28,6 +28,7 @@ class SceneView(msgspec.Struct, frozen=True, kw_only=True):
     fingers: dict[str, list[float]] = {}  # arm -> its two finger joints
     tcp: dict[str, list[float]] = {}
     seats: dict[str, list[float]] = {}
+    blind: list[str] = []  # cameras whose pictures are black
 
 
 class Panel(msgspec.Struct, frozen=True, kw_only=True):
@@ -158,7 +159,14 @@ def believed(
 
 
 def true_scene(truth: m.SimTruthReply) -> SceneView:
-    return SceneView(poses=truth.poses, joints=truth.joints, fingers=truth.fingers, tcp=truth.tcp, seats=truth.seats)
+    return SceneView(
+        poses=truth.poses,
+        joints=truth.joints,
+        fingers=truth.fingers,
+        tcp=truth.tcp,
+        seats=truth.seats,
+        blind=truth.blind,
+    )
 
 
 # --- for people ----------------------------------------------------------------------------------------

@@ -306,6 +306,8 @@ def _subsystems(subsystems: list[dict[str, Any]]) -> None:
             Text(f"{row['name']}: ", style="bold")
             + Text(f"{row.get('state', '')}, {performers}; executing {executing}")
         )
+        if faults := row.get("injected"):
+            console.print(Text(f"{row['name']}: injected faults: ", style="bold red") + Text("; ".join(faults)))
 
 
 def _plain(value: Any) -> str:

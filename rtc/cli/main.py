@@ -46,6 +46,7 @@ COMMANDS = {
     "shell": "shell",
     "keys": "keys",
     "chaos": "chaos",
+    "inject": "inject",
     "demo": "demo",
 }
 EPILOG = 'First steps: rtc demo, or: rtc up -d; rtc do "STOW LEFT-ARM"; rtc halt; rtc down'

@@ -34,6 +34,7 @@ from rtc.client.heartbeat import HeartbeatSender
 from rtc.client.liveness import BrokerLiveness, Report, is_listening, supervised
 from rtc.language.refuse import MAX_CHARACTERS
 from rtc.protocol import messages as m
+from rtc.protocol.faults import AnyFault
 from rtc.protocol.outcomes import (
     KeyTrouble,
     NoCluster,
@@ -325,10 +326,19 @@ class Client:
         """Scale the cell's masses and the friction of finger pads in the simulator only."""
         self._tamper(m.SimFactors(request=self._next_request(), mass=mass, friction=friction))
 
-    def _tamper(self, message: m.SimDisplace | m.SimFactors) -> None:
+    def inject(self, fault: AnyFault) -> m.SimDone:
+        """Inject a fault in the simulator. Raises RequestDeclined with the reason."""
+        return self._tamper(m.SimInject(request=self._next_request(), fault=fault))
+
+    def undo_fault(self, name: str = "ALL") -> m.SimDone:
+        """Undo an injected fault by its name, or all. Raises RequestDeclined with the reason."""
+        return self._tamper(m.SimUndo(request=self._next_request(), fault=name))
+
+    def _tamper(self, message: m.SimDisplace | m.SimFactors | m.SimInject | m.SimUndo) -> m.SimDone:
         done = self._bench(message, m.SimDone)
         if done.error:
             raise RequestDeclined(Refusal(reason=RefusalReason.STATE, message=done.error))
+        return done
 
     # --- inside ---------------------------------------------------------------------------------------
 

@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal, NotRequired, TypedDict
 import msgspec
 
 from rtc.language.record import Condition, ParsedCommand, ReflexItem
+from rtc.protocol.faults import AnyFault
 from rtc.protocol.outcomes import Measured, Outcome, Reflex, Refusal, StopReason
 from rtc.protocol.primitive import Primitive
 
@@ -600,6 +601,12 @@ class Pace(Message, frozen=True, kw_only=True):
     paused: bool
 
 
+class Injected(Message, frozen=True, kw_only=True):
+    """The faults that are injected in a simulated subsystem, for `rtc status`; after each change and each hello."""
+
+    active: Annotated[list[Name], msgspec.Meta(max_length=1000)] = []
+
+
 class ReportAck(Message, frozen=True, kw_only=True):
     """The broker has journalled the end report of this primitive; the subsystem may forget it."""
 
@@ -892,6 +899,7 @@ class SimTruthReply(Message, frozen=True, kw_only=True):
     fingers: dict[str, list[float]]  # the two finger joints, m
     held: dict[str, list[str]]  # arm -> objects that both its fingers press on
     seats: dict[str, list[float]] = {}  # every seat of the cell, world frame
+    blind: list[str] = []  # cameras whose pictures are black
 
 
 class SimDisplace(Message, frozen=True, kw_only=True):
@@ -911,9 +919,25 @@ class SimFactors(Message, frozen=True, kw_only=True):
     friction: Annotated[float, msgspec.Meta(gt=0, le=10)] = 1.0
 
 
+class SimInject(Message, frozen=True, kw_only=True):
+    """Inject a fault; it replaces an active one of the same name."""
+
+    request: Name
+    fault: AnyFault
+
+
+class SimUndo(Message, frozen=True, kw_only=True):
+    """Undo an injected fault by its name, such as "stick RIGHT-ARM joint_3", or all of them (ALL)."""
+
+    request: Name
+    fault: Name
+
+
 class SimDone(Message, frozen=True, kw_only=True):
     request: str
     error: str = ""
+    note: str = ""
+    active: list[str] = []  # injected faults, in words
 
 
 # --- messages by direction: one union per socket and direction ----------------------------------------------
@@ -944,6 +968,7 @@ SubsystemToBroker = (
     | HaltStarted
     | HaltAtRest
     | HaltOrder
+    | Injected
     | Dropped
 )
 BrokerToSubsystem = Execute | Pace | HaltOrder | ReportAck | Declined  # Declined: the name is in use
@@ -955,5 +980,5 @@ Event = ProgressNote | CommandEnded | RequestRefused | HaltRequested  # what the
 # Dropped, GatewayReport: from other processes
 SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Shutdown | Dropped | GatewayReport
 BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | AskMore | Shutdown | AllEnded
-ToSim = SimTruth | SimDisplace | SimFactors
+ToSim = SimTruth | SimDisplace | SimFactors | SimInject | SimUndo
 FromSim = SimTruthReply | SimDone

@@ -31,8 +31,8 @@ OPERATE: Kinds = (*PLAN, m.ProgramText, m.Shutdown)
 READ: Kinds = (m.ReadView, m.WorldHistory)
 JOIN: Kinds = (m.WorkerHello, m.Heartbeat, m.ResultBatch, m.ProgramWanted, m.WorkerGone)
 PERFORM: Kinds = (
-    *(m.SubsystemHello, m.Heartbeat, m.Started, m.ProgressReport, m.EndReport),
-    *(m.HaltStarted, m.HaltAtRest, m.HaltOrder),
+    *(m.SubsystemHello, m.Heartbeat, m.Started, m.Paced, m.ProgressReport, m.EndReport),
+    *(m.HaltStarted, m.HaltAtRest, m.HaltOrder, m.Injected),
 )
 HALT: Kinds = (m.HaltOrder,)
 LISTEN: Kinds = ()  # subscribers send nothing

@@ -126,6 +126,8 @@ class ArmInterface(Protocol):
 class Simulation(Protocol):
     """A cell with its arms: can be stepped, observed and disturbed. Only the test bench reads the true state."""
 
+    cell: Cell
+
     @property
     def arms(self) -> Mapping[str, ArmInterface]: ...
 
@@ -146,6 +148,12 @@ class Simulation(Protocol):
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
         """Move an object and its seat (x y z roll pitch yaw; m, rad). Returns the reason of a refusal, or ''."""
+
+    def stick(self, arm: str, joint: int, stuck: bool) -> None:
+        """Let a joint of an arm be stuck, or free again."""
+
+    def jam(self, seat: str, jammed: bool) -> None:
+        """Let a module in a seat, or that comes near its place there, be wedged, or free again."""
 
     def change_physics(self, mass: float, friction: float) -> str:
         """Scale masses and pad friction relative to the cell file. Returns the reason of a refusal, or ''."""

@@ -30,6 +30,7 @@ from sim_mcm.arms.servo import Servo
 FINGER_FRICTION = 1.0
 SPINNING_FRICTION = 0.012  # m, of a soft pad; a smaller value lets a module turn between the pads
 SEATED_M = 0.02  # maximum distance from the seated place at which a module counts as seated
+STUCK_NM = 1e4  # more than any servo exerts
 NOTHING: Mapping[str, float] = {}
 BODY_B, LINK_A, LINK_B, ON_B, DISTANCE, NORMAL_FORCE = 2, 3, 4, 6, 8, 9  # fields of a contact point
 
@@ -254,6 +255,17 @@ class BulletArm:
                 physicsClientId=self._client,
             )
 
+    def stick(self, joint: int, stuck: bool) -> None:
+        """A motor with zero speed holds the joint against its servo."""
+        pybullet.setJointMotorControl2(
+            self.body,
+            self._arm[joint],
+            pybullet.VELOCITY_CONTROL,
+            targetVelocity=0.0,
+            force=STUCK_NM if stuck else 0.0,
+            physicsClientId=self._client,
+        )
+
     def _put(self, values: Sequence[float]) -> None:
         """Set the positions of joints (rad) and fingers (m), at rest."""
         for joint, value in zip(self._all, values, strict=True):
@@ -339,6 +351,12 @@ class BulletCell:
             along.home = geometry.compose(after, geometry.relative(before, along.home))
             self.world.place(along, along.home)
         return ""
+
+    def stick(self, arm: str, joint: int, stuck: bool) -> None:
+        self.arms[arm].stick(joint, stuck)
+
+    def jam(self, seat: str, jammed: bool) -> None:
+        self._detents.jam(seat, jammed)
 
     def change_physics(self, mass: float, friction: float) -> str:
         for name in self.world.free:

@@ -18,12 +18,16 @@ CATCHES_M = 0.004  # maximum distance from the seated place at which a module is
 CATCHES_RAD = 0.05
 REST_M_S = 0.002  # ... if it is not faster than this
 EVERY = 10  # steps between two checks
+# A jammed seat wedges a module this near to its place, with more force than an arm exerts.
+WEDGES_M, WEDGES_RAD, WEDGED_N = 0.04, 0.2, 1000.0
 
 
 class Detents:
     def __init__(self, world: PhysicsWorld) -> None:
         self._world = world
         self._caught: dict[str, tuple[int, list[float]]] = {}  # object -> (constraint id, point where it was caught)
+        self._wedged: dict[str, str] = {}  # caught object -> the jammed seat that wedges it
+        self._jammed: set[str] = set()  # seats
         self._seats = [seat for seat in world.cell.seats if seat.detent_n > 0]
         self._steps = 0
         self.look()
@@ -37,11 +41,32 @@ class Detents:
     def look(self) -> None:
         """Release modules that were pulled away; catch modules that rest in a seat."""
         for name, (_, at) in list(self._caught.items()):
-            if math.dist(self._world.position(name), at) > BREAKS_M:
+            if name not in self._wedged and math.dist(self._world.position(name), at) > BREAKS_M:
                 self.let_go(name)
         for name in sorted(self._world.free - self._caught.keys()):
             if max(map(abs, self._world.velocity(name)[:3])) < REST_M_S:
                 self._catch_in_seat(name)
+        for seat in sorted(self._jammed):
+            self._wedge(seat)
+
+    def jam(self, seat: str, jammed: bool) -> None:
+        """Wedge modules in a seat from now on, or free them."""
+        if jammed:
+            self._jammed.add(seat)
+        else:
+            self._jammed.discard(seat)
+            for name in [name for name, by in self._wedged.items() if by == seat]:
+                self.let_go(name)
+        self.look()
+
+    def _wedge(self, seat: str) -> None:
+        place = geometry.compose(self._world.seats[seat].home, self._world.cell.seat(seat).module_frame.pose)
+        for name in sorted(self._world.free - self._wedged.keys()):
+            pose = self._world.pose(name)
+            if geometry.distance(pose, place) < WEDGES_M and geometry.angle(pose, place) < WEDGES_RAD:
+                self.let_go(name)
+                self._catch(name, pose, WEDGED_N)
+                self._wedged[name] = seat
 
     def _catch_in_seat(self, name: str) -> None:
         """Catch the object if it is in the seated place of a seat."""
@@ -53,6 +78,7 @@ class Detents:
                 return
 
     def let_go(self, name: str) -> None:
+        self._wedged.pop(name, None)
         if name in self._caught:
             constraint, _ = self._caught.pop(name)
             pybullet.removeConstraint(constraint, physicsClientId=self._world.client)

@@ -131,6 +131,14 @@ class KinematicCell:
             arm.forget_clearance()
         return ""
 
+    def stick(self, arm: str, joint: int, stuck: bool) -> None:
+        self.arms[arm].stick(joint, stuck)
+
+    def jam(self, seat: str, jammed: bool) -> None:
+        self.seats.jam(seat, jammed)
+        for arm in self.arms.values():
+            arm.forget_clearance()
+
     def change_physics(self, mass: float, friction: float) -> str:
         return "kinematic arms have neither mass nor friction"
 
@@ -157,6 +165,7 @@ class KinematicArm:
         self._laws = control_laws.known()
         self.joints = list(spec.home_rad)
         self._velocities = [0.0] * len(self.joints)
+        self._stuck: dict[int, float] = {}  # joint -> where it is stuck (rad)
         self._wanted = (self.joints, self._velocities)
         half = 0.5 * spec.gripper.max_opening_m
         self.fingers = [half, half]
@@ -182,12 +191,22 @@ class KinematicArm:
         )
 
     def follow(self, motion: Motion) -> None:
-        self._wanted = motion[:2]
+        joints, speeds, _ = motion
+        if self._stuck:
+            joints = [self._stuck.get(n, q) for n, q in enumerate(joints)]
+            speeds = [0.0 if n in self._stuck else v for n, v in enumerate(speeds)]
+        self._wanted = joints, speeds
 
     def use_law(self, law: ControlLaw) -> None:
         if law.compliance is not None:
             raise ValueError(f"control law {law.name}: an exact arm cannot comply; a simulation with physics can")
         control_laws.make(law, self._model, self._laws)  # only checked: this arm is exact
+
+    def stick(self, joint: int, stuck: bool) -> None:
+        if stuck:
+            self._stuck[joint] = self.joints[joint]
+        else:
+            self._stuck.pop(joint, None)
 
     def feel(self, wrench: list[float]) -> None: ...
 

@@ -21,6 +21,7 @@ BREAKS_M = CATCHES_M = 0.004
 BOTTOM_M = 0.001  # play between a seated object and the bottom
 NEAR_RAD = 0.05
 PULLED_M = 1e-5  # a smaller displacement does not count as a pull
+WEDGES_M, WEDGES_RAD = 0.04, 0.2  # a jammed seat wedges a module this near to its place
 
 
 class Felt(NamedTuple):
@@ -34,14 +35,32 @@ class Seats:
         self._seats = [seat for seat in cell.seats if seat.detent_n > 0.0]
         self._inside = {seat.name: seat.module_frame.pose for seat in self._seats}
         self._caught: dict[str, Array] = {}  # object -> point where it was caught
+        self._jammed: list[parts.Seat] = []
+        self._wedged: dict[str, tuple[str, Array]] = {}  # object -> jammed seat, point where it was wedged
+        self._cell = cell
 
     def away_m(self, pose: Array) -> float:
         """Distance (m) that an object at this pose can move without an effect of any seat."""
-        places = [self._place(seat) for seat in self._seats]
-        return min((geometry.distance(pose, place) for place in places), default=math.inf) - 2 * CATCHES_M
+        places = [self._place(seat) for seat in self._seats + self._jammed]
+        effect_m = WEDGES_M if self._jammed else 2 * CATCHES_M
+        return min((geometry.distance(pose, place) for place in places), default=math.inf) - effect_m
+
+    def jam(self, seat: str, jammed: bool) -> None:
+        """Wedge modules in a seat from now on, or free them."""
+        self._jammed = [other for other in self._jammed if other.name != seat]
+        self._wedged = {thing: wedge for thing, wedge in self._wedged.items() if wedge[0] != seat}
+        if jammed:
+            found = self._cell.seat(seat)
+            self._jammed.append(found)
+            self._inside[seat] = found.module_frame.pose
 
     def feel(self, thing: str, pose: Array, still: bool) -> Iterator[Felt]:
         """Forces on the object at this pose; if `still`, it rests there and is caught."""
+        if (at := self._wedge(thing, pose)) is not None:
+            off = pose[:3] - at
+            if (depth_m := float(np.linalg.norm(off))) > PULLED_M:
+                yield Felt(-off / depth_m, depth_m)
+            return
         at = self._caught.get(thing)
         if at is not None and math.dist(pose[:3], at) > BREAKS_M:
             del self._caught[thing]
@@ -61,6 +80,14 @@ class Seats:
             at = self._caught.get(thing)
             if at is not None and float((pose[:3] - at) @ out) > PULLED_M:
                 yield Felt(-seat.detent_n * out, 0.0)
+
+    def _wedge(self, thing: str, pose: Array) -> Array | None:
+        """The point where a jammed seat holds the object, or None."""
+        for seat in self._jammed if thing not in self._wedged else ():
+            place = self._place(seat)
+            if geometry.distance(pose, place) < WEDGES_M and geometry.angle(pose, place) < WEDGES_RAD:
+                self._wedged[thing] = seat.name, pose[:3].copy()
+        return self._wedged[thing][1] if thing in self._wedged else None
 
     def _place(self, seat: parts.Seat) -> Array:
         return geometry.compose(self._poses[seat.name], self._inside[seat.name])

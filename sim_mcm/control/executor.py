@@ -134,6 +134,11 @@ class Executor:
         """Wrench of this tick (N, N.m) minus the bias of the current or last primitive."""
         return [value - bias for value, bias in zip(self.sample.wrench, self._bias, strict=True)]
 
+    @property
+    def hand(self) -> HandCommand:
+        """The latest command of the hand."""
+        return self._hand
+
     def accept(self, primitive: p.Primitive, now_s: float) -> Reports:
         """Start it with the next tick or refuse it: returns `Started` or an end report with the reason REFUSED."""
         why = self._objection(primitive)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 from prompt_toolkit.application import create_app_session
 from prompt_toolkit.input import create_pipe_input
 from prompt_toolkit.output import DummyOutput
@@ -22,6 +23,7 @@ from broker.persistence.journal import Journal
 from rtc.cli.interpreter import interpret
 from rtc.client.client import Client
 from rtc.protocol import messages as m
+from rtc.protocol.faults import SlowLoop
 
 pytestmark = pytest.mark.slow
 
@@ -227,6 +229,39 @@ def test_a_camera_locates_a_module_that_has_moved(rtc: Run, run_dir: Path, tmp_p
     assert bodies["MACS-OLD"]["off_m"] == pytest.approx(0.02, abs=0.002)
     assert bodies["MACS-OLD"]["turned_rad"] == pytest.approx(0.05, abs=0.01)
     assert bodies["MACS-NEW"]["cause"] == "out of view"
+
+
+def test_injected_faults_are_in_the_status_until_they_are_undone(rtc: Run, run_dir: Path, tmp_path: Path) -> None:
+    assert rtc("inject", "blind", "camera_1").returncode == 0
+    assert rtc("inject", "displace", "MACS-OLD", "--by", "0,0.02,0", "--turn", "0,0,3").returncode == 0
+    active = last_json(rtc("inject", "stick", "LEFT-ARM", "joint_1", "--json"))["active"]
+    assert [words.split(" by ")[0] for words in active] == [
+        "blind CAMERA-1",
+        "displace MACS-OLD",
+        "stick LEFT-ARM joint_1",
+    ]
+    mcm = next(row for row in last_json(rtc("status", "--json"))["subsystems"] if row["name"] == "MCM")
+    assert mcm["injected"] == active
+    picture = rtc("picture", "CAMERA-1", "-o", str(tmp_path / "dark.png"))
+    assert picture.returncode == 0, picture.stderr
+    assert Image.open(tmp_path / "dark.png").convert("L").getextrema() == (0, 0)
+
+    assert last_json(rtc("inject", "undo", "blind", "CAMERA-1", "--json"))["active"] == active[1:]
+    assert last_json(rtc("inject", "undo", "--json"))["active"] == []
+    mcm = next(row for row in last_json(rtc("status", "--json"))["subsystems"] if row["name"] == "MCM")
+    assert mcm["injected"] == []
+    wrong = rtc("inject", "jam", "BAY-9")
+    assert wrong.returncode == 2
+    assert "RACK-1, RACK-2, BAY-2" in wrong.stderr
+
+
+def test_a_slow_loop_has_late_ticks(run_dir: Path) -> None:
+    with Client(run_dir, need_broker=False) as rtc:
+        rtc.inject(SlowLoop(tick_s=0.005))
+        looks = rtc.telemetry(silence_s=20.0)
+        first = next(looks)
+        assert next(look for look in looks if look.late_ticks >= first.late_ticks + 20).ticks > first.ticks
+        rtc.undo_fault()
 
 
 def test_a_camera_gives_its_picture(rtc: Run, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from rtc.cli import inject
 from rtc.cli.main import COMMANDS, main
 from rtc.cli.programs import _loaded
 from rtc.client import connection
@@ -39,6 +40,14 @@ from rtc.runtime.settings import Settings, shell_command
         ("trace x7", "'x7' is not the number of a command, such as C-7 or 7"),
         ("why C-7x", "'C-7x' is not the number of a command"),
         ("names plaices", "names has no kind plaices (did you mean places?); the kinds are: arms, "),
+        ("inject displace MACS-NEW", "state --by, --turn or both"),
+        ("inject displace MACS-NEW --by 1,2", "--by is 3 numbers with commas between them; not 1,2"),
+        ("inject displace MACS-NEW --by nan,0,0", "--by is 3 numbers"),
+        ("inject sensor RIGHT-ARM", "state either --offset or --freeze"),
+        ("inject sensor RIGHT-ARM --freeze --offset 1,2,3", "state either --offset or --freeze"),
+        ("inject sensor RIGHT-ARM --offset 1,2,3,4", "--offset is 6 numbers"),
+        ("inject slow never", "the duration is a duration"),
+        ("inject undo --with DIR/x.key", "No such option"),
         (f"chaos --for {'9' * 400}s", "--for is a duration"),
     ],
 )
@@ -115,11 +124,14 @@ def test_bash_completes_commands_and_options() -> None:
     assert done.stdout.split() == ["status", "--previous", "places", "GRASP"], done.stderr
 
 
-@pytest.mark.parametrize("command", [name for name in COMMANDS if name not in ("world", "keys")])  # these are groups
+FAULTS = [f"inject {command.name or command.callback.__name__}" for command in inject.app.registered_commands]
+
+
+@pytest.mark.parametrize("command", [*(name for name in COMMANDS if name not in ("world", "keys", "inject")), *FAULTS])
 def test_help_of_each_command_has_an_example(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert status_of([command, "-h"], monkeypatch) == 0
+    assert status_of([*command.split(), "-h"], monkeypatch) == 0
     assert f"rtc {command}" in capsys.readouterr().out.partition("Example")[2]
 
 

@@ -1,0 +1,260 @@
+"""Injected faults of the simulation: what is active, how it begins and how it is undone.
+
+A fault acts where a real one would: on the body, the motor, the sensor or the loop. Executors and the broker do not
+know it. Faults end with the process; displaced things stay where they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, cast
+
+import msgspec
+
+from rtc.cells.cell import Cell
+from rtc.protocol import faults as f
+from rtc.robot import geometry
+from sim_mcm.arms.arm import ArmInterface, HandCommand, Sample, Simulation
+from sim_mcm.control.executor import Executor
+
+ALL = "ALL"
+FARTHEST = 10.0  # m or rad, maximum displacement; pybullet fails at 1e300 m
+MOST_SENSED = 1000.0  # N or N.m, maximum offset of a sensor
+LEAST_SLOW_S, MOST_SLOW_S = 1e-4, 0.05  # per tick; more would count as a hung process
+MOVED_M, MOVED_RAD = 0.001, 0.01  # a displaced object that is farther from there was moved since
+
+Undo = Callable[[], str]  # returns a note for the user, or ''
+
+
+class Refused(Exception):
+    """The fault cannot be injected or undone now; the text is the reason."""
+
+
+class Injections:
+    """The active faults of one simulation. `tick_s`: by which every tick is to be longer."""
+
+    def __init__(self, cell: Cell, simulation: Simulation, executors: Mapping[str, Executor]) -> None:
+        self._cell, self._simulation, self._executors = cell, simulation, executors
+        self._active: dict[str, tuple[str, Undo]] = {}  # name -> words, how to undo it
+        self.blind: set[str] = set()  # cameras
+        self.tick_s = 0.0
+
+    @property
+    def active(self) -> list[str]:
+        """In words, in the order of injection."""
+        return [words for words, _ in self._active.values()]
+
+    def inject(self, fault: f.AnyFault) -> str:
+        """Returns the reason of a refusal, or ''."""
+        try:
+            BEGIN[type(fault)](self, fault, check=True)
+            if fault.name in self._active:
+                self._undo(fault.name)
+            undo = BEGIN[type(fault)](self, fault, check=False)
+        except Refused as refused:
+            return str(refused)
+        self._active[fault.name] = (fault.words, undo)
+        return ""
+
+    def undo(self, name: str) -> tuple[str, str]:
+        """Undo one fault by its name, or ALL. Returns the reason of a refusal, or '', and a note."""
+        names = list(self._active) if name == ALL else [name]
+        refused, notes = [], []
+        for one in names:
+            try:
+                notes.append(self._undo(one))
+            except Refused as why:
+                refused.append(str(why))
+        return "; ".join(refused), "; ".join(filter(None, notes))
+
+    def _undo(self, name: str) -> str:
+        if name not in self._active:
+            known = ", ".join(self._active) or "none"
+            raise Refused(f"{name} is not injected; active are: {known}")
+        note = self._active[name][1]()
+        del self._active[name]
+        return note
+
+    # --- one method per fault: check it, or begin it and return how to undo it ----------------------------
+
+    def _displace(self, fault: f.Displaced, check: bool) -> Undo:
+        name, offset = fault.object, fault.offset
+        if len(offset) != 6 or not all(abs(part) <= FARTHEST for part in offset):  # false for NaN too
+            raise Refused(f"offset: six finite numbers are required, none beyond {FARTHEST:g} m or rad")
+        _known(name, (thing.name for thing in self._cell.objects), "object")
+        if check:
+            holders = [arm for arm, held in self._simulation.held().items() if name in held]
+            if holders:
+                raise Refused(f"{name} is held by {', '.join(holders)}")
+            return _nothing
+        self._move(name, offset)
+        there = self._simulation.truth()["poses"][name]
+
+        def back() -> str:
+            here = self._simulation.truth()["poses"][name]
+            if geometry.distance(here, there) > MOVED_M or geometry.angle(here, there) > MOVED_RAD:
+                return f"{name} was moved since, and stays where it is"
+            turned = geometry.inverse(geometry.from_rpy((0.0, 0.0, 0.0), offset[3:]))
+            self._move(name, [*(-x for x in offset[:3]), *geometry.to_rpy(turned).tolist()])
+            return ""
+
+        return back
+
+    def _move(self, name: str, offset: list[float]) -> None:
+        if error := self._simulation.displace(name, offset):
+            raise Refused(error)
+
+    def _stick(self, fault: f.StuckJoint, check: bool) -> Undo:
+        _known(fault.arm, self._executors, "arm")
+        joints = self._executors[fault.arm].arm.traits.joint_names
+        _known(fault.joint, joints, f"joint of {fault.arm}")
+        n = joints.index(fault.joint)
+        if check:
+            return _nothing
+        self._simulation.stick(fault.arm, n, True)
+        return _quietly(lambda: self._simulation.stick(fault.arm, n, False))
+
+    def _falsify(self, fault: f.FalseSensor, check: bool) -> Undo:
+        _known(fault.arm, self._executors, "arm")
+        offset = fault.offset
+        if offset is not None and (len(offset) != 6 or not all(abs(part) <= MOST_SENSED for part in offset)):
+            raise Refused(f"offset: six finite numbers are required, none beyond {MOST_SENSED:g} N or N.m")
+        if check:
+            return _nothing
+        faulty = self._faulty(fault.arm)
+        faulty.wrench, faulty.frozen = (faulty.read().wrench, True) if offset is None else (offset, False)
+
+        def heal() -> None:
+            faulty.wrench = None
+            self._heal(fault.arm)
+
+        return _quietly(heal)
+
+    def _jam(self, fault: f.JammedSeat, check: bool) -> Undo:
+        _known(fault.seat, (seat.name for seat in self._cell.seats), "seat")
+        if check:
+            return _nothing
+        self._simulation.jam(fault.seat, True)
+        return _quietly(lambda: self._simulation.jam(fault.seat, False))
+
+    def _strip(self, fault: f.StrippedBolt, check: bool) -> Undo:
+        raise Refused(f"there is no bolt {fault.bolt}: the cell {self._cell.name} has no bolts")
+
+    def _drop(self, fault: f.FailedHand, check: bool) -> Undo:
+        _known(fault.arm, self._executors, "arm")
+        if check:
+            if fault.name not in self._active and not self._simulation.held()[fault.arm]:
+                raise Refused(f"{fault.arm} holds nothing")
+            return _nothing
+        faulty = self._faulty(fault.arm)
+        faulty.fail_hand(self._executors[fault.arm].hand)
+
+        def heal() -> None:
+            faulty.heal_hand()
+            self._heal(fault.arm)
+
+        return _quietly(heal)
+
+    def _blind(self, fault: f.BlindCamera, check: bool) -> Undo:
+        _known(fault.camera, (camera.name for camera in self._cell.cameras), "camera")
+        if check:
+            return _nothing
+        self.blind.add(fault.camera)
+        return _quietly(lambda: self.blind.discard(fault.camera))
+
+    def _slow(self, fault: f.SlowLoop, check: bool) -> Undo:
+        if not LEAST_SLOW_S <= fault.tick_s <= MOST_SLOW_S:  # false for NaN too
+            least, most = 1e3 * LEAST_SLOW_S, 1e3 * MOST_SLOW_S
+            raise Refused(f"a tick can be slowed by {least:g} to {most:g} ms, not by {1e3 * fault.tick_s:g} ms")
+        if check:
+            return _nothing
+        self.tick_s = fault.tick_s
+
+        def heal() -> None:
+            self.tick_s = 0.0
+
+        return _quietly(heal)
+
+    # --- faulty arms --------------------------------------------------------------------------------------
+
+    def _faulty(self, name: str) -> FaultyArm:
+        """The faulty arm between an executor and its arm; put there if there is none."""
+        executor = self._executors[name]
+        if not isinstance(executor.arm, FaultyArm):
+            executor.arm = cast(ArmInterface, FaultyArm(executor.arm))
+        return cast(FaultyArm, executor.arm)
+
+    def _heal(self, name: str) -> None:
+        executor = self._executors[name]
+        if isinstance(executor.arm, FaultyArm) and executor.arm.is_sound:
+            executor.arm = executor.arm.sound
+
+
+class FaultyArm:
+    """An arm whose sensor or hand has failed. Everything else is that of the sound arm."""
+
+    def __init__(self, sound: ArmInterface) -> None:
+        self.sound = sound
+        self.wrench: list[float] | None = None  # what the sensor reads too much, or always
+        self.frozen = False
+        self._hand: HandCommand | None = None  # that it would obey if it had not failed
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.sound, name)
+
+    @property
+    def is_sound(self) -> bool:
+        return self.wrench is None and self._hand is None
+
+    def read(self) -> Sample:
+        sample = self.sound.read()
+        if self.wrench is None:
+            return sample
+        false = self.wrench if self.frozen else [a + b for a, b in zip(sample.wrench, self.wrench, strict=True)]
+        return msgspec.structs.replace(sample, wrench=list(false))
+
+    def command_hand(self, command: HandCommand) -> None:
+        if self._hand is None:
+            self.sound.command_hand(command)
+        else:
+            self._hand = command
+
+    def fail_hand(self, command: HandCommand) -> None:
+        self._hand = command
+        traits = self.sound.traits
+        self.sound.command_hand(HandCommand(traits.max_opening_m, traits.max_grip_n, traits.hand_speed_m_s))
+
+    def heal_hand(self) -> None:
+        command, self._hand = self._hand, None
+        if command is not None:
+            self.sound.command_hand(command)
+
+
+def _known(name: str, known: Iterable[str], kind: str) -> None:
+    names = list(known)
+    if name not in names:
+        raise Refused(f"unknown {kind} {name}; known: {', '.join(names) or 'none'}")
+
+
+def _nothing() -> str:
+    return ""
+
+
+def _quietly(undo: Callable[[], object]) -> Undo:
+    def call() -> str:
+        undo()
+        return ""
+
+    return call
+
+
+BEGIN: dict[type, Callable[..., Undo]] = {
+    f.Displaced: Injections._displace,
+    f.StuckJoint: Injections._stick,
+    f.FalseSensor: Injections._falsify,
+    f.JammedSeat: Injections._jam,
+    f.StrippedBolt: Injections._strip,
+    f.FailedHand: Injections._drop,
+    f.BlindCamera: Injections._blind,
+    f.SlowLoop: Injections._slow,
+}

@@ -1,0 +1,221 @@
+"""Injected faults: each has its effect, is refused when it makes no sense, and is undone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pybullet
+import pytest
+
+from rtc.protocol import faults as f
+from rtc.protocol import primitive as p
+from rtc.protocol.outcomes import StopReason
+from rtc.robot import geometry
+from rtc.robot.kinematics import ArmModel
+from sim_mcm.arms.bullet_arm import BulletCell
+from sim_mcm.arms.kinematic_arm import KinematicCell
+from sim_mcm.faults import Injections
+
+ARM, MODULE, SEAT = "RIGHT-ARM", "MACS-NEW", "RACK-1"
+
+
+class Rig:
+    def __init__(self, cell, make, simulation) -> None:
+        self.make, self.world = make, simulation
+        self.bench = make.Bench(simulation)
+        self.executor = self.bench.subsystem.executors[ARM]
+        self.faults = Injections(cell, simulation, self.bench.subsystem.executors)
+        self.model = ArmModel.of(cell, ARM)
+        handle = cell.object(MODULE).grasp_point("HANDLE-A").frame.pose
+        self.handle = geometry.compose(cell.object_pose(MODULE), handle)
+        self._count = 0
+
+    def do(self, trajectory: p.Trajectory, *stops: p.StopFunction, watch=None, limit_s: float = 30.0):
+        self._count += 1
+        wanted = self.make.primitive(trajectory, *stops, id=f"C-1.{self._count}", limit_s=limit_s)
+        return self.bench.perform(wanted, watch=watch)
+
+    def turn(self, by_rad: float, *stops: p.StopFunction, watch=None):
+        """Turn the first joint."""
+        start = self.executor._command[0]
+        return self.do(self.make.joint_path(start, [start[0] + by_rad, *start[1:]], 1.0), *stops, watch=watch)
+
+    def line(self, by_m, *stops: p.StopFunction):
+        start = self.executor._command[0]
+        goal = geometry.translate(self.model.fk(start), by_m)
+        return self.do(self.make.line_path(self.model, start, goal, 0.1), *stops, limit_s=3.0)
+
+    def at_handle(self) -> None:
+        """Bring the hand to the handle at once. Exact arms only."""
+        joints = self.model.ik(self.handle, near=self.executor._command[0])[0].tolist()
+        self.world.arms[ARM].follow((joints, [0.0] * 6, [0.0] * 6))
+        self.world.step()
+        self.executor._use(type(self.executor._profile)(joints))
+        self.executor._command = self.executor._profile.at(0.0)
+        self.bench.tick()
+
+    def grip(self) -> None:
+        self.at_handle()
+        assert self.do(p.HandMotion(width_m=0.0, force_n=30.0)).reason is StopReason.GOAL
+        assert self.world.held()[ARM] == [MODULE]
+
+
+@pytest.fixture
+def exact(cell, make) -> Rig:
+    return Rig(cell, make, KinematicCell(cell))
+
+
+@pytest.fixture
+def physical(cell, make):
+    world = BulletCell(cell)
+    yield Rig(cell, make, world)
+    world.close()
+
+
+@pytest.mark.parametrize("kind", ["exact", pytest.param("physical", marks=pytest.mark.slow)])
+def test_a_stuck_joint_is_noticed_by_its_following_error(kind, request) -> None:
+    rig = request.getfixturevalue(kind)
+    assert rig.faults.inject(f.StuckJoint(arm=ARM, joint="joint_1")) == ""
+    report = rig.turn(-0.3)
+    assert report.reason is StopReason.FOLLOWING_ERROR
+    assert rig.faults.undo("stick RIGHT-ARM joint_1") == ("", "")
+    assert rig.turn(-0.3).reason is StopReason.GOAL
+
+
+def test_a_false_offset_in_motion_counts_as_a_force(exact, make) -> None:
+    guard = make.stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=20.0))
+    ticks = [0]
+
+    def watch() -> None:
+        ticks[0] += 1
+        if ticks[0] == 300:
+            assert exact.faults.inject(f.FalseSensor(arm=ARM, offset=[0.0, 0.0, 30.0, 0.0, 0.0, 0.0])) == ""
+
+    report = exact.turn(-0.3, guard, watch=watch)
+    assert (report.reason, report.measured) == (StopReason.FORCE_LIMIT, pytest.approx(30.0))
+    exact.faults.undo("ALL")
+    assert exact.executor.arm is exact.world.arms[ARM]
+    assert exact.turn(-0.1, guard).reason is StopReason.GOAL
+
+
+def test_a_frozen_sensor_does_not_feel_a_contact(exact, make) -> None:
+    feel = make.stop(StopReason.CONTACT, p.ForceAbove(limit_n=5.0))
+    exact.at_handle()
+    assert exact.faults.inject(f.FalseSensor(arm=ARM)) == ""
+    assert exact.line((0.0, 0.035, 0.0), feel).reason is StopReason.GOAL  # it leans on the handle
+    assert exact.faults.undo("sensor RIGHT-ARM") == ("", "")
+    exact.at_handle()
+    assert exact.line((0.0, 0.035, 0.0), feel).reason is StopReason.CONTACT
+
+
+def test_a_module_in_a_jammed_seat_cannot_be_pulled_out(exact, make) -> None:
+    exact.grip()
+    assert exact.faults.inject(f.JammedSeat(seat=SEAT)) == ""
+    guard = make.stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=60.0))
+    assert exact.line((0.0, 0.0, 0.05), guard).reason is StopReason.FORCE_LIMIT
+    exact.faults.undo(f"jam {SEAT}")
+    assert exact.line((0.0, 0.0, 0.05), guard).reason is StopReason.GOAL
+
+
+def test_a_module_is_wedged_before_its_place_in_a_jammed_seat(exact, make) -> None:
+    exact.grip()
+    assert exact.line((0.0, 0.0, 0.1)).reason is StopReason.GOAL
+    exact.faults.inject(f.JammedSeat(seat=SEAT))
+    guard = make.stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=60.0))
+    assert exact.line((0.0, 0.0, -0.1), guard).reason is StopReason.FORCE_LIMIT
+    height_m = exact.world.truth()["poses"][MODULE][2] - exact.world.truth()["seats"][SEAT][2]
+    assert 0.03 < height_m < 0.041
+
+
+@pytest.mark.slow
+def test_jammed_seats_hold_with_more_than_their_catches(physical) -> None:
+    def pull() -> float:
+        """Motion (m) of the module while 100 N pull it out for a fifth of a second."""
+        body, client = physical.world.world.objects[MODULE].id, physical.world.world.client
+        before = physical.world.truth()["poses"][MODULE]
+        for _ in range(200):
+            here = physical.world.truth()["poses"][MODULE][:3]
+            force = [0.0, 0.0, 100.0]
+            pybullet.applyExternalForce(body, -1, force, here, pybullet.WORLD_FRAME, physicsClientId=client)
+            physical.world.step()
+        return geometry.distance(physical.world.truth()["poses"][MODULE], before)
+
+    assert physical.faults.inject(f.JammedSeat(seat=SEAT)) == ""
+    assert pull() < 0.001
+    physical.faults.undo("ALL")
+    assert pull() > 0.05
+
+
+def test_a_failed_hand_drops_what_it_holds_and_closes_again_when_it_is_undone(exact, make) -> None:
+    exact.grip()
+    held = make.stop(StopReason.SLIP, p.GripForceBelow(5.0))
+    ticks = [0]
+
+    def watch() -> None:
+        ticks[0] += 1
+        if ticks[0] == 100:
+            assert exact.faults.inject(f.FailedHand(arm=ARM)) == ""
+
+    assert exact.do(p.HoldStill(duration_s=1.0), held, watch=watch).reason is StopReason.SLIP
+    assert exact.world.held()[ARM] == []
+    close = p.HandMotion(width_m=0.0, force_n=30.0)
+    assert exact.do(close, limit_s=0.5).reason is StopReason.TIMEOUT  # it does not obey
+    exact.faults.undo("ALL")
+    assert exact.do(close).reason is StopReason.GOAL
+    assert exact.world.held()[ARM] == [MODULE]
+
+
+def test_a_displaced_object_returns_unless_it_was_moved_since(exact) -> None:
+    before = exact.world.truth()["poses"][MODULE]
+    offset = [0.01, -0.02, 0.03, 0.1, -0.2, 0.3]
+    assert exact.faults.inject(f.Displaced(object=MODULE, offset=offset)) == ""
+    assert geometry.distance(exact.world.truth()["poses"][MODULE], before) == pytest.approx(np.linalg.norm(offset[:3]))
+    assert exact.faults.undo("ALL") == ("", "")
+    assert exact.world.truth()["poses"][MODULE] == pytest.approx(before, abs=1e-9)
+    exact.faults.inject(f.Displaced(object=MODULE, offset=offset))
+    exact.world.displace(MODULE, [0.0, 0.1, 0.0, 0.0, 0.0, 0.0])
+    assert exact.faults.undo("ALL") == ("", "MACS-NEW was moved since, and stays where it is")
+    assert exact.faults.active == []
+
+
+def test_what_is_held_is_not_displaced(exact) -> None:
+    exact.grip()
+    assert exact.faults.inject(f.Displaced(object=MODULE, offset=[0.1] + [0.0] * 5)) == "MACS-NEW is held by RIGHT-ARM"
+
+
+def test_a_fault_of_the_same_name_replaces_the_first(exact) -> None:
+    exact.faults.inject(f.SlowLoop(tick_s=0.001))
+    exact.faults.inject(f.BlindCamera(camera="CAMERA-1"))
+    exact.faults.inject(f.SlowLoop(tick_s=0.002))
+    assert exact.faults.active == ["blind CAMERA-1", "slow by 2 ms per tick"]
+    assert (exact.faults.tick_s, exact.faults.blind) == (0.002, {"CAMERA-1"})
+    exact.faults.undo("ALL")
+    assert (exact.faults.tick_s, exact.faults.blind, exact.faults.active) == (0.0, set(), [])
+
+
+@pytest.mark.parametrize(
+    ("fault", "word"),
+    [
+        (f.StuckJoint(arm="NO-ARM", joint="joint_1"), "unknown arm NO-ARM"),
+        (f.StuckJoint(arm=ARM, joint="joint_9"), "unknown joint of RIGHT-ARM joint_9"),
+        (f.Displaced(object="NOTHING", offset=[0.0] * 6), "unknown object NOTHING"),
+        (f.Displaced(object=MODULE, offset=[float("nan")] * 6), "six finite numbers"),
+        (f.FalseSensor(arm=ARM, offset=[1e9] * 6), "six finite numbers"),
+        (f.FalseSensor(arm=ARM, offset=[1.0]), "six finite numbers"),
+        (f.JammedSeat(seat="BAY-9"), "unknown seat BAY-9"),
+        (f.StrippedBolt(bolt="BOLT-1"), "the cell swapout has no bolts"),
+        (f.FailedHand(arm=ARM), "RIGHT-ARM holds nothing"),
+        (f.BlindCamera(camera="CAMERA-9"), "unknown camera CAMERA-9"),
+        (f.SlowLoop(tick_s=1.0), "0.1 to 50 ms"),
+        (f.SlowLoop(tick_s=float("nan")), "0.1 to 50 ms"),
+    ],
+)
+def test_a_wrong_fault_is_refused_and_changes_nothing(exact, fault, word) -> None:
+    assert word in exact.faults.inject(fault)
+    assert exact.faults.active == []
+
+
+def test_undoing_what_is_not_injected_names_what_is(exact) -> None:
+    exact.faults.inject(f.SlowLoop(tick_s=0.001))
+    assert exact.faults.undo("jam BAY-2") == ("jam BAY-2 is not injected; active are: slow", "")
+    assert exact.faults.undo("ALL") == ("", "")
+    assert exact.faults.undo("ALL") == ("", "")
