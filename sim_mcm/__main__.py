@@ -19,8 +19,6 @@ from rtc.runtime import fork_server, handover, process
 from rtc.runtime.memory_guard import MemoryGuard
 from rtc.runtime.settings import Settings
 from sim_mcm.arms.arm import Simulation
-from sim_mcm.arms.bullet_arm import BulletCell
-from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.clock import Clock
 from sim_mcm.control.subsystem import BROKER, McmSubsystem, Outgoing
 from sim_mcm.faults import FARTHEST, Injections
@@ -35,7 +33,20 @@ LAST_S = 1.0  # for the rest of that end
 RANK, NICENESS = 2, -5  # above the broker and the workers, if the system permits it
 IO_RANK = 1  # of its I/O threads: below the servo tick, so that a flood of messages does not delay it
 
-SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": BulletCell, "kinematic": KinematicCell}
+
+def _bullet(cell: Cell) -> Simulation:
+    from sim_mcm.arms.bullet_arm import BulletCell  # exact arms need no physics library
+
+    return BulletCell(cell)
+
+
+def _kinematic(cell: Cell) -> Simulation:
+    from sim_mcm.arms.kinematic_arm import KinematicCell
+
+    return KinematicCell(cell)
+
+
+SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": _bullet, "kinematic": _kinematic}
 
 
 class Station:

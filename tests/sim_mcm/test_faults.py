@@ -13,6 +13,7 @@ from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.kinematic_arm import KinematicCell
+from sim_mcm.control.profiles import Stay
 from sim_mcm.faults import Injections
 
 ARM, MODULE, SEAT = "RIGHT-ARM", "MACS-NEW", "RACK-1"
@@ -49,7 +50,7 @@ class Rig:
         joints = self.model.ik(self.handle, near=self.executor._command[0])[0].tolist()
         self.world.arms[ARM].follow((joints, [0.0] * 6, [0.0] * 6))
         self.world.step()
-        self.executor._use(type(self.executor._profile)(joints))
+        self.executor._use(Stay(joints))
         self.executor._command = self.executor._profile.at(0.0)
         self.bench.tick()
 

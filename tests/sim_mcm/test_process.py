@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -137,6 +138,12 @@ def test_a_halt_past_the_broker_stops_the_arm_and_is_reported_to_both(mcm, swing
     assert result.latency_s >= 0.0
     assert broker.recv(m.EndReport).reason is StopReason.HALT
     halt_line.close()
+
+
+def test_only_physics_loads_the_physics_library(mcm) -> None:
+    loaded = Path(f"/proc/{mcm.process.pid}/maps").read_text(encoding="utf-8")
+    assert "pinocchio" in loaded
+    assert ("pybullet" in loaded) is (mcm.settings.mcm == "bullet")
 
 
 def test_no_bytes_stop_it(mcm, swing) -> None:
