@@ -7,9 +7,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import pytest
 import zmq
 
@@ -48,10 +50,10 @@ class Broker:
         raise AssertionError(f"no {kind.__name__} in {LIMIT_S} s")
 
 
-@pytest.fixture(params=["kinematic", "bullet"])
-def mcm(request, tmp_path_factory) -> Iterator[SimpleNamespace]:
-    run_dir = prepare_run_dir(tmp_path_factory.mktemp("r"))
-    settings = Settings(run_dir=str(run_dir), mcm=request.param, speed=1.0)
+@contextmanager
+def running(run_dir: Path, kind: str, speed: float) -> Iterator[SimpleNamespace]:
+    prepare_run_dir(run_dir)
+    settings = Settings(run_dir=str(run_dir), mcm=kind, speed=speed)
     settings.save()
     with (
         (run_dir / "MCM.log").open("wb") as log,
@@ -67,6 +69,12 @@ def mcm(request, tmp_path_factory) -> Iterator[SimpleNamespace]:
         finally:
             process.kill()
             context.destroy(linger=0)
+
+
+@pytest.fixture(params=["kinematic", "bullet"])
+def mcm(request, tmp_path_factory) -> Iterator[SimpleNamespace]:
+    with running(tmp_path_factory.mktemp("r"), request.param, 1.0) as made:
+        yield made
 
 
 @pytest.fixture
@@ -144,6 +152,44 @@ def test_only_physics_loads_the_physics_library(mcm) -> None:
     loaded = Path(f"/proc/{mcm.process.pid}/maps").read_text(encoding="utf-8")
     assert "pinocchio" in loaded
     assert ("pybullet" in loaded) is (mcm.settings.mcm == "bullet")
+
+
+def test_messages_are_the_same_at_any_speed(tmp_path_factory, cell, make) -> None:
+    """The order and the content of all messages about a motion, except their time stamps (R13)."""
+    home = cell.arm(ARM).home_rad
+    path = make.joint_path(home, [home[0] + 0.03, *home[1:]], 0.3)
+    far = make.stop(StopReason.OUT_OF_RANGE, p.TcpFar(point=[0.0] * 3, distance_m=0.1))
+    wanted = [
+        make.primitive(path, id="C-1.1", reporting=p.Reporting(every_s=0.05)),
+        make.primitive(p.HoldStill(), far, id="C-2.1"),
+    ]
+    with ExitStack() as stack:
+        folder = tmp_path_factory.mktemp("r")
+        made = [stack.enter_context(running(folder / f"{speed}", "kinematic", speed)) for speed in (0.2, 1.0, 5.0)]
+        brokers = [Broker(one.context, one.settings) for one in made]
+        for broker in brokers:
+            broker.recv(m.SubsystemHello)
+        seen: list[list[m.Message]] = [[] for _ in brokers]
+        for primitive in wanted:
+            for broker in brokers:
+                broker.send(m.Execute(primitive=primitive))
+            for broker, messages in zip(brokers, seen, strict=True):
+                messages += about(broker, primitive.id)
+    slow, real, fast = seen
+    assert slow == real == fast
+    assert [type(message) for message in real].count(m.ProgressReport) >= 6
+    reasons = [message.reason for message in real if isinstance(message, m.EndReport)]
+    assert reasons == [StopReason.GOAL, StopReason.OUT_OF_RANGE]
+
+
+def about(broker: Broker, primitive: str) -> list[m.Message]:
+    """All messages about a primitive up to its end report, without their times."""
+    found: list[m.Message] = []
+    while not found or not isinstance(found[-1], m.EndReport):
+        message = broker.recv(m.Started | m.ProgressReport | m.EndReport, lambda one: one.primitive == primitive)
+        found.append(msgspec.structs.replace(message, at_s=0.0))
+    broker.send(m.ReportAck(primitive=primitive))
+    return found
 
 
 def test_no_bytes_stop_it(mcm, swing) -> None:

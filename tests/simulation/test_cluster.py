@@ -8,7 +8,14 @@ from collections.abc import Callable
 from broker.decisions import decide
 from broker.decisions.command import termination
 from broker.decisions.command.table import COMMAND
-from broker.decisions.events import BrokerRestarted, Stimulus
+from broker.decisions.events import (
+    BrokerRestarted,
+    HaltConfirmed,
+    JobFinished,
+    PrimitiveEnded,
+    Stimulus,
+    SubsystemConnected,
+)
 from broker.router import core, loop, subsystem_messages
 from rtc.protocol import messages as m
 from rtc.protocol import wire
@@ -18,6 +25,7 @@ from sim_mcm.control.reports import not_begun
 from sim_mcm.control.subsystem import BROKER, McmSubsystem
 from tests.simulation.__main__ import Result, run
 from tests.simulation.cluster import Cluster
+from tests.simulation.processes import Mcm
 
 SEEDS = 150
 
@@ -51,6 +59,45 @@ def test_a_seed_gives_the_same_log_every_time():
         logs.append(lines)
     assert logs[0] == logs[1]
     assert len(logs[0]) > 20
+
+
+def test_the_same_events_in_the_same_order_at_any_speed_of_the_simulation(monkeypatch):
+    """The event line of a command does not depend on the clock (R13): reasons, trims, figures and their order."""
+
+    def events_at(speed: float) -> list[tuple[str, ...]]:
+        monkeypatch.setattr(Mcm, "TICK_S", 0.004 / speed)
+        cluster = Cluster(3)
+        broker, client, seen = cluster.broker, cluster.clients[0], []
+        assert broker is not None
+        journalled = cluster.journalled
+
+        def collect(events, records):
+            seen.extend(
+                in_words(event) for event in events if not isinstance(event, HaltConfirmed | SubsystemConnected)
+            )
+            journalled(events, records)
+
+        cluster.journalled = collect
+        until(cluster, lambda: "MCM" in broker.state.subsystems)
+        client.submit("DO LEFT swing late-mended hold")
+        client.submit("DO RIGHT late-skipped swing AFTER C-1")
+        client.submit("DO LEFT late AFTER C-2")
+        until(cluster, lambda: len(client.results) == 3)
+        return seen
+
+    def in_words(event) -> tuple[str, ...]:
+        words = (type(event).__name__,)
+        match event:
+            case PrimitiveEnded(report=report):
+                return (*words, report.primitive, report.reason, f"{report.duration_s:.3f}", f"{report.joints}")
+            case JobFinished():
+                return (*words, event.job)
+        return (*words, getattr(event, "primitive", ""))
+
+    slow, real, fast = (events_at(speed) for speed in (0.2, 1.0, 5.0))
+    assert slow == real == fast
+    reasons = {words[2] for words in real if words[0] == "PrimitiveEnded"}
+    assert reasons == {StopReason.GOAL, StopReason.TIMEOUT}
 
 
 def test_a_waiting_report_is_handled_before_the_timer_that_waits_for_it():
