@@ -7,7 +7,6 @@ measured values of the parameters. This module must not know primitives.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -20,9 +19,10 @@ from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms.arm import ArmState, CellState, HandCommand, Motion, Near, Sample, Traits
-from sim_mcm.arms.bullet_world import PhysicsWorld
+from sim_mcm.arms.bullet_world import STEP_S, PhysicsWorld
 from sim_mcm.arms.detents import Detents
 from sim_mcm.arms.hand import Hand, pressed
+from sim_mcm.arms.hand_weight import HandWeight, PadTwist
 from sim_mcm.arms.joint_torques import JointTorques
 from sim_mcm.arms.kinematic_arm import displaced
 from sim_mcm.arms.servo import Servo
@@ -30,30 +30,10 @@ from sim_mcm.arms.servo import Servo
 FINGER_FRICTION = 1.0
 SPINNING_FRICTION = 0.012  # m, of a soft pad; a smaller value lets a module turn between the pads
 SEATED_M = 0.02  # maximum distance from the seated place at which a module counts as seated
+GRIPS_N = 1.0  # a hand whose fingers press less holds nothing
 STUCK_NM = 1e4  # more than any servo exerts
 NOTHING: Mapping[str, float] = {}
 BODY_B, LINK_A, LINK_B, ON_B, DISTANCE, NORMAL_FORCE = 2, 3, 4, 6, 8, 9  # fields of a contact point
-
-
-class HandWeight(NamedTuple):
-    """Weight of what the wrist sensor carries: the hand, and the load of the control law."""
-
-    gravity_m_s2: Array  # world
-    mass_kg: float
-    centre_m: Array  # tool axes
-
-    def removed(self, wrench: list[float], tcp: Array, load: Load | None) -> list[float]:
-        """The wrench without these weights, which the sensor feels like forces of the environment."""
-        down = geometry.rotate(geometry.inverse(tcp), self.gravity_m_s2)
-        felt = np.array(wrench)
-        parts = [(self.mass_kg, self.centre_m)]
-        if load is not None:
-            parts.append((load.mass_kg, np.asarray(load.com_m)))
-        for mass_kg, centre_m in parts:
-            felt[:3] -= mass_kg * down
-            felt[3:] -= np.cross(centre_m, mass_kg * down)
-        without: list[float] = felt.tolist()
-        return without
 
 
 class BulletArm:
@@ -81,8 +61,13 @@ class BulletArm:
         self._wrench = _no_wrench if sensor is None else _wrench_at_tcp(world.cell, name)
         self._prepare(spec, sensor)
         self._load: Load | None = None  # of the present control law
-        weighs = sensor is not None and any(world.cell.gravity_m_s2)
-        self._hand_weight = self._weigh_hand(sensor) if sensor is not None and weighs else None
+        self._hand_weight: HandWeight | None = None
+        if sensor is not None and any(world.cell.gravity_m_s2):
+            hand = self._hand_inertia(sensor)
+            self._hand_weight = HandWeight(hand, world.cell.gravity_m_s2)
+            self._pad_twist = PadTwist(self._model, hand)
+        self._driven: tuple[Sample, list[float]] | None = None  # sample and torques of the latest step
+        self._stuck: set[int] = set()  # joints
         self._servo = Servo(self._model, spec.home_rad)
         self._estimate = JointTorques(self._model) if sensor is None else None
         self._hand = Hand(
@@ -95,14 +80,18 @@ class BulletArm:
     # --- interface to the executor ---------------------------------------------------------------------
 
     def read(self) -> Sample:
-        states = pybullet.getJointStates(self.body, self._read_from, physicsClientId=self._client)
-        positions, velocities, reactions, _ = zip(*states, strict=True)
+        states = pybullet.getJointStates(self.body, self._read_from, self._client)
         count = len(self._arm)
-        joints, speeds = list(positions[:count]), list(velocities[:count])
+        positions, velocities = [state[0] for state in states], [state[1] for state in states]
+        joints, speeds = positions[:count], velocities[:count]
         a, b, va, vb = *positions[count : count + 2], *velocities[count : count + 2]
         forces = pressed(self._finger_forces)
-        wrench = self._wrench(reactions[-1])
+        wrench = self._wrench(states[-1][2])
         if self._hand_weight is not None:
+            if min(forces) > GRIPS_N and self._driven is not None and not self._stuck:
+                before, torques = self._driven
+                acceleration = (np.array(speeds) - before.velocities) / STEP_S
+                wrench = self._pad_twist.added(wrench, before.joints, before.velocities, acceleration, torques)
             wrench = self._hand_weight.removed(wrench, self._model.fk(joints), self._load)
         if self._estimate is not None:
             wrench = self._estimate.wrench(joints, speeds)
@@ -169,6 +158,7 @@ class BulletArm:
         """Apply the motor torques of this tick; pybullet keeps them for one step."""
         sample = self._sample
         torques = self._servo.torque(sample.joints, sample.velocities)
+        self._driven = sample, torques
         if self._estimate is not None:
             self._estimate.drive(torques)
         self._finger_forces = self._hand.forces(sample.fingers, sample.finger_speeds)
@@ -231,18 +221,21 @@ class BulletArm:
         half = 0.5 * spec.gripper.max_opening_m
         self._put([*spec.home_rad, half, half])
 
-    def _weigh_hand(self, sensor: int) -> HandWeight:
-        """The links behind the sensor. Open fingers are as far on one side as on the other."""
-        client = self._client
-        links = range(sensor, pybullet.getNumJoints(self.body, physicsClientId=client))
-        masses = [pybullet.getDynamicsInfo(self.body, n, physicsClientId=client)[0] for n in links]
-        centres = [
-            pybullet.getLinkState(self.body, n, computeForwardKinematics=1, physicsClientId=client)[0] for n in links
-        ]
+    def _hand_inertia(self, sensor: int) -> pin.Inertia:
+        """Inertia of the links beyond the sensor, in tool axes about the tcp; of fingers where they are now."""
+        client, found = self._client, pin.Inertia.Zero()
         joints = [pybullet.getJointState(self.body, n, physicsClientId=client)[0] for n in self._arm]
-        centre = np.average(centres, axis=0, weights=masses)
-        at = geometry.transform_point(geometry.inverse(self._model.fk(joints)), centre)
-        return HandWeight(np.asarray(self._world.cell.gravity_m_s2), sum(masses), at)
+        tcp = pin.SE3(geometry.to_matrix(self._model.fk(joints)))
+        beyond = {sensor}
+        for n in range(sensor, pybullet.getNumJoints(self.body, physicsClientId=client)):
+            if n != sensor and pybullet.getJointInfo(self.body, n, physicsClientId=client)[16] not in beyond:
+                continue
+            beyond.add(n)
+            mass, _, diagonal, *_ = pybullet.getDynamicsInfo(self.body, n, physicsClientId=client)
+            state = pybullet.getLinkState(self.body, n, computeForwardKinematics=1, physicsClientId=client)
+            at = pin.SE3(geometry.to_matrix([*state[0], *state[1]]))
+            found += tcp.actInv(at).act(pin.Inertia(mass, np.zeros(3), np.diag(diagonal)))
+        return found
 
     def rub(self, factor: float) -> None:
         """Scale the friction of the pads."""
@@ -257,6 +250,7 @@ class BulletArm:
 
     def stick(self, joint: int, stuck: bool) -> None:
         """A motor with zero speed holds the joint against its servo."""
+        (self._stuck.add if stuck else self._stuck.discard)(joint)
         pybullet.setJointMotorControl2(
             self.body,
             self._arm[joint],
@@ -268,6 +262,7 @@ class BulletArm:
 
     def _put(self, values: Sequence[float]) -> None:
         """Set the positions of joints (rad) and fingers (m), at rest."""
+        self._driven = None
         for joint, value in zip(self._all, values, strict=True):
             pybullet.resetJointState(self.body, joint, value, 0.0, physicsClientId=self._client)
 

@@ -92,3 +92,9 @@ def test_a_module_is_lifted_and_held_under_gravity(world, bench, make, earth) ->
     later = world.truth()["poses"][MODULE]
     assert world.held()[ARM] == [MODULE]
     assert geometry.distance(at, later) < 0.001
+    assert np.linalg.norm(executor.sample.wrench[:3]) < 0.3
+    assert np.linalg.norm(executor.sample.wrench[3:]) < 0.05
+
+    law = msgspec.structs.replace(soft(300.0), load=load, gains={"wn": 100.0})
+    bench.perform(make.primitive(p.HoldStill(duration_s=1.0), id="C-3.1", control_law=law))
+    assert geometry.distance(world.truth()["poses"][MODULE], later) < 0.003  # it would sag 16 mm without compensation
