@@ -9,6 +9,7 @@ saturated       every core has a busy process, and sentences stream through the 
 planning        the other arm is planned for all the time, and moves
 hung_worker     a binder with a job is stopped
 broker_stopped  SIGSTOP: only the estop socket is left
+compliant       both arms under impedance, the other one holding, and every core has a busy process
 
 The condition is checked before and after each halt. A halt without it is repeated, and the table shows how many were.
 Latency is `decelerating_at_s - called_at_s`, both CLOCK_MONOTONIC of one machine.
@@ -39,6 +40,7 @@ from rtc.runtime.process_table import processes
 
 SEED = 20
 PLACES = ("BAY-2-FRONT", "CLEAR-POINT-1")
+COMPLIANT = " MAINTAIN STIFFNESS 400 N/M"
 MOVING_RAD_S = 0.05  # a faster joint counts as moving
 MOTION_S = 20.0  # maximum wait for a motion
 LATER_S = 0.15  # the halt comes at a random time within this after the start
@@ -57,6 +59,7 @@ class Bench:
         self._rtc = rtc
         self._rng = rng
         self._place = 0
+        self.law = ""  # the end of the sentence that moves the arm
         self.missed = 0  # halts without a latency, or without confirmed rest
         self.undisturbed = 0  # halts that did not count, because the condition did not hold
         self.slowest: list[tuple[float, float, float]] = []  # latency, time until receipt, time of the call; s
@@ -81,7 +84,7 @@ class Bench:
         """
         self._place = 1 - self._place
         samples = self._rtc.telemetry(silence_s=10.0)
-        command = self._rtc.submit(f"MOVE RIGHT-ARM TO {PLACES[self._place]}")
+        command = self._rtc.submit(f"MOVE RIGHT-ARM TO {PLACES[self._place]}{self.law}")
         if not self._wait_for_motion(samples, command):
             self._rtc.wait(command, timeout_s=60.0)
             return []
@@ -163,6 +166,24 @@ def broker_stopped(rtc: Client) -> Iterator[Holds]:
 
 
 @contextmanager
+def compliant(rtc: Client) -> Iterator[Holds]:
+    with saturated(rtc) as busy:
+        command = rtc.submit(f"HOLD LEFT-ARM{COMPLIANT}")
+        limit_s = time.monotonic() + MOTION_S
+        while not (begun := _executes(rtc, command)) and time.monotonic() < limit_s:
+            time.sleep(LOOK_S)
+        if not begun:
+            raise SystemExit(f"{command} does not hold the arm: {rtc.wait(command, timeout_s=1.0).outcome.message}")
+        yield lambda: busy() and _executes(rtc, command)
+        rtc.halt("LEFT-ARM")
+        rtc.wait(command, timeout_s=60.0)
+
+
+def _executes(rtc: Client, command: str) -> bool:
+    return any(name.startswith(f"{command}.") for row in rtc.status()["subsystems"] for name in row["executing"])
+
+
+@contextmanager
 def _stopped(rtc: Client, name: str) -> Iterator[Holds]:
     """Signal by a file descriptor: the supervisor may kill the hung process, and its name and pid may be reused."""
     pid = processes(rtc.run_dir)[name].pid
@@ -218,6 +239,7 @@ CONDITIONS: dict[str, tuple[Disturbance, bool]] = {  # name -> (disturbance, whe
     "planning": (planning, False),
     "hung_worker": (hung_worker, True),
     "broker_stopped": (broker_stopped, True),
+    "compliant": (compliant, False),
 }
 
 
@@ -236,7 +258,7 @@ def main() -> None:
         for name, (disturbance, each) in CONDITIONS.items():
             if given.only not in (None, name):
                 continue
-            bench.slowest = []
+            bench.slowest, bench.law = [], COMPLIANT if name == "compliant" else ""
             found = bench.latencies_s(name, given.halts, disturbance, each=each)
             metrics[f"{name}_p50_ms"] = percentile(found, 50) * 1e3
             metrics[f"{name}_p99_ms"] = percentile(found, 99) * 1e3

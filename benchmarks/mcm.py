@@ -33,6 +33,7 @@ from rtc.robot.kinematics import ArmModel
 from rtc.runtime.settings import Settings, prepare_run_dir
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.bullet_world import STEP_S
+from sim_mcm.control.subsystem import BROKER, McmSubsystem
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
 WORKERS_NICENESS = 5
@@ -40,6 +41,8 @@ LIMIT_S = 300.0
 SWING_RAD, SWING_S = 0.4, 4.0  # of the first joint, in each direction
 STEPS = 100  # physics steps between two readings of the clock
 HANDLE, MODULE = "HANDLE-A", "MACS-NEW"
+RIGID = p.ControlLaw()
+SOFT = p.ControlLaw(name="impedance", compliance=p.Compliance(stiffness=[400.0] * 3 + [12.0] * 3))
 
 _decode = reader(m.SubsystemToBroker)
 _look = reader(m.Telemetry)
@@ -75,22 +78,11 @@ class RunningMcm:
                     return message
         raise SystemExit(f"the MCM did not answer within {LIMIT_S:.0f} s")
 
-    def begin(self, arm: str, trajectory: p.Trajectory, *stops: p.StopFunction) -> str:
+    def begin(self, arm: str, trajectory: p.Trajectory, law: p.ControlLaw = RIGID) -> str:
         self._count += 1
-        always = [_stop(StopReason.GOAL, p.GoalReached()), _stop(StopReason.TIMEOUT, p.TimeAbove(600.0))]
-        guards = [
-            _stop(StopReason.COLLISION, p.BodyTouch()),
-            _stop(StopReason.JOINT_LIMIT, p.JointMarginBelow(0.01)),
-            _stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=60.0)),
-        ]
-        primitive = p.Primitive(
-            id=f"C-1.{self._count}",
-            performer=arm,
-            trajectory=trajectory,
-            stop_functions=[*always, *guards, *stops],
-        )
-        self.broker.send_multipart([b"MCM", *frames(m.Execute(primitive=primitive))])
-        return primitive.id
+        order = execute(f"C-1.{self._count}", arm, trajectory, law)
+        self.broker.send_multipart([b"MCM", *frames(order)])
+        return order.primitive.id
 
     def end(self, primitive: str) -> m.EndReport:
         report = self.wait(m.EndReport, primitive)
@@ -133,6 +125,19 @@ def busy_cores() -> Iterator[None]:
             burner.wait()
 
 
+def execute(name: str, arm: str, trajectory: p.Trajectory, law: p.ControlLaw = RIGID) -> m.Execute:
+    stops = [
+        _stop(StopReason.GOAL, p.GoalReached()),
+        _stop(StopReason.TIMEOUT, p.TimeAbove(600.0)),
+        _stop(StopReason.COLLISION, p.BodyTouch()),
+        _stop(StopReason.JOINT_LIMIT, p.JointMarginBelow(0.01)),
+        _stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=60.0)),
+    ]
+    return m.Execute(
+        primitive=p.Primitive(id=name, performer=arm, trajectory=trajectory, stop_functions=stops, control_law=law)
+    )
+
+
 def _stop(reason: StopReason, when: p.Predicate) -> p.StopFunction:
     return p.StopFunction(reason=reason, when=when)
 
@@ -151,10 +156,10 @@ def swings(cell: Cell, arm: str, duration_s: float) -> p.JointTrajectory:
     return _path([home if n % 2 == 0 else away for n in range(count + 1)], SWING_S)
 
 
-def late_percent(mcm: str, cell: Cell, seconds: float, busy: bool) -> tuple[float, int]:
+def late_percent(mcm: str, cell: Cell, seconds: float, busy: bool, law: p.ControlLaw = RIGID) -> tuple[float, int]:
     """Share of late ticks while both arms move in real time, and the number of ticks."""
     with station(mcm, 1.0) as made, busy_cores() if busy else contextlib.nullcontext():
-        begun = [made.begin(arm, swings(cell, arm, seconds + 10.0)) for arm in ARMS]
+        begun = [made.begin(arm, swings(cell, arm, seconds + 10.0), law) for arm in ARMS]
         time.sleep(1.0)
         before = made.look()
         time.sleep(seconds)
@@ -186,8 +191,8 @@ def bare_factor(cell: Cell, seconds: float) -> float:
     return steps * STEP_S / took_s
 
 
-def gripping_factor(mcm: str, cell: Cell, seconds: float) -> float:
-    """The same while the right arm carries a module to and fro in the air, and the left arm rests."""
+def grasp_and_carry(cell: Cell, seconds: float) -> list[p.Trajectory]:
+    """Grasp a module with the right arm, lift it, and carry it to and fro in the air for these seconds."""
     arm = ARMS[0]
     model = ArmModel.of(cell, arm)
     handle = geometry.compose(cell.object_pose(MODULE), cell.object(MODULE).grasp_point(HANDLE).frame.pose)
@@ -196,20 +201,46 @@ def gripping_factor(mcm: str, cell: Cell, seconds: float) -> float:
         pose = geometry.translate(handle, (-back_m, 0.0, up_m))
         joints.append(model.ik(pose, near=joints[-1])[0].tolist())
     home, front, at, above, aside = joints
+    count = max(2, 2 * round(seconds / SWING_S / 2))
+    carry = _path([above if n % 2 == 0 else aside for n in range(count + 1)], SWING_S)
+    close = p.HandMotion(width_m=0.0, force_n=30.0)
+    return [_path([home, front], 3.0), _path([front, at], 2.0), close, _lift(model, at, handle), carry]
+
+
+def gripping_factor(mcm: str, cell: Cell, seconds: float) -> float:
+    """The same while the right arm carries a module, and the left arm rests."""
+    *grasp, carry = grasp_and_carry(cell, 5.0 * seconds)
     with station(mcm, 0.0) as made:
-        close = p.HandMotion(width_m=0.0, force_n=30.0)
-        for step in (_path([home, front], 3.0), _path([front, at], 2.0), close, _lift(model, at, handle)):
-            report = made.end(made.begin(arm, step))
+        for step in grasp:
+            report = made.end(made.begin(ARMS[0], step))
             if report.reason is not StopReason.GOAL:
                 raise SystemExit(f"the grasp failed: {report.reason} {report.message}")
-        count = max(2, 2 * round(5.0 * seconds / SWING_S / 2))
-        carry = made.begin(arm, _path([above if n % 2 == 0 else aside for n in range(count + 1)], SWING_S))
+        carried = made.begin(ARMS[0], carry)
         began_s = time.perf_counter()
-        report = made.end(carry)
+        report = made.end(carried)
         took_s = time.perf_counter() - began_s
     assert report.reason is StopReason.GOAL, report
     assert 0.018 < report.hand_width_m < 0.022, "the module was lost"
     return report.duration_s / took_s
+
+
+def bare_gripping_factor(cell: Cell, seconds: float) -> float:
+    """The physics step alone in the same motion; the rest of each tick is not counted."""
+    world = BulletCell(cell)
+    subsystem = McmSubsystem(world.arms)
+    steps, took_s = 0, 0.0
+    for n, trajectory in enumerate(grasp_and_carry(cell, seconds)):
+        steps, took_s, ended = 0, 0.0, False
+        subsystem.handle(execute(f"C-1.{n + 1}", ARMS[0], trajectory), BROKER, 0.0)
+        while not ended:
+            ended = any(isinstance(message, m.EndReport) for _, message in subsystem.tick(0.0))
+            for arm in world.arms.values():
+                arm.drive()
+            began_s = time.perf_counter()
+            world.world.step()
+            took_s += time.perf_counter() - began_s
+            steps += 1
+    return steps * STEP_S / took_s
 
 
 def _lift(model: ArmModel, start: list[float], handle: geometry.Array, height_m: float = 0.3) -> p.JointTrajectory:
@@ -251,13 +282,20 @@ def main() -> None:
     measured("late ticks, machine idle", f"{idle:.3f} % of {ticks}")
     late, ticks = late_percent(given.mcm, cell, given.seconds, busy=True)
     measured("late ticks, all cores busy", f"{late:.3f} % of {ticks}")
-    bare = bare_factor(cell, given.seconds / 4) if given.mcm == "bullet" else None
-    if bare is not None:
-        measured("real-time factor, the physics step alone", f"{bare:.1f}")
+    soft = None
+    if given.mcm == "bullet":  # exact arms cannot comply
+        soft, ticks = late_percent(given.mcm, cell, given.seconds, busy=True, law=SOFT)
+        measured("late ticks, all cores busy, both arms under impedance", f"{soft:.3f} % of {ticks}")
     free = free_factor(given.mcm, cell, given.seconds)
-    measured("real-time factor, both arms moving", f"{free:.1f}")
     gripping = gripping_factor(given.mcm, cell, given.seconds)
-    measured("real-time factor, one arm gripping", f"{gripping:.1f}")
+    bare = bare_gripping = None
+    if given.mcm == "bullet":
+        bare = bare_factor(cell, given.seconds / 4)
+        bare_gripping = bare_gripping_factor(cell, given.seconds / 2)
+    for label, factor, step in (("both arms moving", free, bare), ("one arm gripping", gripping, bare_gripping)):
+        measured(f"real-time factor, {label}", f"{factor:.1f}")
+        if step is not None:
+            measured(f"real-time factor of the physics step alone, {label}", f"{step:.1f}; ratio {factor / step:.2f}")
     finish(
         "mcm",
         {
@@ -266,6 +304,10 @@ def main() -> None:
             "real_time_factor": free,
             "real_time_factor_gripping": gripping,
             "real_time_factor_bare": bare,
+            "late_ticks_compliant_percent": soft,
+            "real_time_factor_bare_gripping": bare_gripping,
+            "ratio": None if bare is None else free / bare,
+            "ratio_gripping": None if bare_gripping is None else gripping / bare_gripping,
         },
         rows,
     )
