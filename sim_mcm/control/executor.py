@@ -171,12 +171,17 @@ class Executor:
         """Whether its primitive is to pause on its path, or does."""
         return self.state is Mode.EXECUTING and self._pace.paused
 
-    def pace(self, paused: bool) -> None:
-        """Pause the primitive on its path, or let it go on. F is checked as before; its time limit does not count from
-        the order to pause until the order to go on. Without effect on an arm that stops."""
+    @property
+    def ramp_s(self) -> float:
+        """The time that a pause, or its end, needs from now on."""
+        return self._pace.next_ramp_s(self._profile, self._profile_time_s, self._most_rad_s2)
+
+    def pace(self, paused: bool, ramp_s: float = 0.0) -> None:
+        """Pause the primitive on its path, or let it go on, within this time or more. F is checked as before; its time
+        limit does not count from the order to pause until the order to go on. Without effect on an arm that stops."""
         if self.state is not Mode.EXECUTING or paused is self._pace.paused:
             return
-        self._pace.paused = paused
+        self._pace.paused, self._pace.least_s = paused, ramp_s
         assert self.primitive is not None
         trajectory = self.primitive.trajectory
         if isinstance(trajectory, p.HandMotion):
@@ -469,11 +474,15 @@ class Executor:
         if self._pace.full:
             self._profile_ticks += 1
             return self._profile.at(self._profile_time_s)
+        self._shift_s += self._pace.advance(self._profile, self._profile_time_s, self._most_rad_s2)
+        return self._pace.scaled(self._profile.at(self._profile_time_s))
+
+    @property
+    def _most_rad_s2(self) -> list[float]:
         most = self.arm.traits.acceleration
         if min(self.sample.finger_forces) > SQUEEZE_N:
-            most = [min(a, profiles.LADEN_ACCELERATION_RAD_S2) for a in most]
-        self._shift_s += self._pace.advance(self._profile, self._profile_time_s, most)
-        return self._pace.scaled(self._profile.at(self._profile_time_s))
+            return [min(a, profiles.LADEN_ACCELERATION_RAD_S2) for a in most]
+        return most
 
     def _move_hand(self, motion: p.HandMotion) -> None:
         self._use_hand(HandCommand(motion.width_m, motion.force_n, motion.speed_m_s))

@@ -24,6 +24,7 @@ class Pace:
     def __init__(self) -> None:
         self.paused = False  # the latest order
         self.rate, self.change = 1.0, 0.0  # profile time per time, and its derivative (1/s)
+        self.least_s = 0.0  # minimum duration of a ramp
         self._ticks_left = self._ticks = 0  # of the present ramp
         self._begin = 1.0
 
@@ -39,7 +40,8 @@ class Pace:
             if self.rate == target:
                 return self.rate * TICK_S
             self._begin = self.rate
-            self._ticks = self._ticks_left = round(_ramp_s(profile, at_s, self.rate, most_rad_s2) / TICK_S)
+            ramp_s = max(self.least_s, _ramp_s(profile, at_s, self.rate, most_rad_s2))
+            self._ticks = self._ticks_left = round(ramp_s / TICK_S)
         before_s = self._progress_s()
         self._ticks_left -= 1
         progress_s = self._progress_s() - before_s
@@ -51,6 +53,10 @@ class Pace:
         else:
             self.rate, self.change = end, 0.0
         return progress_s
+
+    def next_ramp_s(self, profile: Profile, at_s: float, most_rad_s2: Sequence[float]) -> float:
+        """Duration of the next ramp; its longest one if another ramp comes before."""
+        return RAMPS_S[-1] if self._ticks_left else _ramp_s(profile, at_s, self.rate, most_rad_s2)
 
     def scaled(self, motion: Motion) -> Motion:
         """The motion of the profile at the present rate."""

@@ -77,7 +77,8 @@ class Pending(msgspec.Struct):
     """An order that waits for its start condition: another arm must leave the space that it needs."""
 
     order: m.Execute
-    ticks: int = 0  # waited so far
+    ticks: int = 0  # waited so far, without pauses
+    paused: bool = False  # it does not start until it is to go on
 
 
 class McmSubsystem:
@@ -127,9 +128,7 @@ class McmSubsystem:
             self._kept.pop(message.primitive, None)
             return []
         if isinstance(message, m.Pace):
-            for executor in self.executors.values():
-                if executor.primitive_id == message.primitive:  # else it has ended, and its report is on the way
-                    executor.pace(message.paused)
+            self._pace(message)
             return []
         if isinstance(message, InvalidOrder):
             return self._refuse(message, now_s)
@@ -152,7 +151,7 @@ class McmSubsystem:
             at_rest=self.at_rest,
             arrays=True,
             pauses=True,
-            paused=[executor.primitive_id for executor in self.executors.values() if executor.paused],
+            paused=self._paused,
         )
         halts = self._fences.values()
         return [
@@ -167,7 +166,8 @@ class McmSubsystem:
         for executor in self.executors.values():
             for message in executor.tick(now_s):
                 if not isinstance(message, m.EndReport):
-                    out.append((BROKER, message))
+                    if not isinstance(message, m.Paced) or (BROKER, message) not in out:  # of two arms once
+                        out.append((BROKER, message))
                 elif (whole := self._pairs.whole(message)) is not None:
                     self._reached_s[whole.primitive] = executor.path_s
                     out += self._end(whole, now_s)
@@ -238,9 +238,12 @@ class McmSubsystem:
     def _follow_pending(self, now_s: float) -> Outgoing:
         """Begin the orders whose start conditions are met; end those whose conditions cannot be met any more."""
         out: Outgoing = []
+        paused = self._paused
         for name, pending in list(self._pending.items()):
             primitive, waited_s = pending.order.primitive, pending.ticks * TICK_S
-            pending.ticks += 1
+            if pending.paused:
+                continue
+            pending.ticks += not any(condition.primitive in paused for condition in primitive.start_after)
             whys = [self._why_not(condition, waited_s) for condition in primitive.start_after]
             if None in whys:
                 continue
@@ -264,6 +267,23 @@ class McmSubsystem:
         if waited_s > condition.within_s:
             return f"{name} has not left the space that this needs within {condition.within_s:.3g} s"
         return None
+
+    def _pace(self, order: m.Pace) -> None:
+        """Pause a primitive, or let it go on. One that has ended ignores it: its report is on the way."""
+        arms = [executor for executor in self.executors.values() if executor.primitive_id == order.primitive]
+        ramp_s = max((executor.ramp_s for executor in arms), default=0.0)  # two arms on one object stay together
+        for executor in arms:
+            executor.pace(order.paused, ramp_s)
+        for pending in self._pending.values():
+            if pending.order.primitive.id == order.primitive:
+                pending.paused = order.paused
+
+    @property
+    def _paused(self) -> list[str]:
+        """Primitives that were ordered to pause."""
+        found = [executor.primitive_id for executor in self.executors.values() if executor.paused]
+        found += [pending.order.primitive.id for pending in self._pending.values() if pending.paused]
+        return list(dict.fromkeys(found))
 
     def _stop_all(self, reason: StopReason, words: str, now_s: float) -> Outgoing:
         """Stop every arm for a fault that concerns all of them."""

@@ -57,6 +57,27 @@ def test_both_arms_move_and_one_report_has_both_ends(bench, pair, arms, cell):
     assert sum(isinstance(message, m.Started) for _, message in bench.sent) == 1
 
 
+def test_both_arms_pause_and_go_on_together(bench, pair, arms, cell, make):
+    """Whatever ramp each would need alone: otherwise they would pull at what they hold."""
+    wanted, home = pair(), cell.arm(OTHER).home_rad
+    farther = make.joint_path(home, [home[0] + 0.9, *home[1:]], 1.6)
+    near = msgspec.structs.replace(wanted.trajectory, time_s=[0.0, 1.6])
+    partner = msgspec.structs.replace(wanted.partner, trajectory=farther)
+    bench.handle(m.Execute(primitive=msgspec.structs.replace(wanted, trajectory=near, partner=partner)))
+    bench.tick(700)
+    bench.handle(m.Pace(primitive="C-7.1", paused=True))
+    parts = []
+    for tick in range(5000):
+        if tick == 2500:
+            bench.handle(m.Pace(primitive="C-7.1", paused=False))
+        bench.tick()
+        parts.append([arms[name].motion[0][0] - cell.arm(name).home_rad[0] for name in (ARM, OTHER)])
+    assert max(abs(3.0 * a - b) for a, b in parts) < 1e-9
+    assert parts[2100] == parts[2499] != parts[-1]
+    paced = [message.paused for _, message in bench.sent if isinstance(message, m.Paced)]
+    assert paced == [True, False]
+
+
 @pytest.mark.parametrize("tripped", [ARM, OTHER])
 def test_a_stop_of_one_stops_the_other(bench, pair, arms, tripped):
     bench.handle(m.Execute(primitive=pair()))
