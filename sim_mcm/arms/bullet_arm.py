@@ -63,9 +63,9 @@ class BulletArm:
         self._load: Load | None = None  # of the present control law
         self._hand_weight: HandWeight | None = None
         if sensor is not None and any(world.cell.gravity_m_s2):
-            hand = self._hand_inertia(sensor)
-            self._hand_weight = HandWeight(hand, world.cell.gravity_m_s2)
-            self._pad_twist = PadTwist(self._model, hand)
+            inertia = self._hand_inertia(sensor)
+            self._hand_weight = HandWeight(inertia, world.cell.gravity_m_s2)
+            self._pad_twist = PadTwist(self._model, inertia)
         self._driven: tuple[Sample, list[float]] | None = None  # sample and torques of the latest step
         self._stuck: set[int] = set()  # joints
         self._servo = Servo(self._model, spec.home_rad)

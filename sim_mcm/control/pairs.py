@@ -12,7 +12,7 @@ import msgspec
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import PRIORITY, StopReason
 from rtc.protocol.primitive import Primitive
-from sim_mcm.control.executor import Executor
+from sim_mcm.control.executor import Executor, Reports
 from sim_mcm.control.reports import not_begun
 
 
@@ -21,7 +21,7 @@ class Pairs:
         self._executors = executors
         self._ends: dict[str, dict[str, m.EndReport | None]] = {}  # primitive -> arm, the leading one first -> its end
 
-    def begin(self, primitive: Primitive, now_s: float) -> list[m.Started | m.ProgressReport | m.EndReport]:
+    def begin(self, primitive: Primitive, now_s: float) -> Reports:
         """Start both arms with the next tick, or neither. Both must exist and be free."""
         assert primitive.partner is not None
         part = primitive.partner
