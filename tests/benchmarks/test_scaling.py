@@ -28,8 +28,7 @@ def test_a_summary_has_median_and_range_of_the_rounds_and_the_plan_of_its_case()
 
 
 def test_errors_are_relative_to_the_real_cluster():
-    result = Result(*[0.0] * len(Result._fields))._replace(commands_per_s=90.0, waiting_p50_ms=3.0, broker_busy=0.9)
+    result = Result(*[0.0] * len(Result._fields))._replace(commands_per_s=90.0, waiting_p50_ms=3.0)
     one = Comparison("a case", "trivial", 4, 100.0, (90.0, 110.0), result, 2.0, 5.0, None, 9e3)
     assert one.error == pytest.approx(-0.1)
-    assert one.broker_us == pytest.approx(1e4)
     assert one.waiting_error == pytest.approx(0.5)
