@@ -1,6 +1,7 @@
 """How often and how fast is a motion to a free goal found, among racks, bay, modules and the other arm?
 
     python -m benchmarks.planning                              # 1,000 goals per arm, some 20 minutes
+    python -m benchmarks.planning --cell panda                 # seven joints, without a closed form
     python -m benchmarks.planning --goals 100 --peers 20       # a short run
 
 Goals are random free poses of each arm, half of them near a seat, half of them with a module in the hand. Each query
@@ -37,7 +38,6 @@ from workers.planning.robot_models import CellModel
 
 SEED = 22
 LIMIT_S = 5.0  # of a search by OMPL
-ATTITUDE = "LEVEL"
 
 
 @dataclass
@@ -88,14 +88,17 @@ def main() -> None:
     words = argparse.ArgumentParser(
         prog="python -m benchmarks.planning", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    words.add_argument("--cell", default="swapout", help="with its first attitude")
     words.add_argument("--goals", type=int, default=1000, help="per arm")
     words.add_argument("--peers", type=int, default=100, help="of them, per arm, for the peers")
     words.add_argument(
-        "--level", type=int, default=100, help=f"further goals per arm, with the attitude {ATTITUDE} kept"
+        "--level", type=int, default=100, help="further goals per arm, with the first attitude of the cell kept"
     )
     given = words.parse_args()
-    question("planning", "How often and how fast is a motion to a free goal found?", seed=SEED)
-    model, figures = CellModel(Cell.load("swapout")), Figures()
+    name = "planning" if given.cell == "swapout" else f"planning_{given.cell}"
+    question(name, "How often and how fast is a motion to a free goal found?", seed=SEED)
+    model, figures = CellModel(Cell.load(given.cell)), Figures()
+    attitude = next(iter(model.cell.attitudes))
     process.freeze_heap()  # as the workers do
     ompl = _ompl()
     bullet = ompl.BulletCell(model) if ompl is not None else None
@@ -111,9 +114,9 @@ def main() -> None:
                     figures.bullet.run(query, lambda q, free=free: ompl.plan(q.request, q.goal, free, LIMIT_S))
             if (n + 1) % 100 == 0:
                 print(f"  {arm}: {n + 1} of {given.goals} goals", flush=True)
-        for query in Queries(model, arm, SEED, ATTITUDE).take(given.level):
+        for query in Queries(model, arm, SEED, attitude).take(given.level):
             figures.level.run(query, _to_any)
-    finish("planning", _metrics(figures), list(_rows(figures)))
+    finish(name, _metrics(figures), list(_rows(figures, attitude)))
 
 
 def _ompl() -> Any:
@@ -185,7 +188,7 @@ def _metrics(figures: Figures) -> dict[str, float | None]:
     }
 
 
-def _rows(figures: Figures) -> Iterable[tuple[str, str]]:
+def _rows(figures: Figures, attitude: str) -> Iterable[tuple[str, str]]:
     ours = figures.ours
     yield from ours.rows("ours")
     around = [t for t, line in zip(ours.cpu_s, figures.direct_line, strict=True) if not line]
@@ -204,7 +207,7 @@ def _rows(figures: Figures) -> Iterable[tuple[str, str]]:
     if figures.bullet.found:
         yield from figures.bullet.rows("OMPL RRT-Connect with pybullet")
     if figures.level.found:
-        yield from figures.level.rows(f"ours, {ATTITUDE} kept")
+        yield from figures.level.rows(f"ours, {attitude} kept")
 
 
 if __name__ == "__main__":

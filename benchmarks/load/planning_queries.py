@@ -1,7 +1,8 @@
 """Seeded planning queries of a cell: free start and free goal of one arm, with and without an object in its hand.
 
-Half of the goals are poses near a seat, half are any free posture. Starts are the goal before, or a point on the way to
-it, where a halt may have left the arm. The other arms rest at home or anywhere free.
+Half of the goals are poses near a seat, with about the first attitude of the cell; half are any free posture. Starts
+are the goal before, or a point on the way to it, where a halt may have left the arm. The other arms rest at home or
+anywhere free.
 """
 
 from __future__ import annotations
@@ -121,8 +122,10 @@ class Queries:
 
     def _near_a_seat(self) -> Array:
         seat: parts.Seat = self._cell.seats[self._rng.integers(len(self._cell.seats))]
-        level = geometry.make_pose(seat.frame.pose[:3], geometry.LEVEL)
-        off = self._rng.uniform((-OFF_M[0], -OFF_M[1], -OFF_M[2]), (0.0, OFF_M[1], OFF_M[2]))
+        way_in = next(iter(self._cell.attitudes.values())).pose  # of the tool
+        level = geometry.make_pose(seat.frame.pose[:3], way_in[3:])
+        back, aside, up = self._rng.uniform((-OFF_M[0], -OFF_M[1], -OFF_M[2]), (0.0, OFF_M[1], OFF_M[2])).tolist()
+        off = geometry.rotate(level, (-up, aside, back))
         turn = self._rng.normal(size=3)
         turn *= self._rng.uniform(0.0, OFF_RAD) / np.linalg.norm(turn)
         turned = geometry.compose(level, geometry.from_rpy((0.0, 0.0, 0.0), turn)) if self._attitude is None else level

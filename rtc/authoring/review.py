@@ -36,6 +36,9 @@ PENETRATION_M = 0.002  # of two bodies at the beginning
 WEIGHT_SHARE = 0.9  # of the motor torque, as planning allows
 
 
+WHY = {"Adjacent": "neighbours", "Default": "the fingers of one hand", "Always": "in contact in every posture"}
+
+
 class Finding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One fault. `where`: a path such as $.arms[0].home_deg, or a link of a URDF; `line`: from 1, 0 unknown."""
 
@@ -379,7 +382,7 @@ def _self_pairs(cell: Cell) -> Iterator[Place]:
         }
         missing = sorted(sorted(pair) for pair, reason in rows.items() if reason != "Never" and pair not in listed)
         for a, b in missing:
-            reason = "neighbours" if rows[frozenset((a, b))] == "Adjacent" else "in contact in every posture"
+            reason = WHY[rows[frozenset((a, b))]]
             expected = f'<disable_collisions link1="{a}" link2="{b}"/>'
             yield f"arms[{n}].srdf", f"{arm.srdf} does not list {a} and {b}, which are {reason}", "warning", expected
 

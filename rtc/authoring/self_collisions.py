@@ -1,6 +1,8 @@
-"""Which pairs of an arm's links need no collision check: neighbours, and pairs that sampling never or always finds.
+"""Which pairs of an arm's links need no collision check: neighbours, and pairs that never or always touch.
 
-The result is an SRDF. A pair is left out of the checks only if it stays `NEAR_M` apart in every sampled posture.
+Random postures show which pairs always touch. A pair that touches in none of them may still do so in rare postures, so
+the nearest of them are bent further towards contact. Only a pair that does not come within `NEAR_M` then is left out of
+the checks. The result is an SRDF.
 """
 
 from __future__ import annotations
@@ -14,10 +16,12 @@ import pinocchio as pin
 
 from rtc.authoring.robot_file import RobotFile
 from rtc.robot import hulls
+from rtc.robot.geometry import Array
 
-SEED, SAMPLES = 1, 2000
-NEAR_M = 0.02
-ALWAYS = 0.95  # share of the postures in which a pair collides, so that its check would refuse nearly everything
+SEED, SAMPLES = 1, 1200
+NEAREST, STEPS, STEP = 6, 70, 0.3  # postures that are bent towards contact, steps each, and the first step (rad, m)
+NEAR_M = 0.005
+ALWAYS = 0.95  # share of the postures in which a pair touches, so that its check would refuse nearly everything
 OFTEN = 0.30  # a share beyond this is stated as a note
 
 Pair = frozenset[str]
@@ -36,49 +40,70 @@ def srdf(robot: RobotFile, urdf: str, texts: Mapping[str, str]) -> tuple[str, li
 
 
 def pairs(robot: RobotFile, urdf: str, texts: Mapping[str, str]) -> tuple[dict[Pair, str], list[str]]:
-    """(pair -> Adjacent, Always or Never; notes)."""
+    """(pair -> Adjacent, Default (two fingers, which touch in a closed hand), Always or Never; notes)."""
     model = pin.buildModelFromXML(urdf)
     shapes = hulls.shapes(model, urdf, texts)
     links = [item.name.rsplit("_", 1)[0] for item in shapes.geometryObjects]
-    rows = dict.fromkeys(adjacent(robot, set(links)), "Adjacent")
+    rows = dict.fromkeys(adjacent(robot, set(links)), "Adjacent") | dict.fromkeys(_fingers(robot), "Default")
     for i, j in combinations(range(len(links)), 2):
         if links[i] != links[j] and frozenset((links[i], links[j])) not in rows:
             shapes.addCollisionPair(pin.CollisionPair(i, j))
-    near, hit = np.zeros(len(shapes.collisionPairs)), np.zeros(len(shapes.collisionPairs))
-    near_data, hit_data = shapes.createData(), shapes.createData()
-    for request in near_data.collisionRequests:
-        request.security_margin = NEAR_M
-    data = model.createData()
-    for q in np.random.default_rng(SEED).uniform(
-        model.lowerPositionLimit, model.upperPositionLimit, (SAMPLES, model.nq)
-    ):
-        near += _collisions(model, data, shapes, near_data, q)
-        if near.any():
-            hit += _collisions(model, data, shapes, hit_data, q)
-    return _judged(rows, [(links[p.first], links[p.second]) for p in shapes.collisionPairs], near, hit)
-
-
-def _collisions(model: Any, data: Any, shapes: Any, shape_data: Any, q: Any) -> Any:
-    pin.computeCollisions(model, data, shapes, shape_data, q, False)
-    return np.array([result.isCollision() for result in shape_data.collisionResults])
-
-
-def _judged(
-    rows: dict[Pair, str], named: list[tuple[str, str]], near: Any, hit: Any
-) -> tuple[dict[Pair, str], list[str]]:
-    """Several shapes of two links count as one pair: its most frequent contact."""
-    share: dict[Pair, tuple[float, float]] = {}
-    for (a, b), n, h in zip(named, near / SAMPLES, hit / SAMPLES, strict=True):
-        before = share.get(frozenset((a, b)), (0.0, 0.0))
-        share[frozenset((a, b))] = max(before[0], n), max(before[1], h)
-    rows |= {links: "Never" for links, (n, _) in share.items() if n == 0.0}
-    rows |= {links: "Always" for links, (_, h) in share.items() if h >= ALWAYS}
+    named = [frozenset((links[pair.first], links[pair.second])) for pair in shapes.collisionPairs]
+    apart = _Apart(model, shapes)
+    distances = apart.of_samples()
+    touching: dict[Pair, float] = {}  # several shapes of two links count as one pair: its most frequent contact
+    nearest: dict[Pair, float] = {}
+    for n, links_of_pair in enumerate(named):
+        share = float((distances[:, n] <= 0.0).mean())
+        touching[links_of_pair] = max(share, touching.get(links_of_pair, 0.0))
+        least_m = 0.0 if share else apart.least_m(n, distances[:, n])
+        nearest[links_of_pair] = min(least_m, nearest.get(links_of_pair, np.inf))
+    rows |= {pair: "Never" for pair, least_m in nearest.items() if least_m > NEAR_M}
+    rows |= {pair: "Always" for pair, share in touching.items() if share >= ALWAYS}
     notes = [
-        f"{' and '.join(sorted(links))} touch in {h:.0%} of all postures: their hulls may be too wide"
-        for links, (_, h) in share.items()
-        if OFTEN < h < ALWAYS
+        f"{' and '.join(sorted(pair))} touch in {share:.0%} of all postures: their hulls may be too wide"
+        for pair, share in touching.items()
+        if OFTEN < share < ALWAYS
     ]
     return rows, notes
+
+
+class _Apart:
+    """Distances between the shapes of one arm, at random postures and near them."""
+
+    def __init__(self, model: Any, shapes: Any) -> None:
+        self._model, self._shapes = model, shapes
+        self._data, self._shape_data = model.createData(), shapes.createData()
+        self._random = np.random.default_rng(SEED)
+        self._lower, self._upper = model.lowerPositionLimit, model.upperPositionLimit
+        self._postures = self._random.uniform(self._lower, self._upper, (SAMPLES, model.nq))
+
+    def of_samples(self) -> Array:
+        """[postures][pairs], m; 0 or less in contact."""
+        rows = np.empty((SAMPLES, len(self._shapes.collisionPairs)))
+        for n, q in enumerate(self._postures):
+            pin.computeDistances(self._model, self._data, self._shapes, self._shape_data, q)
+            rows[n] = [result.min_distance for result in self._shape_data.distanceResults]
+        return rows
+
+    def least_m(self, pair: int, distances: Array) -> float:
+        """The least distance of a pair that is found from its nearest postures."""
+        least_m = np.inf
+        for n in np.argsort(distances, kind="stable")[:NEAREST]:
+            q, here_m = self._postures[n], float(distances[n])
+            for step in np.linspace(STEP, 0.02, STEPS):
+                tried = np.clip(q + self._random.normal(scale=step, size=len(q)), self._lower, self._upper)
+                there_m = self._distance(pair, tried)
+                if there_m < here_m:
+                    q, here_m = tried, there_m
+                if here_m <= NEAR_M:
+                    return here_m
+            least_m = min(least_m, here_m)
+        return least_m
+
+    def _distance(self, pair: int, q: Array) -> float:
+        pin.updateGeometryPlacements(self._model, self._data, self._shapes, self._shape_data, q)
+        return float(pin.computeDistance(self._shapes, self._shape_data, pair).min_distance)
 
 
 def adjacent(robot: RobotFile, solid: set[str]) -> set[Pair]:
@@ -89,6 +114,16 @@ def adjacent(robot: RobotFile, solid: set[str]) -> set[Pair]:
         frozenset(pair)
         for pair in combinations(solid, 2)
         if body[pair[0]] == body[pair[1]] or frozenset(body[link] for link in pair) in neighbours
+    }
+
+
+def _fingers(robot: RobotFile) -> set[Pair]:
+    """Pairs of links that slide on the same link."""
+    slides = [joint for joint in robot.joints if robot.type(joint) == "prismatic"]
+    return {
+        frozenset((robot.child[a], robot.child[b]))
+        for a, b in combinations(slides, 2)
+        if robot.parent[a] == robot.parent[b]
     }
 
 

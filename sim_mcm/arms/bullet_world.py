@@ -26,6 +26,8 @@ SOLVER_ITERATIONS = 50  # with fewer the wrist sensor shows spikes of 20 N while
 SOLVER_RESIDUAL = 1e-7
 
 NEARLY_NOTHING = "1e-9"  # kg, kg m2
+SHAPE_LINK, SHAPE_TYPE, SHAPE_COLOUR = 1, 2, 7  # fields of pybullet's visual shape data
+BLACK, PAINT = (0.0, 0.0, 0.0, 1.0), (0.82, 0.83, 0.84, 1.0)
 
 
 class Body:
@@ -87,7 +89,15 @@ class PhysicsWorld:
                 physicsClientId=self.client,
             )
         self.names[body] = name
+        if self._visual:
+            self._paint(body)
         return body
+
+    def _paint(self, body: int) -> None:
+        """Give a colour to the meshes whose file has none; pybullet shows them black."""
+        for shape in pybullet.getVisualShapeData(body, physicsClientId=self.client):
+            if shape[SHAPE_TYPE] == pybullet.GEOM_MESH and tuple(shape[SHAPE_COLOUR]) == BLACK:
+                pybullet.changeVisualShape(body, shape[SHAPE_LINK], rgbaColor=PAINT, physicsClientId=self.client)
 
     def pose(self, name: str) -> Array:
         """Pose of an object, world frame."""
