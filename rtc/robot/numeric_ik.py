@@ -32,12 +32,13 @@ NULL_STEPS, NULL_GAIN = 6, 0.15  # iterations with motion in the null space, and
 SELF_MOTIONS, SELF_STEPS = (-1.2, -0.8, -0.4, 0.4, 0.8, 1.2), 7  # rad, of further starts beside the best result
 SAME = 1e-3  # nearer results count as equal
 APART = 0.1  # the same for an arm with redundant joints, whose results are not isolated
-# Penalty of the ranking, in seconds and as a factor of the motion time.
+# Penalty of the ranking, as a factor of the motion time and in seconds.
 NEAR_LIMIT = 0.06  # share of a joint's range; a joint that is nearer to its limit is penalised
 NEAR_SINGULAR = 0.25  # share of the arm's typical manipulability; a smaller one is penalised
-PENALTY_S = 1.0
+PENALTY, PENALTY_S = 2.0, 0.15  # the second is small, so that a short motion of the hand is one of the arm, too
 FOLLOW_STEPS = 12  # maximum number of iterations of `follow`
-FOLLOW_GAIN = 0.02
+FOLLOW_GAIN = 0.05
+HELD, MOST_HELD = 0.15, 0.06  # share of its range, and distance (rad, m), of a limit at which a redundant joint stays
 
 
 class Approach(NamedTuple):
@@ -129,6 +130,9 @@ class Chain:
         The best have a short motion time from `reference`, and are far from limits and singularities.
         """
         found = self._search(goal, reference, self.lower + margin, self.upper - margin)
+        beside = self.follow(goal, reference)
+        if beside is not None and (beside >= self.lower + margin).all() and (beside <= self.upper - margin).all():
+            found = np.vstack((beside, found))
         if not len(found):
             return []
         if self.count > 6:
@@ -168,15 +172,26 @@ class Chain:
             if size < ENOUGH * ENOUGH:
                 return q
             jacobian = pin.computeFrameJacobian(model, data, q, tcp, pin.LOCAL)
-            squared = jacobian @ jacobian.T
-            squared[np.diag_indices(6)] += DAMPING * 0.01 * size + LEAST_DAMPING
-            move = jacobian.T @ np.linalg.solve(squared, error)
-            if self.count > 6 and step == 0:
-                away = FOLLOW_GAIN * self._away(q[None])[0]
-                move += away - jacobian.T @ np.linalg.solve(squared, jacobian @ away)
+            if self.count > 6:
+                move = self._redundant_step(q, jacobian, error, size, FOLLOW_GAIN if step == 0 else 0.0)
+            else:
+                move = _least_squares(jacobian, error, size)
             most = np.abs(move).max()
             q = q + move * min(1.0, MOST_STEP / max(most, 1e-12))
         return None
+
+    def _redundant_step(self, q: Array, jacobian: Array, error: Array, size: float, gain: float) -> Array:
+        """A step in which a joint that would come near its limit stays, as long as six others are left."""
+        kept = np.minimum(HELD * (self.upper - self.lower), MOST_HELD)
+        away, free = gain * self._away(q[None])[0], np.ones(self.count)
+        while True:
+            wanted = away * free
+            move = wanted + _least_squares(jacobian, error - jacobian @ wanted, size, free)
+            beyond = np.maximum(self.lower + kept - q - move, 0.0) * (move < 0.0)
+            beyond = (beyond + np.maximum(q + move - self.upper + kept, 0.0) * (move > 0.0)) * free
+            if not beyond.any() or free.sum() <= 6:
+                return move
+            free[int(beyond.argmax())] = 0.0
 
     def _search(self, goal: pin.SE3, reference: Array, lower: Array, upper: Array) -> Array:
         nearest = self._nearest(goal, sum(BATCHES))
@@ -281,8 +296,17 @@ class Chain:
         typical = self._table[3]
         near_singular = np.clip(1.0 - self.manipulability(q) / (NEAR_SINGULAR * typical + 1e-12), 0.0, 1.0)
         penalty = near_limit + near_singular
-        costs: Array = times * (1.0 + penalty) + PENALTY_S * penalty
+        costs: Array = times * (1.0 + PENALTY * penalty) + PENALTY_S * penalty
         return costs
+
+
+def _least_squares(jacobian: Array, error: Array, size: float, weights: Array | None = None) -> Array:
+    """The least joint motion for a small twist, each joint by its weight."""
+    weighted = jacobian if weights is None else jacobian * weights
+    squared = weighted @ jacobian.T
+    squared[np.diag_indices(6)] += DAMPING * 0.01 * size + LEAST_DAMPING
+    move: Array = weighted.T @ np.linalg.solve(squared, error)
+    return move
 
 
 def _different(rows: Array, apart: float) -> list[Array]:
