@@ -17,30 +17,39 @@ from rtc.language.caret import show
 from rtc.language.parse import default_grammar
 from rtc.language.parse import parse as parse_sentence
 from rtc.language.record import ParsedCommand
+from rtc.language.units import in_words
 from rtc.programs.loader import decode, default
 from rtc.programs.schema import ElaboratorProgram
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import Refusal
 
 REFUSED = 2  # exit status
+DEFAULT_CELL = "swapout"
 CONTROLS = {"HALT", "PAUSE", "RESUME", "ABORT"}  # performed by the broker, without a script
 
 
 def parse(
     sentence: Annotated[str, typer.Argument(help="One sentence of the command language, in quotes.")],
     json: Annotated[bool, typer.Option("--json", help="Print the record or the refusal as JSON.")] = False,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Say what each MAINTAIN item means, also without its argument.")
+    ] = False,
+    cell: Annotated[str, typer.Option("--cell", help="Name or file of the cell for --explain.")] = DEFAULT_CELL,
 ) -> None:
     """Parse a sentence and show the result, or the place of the error.
 
     It needs no cluster and sends nothing. Exit status: 0 valid, 2 not valid.
 
     Example: rtc parse "grasp Macs_old with Right_arm maintain speed 10 cm/s."
+    Example: rtc parse "STOW LEFT-ARM MAINTAIN SPEED AND AVOID-NEIGHBORS" --explain
     """
     result = parse_sentence(default_grammar(), sentence)
     if json:
         print(msgspec.json.encode(result).decode())
     elif isinstance(result, ParsedCommand):
         print(understood(result))
+        if explain:
+            print("\n".join(explained(result, cell)))
     else:
         print(show(sentence, result), file=sys.stderr)
     if isinstance(result, Refusal):
@@ -99,6 +108,29 @@ def grammar(
     print()
     for what, count in entries.stats().items():
         print(f"{what.replace('_', ' '):<15} {count:>4}")
+
+
+def explained(record: ParsedCommand, cell_name: str) -> list[str]:
+    """What each MAINTAIN item of a record means in a cell, one line each."""
+    from rtc.cells.cell import Cell  # slow, and needed here only
+
+    cell = Cell.load(cell_name)
+    program = _elaborator()
+    lines = []
+    for item in record.constraints:
+        about = program.acts_on[item.slot].about if item.slot in program.acts_on else "every step"
+        if item.slot not in program.constraints:
+            lines.append(f"  MAINTAIN {item.slot}: refused today")
+        elif item.name is not None or item.value is not None:
+            given = item.name or in_words(item.value.value, item.value.unit)  # type: ignore[union-attr]
+            lines.append(f"  MAINTAIN {item.slot}: {given}, as given; it acts on {about}")
+        elif (meant := cell.maintain.meaning(item.slot)) is None:
+            lines.append(f"  MAINTAIN {item.slot}: refused, because cell {cell.name} gives it no meaning")
+        else:
+            unit, value = meant
+            words = value if isinstance(value, str) else in_words(value, unit)
+            lines.append(f"  MAINTAIN {item.slot}: {words}, the meaning in cell {cell.name}; it acts on {about}")
+    return lines
 
 
 def understood(record: ParsedCommand) -> str:

@@ -70,6 +70,8 @@ def _path(step: ScriptStep, place: str) -> Problems:
             yield place, f"{step.space} needs {name}"
     if "about" in step.words and "about" not in needed:
         yield f"{place}.words.about", f"about is the axis of a move_circle, not of {step.space or 'no space'}"
+    if "through" in step.words and (needed or step.to == "HERE" or not step.space):
+        yield f"{place}.words.through", "a way through places leads to a pose or to joint values of the plan"
     if "press_n" in step.args and "about" in needed:
         yield f"{place}.args.press_n", f"a {step.space} has no axis to press along"
 

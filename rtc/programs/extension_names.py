@@ -44,7 +44,7 @@ FIGURES = (
 ROLES = ("active_arm", "active_object", "its_seat", "target")
 #: placeholders (in braces) in the texts of a script; the last two are for SET only
 PLACEHOLDERS = (
-    *("arm", "object", "point", "target", "destination", "axis", "out", "way_out", "amount", "time"),
+    *("arm", "object", "point", "target", "destination", "axis", "out", "way_out", "amount", "time", "through"),
     *("attribute", "value"),
 )
 #: placeholders in the failure texts of the analyzer
@@ -53,14 +53,16 @@ FAILURE_PLACEHOLDERS = (
     *("width", "wanted", "off"),
 )
 #: keys of `words` of a step that have an effect
-WORDS = ("about", "axis", "effect", "missed", "needs", "seat")
+WORDS = ("about", "axis", "effect", "missed", "needs", "seat", "through")
 #: args of a step that are not values of the binder's program
 ARGS = (
     *("by_m", "by_rad", "hand_turn", "radius_m", "pitch_m"),  # shape of a path, see SPACE_ARGS
+    "takes_s",  # duration of a motion
     *("width_m", "least_m", "most_m", "grip_n", "duration_s", "within_m"),
     *("speed_m_s", "force_n", "contact_n", "torque_nm"),
     *("beyond_m", "felt_m", "lever_m", "aside_m", "pad_m", "centre_n_m", "play_m"),  # of the centring touches
     *("stiffness_n_m", "press_n"),  # of a compliant step; force set-point along its axis
+    *("press_from_n", "press_s"),  # that set-point at the start, and the time in which it changes
     *("needs_m", "needs_rad"),  # required accuracy of the held object's pose
 )
 #: performers of steps

@@ -97,6 +97,24 @@ class Load(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError("a load has no inertia whose products exceed its moments")
 
 
+class ForceProfile(msgspec.Struct, frozen=True, kw_only=True):
+    """Force set-points over time: `share[k]` of each at `time_s[k]` since the start of the primitive.
+
+    Linear in between; the last share is kept.
+    """
+
+    time_s: Vector
+    share: Vector
+
+    def __post_init__(self) -> None:
+        if len(self.time_s) < 2 or len(self.time_s) != len(self.share) or self.time_s[0] != 0.0:
+            raise ValueError("a force profile needs two times or more, the first 0, and as many shares")
+        if not all(a < b <= LONGEST_S for a, b in zip(self.time_s, self.time_s[1:], strict=False)):  # false for nan too
+            raise ValueError("the times of a force profile must rise")
+        if not all(0.0 <= share <= 1.0 for share in self.share):
+            raise ValueError("a share of a force set-point is 0 to 1")
+
+
 class Compliance(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Figures of a compliant control law, along x y z and about x y z of the selection frame, at the tcp."""
 
@@ -106,6 +124,7 @@ class Compliance(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     # Force set-points: what the hand exerts on its environment (N, N.m). An axis with a number is force-controlled and
     # has no spring; None leaves it to the spring. Empty: no axis is force-controlled.
     wrench: list[float | None] = []
+    profile: ForceProfile | None = None  # of these set-points; None: constant
     most_n: float | None = None  # greatest pull of the spring; None: unlimited
     most_nm: float | None = None
 
@@ -119,6 +138,8 @@ class Compliance(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             raise ValueError("a damping ratio is 0.1 to 3")
         if len(self.wrench) not in (0, 6):
             raise ValueError(f"a wrench has 6 figures, not {len(self.wrench)}")
+        if self.profile is not None and not any(self.wrench):
+            raise ValueError("a force profile needs a force set-point")
         if not all(force is None or math.isfinite(force) for force in self.wrench):
             raise ValueError("a force set-point is not a finite number")
         for name, most in (("most_n", self.most_n), ("most_nm", self.most_nm)):

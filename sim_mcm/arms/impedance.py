@@ -58,6 +58,7 @@ class Impedance:
         self._damping = np.zeros((6, 6))
         self._ticks = 0
         self._set_point = np.array([force or 0.0 for force in compliance.wrench or [None] * 6])
+        self._profile = compliance.profile
         self._integral = np.zeros(6)
         self._measured = np.zeros(6)
         self._saturated = False
@@ -66,10 +67,6 @@ class Impedance:
     def feel(self, wrench: list[float]) -> None:
         """The measured wrench of this tick: of the environment on the hand, tool axes, about the tcp, without bias."""
         self._measured[:] = wrench
-
-    def press(self, wrench: list[float]) -> None:
-        """New set-points of the force-controlled axes (N, N.m); the other entries have no effect."""
-        self._set_point[:] = wrench
 
     def torque(self, wanted: Motion, q: list[float], v: list[float]) -> list[float]:
         model, data = self._model, self._data
@@ -118,6 +115,8 @@ class Impedance:
         """Push along the force-controlled axes: set-point and integral of the force error."""
         felt = -self._measured if selection is None else _turned(selection, -self._measured)
         wanted = self._set_point
+        if self._profile is not None:
+            wanted = wanted * np.interp(self._ticks * TICK_S, self._profile.time_s, self._profile.share)
         error = wanted - felt
         touching = np.abs(felt) > TOUCHING * np.abs(wanted)
         if not self._saturated:

@@ -31,6 +31,19 @@ def test_parse_tells_how_the_sentence_is_understood() -> None:
     )
 
 
+def test_parse_explains_what_an_item_means_without_its_argument(tmp_path) -> None:
+    s1 = "STOW LEFT-ARM MAINTAIN SAFE-WORK-RANGE AVOID-NEIGHBORS BY 3 CM SPEED SHARED WRIST"
+    status, out, _ = run("parse", s1, "--explain")
+    assert status == 0
+    lines = [line for line in out.splitlines() if line.startswith("  MAINTAIN")]
+    assert lines == [
+        "  MAINTAIN AVOID-NEIGHBORS: 30 mm, as given; it acts on motions of the arm",
+        "  MAINTAIN SAFE-WORK-RANGE: CELL-RANGE, the meaning in cell swapout; it acts on motions of the arm",
+        "  MAINTAIN SHARED: refused today",
+        "  MAINTAIN SPEED: 10 cm/s, the meaning in cell swapout; it acts on motions of the arm",
+    ]
+
+
 def test_parse_shows_where_a_sentence_is_wrong() -> None:
     assert run("parse", "MOVE RIGHT-ARM TO") == (
         2,

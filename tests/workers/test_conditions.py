@@ -143,6 +143,46 @@ def test_comply_gives_way_to_what_pushes_and_then_holds(physical, push) -> None:
 
 
 @slow
+def test_release_stops_and_opens_the_hand(physical, push) -> None:
+    assert physical.do(f"CLOSE {ARM}").succeeded
+    push((0, 0, 12))
+    run = physical.do(f"HOLD {ARM} FOR 3 SEC UNLESS FORCE EXCEEDS 8 N THEN RELEASE")
+    report = _end(run)
+    assert (report.reason, report.reflex) == (StopReason.FORCE_LIMIT, Reflex.RELEASE)
+    assert report.hand_width_m == pytest.approx(0.08, abs=0.001)
+    assert "opened the hand" in run.assessments[-1].message
+
+
+@slow
+def test_backing_off_ends_at_what_the_arm_meets_on_its_way_back(physical) -> None:
+    """The module behind the hand was not there when the hand came."""
+    sim = physical.subsystem.sim
+    assert physical.do(f"MOVE {ARM} BY 2 CM ALONG TOOL-Z").succeeded
+    state = {"pushed": False}
+
+    def disturb(tick: int) -> None:
+        arm = sim.arms[ARM]
+        executor = physical.subsystem.executors[ARM]
+        if executor.state.value == "executing" and tick > 1500:
+            at = arm.tcp_pose(arm._sample.joints)[:3].tolist()
+            client = sim.world.client
+            pybullet.applyExternalForce(arm.body, PALM, (-9, 0, 0), at, pybullet.WORLD_FRAME, physicsClientId=client)
+        elif executor.state.value == "retreating" and tick > 2300:
+            at = arm.tcp_pose(arm._sample.joints)[:3].tolist()
+            client = sim.world.client
+            pybullet.applyExternalForce(arm.body, PALM, (60, 0, 0), at, pybullet.WORLD_FRAME, physicsClientId=client)
+            state["pushed"] = True
+
+    physical.subsystem.disturb = disturb
+    sentence = f"MOVE {ARM} BY 6 CM ALONG BACK MAINTAIN SPEED 2 CM/S UNLESS FORCE EXCEEDS 6 N THEN BACK-OFF BY 3 CM"
+    report = _end(physical.do(sentence))
+    assert state["pushed"]
+    assert report.reflex is Reflex.STOP
+    assert "backing off was stopped" in report.message
+    assert geometry.distance(report.trip_pose, report.tcp_pose) < 0.028
+
+
+@slow
 @pytest.mark.parametrize(
     ("constraint", "force", "torque", "reason", "words"),
     [

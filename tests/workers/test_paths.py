@@ -55,6 +55,58 @@ def traced(robot) -> Iterator[Traced]:
     robot.disturb = None
 
 
+def test_a_hand_passes_through_the_places_of_a_sentence_without_a_stop(traced) -> None:
+    places = [traced.bench.model.cell.place(name).poses[ARM].pose for name in ("CLEAR-POINT-1", "BAY-2-FRONT")]
+    for words in ("", " STRAIGHT-LINE"):
+        assert traced.do(f"MOVE {ARM} TO JOINTS {HOME}").succeeded
+        run = traced.do(f"MOVE {ARM} TO BAY-2-FRONT THROUGH CLEAR-POINT-1{words}")
+        assert run.succeeded, run.refusal or run.assessments
+        (way,) = [made.trajectory for made in run.primitives]
+        assert way.space == ("task" if words else "joint")
+        off = [geometry.distance(pose, places[0]) for pose in traced.path]
+        assert min(off) < 0.006  # 20 ms between two samples
+        assert geometry.distance(traced.path[-1], places[1]) < 0.001
+        speeds = np.linalg.norm(np.diff(traced.path[:, :3], axis=0), axis=1) / 0.02
+        assert speeds[int(np.argmin(off)) - 1] > 0.02
+        assert speeds.max() < 0.26
+
+
+def test_a_step_lasts_as_long_as_its_script_says(traced) -> None:
+    text = (
+        "script: move\ncase: 2\nuses: [hand, place, path]\nplan: [{name: GOAL, at: destination, solve: true}]\nsteps:\n"
+    )
+    text += "  - {do: move, to: GOAL, stop: move_free, space: move_joint, label: go, args: {takes_s: TAKES}}"
+    traced.bench.load("elaborator", text.replace("TAKES", "4"))
+    run = traced.do(f"MOVE {ARM} TO CLEAR-POINT-1 JOINT-MOTION")
+    refused = run.refusal or run.assessments
+    assert run.succeeded, refused
+    assert run.primitives[-1].trajectory.duration_s == pytest.approx(4.0)
+    assert run.reports[-1].duration_s == pytest.approx(4.0, abs=0.1)
+
+    assert traced.do(f"MOVE {ARM} TO BAY-2-FRONT STRAIGHT-LINE").succeeded
+    traced.bench.load("elaborator", text.replace("TAKES", "0.2"))
+    run = traced.do(f"MOVE {ARM} TO CLEAR-POINT-1 JOINT-MOTION")
+    assert run.refusal is not None
+    assert (run.refusal.detail["cause"], run.primitives) == ("time", [])
+
+
+@pytest.mark.parametrize(
+    ("sentence", "words"),
+    [
+        (f"MOVE {ARM} TO BAY-2-FRONT THROUGH NOWHERE", "NOWHERE"),
+        (f"MOVE {ARM} TO BAY-2-FRONT THROUGH RACK-2-FRONT", "no posture for RACK-2-FRONT"),
+        (f"MOVE {ARM} TO BAY-2-FRONT THROUGH MACS-NEW", "is an object"),
+        (f"MOVE {ARM} TO BAY-2-FRONT THROUGH RACK-1-FRONT STRAIGHT-LINE", "step 1 (GOAL)"),
+        (f"MOVE {ARM} BY 5 CM THROUGH CLEAR-POINT-1", "does not take THROUGH"),
+    ],
+)
+def test_a_way_through_a_place_that_the_arm_cannot_pass_is_refused(traced, sentence, words) -> None:
+    run = traced.do(sentence)
+    assert run.refusal is not None
+    assert words in run.refusal.message
+    assert not run.primitives
+
+
 SWING = """
 script: move
 case: 2
@@ -100,7 +152,7 @@ def test_a_script_searches_a_pattern_and_presses(traced, robot, space) -> None:
 
     assert run.succeeded, run.assessments or run.refusal
     end = run.reports[-1]
-    assert end.trip_wrench[2] == pytest.approx(-5.0, rel=0.1)
+    assert end.trip_wrench[2] == pytest.approx(-5.0, abs=1.0)  # it moves
     aside = traced.path[:, 1:3] - traced.path[0, 1:3]
     assert np.ptp(aside, axis=0) == pytest.approx([0.012, 0.012], abs=0.004)
 

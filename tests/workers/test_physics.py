@@ -77,9 +77,27 @@ def test_a_script_presses_with_a_force(physical, axis: str, component: int) -> N
     assert run.reports[-1].peak_force_n < 45.0  # the touch at 5 mm/s: 8 kg in one tick
 
 
+def test_a_press_changes_over_time_as_the_script_says(physical) -> None:
+    ramp = PRESS.replace("FORCE", "12, press_from_n: 4, press_s: 3").replace("AXIS", "TOOL-Z")
+    physical.load("elaborator", ramp)
+    physical.subsystem.displace("SATELLITE", [-0.092, 0.0, 0.0])
+    assert physical.do(f"MOVE {ARM} BY 15 CM ALONG DOWN").succeeded
+    felt = {}
+    executor = physical.subsystem.executors[ARM]
+    physical.subsystem.disturb = lambda tick: felt.update({tick: -executor.wrench[2]})
+    run = physical.do(f"HOLD {ARM} FOR 5 SEC")
+    assert run.succeeded, run.assessments
+    for at_s, force_n in ((1.5, 8.0), (2.25, 10.0), (4.9, 12.0)):
+        assert felt[round(1000 * at_s)] == pytest.approx(force_n, abs=0.7)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        (PRESS.replace("FORCE", "10, press_s: 0").replace("AXIS", "TOOL-Z"), "cannot change in 0 s"),
+        (PRESS.replace("FORCE", "10, press_from_n: 5").replace("AXIS", "TOOL-Z"), "needs press_s"),
+        (PRESS.replace("FORCE", "10, press_s: 2, press_from_n: 95").replace("AXIS", "TOOL-Z"), "force limit is 89 N"),
+        (PRESS.replace("press_n: FORCE", "press_s: 2").replace("AXIS", "TOOL-Z"), "needs press_n"),
         (PRESS.replace("FORCE", "95").replace("AXIS", "TOOL-Z"), "force limit is 89 N"),
         (PRESS.replace("FORCE", "-1").replace("AXIS", "TOOL-Z"), "force limit"),
         (PRESS.replace("FORCE", "10").replace("AXIS", "TOOL-Z").replace("stiffness_n_m: 1000, ", ""), "compliant"),

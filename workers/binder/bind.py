@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import msgspec
@@ -24,6 +24,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
     Compliance,
     ControlLaw,
+    ForceProfile,
     HandMotion,
     HoldStill,
     JointTrajectory,
@@ -44,6 +45,7 @@ from workers.binder.impact import Impact
 from workers.binder.stop_conditions import Values
 from workers.planning import advice, axes, certainty, curves, segments, suggestions
 from workers.planning.motion import beside
+from workers.planning.motion import plan as plans
 from workers.planning.motion.plan import Motion
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import Pace
@@ -135,6 +137,8 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     margin_rad = math.radians(values["joint_margin_deg"])
     request = query.planning_request(task.arm, scene, context.limits, pace, margin_rad)
     motion = segments.plan_segment(request, step.space, target, step.way)
+    if not isinstance(motion, Refusal) and "takes_s" in step.args:
+        motion = plans.lasting(motion, float(step.args["takes_s"]))
     if isinstance(motion, Refusal):
         return advice.advise_on_collision(motion, query, task.arm, task.program.clears)
     evaluation = EvaluationContext(
@@ -216,16 +220,14 @@ def target_of(task: BindTask) -> Target | Refusal:
     step = task.data.step
     if step.to == "HERE":
         pose = task.query.tcp(task.arm).tolist()
-    elif step.to not in task.data.bindings:
-        return refused_program(f"nothing binds {step.to}", f"there are {', '.join(task.data.bindings)}")
     else:
-        binding = task.data.bindings[step.to]
-        if binding.joints is not None:
-            return Target(joints=binding.joints)
-        found = world_pose(task, binding, step.to)
-        if isinstance(found, Refusal):
-            return found
-        pose = found
+        vias = [_bound_target(task, name) for name in str(step.args.get("through", "")).split()]
+        goal = _bound_target(task, step.to)
+        for found in (goal, *vias):
+            if isinstance(found, Refusal):
+                return found
+        assert isinstance(goal, Target)
+        return replace(goal, via=tuple(via for via in vias if isinstance(via, Target)))
     axis = str(step.args.get("axis", "TOOL-Z"))
     if axis not in axes.AXES:
         return suggestions.unknown("axis", axis, axes.AXES)
@@ -237,6 +239,17 @@ def target_of(task: BindTask) -> Target | Refusal:
     if by_rad:
         pose = axes.turned(pose, axis, by_rad).tolist()
     return Target(pose=pose)
+
+
+def _bound_target(task: BindTask, name: str) -> Target | Refusal:
+    """The target that a binding stands for."""
+    if name not in task.data.bindings:
+        return refused_program(f"nothing binds {name}", f"there are {', '.join(task.data.bindings)}")
+    binding = task.data.bindings[name]
+    if binding.joints is not None:
+        return Target(joints=binding.joints)
+    pose = world_pose(task, binding, name)
+    return pose if isinstance(pose, Refusal) else Target(pose=pose)
 
 
 def _curve_of(task: BindTask, start: list[float], axis: str) -> Target | Refusal:
@@ -468,19 +481,25 @@ def turn_line(task: BindTask) -> stop_conditions.Line:
 def refuse_press(task: BindTask, stop_class: StopClass, values: Values) -> Refusal | None:
     """Refuse a force set-point that would have no effect, or would trip the step's own force limit."""
     if "press_n" not in values:
-        return None
+        alone = [name for name in ("press_s", "press_from_n") if name in values]
+        return refused_program(f"{alone[0]} needs press_n", "the force at the end of the press") if alone else None
     axis = str(task.data.step.args.get("axis", "TOOL-Z"))
     if axis not in AXES:
         return suggestions.unknown("axis", axis, AXES)
     if "stiffness_n_m" not in values or stop_class.rigid:
         return refused_program("press_n needs a compliant step", "stiffness_n_m of the step, and another stop class")
-    if not 0.0 < values["press_n"] < values["force_n"]:
-        return Refusal(
-            reason=RefusalReason.INFEASIBLE,
-            message=f"a press with {values['press_n']:g} N is asked for; the force limit is {values['force_n']:g} N",
-            clears=f"a press with less than {values['force_n']:g} N",
-            detail={"cause": "force", "value_n": values["press_n"], "limit_n": values["force_n"], "arm": task.arm},
-        )
+    if "press_from_n" in values and "press_s" not in values:
+        return refused_program("press_from_n needs press_s", "the time in which the press changes")
+    if not values.get("press_s", 1.0) > 0.0:
+        return refused_program(f"a press cannot change in {values['press_s']:g} s", "press_s above 0")
+    for press_n, least_n in ((values["press_n"], 1e-9), (values.get("press_from_n", 0.0), 0.0)):
+        if not least_n <= press_n < values["force_n"]:
+            return Refusal(
+                reason=RefusalReason.INFEASIBLE,
+                message=f"a press with {press_n:g} N is asked for; the force limit is {values['force_n']:g} N",
+                clears=f"a press with less than {values['force_n']:g} N",
+                detail={"cause": "force", "value_n": press_n, "limit_n": values["force_n"], "arm": task.arm},
+            )
     return None
 
 
@@ -500,18 +519,30 @@ def control_law(
     factor = values["spring_factor"]
     frame: Literal["tool", "world"] = "tool"
     wrench: list[float | None] = []
+    profile: ForceProfile | None = None
     if "press_n" in values:
         owner, direction = AXES[axis]
         frame = "tool" if owner == "tool" else "world"
-        wrench = [values["press_n"] * n if n else None for n in direction] + [None] * 3
+        most_n = max(values["press_n"], values.get("press_from_n", 0.0)) if "press_s" in values else values["press_n"]
+        wrench = [most_n * n if n else None for n in direction] + [None] * 3
+        profile = press_profile(values, most_n)
     compliance = Compliance(
         stiffness=[stiffness_n_m] * 3 + [values["turn_m"] ** 2 * stiffness_n_m] * 3,
         most_n=factor * values["force_n"],
         most_nm=factor * values["torque_nm"],
         frame=frame,
         wrench=wrench,
+        profile=profile,
     )
     return ControlLaw(name="impedance", load=load, gains=gains, compliance=compliance)
+
+
+def press_profile(values: Values, most_n: float) -> ForceProfile | None:
+    """The press from `press_from_n` (0 without it) to `press_n` in `press_s`; None if it is constant."""
+    if "press_s" not in values:
+        return None
+    shares = [values.get("press_from_n", 0.0) / most_n, values["press_n"] / most_n]
+    return ForceProfile(time_s=[0.0, values["press_s"]], share=shares)
 
 
 # --- steps that move nothing -----------------------------------------------------------------------------

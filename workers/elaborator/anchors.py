@@ -74,7 +74,7 @@ def destination(candidate: TaskCandidate) -> Anchor | Refusal:
         return _at_object(
             candidate, place.neighborhood_of or place.grasp_point_of or "", near=place.grasp_point_of is None
         )
-    return _named(candidate, place.name or "")
+    return named(candidate, place.name or "")
 
 
 def refuse_unknown_place(cell: Cell, name: str) -> Refusal | None:
@@ -87,7 +87,8 @@ def refuse_unknown_place(cell: Cell, name: str) -> Refusal | None:
     return suggestions.unknown("place", name, [place.name for place in cell.places])
 
 
-def _named(candidate: TaskCandidate, name: str) -> Anchor | Refusal:
+def named(candidate: TaskCandidate, name: str) -> Anchor | Refusal:
+    """The pose or the joint values of a named place of the cell, for this arm."""
     cell = candidate.query.cell
     if (unknown := refuse_unknown_place(cell, name)) is not None:
         return unknown

@@ -23,6 +23,7 @@ from rtc.programs.schema import PlanLine, ScriptFile, ScriptStep
 from rtc.protocol.messages import Binding, Way
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
+from workers.elaborator import anchors
 from workers.elaborator.anchors import ANCHORS, Anchor
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import advice, axes, curves, segments, suggestions
@@ -73,6 +74,11 @@ def _lines(script: ScriptFile, candidate: TaskCandidate) -> dict[str, Anchor] | 
         if isinstance(moved, Refusal):
             return _where(moved, f"{script.script}.plan[{n}] ({line.name})")
         lines[line.name] = moved
+    for name, place in zip(candidate.vias, candidate.parsed.through, strict=True):
+        via = anchors.named(candidate, place)
+        if isinstance(via, Refusal):
+            return _where(via, f"THROUGH {place}")
+        lines[name] = via
     return lines
 
 
@@ -289,11 +295,10 @@ def _target(
     joints: dict[str, list[float]],
     now: PlanningRequest,
 ) -> Target | Refusal:
-    if step.to in joints:
-        return Target(joints=joints[step.to])
-    if step.to in lines:
-        anchor = lines[step.to]
-        return Target(joints=anchor.joints) if anchor.joints is not None else Target(pose=_world(candidate, anchor))
+    if step.to in joints or step.to in lines:
+        goal = Target(joints=joints[step.to]) if step.to in joints else _at(candidate, lines[step.to])
+        names = candidate.fill_in(step.words.get("through", "")).split()
+        return replace(goal, via=tuple(_at(candidate, lines[name]) for name in names))
     if step.to != "HERE":
         return _program(f"nothing binds {step.to}")
     axis = candidate.fill_in(step.words.get("axis", "TOOL-Z"))
@@ -307,6 +312,10 @@ def _target(
         return _program(str(error))
     pose = axes.shifted(now.arm.fk(now.start), axis, by_m)
     return Target(pose=axes.turned(pose, axis, by_rad).tolist())
+
+
+def _at(candidate: TaskCandidate, anchor: Anchor) -> Target:
+    return Target(joints=anchor.joints) if anchor.joints is not None else Target(pose=_world(candidate, anchor))
 
 
 def _curve(

@@ -353,6 +353,7 @@ def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nomin
     report = candidate.parsed.report
     if report is not None and report.every_s is not None:
         figures["report_every_s"] = report.every_s
+    words = {name: candidate.fill_in(word) for name, word in step.words.items()}
     return Step(
         do=step.do,
         label=candidate.fill_in(step.label),
@@ -366,7 +367,7 @@ def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nomin
         expect=step.expect,
         keep=step.keep,
         trims=[*asked, *own],
-        args={**figures, **{name: candidate.fill_in(word) for name, word in step.words.items()}},
+        args={**figures, **{name: word for name, word in words.items() if word or name != "through"}},
     )
 
 

@@ -50,8 +50,14 @@ class TaskCandidate:
             "way_out": self.query.way_out_of(self.target.name) if self.target else "",
             "out": self.query.way_out(self.thing.name) if self.thing else "",
             "amount": _amount_in_words(self.parsed),
+            "through": " ".join(self.vias),
             "time": _time_in_words(self.parsed, self.figures),
         }
+
+    @property
+    def vias(self) -> list[str]:
+        """Names of the bindings of THROUGH, in order."""
+        return [f"VIA-{n}" for n in range(1, len(self.parsed.through) + 1)]
 
     def fill_in(self, words: str) -> str:
         """Replace the placeholders in `words`."""

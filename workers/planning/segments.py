@@ -7,9 +7,10 @@ The keys of `SPACES` are the words of the fourth column of the paper's Figure 4.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from rtc.protocol.messages import Way
@@ -17,6 +18,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot.geometry import Array, Floats
 from workers.planning import curves
 from workers.planning.motion import handed, ik
+from workers.planning.motion.path import poses_through
 from workers.planning.motion.plan import (
     FreeWay,
     Motion,
@@ -24,6 +26,7 @@ from workers.planning.motion.plan import (
     find_curve,
     find_direct_way,
     find_joint_way,
+    find_spline,
     find_task_way,
     free_posture,
     in_time,
@@ -36,11 +39,13 @@ SAME_RAD = 0.02  # tolerance of the joint values at the end of a straight line
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Exactly one is set: joint values (rad), a pose of the tcp (world frame), or the poses of a curve, [poses][7]."""
+    """Exactly one of the first three is set: joint values (rad), a pose of the tcp (world frame), or the poses of a
+    curve, [poses][7]."""
 
     joints: list[float] | None = None
     pose: list[float] | None = None
     poses: Array | None = None
+    via: tuple[Target, ...] = ()  # to be passed on the way, in this order
 
 
 class Segment(NamedTuple):
@@ -87,6 +92,9 @@ def _timed_joint(request: PlanningRequest, target: Target, known: Way | None) ->
     goal = _goal(request, target)
     if isinstance(goal, Refusal):
         return goal
+    if target.via:
+        spline = _through(request, target, goal)
+        return spline if isinstance(spline, Refusal) else in_time(request, spline)
     if known is not None and known.asked == handed.request_digest(request, "move_joint", goal):
         return in_time(request, handed.from_message(known))
     return plan_joint_motion(request, goal)
@@ -96,12 +104,27 @@ def _tested_joint(request: PlanningRequest, target: Target, detours: bool, first
     goal = _goal(request, target)
     if isinstance(goal, Refusal):
         return goal
+    if target.via:
+        spline = _through(request, target, goal)
+        return spline if isinstance(spline, Refusal) else Segment(goal, goal)
     if _is_there(request, goal):
         return request.arm.why_not_within(goal, request.margin_rad) or Segment(goal, goal)
     found = find_joint_way(request, goal) if detours else find_direct_way(request, goal, with_room=first)
     if isinstance(found, Refusal):
         return found
     return Segment(goal, goal, found)
+
+
+def _through(request: PlanningRequest, target: Target, goal: Array) -> FreeWay | Refusal:
+    """The spline through the via points; each with the joint values nearest to those before it."""
+    postures = [request.start]
+    for n, via in enumerate(target.via, 1):
+        now = replace(request, joints={**request.joints, request.arm.name: postures[-1]})
+        found = _goal(now, via)
+        if isinstance(found, Refusal):
+            return msgspec.structs.replace(found, message=f"{found.message} (via point {n})", where=f"via point {n}")
+        postures.append(found)
+    return find_spline(request, [*postures, goal])
 
 
 def _is_there(request: PlanningRequest, goal: Array) -> bool:
@@ -122,6 +145,9 @@ def _pose(request: PlanningRequest, target: Target) -> list[float]:
 def _timed_task(request: PlanningRequest, target: Target, known: Way | None) -> Motion | Refusal:
     pose = _pose(request, target)
     motion: Motion | Refusal
+    if target.via:
+        motion = _timed_curve(request, _smooth(request, target, pose), known)
+        return motion if isinstance(motion, Refusal) else _other_end(request, target, motion.goal_joints) or motion
     if known is not None and known.asked == handed.request_digest(request, "move_task", pose):
         motion = in_time(request, handed.from_message(known))
     else:
@@ -131,11 +157,20 @@ def _timed_task(request: PlanningRequest, target: Target, known: Way | None) -> 
 
 def _tested_task(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment | Refusal:
     pose = _pose(request, target)
+    if target.via:
+        segment = _tested_curve(request, _smooth(request, target, pose), detours, first)
+        return segment if isinstance(segment, Refusal) else _other_end(request, target, segment.end) or segment
     found = find_task_way(request, pose, request.margin_rad)
     if isinstance(found, Refusal):
         return found
     end = found.path.knots[-1]
     return _other_end(request, target, end) or Segment(end, pose, found)
+
+
+def _smooth(request: PlanningRequest, target: Target, goal: list[float]) -> Target:
+    """The curve of the hand through the via points."""
+    vias = [_pose(request, via) for via in target.via]
+    return Target(poses=poses_through([request.arm.fk(request.start), *vias, goal]))
 
 
 def _other_end(request: PlanningRequest, target: Target, end: Array) -> Refusal | None:

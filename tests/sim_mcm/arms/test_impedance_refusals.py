@@ -32,6 +32,13 @@ def model(cell) -> ArmModel:
         ({"stiffness": GOOD, "wrench": [float("inf"), *[None] * 5]}, "finite"),
         ({"stiffness": GOOD, "most_n": 0.0}, "above 0"),
         ({"stiffness": GOOD, "frame": "camera"}, "camera"),
+        ({"stiffness": GOOD, "profile": {"time_s": [0.0, 1.0], "share": [0.0, 1.0]}}, "needs a force set-point"),
+        ({"stiffness": GOOD, "profile": {"time_s": [0.0], "share": [1.0]}}, "two times"),
+        ({"stiffness": GOOD, "profile": {"time_s": [0.0, 1.0], "share": [1.0]}}, "two times"),
+        ({"stiffness": GOOD, "profile": {"time_s": [1.0, 2.0], "share": [0.0, 1.0]}}, "two times"),
+        ({"stiffness": GOOD, "profile": {"time_s": [0.0, 0.0], "share": [0.0, 1.0]}}, "must rise"),
+        ({"stiffness": GOOD, "profile": {"time_s": [0.0, float("nan")], "share": [0.0, 1.0]}}, "must rise"),
+        ({"stiffness": GOOD, "profile": {"time_s": [0.0, 1.0], "share": [0.0, 1.5]}}, "0 to 1"),
     ],
 )
 def test_impossible_figures_do_not_decode(figures: dict, words: str) -> None:

@@ -20,6 +20,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
 from rtc.robot.geometry import Array, Floats
 from rtc.robot.kinematics import ArmModel
+from workers.planning.motion import smooth
 from workers.planning.motion.blended import Blended, lengths, widest
 from workers.planning.motion.spline import Spline
 
@@ -27,6 +28,7 @@ KNOT_M = 0.025  # distance between inverse solutions; a cubic through them is st
 KNOT_RAD = 0.10
 LEAP_RAD = 0.60  # a larger joint step between knots means a singularity or another branch
 METRES_PER_RAD = 0.25  # so that 0.25 m/s means 1 rad/s where the hand only turns
+SHORTEST_M = 1e-6  # least distance between two via points in s
 CHECK_RAD = 0.025  # joint step between collision checks, weighted below; some 2 cm at the hand
 
 
@@ -98,6 +100,25 @@ def through(corners: Sequence[Floats], radii: Array | None = None) -> Path:
         return joint_line(knots[0], knots[1])
     s = lengths(knots)
     return Path("joint", s, knots, Blended(s, knots, widest(s) if radii is None else radii))
+
+
+def spline_through(postures: Sequence[Floats]) -> Path:
+    """A smooth curve in joint space through these postures (rad), at least three; s is as that of `through`."""
+    knots = np.array(postures, dtype=float)
+    s, table = smooth.through(lengths(knots), knots)
+    return Path("joint", s, table, Spline(s, table))
+
+
+def poses_through(poses: Sequence[Floats]) -> Array:
+    """A smooth curve of the tcp through these poses, at least three, as the table of `task_curve`."""
+    rows = np.array(poses, dtype=float)
+    for n in range(1, len(rows)):  # q and -q are the same attitude: take the nearer one
+        if rows[n, 3:] @ rows[n - 1, 3:] < 0.0:
+            rows[n, 3:] *= -1.0
+    steps = [max(geometry.distance(a, b), METRES_PER_RAD * geometry.angle(a, b), SHORTEST_M) for a, b in pairwise(rows)]
+    per_piece = max(smooth.PER_PIECE, math.ceil(max(steps) / KNOT_M))
+    _, table = smooth.through(np.concatenate(((0.0,), np.cumsum(steps))), rows, per_piece)
+    return np.array([geometry.normalise(row) for row in table])
 
 
 def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float = 0.0) -> Path | Refusal:

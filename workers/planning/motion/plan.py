@@ -7,6 +7,7 @@ first that passes is taken; `notes` record the attempts. Deterministic: the seed
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import msgspec
@@ -19,7 +20,7 @@ from workers.planning.motion import path as paths
 from workers.planning.motion.path import Path
 from workers.planning.motion.request import FreeWay, PlanningRequest, fault, free_posture
 from workers.planning.motion.sampled_way import find_sampled_way
-from workers.planning.motion.timing import Timed, time_path
+from workers.planning.motion.timing import Timed, slower, time_path
 
 # Clearance of a freely chosen path from all bodies that it need not approach. The hand tracks a path to tenths of a
 # millimetre, and the pose of a held object is known to a few millimetres: a path without clearance may collide.
@@ -58,6 +59,15 @@ def find_curve(request: PlanningRequest, poses: Array, margin_rad: float) -> Fre
     if isinstance(line, Refusal):
         return line
     return fault(request, line) or FreeWay(line, ["generated a curve of the hand; tested: free"])
+
+
+def find_spline(request: PlanningRequest, postures: Sequence[Floats]) -> FreeWay | Refusal:
+    """A smooth curve in joint space through these postures (rad), the first of which is the start."""
+    for posture in postures[1:]:
+        if (problem := request.arm.why_not_within(posture, request.way_margin_rad)) is not None:
+            return problem
+    way = paths.spline_through(postures)
+    return fault(request, way) or FreeWay(way, ["generated a spline through the places; tested: free"])
 
 
 def plan_joint_motion(request: PlanningRequest, goal: Floats) -> Motion | Refusal:
@@ -148,6 +158,19 @@ def roomy_scene(request: PlanningRequest, goal: Array) -> Scene:
             near.append(name)
             scene = replace(scene, near=list(near))
     return scene
+
+
+def lasting(motion: Motion, takes_s: float) -> Motion | Refusal:
+    """The motion on the same path, made slower so that it lasts `takes_s`; refused if it cannot be that fast."""
+    least_s = motion.timed.duration_s
+    if takes_s < least_s:
+        return Refusal(
+            reason=RefusalReason.INFEASIBLE,
+            message=f"this motion shall take {takes_s:.3g} s; the arm needs {least_s:.3g} s for it",
+            clears=f"takes_s of at least {least_s:.3g} s, or a higher speed",
+            detail={"cause": "time", "limit_s": takes_s, "predicted_s": least_s},
+        )
+    return replace(motion, timed=slower(motion.timed, takes_s / least_s))
 
 
 def in_time(request: PlanningRequest, found: FreeWay) -> Motion | Refusal:

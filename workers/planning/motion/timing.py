@@ -80,7 +80,7 @@ def time_path(arm: ArmModel, path: Path, pace: Pace = FREE_PACE, load: Load | No
     if np.abs(path.knots - path.knots[0]).max() < 1e-9:
         return _staying(path)
     torques = Torques.of(arm, load)
-    curved = isinstance(path.curve, Blended)
+    curved = isinstance(path.curve, Blended) or (path.space == "joint" and path.curve is not None)
     timed = _slowed(arm, _time_curve(arm, path, pace) if curved else _time_line(arm, path, pace))
     excess = torques.excess(timed.positions, timed.velocities, timed.accelerations)
     if isinstance(excess, Refusal) or excess <= 1.0:
@@ -88,7 +88,7 @@ def time_path(arm: ArmModel, path: Path, pace: Pace = FREE_PACE, load: Load | No
     # Too heavy for this acceleration: plan it within the torques; what remains between the samples slows all of it.
     timed = _slowed(arm, _time_curve(arm, path, pace, torques) if curved else _time_line(arm, path, pace, 1 / excess))
     excess = torques.excess(timed.positions, timed.velocities, timed.accelerations)
-    return excess if isinstance(excess, Refusal) else _slower(timed, math.sqrt(max(1.0, excess)))
+    return excess if isinstance(excess, Refusal) else slower(timed, math.sqrt(max(1.0, excess)))
 
 
 def _time_line(arm: ArmModel, path: Path, pace: Pace, share: float = 1.0) -> Timed:
@@ -140,7 +140,8 @@ def _time_curve(arm: ArmModel, path: Path, pace: Pace, torques: Torques | None =
     ]
     if torques is not None:
         constraints.append(torques.constraint())
-    solver = toppra.algorithm.TOPPRA(constraints, path.curve, gridpoints=grid)
+    whole = path.curve if isinstance(path.curve, Blended) else toppra.SplineInterpolator(path.s, path.knots)
+    solver = toppra.algorithm.TOPPRA(constraints, whole, gridpoints=grid)
     curve = solver.compute_trajectory(0.0, 0.0)
     assert curve is not None, "a rest-to-rest profile always exists at a low speed"
     time_s = _knot_times(curve.duration, CURVE_RAMP_S, KNOT_M / pace.speed_m_s)
@@ -181,10 +182,10 @@ def _slowed(arm: ArmModel, timed: Timed) -> Timed:
     points = quintic.control_points(timed.time_s, timed.positions, timed.velocities, timed.accelerations)
     faster = quintic.most_beyond(points.velocities, arm.limits.velocity)
     harder = quintic.most_beyond(points.accelerations, arm.limits.acceleration)
-    return _slower(timed, max(1.0, faster, math.sqrt(harder)))
+    return slower(timed, max(1.0, faster, math.sqrt(harder)))
 
 
-def _slower(timed: Timed, by: float) -> Timed:
+def slower(timed: Timed, by: float) -> Timed:
     """The motion on the same path in `by` times the time."""
     if by == 1.0:
         return timed
