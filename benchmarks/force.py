@@ -28,9 +28,10 @@ from rtc.protocol.outcomes import StopReason
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
+from rtc.subsystem.subsystem import BROKER
 from sim_mcm.arms.arm import TICK_S
 from sim_mcm.arms.bullet_arm import BulletCell
-from sim_mcm.control.subsystem import BROKER, McmSubsystem
+from sim_mcm.control.subsystem import McmSubsystem
 from workers.binder import impact
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")

@@ -31,9 +31,10 @@ from rtc.protocol.wire import frames, reader
 from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
 from rtc.runtime.settings import Settings, prepare_run_dir
+from rtc.subsystem.subsystem import BROKER
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.bullet_world import STEP_S
-from sim_mcm.control.subsystem import BROKER, McmSubsystem
+from sim_mcm.control.subsystem import McmSubsystem
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
 WORKERS_NICENESS = 5

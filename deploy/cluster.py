@@ -73,6 +73,7 @@ def specs(settings: Settings, fd: int = -1) -> list[Spec]:
         *_with_template("broker", "broker", settings),
         *_with_template("world", "rtc.world", settings),
         *_with_template("MCM", "sim_mcm", settings),
+        _spec("S&P", "rtc.perception", settings, beats=True),
         *([_spec("gate", "broker.gateway.gateway", settings, beats=True)] if settings.listen else []),
         *([_recorder(settings)] if settings.record else []),
         *(worker(settings, address) for address in _first_workers(settings)),

@@ -43,5 +43,8 @@ def exposed(image: NDArray[np.uint8], camera: Camera, random: np.random.Generato
     if camera.noise == 0.0 and camera.exposure == 1.0:
         return image
     noise = random.standard_normal((*image.shape[:2], 1), dtype=np.float32)  # the same in all colours: faster
+    if camera.exposure == 1.0:
+        shades = image + np.rint(np.float32(camera.noise) * noise).astype(np.int16)
+        return np.clip(shades, 0, 255).astype(np.uint8)
     light = np.float32(camera.exposure) * image + np.float32(camera.noise) * noise
     return np.clip(np.rint(light), 0, 255).astype(np.uint8)

@@ -24,6 +24,7 @@ import pybullet
 from numpy.typing import NDArray
 
 from rtc.cells.cell import Cell
+from rtc.cells.parts import Camera as CellCamera
 from rtc.cells.scene import VIEWS, CameraPicture, Drawn, Panel, Picture, SceneView
 from rtc.protocol.outcomes import RtcError
 from rtc.robot import geometry
@@ -42,6 +43,9 @@ LIGHT = (-1.2, -0.5, 1.1)  # direction to the light
 FLOOR_TILE_M, FLOOR_TILES = 0.4, 10
 FLOOR_COLOURS = ((0.86, 0.87, 0.89, 1.0), (0.80, 0.82, 0.85, 1.0))
 SKY = (232, 238, 246)
+LIT = 0.95  # brightness of a level surface in the pictures of the cell's cameras
+AWAY_M = 1000.0
+BACKDROPS_KEPT = 8
 PANEL = (760, 600)  # pixels, of two side by side
 ALONE = (960, 720)
 LEAST_RADIUS_M = 0.75  # of a cell with little in it, so that its arm fits
@@ -92,7 +96,9 @@ class Studio:
             for name, body in self.arms.items()
         }
         self._random = np.random.default_rng()
-        _floor(self.world)
+        self._floor = _floor(self.world)
+        self._floor_shown = True
+        self._backdrops: dict[tuple[str, bytes], Image] = {}
 
     def close(self) -> None:
         self.world.close()
@@ -167,6 +173,7 @@ class Studio:
         return np.array(state[0])
 
     def photograph(self, camera: Camera, width: int, height: int, *, smooth: bool = True) -> Photograph:
+        self._show_floor(True)
         times = SUPERSAMPLING if smooth else 1
         wide, high = width * times, height * times
         _, _, pixels, _, segments = pybullet.getCameraImage(
@@ -206,6 +213,7 @@ class Studio:
             if camera.arm not in scene.tcp:
                 raise RtcError(f"{name} is on {camera.arm}, whose tcp is not known")
             pose = geometry.compose(scene.tcp[camera.arm], pose)
+        self._show_floor(False)  # drawing it takes more time than all the rest
         width, height = camera.size_px
         if name in scene.blind:
             return np.zeros((height, width, 3), dtype=np.uint8)
@@ -226,8 +234,47 @@ class Studio:
             physicsClientId=self.world.client,
         )
         image = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[:, :, :3].copy()
-        image[np.asarray(bodies).reshape(height, width) < 0] = SKY
+        behind = np.asarray(bodies).reshape(height, width, 1) < 0
+        np.copyto(image, self._backdrop(camera, pose), where=behind)
         return lens.exposed(image, camera, self._random if seed is None else np.random.default_rng(seed))
+
+    def _show_floor(self, shown: bool) -> None:
+        """Put the floor in its place, or far outside of all pictures."""
+        if shown is self._floor_shown:
+            return
+        self._floor_shown = shown
+        for tile, (x, y, z) in self._floor:
+            at = [x, y, z if shown else -AWAY_M]
+            pybullet.resetBasePositionAndOrientation(tile, at, [0, 0, 0, 1], physicsClientId=self.world.client)
+
+    def _backdrop(self, camera: CellCamera, pose: geometry.Floats) -> Image:
+        """The floor and the sky as a camera at this pose sees them."""
+        key = camera.name, np.asarray(pose, dtype=float).tobytes()
+        if key not in self._backdrops:
+            if len(self._backdrops) >= BACKDROPS_KEPT:
+                self._backdrops.clear()
+            self._backdrops[key] = backdrop(camera, pose)
+        return self._backdrops[key]
+
+
+def backdrop(camera: CellCamera, pose: geometry.Floats) -> Image:
+    """Floor and sky as a camera at `pose` (world frame) sees them, height x width x 3."""
+    width, height = camera.size_px
+    focal_px = 0.5 * height / math.tan(math.radians(0.5 * camera.field_of_view_deg))
+    right, down = (np.arange(n) + 0.5 - 0.5 * n for n in (width, height))
+    rays = np.stack([*np.meshgrid(right / focal_px, down / focal_px), np.ones((height, width))], axis=-1)
+    matrix = geometry.to_matrix(pose)
+    ways = rays @ matrix[:3, :3].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        far = -matrix[2, 3] / ways[..., 2]
+        tiles = np.floor(
+            (matrix[:2, 3] + far[..., None] * ways[..., :2] - (0.4, 0.0)) / FLOOR_TILE_M + 0.5 * FLOOR_TILES
+        )
+    hit = (far > 0.0) & np.all((tiles >= 0) & (tiles < FLOOR_TILES), axis=-1)
+    colours = np.array([[255.0 * LIT * n for n in colour[:3]] for colour in FLOOR_COLOURS])
+    floor = colours[np.where(hit, tiles.sum(axis=-1), 0).astype(int) % 2]
+    found: Image = np.where(hit[..., None], floor, SKY).astype(np.uint8)
+    return found
 
 
 def draw(cell: Cell, scene: SceneView, width: int = 960, height: int = 720) -> Image:
@@ -278,8 +325,8 @@ def _anchors(studio: Studio, panel: Panel) -> list[tuple[str, str, Array]]:
     ]
 
 
-def _floor(world: PhysicsWorld) -> None:
-    """Add a chequered floor, which makes positions visible."""
+def _floor(world: PhysicsWorld) -> list[tuple[int, list[float]]]:
+    """Add a chequered floor, which makes positions visible. Returns its tiles with their positions (m)."""
     half = [0.5 * FLOOR_TILE_M, 0.5 * FLOOR_TILE_M, 0.005]
     shapes = [
         pybullet.createVisualShape(
@@ -288,12 +335,15 @@ def _floor(world: PhysicsWorld) -> None:
         for colour in FLOOR_COLOURS
     ]
     middle = 0.5 * (FLOOR_TILES - 1)
+    tiles = []
     for row in range(FLOOR_TILES):
         for column in range(FLOOR_TILES):
             at = [0.4 + (row - middle) * FLOOR_TILE_M, (column - middle) * FLOOR_TILE_M, -0.005]
-            pybullet.createMultiBody(
+            tile = pybullet.createMultiBody(
                 baseVisualShapeIndex=shapes[(row + column) % 2], basePosition=at, physicsClientId=world.client
             )
+            tiles.append((tile, at))
+    return tiles
 
 
 def serve() -> None:

@@ -10,32 +10,28 @@ A message that does not decode is counted, logged (at most once per second) and 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from itertools import chain
 from typing import Any
 
-import msgspec
 import zmq
 
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
-from rtc.protocol.wire import apart, reader
+from rtc.protocol.wire import reader
 from rtc.runtime.halt_admission import read_order
 from rtc.runtime.process import Every, Process, inbox, send
 from rtc.runtime.settings import BOUNDS, NO_HANDOVER, Settings
-from sim_mcm.control.subsystem import BROKER, InvalidOrder, Outgoing
+from rtc.subsystem.broker_link import BrokerLink
+from rtc.subsystem.subsystem import BROKER, InvalidOrder, Outgoing
 
 # Maximum numbers of messages read from one socket per tick; they bound the tick's duration. ZeroMQ serves callers in
 # turn, so a flood by one caller delays another by one message.
-PER_TICK = 20
 HALTS_PER_TICK = 10
 QUESTIONS_PER_TICK = 1
 LOG_EVERY_S = 1.0
 NONE: frozenset[Any] = frozenset()
 Question = m.SimTruth | m.SimDisplace | m.SimFactors | m.SimInject | m.SimUndo
 
-_read_broker = reader(m.BrokerToSubsystem)
 _read_bench = reader(m.ToSim)
 
 
@@ -47,15 +43,12 @@ class Sockets:
         )
         self._bench = me.socket(zmq.ROUTER, settings.endpoint("bench"), bind=True, bounds=BOUNDS["bench"])
         self._telemetry = me.socket(zmq.PUB, settings.endpoint("telemetry"), bind=True, bounds=BOUNDS["telemetry"])
-        self._broker = me.socket(zmq.DEALER, settings.endpoint("subsystems"), identity=name)
-        events = zmq.Event.HANDSHAKE_SUCCEEDED | zmq.Event.DISCONNECTED
-        self._monitor = self._broker.get_monitor_socket(events)
+        self._link = BrokerLink(me, settings, name, poll=False)
         self._poller = zmq.Poller()  # polling all four costs no more than polling one
-        for socket in (self._estop, self._broker, self._bench, self._monitor):
+        for socket in (self._estop, self._link.socket, self._bench, self._link.monitor):
             self._poller.register(socket, zmq.POLLIN)
         self._ready: set[Any] | frozenset[Any] = NONE
-        self.connected = True  # assumed until the monitor reports otherwise: first messages are queued for the broker
-        self.dropped: Counter[str] = Counter()  # messages that did not decode, by socket
+        self.dropped = self._link.dropped  # messages that did not decode, by socket
         self._log_due = Every(LOG_EVERY_S)
 
     # --- in --------------------------------------------------------------------------------------------
@@ -89,16 +82,8 @@ class Sockets:
 
     def orders(self, now_s: float) -> Iterator[m.Execute | m.Pace | m.HaltOrder | m.ReportAck | InvalidOrder]:
         """Messages of the broker. An Execute that does not decode becomes an InvalidOrder, so that it is answered."""
-        if self._broker not in self._ready:
-            return
-        for parts in chain.from_iterable(map(apart, inbox(self._broker, PER_TICK))):
-            order = self._decode(_read_broker, parts, "broker", now_s)
-            if isinstance(order, m.Declined):
-                self._log.error("the broker declined this subsystem: %s", order.refusal.message)
-            elif order is not None:
-                yield order
-            elif (invalid := invalid_order(parts)) is not None:
-                yield invalid
+        if self._link.socket in self._ready:
+            yield from self._link.orders(now_s)
 
     def questions(self, now_s: float) -> Iterator[tuple[bytes, Question]]:
         """Queries and commands of the test bench: (caller, message)."""
@@ -111,14 +96,7 @@ class Sockets:
 
     def newly_connected(self) -> bool:
         """True once after every new connection to the broker."""
-        if self._monitor not in self._ready:
-            return False
-        found = False
-        for event_frame, *_ in inbox(self._monitor, PER_TICK):
-            event = int.from_bytes(event_frame[:2], "little")
-            self.connected = found = event == zmq.Event.HANDSHAKE_SUCCEEDED
-        self._log.info("connected to the broker" if found else "broker disconnected; continuing alone")
-        return found
+        return self._link.monitor in self._ready and self._link.newly_connected()
 
     # --- out -------------------------------------------------------------------------------------------
 
@@ -127,8 +105,8 @@ class Sockets:
         for sender, message in out:
             if sender != BROKER:
                 send(self._estop, message, sender)
-            elif self.connected:
-                send(self._broker, message)
+            else:
+                self._link.send([(sender, message)])
 
     def answer(self, caller: bytes, message: m.SimTruthReply | m.SimDone) -> None:
         send(self._bench, message, caller)
@@ -144,34 +122,6 @@ class Sockets:
             if self._log_due.due(now_s):
                 self._log.warning("%s: dropped a message (%d so far): %s", where, self.dropped[where], error)
             return None
-
-
-class _PrimitiveHead(msgspec.Struct):
-    id: m.Name
-    performer: m.Name = ""
-
-
-class _ExecuteHead(msgspec.Struct, tag="Execute"):
-    primitive: _PrimitiveHead
-    pid: int = 0
-
-
-_read_execute = reader(m.Execute)
-_read_head = reader(_ExecuteHead)
-
-
-def invalid_order(parts: Sequence[bytes]) -> InvalidOrder | None:
-    """An Execute whose primitive does not decode: its id and the error. None if it is not an Execute or has no id."""
-    try:
-        head = _read_head(parts)
-    except WireError:
-        return None
-    try:
-        _read_execute(parts)
-    except WireError as error:
-        why = f"it is not a primitive: {error}"
-        return InvalidOrder(head.primitive.id, head.primitive.performer, head.pid, why) if head.primitive.id else None
-    return None
 
 
 def _from_router(socket: zmq.Socket[bytes], limit: int) -> Iterator[tuple[bytes, Sequence[bytes]]]:

@@ -46,7 +46,8 @@ ONLY_IN = {
 PURE = (
     "rtc/protocol/", "rtc/language/", "rtc/robot/geometry.py", "rtc/world/model.py", "rtc/world/spread.py",
     "broker/decisions/", "broker/dispatch/", "sim_mcm/control/",
-    "rtc/observers/viewer_schema.py", "rtc/sensing/",
+    "rtc/observers/viewer_schema.py", "rtc/sensing/", "rtc/subsystem/subsystem.py",
+    "rtc/perception/camera.py", "rtc/perception/motion.py", "rtc/perception/subsystem.py",
 )  # fmt: skip
 #: packages whose modules all lie in packages of their own
 ROOMS = ("rtc", "workers")

@@ -121,6 +121,7 @@ class SubsystemConnected(Event, frozen=True, kw_only=True, gc=False):
     subsystem: str
     pid: int
     performers: list[str]
+    queues: list[str] = []
     outstanding: list[str] = []
     at_rest: bool = True
     pauses: bool = False  # it can pause a primitive on its path

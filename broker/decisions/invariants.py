@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 from broker.decisions.effects import CancelJob, DispatchJob, Effect, PublishNote, ReportEnd, SendPrimitive, StartTimer
 from broker.decisions.resources import WORLD, number
-from broker.decisions.state import NIL, State
+from broker.decisions.state import NIL, State, queues_of
 from rtc.protocol.messages import Phase, WorkerKind
 from rtc.protocol.primitive_id import command_of
 
@@ -55,13 +55,19 @@ def _resources(state: State) -> Iterable[str]:
 
 def _motions(state: State) -> Iterable[str]:
     moving: dict[str, str] = {}
+    queues = queues_of(state)
     for command in state.commands.values():
         if command.phase in MOVING and command.id not in state.halt_sentences:
             for performer in command.performers:
+                held = state.resources.held.get(command.id, {})
+                if performer in queues:
+                    if performer not in held:
+                        yield f"{command.id} uses {performer} without a claim"
+                    continue
                 if performer in moving:
                     yield f"{performer} executes for {moving[performer]} and {command.id}"
                 moving[performer] = command.id
-                if not state.resources.held.get(command.id, {}).get(performer):
+                if not held.get(performer):
                     yield f"{command.id} moves {performer} without holding it"
 
 

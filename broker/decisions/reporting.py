@@ -15,7 +15,11 @@ MOST_PER_S = 100  # maximum rate of periodic reports to one client; the rest is 
 def at_end(command: Command, report: EndReport) -> Measured | None:
     """The requested values at the end of a primitive; None if none were requested or measured."""
     asked = command.head.report if command.head else None
-    if asked is None or not (asked.joints or asked.forces or asked.pose) or not report.joints:
+    if asked is None or not (asked.joints or asked.forces or asked.pose):
+        return None
+    if report.sighting is not None:
+        return Measured(arm=report.performer, sighting=report.sighting) if asked.pose else None
+    if not report.joints:
         return None
     return Measured(
         arm=report.performer,
@@ -53,9 +57,10 @@ def note_of(command: Command, report: ProgressReport, at_s: float) -> ProgressNo
     everything = not (asked.joints or asked.forces or asked.pose)
     measured = Measured(
         arm=command.performers[0],
-        tcp_pose=report.tcp_pose if asked.pose or everything else None,
-        joints=report.joints if asked.joints or everything else None,
-        wrench=report.wrench if asked.forces or everything else None,
+        tcp_pose=report.tcp_pose if (asked.pose or everything) and report.tcp_pose else None,
+        joints=report.joints if (asked.joints or everything) and report.joints else None,
+        wrench=report.wrench if (asked.forces or everything) and report.wrench else None,
+        sighting=report.sighting if asked.pose or everything else None,
     )
     return ProgressNote(
         seq=0,  # not part of the event stream, because it bypasses the Decision Unit

@@ -286,13 +286,20 @@ class Subsystem(msgspec.Struct, kw_only=True):
     pid: int
     """Process id; a new one means that it was restarted."""
     performers: list[str]
-    """Names of its arms and hands."""
+    """Names of its arms and hands, or of its cameras."""
+    queues: list[str] = []
+    """Those that several commands may use at once: they serve primitives in turn."""
     link: LinkState = LinkState.CONNECTED
     """Row of its transition table."""
     came_at_rest: bool = True
     """It was at rest when it connected; False once it is lost."""
     pauses: bool = False
     """It can pause a primitive on its path."""
+
+
+def queues_of(state: State) -> set[str]:
+    """The performers that several commands may use at once."""
+    return {name for subsystem in state.subsystems.values() for name in subsystem.queues}
 
 
 class RolloutPhase(StrEnum):

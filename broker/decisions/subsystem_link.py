@@ -92,7 +92,11 @@ def _connect(context: DecisionContext, event: SubsystemConnected) -> None:
     """Store the link, and halt what moves there without a command that waits for it."""
     state, name = context.state, event.subsystem
     state.subsystems[name] = Subsystem(
-        pid=event.pid, performers=event.performers, came_at_rest=event.at_rest, pauses=event.pauses
+        pid=event.pid,
+        performers=event.performers,
+        queues=event.queues,
+        came_at_rest=event.at_rest,
+        pauses=event.pauses,
     )
     for primitive in event.outstanding:
         state.accepted = max(state.accepted, number_of(primitive))  # a journal after a loss may lack it

@@ -27,7 +27,7 @@ HELLOS = (m.ClientHello, m.WorkerHello, m.SubsystemHello)
 ALIVE_S = 1.5  # three heartbeats: a worker that has sent something within this time is alive
 UNSENT = 1_000  # maximum queued messages of one peer to the cluster
 IDLE_S = 600.0  # a peer silent for so long is removed; it must send its hello again
-OWN_SUBSYSTEM = "MCM"
+OWN_SUBSYSTEMS = ("MCM", "S&P")
 # Without effect at the worker. The send fails if the peer is lost; and data under way is what the kernel needs to
 # detect a cut link (LINK_LIMIT_S).
 PROBE = wire.frames(m.Drop(jobs=[]))
@@ -117,8 +117,8 @@ class Sessions:
 
     def _name_fault(self, endpoint: str, key: KnownKey, name: str, hello: Any) -> str:
         """The reason why a peer must not have this name; empty if it may."""
-        if endpoint == "subsystems" and (name != key.name or name == OWN_SUBSYSTEM):
-            return f"a subsystem is called as its key is, {key.name}, and not {OWN_SUBSYSTEM}"
+        if endpoint == "subsystems" and (name != key.name or name in OWN_SUBSYSTEMS):
+            return f"a subsystem is called as its key is, {key.name}, and not {' or '.join(OWN_SUBSYSTEMS)}"
         if endpoint == "workers":
             if hello.node is None:
                 return f"a {hello.kind} without an address needs an instance, and a free address"

@@ -58,9 +58,21 @@ class Halts:
             )
         )
 
+    def moves(self, subsystem: str) -> bool:
+        """False for a subsystem that has cameras only."""
+        found = self._core.state.subsystems.get(subsystem)
+        return found is None or not found.queues or set(found.queues) != set(found.performers)
+
     def answer(self, message: m.HaltStarted | m.HaltAtRest) -> None:
-        """Forward a subsystem's answer to the callers: by the order's number, or by name if it has none."""
+        """Forward a subsystem's answer to the callers: by the order's number, or by name if it has none.
+
+        A caller must not take the rest of cameras for the rest of arms. So S&P answers only for its own performers, and
+        not to a caller of ALL."""
+        reached = message.moving if isinstance(message, m.HaltStarted) else message.performers
+        still = not self.moves(message.subsystem)
         for peer, called in self.callers.items():
             for call, order in called:
+                if still and (order.scope == "ALL" or not reached):
+                    continue
                 if message.call == call or (not message.call and message.halt == order.halt):
                     send(self._core.sockets["halt"], msgspec.structs.replace(message, call=order.call), peer)

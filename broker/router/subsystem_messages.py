@@ -61,6 +61,7 @@ class SubsystemMessages:
                 subsystem=name,
                 pid=message.pid,
                 performers=message.performers,
+                queues=message.queues,
                 outstanding=message.outstanding,
                 at_rest=message.at_rest,
                 pauses=message.pauses,
@@ -92,7 +93,8 @@ class SubsystemMessages:
     def _halt_started(self, name: str, peer: bytes, message: m.HaltStarted, now: float) -> None:
         _check_name(name, message.subsystem)
         self._halts.answer(message)
-        self._shutdown.record_motion(message)
+        if self._halts.moves(name):
+            self._shutdown.record_motion(message)
 
     def _confirm_rest(self, name: str, peer: bytes, message: m.HaltAtRest, now: float) -> None:
         _check_name(name, message.subsystem)

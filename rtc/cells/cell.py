@@ -132,7 +132,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
         """All names in this cell that a sentence may use."""
         for arm in self.arms:
             yield from (arm.name, arm.end_effector)
-        for group in (self.seats, self.objects, self.places, self.regions):
+        for group in (self.seats, self.objects, self.places, self.regions, self.cameras):
             yield from (part.name for part in group)
 
 

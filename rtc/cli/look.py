@@ -123,8 +123,8 @@ def _camera(cell: Cell, wanted: str) -> str:
         return wanted.lower()
     name = wanted.upper().replace("_", "-")
     known = [*cell.names()]
-    regions = {region.name for region in cell.regions}
-    if name in known and name not in regions:
+    others = {part.name for group in (cell.regions, cell.cameras) for part in group}
+    if name in known and name not in others:
         return name
     near = nearest_words(name, known) or nearest_words(wanted.lower(), VIEWS)
     hint = f"; did you mean {near[0]}?" if near else ""

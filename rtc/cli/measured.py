@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from rtc.protocol.outcomes import Measured
+from rtc.protocol.outcomes import Measured, Sighting
 
 SHORTEST_S = 0.1  # smallest printed duration of a step
 POLE_RAD = 1e-4  # nearer to straight up or down roll and yaw are ambiguous: the yaw is printed as 0
@@ -36,8 +36,26 @@ def in_words(measured: Measured) -> list[str]:
             peaks = f"; peak on the way {measured.peak_force_n:.1f} N, {measured.peak_torque_nm or 0.0:.2f} Nm"
         felt = f"forces: {_numbers(force, '.1f')} N, torques: {_numbers(torque, '.2f')} Nm (tool axes)"
         lines.append(f"{measured.arm} {felt}{peaks}")
+    if measured.sighting is not None:
+        lines += _sighting(measured.arm, measured.sighting)
     if measured.joints is not None:
         lines.append(f"{measured.arm} joints: {_numbers(map(math.degrees, measured.joints), '.1f')} deg")
+    return lines
+
+
+def _sighting(camera: str, seen: Sighting) -> list[str]:
+    metres, radians = (
+        max(math.sqrt(max(0.0, seen.covariance[n][n])) for n in axes) for axes in (range(3), range(3, 6))
+    )
+    doubt = ", ambiguous attitude" if seen.ambiguous else ""
+    lines = [
+        f"{camera} sees: {_pose(seen.pose)}",
+        f"  +- {1e3 * metres:.1f} mm, {math.degrees(radians):.2f} deg{doubt}; {len(seen.tags)} tags, "
+        f"{seen.error_px:.2f} px off, {1e3 * seen.age_s:.0f} ms old",
+    ]
+    if seen.velocity is not None:
+        speed, rate = math.hypot(*seen.velocity[:3]), math.hypot(*seen.velocity[3:])
+        lines.append(f"  moves with {1e3 * speed:.1f} mm/s and {math.degrees(rate):.2f} deg/s")
     return lines
 
 

@@ -39,7 +39,7 @@ def names(
     json: AsJson = False,
     run_dir: RunDir = None,
 ) -> None:
-    """The names a sentence may use: arms, objects, grasp points, seats, places, regions, attitudes, axes.
+    """The names a sentence may use: arms, objects, grasp points, seats, places, regions, attitudes, cameras, axes.
 
     They come from the running cluster's cell; without a cluster, from the cell `swapout`.
 
@@ -160,6 +160,17 @@ def _attitudes(cell: Cell) -> list[NameEntry]:
     ]
 
 
+def _cameras(cell: Cell) -> list[NameEntry]:
+    return [
+        NameEntry(
+            camera.name,
+            (f"on {camera.arm}" if camera.arm else f"at {_xyz(camera.xyz)}, looks at {_xyz(camera.looks_at)}")
+            + f", {camera.size_px[0]} x {camera.size_px[1]} pixels",
+        )
+        for camera in cell.cameras
+    ]
+
+
 def _axes(_: Cell) -> list[NameEntry]:
     same: dict[tuple[str, tuple[float, ...]], list[str]] = {}
     for name, axis in AXES.items():
@@ -187,5 +198,6 @@ KINDS: dict[str, tuple[Callable[[Cell], list[NameEntry]], str]] = {
     "places": (_places, "MOVE RIGHT-ARM TO BAY-2-FRONT"),
     "regions": (_regions, "STOW RIGHT-ARM MAINTAIN AVOID-TASK-REGION SOLAR-ARRAY"),
     "attitudes": (_attitudes, "LIFT MACS-NEW MAINTAIN POSE-DURING-MOTION LEVEL"),
+    "cameras": (_cameras, "LOCATE MACS-NEW VIA CAMERA-1"),
     "axes": (_axes, "MOVE RIGHT-ARM BY 5 CM ALONG UP"),
 }

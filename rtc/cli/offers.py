@@ -10,6 +10,7 @@ HANDLING = {
     *("GRASP", "APPROACH", "RELEASE", "LIFT", "PUSH", "PULL", "PLACE", "INSERT", "EXTRACT", "ALIGN"),
     *("CARRY", "HANDOFF"),
 }
+LOOKING = {"LOCATE", "TRACK", "VERIFY"}
 HANDS = {"LEFT-END-EFF", "RIGHT-END-EFF"}
 #: last word typed -> kind of the names that may follow it
 BEHIND = {
@@ -28,7 +29,7 @@ BEHIND = {
     "AFTER": "none",
     "TOGETHER-WITH": "none",
     "TRY": "none",
-    "VIA": "none",
+    "VIA": "cameras",
     "LOAD": "none",
 }
 
@@ -47,6 +48,8 @@ class CellNames:
             "objects": list(self._points),
             "graspable": [name for name, points in self._points.items() if points],
             "arms": [name for arm in cell.arms for name in (arm.name, arm.end_effector)],
+            "cameras": [camera.name for camera in cell.cameras],
+            "tagged": list(dict.fromkeys(tag.body for tag in cell.tags)),
             "none": [],
             "all": sorted({*cell.names(), *(p for points in self._points.values() for p in points)}),
         }
@@ -56,6 +59,8 @@ class CellNames:
         if len(given) < 1:
             return self._kinds["all"]
         verb, last = given[0], given[-1]
+        if last == "VIA" and verb not in LOOKING:
+            return []
         if last in BEHIND:
             return self._kinds[BEHIND[last]]
         if last == "TO":
@@ -66,6 +71,6 @@ class CellNames:
             return self._points.get(given[-2], []) if verb != "VERIFY" else self._kinds["arms"] + self._kinds["seats"]
         if verb in HANDLING and (len(given) == 1 or last in HANDS):
             return self._kinds["graspable"]
-        if len(given) == 1 and verb in ("LOCATE", "TRACK", "VERIFY"):
-            return self._kinds["objects"]
+        if len(given) == 1 and verb in LOOKING:
+            return self._kinds["objects" if verb == "VERIFY" else "tagged"]
         return self._kinds["all"]

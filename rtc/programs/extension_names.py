@@ -41,16 +41,19 @@ FIGURES = (
     *(f"{clause}_{unit}" for clause in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),
 )
 #: roles that the resources of a script may name
-ROLES = ("active_arm", "active_object", "its_seat", "target")
-#: placeholders (in braces) in the texts of a script; the last two are for SET only
+ROLES = ("active_arm", "active_object", "its_seat", "target", "camera", "its_holder", "its_content")
+#: placeholders (in braces) in the texts of a script; `camera` and `body` are for steps that look; the last two are for
+#: SET only
 PLACEHOLDERS = (
     *("arm", "object", "point", "target", "destination", "axis", "out", "way_out", "amount", "time", "through"),
+    *("camera", "body"),
     *("attribute", "value"),
 )
 #: placeholders in the failure texts of the analyzer
 FAILURE_PLACEHOLDERS = (
     *("reason", "measured", "limit", "unit", "message", "arm", "object", "point", "target"),
     *("width", "wanted", "off"),
+    *("camera", "turned"),
 )
 #: keys of `words` of a step that have an effect
 WORDS = ("about", "axis", "effect", "missed", "needs", "seat", "through")
@@ -64,11 +67,12 @@ ARGS = (
     *("stiffness_n_m", "press_n"),  # of a compliant step; force set-point along its axis
     *("press_from_n", "press_s"),  # that set-point at the start, and the time in which it changes
     *("needs_m", "needs_rad"),  # required accuracy of the held object's pose
+    *("within_rad", "pictures", "seen_m", "seen_rad", "seated_m"),  # of a look
 )
 #: performers of steps
-PERFORMERS = ("active_arm",)
+PERFORMERS = ("active_arm", "camera")
 #: binder: algorithms that turn a step into a primitive
-ACTIONS = ("motion", "hand", "still", "assign", "told", "procedure")
+ACTIONS = ("motion", "hand", "still", "assign", "told", "procedure", "look")
 PROCEDURES = ("open_hand", "lay_down_plan")
 #: binder: predicates of F
 PREDICATES = (
@@ -84,9 +88,10 @@ PREDICATES = (
     "hand-width-below",
     "no-progress",
     "turn-above",
+    "unseen-above",
 )
 #: analyzer: effects of success on the world, and values of a report that a step may keep
-EFFECTS = ("taken", "let_go", "let_drift", "still_held", "verified", "felt", "pinched", "passed", "landed")
+EFFECTS = ("taken", "let_go", "let_drift", "still_held", "verified", "felt", "pinched", "passed", "landed", "sighted")
 KEPT = ("report.trip_pose", "report.pose", "report.hand_width")
 
 

@@ -19,7 +19,7 @@ import msgspec
 
 from rtc.language.record import Condition, ParsedCommand, ReflexItem
 from rtc.protocol.faults import AnyFault
-from rtc.protocol.outcomes import Measured, Outcome, Reflex, Refusal, StopReason
+from rtc.protocol.outcomes import Measured, Outcome, Reflex, Refusal, Sighting, StopReason
 from rtc.protocol.primitive import Primitive
 
 
@@ -421,7 +421,7 @@ class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
 
     verb: str
     script: str  # its name: grasp-centering
-    arm: str = ""  # active_arm
+    arm: str = ""  # active_arm; empty: only a camera works
     object: str = ""  # active_object
     grasp_point: str = ""
     target: str = ""
@@ -464,6 +464,8 @@ class EvaluationContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults
     no_contact_is_failure: bool = False
     slowed: str = ""  # why the motion is slower than the command allows, in words
     start_joints: list[float] | None = None
+    body: str = ""  # what a camera looks for
+    body_pose: list[float] | None = None  # where it should be, for a check
 
 
 class ParserInput(msgspec.Struct, frozen=True, kw_only=True):
@@ -506,7 +508,7 @@ class BoundStep(Message, frozen=True, kw_only=True):
     `report` has the facts that the operator stated; it goes to an analyzer without a subsystem.
     """
 
-    subsystem: str = ""  # "MCM"; empty = nothing to execute
+    subsystem: str = ""  # "MCM", "S&P"; empty = nothing to execute
     primitive: Primitive | None = None
     report: EndReport | None = msgspec.field(default=None, name="told")
     evaluation: EvaluationContext | None = None
@@ -558,9 +560,11 @@ class Assessment(Message, frozen=True, kw_only=True):
 class SubsystemHello(Message, frozen=True, kw_only=True):
     """A subsystem is ready. `outstanding`: primitives it executes or whose report is not acknowledged."""
 
-    name: Name  # MCM
+    name: Name  # MCM, S&P
     pid: int
     performers: Annotated[list[Name], msgspec.Meta(max_length=10_000)]  # LEFT-ARM, RIGHT-ARM
+    # Those that take several primitives at once and serve them in turn: cameras.
+    queues: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []
     outstanding: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []
     at_rest: bool = True
     arrays: bool = False  # as in ClientHello
@@ -628,31 +632,36 @@ class Paced(Message, frozen=True, kw_only=True):
 
 
 class ProgressReport(Message, frozen=True, kw_only=True):
-    """A report during a motion: at the period requested in R, or because a condition of R is true."""
+    """A report during a motion or a look: at the period requested in R, or because a condition of R is true.
+
+    Only an arm has joints, wrench and tcp pose."""
 
     primitive: str
     at_s: float
-    joints: list[float]
-    wrench: list[float]
-    tcp_pose: list[float]
+    joints: list[float] = []
+    wrench: list[float] = []
+    tcp_pose: list[float] = []
     condition: int | None = None  # number of the condition; None: a periodic report
     measured: float | None = None  # what the condition compares
     limit: float | None = None
+    sighting: Sighting | None = None  # of a camera: the latest pose of the body
 
 
 class EndReport(Message, frozen=True, kw_only=True):
-    """The one end report of a primitive: what, where, why (R65). Repeated until it is acknowledged."""
+    """The one end report of a primitive: what, where, why (R65). Repeated until it is acknowledged.
+
+    Joints, poses, wrenches and the hand are those of an arm; of a camera they are empty, and it has a sighting."""
 
     primitive: Name
     performer: Name
     reason: StopReason
     at_s: float
     duration_s: float  # in the time of the simulation, pauses included
-    joints: list[float]  # rad, after coming to rest
-    tcp_pose: list[float]  # at rest
-    wrench: list[float]  # at rest
-    hand_width_m: float
-    hand_force_n: float  # pressed by the fingers, the smaller of the two
+    joints: list[float] = []  # rad, after coming to rest
+    tcp_pose: list[float] = []  # at rest
+    wrench: list[float] = []  # at rest
+    hand_width_m: float = 0.0
+    hand_force_n: float = 0.0  # pressed by the fingers, the smaller of the two
     peak_force_n: float = 0.0  # while moving
     peak_torque_nm: float = 0.0
     trip_pose: list[float] | None = None  # of the tcp, in the tick that tripped
@@ -661,8 +670,9 @@ class EndReport(Message, frozen=True, kw_only=True):
     limit: float | None = None  # the limit it exceeded
     message: str = ""  # for REFUSED: why; for COLLISION: the bodies' link names
     reflex: Reflex = Reflex.STOP  # what was done after the stop: BACK_OFF, RELEASE
-    facts: dict[str, Any] = {}  # stated or sensed, by key (MACS-OLD.frame), SI; an analyzer writes them
+    facts: dict[str, Any] = {}  # stated, by key (MACS-OLD.frame), SI; an analyzer writes them
     partner: EndReport | None = None  # of the second arm, if the primitive has one
+    sighting: Sighting | None = None  # of a camera; None: the body was not seen
 
 
 class HaltStarted(Message, frozen=True, kw_only=True):

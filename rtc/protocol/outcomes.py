@@ -76,7 +76,9 @@ class StopReason(StrEnum):
     CONTACT = "contact"  # the contact that the primitive was to detect
     SLIP = "slip"  # the held object moves in the fingers
     OBJECT_LOST = "object_lost"  # nothing is between the fingers any more
+    FOUND = "found"  # a camera has seen the body that it was to look for
     GOAL = "goal"  # the end of the trajectory, or the commanded width and force
+    NOT_SEEN = "not_seen"  # the camera has not seen that body within the time limit
     TIMEOUT = "timeout"  # the time limit passed first
     NO_CONTACT = "no_contact"  # a contact ended; or, derived by the analyzer, the goal was reached without one
     # The reasons below do not come from a servo tick.
@@ -156,15 +158,29 @@ class Refusal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     detail: dict[str, float | str] = {}  # figures: joint, limit_rad, value_rad, bodies, distance_m ...
 
 
+class Sighting(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
+    """The pose of one body as a camera saw it, without the name of the body."""
+
+    pose: list[float]  # [x y z qx qy qz qw]: m, world axes
+    covariance: list[list[float]]  # 6 x 6: position (m) and small turn (rad) about the body's origin, world axes
+    tags: list[int]  # numbers of the AprilTags that it is made of
+    error_px: float  # reprojection error of their corners, root mean square
+    age_s: float  # from the exposure of the latest picture to the report
+    pictures: int = 1  # number of pictures in which it was seen
+    ambiguous: bool = False  # a second attitude explains the pictures nearly as well; the covariance covers it
+    velocity: list[float] | None = None  # m/s three times, rad/s three times, world axes; None = not measured
+
+
 class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """What a subsystem measured, as far as REPORT requested it; None = not requested."""
 
-    arm: str
+    arm: str  # or the camera
     tcp_pose: list[float] | None = None  # [x y z qx qy qz qw]: m, world axes
     joints: list[float] | None = None  # rad
     wrench: list[float] | None = None  # [Fx Fy Fz Tx Ty Tz]: N, N.m, tool axes; at rest, or in the tick of a report
     peak_force_n: float | None = None  # maximum during the last primitive
     peak_torque_nm: float | None = None
+    sighting: Sighting | None = None  # of a camera
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):

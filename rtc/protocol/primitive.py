@@ -1,6 +1,6 @@
-"""The primitive T = (P, M, F, R): the only order for motion to a subsystem (paper, section 4; R60-R67).
+"""The primitive T = (P, M, F, R): the only order to a subsystem (paper, section 4; R60-R67).
 
-    P  trajectory      what to do: positions over time, or a command of the hand
+    P  trajectory      what to do: positions over time, a command of the hand, or a look of a camera
     M  control_law     how the servo follows it
     F  stop_functions  when to stop, and what to do then; complete, in fixed priority
     R  reporting       what to report beyond the standard end report
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -73,7 +73,33 @@ class HoldStill(msgspec.Struct, frozen=True, kw_only=True, tag="hold-still"):
     duration_s: float | None = None
 
 
-Trajectory = JointTrajectory | HandMotion | HoldStill
+class TagGeometry(msgspec.Struct, frozen=True, kw_only=True):
+    """An AprilTag of the family 36h11 on a body."""
+
+    id: int
+    size_m: float  # edge of the black square
+    pose: Vector  # of its centre, in the axes of the body: x to the right and y upwards as one reads it
+
+    def __post_init__(self) -> None:
+        if self.id < 0 or not 0.0 < self.size_m <= FARTHEST_M or len(self.pose) != 7:  # false for nan too
+            raise ValueError("a tag has a number, a size and a pose of 7 numbers")
+
+
+class Look(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="look"):
+    """P for a camera: locate the body that has these tags. Its pose is in the reports, with its covariance.
+
+    Without a duration the body rests: its pose is fitted to `pictures` in which it is seen. With one it may move: each
+    picture gives a pose, until the duration has passed.
+    """
+
+    tags: Annotated[list[TagGeometry], msgspec.Meta(min_length=1, max_length=200)]
+    believed: Vector  # pose of the body, world frame: only to explain why it is not seen
+    pictures: Annotated[int, msgspec.Meta(ge=1, le=100)] = 1
+    duration_s: Annotated[float, msgspec.Meta(gt=0, le=LONGEST_S)] | None = None
+    every_s: Annotated[float, msgspec.Meta(ge=0.01, le=3600)] = 0.1  # shortest time between two of its pictures
+
+
+Trajectory = JointTrajectory | HandMotion | HoldStill | Look
 
 
 class Load(msgspec.Struct, frozen=True, kw_only=True):
@@ -168,7 +194,8 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class GoalReached(msgspec.Struct, frozen=True, tag="goal-reached"):
-    """The trajectory is complete and the arm has settled; or the hand has its width, or presses with its force."""
+    """The trajectory is complete and the arm has settled; or the hand has its width, or presses with its force; or the
+    camera has its pose, or has followed the body for the duration."""
 
 
 class TimeAbove(msgspec.Struct, frozen=True, tag="time-above"):
@@ -277,6 +304,14 @@ class TcpInside(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-inside"):
     size_m: Vector
 
 
+class UnseenAbove(msgspec.Struct, frozen=True, tag="unseen-above"):
+    limit_s: float  # a camera has not seen the body in any of its pictures over this time
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.limit_s <= LONGEST_S:  # false for nan too
+            raise ValueError(f"a limit of {self.limit_s} s without a sight: more than 0, at most {LONGEST_S:g} s")
+
+
 class TcpTurned(msgspec.Struct, frozen=True, kw_only=True, tag="tcp-turned"):
     """The attitude of the tcp differs from the given one by more than `limit_rad`."""
 
@@ -346,6 +381,7 @@ Predicate = (
     | TurnAbove
     | JointTurnAbove
     | ClearanceBelow
+    | UnseenAbove
 )
 
 
@@ -407,7 +443,7 @@ class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, t
     """T = (P, M, F, R) for one performer. The constructor refuses F without a goal and a time limit (R82)."""
 
     id: str  # unique; echoed by every report. "C-7.5@k7f2": see rtc.protocol.primitive_id
-    performer: str  # the arm of the subsystem, e.g. RIGHT-ARM
+    performer: str  # the arm or camera of the subsystem, e.g. RIGHT-ARM
     trajectory: Trajectory
     stop_functions: list[StopFunction]
     control_law: ControlLaw = ControlLaw()

@@ -32,7 +32,7 @@ MEMORY: dict[str, tuple[int, struct.Struct]] = {
 }
 #: Time that broker and MCM need to stop arms and send outcomes after their supervisor was killed.
 HOLD_S = 3.0  # at full speed
-TOKEN_BEARERS = ("MCM", "supervisor")  # names whose ZeroMQ identity contains the token and cannot be guessed
+TOKEN_BEARERS = ("MCM", "S&P", "supervisor")  # names whose ZeroMQ identity contains the token and cannot be guessed
 
 
 class _Body(msgspec.Struct, frozen=True):

@@ -8,10 +8,9 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from rtc.cells.parts import Tag
 from rtc.robot import geometry
 from rtc.sensing import optics
-from rtc.sensing.locate import corners
+from rtc.sensing.locate import TagOnBody, corners
 from rtc.sensing.optics import View
 from rtc.sensing.pose_fit import area_px
 
@@ -29,7 +28,7 @@ class Cause(StrEnum):
     OCCLUDED = "something hides it, or it is not where it is believed"
 
 
-def cause(tags: Sequence[Tag], believed: geometry.Floats, view: View, image: NDArray[np.uint8]) -> Cause:
+def cause(tags: Sequence[TagOnBody], believed: geometry.Floats, view: View, image: NDArray[np.uint8]) -> Cause:
     """Why none of these tags, all of one body, were found. `believed`: pose of the body, world frame."""
     if not tags:
         return Cause.NO_TAGS
@@ -37,13 +36,13 @@ def cause(tags: Sequence[Tag], believed: geometry.Floats, view: View, image: NDA
         return Cause.TOO_DARK
     if np.percentile(image, 100.0 - NEARLY_ALL) > BRIGHT:
         return Cause.TOO_BRIGHT
-    widths = [width for tag in tags if (width := _across_px(tag, believed, view)) is not None]
+    widths = [width for tag in tags if (width := across_px(tag, believed, view)) is not None]
     if not widths:
         return Cause.OUT_OF_VIEW
     return Cause.TOO_SMALL if max(widths) < LEAST_PX else Cause.OCCLUDED
 
 
-def _across_px(tag: Tag, believed: geometry.Floats, view: View) -> float | None:
+def across_px(tag: TagOnBody, believed: geometry.Floats, view: View) -> float | None:
     """The least width of a tag in the picture; None if it is not in it, or turned away."""
     matrix = geometry.to_matrix(believed)
     world = corners(tag) @ matrix[:3, :3].T + matrix[:3, 3]

@@ -28,7 +28,7 @@ class TagDetector:
 
     def find(self, image: NDArray[np.uint8]) -> list[Mark]:
         """`image`: height x width x 3, or grey. A tag that appears twice is left out."""
-        grey = image if image.ndim == 2 else image.mean(axis=2).astype(np.uint8)
+        grey = image if image.ndim == 2 else (image.sum(axis=2, dtype=np.uint16) // 3).astype(np.uint8)
         found = [hit for hit in self._detector.detect(np.ascontiguousarray(grey)) if hit.hamming == 0]
         ids = [hit.tag_id for hit in found]
         return [Mark(hit.tag_id, np.array(hit.corners)) for hit in found if ids.count(hit.tag_id) == 1]

@@ -6,16 +6,33 @@ It knows the cell file and pictures, never a true pose.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from rtc.cells.parts import Tag
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from rtc.sensing.detector import Mark
 from rtc.sensing.optics import CORNERS, View
 from rtc.sensing.pose_fit import Fit, Sighting, fit
+
+
+class HasPose(Protocol):
+    @property
+    def pose(self) -> Array: ...
+
+
+class TagOnBody(Protocol):
+    """A tag as a cell file or a primitive states it. `frame`: of its centre, in the axes of the body."""
+
+    @property
+    def id(self) -> int: ...
+    @property
+    def body(self) -> str: ...
+    @property
+    def size_m(self) -> float: ...
+    @property
+    def frame(self) -> HasPose: ...
 
 
 class Seen(NamedTuple):
@@ -25,14 +42,14 @@ class Seen(NamedTuple):
     marks: Sequence[Mark]
 
 
-def corners(tag: Tag) -> Array:
+def corners(tag: TagOnBody) -> Array:
     """Corners of a tag in the axes of its body, 4 x 3, m."""
     matrix = geometry.to_matrix(tag.frame.pose)
     found: Array = 0.5 * tag.size_m * CORNERS @ matrix[:3, :3].T + matrix[:3, 3]
     return found
 
 
-def sightings(tags: Iterable[Tag], pictures: Iterable[Seen]) -> dict[str, list[Sighting]]:
+def sightings(tags: Iterable[TagOnBody], pictures: Iterable[Seen]) -> dict[str, list[Sighting]]:
     """Sightings by body. Tags that the cell does not know are ignored."""
     known = {tag.id: tag for tag in tags}
     found: dict[str, list[Sighting]] = {}
@@ -44,7 +61,7 @@ def sightings(tags: Iterable[Tag], pictures: Iterable[Seen]) -> dict[str, list[S
     return found
 
 
-def locate(tags: Iterable[Tag], pictures: Iterable[Seen]) -> Mapping[str, Fit]:
+def locate(tags: Iterable[TagOnBody], pictures: Iterable[Seen]) -> Mapping[str, Fit]:
     """The bodies that are seen, by name."""
     fits = {body: fit(seen) for body, seen in sightings(tags, pictures).items()}
     return {body: found for body, found in fits.items() if found is not None}

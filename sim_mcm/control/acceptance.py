@@ -99,8 +99,13 @@ def _still(trajectory: p.HoldStill, traits: Traits, joints: Sequence[float]) -> 
         yield f"hold still: duration_s must be 0 or more, not {trajectory.duration_s}"
 
 
+def _look(trajectory: p.Look, traits: Traits, joints: Sequence[float]) -> Iterator[str]:
+    yield f"{traits.name} is an arm; only a camera looks"
+
+
 CHECKS: dict[type, Callable[[Any, Traits, Sequence[float]], Iterator[str]]] = {
     p.JointTrajectory: _joints,
     p.HandMotion: _hand,
     p.HoldStill: _still,
+    p.Look: _look,
 }

@@ -572,6 +572,7 @@ class Executor:
             return self._profile_time_s, trajectory.duration_s, ""
         if self._profile_time_s < self._profile.duration_s:
             return None
+        assert isinstance(trajectory, p.JointTrajectory)
         error = max(abs(a - b) for a, b in zip(sample.joints, trajectory.positions[-1], strict=True))
         rests = self._joints_rest()
         self._leaning_ticks = self._leaning_ticks + 1 if rests else 0

@@ -425,6 +425,10 @@ def _torque_below(when: p.TorqueBelow, traits: Traits) -> Check:
     return _Fallen(value, when.limit_nm, when.limit_nm, when.for_s)
 
 
+def _unseen(when: p.UnseenAbove, traits: Traits) -> Check:
+    raise ValueError(f"UnseenAbove: {traits.name} is an arm, and sees nothing")
+
+
 CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
     p.GoalReached: _goal,
     p.TimeAbove: _time,
@@ -450,6 +454,7 @@ CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
     p.TurnAbove: lambda when, traits: _Turn(when),
     p.JointTurnAbove: _joint_turn,
     p.ClearanceBelow: lambda when, traits: _Clearance(when),
+    p.UnseenAbove: _unseen,
 }
 
 

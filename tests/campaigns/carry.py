@@ -22,9 +22,10 @@ from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Refusal, StopReason
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
+from rtc.subsystem.subsystem import BROKER
 from sim_mcm.arms.arm import ArmState, HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
-from sim_mcm.control.subsystem import BROKER, McmSubsystem
+from sim_mcm.control.subsystem import McmSubsystem
 from tests.campaigns import RESULTS
 from tests.workers.conftest import CELL, MODEL
 from workers.planning.motion.carry import carry_along

@@ -164,7 +164,7 @@ def test_the_traced_outcomes_of_line_5():
 
     assert message[StopReason.CONTACT].startswith("continue")
     assert message[StopReason.GOAL] == "counts as no_contact"
-    assert message[StopReason.NO_CONTACT].startswith("trim 2 (grasp), restart_script")
+    assert message[StopReason.NO_CONTACT].startswith("trim 1 (vision), retry_step or trim 2 (grasp), restart_script")
     assert message[StopReason.FORCE_LIMIT].startswith("trim 2 (grasp), restart_script")
     for reason in (StopReason.JOINT_LIMIT, StopReason.COLLISION, StopReason.TIMEOUT, StopReason.HALT):
         assert message[reason].startswith("fail"), reason

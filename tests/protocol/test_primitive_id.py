@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rtc.protocol.primitive_id import belongs_to, command_of, number_of, primitive_id
-from sim_mcm.control.subsystem import _in_scope
+from rtc.subsystem.subsystem import in_scope
 
 
 def test_a_name_tells_its_command_and_its_life():
@@ -31,5 +31,5 @@ def test_what_is_no_name_has_no_number(name):
 
 
 def test_a_halt_of_a_command_reaches_its_primitives_of_any_life():
-    assert _in_scope("C-3", "LEFT-ARM", "C-3.1@k7f2")
-    assert not _in_scope("C-3", "LEFT-ARM", "C-30.1@k7f2")
+    assert in_scope("C-3", "LEFT-ARM", "C-3.1@k7f2")
+    assert not in_scope("C-3", "LEFT-ARM", "C-30.1@k7f2")

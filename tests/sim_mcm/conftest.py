@@ -19,11 +19,12 @@ from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
+from rtc.subsystem.subsystem import BROKER
 from sim_mcm.arms import control_laws
 from sim_mcm.arms.arm import TICK_S, HandCommand, Motion, Near, Sample, Traits
 from sim_mcm.control.executor import Executor
 from sim_mcm.control.profiles import Follow
-from sim_mcm.control.subsystem import BROKER, McmSubsystem
+from sim_mcm.control.subsystem import McmSubsystem
 
 ARM, OTHER = "RIGHT-ARM", "LEFT-ARM"
 

@@ -16,6 +16,7 @@ import pytest
 
 from broker.decisions import action_stack
 from rtc.cells.cell import Cell
+from rtc.cells.scene import SceneView
 from rtc.language.record import ParsedCommand
 from rtc.programs import loader
 from rtc.protocol.messages import (
@@ -32,11 +33,12 @@ from rtc.protocol.messages import (
     WorldChange,
 )
 from rtc.protocol.outcomes import Refusal, StopReason
-from rtc.protocol.primitive import ForceAbove, HandMotion, HoldStill, JointTrajectory, Primitive
+from rtc.protocol.primitive import ForceAbove, HandMotion, HoldStill, JointTrajectory, Look, Primitive
 from rtc.robot import geometry
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.control.executor import Executor
+from tests.workers.eyes import Drawn, Ideal
 from workers.analyzer import analyze as analyzer
 from workers.binder import bind as binder
 from workers.elaborator import elaborate as elaborator
@@ -45,6 +47,7 @@ from workers.planning.robot_models import CellModel
 
 CELL = Cell.load("swapout")
 MODEL = CellModel(CELL)
+SIGHTLESS = CellModel(msgspec.structs.replace(CELL, cameras=[]))
 GRAMMAR = loader.default("parser").decode()
 
 
@@ -64,12 +67,17 @@ class Reporter:
         self.closes: list[float] = []  # what the next closures come to, instead of the truth
         self.instead: dict[str, StopReason] = {}  # primitive -> how it ends instead, at its start
         self.seats = True  # what is brought down in a seat touches it, and is caught
+        self.eyes = Ideal(CELL)
 
     def displace(self, name: str, by: list[float]) -> None:
         self.poses[name] = geometry.translate(self.poses[name], by)
 
     def perform(self, made: Primitive, bound: BoundStep) -> EndReport:
         assert bound.evaluation is not None
+        if isinstance(made.trajectory, Look):
+            tcp = {name: MODEL.arms[name].fk(joints).tolist() for name, joints in self.joints.items()}
+            poses = {name: pose.tolist() for name, pose in self.poses.items()}
+            return self.eyes.perform(made, SceneView(poses=poses, tcp=tcp))
         arm, trajectory = made.performer, made.trajectory
         reason, pressed = self.instead.get(made.id, StopReason.GOAL), 0.0
         if reason is StopReason.GOAL and isinstance(trajectory, JointTrajectory):
@@ -149,6 +157,7 @@ class Kinematic:
         self.sim = KinematicCell(CELL)
         self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
         self.disturb: Callable[[int], None] | None = None  # called before each step, with the tick of the primitive
+        self.eyes = Ideal(CELL)
 
     @property
     def poses(self) -> dict[str, Any]:
@@ -161,6 +170,11 @@ class Kinematic:
         assert not self.sim.displace(name, offset)
 
     def perform(self, made: Primitive, bound: BoundStep) -> EndReport:
+        if isinstance(made.trajectory, Look):
+            truth = self.sim.truth()
+            return self.eyes.perform(
+                made, SceneView(**{name: truth[name] for name in ("poses", "seats", "joints", "fingers", "tcp")})
+            )
         messages: list[Any] = list(self.executors[made.performer].accept(made, 0.0))
         for tick in range(int(bound.limit_s * 1000)):
             ends = [m for m in messages if isinstance(m, EndReport)]
@@ -182,6 +196,17 @@ class Physical(Kinematic):
         self.disturb = None
         self.sim = BulletCell(CELL)  # type: ignore[assignment]
         self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
+        self._eyes: Drawn | None = None
+
+    @property
+    def eyes(self) -> Drawn:  # type: ignore[override]
+        self._eyes = self._eyes or Drawn(CELL)
+        return self._eyes
+
+    def close(self) -> None:
+        if self._eyes is not None:
+            self._eyes.studio.close()
+        self.sim.close()  # type: ignore[attr-defined]
 
 
 @dataclass
@@ -209,9 +234,8 @@ class Run:
 class Bench:
     """Executes sentences by the loop of the paper, on one subsystem and one world."""
 
-    model = MODEL
-
     def __init__(self, subsystem: Any) -> None:
+        self.model = MODEL
         self.subsystem = subsystem
         # As if the cell had been surveyed: a grasp is that of Figure 4 then. See `unsurveyed`.
         surveyed = [msgspec.structs.replace(change, spread=None) for change in initial_facts(CELL)]
@@ -224,16 +248,20 @@ class Bench:
         """Things may be as far from where they are believed to be as the cell file says."""
         self.world = World().overlay(initial_facts(CELL))
 
+    def without_cameras(self) -> None:
+        """The same cell without cameras: what is not known stays unknown."""
+        self.model = SIGHTLESS
+
     def load(self, kind: str, text: str, name: str = "test.yaml") -> None:
         self.programs[kind] = loader.merge(kind, self.programs[kind], name, text.encode())
 
     def set_fact(self, key: str, value: Any, validity: Validity = Validity.VALID) -> None:
         self.world = self.world.overlay([WorldChange(key=key, value=value, validity=validity)])
 
-    def elaborate(self, sentence: str, model: CellModel = MODEL) -> Script | Refusal:
+    def elaborate(self, sentence: str, model: CellModel | None = None) -> Script | Refusal:
         self.commands += 1
         data = ElaboratorInput(command=f"C-{self.commands}", parsed=record(sentence), at_s=self.now_s)
-        return elaborator.run(elaborator.compile(self.programs["elaborator"]), model, self.world, data)
+        return elaborator.run(elaborator.compile(self.programs["elaborator"]), model or self.model, self.world, data)
 
     def bind(self, script: Script, step: Step, bindings: dict[str, Binding] | None = None, n: int = 1) -> Any:
         given = script.bindings if bindings is None else bindings
@@ -249,7 +277,7 @@ class Bench:
         return self._bind(BinderInput(primitive_id=name, moved_s=moved_s, **given))
 
     def _bind(self, data: BinderInput) -> Any:
-        return binder.run(binder.compile(self.programs["binder"]), MODEL, self.world, data)
+        return binder.run(binder.compile(self.programs["binder"]), self.model, self.world, data)
 
     def analyze(self, bound: BoundStep, report: EndReport, used: list[int] | None = None, closing: bool = False) -> Any:
         assert bound.evaluation is not None
@@ -258,7 +286,7 @@ class Bench:
         )
 
     def _analyze(self, data: AnalyzerInput) -> Any:
-        return analyzer.run(analyzer.compile(self.programs["analyzer"]), MODEL, self.world, data)
+        return analyzer.run(analyzer.compile(self.programs["analyzer"]), self.model, self.world, data)
 
     def do(self, sentence: str) -> Run:
         """The loop "WHILE Action_Stack Not_Empty" of the paper, section 4."""
@@ -322,7 +350,7 @@ def physical() -> Iterator[Bench]:
     """In physics, without sockets: some six times slower than real time lasts."""
     subsystem = Physical()
     yield Bench(subsystem)
-    subsystem.sim.close()  # type: ignore[attr-defined]
+    subsystem.close()
 
 
 @pytest.fixture

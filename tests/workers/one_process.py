@@ -23,9 +23,10 @@ from rtc.protocol import wire
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import Outcome, Refusal
 from rtc.protocol.primitive import JointTrajectory
+from rtc.subsystem.subsystem import BROKER
 from rtc.world.model import World, initial_facts
 from sim_mcm.arms.arm import TICK_S
-from sim_mcm.control.subsystem import BROKER, McmSubsystem
+from sim_mcm.control.subsystem import McmSubsystem
 from tests.workers.conftest import CELL, MODEL, record
 from workers.analyzer import analyze as analyzer
 from workers.binder import bind as binder

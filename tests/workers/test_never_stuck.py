@@ -13,7 +13,8 @@ SAME_PLACE = "SET MACS-NEW FRAME 80 -80 60 CM"
 
 @pytest.fixture
 def in_the_handle(either):
-    """A search that has felt nothing ends 10 mm inside the handle as it is believed."""
+    """A search that has felt nothing ends 10 mm inside the handle as it is believed. No camera helps."""
+    either.without_cameras()
     stay = "skill: grasp\nsteps: [{do: hold, stop: hold, label: stay, args: {duration_s: 0.0}}]"
     either.load("elaborator", stay)  # not drawn back, as by one who is halted then
     either.load("elaborator", "command_object_table: [{verb: GRASP, name: MACS-NEW, values: {trim_m: 0.0}}]")
@@ -50,6 +51,7 @@ def test_deeper_into_a_handle_stays_refused(in_the_handle):
 
 @pytest.fixture
 def in_the_air(bench):
+    bench.without_cameras()
     for sentence in (GRASP, "LIFT MACS-NEW BY 15 CM"):
         assert bench.do(sentence).succeeded
     return bench

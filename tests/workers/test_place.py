@@ -81,6 +81,7 @@ def test_on_physics_ways_found_by_sampling_are_followed(physical):
 
 
 def test_what_touches_nothing_is_not_in_its_seat(bench):
+    bench.without_cameras()
     lifted(bench)
     bench.subsystem.seats = False
 
@@ -130,6 +131,7 @@ def test_a_seat_without_a_catch_needs_no_tug(bench):
 
 def test_after_a_place_that_failed_the_advice_leads_to_one_that_does_not(bench):
     """The module was 23 mm nearer to the hand than believed, so it ended 23 mm short of its seat."""
+    bench.without_cameras()
     lifted(bench)
     bench.subsystem.seats = False
     failed = bench.do("PLACE MACS-NEW ON BAY-2")

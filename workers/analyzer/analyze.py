@@ -7,6 +7,8 @@ used may correct it. Memoryless: it uses only this report and its context, no ot
 
 from __future__ import annotations
 
+import math
+
 import msgspec
 
 from rtc.language.record import ReflexItem
@@ -18,7 +20,7 @@ from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, StopReas
 from rtc.robot import geometry
 from rtc.world.model import World
 from rtc.world.spread import even, widened
-from workers.analyzer import reported_facts
+from workers.analyzer import reported_facts, sighting
 from workers.analyzer.world_changes import EFFECTS, Changes, gone
 from workers.binder import reflexes
 from workers.planning import pose_spread
@@ -34,6 +36,7 @@ SOURCES = {"report.trip_pose", "report.pose", "report.hand_width"}
 UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE_LIMIT: "N.m", StopReason.TIMEOUT: "s"}
 
 
+SEEN = "sighted"  # effect of steps that look
 THIN_M = 0.002  # fingers closer together than this hold nothing
 
 #: figures that the program must define
@@ -89,6 +92,8 @@ def _wrong(program: AnalyzerProgram, data: AnalyzerInput) -> str:
     if evaluation.width_m is not None:
         least, most = evaluation.width_m
         return "narrow" if report.hand_width_m < least else "wide" if report.hand_width_m > most else ""
+    if evaluation.body_pose is not None:
+        return "displaced" if _is_displaced(data) else ""
     within_m = evaluation.step.args.get("within_m")
     if isinstance(within_m, float):  # instead of the tolerance of the program
         return "elsewhere" if _off_m(data) > within_m else ""
@@ -100,7 +105,22 @@ def _wrong(program: AnalyzerProgram, data: AnalyzerInput) -> str:
     return ""
 
 
+def _is_displaced(data: AnalyzerInput) -> bool:
+    """Whether a sensed body is not where it should be."""
+    args = data.evaluation.step.args
+    most_m, most_rad = (float(args.get(name, 0.0)) for name in ("within_m", "within_rad"))
+    return _off_m(data) > most_m or _turned_rad(data) > most_rad
+
+
+def _turned_rad(data: AnalyzerInput) -> float:
+    place, sighting = data.evaluation.body_pose, data.report.sighting
+    return geometry.angle(sighting.pose, place) if place is not None and sighting is not None else 0.0
+
+
 def _off_m(data: AnalyzerInput) -> float:
+    place, sighting = data.evaluation.body_pose, data.report.sighting
+    if place is not None:
+        return geometry.distance(sighting.pose, place) if sighting is not None else 0.0
     goal = data.evaluation.goal_pose
     return geometry.distance(data.report.tcp_pose, goal) if goal is not None and data.report.tcp_pose else 0.0
 
@@ -123,7 +143,12 @@ def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -
     return Assessment(
         verdict="abort" if data.closing else "continue",
         reason=data.report.reason,
-        message=f"{step.label}; {data.evaluation.slowed}" if data.evaluation.slowed else step.label,
+        message="; ".join(
+            filter(
+                None,
+                (step.label, data.evaluation.slowed, sighting.in_words(query, data) if data.evaluation.body else ""),
+            )
+        ),
         keep={name: _kept(source, data.report) for name, source in step.keep.items()},
         changes=_with_spread(program, query, data, _merged(changes)),
     )
@@ -148,6 +173,8 @@ def _failure(
         program, query, data, changes, suspect="held" in failure.suspect, drops=failure.drops
     )
     changes += _touched_object_changes(program, query, data, failure)
+    if evaluation.step.args.get("effect") == SEEN and not _wrong(program, data):
+        changes += EFFECTS[SEEN](query, data, Validity.VALID)  # it was stopped, but has seen the body
     missed = evaluation.step.args.get("missed")
     if isinstance(missed, str) and missed in EFFECTS and failure.retriable and not data.closing and not data.trims_used:
         changes += EFFECTS[missed](query, data, Validity.SUSPECT)
@@ -177,7 +204,11 @@ def _ways_to_clear(program: AnalyzerProgram, query: WorldQuery, changes: Changes
     """The advice that clears the facts made suspect by these changes, without duplicates."""
     after = WorldQuery(query.model, query.world.overlay(changes))
     suspect = [change.key for change in changes if change.validity is Validity.SUSPECT]
-    clears = {**program.clears, "grasp": program.clears["misplaced"]} if misplaced else program.clears
+    clears = program.clears
+    if misplaced:
+        held = next((change.key for change in changes if change.key.endswith(".grasp")), "").rpartition(".")[0]
+        row = "seen" if "seen" in clears and held and after.cameras(held) else "misplaced"
+        clears = {**clears, "grasp": clears[row]}
     advice = [after.clears(key, clears) for key in suspect if key.rpartition(".")[2] in clears]
     return list(dict.fromkeys(advice))
 
@@ -342,14 +373,16 @@ def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:
         "measured": "?" if report.measured is None else f"{report.measured:.3g}",
         "limit": "the" if report.limit is None else f"{report.limit:.3g}",
         "unit": UNITS.get(report.reason, ""),
-        "message": report.message or evaluation.arm,
+        "message": report.message or evaluation.arm or report.performer,
         "arm": evaluation.arm,
-        "object": evaluation.context.object or evaluation.held or "the object",
+        "camera": report.performer,
+        "object": evaluation.body or evaluation.context.object or evaluation.held or "the object",
         "target": evaluation.context.target or "the seat",
         "point": evaluation.context.grasp_point,
         "width": f"{report.hand_width_m * 1000:.1f}",
         "wanted": f"{least * 1000:.0f} to {most * 1000:.0f}",
         "off": f"{_off_m(data) * 1000:.1f}",
+        "turned": f"{math.degrees(_turned_rad(data)):.1f}",
     }
     for name, text in figures.items():
         message = message.replace("{" + name + "}", text)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from rtc.protocol.messages import AnalyzerInput, Validity, WorldChange
 from rtc.robot import geometry
 from workers.analyzer import touch
+from workers.analyzer.sighting import sighted
 from workers.planning.world_query import WorldQuery
 
 Changes = list[WorldChange]
@@ -142,4 +143,5 @@ EFFECTS: dict[str, Callable[[WorldQuery, AnalyzerInput, Validity], Changes]] = {
     "pinched": pinched,
     "passed": passed,
     "landed": landed,
+    "sighted": sighted,
 }

@@ -40,7 +40,7 @@ from rtc.robot import geometry
 from rtc.robot.axis_names import AXES
 from rtc.robot.geometry import Floats
 from rtc.world.model import World
-from workers.binder import impact, replan, stop_conditions
+from workers.binder import impact, look, replan, stop_conditions
 from workers.binder.impact import Impact
 from workers.binder.stop_conditions import Values
 from workers.planning import advice, axes, certainty, curves, segments, suggestions
@@ -58,6 +58,7 @@ NEEDS_WORLD = True
 NEEDS_CELL = True
 
 SUBSYSTEM = "MCM"
+PERFORMERS = ("active_arm", look.CAMERA)
 TELLER = "OPERATOR"  # performer in the report of facts that a command states
 LEAST_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
 LEAST_STEP_M = 0.001  # minimum length of a line with a defined direction
@@ -91,8 +92,8 @@ def run(compiled: BinderProgram, cell: CellModel | None, world: World | None, da
     assert cell is not None
     assert world is not None
     step = data.step
-    if step.who != "active_arm":
-        return refused_program(f"a step for {step.who}", "only the active arm can perform steps")
+    if step.who not in PERFORMERS:
+        return refused_program(f"a step for {step.who}", f"performers of steps are {', '.join(PERFORMERS)}")
     if step.do not in compiled.actions:
         return refused_program(f"unknown action {step.do}", f"there are {', '.join(compiled.actions)}")
     try:
@@ -379,6 +380,17 @@ def bind_still(task: BindTask) -> BoundStep | Refusal:
     return primitive(task, stop_class, values, HoldStill(duration_s=duration_s), evaluation, None, "", timed=False)
 
 
+# --- a camera --------------------------------------------------------------------------------------------
+
+
+def bind_look(task: BindTask) -> BoundStep | Refusal:
+    stop_class = task.stop_class(task.data.step.stop)
+    if isinstance(stop_class, Refusal):
+        return stop_class
+    values = stop_conditions.figures_in_force(task.program, stop_class, task.query, task.data)
+    return look.bind(task.query, task.data, stop_class, values)
+
+
 # --- the primitive ---------------------------------------------------------------------------------------
 
 
@@ -628,5 +640,6 @@ ACTIONS: dict[str, Action] = {
     "assign": bind_assignment,
     "told": bind_stated_facts,
     "procedure": bind_procedure,
+    "look": bind_look,
 }
 PROCEDURES: dict[str, Action] = {"open_hand": open_hand, "lay_down_plan": restate_plan}

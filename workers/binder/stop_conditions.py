@@ -39,6 +39,7 @@ from rtc.protocol.primitive import (
     TimeAbove,
     TorqueAbove,
     TurnAbove,
+    UnseenAbove,
     Vector,
 )
 from workers.binder import reflexes
@@ -68,6 +69,7 @@ MAKERS: dict[str, Callable[[float, Vector | None, Line, Values], Predicate]] = {
     "hand-width-below": lambda limit, axis, line, values: HandWidthBelow(limit),
     "no-progress": lambda limit, axis, line, values: NoProgress(behind_m=limit, force_n=values["jam_n"]),
     "turn-above": lambda limit, axis, line, values: TurnAbove(limit_rad=limit, axis=line.axis, point=line.point),
+    "unseen-above": lambda limit, axis, line, values: UnseenAbove(limit),
 }
 #: limit of MAINTAIN -> the figure that it tightens
 TIGHTENED = {"speed_m_s": "speed_m_s", "force_n": "force_n", "torque_nm": "torque_nm"}

@@ -23,6 +23,7 @@ from rtc.programs.schema import PlanLine, ScriptFile, ScriptStep
 from rtc.protocol.messages import Binding, Way
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
+from rtc.world.model import location
 from workers.elaborator import anchors
 from workers.elaborator.anchors import ANCHORS, Anchor
 from workers.elaborator.task_candidate import TaskCandidate
@@ -32,6 +33,7 @@ from workers.planning.motion.timing import Pace
 from workers.planning.segments import Target
 
 MOST_DETOURED = 3  # maximum number of inverse solutions to which ways round are searched
+FRAME = "frame"  # attribute of a pose that cameras sense
 PLAN = "/plan"  # suffix: NAME/plan is the pose from which the joint values NAME were solved, for `replan`
 
 
@@ -42,6 +44,11 @@ class Planned:
     notes: list[str]
     chosen: bool  # one of several inverse solutions was chosen
     ways: dict[int, Way]  # free way of the first segment, by index of its step in the script
+    doubtful: list[str]  # bodies whose poses it uses although they are not trusted: a camera looks for them first
+
+    @staticmethod
+    def nothing() -> Planned:
+        return Planned({}, [], [], False, {}, [])
 
 
 def plan(script: ScriptFile, candidate: TaskCandidate) -> Planned | Refusal:
@@ -51,16 +58,29 @@ def plan(script: ScriptFile, candidate: TaskCandidate) -> Planned | Refusal:
         return lines
     relies_on = [key for anchor in lines.values() for key in anchor.relies_on]
     relies_on = list(dict.fromkeys(relies_on))
+    doubtful: list[str] = []
     for key in relies_on:
         distrusted = candidate.query.distrusted(key, candidate.program.clears)
-        if distrusted is not None:
+        if distrusted is not None and not _can_be_seen(key, candidate):
             return distrusted
+        if distrusted is not None:
+            doubtful.append(location(key))
     solved = _search(script, candidate, lines)
     if isinstance(solved, Refusal):
         return solved
     joints, notes, ways = solved
     chosen = any(line.solve and lines[line.name].joints is None for line in script.plan)
-    return Planned(_bindings(lines, joints), relies_on, notes, chosen, ways)
+    return Planned(_bindings(lines, joints), relies_on, notes, chosen, ways, doubtful)
+
+
+def _can_be_seen(key: str, candidate: TaskCandidate) -> bool:
+    """Whether a camera can sense this fact before the script begins (R151): the pose of a free object.
+
+    Poses in its axes are restated after the look. Those that depend on a seat or a grasp are fixed in the plan."""
+    body = location(key)
+    free = any(thing.name == body for thing in candidate.query.cell.objects) and not candidate.query.held_by(body)
+    senses = FRAME in candidate.program.senses and key == f"{body}.{FRAME}"
+    return senses and free and bool(candidate.query.cameras(body))
 
 
 # --- the poses, backwards from the goal ------------------------------------------------------------------

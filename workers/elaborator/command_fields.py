@@ -19,8 +19,7 @@ from workers.planning import suggestions
 
 #: Fields of the record that scripts need not list: others act on them, or this module checks them.
 EVERYWHERE = frozenset({"kind", "verb", "test", "constraints", "guarded", "reflexes", "report", "after", "now"}) | {
-    "together_with",
-    "performer",
+    "together_with"
 }
 
 
@@ -60,20 +59,26 @@ def in_words(path: str) -> str:
     return _WORDS.get(path, path)
 
 
-def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal | None:
-    """Refuse a field that this release does not support; None if there is none."""
+def refuse_unsupported(program: ElaboratorProgram, parsed: ParsedCommand, *, cameras: bool = False) -> Refusal | None:
+    """Refuse a field that this release does not support; None if there is none. `cameras`: VIA may name one."""
     checks = [check for branch in program.decision_tree if branch.verb == parsed.verb for check in branch.when]
     chosen_by = {(name, value) for check in checks for name, value in check.equals.items()}
     for name, why in program.not_yet.items():
         value = field(parsed, name)
+        if cameras and name == "performer":
+            continue
         if value is not None and not (isinstance(value, str) and (name, value) in chosen_by):
             return _refused(why, name, f"leave out {in_words(name)}")
     return None
 
 
-def refuse_unused_field(parsed: ParsedCommand, script: str, uses: list[str]) -> Refusal | None:
-    """Refuse a field that is set but not used by the script; None if there is none."""
+def refuse_unused_field(
+    parsed: ParsedCommand, script: str, uses: list[str], *, performer: bool = False
+) -> Refusal | None:
+    """Refuse a field that is set but not used by the script; None if there is none. `performer`: VIA has chosen it."""
     for name in parsed.__struct_fields__:
+        if name == "performer" and performer:
+            continue
         if name not in EVERYWHERE and name not in uses and field(parsed, name) is not None:
             words = in_words(name)
             message = f"{parsed.verb} does not take {words}: its script {script} has no use for it"

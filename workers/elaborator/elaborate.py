@@ -1,13 +1,14 @@
 """Elaborator worker function: (program, parsed command, world) -> script, or a refusal with the cause.
 
-It looks up the verb in the decision tree, resolves arm, object and grasp point, and ranks the options. It plans the
-bindings of each option backwards from the goal until one is feasible, and returns its steps with their trims. The other
-options are not tried once the script is executed (R75). The program alone defines the verbs and their scripts.
+It looks up the verb in the decision tree, resolves arm or camera, object and grasp point, and ranks the options. It
+plans the bindings of each option backwards from the goal until one is feasible, and returns its steps with their trims.
+The other options are not tried once the script is executed (R75). The program alone defines the verbs and their
+scripts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -25,8 +26,8 @@ from rtc.protocol.primitive_id import seed_of
 from rtc.robot import geometry
 from rtc.world.model import World
 from workers.binder import reflexes
-from workers.elaborator import anchors, command_fields, preconditions, set_fact
-from workers.elaborator.backtrack import plan
+from workers.elaborator import anchors, command_fields, look, preconditions, set_fact
+from workers.elaborator.backtrack import FRAME, Planned, plan
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import certainty, suggestions
 from workers.planning.robot_models import CellModel
@@ -36,6 +37,7 @@ INPUT = ElaboratorInput
 NEEDS_WORLD = True
 NEEDS_CELL = True
 
+CAMERA = "camera"  # performer of steps that look
 FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
 
 
@@ -72,7 +74,9 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     if not branches:
         return _no_script(program, parsed)
     limits = command_fields.limits(program, parsed, cell.cell)
-    problem = command_fields.refuse_unsupported(program, parsed) or command_fields.refuse_report_interval(parsed)
+    cameras = any("camera" in compiled.scripts[branch.script].resources for branch in branches)
+    problem = command_fields.refuse_unsupported(program, parsed, cameras=cameras)
+    problem = problem or command_fields.refuse_report_interval(parsed)
     if isinstance(limits, Refusal) or problem is not None:
         return problem or limits  # type: ignore[return-value]
     for reflex in parsed.reflexes:
@@ -86,10 +90,14 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     query = WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving)
     if parsed.kind == "data":
         return set_fact.script(program, compiled.scripts[branches[0].script], parsed, query)
-    candidates = _candidates(compiled, parsed, limits, query)
-    if isinstance(candidates, Refusal):
-        return candidates
-    options = _ranked(branches, candidates)
+    branches = [branch for branch in branches if _fits_sentence(branch, parsed)] or branches
+    candidates: list[TaskCandidate] = []
+    for looks in sorted({_looks(compiled.scripts[branch.script]) for branch in branches}):
+        found = (look.candidates if looks else _candidates)(compiled.program, compiled.scripts, parsed, limits, query)
+        if isinstance(found, Refusal):
+            return found
+        candidates += found
+    options = _ranked(branches, candidates, compiled.scripts)
     if isinstance(options, Refusal):
         return options
     if not options:
@@ -100,16 +108,25 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
 # --- resolve arm, object, point and target ---------------------------------------------------------------
 
 
+def _looks(script: ScriptFile) -> bool:
+    """Whether only a camera works for this script."""
+    return "camera" in script.resources and "active_arm" not in script.resources
+
+
 def _candidates(
-    compiled: Compiled, parsed: ParsedCommand, limits: Limits, query: WorldQuery
+    program: ElaboratorProgram,
+    scripts: Mapping[str, ScriptFile],
+    parsed: ParsedCommand,
+    limits: Limits,
+    query: WorldQuery,
 ) -> list[TaskCandidate] | Refusal:
     """One candidate per arm and grasp point that the sentence allows, nearest first."""
-    cell, program = query.cell, compiled.program
+    cell = query.cell
     thing: parts.Object | None = None
     if parsed.object is not None:
         found = _part(cell.objects, parsed.object, "object")
         if isinstance(found, Refusal):
-            return _or_a_hand(found, compiled, parsed, cell)
+            return _or_a_hand(found, program, parsed, cell)
         thing = found
     target: parts.Seat | None = None
     if parsed.target is not None:
@@ -118,7 +135,7 @@ def _candidates(
             return seat
         target = seat
     arms = _arms(parsed, query, thing)
-    points = arms if isinstance(arms, Refusal) else _points(compiled, parsed, thing)
+    points = arms if isinstance(arms, Refusal) else _points(program, scripts, parsed, thing)
     if isinstance(arms, Refusal) or isinstance(points, Refusal):
         return arms if isinstance(arms, Refusal) else points  # type: ignore[return-value]
     candidates = []
@@ -131,9 +148,9 @@ def _candidates(
     return sorted(candidates, key=_far)
 
 
-def _or_a_hand(unknown: Refusal, compiled: Compiled, parsed: ParsedCommand, cell: cells.Cell) -> Refusal:
+def _or_a_hand(unknown: Refusal, program: ElaboratorProgram, parsed: ParsedCommand, cell: cells.Cell) -> Refusal:
     """Refusal for an unknown object. If the verb also takes a hand without an object, arms are expected as well."""
-    takers = [row for row in compiled.program.decision_tree if row.verb == parsed.verb]
+    takers = [row for row in program.decision_tree if row.verb == parsed.verb]
     hands = any(check.missing == "object" for row in takers for check in row.when)
     if parsed.hand is not None or not hands:
         return unknown
@@ -164,11 +181,14 @@ def _arms(parsed: ParsedCommand, query: WorldQuery, thing: parts.Object | None) 
 
 
 def _points(
-    compiled: Compiled, parsed: ParsedCommand, thing: parts.Object | None
+    program: ElaboratorProgram,
+    scripts: Mapping[str, ScriptFile],
+    parsed: ParsedCommand,
+    thing: parts.Object | None,
 ) -> list[parts.GraspPoint | None] | Refusal:
     """The grasp point named in the sentence; else all; [None] if no script of the verb uses a grasp point."""
-    scripts = [compiled.scripts[b.script] for b in compiled.program.decision_tree if b.verb == parsed.verb]
-    if thing is None or not any("grasp_point" in script.uses for script in scripts):
+    chosen = [scripts[b.script] for b in program.decision_tree if b.verb == parsed.verb]
+    if thing is None or not any("grasp_point" in script.uses for script in chosen):
         return [None]
     if parsed.grasp_point is None:
         return [*thing.grasp_points] or [None]
@@ -187,11 +207,14 @@ def _part(choices: list[T], name: str, what: str) -> T | Refusal:
 # --- choose the script -----------------------------------------------------------------------------------
 
 
-def _ranked(branches: list[Branch], candidates: list[TaskCandidate]) -> list[ScriptOption] | Refusal:
+def _ranked(
+    branches: list[Branch], candidates: list[TaskCandidate], scripts: Mapping[str, ScriptFile]
+) -> list[ScriptOption] | Refusal:
     """All pairs of branch and candidate whose conditions hold: the likeliest first, then the nearest."""
     options = []
     for branch in branches:
-        for candidate in candidates:
+        looks = _looks(scripts[branch.script])
+        for candidate in (one for one in candidates if (one.hand is None) == looks):
             try:
                 if all(_holds(check, candidate) for check in branch.when):
                     options.append(ScriptOption(branch, candidate))
@@ -205,15 +228,23 @@ def _ranked(branches: list[Branch], candidates: list[TaskCandidate]) -> list[Scr
     return sorted(options, key=lambda c: -c.branch.likelihood)
 
 
-def _holds(check: BranchCondition, candidate: TaskCandidate) -> bool:
-    parsed = candidate.parsed
+def _fits_sentence(branch: Branch, parsed: ParsedCommand) -> bool:
+    """Whether the conditions on the sentence alone hold."""
+    return all(_holds_for(check, parsed) for check in branch.when)
+
+
+def _holds_for(check: BranchCondition, parsed: ParsedCommand) -> bool:
     if check.given and command_fields.field(parsed, check.given) is None:
         return False
     if check.missing and command_fields.field(parsed, check.missing) is not None:
         return False
     if any(command_fields.field(parsed, path) != value for path, value in check.equals.items()):
         return False
-    if any(command_fields.field(parsed, path) == value for path, value in check.differs.items()):
+    return not any(command_fields.field(parsed, path) == value for path, value in check.differs.items())
+
+
+def _holds(check: BranchCondition, candidate: TaskCandidate) -> bool:
+    if not _holds_for(check, candidate.parsed):
         return False
     if check.of is None:
         return True
@@ -266,17 +297,18 @@ def _script(
     compiled: Compiled, option: ScriptOption, options: list[ScriptOption], notes: list[str]
 ) -> Script | Refusal:
     candidate, script = option.candidate, compiled.scripts[option.branch.script]
-    problem = command_fields.refuse_unused_field(candidate.parsed, script.script, script.uses)
+    chosen = any("performer" in check.equals for check in option.branch.when)
+    problem = command_fields.refuse_unused_field(candidate.parsed, script.script, script.uses, performer=chosen)
     problem = problem or command_fields.refuse_without_effect(candidate.program, candidate.parsed, script)
     problem = problem or _too_tight(candidate)
     for need in script.needs:
         problem = problem or preconditions.refuse_if_unmet(need, candidate)
     if problem is None and (place := candidate.parsed.place) is not None and place.name:
         problem = anchors.refuse_unknown_place(candidate.query.cell, place.name)  # a wrong name before doubtful facts
-    problem = problem or _unsure_grasp(script, candidate)
+    problem = problem or (_unsure_grasp(script, candidate) if candidate.hand else None)
     if problem is not None:
         return problem
-    planned = plan(script, candidate)
+    planned = plan(script, candidate) if candidate.hand else Planned.nothing()
     if isinstance(planned, Refusal):
         return planned
     try:
@@ -287,13 +319,15 @@ def _script(
         nominal = [_step(step, candidate, entries, nominal=True) for step in script.steps]
         for index, way in planned.ways.items():
             nominal[index] = msgspec.structs.replace(nominal[index], way=way)
-        steps = [*_sensed_first(compiled, candidate), *nominal]
+        steps = [*_sensed_first(compiled, candidate, planned.doubtful), *nominal]
     except expressions.ExpressionError as error:
         return Refusal(reason=RefusalReason.PROGRAM, message=f"{script.script}: {error}", where=script.script)
-    lacks = _refuse_if_uncertain(steps, candidate)
+    lacks = _refuse_if_uncertain(steps, candidate) if candidate.hand else None
     if lacks is not None:
         return lacks
-    held = candidate.query.holding(candidate.arm.name)
+    held = candidate.query.holding(candidate.arm.name) if candidate.hand else ""
+    looking = [*steps, *(step for entry in entries for step in entry.steps)]
+    cameras = [str(step.args["camera"]) for step in looking if step.who == CAMERA]
     case = script.case if script.case >= FIRST_SKILL else 1 if len(options) == 1 and not planned.chosen else 2
     return Script(
         context=_context(option, candidate, entries),
@@ -301,8 +335,10 @@ def _script(
         steps=steps,
         trims=entries,
         bindings=planned.bindings,
-        resources=_names(script.resources, candidate, held),
-        writes=_names(script.writes, candidate, held),
+        resources=list(dict.fromkeys([*_names(script.resources, candidate, held), *cameras])),
+        writes=list(
+            dict.fromkeys([*_names(script.writes, candidate, held), *_with_seats(candidate, planned.doubtful)])
+        ),
         reads=[key.rpartition(".")[0] for key in planned.relies_on],
         candidates=[option.name, *(c.name for c in options if c is not option)],
         notes=[*notes, *(f"{option.name}: {note}" for note in planned.notes), *left_out],
@@ -325,8 +361,8 @@ def _context(option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]
     return ScriptContext(
         verb=candidate.parsed.verb,
         script=option.branch.script,
-        arm=candidate.arm.name,
-        object=candidate.thing.name if candidate.thing else "",
+        arm=candidate.hand.name if candidate.hand else "",
+        object=candidate.body,
         grasp_point=candidate.point.name if candidate.point else "",
         target=candidate.target.name if candidate.target else "",
         limits=candidate.limits,
@@ -339,12 +375,27 @@ def _context(option: ScriptOption, candidate: TaskCandidate, entries: list[Trim]
 
 def _names(roles: list[str], candidate: TaskCandidate, held: str) -> list[str]:
     """The names that the roles stand for; includes the held object, because it moves with the arm."""
-    stands_for = {**candidate.roles, "its_seat": candidate.query.seat(candidate.thing.name) if candidate.thing else ""}
-    return list(dict.fromkeys(name for name in (*(stands_for.get(role, role) for role in roles), held) if name))
+    query, thing = candidate.query, candidate.thing.name if candidate.thing else ""
+    stands_for = {name: [role] for name, role in candidate.roles.items()}
+    stands_for["its_seat"] = [query.seat(thing)] if thing else []
+    stands_for["its_holder"] = [query.held_by(thing)] if thing else []
+    stands_for["its_content"] = [
+        one.name
+        for one in query.cell.objects
+        if candidate.seat is not None and query.seat(one.name) == candidate.seat.name
+    ]
+    found = [name for role in roles for name in stands_for.get(role, [role])]
+    return list(dict.fromkeys(name for name in (*found, held) if name))
 
 
-def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nominal: bool) -> Step:
-    """The step for this candidate, with evaluated figures and filled-in words."""
+def _with_seats(candidate: TaskCandidate, doubtful: list[str]) -> list[str]:
+    """These objects, and the seats that they are in."""
+    return [name for body in doubtful for name in (body, candidate.query.seat(body)) if name]
+
+
+def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nominal: bool, body: str = "") -> Step:
+    """The step for this candidate, with evaluated figures and filled-in words. `body`: what a camera looks for; empty:
+    the object."""
     known = {entry.n for entry in entries}
     index, count = step.trim
     asked = [] if not nominal else [n for n in range(index, index + count) if n in known]
@@ -354,9 +405,12 @@ def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nomin
     if report is not None and report.every_s is not None:
         figures["report_every_s"] = report.every_s
     words = {name: candidate.fill_in(word) for name, word in step.words.items()}
+    camera, body = _camera_for(step, candidate, body), body or candidate.body
+    if camera is not None:
+        figures |= {"camera": camera.name, "body": body}
     return Step(
         do=step.do,
-        label=candidate.fill_in(step.label),
+        label=candidate.fill_in(step.label.replace("{body}", body).replace("{camera}", camera.name if camera else "")),
         name=step.name,
         who=step.who,
         to=step.to,
@@ -371,13 +425,23 @@ def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nomin
     )
 
 
-def _sensed_first(compiled: Compiled, candidate: TaskCandidate) -> list[Step]:
-    """Steps that sense untrusted facts of the arm; they precede the steps of the script."""
-    senses = compiled.program.senses
-    unknown = [
-        piece for attribute, piece in senses.items() if not candidate.query.trusts(f"{candidate.arm.name}.{attribute}")
-    ]
-    return [_step(step, candidate, [], nominal=False) for piece in unknown for step in compiled.pieces[piece].steps]
+def _camera_for(step: ScriptStep, candidate: TaskCandidate, body: str) -> parts.Camera | None:
+    if step.who != CAMERA:
+        return None
+    return candidate.camera if body in ("", candidate.body) else candidate.query.cameras(body)[0]
+
+
+def _sensed_first(compiled: Compiled, candidate: TaskCandidate, doubtful: list[str]) -> list[Step]:
+    """Steps that sense untrusted facts of the arm, and poses that the plan relies on; they precede the steps of the
+    script. `doubtful`: bodies that a camera can see."""
+    if candidate.hand is None:
+        return []
+    senses, pieces, trusts = compiled.program.senses, compiled.pieces, candidate.query.trusts
+    unknown = [name for name in senses if name != FRAME and not trusts(f"{candidate.arm.name}.{name}")]
+    steps = [_step(step, candidate, [], nominal=False) for name in unknown for step in pieces[senses[name]].steps]
+    for body in doubtful:
+        steps += [_step(step, candidate, [], nominal=False, body=body) for step in pieces[senses[FRAME]].steps]
+    return steps
 
 
 MOST_ENTRIES = 100  # maximum size of a trimming stack; trims of the sentence (AND TRY) have higher numbers
@@ -392,6 +456,9 @@ def _trims(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> 
         label = f"{entry.skill} {candidate.roles.get(entry.who, entry.who)}"
         if piece is None:
             left_out.append(f"trim {entry.n} ({label}) is left out: there is no piece of script for {entry.skill}")
+            continue
+        if any(step.who == CAMERA for step in piece.steps) and candidate.camera is None:
+            left_out.append(f"trim {entry.n} ({label}) is left out: no camera can see {candidate.body}")
             continue
         steps = [_step(step, candidate, [], nominal=False) for step in piece.steps]
         entries.append(Trim(n=entry.n, label=label, steps=steps, then=entry.then, fits=entry.fits))
@@ -463,8 +530,8 @@ def _unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | Non
 
 def _too_tight(candidate: TaskCandidate) -> Refusal | None:
     """Refuse a grip force that the hand does not have, before any motion."""
-    grip_n, arm = candidate.limits.grip_force_n, candidate.arm
-    if grip_n is None or grip_n <= arm.gripper.max_force_n:
+    grip_n, arm = candidate.limits.grip_force_n, candidate.hand
+    if grip_n is None or arm is None or grip_n <= arm.gripper.max_force_n:
         return None
     most_n = arm.gripper.max_force_n
     return Refusal(

@@ -1,4 +1,4 @@
-"""One candidate for performing a command: arm, object, grasp point, target, and the figures for its script. Pure.
+"""One candidate for performing a command: arm or camera, object, grasp point, target, and figures. Pure.
 
 `figures` are the variables of a script's expressions. Sources in order of increasing priority: numbers of the cell, the
 command-object table, the hand, the object, the sentence.
@@ -31,18 +31,36 @@ class TaskCandidate:
     program: ElaboratorProgram
     parsed: ParsedCommand
     limits: Limits
-    arm: parts.Arm
+    hand: parts.Arm | None  # None: only a camera works
     thing: parts.Object | None
     point: parts.GraspPoint | None
     target: parts.Seat | None
     figures: dict[str, float]
+    via: parts.Camera | None = None  # the camera of a command that only looks
+    seat: parts.Seat | None = None  # what that camera looks for, if it is a seat
+
+    @property
+    def arm(self) -> parts.Arm:
+        assert self.hand is not None, "a script without an arm needs none"
+        return self.hand
+
+    @property
+    def body(self) -> str:
+        """The object, or the seat that a camera looks for."""
+        return self.thing.name if self.thing else self.seat.name if self.seat else ""
+
+    @cached_property
+    def camera(self) -> parts.Camera | None:
+        """The camera that looks for the object; None: none can see it."""
+        return self.via or next(iter(self.query.cameras(self.body)), None)
 
     @cached_property
     def texts(self) -> dict[str, str]:
         """Values of {arm} and the other placeholders in the words of a script."""
         return {
-            "arm": self.arm.name,
-            "object": self.thing.name if self.thing else "",
+            "arm": self.hand.name if self.hand else "",
+            "object": self.body,
+            "camera": self.via.name if self.via else "",
             "point": self.point.name if self.point else "",
             "target": self.target.name if self.target else "",
             "axis": (self.parsed.place.along if self.parsed.place else None) or "TOOL-Z",
@@ -71,8 +89,9 @@ class TaskCandidate:
     def roles(self) -> dict[str, str]:
         """Values of active_arm and the other roles in the resources of a script."""
         return {
-            "active_arm": self.arm.name,
-            "active_object": self.thing.name if self.thing else "",
+            "active_arm": self.hand.name if self.hand else "",
+            "active_object": self.body,
+            "camera": self.via.name if self.via else "",
             "target": self.target.name if self.target else "",
         }
 
@@ -109,7 +128,7 @@ def figures_of(
     program: ElaboratorProgram,
     parsed: ParsedCommand,
     query: WorldQuery,
-    arm: parts.Arm,
+    arm: parts.Arm | None,
     thing: parts.Object | None,
     point: parts.GraspPoint | None,
     target: parts.Seat | None,
@@ -120,7 +139,8 @@ def figures_of(
     if isinstance(row, Refusal):
         return row
     figures |= row
-    figures |= {"opening_m": arm.gripper.max_opening_m, "hand_width_m": query.hand_width(arm.name)}
+    if arm is not None:
+        figures |= {"opening_m": arm.gripper.max_opening_m, "hand_width_m": query.hand_width(arm.name)}
     between = point or (query.point_in_hand(thing.name) if thing and query.held_by(thing.name) else None)
     if between is not None:
         figures["grasp_width_m"] = between.width_m

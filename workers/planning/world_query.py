@@ -23,7 +23,7 @@ from rtc.robot.collision import Held, Scene
 from rtc.robot.geometry import Array
 from rtc.world.model import World
 from rtc.world.spread import EXACT, Spread
-from workers.planning import axes, pose_spread
+from workers.planning import axes, pose_spread, sight
 from workers.planning.motion.constraints import Rules
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import Pace
@@ -113,6 +113,14 @@ class WorldQuery:
         frame = self.world.value(f"{thing}.frame")
         return self.cell.object_pose(thing) if frame is None else geometry.normalise(frame)
 
+    def pose(self, body: str) -> Array:
+        """The frame of an object or seat, trusted or not."""
+        return self.seat_frame(body) if any(seat.name == body for seat in self.cell.seats) else self.frame(body)
+
+    def cameras(self, body: str) -> list[parts.Camera]:
+        """The cameras that can see an object or seat where it is believed to be, the best one first."""
+        return sight.cameras(self.cell, body, self.pose(body), self.tcp)
+
     def spread(self, key: str) -> Spread:
         """Uncertainty of the pose of this fact; EXACT if the fact has none."""
         fact = self.world.get(key)
@@ -177,7 +185,10 @@ class WorldQuery:
         """What would make this fact trusted again. For a held object, clearing the grasp also clears the frame."""
         location, _, attribute = key.rpartition(".")
         holder = self.held_by(location)
-        words = clears.get("grasp" if attribute == "frame" and holder else attribute, "sense {location} again")
+        row = "grasp" if attribute == "frame" and holder else attribute
+        if row == "frame" and "seen" in clears and self.cameras(location):
+            row = "seen"
+        words = clears.get(row, "sense {location} again")
         if "{position}" in words:
             frame = self.frame(location)
             words = words.replace("{position}", _figures(100 * frame[:3]))

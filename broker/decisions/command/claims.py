@@ -23,7 +23,8 @@ def _named(context: DecisionContext, head: ParsedHead) -> Claim:
             claim[head.object] = False
         for hand in (head.hand, head.to_hand):
             if hand == BOTH_ARMS:
-                claim.update({p: True for s in context.state.subsystems.values() for p in s.performers})
+                performers = (p for s in context.state.subsystems.values() for p in s.performers if p not in s.queues)
+                claim.update(dict.fromkeys(performers, True))
             elif hand:
                 claim[hand] = True
     return claim

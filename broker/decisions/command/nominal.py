@@ -17,7 +17,16 @@ from broker.decisions.context import DecisionContext, step_in_words
 from broker.decisions.effects import AcknowledgeReport, SendPrimitive
 from broker.decisions.events import Stimulus
 from broker.decisions.resources import Claim
-from broker.decisions.state import NIL, AssessmentHead, BoundHead, Command, LinkState, PendingOutcome, ScriptHead
+from broker.decisions.state import (
+    NIL,
+    AssessmentHead,
+    BoundHead,
+    Command,
+    LinkState,
+    PendingOutcome,
+    ScriptHead,
+    queues_of,
+)
 from rtc.protocol import wire
 from rtc.protocol.messages import EndReport, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
@@ -32,8 +41,9 @@ read_assessment = wire.decoder(AssessmentHead)
 
 def on_elaborated(context: DecisionContext, command: Command, product: msgspec.Raw) -> None:
     script = read_script(product)
+    queues = queues_of(context.state)
     claim: Claim = dict.fromkeys(script.reads, False)
-    claim.update(dict.fromkeys(script.resources, True))
+    claim.update({name: name not in queues for name in script.resources})
     claim.update(dict.fromkeys(script.writes, True))
     halted = [r for r in script.resources if context.state.halted_at_s.get(r, -1.0) > command.given_at_s]
     if halted:
@@ -97,7 +107,8 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
         end(context, command, OutcomeKind.LOST_SUBSYSTEM, message=lost, stop=StopReason.SUBSYSTEM_LOST)
         return
     primitive = read_primitive(result.primitive)
-    if not context.state.resources.held.get(command.id, {}).get(primitive.performer):
+    held = context.state.resources.held.get(command.id, {})
+    if not (held.get(primitive.performer) or (primitive.performer in held and primitive.performer in subsystem.queues)):
         message = f"the step moves {primitive.performer}, which its script has not claimed"
         refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
         return

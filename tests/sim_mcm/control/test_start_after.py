@@ -9,8 +9,8 @@ import pytest
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
+from rtc.subsystem.subsystem import BROKER
 from sim_mcm.arms.kinematic_arm import KinematicCell
-from sim_mcm.control.subsystem import BROKER
 
 ARM, OTHER = "RIGHT-ARM", "LEFT-ARM"
 

@@ -10,9 +10,9 @@ from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.protocol.wire import frames
 from rtc.runtime.halt_admission import PER_S
+from rtc.subsystem.broker_link import invalid_order
+from rtc.subsystem.subsystem import BROKER, MAX_FENCES, OPEN_HALTS, REPEAT_S, REST_LIMIT_S
 from sim_mcm.arms.kinematic_arm import KinematicCell
-from sim_mcm.control.subsystem import BROKER, MAX_FENCES, OPEN_HALTS, REPEAT_S, REST_LIMIT_S
-from sim_mcm.sockets import invalid_order
 
 ARM, OTHER, CALLER, ANOTHER = "RIGHT-ARM", "LEFT-ARM", b"x.estop", b"y.estop"
 

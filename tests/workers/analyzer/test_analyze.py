@@ -127,6 +127,7 @@ def test_let_go_and_take_again(either):
 def test_nothing_felt_is_mended_once_and_then_reported(either):
     """Without cameras: end-point reached, nothing felt; trim 2 starts over, 15 mm farther on. The second time it is
     a failure, and the hand is drawn back out of where the handle is believed to be."""
+    either.without_cameras()
     either.subsystem.displace("MACS-NEW", [0.0, 0.0265, 0.0])
 
     run = either.do(GRASP)
@@ -143,6 +144,7 @@ def test_nothing_felt_is_mended_once_and_then_reported(either):
 
 def test_the_first_failure_is_mended_and_the_second_try_succeeds(bench):
     """R77: the second search begins where the first has ended, and so finds what lies beyond."""
+    bench.without_cameras()
     bench.subsystem.displace("MACS-NEW", [0.0, 0.020, 0.0])
 
     run = bench.do(GRASP)
@@ -437,6 +439,7 @@ def test_what_a_halt_has_put_in_doubt_is_trusted_again_when_the_fingers_feel_it(
 
 
 def test_fingers_that_close_on_nothing_have_lost_it(bench):
+    bench.without_cameras()
     bench.do(GRASP)
     bound, report = bound_and_done(bench, "VERIFY MACS-NEW AT RIGHT-ARM")
 

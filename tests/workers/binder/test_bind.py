@@ -409,6 +409,7 @@ def test_a_time_limit_that_cannot_be_kept_is_reported_before_the_start(bench):
 
 def test_a_suspect_frame_is_bound_upon_only_by_the_command_that_doubts_it(bench):
     """R151; a script has foreseen the doubts it raises itself, and is about to mend them."""
+    bench.without_cameras()
     bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM")
     script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
     doubt = [WorldChange(key="MACS-NEW.frame", keep_value=True, validity=Validity.SUSPECT)]

@@ -29,6 +29,7 @@ def refused(bench, sentence: str) -> Refusal:
 
 
 def test_a_suspect_frame_is_trusted_again_when_it_is_stated(bench):
+    bench.without_cameras()
     bench.set_fact("MACS-NEW.frame", bench.world.value("MACS-NEW.frame"), Validity.SUSPECT)
     assert refused(bench, GRASP).reason is RefusalReason.SUSPECT
 
@@ -39,6 +40,7 @@ def test_a_suspect_frame_is_trusted_again_when_it_is_stated(bench):
 
 
 def test_what_the_refusal_says_would_clear_it_clears_it(bench):
+    bench.without_cameras()
     bench.set_fact("MACS-NEW.frame", [0.7912, -0.8, 0.6, 0, 0, 0, 1], Validity.SUSPECT)
     advice = refused(bench, GRASP).clears
 
@@ -49,6 +51,7 @@ def test_what_the_refusal_says_would_clear_it_clears_it(bench):
 
 
 def test_the_refusal_says_how_the_thing_is_turned(bench):
+    bench.without_cameras()
     askew = geometry.from_rpy([0.79, -0.80, 0.60], [0.0, 0.0, math.radians(12)])
     bench.set_fact("MACS-NEW.frame", askew.tolist(), Validity.SUSPECT)
     advice = refused(bench, GRASP).clears.partition("state it: ")[2].partition(",")[0]

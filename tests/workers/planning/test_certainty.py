@@ -15,6 +15,7 @@ PLACE = "PLACE MACS-NEW ON RACK-1"
 
 @pytest.fixture
 def holding(bench):
+    bench.without_cameras()
     for sentence in (GRASP, "LIFT MACS-NEW BY 15 CM"):
         assert bench.do(sentence).succeeded
     return bench

@@ -1,0 +1,193 @@
+"""The driver of the cameras: a thread that takes one picture at a time and finds the tags in it.
+
+Cameras are simulated. A picture is drawn by a process of its own (`rtc.runtime.renderer`) from the true scene, which
+goes to that process and nowhere else: from here on there are pixels. The drawing process starts with the first picture
+and ends after IDLE_S without one. A driver of real cameras replaces `SimulatedCameras`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import socket
+import threading
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import zmq
+from numpy.typing import NDArray
+
+from rtc.cells.cell import Cell
+from rtc.cells.scene import true_scene
+from rtc.perception.camera import Evaluated
+from rtc.protocol import messages as m
+from rtc.protocol.outcomes import RtcError, TimedOut
+from rtc.protocol.wire import frames, reader
+from rtc.robot import geometry
+from rtc.runtime.process import inbox, now_s, open_socket
+from rtc.runtime.renderer import Renderer
+from rtc.runtime.settings import Settings
+from rtc.sensing import optics
+
+IDLE_S = 30.0  # after this time without a picture the drawing process ends
+TRUTH_S = 1.0  # time limit for the state of the simulation
+STILL_M, STILL_RAD = 0.0005, 0.001  # a camera on an arm must move less than this while it takes a picture
+
+
+class Photograph(NamedTuple):
+    at_s: float  # time of the exposure
+    pixels: NDArray[np.uint8]
+    tcp: list[float] | None  # measured pose of the hand that carries the camera, world frame
+
+
+class Cameras(Protocol):
+    def photograph(self, camera: str) -> Photograph:
+        """Raises RtcError without a picture."""
+
+    def rest(self) -> None:
+        """Release what only pictures need."""
+
+
+class SimulatedCameras:
+    """Cameras of a simulated cell. Used by one thread."""
+
+    def __init__(self, settings: Settings, cell: Cell, context: zmq.Context[Any]) -> None:
+        self._settings, self._cell, self._context = settings, cell, context
+        self._bench: zmq.Socket[bytes] | None = None
+        self._telemetry: zmq.Socket[bytes] | None = None
+        self._renderer: Renderer | None = None
+        self._read, self._read_arms = reader(m.FromSim), reader(m.Telemetry)
+        self._requests = 0
+        self._arms: dict[str, m.ArmSample] = {}
+
+    def photograph(self, camera: str) -> Photograph:
+        arm = self._cell.camera(camera).arm
+        before = self._tcp(arm)
+        at_s, truth = now_s(), self._truth()
+        if self._renderer is None:
+            self._renderer = Renderer()
+            self._renderer.__enter__()
+        try:
+            pixels = self._renderer.photograph(self._settings.cell, camera, true_scene(truth))
+        except RtcError:
+            self.rest()  # the next picture gets a new process
+            raise
+        after = self._tcp(arm)
+        if before is not None and after is not None and _moved(before, after):
+            raise RtcError(f"{arm}, which carries {camera}, moved during the picture")
+        return Photograph(at_s, pixels, before)
+
+    def rest(self) -> None:
+        if self._renderer is not None:
+            self._renderer.__exit__()
+            self._renderer = None
+
+    def _truth(self) -> m.SimTruthReply:
+        """The scene to draw. Raises TimedOut."""
+        bench = self._bench or open_socket(self._context, zmq.DEALER, self._settings.endpoint("bench"))
+        self._bench = bench
+        self._requests += 1
+        name = f"eye-{self._requests}"
+        bench.send_multipart(frames(m.SimTruth(request=name)))
+        limit_s = now_s() + TRUTH_S * self._settings.timeout_scale
+        while (left_s := limit_s - now_s()) > 0.0:
+            if not bench.poll(int(1000 * left_s) + 1):
+                break
+            answer = self._read(bench.recv_multipart())
+            if isinstance(answer, m.SimTruthReply) and answer.request == name:
+                return answer
+        bench.close(linger=0)
+        self._bench = None
+        raise TimedOut("cameras are simulated, and the simulation does not report its state")
+
+    def _tcp(self, arm: str | None) -> list[float] | None:
+        """The hand as measured last; None for a fixed camera. Raises RtcError."""
+        if arm is None:
+            return None
+        telemetry = self._telemetry or open_socket(self._context, zmq.SUB, self._settings.endpoint("telemetry"))
+        if self._telemetry is None:
+            telemetry.subscribe(b"")
+            self._telemetry = telemetry
+        telemetry.poll(int(1000 * TRUTH_S))
+        for parts in inbox(telemetry):
+            self._arms = self._read_arms(parts).arms
+        if arm not in self._arms:
+            raise RtcError(f"the position of {arm}, which carries the camera, is not measured")
+        return self._arms[arm].tcp_pose
+
+
+def _moved(a: list[float], b: list[float]) -> bool:
+    return geometry.distance(a, b) > STILL_M or geometry.angle(a, b) > STILL_RAD
+
+
+class Failed(NamedTuple):
+    """A camera gave no picture."""
+
+    why: str
+
+
+class Result(NamedTuple):
+    camera: str
+    found: Evaluated | Failed
+
+
+class Eye:
+    """Takes pictures in a thread. `wake_fd` becomes readable with each result. `cameras` makes the driver, in it."""
+
+    def __init__(self, cell: Cell, cameras: Callable[[], Cameras], idle_s: float = IDLE_S) -> None:
+        self._cell, self._cameras, self._idle_s = cell, cameras, idle_s
+        self._wanted: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._results: queue.SimpleQueue[Result] = queue.SimpleQueue()
+        self._wake_end, self._wake_start = socket.socketpair()
+        self._wake_end.setblocking(False)
+        self.wake_fd = self._wake_end.fileno()
+        self.busy = False  # a picture is under way
+        self._thread: threading.Thread | None = None
+
+    def look(self, camera: str) -> None:
+        """Order a picture; one at a time."""
+        assert not self.busy
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, daemon=True)
+            self._thread.start()
+        self.busy = True
+        self._wanted.put(camera)
+
+    def result(self) -> Result | None:
+        """The picture that was ordered, if it is there."""
+        with contextlib.suppress(BlockingIOError):
+            self._wake_end.recv(64)
+        try:
+            found = self._results.get_nowait()
+        except queue.Empty:
+            return None
+        self.busy = False
+        return found
+
+    def close(self) -> None:
+        if self._thread is not None:
+            self._wanted.put(None)
+            self._thread.join(2.0)
+
+    def _work(self) -> None:
+        from rtc.sensing.detector import TagDetector  # its library is loaded with the first look
+
+        detector, cameras = TagDetector(), self._cameras()
+        while True:
+            try:
+                camera = self._wanted.get(timeout=self._idle_s)
+            except queue.Empty:
+                cameras.rest()
+                camera = self._wanted.get()
+            if camera is None:
+                cameras.rest()
+                return
+            try:
+                taken = cameras.photograph(camera)
+                view = optics.view(self._cell.camera(camera), taken.tcp)
+                found: Evaluated | Failed = Evaluated(taken.at_s, view, taken.pixels, detector.find(taken.pixels))
+            except RtcError as error:
+                found = Failed(f"{camera} gives no picture: {error}")
+            self._results.put(Result(camera, found))
+            self._wake_start.send(b"\0")

@@ -1,0 +1,35 @@
+"""The velocity of a body from its latest poses: a straight line through their positions and small turns. Pure."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+
+KEPT_S = 1.0  # age of the oldest pose
+LEAST_S = 0.3  # span of poses below which a velocity would be noise
+
+
+class Motion:
+    def __init__(self) -> None:
+        self._poses: deque[tuple[float, Array]] = deque()
+
+    def take(self, at_s: float, pose: Array) -> None:
+        """`pose`: of the body, world frame."""
+        self._poses.append((at_s, pose))
+        while at_s - self._poses[0][0] > KEPT_S:
+            self._poses.popleft()
+
+    def velocity(self) -> list[float] | None:
+        """m/s and rad/s, world axes; None with too short a history."""
+        if not self._poses or self._poses[-1][0] - self._poses[0][0] < LEAST_S:
+            return None
+        last = self._poses[-1][1]
+        times = np.array([at_s for at_s, _ in self._poses])
+        rows = np.array([[*(pose[:3] - last[:3]), *geometry.rotation_vector(last, pose)] for _, pose in self._poses])
+        off = times - times.mean()
+        slopes = off @ rows / float(off @ off)
+        return [float(n) for n in slopes]

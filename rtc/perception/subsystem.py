@@ -1,0 +1,44 @@
+"""S&P as a subsystem (`rtc.subsystem`): its performers are cameras. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from rtc.perception.camera import Camera
+from rtc.protocol.primitive import Primitive
+from rtc.subsystem.subsystem import Outgoing, Reports, Subsystem, in_scope
+
+NAME = "S&P"
+
+
+class PerceptionSubsystem(Subsystem[Camera]):
+    """`scale`: our seconds per second of the simulation."""
+
+    def __init__(self, cameras: Iterable[str], pid: int = 0, scale: float = 1.0) -> None:
+        super().__init__({name: Camera(name, scale) for name in cameras}, NAME, pid, queues=True)
+
+    def next_camera(self, now_s: float) -> Camera | None:
+        """The camera whose next picture has been due for longest; None: none is due."""
+        due = [(camera.due_s, camera) for camera in self.performers.values()]
+        waiting = [(due_s, camera) for due_s, camera in due if due_s is not None and due_s <= now_s]
+        return min(waiting, key=lambda one: one[0])[1] if waiting else None
+
+    def due_s(self) -> float:
+        """When the next picture is due; infinite: none is wanted."""
+        return min((due_s for one in self.performers.values() if (due_s := one.due_s) is not None), default=math.inf)
+
+    def _primitives(self, performer: Camera) -> list[str]:
+        return performer.primitives
+
+    def _accept(self, performer: Camera, primitive: Primitive, now_s: float) -> Reports:
+        return performer.accept(primitive, now_s)
+
+    def _tick(self, performer: Camera, now_s: float) -> Outgoing:
+        return self._sent(performer.tick(now_s), now_s)
+
+    def _stop(self, performer: Camera, scope: str) -> bool:
+        return performer.halt(scope)
+
+    def _rests(self, performer: Camera, scope: str) -> bool:
+        return not any(in_scope(scope, performer.name, primitive) for primitive in performer.primitives)

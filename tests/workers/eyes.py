@@ -1,0 +1,77 @@
+"""The cameras of the cell for tests of the workers: the real performer of a look, on pictures of the true scene.
+
+`Ideal` projects the corners of the tags, in milliseconds. `Drawn` draws them and finds them in the pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rtc.cells.cell import Cell
+from rtc.cells.scene import SceneView
+from rtc.perception.camera import Camera, Evaluated
+from rtc.protocol.messages import EndReport
+from rtc.protocol.primitive import Primitive
+from rtc.robot import geometry
+from rtc.sensing import optics
+from rtc.sensing.detector import Mark
+from rtc.sensing.locate import corners
+
+GREY = np.full((480, 640, 3), 128, np.uint8)
+PERIOD_S = 0.1  # between two pictures
+
+
+class Ideal:
+    def __init__(self, cell: Cell) -> None:
+        self.cell = cell
+        self.blind = False  # something hides everything
+        self.now_s = 1000.0
+
+    def perform(self, made: Primitive, scene: SceneView) -> EndReport:
+        """Pictures of this scene until the look ends."""
+        camera = Camera(made.performer)
+        camera.accept(made, self.now_s)
+        while True:
+            for message in camera.tick(self.now_s):
+                if isinstance(message, EndReport):
+                    return message
+            self.now_s += PERIOD_S
+            camera.take(self.picture(made.performer, scene))
+
+    def picture(self, name: str, scene: SceneView) -> Evaluated:
+        camera = self.cell.camera(name)
+        view = optics.view(camera, scene.tcp[camera.arm] if camera.arm else None)
+        return Evaluated(self.now_s, view, GREY, [] if self.blind else self._marks(view, scene))
+
+    def _marks(self, view: optics.View, scene: SceneView) -> list[Mark]:
+        marks = []
+        for tag in self.cell.tags:
+            matrix = geometry.to_matrix(_poses(self.cell, scene)[tag.body])
+            world = corners(tag) @ matrix[:3, :3].T + matrix[:3, 3]
+            if optics.visible(view, world, np.cross(world[1] - world[0], world[3] - world[0])):
+                marks.append(Mark(tag.id, view.pixels(world)))
+        return marks
+
+
+class Drawn(Ideal):
+    def __init__(self, cell: Cell) -> None:
+        from rtc.sensing.detector import TagDetector
+        from sim_mcm.render import Studio
+
+        super().__init__(cell)
+        self.studio, self._detector = Studio(cell), TagDetector()
+
+    def picture(self, name: str, scene: SceneView) -> Evaluated:
+        self.studio.pose(scene)
+        image = self.studio.camera_picture(name, scene, seed=1)
+        camera = self.cell.camera(name)
+        view = optics.view(camera, scene.tcp[camera.arm] if camera.arm else None)
+        return Evaluated(self.now_s, view, image, [] if self.blind else self._detector.find(image))
+
+
+def _poses(cell: Cell, scene: SceneView) -> Mapping[str, Any]:
+    seats = {seat.name: seat.frame.pose for seat in cell.seats}
+    return seats | {thing.name: cell.object_pose(thing.name) for thing in cell.objects} | scene.seats | scene.poses

@@ -1,0 +1,203 @@
+"""Commands that only cameras perform, and looks within others: pure, with exact corners of tags."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from rtc.protocol.messages import Validity
+from rtc.protocol.outcomes import RefusalReason, StopReason
+from rtc.robot import geometry
+
+MODULE, OTHER = "MACS-NEW", "MACS-OLD"
+GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
+
+
+def frame(bench, body: str):
+    return bench.world.get(f"{body}.frame")
+
+
+def test_locate_writes_the_pose_with_its_uncertainty_and_the_seat_that_moved_with_it(bench) -> None:
+    bench.unsurveyed()
+    bench.subsystem.displace(OTHER, [0.02, 0.0, 0.0])
+    run = bench.do(f"LOCATE {OTHER}")
+    assert run.succeeded
+    assert run.script.resources == ["CAMERA-2", OTHER]  # the camera that sees it best
+    fact = frame(bench, OTHER)
+    assert fact.validity is Validity.VALID
+    assert geometry.distance(fact.value, bench.subsystem.poses[OTHER]) < 1e-6
+    assert all(0.0 < n < 0.003 for n in fact.spread[:3])
+    assert all(0.0 < n < math.radians(1.0) for n in fact.spread[3:])
+    assert bench.world.get("RACK-2.frame").value[0] == pytest.approx(fact.value[0])
+    assert "20.0 mm" in run.assessments[0].message
+
+    again = bench.elaborate("GRASP LEFT-END-EFF MACS-OLD HANDLE-B")
+    assert again.context.script == "grasp-centering"  # no need to feel for it any more
+
+
+def test_a_primitive_for_a_camera_has_tags_and_no_names(bench) -> None:
+    run = bench.do(f"LOCATE {MODULE} VIA CAMERA-1")
+    (made,) = run.primitives
+    assert made.performer == "CAMERA-1"
+    assert [tag.id for tag in made.trajectory.tags] == list(range(8))
+    assert MODULE not in repr(made)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "reason", "words"),
+    [
+        ("LOCATE BAY-2", RefusalReason.INFEASIBLE, "has no tags"),
+        ("LOCATE MACS-LOD", RefusalReason.NAME, "MACS-LOD"),
+        ("LOCATE MACS-OLD VIA CAMERA-7", RefusalReason.NAME, "no camera CAMERA-7"),
+        ("LOCATE MACS-OLD REPORT FORCES", RefusalReason.NO_SCRIPT, "neither joints nor forces"),
+        ("VERIFY MACS-OLD AT RACK-9", RefusalReason.NAME, "RACK-9"),
+        ("VERIFY MACS-OLD AT LEFT-ARM VIA CAMERA-2", RefusalReason.NO_SCRIPT, "VIA"),
+        ("GRASP LEFT-END-EFF MACS-OLD VIA CAMERA-2", RefusalReason.NO_SCRIPT, "VIA"),
+    ],
+)
+def test_what_no_camera_can_do_is_refused_before_it_begins(bench, sentence, reason, words) -> None:
+    run = bench.do(sentence)
+    assert run.refusal.reason is reason
+    assert words in run.refusal.message
+    assert run.refusal.clears
+    assert not run.primitives
+
+
+def test_what_no_camera_sees_is_refused_unless_one_is_named(bench) -> None:
+    bench.set_fact(f"{OTHER}.frame", [0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 1.0])
+    run = bench.do(f"LOCATE {OTHER}")
+    assert run.refusal.reason is RefusalReason.INFEASIBLE
+    assert "no camera can see MACS-OLD" in run.refusal.message
+    assert bench.do(f"LOCATE {OTHER} VIA CAMERA-2").succeeded  # it is in its rack all the time
+
+
+def test_a_body_that_is_hidden_is_not_found_and_its_facts_stay(bench) -> None:
+    bench.subsystem.eyes.blind = True
+    before = frame(bench, MODULE)
+    run = bench.do(f"LOCATE {MODULE}")
+    assert run.failure.reason is StopReason.NOT_SEEN
+    assert "something hides it" in run.failure.message
+    assert frame(bench, MODULE) == before
+
+
+def test_locate_of_a_seat_moves_what_is_in_it(bench) -> None:
+    bench.set_fact("RACK-1.frame", geometry.translate(bench.subsystem.poses[MODULE], [0.03, 0.0, 0.0]).tolist())
+    bench.set_fact(f"{MODULE}.frame", geometry.translate(bench.subsystem.poses[MODULE], [0.03, 0.0, 0.0]).tolist())
+    assert bench.do("LOCATE RACK-1").succeeded
+    for body in ("RACK-1", MODULE):
+        assert geometry.distance(frame(bench, body).value, bench.subsystem.poses[MODULE]) < 1e-6
+
+
+def test_verify_confirms_a_place_or_makes_the_pose_suspect(bench) -> None:
+    assert bench.do(f"VERIFY {OTHER} AT RACK-2").succeeded
+
+    bench.subsystem.displace(OTHER, [0.0, 0.02, 0.0])
+    run = bench.do(f"VERIFY {OTHER} AT RACK-2 VIA CAMERA-2")
+    assert run.failure.reason is StopReason.OUT_OF_RANGE
+    assert "20.0 mm" in run.failure.message
+    assert run.failure.clears == f"LOCATE {OTHER}"
+    assert frame(bench, OTHER).validity is Validity.SUSPECT
+
+    assert bench.do(f"LOCATE {OTHER}").succeeded  # the seat has moved too, so it is in its place again
+    assert bench.do(f"VERIFY {OTHER} AT RACK-2").succeeded
+
+
+def test_track_follows_for_its_time_and_reports(bench) -> None:
+    run = bench.do("TRACK SATELLITE FOR 2 SEC VIA CAMERA-3 REPORT POSE AND EVERY 0.1 SEC")
+    assert run.succeeded
+    (made,) = run.primitives
+    assert (made.trajectory.duration_s, made.trajectory.every_s, made.reporting.every_s) == (2.0, 0.1, 0.1)
+    assert run.reports[0].sighting.velocity == pytest.approx([0.0] * 6, abs=1e-9)
+    assert frame(bench, "SATELLITE").validity is Validity.VALID
+
+
+def test_a_body_that_still_moves_after_track_has_a_suspect_pose(bench) -> None:
+    script = bench.elaborate(f"TRACK {MODULE} FOR 2 SEC")
+    bound = bench.bind(script, script.steps[0])
+    report = bench.subsystem.perform(bound.primitive, bound)
+    moving = report.sighting.__class__(
+        **{name: getattr(report.sighting, name) for name in report.sighting.__struct_fields__}
+        | {"velocity": [0.0, 0.0, 0.01, 0.0, 0.0, 0.0]}
+    )
+    fields = {name: getattr(report, name) for name in report.__struct_fields__} | {"sighting": moving}
+    judged = bench.analyze(bound, type(report)(**fields))
+    (change,) = [one for one in judged.changes if one.key == f"{MODULE}.frame"]
+    assert change.validity is Validity.SUSPECT
+
+
+# --- Figure 4 and doubtful facts ---------------------------------------------------------------------------
+
+
+def test_the_trim_of_figure_4_finds_a_displaced_module(either) -> None:
+    either.subsystem.displace(MODULE, [0.0, 0.020, 0.0])
+    run = either.do(GRASP)
+    assert run.succeeded
+    assert run.trims == [1]
+    assert "CAMERA-1" in run.script.resources
+    assert geometry.distance(frame(either, MODULE).value, either.subsystem.poses[MODULE]) < 0.001
+
+
+def test_a_camera_that_sees_nothing_leaves_the_repair_to_the_next_trim(bench) -> None:
+    bench.subsystem.eyes.blind = True
+    bench.subsystem.displace(MODULE, [0.0, 0.020, 0.0])
+    run = bench.do(GRASP)
+    assert run.succeeded
+    assert run.trims[0] == 1
+
+
+def test_a_doubtful_pose_is_sensed_before_the_step_that_needs_it(either) -> None:
+    either.subsystem.displace(MODULE, [0.01, 0.015, 0.0])
+    either.set_fact(f"{MODULE}.frame", either.world.value(f"{MODULE}.frame"), Validity.SUSPECT)
+    run = either.do(GRASP)
+    assert run.succeeded
+    assert run.labels[0] == f"look for {MODULE} with CAMERA-1"
+    assert not run.trims
+    assert frame(either, MODULE).validity is Validity.VALID
+
+
+def test_a_doubtful_pose_that_no_camera_sees_is_refused_as_before(bench) -> None:
+    away = [*bench.world.value(f"{MODULE}.frame")[:2], 3.0, 0.0, 0.0, 0.0, 1.0]
+    bench.set_fact(f"{MODULE}.frame", away, Validity.SUSPECT)
+    run = bench.do(GRASP)
+    assert run.refusal.reason is RefusalReason.SUSPECT
+    assert "SET MACS-NEW FRAME" in run.refusal.clears
+
+
+def test_a_doubtful_pose_that_a_camera_does_not_find_stops_the_command_before_the_arm_moves(bench) -> None:
+    bench.subsystem.eyes.blind = True
+    bench.set_fact(f"{MODULE}.frame", bench.world.value(f"{MODULE}.frame"), Validity.SUSPECT)
+    run = bench.do(GRASP)
+    assert run.failure.reason is StopReason.NOT_SEEN
+    assert [made.performer for made in run.primitives] == ["CAMERA-1"]
+
+
+# --- a held object -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def holding(bench):
+    assert bench.do(GRASP).succeeded
+    return bench
+
+
+def test_a_camera_measures_how_a_held_object_lies_in_the_hand(holding) -> None:
+    holding.subsystem.displace(MODULE, [0.0, 0.0, 0.006])  # it has slipped along its bar
+    run = holding.do(f"LOCATE {MODULE}")
+    assert run.succeeded
+    assert "RIGHT-ARM" in run.script.resources  # the arm must not move meanwhile
+    true = geometry.relative(run_tcp(holding), holding.subsystem.poses[MODULE])
+    grasp = holding.world.get(f"{MODULE}.grasp")
+    assert geometry.distance(grasp.value, true) < 1e-6
+    assert max(grasp.spread[:3]) < 0.003
+
+
+def test_an_object_that_is_seen_far_from_the_hand_is_not_held(holding) -> None:
+    holding.subsystem.displace(MODULE, [0.1, 0.0, 0.0])
+    assert holding.do(f"LOCATE {MODULE} VIA CAMERA-1").succeeded
+    assert holding.world.value("RIGHT-ARM.holding") == ""
+    assert holding.world.value(f"{MODULE}.held_by") == ""
+
+
+def run_tcp(bench):
+    return bench.model.arms["RIGHT-ARM"].fk(bench.world.value("RIGHT-ARM.joints"))

@@ -1,0 +1,131 @@
+"""World changes of what a camera has seen: the pose of a body with its uncertainty, and what follows from it. Pure.
+
+Figures are args of the step: `seen_m` and `seen_rad`, the accuracy of cameras and of their places in the cell file;
+`play_m`, of an object in its seat; `seated_m`, the distance from a seat at which an object is still in it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rtc.protocol.messages import AnalyzerInput, Validity, WorldChange
+from rtc.protocol.outcomes import Sighting
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+from rtc.world.spread import even, widened
+from workers.analyzer.reported_facts import seat_at
+from workers.planning import pose_spread
+from workers.planning.world_query import WorldQuery
+
+Changes = list[WorldChange]
+
+SIGMAS = 3.0  # half-width of a bound, in standard deviations
+IN_HAND_M = 0.06  # maximum distance of a held object's grasp point from the middle between the fingers
+MOVES_M_S, MOVES_RAD_S = 0.002, 0.01  # a body that is faster is not there any more when the report is read
+OLD_S = 2.0  # an older sighting is not trusted
+WIDEST_RAD = math.pi
+
+
+def sighted(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
+    """The body is where the camera has seen it; nothing changes if it has not."""
+    sighting, body = data.report.sighting, data.evaluation.body
+    if sighting is None:
+        return []
+    if _moves(sighting) or sighting.age_s > OLD_S:
+        validity = Validity.SUSPECT
+    frame, spread = geometry.normalise(sighting.pose), spread_of(sighting, data)
+    change = WorldChange(key=f"{body}.frame", value=frame.tolist(), validity=validity, spread=spread)
+    if any(seat.name == body for seat in query.cell.seats):
+        return [change, *_content(query, body, frame, spread, validity)]
+    if query.held_by(body):
+        return [change, *_in_hand(query, body, frame, spread, validity)]
+    return [change, *_seated(query, data, frame, spread, validity)]
+
+
+def spread_of(sighting: Sighting, data: AnalyzerInput) -> list[float]:
+    """Half-widths along and about the axes of the body."""
+    turn = geometry.to_matrix(sighting.pose)[:3, :3]
+    covariance = np.asarray(sighting.covariance)
+    own = [turn.T @ block @ turn for block in (covariance[:3, :3], covariance[3:, 3:])]
+    bounds = [SIGMAS * math.sqrt(max(0.0, float(n))) for block in own for n in np.diag(block)]
+    floor = even(_figure(data, "seen_m"), _figure(data, "seen_rad"))
+    return [*widened(bounds, floor)[:3], *(min(WIDEST_RAD, n) for n in widened(bounds, floor)[3:])]
+
+
+def _moves(sighting: Sighting) -> bool:
+    if sighting.velocity is None:
+        return False
+    return math.hypot(*sighting.velocity[:3]) > MOVES_M_S or math.hypot(*sighting.velocity[3:]) > MOVES_RAD_S
+
+
+def _content(query: WorldQuery, seat: str, frame: Array, spread: list[float], validity: Validity) -> Changes:
+    """Objects in a seat move with it."""
+    changes = []
+    for thing in query.cell.objects:
+        if query.seat(thing.name) == seat and not query.held_by(thing.name):
+            inside = geometry.relative(query.seat_frame(seat), query.frame(thing.name))
+            wider = widened(pose_spread.spread_at(spread, inside), query.spread(f"{thing.name}.frame"))
+            value = geometry.normalise(geometry.compose(frame, inside)).tolist()
+            key = f"{thing.name}.frame"
+            fact = query.world.get(key)
+            valid = fact.validity if fact is not None and validity is Validity.VALID else validity
+            changes.append(WorldChange(key=key, value=value, validity=valid, spread=wider))
+    return changes
+
+
+def _in_hand(query: WorldQuery, thing: str, frame: Array, spread: list[float], validity: Validity) -> Changes:
+    """A held object: its pose in the hand. One that is far from the fingers is not held any more."""
+    arm = query.held_by(thing)
+    tcp = query.tcp(arm)
+    points = [geometry.compose(frame, point.frame.pose) for point in query.cell.object(thing).grasp_points]
+    if min((geometry.distance(tcp, point) for point in points), default=math.inf) > IN_HAND_M:
+        return [
+            WorldChange(key=f"{arm}.holding", value=""),
+            WorldChange(key=f"{thing}.held_by", value=""),
+            WorldChange(key=f"{thing}.grasp", value=None),
+        ]
+    grasp = geometry.normalise(geometry.relative(tcp, frame)).tolist()
+    return [
+        WorldChange(key=f"{arm}.holding", value=thing, validity=validity),
+        WorldChange(key=f"{thing}.held_by", value=arm, validity=validity),
+        WorldChange(key=f"{thing}.grasp", value=grasp, validity=validity, spread=spread),
+    ]
+
+
+def _seated(query: WorldQuery, data: AnalyzerInput, frame: Array, spread: list[float], validity: Validity) -> Changes:
+    """The seat that the object is in. A step with `play_m` also locates it: it holds the object up to this play."""
+    thing, play_m = data.evaluation.body, _figure(data, "play_m")
+    if query.cell.object(thing).fixed:
+        return []
+    seat = seat_at(frame, query, _figure(data, "seated_m"))
+    if any(query.seat(other.name) == seat for other in query.cell.objects if seat and other.name != thing):
+        seat = ""
+    changes = [WorldChange(key=f"{thing}.seat", value=seat, validity=validity)]
+    if not seat or seat != query.seat(thing) or play_m <= 0.0:
+        return changes
+    inside = geometry.inverse(query.cell.seat(seat).module_frame.pose)
+    place = geometry.normalise(geometry.compose(frame, inside)).tolist()
+    wider = pose_spread.spread_at(widened(spread, even(play_m, 0.0)), inside)
+    return [*changes, WorldChange(key=f"{seat}.frame", value=place, validity=validity, spread=wider)]
+
+
+def _figure(data: AnalyzerInput, name: str) -> float:
+    value = data.evaluation.step.args.get(name, 0.0)
+    return 0.0 if isinstance(value, str) else value
+
+
+def in_words(query: WorldQuery, data: AnalyzerInput) -> str:
+    """What the camera has seen, against what was believed; empty without a sighting."""
+    sighting, body = data.report.sighting, data.evaluation.body
+    if sighting is None:
+        return ""
+    seats = {seat.name for seat in query.cell.seats}
+    before = query.seat_frame(body) if body in seats else query.frame(body)
+    off_mm, turned_deg = (
+        1e3 * geometry.distance(sighting.pose, before),
+        math.degrees(geometry.angle(sighting.pose, before)),
+    )
+    words = f"{off_mm:.1f} mm and {turned_deg:.1f} deg from where it was believed to be; {len(sighting.tags)} tags"
+    return words + (", ambiguous attitude" if sighting.ambiguous else "")

@@ -1,0 +1,87 @@
+"""Candidates of commands that only cameras perform: one per camera that can see the body, the best first. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rtc.cells import parts
+from rtc.language.record import ParsedCommand
+from rtc.programs.schema import ElaboratorProgram, ScriptFile
+from rtc.protocol.messages import Limits
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.sensing import absence
+from workers.elaborator.task_candidate import TaskCandidate, figures_of
+from workers.planning import sight, suggestions
+from workers.planning.world_query import WorldQuery
+
+
+def candidates(
+    program: ElaboratorProgram,
+    scripts: Mapping[str, ScriptFile],
+    parsed: ParsedCommand,
+    limits: Limits,
+    query: WorldQuery,
+) -> list[TaskCandidate] | Refusal:
+    """A camera that the sentence names looks in any case; else those that can see the body where it is believed."""
+    cell, name = query.cell, parsed.object or ""
+    report = parsed.report
+    if report is not None and (report.joints or report.forces or report.when):
+        message = f"a camera reports the pose of {name}; it has neither joints nor forces, nor conditions of an arm"
+        return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, where="REPORT", clears="REPORT POSE")
+    thing = next((one for one in cell.objects if one.name == name), None)
+    seat = next((one for one in cell.seats if one.name == name), None)
+    if thing is None and seat is None:
+        known = [*(one.name for one in cell.objects), *(one.name for one in cell.seats)]
+        return suggestions.unknown("object or seat", name, known)
+    if not sight.tags(cell, name):
+        return _without_tags(program, query, name)
+    target = next((one for one in cell.seats if one.name == parsed.target), None)
+    if parsed.target is not None and target is None:
+        return suggestions.unknown("seat", parsed.target, [one.name for one in cell.seats])
+    cameras = _cameras(program, parsed, query, name)
+    if isinstance(cameras, Refusal):
+        return cameras
+    figures = figures_of(program, parsed, query, None, None, None, None)
+    if isinstance(figures, Refusal):
+        return figures
+    return [
+        TaskCandidate(query, program, parsed, limits, None, thing, None, target, figures, camera, seat)
+        for camera in cameras
+    ]
+
+
+def _cameras(
+    program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery, body: str
+) -> list[parts.Camera] | Refusal:
+    known = [camera.name for camera in query.cell.cameras]
+    if parsed.performer is not None:
+        named = [camera for camera in query.cell.cameras if camera.name == parsed.performer]
+        return named or suggestions.unknown("camera", parsed.performer, known)
+    return query.cameras(body) or _unseen(program, body, known)
+
+
+def _without_tags(program: ElaboratorProgram, query: WorldQuery, body: str) -> Refusal:
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"{body} has no tags, by which a camera could find it",
+        where=body,
+        expected=sight.bodies(query.cell),
+        clears=_advice(program, "no_tags", body, []),
+        detail={"cause": absence.Cause.NO_TAGS.value, "body": body},
+    )
+
+
+def _unseen(program: ElaboratorProgram, body: str, known: list[str]) -> Refusal:
+    """No camera can see the body where it is believed; one that is named looks all the same."""
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"no camera can see {body} where it is believed to be",
+        where=body,
+        clears=_advice(program, "out_of_view" if known else "no_cameras", body, known),
+        detail={"cause": absence.Cause.OUT_OF_VIEW.value, "body": body},
+    )
+
+
+def _advice(program: ElaboratorProgram, row: str, body: str, cameras: list[str]) -> str:
+    words = program.clears.get(row, "").replace("{location}", body)
+    return words.replace("{cameras}", ", ".join(cameras))
