@@ -175,6 +175,9 @@ class TinyArm:
     def touches(self) -> dict[str, float]:
         return {}
 
+    def near(self, within_m: float) -> Sequence[Any]:
+        return ()
+
 
 class _Pose(list[float]):
     def tolist(self) -> list[float]:
