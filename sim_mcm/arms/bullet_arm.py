@@ -7,6 +7,7 @@ measured values of the parameters. This module must not know primitives.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -68,6 +69,7 @@ class BulletArm:
             self._pad_twist = PadTwist(self._model, inertia)
         self._driven: tuple[Sample, list[float]] | None = None  # sample and torques of the latest step
         self._stuck: set[int] = set()  # joints
+        self._points: Sequence[tuple[Any, ...]] | None = None  # contacts of the latest step
         self._servo = Servo(self._model, spec.home_rad)
         self._estimate = JointTorques(self._model) if sensor is None else None
         self._hand = Hand(
@@ -117,7 +119,7 @@ class BulletArm:
         return self._model.fk(joints)
 
     def touches(self) -> Mapping[str, float]:
-        points = pybullet.getContactPoints(bodyA=self.body, physicsClientId=self._client)
+        points = self._contacts()
         if not points:
             return NOTHING
         found: dict[str, float] = {}
@@ -128,15 +130,23 @@ class BulletArm:
         return found
 
     def arm_touches(self) -> Mapping[str, float]:
+        points = self._contacts()
+        if not points:
+            return NOTHING
         found: dict[str, float] = {}
         for other in self.others:
-            points = pybullet.getContactPoints(bodyA=self.body, bodyB=other.body, physicsClientId=self._client)
-            for point in points or ():
-                if point[NORMAL_FORCE] > 0.0:
+            for point in points:
+                if point[BODY_B] == other.body and point[NORMAL_FORCE] > 0.0:
                     mine, theirs = self.link_name(point[LINK_A]), other.link_name(point[LINK_B])
                     words = f"{self.traits.name} {mine} touches {other.traits.name} {theirs}"
                     found[words] = found.get(words, 0.0) + point[NORMAL_FORCE]
         return found or NOTHING
+
+    def _contacts(self) -> Sequence[tuple[Any, ...]]:
+        """Contact points of the latest step; this arm is body A. Asked for several times in a tick, read once."""
+        if self._points is None:
+            self._points = pybullet.getContactPoints(self.body, physicsClientId=self._client) or ()
+        return self._points
 
     def link_name(self, index: int) -> str:
         return self._links.get(index, "base")
@@ -156,7 +166,7 @@ class BulletArm:
 
     def drive(self) -> None:
         """Apply the motor torques of this tick; pybullet keeps them for one step."""
-        sample = self._sample
+        sample, self._points = self._sample, None
         torques = self._servo.torque(sample.joints, sample.velocities)
         self._driven = sample, torques
         if self._estimate is not None:
@@ -262,7 +272,7 @@ class BulletArm:
 
     def _put(self, values: Sequence[float]) -> None:
         """Set the positions of joints (rad) and fingers (m), at rest."""
-        self._driven = None
+        self._driven = self._points = None
         for joint, value in zip(self._all, values, strict=True):
             pybullet.resetJointState(self.body, joint, value, 0.0, physicsClientId=self._client)
 

@@ -203,7 +203,7 @@ class Executor:
         self._wrench = self.wrench
         reports = self._work[self.state](now_s)
         command = self._advance()
-        if not self._within_limits(command):
+        if not self._checked and not self._within_limits(command):
             command = self._brake_instead(command)
         self._command = command
         if self._compliant:
@@ -236,7 +236,7 @@ class Executor:
         self._report_every = None if every_s is None else max(1, round(every_s / TICK_S))
         joints = self._command[0]
         if isinstance(trajectory, p.JointTrajectory):
-            self._follow = profiles.Follow(trajectory, joints)
+            self._follow = profiles.Follow(trajectory, joints, self._most_rad_s)
             self._use(self._follow)
         else:
             self._use(profiles.Stay(joints))
@@ -476,6 +476,11 @@ class Executor:
             return self._profile.at(self._profile_time_s)
         self._shift_s += self._pace.advance(self._profile, self._profile_time_s, self._most_rad_s2)
         return self._pace.scaled(self._profile.at(self._profile_time_s))
+
+    @property
+    def _checked(self) -> bool:
+        """Whether the path itself has checked this command; it does so for many ticks at once."""
+        return self._profile is self._follow and self._follow.within_limits and self._pace.full
 
     @property
     def _most_rad_s2(self) -> list[float]:

@@ -56,7 +56,14 @@ class Follow:
     """Quintic Hermite polynomials through the knots, from `start`, which may differ slightly from the first knot.
     Computed for BLOCK ticks at once, which takes a tenth of the time of single ticks."""
 
-    def __init__(self, trajectory: JointTrajectory, start: Sequence[float]) -> None:
+    def __init__(
+        self, trajectory: JointTrajectory, start: Sequence[float], most_rad_s: Sequence[float] | None = None
+    ) -> None:
+        self._most_rad_s = None if most_rad_s is None else np.asarray(most_rad_s)
+        self.within_limits = (
+            False  # from the motion before to the latest one: neither step nor speed exceeds the limits
+        )
+        self._block_fits = False
         self._length_s = trajectory.duration_s
         self._knots_s = np.asarray(trajectory.time_s)
         self._pieces = _hermite(trajectory)
@@ -68,6 +75,7 @@ class Follow:
         self._first_s = 0.0
 
     def at(self, time_s: float) -> Motion:
+        self.within_limits = False
         if time_s >= self.duration_s:
             return self._end
         n = round((time_s - self._first_s) / TICK_S)
@@ -79,8 +87,17 @@ class Follow:
             if self._blend and times_s[0] < BLEND_S:
                 block += self._remaining_offset(times_s)
             self._block = block.tolist()
+            self._block_fits = self._fits(block)
+        else:
+            self.within_limits = self._block_fits
         joints, velocities, accelerations = self._block[n]
         return joints, velocities, accelerations
+
+    def _fits(self, block: Array) -> bool:
+        if self._most_rad_s is None:
+            return False
+        steps, speeds = np.abs(np.diff(block[:, 0], axis=0)), np.abs(block[:, 1])
+        return bool((steps <= TICK_S * self._most_rad_s).all() and (speeds <= self._most_rad_s).all())
 
     def path(self, times_s: Array) -> Array:
         """k x 3 x n: joints, velocities, accelerations of the path itself at k times."""
