@@ -162,6 +162,21 @@ def test_a_button_that_always_says_the_same_stops_the_arm_at_every_press(
         stops(running, press)
 
 
+def test_a_paused_motion_stands_on_its_path_and_goes_on(running: Running) -> None:
+    """By sentences, in the only step of a command; a halt of a paused motion ends it."""
+    command = running.moving()
+    assert running.client.run("PAUSE RIGHT-ARM", timeout_s=20).outcome.kind is OutcomeKind.SUCCEEDED
+    until(lambda: running.speed() < REST_RAD_S)
+    mcm = running.client.status()["subsystems"][0]
+    assert [name.partition("@")[0] for name in mcm["executing"]] == [f"{command}.1"]
+    assert running.client.run("RESUME RIGHT-ARM", timeout_s=20).outcome.kind is OutcomeKind.SUCCEEDED
+    until(lambda: running.speed() > 0.03)
+    assert running.client.run(f"PAUSE {command}", timeout_s=20).outcome.kind is OutcomeKind.SUCCEEDED
+    until(lambda: running.speed() < REST_RAD_S)
+    running.client.halt()
+    assert running.client.wait(command, 20).outcome.kind is OutcomeKind.HALTED
+
+
 def test_two_clients_of_one_name_are_each_served_and_answered(running: Running) -> None:
     with Client(running.run_dir, name="panel") as first:
         with Client(running.run_dir, name="panel") as second:
