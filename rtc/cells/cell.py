@@ -10,18 +10,34 @@ The types of its parts are in `rtc.cells.parts`. This module knows no kinematics
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import msgspec
 import msgspec.yaml
 
-from rtc.cells import model_checks
-from rtc.cells.parts import Arm, Camera, Frame, Maintained, Numbers, Object, Place, Region, Seat, Tag, Vec3, named
+from rtc.cells import extension, model_checks
+from rtc.cells.parts import (
+    Arm,
+    Camera,
+    Frame,
+    Hinge,
+    Maintained,
+    Numbers,
+    Object,
+    Place,
+    Region,
+    Seat,
+    Tag,
+    Vec3,
+    named,
+)
 from rtc.programs.digest import digest
 from rtc.protocol.outcomes import ProgramError
-from rtc.robot import geometry
+from rtc.robot import geometry, hinges
 
+EXTENDS = re.compile(rb"(?m)^extends:")
 CELLS = Path(__file__).parent  # the cells of the project: cells/NAME/cell.yaml
 
 
@@ -49,24 +65,21 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
     @classmethod
     def load(cls, name_or_path: str | Path) -> Cell:
         """The cell of a name (cells/NAME/cell.yaml) or file, models embedded. Raises ProgramError with the place."""
-        path = Path(name_or_path)
-        if path.suffix not in (".yaml", ".yml"):
-            path = (path if path.is_dir() else CELLS / path) / "cell.yaml"
-        if not path.is_file():
-            known = ", ".join(sorted(p.parent.name for p in CELLS.glob("*/cell.yaml")))
-            raise ProgramError(f"no cell {name_or_path}: there is no file {path}; cells of the project: {known}")
-        bare = _decode(path.read_bytes(), str(path))
+        path = _file_of(name_or_path)
+        bare, folders = _read(path)
         texts = dict(bare.texts)
         for n, arm in enumerate(bare.arms):
             for field, file in (("urdf", arm.urdf), ("srdf", arm.srdf)):
                 if file not in texts:
+                    folder = next((one for one in folders if (one / file).is_file()), path.parent)
                     try:
-                        texts[file] = (path.parent / file).read_text(encoding="utf-8")
+                        texts[file] = (folder / file).read_text(encoding="utf-8")
                     except OSError as error:
                         raise ProgramError(f"{path}: $.arms[{n}].{field}: cannot read {file}: {error}") from error
             for file in model_checks.hulls(texts[arm.urdf]):
-                if file not in texts and (path.parent / file).is_file():
-                    texts[file] = (path.parent / file).read_text(encoding="utf-8", errors="replace")
+                own = next((one for one in folders if (one / file).is_file()), None)
+                if file not in texts and own is not None:
+                    texts[file] = (own / file).read_text(encoding="utf-8", errors="replace")
         cell = msgspec.structs.replace(bare, texts=texts)
         for place, problem in model_checks.problems(cell.arms, cell.texts):
             raise ProgramError(f"{path}: $.{place}: {problem}")
@@ -124,6 +137,8 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
     def object_pose(self, name: str) -> geometry.Array:
         """Initial world pose of an object."""
         found = self.object(name)
+        if found.hinge is not None:
+            return hinges.turned(found.frame.pose, found.hinge.axis, math.radians(found.hinge.at_deg))
         if found.seat is None:
             return found.frame.pose
         return geometry.compose(self.seated_pose(found.seat), found.frame.pose)
@@ -134,6 +149,29 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
             yield from (arm.name, arm.end_effector)
         for group in (self.seats, self.objects, self.places, self.regions, self.cameras):
             yield from (part.name for part in group)
+
+
+def _file_of(name_or_path: str | Path, folder: Path = Path()) -> Path:
+    """The file of a cell: its name, its folder or the file itself, relative to `folder`. Raises ProgramError."""
+    path = folder / name_or_path
+    if path.suffix not in (".yaml", ".yml"):
+        path = (path if path.is_dir() else CELLS / name_or_path) / "cell.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.parent.name for p in CELLS.glob("*/cell.yaml")))
+        raise ProgramError(f"no cell {name_or_path}: there is no file {path}; cells of the project: {known}")
+    return path
+
+
+def _read(path: Path) -> tuple[Cell, list[Path]]:
+    """The cell of a file, without the texts of its models, and the folders where they may be."""
+    document = path.read_bytes()
+    if not EXTENDS.search(document):
+        return _decode(document, str(path)), [path.parent]
+    merged, folders = extension.read(path, _file_of)
+    try:
+        return msgspec.convert(merged, Cell), folders
+    except msgspec.ValidationError as error:
+        raise ProgramError(f"{path}: {error} (of the cell as extended)") from error
 
 
 def _decode(document: bytes, source: str) -> Cell:
@@ -168,6 +206,10 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
             yield f"objects[{n}].seat", f"{thing.seat} already holds {taken[thing.seat]}"
         if not thing.shapes:
             yield f"objects[{n}].shapes", "an object needs at least one shape"
+        if thing.thread is not None and not thing.fixed:
+            yield f"objects[{n}].thread", "an object with a thread must be fixed: it only turns"
+        if thing.hinge is not None:
+            yield from ((f"objects[{n}].{field}", problem) for field, problem in _wrong_hinge(thing, thing.hinge))
     for n, place in enumerate(cell.places):
         for field in ("poses", "joints_deg"):
             for name in getattr(place, field):
@@ -184,6 +226,18 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
         yield "maintain.pose_during_motion", f"no attitude {name}; there are {', '.join(sorted(cell.attitudes))}"
     yield from _blind_cameras(cell, arms)
     yield from _loose_tags(cell)
+
+
+def _wrong_hinge(thing: Object, hinge: Hinge) -> Iterator[tuple[str, str]]:
+    least, most = hinge.range_deg
+    if abs(math.hypot(*hinge.axis) - 1.0) > 1e-6:
+        yield "hinge.axis", "must be of unit length"
+    if not -180.0 < least < most < 180.0:
+        yield "hinge.range_deg", "two angles between -180 and 180, the least first"
+    elif not least <= hinge.at_deg <= most:
+        yield "hinge.at_deg", f"{hinge.at_deg:g} is not within {least:g} to {most:g}"
+    if thing.fixed or thing.seat is not None:
+        yield "hinge", "an object with a hinge is neither fixed nor in a seat"
 
 
 def _blind_cameras(cell: Cell, arms: Collection[str]) -> Iterator[tuple[str, str]]:

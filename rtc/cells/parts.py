@@ -150,6 +150,9 @@ class GraspPoint(CellPart, frozen=True, kw_only=True):
     name: Name
     frame: Frame
     width_m: Positive  # of the part between the fingers
+    round: bool = (
+        False  # a round bar along tool x: the hand takes it at the angle about it nearest to its home attitude
+    )
 
 
 class Seat(CellPart, frozen=True, kw_only=True):
@@ -166,6 +169,36 @@ class Seat(CellPart, frozen=True, kw_only=True):
     shapes: list[AnyShape] = []
 
 
+class Hinge(CellPart, frozen=True, kw_only=True):
+    """A hinge between an object and the world, through the object's origin. `frame` of the object: at angle 0."""
+
+    axis: Vec3 = (0.0, 0.0, 1.0)  # unit vector, object's axes; a positive angle turns about it
+    range_deg: tuple[float, float]  # the stops
+    at_deg: float = 0.0  # initial angle
+    friction_nm: NotNegative = 0.0
+
+    @property
+    def range_rad(self) -> tuple[float, float]:
+        return math.radians(self.range_deg[0]), math.radians(self.range_deg[1])
+
+
+class Spindle(CellPart, frozen=True, kw_only=True):
+    """The spindle of a driver. `frame`: its tip in the object's axes; z points out of the tool, into the bolt."""
+
+    frame: Frame
+    most_nm: Positive
+    most_rad_s: Positive
+
+
+class Thread(CellPart, frozen=True, kw_only=True):
+    """The thread of a bolt, right-handed. The origin of the object is the middle of its head; z points outwards."""
+
+    pitch_m: Positive  # per turn
+    turns: Positive  # from tight to free
+    breakaway_nm: Positive  # to loosen it when it is tight
+    running_nm: NotNegative = 0.3
+
+
 class Object(CellPart, frozen=True, kw_only=True):
     """An object that can be grasped or, if fixed, an obstacle. `frame`: in the world or in its seat's module frame."""
 
@@ -175,8 +208,13 @@ class Object(CellPart, frozen=True, kw_only=True):
     seat: Name | None = None
     known_within: KnownWithin | None = None  # None: the pose is exact
     fixed: bool = False
+    hinge: Hinge | None = None  # a door or lid: it turns about it, and goes nowhere else
+    spindle: Spindle | None = None  # a driver
+    thread: Thread | None = None  # a bolt; it is fixed but for its thread
     mass_kg: Positive = 1.0
-    inertia_kg_m2: tuple[Positive, Positive, Positive] | None = None  # about the origin; None: from the shapes
+    # About the origin; None: from the shapes. Of an object with a hinge: about its centre of mass.
+    inertia_kg_m2: tuple[Positive, Positive, Positive] | None = None
+    centre_of_mass_m: Vec3 = (0.0, 0.0, 0.0)  # of an object with a hinge; others have it in their origin
     shapes: list[AnyShape]
     grasp_points: list[GraspPoint] = []
 

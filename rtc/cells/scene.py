@@ -31,6 +31,13 @@ class SceneView(msgspec.Struct, frozen=True, kw_only=True):
     blind: list[str] = []  # cameras whose pictures are black
 
 
+class FilmFrame(msgspec.Struct, frozen=True, kw_only=True):
+    """One picture of a film (`sim_mcm.film`): a scene, and a line of text below it."""
+
+    scene: SceneView
+    caption: str = ""
+
+
 class Panel(msgspec.Struct, frozen=True, kw_only=True):
     """One view of one scene. `labels`: name of an object or arm -> words beside it. `doubtful`: names whose label is
     drawn as a warning. `outlined`: objects whose outline in the first panel is drawn over this one."""

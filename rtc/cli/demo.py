@@ -11,7 +11,7 @@ import typer
 from rtc.cli.cluster import speed_of
 from rtc.cli.output import console, exits_with, trouble
 
-DEMOS = ["grasp", "faults"]  # modules of rtc.demos, each with `run(console, speed, out) -> passed`
+DEMOS = ["grasp", "door", "faults"]  # modules of rtc.demos, each with `run(console, speed, out) -> passed`
 
 
 def demo(

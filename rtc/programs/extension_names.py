@@ -11,9 +11,9 @@ from collections.abc import Iterable
 from rtc.cells.parts import Numbers
 
 #: elaborator: conditions of the world that a script may require
-NEEDS = ("hand_empty", "object_free", "object_held", "object_seated", "seat_free", "width_known")
+NEEDS = ("hand_empty", "object_free", "object_held", "object_seated", "object_hinged", "seat_free", "width_known")
 #: elaborator: anchors of plan lines
-ANCHORS = ("grasp_point", "destination", "stow", "seat")
+ANCHORS = ("grasp_point", "destination", "stow", "seat", "hinge")
 #: directions; WAY-OUT is the exit direction of the target seat, for plans only
 AXES = ("TOOL-X", "TOOL-Y", "TOOL-Z", "X", "Y", "Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK")
 PLAN_AXES = (*AXES, "WAY-OUT")
@@ -37,6 +37,8 @@ CURVES = {
 FIGURES = (
     *Numbers.__struct_fields__,
     *("opening_m", "hand_width_m", "grasp_width_m", "mass_kg", "duration_s", "seat_depth_m", "detent_n"),
+    "hinged",  # 1: the object has a hinge; 0: it has none
+    *("hinge_rad", "hinge_least_rad", "hinge_most_rad"),  # its angle, and its stops
     *("unsure_x_m", "unsure_y_m", "unsure_z_m", "unsure_rad"),  # spread of the grasp point, in tool axes at that point
     *(f"{clause}_{unit}" for clause in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),
 )

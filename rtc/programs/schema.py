@@ -67,6 +67,7 @@ class PlanLine(ProgramPart, frozen=True, kw_only=True):
     at: str  # an earlier line, or a registered anchor: grasp_point, destination, stow, seat
     along: str = ""  # axis of the offset: TOOL-X, TOOL-Y, TOOL-Z, X, Y, Z, UP ...
     by: Expression = 0.0  # m, over the parameters
+    turn_rad: Expression = 0.0  # turned about the same axis, on the spot
     solve: bool = False  # True: compute joint values; False: a pose is enough
     near: str = ""  # line whose joint values the IK solution must be nearest to
 

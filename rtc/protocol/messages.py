@@ -669,6 +669,7 @@ class EndReport(Message, frozen=True, kw_only=True):
     measured: float | None = None  # the value that tripped
     limit: float | None = None  # the limit it exceeded
     message: str = ""  # for REFUSED: why; for COLLISION: the bodies' link names
+    turned_rad: float | None = None  # by the spindle of a held driver
     reflex: Reflex = Reflex.STOP  # what was done after the stop: BACK_OFF, RELEASE
     facts: dict[str, Any] = {}  # stated, by key (MACS-OLD.frame), SI; an analyzer writes them
     partner: EndReport | None = None  # of the second arm, if the primitive has one

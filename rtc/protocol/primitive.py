@@ -22,6 +22,7 @@ from rtc.protocol.outcomes import PRIORITY, Reflex, StopReason
 
 Vector = list[float]
 
+MOST_TURN_RAD = 1000.0  # maximum turn of a spindle
 LONGEST_S = 1e6  # maximum duration; a larger value counts as an error
 HEAVIEST_KG, FARTHEST_M, MOST_INERTIA_KG_M2 = 1000.0, 10.0, 1000.0  # a larger load is an error of its unit
 
@@ -99,7 +100,26 @@ class Look(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="l
     every_s: Annotated[float, msgspec.Meta(ge=0.01, le=3600)] = 0.1  # shortest time between two of its pictures
 
 
-Trajectory = JointTrajectory | HandMotion | HoldStill | Look
+class SpindleMotion(msgspec.Struct, frozen=True, kw_only=True, tag="spindle-motion"):
+    """P for an arm that holds a driver: turn its spindle by `turn_rad` with at most `torque_nm`; the arm keeps its
+    position, or presses as its control law says.
+
+    Positive is right-handed about the axis out of the tool: it tightens a right-handed bolt. The goal is the turn; a
+    spindle that stalls ends with the time limit, or with a torque above a limit.
+    """
+
+    turn_rad: float
+    speed_rad_s: float
+    torque_nm: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < abs(self.turn_rad) <= MOST_TURN_RAD:  # false for nan too
+            raise ValueError(f"a spindle turns by more than 0 and at most {MOST_TURN_RAD:g} rad, not {self.turn_rad}")
+        if not (0.0 < self.speed_rad_s < math.inf and 0.0 < self.torque_nm < math.inf):
+            raise ValueError("a spindle needs a speed and a torque above 0")
+
+
+Trajectory = JointTrajectory | HandMotion | HoldStill | SpindleMotion | Look
 
 
 class Load(msgspec.Struct, frozen=True, kw_only=True):

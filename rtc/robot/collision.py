@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from rtc.cells import cell as cells
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import bodies
+from rtc.robot import bodies, hinges
 from rtc.robot.apart import ApartCheck
 from rtc.robot.geometry import Array, Floats
 from rtc.robot.levers import ball, levers, of_pairs
@@ -32,15 +32,29 @@ class Held:
 
 
 @dataclass(frozen=True, eq=False)
+class Hung:
+    """A held object with a hinge. It turns to where a point of it is nearest to the tcp of the arm that holds it."""
+
+    arm: str
+    home: Floats  # pose at angle 0, world
+    axis: Floats  # unit vector, object's axes
+    range_rad: tuple[float, float]  # its stops
+    point: Floats  # m, object's axes
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """The state of the world for a check. A name is an owner (RACK-1) or a part of one (RACK-1 floor)."""
 
     poses: Mapping[str, Floats] = field(default_factory=dict)  # of seats and objects, world; others as in the cell
     held: Mapping[str, Held] = field(default_factory=dict)  # by object
+    hung: Mapping[str, Hung] = field(default_factory=dict)  # by object
     openings_m: Mapping[str, float] = field(default_factory=dict)  # of the hands, by arm; default: fully open
     ignore: Iterable[tuple[str, str]] = ()  # pairs that may touch
     clearance_m: float = 0.0  # minimum distance of arms and held objects
     near: Iterable[str] = ()  # bodies exempt from the clearance, but not from contact
+    unsure_m: Mapping[str, float] = field(default_factory=dict)  # bodies that may be this far from their pose here
+    keeps_unsure: bool = False  # count these distances as clearance from those bodies
     keep_out: Iterable[str] = ()  # regions that count as solid
     moving: str = ""  # the arm to check, pairs without it are ignored; empty: all arms
 
@@ -132,6 +146,7 @@ class CollisionWorld:
     def check(self, joints: Mapping[str, Floats], scene: Scene = AS_BUILT) -> Collision | None:
         """The first pair found that is too near, or None. `joints`: rad, of all arms. Raises ValueError."""
         self._set(joints, scene)
+        self._turn_hung(scene)
         return self._ask()
 
     def check_path(
@@ -153,6 +168,8 @@ class CollisionWorld:
         """
         if not len(configurations):
             return None
+        if scene.hung:
+            return self._first_while_turning(arm, configurations, others, scene)
         self._set({**others, arm: configurations[0]}, scene)
         slots = self._bodies.arms[arm].joints
         leaving: dict[int, float] = {}  # pair -> greatest distance so far
@@ -188,6 +205,9 @@ class CollisionWorld:
         thousands of checks.
         """
         count = len(configurations)
+        if scene.hung:
+            hit = self._first_while_turning(arm, configurations, others, scene)
+            return count if hit is None else hit.index
         self._set({**others, arm: configurations[0]}, scene)
         slots = self._bodies.arms[arm].joints
         grouped = count >= LEAST_GROUPED
@@ -224,6 +244,29 @@ class CollisionWorld:
         return min(found, key=lambda collision: collision.distance_m, default=None)
 
     # --- inside ------------------------------------------------------------------------------------------
+
+    def _first_while_turning(
+        self, arm: str, configurations: Sequence[Floats] | Array, others: Mapping[str, Floats], scene: Scene
+    ) -> PathCollision | None:
+        """As `check_path`, with objects that turn about their hinges. A contact at the start counts."""
+        self._set({**others, arm: configurations[0]}, scene)
+        for index, configuration in enumerate(configurations):
+            self._q[self._bodies.arms[arm].joints] = configuration
+            self._turn_hung(scene)
+            if hit := self._ask():
+                return PathCollision(index, hit)
+        return None
+
+    def _turn_hung(self, scene: Scene) -> None:
+        """Turns the hung objects of a scene to the hands that hold them at the present configuration."""
+        if not scene.hung:
+            return
+        pin.forwardKinematics(self._bodies.model, self._data, self._q)
+        for name, hung in scene.hung.items():
+            hand = self._bodies.arms[hung.arm]
+            tcp = (self._data.oMi[hand.hand_joint] * hand.tcp).translation
+            self._placed.pop(name, None)  # elsewhere than in the scene
+            self._place_body(name, "", hinges.at_hand(hung.home, hung.axis, hung.range_rad, hung.point, tcp))
 
     def _touches_any(self) -> bool:
         model = self._bodies.model
@@ -340,7 +383,10 @@ class CollisionWorld:
         before, self._scene = self._scene, None  # None until done: after an error the scene is applied in part only
         # Scenes often differ only in active pairs and margins; then no body has to be placed again.
         if before is None or not (
-            scene.poses is before.poses and scene.held is before.held and scene.openings_m is before.openings_m
+            scene.poses is before.poses
+            and scene.held is before.held
+            and not before.hung
+            and scene.openings_m is before.openings_m
         ):
             self._place_bodies(scene)
         self._switch(scene)
@@ -376,8 +422,10 @@ class CollisionWorld:
 
     def _switch(self, scene: Scene) -> None:
         """Sets the active pairs and the margins of a scene."""
-        held = tuple((name, held.arm) for name, held in scene.held.items())
-        rules = (scene.moving, held, *map(tuple, (scene.ignore, scene.near, scene.keep_out)), scene.clearance_m)
+        held = _in_hands(scene)
+        unsure = tuple(scene.unsure_m.items()) if scene.keeps_unsure else ()
+        lists = map(tuple, (scene.ignore, scene.near, scene.keep_out))
+        rules = (scene.moving, held, unsure, *lists, scene.clearance_m)
         pairs = self._pairs_of_scene.get(rules)
         if pairs is None:
             if len(self._pairs_of_scene) >= KEPT_SCENES:
@@ -397,27 +445,30 @@ class CollisionWorld:
     def _pairs_in(self, scene: Scene) -> Pairs:
         moving = self._arm_piece.copy()  # pieces that move with an arm
         carrier = self._carriers(scene)
-        for name in scene.held:
+        for name, _ in _in_hands(scene):
             moving |= self._owner == self._number[name]
         first, second = self._first, self._second
         if scene.moving:
             moving = carrier == self._number[scene.moving]
         active = moving[first] | moving[second]
         active &= ~(self._region_piece[first] | self._region_piece[second]) | self._touches(scene.keep_out)
-        for name, held in scene.held.items():  # the hand touches what it holds
-            hand = self._matching(held.arm) & np.isin(self._part, list(self._bodies.arms[held.arm].hand_links))
+        for name, arm in _in_hands(scene):  # the hand touches what it holds
+            hand = self._matching(arm) & np.isin(self._part, list(self._bodies.arms[arm].hand_links))
             active &= ~self._between(hand, self._owner == self._number[name])
         for a, b in scene.ignore:
             active &= ~self._between(self._matching(a), self._matching(b))
         margin = np.where(carrier[first] == carrier[second], 0.0, scene.clearance_m)
         margin[self._touches(scene.near)] = 0.0
+        if scene.keeps_unsure:
+            for name, most_m in scene.unsure_m.items():
+                margin = np.where(self._touches([name]), np.maximum(margin, most_m), margin)
         return Pairs(active, margin, self._as_matrix(active), self._as_matrix(margin))
 
     def _carriers(self, scene: Scene) -> np.ndarray:
         """Number of the owner that moves each piece."""
         carrier = self._owner.copy()
-        for name, held in scene.held.items():
-            carrier[self._owner == self._number[name]] = self._number[held.arm]
+        for name, arm in _in_hands(scene):
+            carrier[self._owner == self._number[name]] = self._number[arm]
         return carrier
 
     def _index(self) -> None:
@@ -470,6 +521,14 @@ class CollisionWorld:
         for name in names:
             mask |= self._matching(name)
         return mask[self._first] | mask[self._second]
+
+
+def _in_hands(scene: Scene) -> tuple[tuple[str, str], ...]:
+    """(object, arm) of all objects that move with a hand."""
+    return (
+        *((name, held.arm) for name, held in scene.held.items()),
+        *((n, hung.arm) for n, hung in scene.hung.items()),
+    )
 
 
 def _coal_transform(placement: pin.SE3) -> coal.Transform3s:

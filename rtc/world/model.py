@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rtc.cells.cell import Cell
 
 #: attributes that a motion can change
-MOVED = frozenset({"joints", "hand_width", "holding", "frame", "seat", "held_by", "grasp"})
+MOVED = frozenset({"joints", "hand_width", "holding", "frame", "seat", "held_by", "grasp", "angle"})
 UNIT_TOLERANCE = 1e-4  # tolerance of the norm of a quaternion
 MAX_DEPTH = 8  # maximum nesting in values of attributes without a row in ATTRIBUTES
 
@@ -105,6 +105,8 @@ def initial_facts(cell: Cell) -> list[WorldChange]:
             WorldChange(key=f"{thing.name}.grasp", value=None),
             WorldChange(key=f"{thing.name}.mass", value=thing.mass_kg),
         ]
+        if thing.hinge is not None:
+            changes.append(WorldChange(key=f"{thing.name}.angle", value=math.radians(thing.hinge.at_deg)))
     return changes
 
 
@@ -150,6 +152,10 @@ def _length(value: Any) -> str:
     return "" if _finite(value) and value >= 0 else f"must be a finite number, not negative, not {_shown(value)}"
 
 
+def _number(value: Any) -> str:
+    return "" if _finite(value) else f"must be a finite number, not {_shown(value)}"
+
+
 def _text(value: Any) -> str:
     return "" if isinstance(value, str) and len(value) <= 200 else f"must be a name or empty, not {_shown(value)}"
 
@@ -178,4 +184,5 @@ ATTRIBUTES: dict[str, Callable[[Any], str]] = {
     "held_by": _text,  # arm
     "grasp": _pose_or_none,  # of the object's frame, in tcp axes, while held
     "mass": _length,  # kg
+    "angle": _number,  # about the hinge of the object, rad
 }

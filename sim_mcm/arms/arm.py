@@ -42,6 +42,19 @@ class HandCommand(msgspec.Struct, frozen=True):
     speed_m_s: float
 
 
+class SpindleCommand(msgspec.Struct, frozen=True):
+    """Turn the spindle of a held driver by `turn_rad` (positive: right-handed about the axis out of the tool)."""
+
+    turn_rad: float
+    speed_rad_s: float
+    torque_nm: float  # at most; the spindle stalls at it
+
+
+class SpindleState(msgspec.Struct, frozen=True):
+    turned_rad: float = 0.0  # since its command
+    torque_nm: float = 0.0  # exerted on the bolt
+
+
 class ArmState(msgspec.Struct):
     """The state of an arm that survives its controller: brakes hold the joints, the hand keeps its grip."""
 
@@ -109,6 +122,12 @@ class ArmInterface(Protocol):
         """The wrench of this tick minus its bias; called before each `follow` under a compliant law."""
 
     def command_hand(self, command: HandCommand) -> None: ...
+
+    def drive_spindle(self, command: SpindleCommand | None) -> None:
+        """Turn the spindle of the driver in the hand; None stops it. Raises ValueError if the hand holds none, or the
+        driver cannot do it."""
+
+    def spindle(self) -> SpindleState: ...
 
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         """Pose of the tcp at these joint positions (rad), world frame."""

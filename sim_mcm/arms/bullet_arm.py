@@ -19,7 +19,18 @@ from rtc.protocol.primitive import ControlLaw, Load
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
-from sim_mcm.arms.arm import ArmState, CellState, HandCommand, Motion, Near, Sample, Traits
+from sim_mcm.arms.arm import (
+    ArmState,
+    CellState,
+    HandCommand,
+    Motion,
+    Near,
+    Sample,
+    SpindleCommand,
+    SpindleState,
+    Traits,
+)
+from sim_mcm.arms.bolts import Bolts
 from sim_mcm.arms.bullet_world import STEP_S, PhysicsWorld
 from sim_mcm.arms.detents import Detents
 from sim_mcm.arms.hand import Hand, pressed
@@ -40,7 +51,8 @@ BODY_B, LINK_A, LINK_B, ON_B, DISTANCE, NORMAL_FORCE = 2, 3, 4, 6, 8, 9  # field
 class BulletArm:
     """One arm of the world: its body, sensors and motors."""
 
-    def __init__(self, world: PhysicsWorld, name: str) -> None:
+    def __init__(self, world: PhysicsWorld, name: str, bolts: Bolts) -> None:
+        self._bolts = bolts
         spec = world.cell.arm(name)
         self.traits = Traits.of(world.cell, name)
         self._world = world
@@ -114,6 +126,12 @@ class BulletArm:
 
     def command_hand(self, command: HandCommand) -> None:
         self._hand.command = command
+
+    def drive_spindle(self, command: SpindleCommand | None) -> None:
+        self._bolts.drive(self.traits.name, command, self.pressed_on() if command is not None else set())
+
+    def spindle(self) -> SpindleState:
+        return self._bolts.state(self.traits.name)
 
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         return self._model.fk(joints)
@@ -283,7 +301,8 @@ class BulletCell:
     def __init__(self, cell: cells.Cell) -> None:
         self.cell = cell
         self.world = PhysicsWorld(cell)
-        self.arms = {arm.name: BulletArm(self.world, arm.name) for arm in cell.arms}
+        self.bolts = Bolts(self.world)
+        self.arms = {arm.name: BulletArm(self.world, arm.name, self.bolts) for arm in cell.arms}
         for arm in self.arms.values():
             arm.others = [other for other in self.arms.values() if other is not arm]
         self._detents = Detents(self.world)
@@ -299,6 +318,7 @@ class BulletCell:
     def step(self) -> None:
         for arm in self.arms.values():
             arm.drive()
+        self.bolts.step()
         self.world.step()
         self._detents.step()
 
@@ -316,7 +336,7 @@ class BulletCell:
     def held(self) -> dict[str, list[str]]:
         bodies = {name: arm.pressed_on() for name, arm in self.arms.items()}
         return {
-            arm: sorted(name for name in self.world.free if self.world.objects[name].id in pressed_bodies)
+            arm: sorted(name for name in self.world.movable if self.world.objects[name].id in pressed_bodies)
             for arm, pressed_bodies in bodies.items()
         }
 
@@ -333,11 +353,12 @@ class BulletCell:
         for name, seat in self.world.seats.items():
             seat.home = np.array(state.poses[name])
             self.world.place(seat, seat.home)
-        for name in self.world.free:
+        for name in self.world.movable | self.world.threaded:
             self.world.place(self.world.objects[name], state.poses[name])
         for name, arm in self.arms.items():
             arm.restore(state.arms[name])
         self._detents.look()
+        self.bolts.look()
         self._settle()
 
     def displace(self, name: str, offset: Sequence[float]) -> str:
@@ -364,11 +385,15 @@ class BulletCell:
         self._detents.jam(seat, jammed)
 
     def change_physics(self, mass: float, friction: float) -> str:
-        for name in self.world.free:
+        for name in self.world.movable:
             self.world.weigh(name, mass)
         for arm in self.arms.values():
             arm.rub(friction)
         return ""
+
+    def strip(self, bolt: str, stripped: bool = True) -> str:
+        """Strip a bolt, or mend it. Returns the reason of a refusal, or ''."""
+        return self.bolts.strip(bolt, stripped)
 
     def close(self) -> None:
         self.world.close()

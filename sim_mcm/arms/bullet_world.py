@@ -6,6 +6,7 @@ body; its origin is its centre of mass. This module must not know control or tim
 
 from __future__ import annotations
 
+import math
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Sequence
@@ -17,7 +18,7 @@ import pybullet_data
 
 from rtc.cells import cell as cells
 from rtc.cells import parts
-from rtc.robot import geometry, hulls
+from rtc.robot import geometry, hinges, hulls
 from rtc.robot.geometry import Array
 
 STEP_S = 0.001
@@ -30,14 +31,27 @@ SHAPE_LINK, SHAPE_TYPE, SHAPE_COLOUR = 1, 2, 7  # fields of pybullet's visual sh
 BLACK, PAINT = (0.0, 0.0, 0.0, 1.0), (0.82, 0.83, 0.84, 1.0)
 
 
+HINGED = THREADED = 0  # the link of an object with a hinge or a thread
+THREAD_N = 200.0  # that a thread holds along its axis
+
+
 class Body:
     """An object or a seat of the cell, made of one or several pybullet bodies."""
 
-    def __init__(self, name: str, pose: Array, pieces: list[tuple[int, Array]]) -> None:
+    def __init__(
+        self,
+        name: str,
+        pose: Array,
+        pieces: list[tuple[int, Array]],
+        hinge: parts.Hinge | None = None,
+        thread: parts.Thread | None = None,
+    ) -> None:
         self.name = name
-        self.home = pose
+        self.home = pose  # of an object with a hinge: at angle 0; of a bolt: tight
         self.parts = pieces  # (pybullet id, pose in the axes of the object or seat)
         self.id = pieces[0][0] if pieces else -1  # a movable object has only this one
+        self.hinge = hinge
+        self.thread = thread
 
 
 class PhysicsWorld:
@@ -59,8 +73,12 @@ class PhysicsWorld:
         )
         self.names: dict[int, str] = {}  # pybullet id -> name for messages
         self.seats = {seat.name: self._fixed(seat, seat.frame.pose) for seat in cell.seats}
-        self.objects = {thing.name: self._object(thing) for thing in cell.objects}
-        self.free = {thing.name for thing in cell.objects if not thing.fixed}
+        self.objects: dict[str, Body] = {}
+        for thing in cell.objects:
+            self.objects[thing.name] = self._object(thing)
+        self.free = {thing.name for thing in cell.objects if not thing.fixed and thing.hinge is None}
+        self.threaded = {thing.name for thing in cell.objects if thing.thread is not None}
+        self.movable = {thing.name for thing in cell.objects if not thing.fixed}
 
     def close(self) -> None:
         pybullet.disconnect(physicsClientId=self.client)
@@ -102,6 +120,10 @@ class PhysicsWorld:
     def pose(self, name: str) -> Array:
         """Pose of an object, world frame."""
         body = self.objects[name]
+        if body.hinge is not None:
+            return hinges.turned(body.home, body.hinge.axis, self.angle(name))
+        if body.thread is not None:
+            return geometry.compose(body.home, (0.0, 0.0, self.out_m(name), 0.0, 0.0, 0.0, 1.0))
         position, quaternion = pybullet.getBasePositionAndOrientation(body.id, physicsClientId=self.client)
         return geometry.compose(geometry.make_pose(position, quaternion), geometry.inverse(body.parts[0][1]))
 
@@ -111,20 +133,57 @@ class PhysicsWorld:
         found: Sequence[float] = position
         return found
 
+    def angle(self, name: str) -> float:
+        """Angle of an object with a hinge (rad)."""
+        found: float = pybullet.getJointState(self.objects[name].id, HINGED, physicsClientId=self.client)[0]
+        return found
+
+    def out_m(self, name: str) -> float:
+        """How far the head of a bolt is out."""
+        found: float = pybullet.getJointState(self.objects[name].id, THREADED, physicsClientId=self.client)[0]
+        return found
+
+    def move_out(self, name: str, out_m: float) -> None:
+        """Command the head of a bolt along its thread."""
+        pybullet.setJointMotorControl2(
+            self.objects[name].id,
+            THREADED,
+            pybullet.POSITION_CONTROL,
+            targetPosition=out_m,
+            force=THREAD_N,
+            physicsClientId=self.client,
+        )
+
     def velocity(self, name: str) -> list[float]:
+        body = self.objects[name]
+        if body.hinge is not None:
+            rate = pybullet.getJointState(body.id, HINGED, physicsClientId=self.client)[1]
+            return [0.0, 0.0, 0.0, *(rate * geometry.rotate(body.home, body.hinge.axis)).tolist()]
         linear, angular = pybullet.getBaseVelocity(self.objects[name].id, physicsClientId=self.client)
         return [*linear, *angular]
 
     def weigh(self, name: str, factor: float) -> None:
         """Scale the mass and inertia of an object relative to the cell file."""
         thing, body = self.cell.object(name), self.objects[name].id
-        pybullet.changeDynamics(body, -1, mass=factor * thing.mass_kg, physicsClientId=self.client)
+        link = -1 if thing.hinge is None else HINGED
+        pybullet.changeDynamics(body, link, mass=factor * thing.mass_kg, physicsClientId=self.client)
         if thing.inertia_kg_m2 is not None:  # else Bullet derives it from the mass
             inertia = [factor * n for n in thing.inertia_kg_m2]
-            pybullet.changeDynamics(body, -1, localInertiaDiagonal=inertia, physicsClientId=self.client)
+            pybullet.changeDynamics(body, link, localInertiaDiagonal=inertia, physicsClientId=self.client)
 
     def place(self, body: Body, pose: geometry.Floats) -> None:
-        """Set the pose of an object or seat, at rest."""
+        """Set the pose of an object or seat, at rest. One with a hinge turns, and its hinge moves with the rest."""
+        if body.hinge is not None:
+            least, most = body.hinge.range_rad
+            angle = min(max(hinges.angle_of(body.home, body.hinge.axis, pose), least), most)
+            body.home = hinges.turned(pose, body.hinge.axis, -angle)
+            pose = body.home
+            pybullet.resetJointState(body.id, HINGED, angle, 0.0, physicsClientId=self.client)
+        if body.thread is not None:
+            out_m = float(geometry.relative(body.home, pose)[2])
+            pose = body.home
+            pybullet.resetJointState(body.id, THREADED, out_m, 0.0, physicsClientId=self.client)
+            self.move_out(body.name, out_m)
         for part, local in body.parts:
             at = geometry.compose(pose, local).tolist()
             pybullet.resetBasePositionAndOrientation(part, at[:3], at[3:], physicsClientId=self.client)
@@ -154,8 +213,12 @@ class PhysicsWorld:
 
     def _object(self, thing: parts.Object) -> Body:
         pose = self.cell.object_pose(thing.name)
+        if thing.thread is not None:
+            return self._threaded(thing, thing.thread)
         if thing.fixed:
             return self._fixed(thing, pose)
+        if thing.hinge is not None:
+            return self._hinged(thing, thing.hinge)
         at = pose.tolist()
         body = pybullet.createMultiBody(
             baseMass=thing.mass_kg,
@@ -174,10 +237,60 @@ class PhysicsWorld:
             )
         return Body(thing.name, pose, [(body, geometry.make_pose((0, 0, 0)))])
 
-    def _rub(self, body: int, shape: parts.AnyShape) -> None:
+    def _hinged(self, thing: parts.Object, hinge: parts.Hinge) -> Body:
+        body = self._jointed(thing, pybullet.JOINT_REVOLUTE, hinge.axis)
+        least, most = hinge.range_rad
+        more = {} if thing.inertia_kg_m2 is None else {"localInertiaDiagonal": list(thing.inertia_kg_m2)}
+        pybullet.changeDynamics(
+            body, HINGED, jointLowerLimit=least, jointUpperLimit=most, jointDamping=0.0, **more,
+            physicsClientId=self.client,
+        )  # fmt: skip
+        # A velocity motor of limited torque is dry friction; pybullet's default motor would lock the hinge.
+        pybullet.setJointMotorControl2(
+            body,
+            HINGED,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocity=0.0,
+            force=hinge.friction_nm,
+            physicsClientId=self.client,
+        )
+        pybullet.resetJointState(body, HINGED, math.radians(hinge.at_deg), 0.0, physicsClientId=self.client)
+        return Body(thing.name, thing.frame.pose, [(body, geometry.make_pose((0, 0, 0)))], hinge)
+
+    def _threaded(self, thing: parts.Object, thread: parts.Thread) -> Body:
+        body = self._jointed(thing, pybullet.JOINT_PRISMATIC, (0.0, 0.0, 1.0))
+        made = Body(thing.name, thing.frame.pose, [(body, geometry.make_pose((0, 0, 0)))], thread=thread)
+        self.objects[thing.name] = made
+        self.move_out(thing.name, 0.0)
+        return made
+
+    def _jointed(self, thing: parts.Object, joint: int, axis: parts.Vec3) -> int:
+        """A fixed base without shapes, and the object as its one link."""
+        home = thing.frame.pose.tolist()
+        body: int = pybullet.createMultiBody(
+            baseMass=0,
+            basePosition=home[:3],
+            baseOrientation=home[3:],
+            linkMasses=[thing.mass_kg],
+            linkCollisionShapeIndices=[self._collision(thing.shapes, placed=True)],
+            linkVisualShapeIndices=[self._look(thing.shapes, placed=True)],
+            linkPositions=[[0.0, 0.0, 0.0]],
+            linkOrientations=[[0.0, 0.0, 0.0, 1.0]],
+            linkInertialFramePositions=[list(thing.centre_of_mass_m)],
+            linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]],
+            linkParentIndices=[0],
+            linkJointTypes=[joint],
+            linkJointAxis=[list(axis)],
+            physicsClientId=self.client,
+        )
+        self.names[body] = thing.name
+        self._rub(body, max(thing.shapes, key=lambda shape: shape.friction), 0)
+        return body
+
+    def _rub(self, body: int, shape: parts.AnyShape, link: int = -1) -> None:
         pybullet.changeDynamics(
             body,
-            -1,
+            link,
             lateralFriction=shape.friction,
             spinningFriction=shape.spinning_friction,
             linearDamping=0.0,  # a free body keeps its velocity

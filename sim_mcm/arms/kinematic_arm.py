@@ -20,12 +20,23 @@ import pinocchio as pin
 from rtc.cells import cell as cells
 from rtc.cells import parts
 from rtc.protocol.primitive import ControlLaw
-from rtc.robot import geometry, hulls
+from rtc.robot import geometry, hinges, hulls
 from rtc.robot.bodies import COAL_SHAPES
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms import control_laws
-from sim_mcm.arms.arm import TICK_S, ArmState, CellState, HandCommand, Motion, Near, Sample, Traits
+from sim_mcm.arms.arm import (
+    TICK_S,
+    ArmState,
+    CellState,
+    HandCommand,
+    Motion,
+    Near,
+    Sample,
+    SpindleCommand,
+    SpindleState,
+    Traits,
+)
 from sim_mcm.arms.hand import CENTRE_N_M
 from sim_mcm.arms.kinematic_seats import Seats
 
@@ -57,6 +68,7 @@ class KinematicCell:
         self.cell = cell
         self.poses: dict[str, Array] = {thing.name: cell.object_pose(thing.name) for thing in cell.objects}
         self.poses |= {seat.name: seat.frame.pose for seat in cell.seats}
+        self._homes = {thing.name: thing.frame.pose for thing in cell.objects if thing.hinge is not None}
         self.seats = Seats(cell, self.poses)
         self.carried: dict[str, tuple[str, Array]] = {}  # object -> arm, pose in tcp axes
         self.pieces: dict[str, list[PlacedShape]] = {}
@@ -77,8 +89,24 @@ class KinematicCell:
         for arm in self.arms.values():
             arm.step()
         for name, (arm_name, grasp) in self.carried.items():
-            self.poses[name] = geometry.compose(self.arms[arm_name].pose, grasp)
+            hand = self.arms[arm_name].pose
+            self.poses[name] = self._hung(name, hand, grasp) if name in self._homes else geometry.compose(hand, grasp)
             self._place(name)
+
+    def _hung(self, name: str, hand: Array, grasp: Array) -> Array:
+        """The pose of an object with a hinge, turned to where the hand that holds it is."""
+        hinge, home = self.cell.object(name).hinge, self._homes[name]
+        assert hinge is not None
+        return hinges.at_hand(home, hinge.axis, hinge.range_rad, geometry.inverse(grasp)[:3], hand[:3])
+
+    def _hang(self) -> None:
+        """Take over the poses of objects with hinges: where at angle 0 they would be."""
+        for name, home in self._homes.items():
+            hinge = self.cell.object(name).hinge
+            assert hinge is not None
+            least, most = hinge.range_rad
+            angle = min(max(hinges.angle_of(home, hinge.axis, self.poses[name]), least), most)
+            self._homes[name] = hinges.turned(self.poses[name], hinge.axis, -angle)
 
     def near(self, point: Array, arm: str, margin_m: float = 0.0) -> list[PlacedShape]:
         """Pieces within reach (plus margin) of a hand at `point` (m, world), without those that `arm` carries."""
@@ -111,6 +139,7 @@ class KinematicCell:
     def restore(self, state: CellState) -> None:
         self.poses |= {name: np.array(pose) for name, pose in state.poses.items()}
         self.carried = {name: (arm, np.array(grasp)) for name, (arm, grasp) in state.carried.items()}
+        self._hang()
         for owner in self.pieces:
             self._place(owner)
         for name, arm in self.arms.items():
@@ -127,6 +156,7 @@ class KinematicCell:
             if owner is not None:
                 self.poses[owner] = geometry.compose(after, geometry.relative(before, self.poses[owner]))
                 self._place(owner)
+        self._hang()
         for arm in self.arms.values():
             arm.forget_clearance()
         return ""
@@ -213,6 +243,13 @@ class KinematicArm:
     def command_hand(self, command: HandCommand) -> None:
         self._hand = command
         self._hand_busy = True
+
+    def drive_spindle(self, command: SpindleCommand | None) -> None:
+        if command is not None:
+            raise ValueError("exact arms turn no bolts; a simulation with physics does")
+
+    def spindle(self) -> SpindleState:
+        return SpindleState()
 
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         return self._model.fk(joints)

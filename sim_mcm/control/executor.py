@@ -20,7 +20,7 @@ from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
-from sim_mcm.arms.arm import TICK_S, ArmInterface, HandCommand, Motion, Sample
+from sim_mcm.arms.arm import TICK_S, ArmInterface, HandCommand, Motion, Sample, SpindleCommand
 from sim_mcm.control import acceptance, profiles, stop_functions
 from sim_mcm.control.modes import AFTER_STOP, MOVING, TRANSITIONS, Mode, Trigger
 from sim_mcm.control.pace import Pace
@@ -44,6 +44,7 @@ REST_RAD, REST_M = 0.005 * WINDOW_TICKS * TICK_S, 0.002 * WINDOW_TICKS * TICK_S
 # Factor by which a command may exceed a joint's speed limit. Reasons: an offset at the start of a path (0.08 rad/s);
 # braking from an acceleration (0.14 rad/s). A greater excess is an error in the profile.
 COMMAND_SLACK = 1.25
+TURNED_RAD = 1e-6  # tolerance of the turn of a spindle
 GOAL_RAD = 0.002  # maximum joint error at the goal
 # An arm at rest for this long, this near the goal, leans on something and ends there; the report has its position.
 LEANING_TICKS, LEANING_RAD = 100, 0.03
@@ -95,6 +96,7 @@ class Executor:
         self._tcp_of: Sample | None = None  # the sample that `_tcp_pose` belongs to
         self._tcp_pose: Array = arm.tcp_pose(self.sample.joints)
         self._was_compliant = False  # up to the stop
+        self._turned_rad: float | None = None  # by the spindle, if the primitive has turned one
         self._compliant = False  # the present control law complies; outside EXECUTING it never does
         self._work: dict[Mode, Callable[[float], Reports]] = {
             Mode.HOLDING: lambda now_s: [],
@@ -232,6 +234,7 @@ class Executor:
         self._peaks = Peaks()
         self._yielded = self._releasing = False
         self._leaning_ticks = 0
+        self._turned_rad = None
         every_s = self.primitive.reporting.every_s
         self._report_every = None if every_s is None else max(1, round(every_s / TICK_S))
         joints = self._command[0]
@@ -242,6 +245,8 @@ class Executor:
             self._use(profiles.Stay(joints))
         if isinstance(trajectory, p.HandMotion):
             self._move_hand(trajectory)
+        if isinstance(trajectory, p.SpindleMotion):
+            self.arm.drive_spindle(_spindle(trajectory))
 
     def _execute(self, now_s: float) -> Reports:
         moment = self._moment()
@@ -293,6 +298,9 @@ class Executor:
         assert self.trip is not None
         self._was_compliant = self._compliant
         self._stopped_at_s = math.inf if self.trip.reason is StopReason.GOAL else self._profile_time_s
+        if isinstance(self.primitive.trajectory, p.SpindleMotion):
+            self._turned_rad = self.arm.spindle().turned_rad
+            self.arm.drive_spindle(None)
         if self._compliant:
             self._stiffen(self.primitive.control_law)
         self._use(profiles.Brake(self._command, laden=min(self.sample.finger_forces) > SQUEEZE_N))
@@ -432,6 +440,9 @@ class Executor:
             conditions = stop_functions.compile_reports(primitive, self.arm.traits)
             if any(stop.reflex is Reflex.COMPLY for stop in primitive.stop_functions):
                 self.arm.use_law(_limp(primitive.control_law))  # an arm that cannot comply refuses here
+            if isinstance(primitive.trajectory, p.SpindleMotion):
+                self.arm.drive_spindle(_spindle(primitive.trajectory))  # an arm that cannot refuses here
+                self.arm.drive_spindle(None)
             self.arm.use_law(primitive.control_law)
         except ValueError as error:
             return str(error)
@@ -571,6 +582,10 @@ class Executor:
         trajectory, sample = self.primitive.trajectory, self.sample
         if isinstance(trajectory, p.HandMotion):
             return self._hand_arrived(trajectory)
+        if isinstance(trajectory, p.SpindleMotion):
+            turned = abs(self.arm.spindle().turned_rad)
+            wanted = abs(trajectory.turn_rad) - TURNED_RAD
+            return (turned, wanted, "") if turned >= wanted else None
         if isinstance(trajectory, p.HoldStill):
             if trajectory.duration_s is None or self._profile_time_s < trajectory.duration_s:
                 return None
@@ -621,7 +636,12 @@ class Executor:
             tcp_pose=self.arm.tcp_pose(self.sample.joints),
             wrench=self._wrench,
             peaks=self._peaks,
+            turned_rad=self._turned_rad,
         )
+
+
+def _spindle(trajectory: p.SpindleMotion) -> SpindleCommand:
+    return SpindleCommand(trajectory.turn_rad, trajectory.speed_rad_s, trajectory.torque_nm)
 
 
 def _limp(law: p.ControlLaw) -> p.ControlLaw:

@@ -58,6 +58,7 @@ def end_report(
     tcp_pose: Array,
     wrench: list[float],
     peaks: Peaks,
+    turned_rad: float | None = None,
 ) -> m.EndReport:
     return m.EndReport(
         primitive=primitive,
@@ -78,6 +79,7 @@ def end_report(
         limit=trip.limit,
         message=trip.message,
         reflex=trip.reflex,
+        turned_rad=turned_rad,
     )
 
 

@@ -104,7 +104,7 @@ def test_a_synonym_has_the_entry_of_its_verb() -> None:
 
 def test_a_verb_with_two_ways_shows_both() -> None:
     assert "OPEN a hand\n  class      Action 1\n" in entry("OPEN")
-    assert "OPEN a door (no script yet)\n  class      Skill 4\n" in entry("OPEN")
+    assert "OPEN a held door\n  class      Skill 4\n" in entry("OPEN")
 
 
 def test_an_unknown_verb_is_refused_with_the_nearest() -> None:

@@ -60,14 +60,15 @@ def record(sentence: str) -> ParsedCommand:
 class Reporter:
     """Says what a perfect arm would say, from where things truly are. Of what is there it knows one object's bar."""
 
-    def __init__(self) -> None:
-        self.poses = {thing.name: CELL.object_pose(thing.name) for thing in CELL.objects}
-        self.joints = {arm.name: np.array(arm.home_rad) for arm in CELL.arms}
-        self.widths = {arm.name: arm.gripper.max_opening_m for arm in CELL.arms}
+    def __init__(self, cell: Cell = CELL) -> None:
+        self.cell = cell
+        self.poses = {thing.name: cell.object_pose(thing.name) for thing in cell.objects}
+        self.joints = {arm.name: np.array(arm.home_rad) for arm in cell.arms}
+        self.widths = {arm.name: arm.gripper.max_opening_m for arm in cell.arms}
         self.closes: list[float] = []  # what the next closures come to, instead of the truth
         self.instead: dict[str, StopReason] = {}  # primitive -> how it ends instead, at its start
         self.seats = True  # what is brought down in a seat touches it, and is caught
-        self.eyes = Ideal(CELL)
+        self.eyes = Ideal(cell)
 
     def displace(self, name: str, by: list[float]) -> None:
         self.poses[name] = geometry.translate(self.poses[name], by)
@@ -117,7 +118,7 @@ class Reporter:
         """How far the grasp point's bar is from the middle between the fingers (m)."""
         assert bound.evaluation is not None
         context = bound.evaluation.context
-        point = CELL.object(context.object).grasp_point(context.grasp_point)
+        point = self.cell.object(context.object).grasp_point(context.grasp_point)
         true = geometry.compose(self.poses[context.object], point.frame.pose)
         return abs(float(geometry.relative(true, MODEL.arms[arm].fk(joints))[1]))
 
@@ -126,7 +127,7 @@ class Reporter:
         context = bound.evaluation.context
         if not context.object or not context.grasp_point:
             return False
-        width = CELL.object(context.object).grasp_point(context.grasp_point).width_m
+        width = self.cell.object(context.object).grasp_point(context.grasp_point).width_m
         return self._aside(arm, joints, bound) > 0.5 * (self.widths[arm] - width)
 
     def _first_touch(self, arm: str, free: Any, touching: Any, bound: BoundStep) -> Any:
@@ -140,7 +141,7 @@ class Reporter:
         context = bound.evaluation.context
         between = 0.0
         if motion.width_m == 0.0 and context.object and context.grasp_point:
-            bar = CELL.object(context.object).grasp_point(context.grasp_point).width_m
+            bar = self.cell.object(context.object).grasp_point(context.grasp_point).width_m
             between = bar if self._aside(arm, self.joints[arm], bound) < 0.04 else 0.0
         elif motion.width_m == 0.0 and bound.evaluation.held:
             between = self.widths[arm]
@@ -153,11 +154,11 @@ class Reporter:
 class Kinematic:
     """The MCM's executor over kinematic arms: the real subsystem, without its socket."""
 
-    def __init__(self) -> None:
-        self.sim = KinematicCell(CELL)
+    def __init__(self, cell: Cell = CELL) -> None:
+        self.sim = KinematicCell(cell)
         self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
         self.disturb: Callable[[int], None] | None = None  # called before each step, with the tick of the primitive
-        self.eyes = Ideal(CELL)
+        self.eyes = Ideal(cell)
 
     @property
     def poses(self) -> dict[str, Any]:
@@ -190,17 +191,18 @@ class Kinematic:
 class Physical(Kinematic):
     """The same in physics."""
 
-    def __init__(self) -> None:
+    def __init__(self, cell: Cell = CELL) -> None:
         from sim_mcm.arms.bullet_arm import BulletCell
 
         self.disturb = None
-        self.sim = BulletCell(CELL)  # type: ignore[assignment]
+        self._cell = cell
+        self.sim = BulletCell(cell)  # type: ignore[assignment]
         self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
         self._eyes: Drawn | None = None
 
     @property
     def eyes(self) -> Drawn:  # type: ignore[override]
-        self._eyes = self._eyes or Drawn(CELL)
+        self._eyes = self._eyes or Drawn(self._cell)
         return self._eyes
 
     def close(self) -> None:
@@ -234,11 +236,11 @@ class Run:
 class Bench:
     """Executes sentences by the loop of the paper, on one subsystem and one world."""
 
-    def __init__(self, subsystem: Any) -> None:
-        self.model = MODEL
+    def __init__(self, subsystem: Any, model: CellModel = MODEL) -> None:
         self.subsystem = subsystem
+        self.model = model
         # As if the cell had been surveyed: a grasp is that of Figure 4 then. See `unsurveyed`.
-        surveyed = [msgspec.structs.replace(change, spread=None) for change in initial_facts(CELL)]
+        surveyed = [msgspec.structs.replace(change, spread=None) for change in initial_facts(model.cell)]
         self.world = World().overlay(surveyed)
         self.programs = {kind: loader.default(kind) for kind in ("elaborator", "binder", "analyzer")}
         self.commands = 0
@@ -246,7 +248,7 @@ class Bench:
 
     def unsurveyed(self) -> None:
         """Things may be as far from where they are believed to be as the cell file says."""
-        self.world = World().overlay(initial_facts(CELL))
+        self.world = World().overlay(initial_facts(self.model.cell))
 
     def without_cameras(self) -> None:
         """The same cell without cameras: what is not known stays unknown."""

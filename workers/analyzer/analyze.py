@@ -21,7 +21,7 @@ from rtc.robot import geometry
 from rtc.world.model import World
 from rtc.world.spread import even, widened
 from workers.analyzer import reported_facts, sighting
-from workers.analyzer.world_changes import EFFECTS, Changes, gone
+from workers.analyzer.world_changes import EFFECTS, Changes, angles, gone
 from workers.binder import reflexes
 from workers.planning import pose_spread
 from workers.planning.robot_models import CellModel
@@ -150,7 +150,7 @@ def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -
             )
         ),
         keep={name: _kept(source, data.report) for name, source in step.keep.items()},
-        changes=_with_spread(program, query, data, _merged(changes)),
+        changes=angles(query, _with_spread(program, query, data, _merged(changes))),
     )
 
 
@@ -178,7 +178,7 @@ def _failure(
     missed = evaluation.step.args.get("missed")
     if isinstance(missed, str) and missed in EFFECTS and failure.retriable and not data.closing and not data.trims_used:
         changes += EFFECTS[missed](query, data, Validity.SUSPECT)
-    changes = _with_spread(program, query, data, _merged(changes))
+    changes = angles(query, _with_spread(program, query, data, _merged(changes)))
     if failure.misplaced:
         changes = _misplaced(program, query, changes)
     asked = reflexes.find_requested(evaluation.context.reflexes, data.report)
@@ -263,7 +263,9 @@ def _held_object_changes(
     opened = data.report.hand_width_m > query.hand_width(arm) + program.values["opened_m"]
     fact = query.world.get(f"{thing}.grasp")
     trusted = fact is None or fact.validity in TRUSTED
-    frame = geometry.normalise(geometry.compose(data.report.tcp_pose, grasp))
+    held = query.in_hand(thing, data.report.tcp_pose)
+    assert held is not None
+    frame = geometry.normalise(held)
     validity = Validity.SUSPECT if suspect or drops or opened or not trusted else Validity.VALID
     moved = [WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity)]
     if drops or opened:

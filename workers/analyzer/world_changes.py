@@ -8,8 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import msgspec
+
 from rtc.protocol.messages import AnalyzerInput, Validity, WorldChange
-from rtc.robot import geometry
+from rtc.robot import geometry, hinges
 from workers.analyzer import touch
 from workers.analyzer.sighting import sighted
 from workers.planning.world_query import WorldQuery
@@ -28,6 +30,9 @@ def taken(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes
     context = data.evaluation.context
     thing, arm = context.object, context.arm
     frame, spread = touch.between_fingers(query, data)
+    if query.hinge(thing) is not None:
+        point = query.cell.object(thing).grasp_point(context.grasp_point).frame.pose[:3]
+        frame = query.hung(thing, point, data.report.tcp_pose[:3])
     grasp = geometry.normalise(geometry.relative(data.report.tcp_pose, frame))
     return [
         WorldChange(key=f"{arm}.holding", value=thing, validity=validity),
@@ -66,6 +71,19 @@ def landed(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Change
     return [] if found is None else _seen(data, found, validity)
 
 
+def angles(query: WorldQuery, changes: Changes) -> Changes:
+    """The changes, with the angle of each object with a hinge whose frame they state."""
+    found = []
+    for change in changes:
+        thing, _, attribute = change.key.rpartition(".")
+        hinge = query.hinge(thing) if attribute == "frame" else None
+        if hinge is None:
+            continue
+        angle = None if change.keep_value else hinges.angle_of(query.hinge_home(thing), hinge.axis, change.value)
+        found.append(msgspec.structs.replace(change, key=f"{thing}.angle", value=angle, spread=None))
+    return [*changes, *found]
+
+
 def _seen(data: AnalyzerInput, found: touch.Found, validity: Validity) -> Changes:
     frame, spread = found
     key = f"{data.evaluation.context.object}.frame"
@@ -79,6 +97,8 @@ def let_go(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Change
     seat = data.evaluation.step.args.get("seat")
     if isinstance(seat, str) and seat:
         changes.append(WorldChange(key=f"{context.object}.seat", value=seat, validity=validity))
+        return changes
+    if query.hinge(context.object) is not None:  # its hinge holds it
         return changes
     near, off_m = _nearest_seat(query, context.object)
     if off_m > CATCHES_M:
@@ -121,10 +141,9 @@ def still_held(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Ch
 def verified(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
     """The fingers press at the object's width: the previous grasp is confirmed."""
     thing, arm = data.evaluation.context.object, data.evaluation.context.arm
-    grasp = query.grasp(thing)
-    if grasp is None:
+    frame = query.in_hand(thing, data.report.tcp_pose)
+    if frame is None:
         return []
-    frame = geometry.compose(data.report.tcp_pose, grasp)
     return [
         WorldChange(key=f"{arm}.holding", value=thing, validity=validity),
         WorldChange(key=f"{thing}.held_by", value=arm, validity=validity),

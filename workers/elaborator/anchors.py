@@ -11,9 +11,11 @@ from dataclasses import dataclass
 
 from rtc.cells.cell import Cell
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry
+from rtc.robot import geometry, hinges
 from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import suggestions
+
+ALONG_BAR = (1.0, 0.0, 0.0)  # tool x
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,13 @@ def grasp_point(candidate: TaskCandidate) -> Anchor | Refusal:
     assert candidate.thing is not None
     if candidate.point is None:
         return _no_grasp_point(candidate.thing.name)
+    pose = candidate.point.frame.pose
+    if candidate.point.round:
+        at = geometry.compose(candidate.query.frame(candidate.thing.name), pose)
+        home = candidate.query.model.arms[candidate.arm.name].fk(candidate.arm.home_rad)
+        pose = hinges.turned(pose, ALONG_BAR, hinges.angle_of(at, ALONG_BAR, home))
     return Anchor(
-        pose=candidate.point.frame.pose.tolist(),
+        pose=pose.tolist(),
         frame=candidate.thing.name,
         relies_on=(f"{candidate.thing.name}.frame",),
     )
@@ -54,6 +61,16 @@ def seat(candidate: TaskCandidate) -> Anchor | Refusal:
     seated = candidate.query.seated_pose(candidate.target.name)
     pose = geometry.compose(seated, geometry.inverse(grasp)).tolist()
     return Anchor(pose=pose, relies_on=(f"{candidate.thing.name}.grasp", f"{candidate.target.name}.frame"))
+
+
+def hinge(candidate: TaskCandidate) -> Anchor | Refusal:
+    """A pose on the hinge of the object, in the object's frame: its z is the axis."""
+    assert candidate.thing is not None
+    name, hinge = candidate.thing.name, candidate.thing.hinge
+    if hinge is None:
+        return _state(f"{name} has no hinge", "an object that has a hinge")
+    pose = hinges.frame(geometry.IDENTITY, hinge.axis).tolist()
+    return Anchor(pose=pose, frame=name, relies_on=(f"{name}.frame", f"{name}.angle"))
 
 
 def destination(candidate: TaskCandidate) -> Anchor | Refusal:
@@ -145,4 +162,5 @@ ANCHORS: dict[str, Callable[[TaskCandidate], Anchor | Refusal]] = {
     "destination": destination,
     "stow": stow,
     "seat": seat,
+    "hinge": hinge,
 }

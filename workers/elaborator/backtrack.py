@@ -112,9 +112,9 @@ def _moved(anchor: Anchor, line: PlanLine, candidate: TaskCandidate) -> Anchor |
     if not line.along:
         return anchor
     try:
-        by_m = expressions.number(line.by, candidate.figures)
+        by_m, turn_rad = (expressions.number(value, candidate.figures) for value in (line.by, line.turn_rad))
     except expressions.ExpressionError as error:
-        return _program(f"{line.by}: {error}")
+        return _program(f"{line.by}, {line.turn_rad}: {error}")
     pose = anchor.pose or candidate.query.model.arms[candidate.arm.name].fk(anchor.joints or ()).tolist()
     frame = candidate.query.frame(anchor.frame) if anchor.frame else geometry.IDENTITY
     world = geometry.compose(frame, pose)
@@ -124,7 +124,7 @@ def _moved(anchor: Anchor, line: PlanLine, candidate: TaskCandidate) -> Anchor |
         out = geometry.rotate(candidate.query.seat_frame(candidate.target.name), candidate.target.way_out)
         moved = geometry.translate(world, by_m * out)
     elif line.along in axes.AXES:
-        moved = axes.shifted(world, line.along, by_m)
+        moved = axes.turned(axes.shifted(world, line.along, by_m), line.along, turn_rad)
     else:
         return suggestions.unknown("axis", line.along, [*axes.AXES, "WAY-OUT"])
     return replace(anchor, joints=None, pose=geometry.relative(frame, moved).tolist())

@@ -26,7 +26,7 @@ from rtc.protocol.primitive_id import seed_of
 from rtc.robot import geometry
 from rtc.world.model import World
 from workers.binder import reflexes
-from workers.elaborator import anchors, command_fields, look, preconditions, set_fact
+from workers.elaborator import anchors, command_fields, hinged, look, preconditions, set_fact
 from workers.elaborator.backtrack import FRAME, Planned, plan
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import certainty, suggestions
@@ -306,6 +306,8 @@ def _script(
     if problem is None and (place := candidate.parsed.place) is not None and place.name:
         problem = anchors.refuse_unknown_place(candidate.query.cell, place.name)  # a wrong name before doubtful facts
     problem = problem or (_unsure_grasp(script, candidate) if candidate.hand else None)
+    problem = problem or (hinged.refuse_other_motion(script, candidate) if candidate.hand else None)
+    problem = problem or hinged.refuse_beyond_stops(script, candidate)
     if problem is not None:
         return problem
     planned = plan(script, candidate) if candidate.hand else Planned.nothing()

@@ -59,7 +59,15 @@ def _object_held(candidate: TaskCandidate) -> Lack | None:
 def _object_seated(candidate: TaskCandidate) -> Lack | None:
     assert candidate.thing is not None
     name = candidate.thing.name
+    if candidate.thing.hinge is not None:
+        return None
     return None if seat_of(candidate.query, name) else Lack(f"{name} is not in a seat, and would drift away", name)
+
+
+def _object_hinged(candidate: TaskCandidate) -> Lack | None:
+    assert candidate.thing is not None
+    name = candidate.thing.name
+    return None if candidate.thing.hinge is not None else Lack(f"{name} has no hinge", name)
 
 
 def _seat_free(candidate: TaskCandidate) -> Lack | None:
@@ -83,6 +91,7 @@ NEEDS: dict[str, Callable[[TaskCandidate], Lack | None]] = {
     "object_free": _object_free,
     "object_held": _object_held,
     "object_seated": _object_seated,
+    "object_hinged": _object_hinged,
     "seat_free": _seat_free,
     "width_known": _width_known,
 }
@@ -104,7 +113,7 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> Refusal | None:
 
 def let_go(rows: dict[str, str], query: WorldQuery, thing: str) -> str:
     """The command that empties the hand: in place if the object stays there; else into a free seat."""
-    if thing not in {known.name for known in query.cell.objects} or seat_of(query, thing):
+    if thing not in {known.name for known in query.cell.objects} or query.hinge(thing) or seat_of(query, thing):
         return rows.get("let_go", "").replace("{held}", thing)
     taken = {query.seat(known.name) for known in query.cell.objects if known.name != thing}
     free = [seat.name for seat in query.cell.seats if seat.name not in taken]

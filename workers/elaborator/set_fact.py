@@ -6,6 +6,7 @@ the values have its number and unit. The analyzer judges whether the facts are p
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -14,7 +15,7 @@ from rtc.language.record import ParsedCommand
 from rtc.programs.schema import ElaboratorProgram, ScriptFile, SettableAttribute
 from rtc.protocol.messages import Script, ScriptContext, Step
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry
+from rtc.robot import geometry, hinges
 from rtc.robot.geometry import Array
 from workers.elaborator import command_fields, preconditions
 from workers.planning import suggestions
@@ -191,6 +192,20 @@ def _seat(program: ElaboratorProgram, values: list[Any], thing: Thing, query: Wo
     return _pose(seated[:3], seated[3:], thing)
 
 
+def _angle(program: ElaboratorProgram, values: list[Any], thing: Thing, query: WorldQuery) -> dict[str, Any] | Refusal:
+    """The pose of an object with a hinge at this angle."""
+    hinge = thing.hinge if isinstance(thing, parts.Object) else None
+    if hinge is None:
+        return Refusal(reason=RefusalReason.STATE, message=f"{thing.name} has no hinge", clears="an object with one")
+    if not hinge.range_rad[0] <= values[0] <= hinge.range_rad[1]:
+        least, most = hinge.range_deg
+        between = f"from {least:g} to {most:g} deg"
+        message = f"{thing.name} turns {between}, not to {math.degrees(values[0]):g} deg"
+        return Refusal(reason=RefusalReason.INFEASIBLE, message=message, clears=f"an angle {between}")
+    turned = hinges.turned(query.hinge_home(thing.name), hinge.axis, values[0])
+    return _pose(turned[:3], turned[3:], thing)
+
+
 def _current_pose(thing: Thing, query: WorldQuery) -> Array:
     return query.seat_frame(thing.name) if isinstance(thing, parts.Seat) else query.frame(thing.name)
 
@@ -206,4 +221,5 @@ FACTS: dict[str, Callable[[ElaboratorProgram, list[Any], Thing, WorldQuery], dic
     "frame": _frame,
     "attitude": _attitude,
     "seat": _seat,
+    "angle": _angle,
 }

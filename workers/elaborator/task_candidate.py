@@ -148,6 +148,10 @@ def figures_of(
         figures |= pose_spread.uncertainty_figures(query.spread(f"{thing.name}.frame"), point.frame.pose)
     if thing is not None:
         figures["mass_kg"] = float(query.world.value(f"{thing.name}.mass") or thing.mass_kg)
+        figures["hinged"] = float(thing.hinge is not None)
+        if thing.hinge is not None:
+            least, most = thing.hinge.range_rad
+            figures |= {"hinge_rad": query.angle(thing.name), "hinge_least_rad": least, "hinge_most_rad": most}
     if target is not None:
         figures |= {"seat_depth_m": target.depth_m, "detent_n": target.detent_n}
     figures |= _figure_of("amount", parsed.amount)

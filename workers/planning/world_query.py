@@ -18,9 +18,9 @@ from rtc.cells import parts
 from rtc.protocol.messages import Limits, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import JointTrajectory, Load, Primitive
-from rtc.robot import geometry
-from rtc.robot.collision import Held, Scene
-from rtc.robot.geometry import Array
+from rtc.robot import geometry, hinges
+from rtc.robot.collision import Held, Hung, Scene
+from rtc.robot.geometry import Array, Floats
 from rtc.world.model import World
 from rtc.world.spread import EXACT, Spread
 from workers.planning import axes, pose_spread, sight
@@ -31,6 +31,7 @@ from workers.planning.robot_models import CellModel
 
 UNKNOWN_RADIUS_M = 0.1  # an object of unknown inertia is modelled as a solid ball of this radius
 BESIDE_M = 0.04  # maximum distance from the axis of a seat's way out at which an object is in its slot
+SURE_M = 0.005  # bodies that are known better need no clearance for that
 TRUSTED = (Validity.VALID, Validity.CHANGING)
 
 
@@ -121,6 +122,37 @@ class WorldQuery:
         """The cameras that can see an object or seat where it is believed to be, the best one first."""
         return sight.cameras(self.cell, body, self.pose(body), self.tcp)
 
+    def hinge(self, thing: str) -> parts.Hinge | None:
+        """The hinge of an object; None if it has none, or is not an object."""
+        return next((one.hinge for one in self.cell.objects if one.name == thing), None)
+
+    def angle(self, thing: str) -> float:
+        """The angle of an object with a hinge (rad)."""
+        angle = self.world.value(f"{thing}.angle")
+        hinge = self.hinge(thing)
+        return float(angle) if angle is not None else math.radians(hinge.at_deg) if hinge else 0.0
+
+    def hinge_home(self, thing: str) -> Array:
+        """The frame of an object with a hinge when its angle is 0."""
+        hinge = self.hinge(thing)
+        assert hinge is not None, thing
+        return hinges.turned(self.frame(thing), hinge.axis, -self.angle(thing))
+
+    def hung(self, thing: str, point: Floats, where: Floats) -> Array:
+        """The frame of an object with a hinge when a point of it (m, its axes) is nearest to `where` (m, world)."""
+        hinge, home = self.hinge(thing), self.hinge_home(thing)
+        assert hinge is not None, thing
+        return hinges.at_hand(home, hinge.axis, hinge.range_rad, point, where)
+
+    def in_hand(self, thing: str, tcp: Floats) -> Array | None:
+        """The frame of a held object when its hand is at `tcp`; None if it is not held."""
+        grasp = self.grasp(thing)
+        if grasp is None:
+            return None
+        if self.hinge(thing) is not None:
+            return self.hung(thing, geometry.inverse(grasp)[:3], np.asarray(tcp[:3], dtype=float))
+        return geometry.compose(tcp, grasp)
+
     def spread(self, key: str) -> Spread:
         """Uncertainty of the pose of this fact; EXACT if the fact has none."""
         fact = self.world.get(key)
@@ -147,8 +179,10 @@ class WorldQuery:
         return min(points, key=lambda p: math.hypot(*geometry.compose(grasp, p.frame.pose)[:3]), default=None)
 
     def load(self, arm: str) -> Load | None:
-        """Mass, centre of mass and inertia of the held object in the tcp frame; None if the hand is empty."""
+        """Mass, centre of mass and inertia of the held object in the tcp frame; None if its hinge carries it."""
         thing = self.holding(arm)
+        if self.hinge(thing) is not None:
+            return None
         grasp = self.grasp(thing) if thing else None
         if grasp is None:
             return None
@@ -215,13 +249,19 @@ class WorldQuery:
         differs from the current one. `exempt`: bodies exempt from the clearance.
         """
         held: dict[str, Held] = {}
+        hung: dict[str, Hung] = {}
         moved_seats = [seat.name for seat in self.cell.seats if self.world.get(f"{seat.name}.frame") is not None]
         poses: dict[str, Array] = {name: self.seat_frame(name) for name in moved_seats}
         for thing in self.cell.objects:
             holder, grasp = self.held_by(thing.name), self.grasp(thing.name)
-            if holder and grasp is not None:
+            if holder and grasp is not None and thing.hinge is None:
                 held[thing.name] = Held(holder, grasp)
             elif not thing.fixed:
+                if holder and grasp is not None and thing.hinge is not None:
+                    grip = geometry.inverse(grasp)[:3]
+                    hung[thing.name] = Hung(
+                        holder, self.hinge_home(thing.name), thing.hinge.axis, thing.hinge.range_rad, grip
+                    )
                 poses[thing.name] = self.frame(thing.name)
         openings = {a.name: self.hand_width(a.name) for a in self.cell.arms}
         if opening_m is not None:
@@ -242,13 +282,26 @@ class WorldQuery:
         return Scene(
             poses=poses,
             held=held,
+            hung=hung,
             openings_m=openings,
             ignore=ignore,
             clearance_m=limits.clearance_m or 0.0,
             near=[*close, *(seat for seat in map(self.seat, filter(None, (*close, carried))) if seat)],
+            unsure_m=self._unsure_m(poses),
             keep_out=limits.keep_out,
             moving=arm,
         )
+
+    def _unsure_m(self, names: Iterable[str]) -> dict[str, float]:
+        """How far objects, and the seats that hold them, may be from their believed places."""
+        found: dict[str, float] = {}
+        for name in names:
+            unsure_m = math.hypot(*self.spread(f"{name}.frame")[:3])
+            if unsure_m > SURE_M:
+                found[name] = unsure_m
+                if seat := self.seat(name):
+                    found[seat] = max(unsure_m, found.get(seat, 0.0))
+        return found
 
     def rules(self, limits: Limits) -> Rules:
         return Rules(

@@ -138,7 +138,8 @@ def _straight(request: PlanningRequest, goal: Array) -> Path | Refusal:
 
 
 def roomy_scene(request: PlanningRequest, goal: Array) -> Scene:
-    """The scene with `CLEARANCE_M`, except for bodies that are closer at either end of the path.
+    """The scene with `CLEARANCE_M`, except for bodies that are closer at either end of the path. A body whose place is
+    not known well needs that much more.
 
     Returns the scene unchanged if the command states a clearance, or if more than NEAR_AT_MOST bodies are close.
     """
@@ -146,11 +147,15 @@ def roomy_scene(request: PlanningRequest, goal: Array) -> Scene:
         return request.scene
     ours = {request.arm.name, *(name for name, held in request.scene.held.items() if held.arm == request.arm.name)}
     near = list(request.scene.near)
-    scene = replace(request.scene, clearance_m=CLEARANCE_M, near=near)
+    scene = replace(request.scene, clearance_m=CLEARANCE_M, near=near, keeps_unsure=True)
     start = request.start
     for end in (start, goal):
         while hit := request.world.check({**request.joints, request.arm.name: end}, scene):
             name = hit.body_a if hit.body_b.split()[0] in ours else hit.body_b
+            if name.split()[0] in scene.unsure_m:
+                others = {body: most_m for body, most_m in scene.unsure_m.items() if body != name.split()[0]}
+                scene = replace(scene, unsure_m=others)
+                continue
             if name in near and end is start:
                 break  # in contact, not only close: `check_path` decides how to leave it
             if len(near) >= len(list(request.scene.near)) + NEAR_AT_MOST:

@@ -1,0 +1,54 @@
+"""Poses and angles of an object that turns about a hinge through its origin. Pure geometry.
+
+`home` is the pose of the object at angle 0 (world frame); `axis` is a unit vector in its axes. Angles are in rad.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rtc.robot import geometry
+from rtc.robot.geometry import Array, Floats
+
+
+def turned(home: Floats, axis: Floats, angle: float) -> Array:
+    """The pose of the object at an angle."""
+    half = 0.5 * angle
+    return geometry.compose(home, (0.0, 0.0, 0.0, *(math.sin(half) * n for n in axis), math.cos(half)))
+
+
+def angle_of(home: Floats, axis: Floats, pose: Floats) -> float:
+    """The angle, from -pi to pi, at which the attitude of the object is nearest to that of `pose`."""
+    x, y, z, w = geometry.relative(home, pose)[3:].tolist()
+    found = 2.0 * math.atan2(x * axis[0] + y * axis[1] + z * axis[2], w)
+    return math.remainder(found, 2.0 * math.pi)
+
+
+def angle_at(home: Floats, axis: Floats, point: Floats, where: Floats) -> float:
+    """The angle at which a point of the object is nearest to `where` (m, world frame).
+
+    `point`: in the object's axes (m), not on the axis of the hinge.
+    """
+    here = geometry.transform_point(geometry.inverse(home), where)
+    along, first = np.asarray(axis, dtype=float), np.asarray(point, dtype=float)
+    sine, cosine = float(along @ np.cross(first, here)), float(first @ here - (along @ first) * (along @ here))
+    return math.atan2(sine, cosine)
+
+
+def at_hand(home: Floats, axis: Floats, range_rad: tuple[float, float], point: Floats, where: Floats) -> Array:
+    """The pose, between the stops, in which a point of the object is nearest to `where`; see `angle_at`."""
+    least, most = range_rad
+    return turned(home, axis, min(max(angle_at(home, axis, point, where), least), most))
+
+
+def frame(home: Floats, axis: Floats) -> Array:
+    """A pose at the hinge whose z axis is the axis of the hinge."""
+    along = np.asarray(axis, dtype=float)
+    aside = np.eye(3)[int(np.abs(along).argmin())]
+    matrix = np.eye(4)
+    matrix[:3, 0] = np.cross(aside, along) / np.linalg.norm(np.cross(aside, along))
+    matrix[:3, 1] = np.cross(along, matrix[:3, 0])
+    matrix[:3, 2] = along
+    return geometry.compose(home, geometry.from_matrix(matrix))

@@ -1,0 +1,162 @@
+"""Bolts and the drivers that turn them: threads, break-away, tightness, and the reaction on the tool.
+
+A driver is an object with a spindle; it turns for the hand that presses on it. A bolt is an object with a thread. While
+the tip of a spindle is on the head of a bolt, the bolt turns with it if the torque suffices, and its head moves along
+the thread. The driver feels the torque. Outside a bolt the spindle turns freely. The grip of the bit is not simulated:
+it never slips off a sound bolt, and a stripped bolt turns without effect.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pybullet
+
+from rtc.cells import parts
+from rtc.robot import geometry
+from sim_mcm.arms.arm import TICK_S, SpindleCommand, SpindleState
+from sim_mcm.arms.bullet_world import PhysicsWorld
+
+TURN = 2.0 * math.pi
+NEAR_M, ASIDE_M, TILTED_RAD = 0.004, 0.003, 0.09  # of a tip that is on the head: along the bolt, beside it, attitude
+STIFF_NM_RAD = 8.0  # of a spindle against a bolt that does not turn
+STRIPPED_NM = 0.05
+
+
+@dataclass
+class Bolt:
+    """`out_rad`: how far it is turned out; 0 is tight."""
+
+    name: str
+    thread: parts.Thread
+    out_rad: float
+    stuck: bool  # it needs the break-away torque
+    stripped: bool = False
+
+    @property
+    def free(self) -> bool:
+        return self.out_rad >= self.thread.turns * TURN
+
+
+@dataclass
+class Turning:
+    """A spindle at work. `wound_rad`: how far it is twisted against a bolt that does not turn."""
+
+    command: SpindleCommand
+    driver: str
+    turned_rad: float = 0.0
+    wound_rad: float = 0.0
+    torque_nm: float = 0.0
+
+
+class Bolts:
+    def __init__(self, world: PhysicsWorld) -> None:
+        self._world = world
+        self._bolts = {
+            thing.name: Bolt(thing.name, thing.thread, 0.0, stuck=True)
+            for thing in world.cell.objects
+            if thing.thread is not None
+        }
+        self._drivers = {world.objects[thing.name].id: thing for thing in world.cell.objects if thing.spindle}
+        self._turning: dict[str, Turning] = {}  # by arm
+
+    # --- for arms ------------------------------------------------------------------------------------------
+
+    def drive(self, arm: str, command: SpindleCommand | None, pressed_on: set[int]) -> None:
+        """Turn the spindle of the driver between the fingers; None stops it. Raises ValueError without a driver."""
+        if command is None:
+            self._turning.pop(arm, None)
+            return
+        held = [thing for body, thing in self._drivers.items() if body in pressed_on]
+        if not held:
+            raise ValueError(f"{arm} holds no driver")
+        assert held[0].spindle is not None
+        most_nm, fastest = held[0].spindle.most_nm, held[0].spindle.most_rad_s
+        if command.torque_nm > most_nm or command.speed_rad_s > fastest:
+            raise ValueError(
+                f"{held[0].name} turns with {most_nm:g} N.m and {fastest:g} rad/s at most, "
+                f"not with {command.torque_nm:g} N.m and {command.speed_rad_s:g} rad/s"
+            )
+        self._turning[arm] = Turning(command, held[0].name)
+
+    def state(self, arm: str) -> SpindleState:
+        turning = self._turning.get(arm)
+        return SpindleState() if turning is None else SpindleState(turning.turned_rad, turning.torque_nm)
+
+    # --- for the simulation --------------------------------------------------------------------------------
+
+    def step(self) -> None:
+        """Before each physics step: turn the spindles, apply the reactions."""
+        for turning in self._turning.values():
+            self._turn(turning)
+
+    def strip(self, name: str, stripped: bool = True) -> str:
+        """Strip a bolt, or mend it. Returns the reason of a refusal, or ''."""
+        if name not in self._bolts:
+            return f"unknown bolt {name}; known: {', '.join(self._bolts) or 'none'}"
+        self._bolts[name].stripped = stripped
+        return ""
+
+    def out_turns(self, name: str) -> float:
+        return self._bolts[name].out_rad / TURN
+
+    def look(self) -> None:
+        """Take over how far the bolts are out from where their heads are, after a restored state."""
+        self._turning.clear()
+        for bolt in self._bolts.values():
+            out_m = self._world.out_m(bolt.name)
+            bolt.out_rad = TURN * out_m / bolt.thread.pitch_m
+            bolt.stuck = bolt.out_rad < 1e-3
+
+    # --- inside --------------------------------------------------------------------------------------------
+
+    def _turn(self, turning: Turning) -> None:
+        command = turning.command
+        left = abs(command.turn_rad) - abs(turning.turned_rad)
+        step = math.copysign(min(command.speed_rad_s * TICK_S, max(0.0, left)), command.turn_rad)
+        spindle = self._world.cell.object(turning.driver).spindle
+        assert spindle is not None
+        tip = geometry.compose(self._world.pose(turning.driver), spindle.frame.pose)
+        bolt = self._engaged(tip)
+        turned, torque_nm = (step, 0.0) if bolt is None else self._against(bolt, turning, step)
+        turning.turned_rad += turned
+        turning.torque_nm = math.copysign(torque_nm, command.turn_rad)
+        if torque_nm:
+            self._react(turning, tip)
+
+    def _engaged(self, tip: geometry.Array) -> Bolt | None:
+        """The bolt on whose head the tip of a spindle is."""
+        for bolt in self._bolts.values():
+            off = geometry.relative(self._world.pose(bolt.name), tip)
+            opposed = math.acos(max(-1.0, min(1.0, -float(geometry.rotate(off, (0.0, 0.0, 1.0))[2]))))
+            if abs(off[2]) < NEAR_M and math.hypot(off[0], off[1]) < ASIDE_M and opposed < TILTED_RAD:
+                return bolt
+        return None
+
+    def _against(self, bolt: Bolt, turning: Turning, step: float) -> tuple[float, float]:
+        """Turn a bolt by up to `step` rad, positive inwards: (turn of the spindle, magnitude of the torque)."""
+        if bolt.stripped or (bolt.free and step < 0.0):
+            return step, STRIPPED_NM if bolt.stripped else 0.0
+        seated = bolt.out_rad <= 0.0 and step > 0.0
+        if not (seated or bolt.stuck):
+            turning.wound_rad = 0.0
+            bolt.out_rad = max(0.0, bolt.out_rad - step)
+            self._world.move_out(bolt.name, bolt.thread.pitch_m * bolt.out_rad / TURN)
+            return step, bolt.thread.running_nm
+        wound = turning.wound_rad + abs(step)
+        torque_nm = bolt.thread.running_nm + STIFF_NM_RAD * wound
+        if torque_nm > turning.command.torque_nm:  # it stalls
+            return 0.0, turning.command.torque_nm
+        turning.wound_rad = wound
+        if not seated and torque_nm >= bolt.thread.breakaway_nm:
+            bolt.stuck = False
+        return 0.0, torque_nm
+
+    def _react(self, turning: Turning, tip: geometry.Array) -> None:
+        torque = -turning.torque_nm * geometry.rotate(tip, (0.0, 0.0, 1.0))
+        body, client = self._world.objects[turning.driver].id, self._world.client
+        pybullet.applyExternalTorque(
+            body, -1, np.asarray(torque).tolist(), pybullet.WORLD_FRAME, physicsClientId=client
+        )

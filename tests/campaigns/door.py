@@ -1,0 +1,102 @@
+"""Does a compliant arm open a door whose hinge is not where it is believed to be?
+
+The left arm of the cell `servicing` takes the bar of the door and opens it by 90 degrees, by two sentences. The door
+and its hinge are displaced by up to 5 mm along each axis and turned by up to 1 degree about each, without the knowledge
+of the arm; the friction of the hinge is 0.5 to 1.5 N.m. A run succeeds if the door stands within 5 degrees of 90 and
+the wrist force never exceeded 15 N while it was opened.
+
+    python -m tests.campaigns.door [--runs 100]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pybullet
+
+from benchmarks.report import finish, percentile, question
+from rtc.cells.cell import Cell
+from rtc.robot.geometry import Array
+from sim_mcm.arms.bullet_world import HINGED
+from tests.campaigns import RESULTS
+from tests.workers.conftest import Bench, Physical
+from workers.planning.robot_models import CellModel
+
+SEED = 11
+DOOR = "DOOR-2"
+ERROR_M, ERROR_RAD = 0.005, math.radians(1.0)
+FRICTION_NM = (0.5, 1.5)
+WANTED_DEG, WITHIN_DEG, MOST_N = 90.0, 5.0, 15.0
+ARM = "LEFT-ARM"
+SENTENCES = (f"GRASP LEFT-END-EFF {DOOR} LATCH-PULL", f"OPEN {DOOR} BY {WANTED_DEG:g} DEG WITH LEFT-ARM")
+
+
+class Run(NamedTuple):
+    opened_deg: float
+    believed_deg: float
+    peak_n: float
+    failed: str
+
+    @property
+    def good(self) -> bool:
+        return not self.failed and abs(self.opened_deg - WANTED_DEG) <= WITHIN_DEG and self.peak_n <= MOST_N
+
+
+def run(model: CellModel, offset: Array, friction_nm: float) -> Run:
+    subsystem = Physical(model.cell)
+    bench, sim = Bench(subsystem, model), subsystem.sim
+    assert not sim.displace(DOOR, offset)
+    pybullet.setJointMotorControl2(
+        sim.world.objects[DOOR].id,
+        HINGED,
+        pybullet.VELOCITY_CONTROL,
+        targetVelocity=0.0,
+        force=friction_nm,
+        physicsClientId=sim.world.client,
+    )
+    failed, felt_n = "", [0.0]
+    for sentence in SENTENCES:
+        felt_n = []
+        subsystem.disturb = lambda tick: felt_n.append(math.hypot(*sim.arms[ARM].read().wrench[:3]))  # noqa: B023
+        done = bench.do(sentence)
+        if not done.succeeded:
+            failed = done.failure.message if done.failure else done.refusal.message if done.refusal else "aborted"
+            break
+    opened = math.degrees(sim.world.angle(DOOR))
+    sim.close()
+    return Run(opened, math.degrees(bench.world.value(f"{DOOR}.angle")), max(felt_n), failed)
+
+
+def main() -> None:
+    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("--runs", type=int, default=100)
+    given = words.parse_args()
+    question("door", "does a compliant arm open a displaced door by 90 degrees?", seed=SEED)
+    random = np.random.default_rng(SEED)
+    model = CellModel(Cell.load("servicing"))
+    found: list[Run] = []
+    for n in range(given.runs):
+        offset = random.uniform(-1.0, 1.0, 6) * ([ERROR_M] * 3 + [ERROR_RAD] * 3)
+        friction_nm = float(random.uniform(*FRICTION_NM))
+        found.append(run(model, offset, friction_nm))
+        if not found[-1].good or n % 20 == 19:
+            shown = ", ".join(f"{1e3 * x:.1f}" for x in offset)
+            print(f"  run {n}: {found[-1]}; error {shown}, {friction_nm:.2f} N.m", flush=True)
+    peaks = [one.peak_n for one in found]
+    angles = [one.opened_deg for one in found]
+    off_deg = max(abs(one.believed_deg - one.opened_deg) for one in found)
+    good = sum(one.good for one in found)
+    rows = [
+        ("opened", f"{good} of {given.runs}"),
+        ("angle", f"{min(angles):.1f} to {max(angles):.1f} deg; believed within {off_deg:.1f} deg"),
+        ("peak of the wrist force", f"p50 {percentile(peaks, 50):.1f} N, worst {max(peaks):.1f} N"),
+    ]
+    metrics = {"runs": float(given.runs), "opened": float(good), "peak_n": max(peaks), "believed_off_deg": off_deg}
+    finish("door", metrics, rows, RESULTS)
+
+
+if __name__ == "__main__":
+    main()

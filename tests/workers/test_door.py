@@ -1,0 +1,142 @@
+"""Doors: GRASP, OPEN, CLOSE and RELEASE of an object with a hinge, from the sentence to the turned door."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import pytest
+
+from rtc.cells.cell import Cell
+from rtc.protocol.outcomes import RefusalReason, StopReason
+from rtc.robot import geometry, hinges
+from tests.workers.conftest import Bench, Physical, Reporter
+from workers.planning.robot_models import CellModel
+from workers.planning.world_query import WorldQuery
+
+CELL = Cell.load("servicing")
+MODEL = CellModel(CELL)
+ARM, DOOR = "LEFT-ARM", "DOOR-2"
+GRASP, OPEN = f"GRASP LEFT-END-EFF {DOOR} LATCH-PULL", f"OPEN {DOOR} BY 90 DEG WITH {ARM}"
+HINGE = CELL.object(DOOR).hinge
+MOST_N = 15.0
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench(Reporter(CELL), MODEL)
+
+
+@pytest.fixture
+def physical() -> Iterator[Bench]:
+    subsystem = Physical(CELL)
+    yield Bench(subsystem, MODEL)
+    subsystem.sim.close()  # type: ignore[attr-defined]
+
+
+def angle_deg(bench: Bench) -> float:
+    return math.degrees(bench.world.value(f"{DOOR}.angle"))
+
+
+def test_a_sentence_opens_the_held_door_along_a_circle(bench) -> None:
+    assert bench.do(GRASP).succeeded
+    run = bench.do(OPEN)
+    assert run.succeeded, (run.refusal, run.failure)
+    law = run.primitives[-1].control_law
+    assert law.compliance is not None
+    assert law.load is None  # its hinge carries it
+    assert angle_deg(bench) == pytest.approx(90.0, abs=3.0)  # the reporter's arm does not lag behind its command
+    assert geometry.angle(run.reports[-1].tcp_pose, geometry.make_pose((0, 0, 0), geometry.LEVEL)) < 1e-3
+    frame = hinges.turned(CELL.object(DOOR).frame.pose, HINGE.axis, math.radians(angle_deg(bench)))
+    assert geometry.distance(bench.world.value(f"{DOOR}.frame"), frame) < 1e-6
+    assert geometry.angle(bench.world.value(f"{DOOR}.frame"), frame) < 1e-6
+    assert bench.do(f"CLOSE {DOOR}").succeeded
+    assert angle_deg(bench) == pytest.approx(0.0, abs=3.0)
+    assert bench.do(f"OPEN {DOOR} TO 45 DEG").succeeded
+    assert bench.do(f"CLOSE {DOOR} BY 10 DEG").succeeded
+    assert angle_deg(bench) == pytest.approx(35.0, abs=3.0)
+
+
+def test_an_open_door_is_taken_where_it_is(bench) -> None:
+    assert bench.do(f"SET {DOOR} ANGLE 80 DEG").succeeded
+    bench.subsystem.poses[DOOR] = hinges.turned(CELL.object(DOOR).frame.pose, HINGE.axis, math.radians(80.0))
+    run = bench.do(GRASP)
+    assert run.succeeded, (run.refusal, run.failure)
+    away = geometry.transform_point(bench.world.value(f"{DOOR}.frame"), CELL.object(DOOR).grasp_points[0].frame.xyz)
+    assert geometry.distance(run.reports[-1].tcp_pose, [*away, 0, 0, 0, 1]) < 1e-3
+    assert angle_deg(bench) == pytest.approx(80.0, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("held", "sentence", "reason", "word"),
+    [
+        (False, OPEN, RefusalReason.STATE, "not held"),
+        (False, "OPEN MACS-OLD BY 90 DEG WITH LEFT-ARM", RefusalReason.NO_SCRIPT, "module"),
+        (True, f"OPEN {DOOR} BY 120 DEG", RefusalReason.INFEASIBLE, "110"),
+        (True, f"OPEN {DOOR} BY 108 DEG", RefusalReason.INFEASIBLE, f"collides with {DOOR} panel"),
+        (True, f"CLOSE {DOOR} BY 20 DEG", RefusalReason.INFEASIBLE, "from 0"),
+        (True, f"LIFT {DOOR}", RefusalReason.NO_SCRIPT, "door"),
+        (True, f"MOVE {ARM} BY 5 CM ALONG BACK", RefusalReason.STATE, "hinge"),
+        (True, f"STOW {ARM}", RefusalReason.STATE, "hinge"),
+        (True, f"OPEN {DOOR} BY 5 CM", RefusalReason.SENTENCE, "angle"),
+    ],
+)
+def test_what_a_door_cannot_do_is_refused(bench, held, sentence, reason, word) -> None:
+    if held:
+        assert bench.do(GRASP).succeeded
+    run = bench.do(sentence)
+    assert run.refusal is not None
+    assert run.refusal.reason is reason, run.refusal
+    assert word in run.refusal.message
+    assert run.refusal.clears
+    assert not run.primitives
+
+
+def test_let_go_it_stays_at_its_angle(bench) -> None:
+    bench.do(GRASP)
+    bench.do(OPEN)
+    before = angle_deg(bench)
+    run = bench.do(f"RELEASE {DOOR}")
+    assert run.succeeded, (run.refusal, run.failure)
+    assert angle_deg(bench) == before
+    assert bench.world.value(f"{DOOR}.held_by") == ""
+    assert bench.do(f"STOW {ARM}").succeeded
+
+
+def test_a_halted_door_is_suspect(bench) -> None:
+    bench.do(GRASP)
+    bench.subsystem.instead["C-2.1"] = StopReason.HALT
+    assert not bench.do(OPEN).succeeded
+    assert bench.world.get(f"{DOOR}.frame").validity == bench.world.get(f"{DOOR}.angle").validity == "suspect"
+
+
+def test_an_open_door_is_an_obstacle_at_its_angle(bench) -> None:
+    """The hand where the panel is when the door stands open."""
+    inside = geometry.make_pose((0.55, 0.18, 0.70), geometry.LEVEL)
+    joints = {arm.name: bench.model.arms[arm.name].fk and arm.home_rad for arm in CELL.arms}
+    joints[ARM] = bench.model.arms[ARM].ik(inside, near=CELL.arm(ARM).home_rad)[0].tolist()
+
+    def hit() -> str:
+        scene = WorldQuery(MODEL, bench.world).scene(ARM, bench.elaborate(f"STOW {ARM}").context.limits)
+        found = MODEL.collision.check(joints, scene)
+        return found.body_b if found else ""
+
+    assert DOOR not in hit()
+    assert bench.do(f"SET {DOOR} ANGLE 90 DEG").succeeded
+    assert DOOR in hit()
+
+
+@pytest.mark.slow
+def test_the_door_opens_by_90_degrees_with_a_small_force(physical) -> None:
+    world = physical.subsystem.sim.world
+    assert physical.do(GRASP).succeeded
+    run = physical.do(OPEN)
+    assert run.succeeded, (run.refusal, run.failure)
+    assert math.degrees(world.angle(DOOR)) == pytest.approx(90.0, abs=2.0)
+    assert angle_deg(physical) == pytest.approx(math.degrees(world.angle(DOOR)), abs=0.5)
+    assert max(report.peak_force_n for report in run.reports) <= MOST_N
+    assert physical.do(f"RELEASE {DOOR}").succeeded
+    left = world.angle(DOOR)
+    assert physical.do(f"STOW {ARM}").succeeded
+    assert world.angle(DOOR) == pytest.approx(left, abs=1e-4)  # it stays where it was left
+    assert physical.subsystem.sim.held()[ARM] == []

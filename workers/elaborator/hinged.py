@@ -1,0 +1,55 @@
+"""Refusals about a held object with a hinge: its hand turns it between the stops, or lets it go. Pure."""
+
+from __future__ import annotations
+
+import math
+
+from rtc.programs import expressions
+from rtc.programs.schema import ScriptFile
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from workers.elaborator.task_candidate import TaskCandidate
+
+SPACE = "move_circle"  # of a step that turns an object about its hinge
+SLACK_RAD = 0.1  # a compliant hand is commanded beyond the angle that it reaches
+
+
+def refuse_other_motion(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
+    """The refusal if the script moves the arm while its hand holds another object, which has a hinge."""
+    held = candidate.query.holding(candidate.arm.name)
+    if not held or candidate.query.hinge(held) is None or not any(step.to for step in script.steps):
+        return None
+    if candidate.thing is not None and candidate.thing.name == held:
+        return None
+    clears = candidate.program.needs.get("hinge_held", "").replace("{held}", held)
+    message = f"{candidate.arm.name} holds {held}, which only turns about its hinge"
+    return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
+
+
+def refuse_beyond_stops(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
+    """The refusal if a step turns the object of the command beyond a stop of its hinge, or by no angle."""
+    thing = candidate.thing
+    if thing is None or thing.hinge is None:
+        return None
+    least, most = thing.hinge.range_rad
+    angle = candidate.query.angle(thing.name)
+    for step in script.steps:
+        if step.space != SPACE:
+            continue
+        try:
+            angle += expressions.number(step.args.get("by_rad", 0.0), candidate.figures)
+        except expressions.ExpressionError:
+            return Refusal(
+                reason=RefusalReason.SENTENCE,
+                message=f"{candidate.parsed.verb} {thing.name}: an angle is wanted",
+                clears="an amount in DEG or RAD",
+            )
+        if not least - SLACK_RAD <= angle <= most + SLACK_RAD:
+            now = math.degrees(candidate.query.angle(thing.name))
+            return Refusal(
+                reason=RefusalReason.INFEASIBLE,
+                message=f"{thing.name} turns from {math.degrees(least):g} to {math.degrees(most):g} deg, "
+                f"and not to {math.degrees(angle):.0f} deg; it is at {now:.0f} deg",
+                clears=f"an angle from {math.degrees(least):g} to {math.degrees(most):g} deg",
+                detail={"cause": "stop", "value_rad": angle, "least_rad": least, "most_rad": most},
+            )
+    return None
