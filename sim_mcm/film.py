@@ -11,9 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import pybullet
-from PIL import Image, ImageDraw
 
 from rtc.cells.cell import Cell
 from rtc.cells.scene import FilmFrame
@@ -22,10 +20,7 @@ from sim_mcm import picture as sheet
 from sim_mcm.render import FAR_M, NEAR_M, Camera, Studio
 
 SIZE = (480, 360)
-CAPTION_PX = 26
-COLOURS = 56
 FRAMES_PER_S = 8.0
-LAST_S = 1.5  # how long the last frame stays
 FIELD_OF_VIEW_DEG = 37.0
 EYE, TARGET = (-0.50, 0.0, 2.05), (0.60, 0.0, 0.74)  # from above, between the arms
 
@@ -36,35 +31,19 @@ def frames(file: Path) -> list[FilmFrame]:
 
 def drawn(
     cell: Cell, wanted: Sequence[FilmFrame], eye: Sequence[float], target: Sequence[float]
-) -> Iterator[Image.Image]:
+) -> Iterator[sheet.Image.Image]:
     """Each frame with its caption below."""
     studio = Studio(cell)
     camera = Camera(
         pybullet.computeViewMatrix(list(eye), list(target), [0, 0, 1]),
         pybullet.computeProjectionMatrixFOV(FIELD_OF_VIEW_DEG, SIZE[0] / SIZE[1], NEAR_M, FAR_M),
     )
-    letters = sheet.font(15)
     try:
         for frame in wanted:
             studio.pose(frame.scene)
-            whole = Image.new("RGB", (SIZE[0], SIZE[1] + CAPTION_PX), sheet.PAPER)
-            whole.paste(Image.fromarray(studio.photograph(camera, *SIZE).pixels), (0, 0))
-            ImageDraw.Draw(whole).text((8, SIZE[1] + 4), frame.caption, font=letters, fill=sheet.INK)
-            yield whole
+            yield sheet.captioned(studio.photograph(camera, *SIZE).pixels, frame.caption)
     finally:
         studio.close()
-
-
-def write(pictures: Sequence[Image.Image], file: Path, frames_per_s: float = FRAMES_PER_S) -> None:
-    """An animated GIF. Raises OSError; ValueError without pictures."""
-    if not pictures:
-        raise ValueError("a film needs a frame")
-    some = [np.asarray(one) for one in pictures[:: max(1, len(pictures) // 8)]]
-    palette = Image.fromarray(np.concatenate(some)).quantize(COLOURS, dither=Image.Dither.NONE)
-    flat = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
-    times_ms = [round(1000.0 / frames_per_s)] * (len(flat) - 1) + [round(1000.0 * LAST_S)]
-    file.parent.mkdir(parents=True, exist_ok=True)
-    flat[0].save(file, format="GIF", save_all=True, append_images=flat[1:], duration=times_ms, loop=0, optimize=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -74,7 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     words.add_argument("--out", type=Path, required=True, help="the GIF to write")
     given = words.parse_args(arguments)
     try:
-        write(list(drawn(Cell.load(given.cell), frames(given.frames), EYE, TARGET)), given.out)
+        pictures = list(drawn(Cell.load(given.cell), frames(given.frames), EYE, TARGET))
+        sheet.animate(pictures, given.out, FRAMES_PER_S)
     except (OSError, ValueError, msgspec.MsgspecError, RtcError) as error:
         words.exit(1, f"{words.prog}: {error}\n")
 

@@ -21,6 +21,7 @@ INK, PAPER, HALO = (28, 32, 38), (250, 250, 248), (255, 255, 255)
 WARNING, OUTLINE = (196, 84, 0), (214, 0, 110)
 OUTLINE_PX = 2
 JPEG_QUALITY = 80
+FILM_COLOURS, FILM_END_MS = 56, 1500
 
 
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
@@ -86,6 +87,27 @@ def composed(panels: Sequence[tuple[str, Image.Image]], caption: Sequence[str]) 
         pen.text((MARGIN + 2, y), line, font=font(16), fill=INK)
         y += LINE_PX
     return sheet
+
+
+def captioned(pixels: Pixels, caption: str) -> Image.Image:
+    """The image with one line of text below it."""
+    height, width, _ = pixels.shape
+    whole = Image.new("RGB", (width, height + LINE_PX + 4), PAPER)
+    whole.paste(Image.fromarray(pixels), (0, 0))
+    ImageDraw.Draw(whole).text((8, height + 4), caption, font=font(15), fill=INK)
+    return whole
+
+
+def animate(pictures: Sequence[Image.Image], file: Path, frames_per_s: float) -> None:
+    """An animated GIF with one palette; the last picture stays longer. Raises OSError; ValueError without pictures."""
+    if not pictures:
+        raise ValueError("a film needs a picture")
+    some = [np.asarray(one) for one in pictures[:: max(1, len(pictures) // 8)]]
+    palette = Image.fromarray(np.concatenate(some)).quantize(FILM_COLOURS, dither=Image.Dither.NONE)
+    flat = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
+    times_ms = [round(1000.0 / frames_per_s)] * (len(flat) - 1) + [FILM_END_MS]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    flat[0].save(file, format="GIF", save_all=True, append_images=flat[1:], duration=times_ms, loop=0, optimize=True)
 
 
 def save(picture: Image.Image, file: Path) -> None:

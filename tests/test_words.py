@@ -21,8 +21,6 @@ FIRST_SENTENCE = 25  # words, maximum
 #: retired word, words in sequence, or words of one identifier -> the word that the project uses
 RETIRED = {
     "as_a_callers": "sanitize_halt",
-    "door": "endpoint, socket, sender",
-    "doors": "endpoints, sockets, senders",
     "fold": "merge",
     "front door": "connection of the client",
     "gate": "gateway",
@@ -74,11 +72,6 @@ RETIRED_MODULES = {
 }  # fmt: skip
 #: (word, place, text in the line): the uses that stay, each with its reason
 ALLOWED: tuple[tuple[str, str, str], ...] = (
-    # Doors of a cell: words of the language.
-    ("door", "rtc/language/meaning.py", "a door, or a drawer"),
-    ("door", "tests/language/", "DOOR-2"),
-    ("door", "tests/language/", "OPEN a door"),
-    ("door", "docs/scripts.md", "OPEN or CLOSE a door"),
     # The process `gate`: its name in status, counters, logs and halt calls is part of the wire.
     ("gate", "", '"gate"'),
     ("gate", "broker/", "gate_"),

