@@ -14,9 +14,10 @@ from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.robot import geometry, hinges
+from rtc.subsystem.subsystem import BROKER
 from sim_mcm.arms.arm import SpindleCommand
 from sim_mcm.arms.kinematic_arm import KinematicCell
-from sim_mcm.control.subsystem import BROKER, McmSubsystem
+from sim_mcm.control.subsystem import McmSubsystem
 
 CELL = Cell.load("servicing")
 ARM, BOLT, DRIVER = "RIGHT-ARM", "BOLT-1", "POWER-DRIVER"
