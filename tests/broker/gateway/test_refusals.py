@@ -41,13 +41,14 @@ class Reported(Cluster):
     def row(self, wanted: Callable[[m.PeerRow], bool]) -> m.PeerRow:
         """The first reported row that is as wanted."""
         end_s = now_s() + LIMIT_MS / 1e3
-        while now_s() < end_s and self._reports.poll(LIMIT_MS):
+        self._reports.setsockopt(zmq.RCVTIMEO, LIMIT_MS)  # what a poll has found may go with the connection
+        while now_s() < end_s:
             report = read_report(self._reports.recv_multipart()[1:])
             if isinstance(report, m.Dropped):
                 self.counts = report.counts
             elif (row := next(filter(wanted, report.peers), None)) is not None:
                 return row
-        raise AssertionError("not reported")
+        raise AssertionError("not reported as wanted")
 
     def refused(self, key: str) -> m.PeerRow:
         return self.row(lambda row: row.key == key and row.refused > 0)
