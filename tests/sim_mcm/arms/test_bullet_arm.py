@@ -212,10 +212,10 @@ def test_an_arm_that_hits_the_other_says_so_and_can_be_moved_away(world, bench, 
     start = cell.arm(ARM).home_rad
     touch = make.stop(StopReason.COLLISION, p.BodyTouch())
     report = bench.perform(make.primitive(make.joint_path(start, [1.57, 0, -1.57, 0, 0, 0], 6.0), touch))
-    assert report.reason is StopReason.COLLISION
-    link, _, body = report.message.partition(" touches ")
-    assert link in world.arms[ARM].upstream.values()
-    assert body == "LEFT-ARM"
+    assert report.reason is StopReason.ARM_CONTACT
+    mine, _, theirs = report.message.partition(" touches ")
+    assert mine.removeprefix(f"{ARM} ") in world.arms[ARM].upstream.values()
+    assert theirs.startswith("LEFT-ARM ")
 
     # When it is commanded back, still touching, then it moves
     here = bench.subsystem.executors[ARM]._command[0]
