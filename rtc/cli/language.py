@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from functools import lru_cache
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import typer
@@ -23,6 +23,9 @@ from rtc.programs.schema import ElaboratorProgram
 from rtc.protocol.messages import WorkerKind
 from rtc.protocol.outcomes import Refusal
 
+if TYPE_CHECKING:
+    from rtc.cells.cell import Cell
+
 REFUSED = 2  # exit status
 DEFAULT_CELL = "swapout"
 CONTROLS = {"HALT", "PAUSE", "RESUME", "ABORT"}  # performed by the broker, without a script
@@ -32,7 +35,7 @@ def parse(
     sentence: Annotated[str, typer.Argument(help="One sentence of the command language, in quotes.")],
     json: Annotated[bool, typer.Option("--json", help="Print the record or the refusal as JSON.")] = False,
     explain: Annotated[
-        bool, typer.Option("--explain", help="Say what each MAINTAIN item means, also without its argument.")
+        bool, typer.Option("--explain", help="Say what each MAINTAIN item means, and which camera looks.")
     ] = False,
     cell: Annotated[str, typer.Option("--cell", help="Name or file of the cell for --explain.")] = DEFAULT_CELL,
 ) -> None:
@@ -130,7 +133,24 @@ def explained(record: ParsedCommand, cell_name: str) -> list[str]:
             unit, value = meant
             words = value if isinstance(value, str) else in_words(value, unit)
             lines.append(f"  MAINTAIN {item.slot}: {words}, the meaning in cell {cell.name}; it acts on {about}")
-    return lines
+    return lines + _camera_in_words(record, cell)
+
+
+def _camera_in_words(record: ParsedCommand, cell: Cell) -> list[str]:
+    """Which camera performs a sentence in a cell; empty for a sentence of an arm."""
+    program = _elaborator()
+    scripts = {branch.script for branch in program.decision_tree if branch.verb == record.verb}
+    looks = any("camera" in script.resources for script in program.scripts if script.script in scripts)
+    if not looks or record.hand is not None:
+        return []
+    known = [camera.name for camera in cell.cameras]
+    if not any(tag.body == record.object for tag in cell.tags):
+        return [f"  VIA: refused, because {record.object} has no tags in cell {cell.name}"]
+    if record.performer is None:
+        return [f"  VIA: the camera that sees {record.object} best, of {', '.join(known)} in cell {cell.name}"]
+    if record.performer in known:
+        return [f"  VIA {record.performer}: this camera, also if it does not see {record.object}"]
+    return [f"  VIA {record.performer}: refused; the cameras of cell {cell.name} are {', '.join(known)}"]
 
 
 def understood(record: ParsedCommand) -> str:

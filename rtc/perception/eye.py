@@ -30,6 +30,7 @@ from rtc.runtime.renderer import Renderer
 from rtc.runtime.settings import Settings
 from rtc.sensing import optics
 
+NICENESS = 5  # of the drawing process, as of workers: a command waits for it
 IDLE_S = 30.0  # after this time without a picture the drawing process ends
 TRUTH_S = 1.0  # time limit for the state of the simulation
 STILL_M, STILL_RAD = 0.0005, 0.001  # a camera on an arm must move less than this while it takes a picture
@@ -66,7 +67,7 @@ class SimulatedCameras:
         before = self._tcp(arm)
         at_s, truth = now_s(), self._truth()
         if self._renderer is None:
-            self._renderer = Renderer()
+            self._renderer = Renderer(NICENESS)
             self._renderer.__enter__()
         try:
             pixels = self._renderer.photograph(self._settings.cell, camera, true_scene(truth))

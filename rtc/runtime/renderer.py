@@ -27,10 +27,13 @@ END_S = 2.0
 class Renderer:
     """Context manager; the process starts with it and ends with it. One picture at a time."""
 
+    def __init__(self, niceness: int = NICENESS) -> None:
+        self._niceness = niceness
+
     def __enter__(self) -> Renderer:
         self._unread = b""
         self._process = subprocess.Popen(
-            ["nice", "-n", str(NICENESS), *COMMAND],
+            ["nice", "-n", str(self._niceness), *COMMAND],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

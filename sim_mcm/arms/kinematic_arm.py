@@ -154,7 +154,8 @@ class KinematicCell:
         after = displaced(before, offset)
         for owner in (name, self.cell.object(name).seat):
             if owner is not None:
-                self.poses[owner] = geometry.compose(after, geometry.relative(before, self.poses[owner]))
+                moved = geometry.compose(after, geometry.relative(before, self.poses[owner]))
+                self.poses[owner] = geometry.normalise(moved)  # else errors grow with each displacement
                 self._place(owner)
         self._hang()
         for arm in self.arms.values():

@@ -44,6 +44,25 @@ def test_parse_explains_what_an_item_means_without_its_argument(tmp_path) -> Non
     ]
 
 
+@pytest.mark.parametrize(
+    ("sentence", "words"),
+    [
+        ("LOCATE MACS-OLD", "sees MACS-OLD best, of CAMERA-1, CAMERA-2, CAMERA-3"),
+        ("TRACK SATELLITE VIA CAMERA-3", "VIA CAMERA-3: this camera"),
+        ("VERIFY MACS-OLD AT RACK-2 VIA CAMERA-9", "refused; the cameras of cell swapout are"),
+        ("LOCATE BAY-2", "has no tags"),
+    ],
+)
+def test_parse_explains_which_camera_looks(sentence: str, words: str) -> None:
+    status, out, _ = run("parse", sentence, "--explain")
+    assert status == 0
+    assert words in out.splitlines()[-1]
+
+
+def test_parse_of_a_sentence_for_an_arm_names_no_camera() -> None:
+    assert "CAMERA" not in run("parse", "VERIFY MACS-NEW AT RIGHT-ARM", "--explain")[1]
+
+
 def test_parse_shows_where_a_sentence_is_wrong() -> None:
     assert run("parse", "MOVE RIGHT-ARM TO") == (
         2,

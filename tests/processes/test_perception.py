@@ -15,6 +15,7 @@ import zmq
 from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
+from rtc.protocol.faults import BlindCamera
 from rtc.protocol.outcomes import OutcomeKind, StopReason
 from rtc.robot import geometry
 from rtc.runtime.chaos import Chaos
@@ -76,6 +77,17 @@ def test_a_displaced_module_is_located_by_its_pixels(rtc: Client) -> None:
     off = geometry.relative(fact.value, true)
     errors = [*off[:3], *geometry.to_rpy(off)]
     assert all(abs(error) <= bound for error, bound in zip(errors, fact.spread, strict=True))
+
+
+def test_a_blind_camera_states_that_it_is_dark(rtc: Client) -> None:
+    name = rtc.inject(BlindCamera(camera="CAMERA-2")).active[0]
+    try:
+        outcome = rtc.run(f"LOCATE {MODULE}", timeout_s=LIMIT_S).outcome
+    finally:
+        rtc.undo_fault(name)
+    assert outcome.kind is OutcomeKind.FAILED
+    assert outcome.stop is StopReason.NOT_SEEN
+    assert "too dark" in outcome.message
 
 
 def test_a_halt_stops_a_look(rtc: Client) -> None:

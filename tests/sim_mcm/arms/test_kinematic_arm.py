@@ -111,6 +111,14 @@ def test_what_is_held_is_not_displaced(make, hand_at_handle) -> None:
     assert bench.simulation.displace("MACS-NEW", [0.01, 0, 0, 0, 0, 0]) == "MACS-NEW is held by RIGHT-ARM"
 
 
+def test_many_small_displacements_keep_a_pose_a_pose(cell) -> None:
+    world = KinematicCell(cell)
+    for _ in range(200):
+        assert world.displace("MACS-NEW", [0.0, 0.0, 0.0, 0.001, 0.0, 0.001]) == ""
+    for name in ("MACS-NEW", "RACK-1"):
+        assert np.linalg.norm(world.poses[name][3:]) == pytest.approx(1.0)
+
+
 def test_a_displacement_turns_about_the_origin_of_the_thing() -> None:
     pose = geometry.make_pose((1.0, 2.0, 3.0))
     moved = displaced(pose, [0.1, 0.0, 0.0, 0.0, 0.0, np.pi / 2])
