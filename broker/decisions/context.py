@@ -197,9 +197,9 @@ class DecisionContext:
         if not state.motions:  # the usual case
             command.beside = []
             return {}
-        others = [motion for motion in state.motions.values() if motion.command != command.id]
-        command.beside = [motion.primitive for motion in others]
-        return {"moving": [motion.body for motion in others]} if others else {}
+        others = {motion.primitive: motion.body for motion in state.motions.values() if motion.command != command.id}
+        command.beside = list(others)
+        return {"moving": list(others.values())} if others else {}
 
     def dispatch(self, job: PendingJob, client: str = "") -> None:
         """`client`: the client of its command; empty for a command that has ended."""

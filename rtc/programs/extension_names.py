@@ -21,6 +21,7 @@ PLAN_AXES = (*AXES, "WAY-OUT")
 SPACE_ARGS = {
     "move_joint": ("by_m", "by_rad"),
     "move_task": ("by_m", "by_rad"),
+    "move_both": ("by_m", "by_rad"),
     "move_circle": ("by_rad", "by_m", "hand_turn"),
     "move_spiral": ("radius_m", "pitch_m", "by_m"),
     "move_raster": ("radius_m", "pitch_m", "by_m"),
@@ -43,7 +44,7 @@ FIGURES = (
     *(f"{clause}_{unit}" for clause in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),
 )
 #: roles that the resources of a script may name
-ROLES = ("active_arm", "active_object", "its_seat", "target", "camera", "its_holder", "its_content")
+ROLES = ("active_arm", "partner_arm", "active_object", "its_seat", "target", "camera", "its_holder", "its_content")
 #: placeholders (in braces) in the texts of a script; `camera` and `body` are for steps that look; the last two are for
 #: SET only
 PLACEHOLDERS = (

@@ -422,6 +422,7 @@ class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     verb: str
     script: str  # its name: grasp-centering
     arm: str = ""  # active_arm; empty: only a camera works
+    partner: str = ""  # the arm that holds the same object and complies; empty: one arm moves
     object: str = ""  # active_object
     grasp_point: str = ""
     target: str = ""

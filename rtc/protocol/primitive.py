@@ -173,6 +173,8 @@ class Compliance(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     profile: ForceProfile | None = None  # of these set-points; None: constant
     most_n: float | None = None  # greatest pull of the spring; None: unlimited
     most_nm: float | None = None
+    # Comply until the arm rests: another arm holds the same object and stops too. False: until the primitive ends.
+    until_rest: bool = False
 
     def __post_init__(self) -> None:
         for name, figures in (("stiffness", self.stiffness), ("damping", self.damping)):
@@ -488,6 +490,14 @@ class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, t
     def performers(self) -> list[str]:
         """All arms that it moves, the leading one first."""
         return [self.performer, *([self.partner.performer] if self.partner else ())]
+
+    @property
+    def paths(self) -> dict[str, JointTrajectory]:
+        """The paths of its arms; empty if no arm leaves its place."""
+        if not isinstance(self.trajectory, JointTrajectory):
+            return {}
+        partner = {self.partner.performer: self.partner.trajectory} if self.partner else {}
+        return {self.performer: self.trajectory, **partner}
 
     def by_priority(self) -> list[StopFunction]:
         return in_priority(self.stop_functions)

@@ -97,7 +97,8 @@ class Executor:
         self._tcp_pose: Array = arm.tcp_pose(self.sample.joints)
         self._was_compliant = False  # up to the stop
         self._turned_rad: float | None = None  # by the spindle, if the primitive has turned one
-        self._compliant = False  # the present control law complies; outside EXECUTING it never does
+        # The present control law complies: in EXECUTING, COMPLYING, and until rest if the primitive asks for it.
+        self._compliant = False
         self._work: dict[Mode, Callable[[float], Reports]] = {
             Mode.HOLDING: lambda now_s: [],
             Mode.EXECUTING: self._execute,
@@ -221,6 +222,9 @@ class Executor:
             self._touched_before[self.trip.message] = (
                 0.0  # contact may be intermittent, so it is not measured in every tick
             )
+        if self._compliant and self.primitive is not None:
+            self._stiffen(self.primitive.control_law)
+            self._use(profiles.Stay(self._command[0]))
         self.primitive = None
         self.trip = None
         self._follow = None
@@ -301,7 +305,8 @@ class Executor:
         if isinstance(self.primitive.trajectory, p.SpindleMotion):
             self._turned_rad = self.arm.spindle().turned_rad
             self.arm.drive_spindle(None)
-        if self._compliant:
+        compliance = self.primitive.control_law.compliance
+        if self._compliant and not (compliance is not None and compliance.until_rest):
             self._stiffen(self.primitive.control_law)
         self._use(profiles.Brake(self._command, laden=min(self.sample.finger_forces) > SQUEEZE_N))
         hand_moves = isinstance(self.primitive.trajectory, p.HandMotion) and self.trip.reason is not StopReason.GOAL
@@ -387,7 +392,7 @@ class Executor:
         assert self.trip is not None
         if self._profile_time_s < self._profile.duration_s:
             return []
-        leaning = self.trip.reason in TOUCHED and not self._yielded
+        leaning = (self.trip.reason in TOUCHED or self._compliant) and not self._yielded
         if not self._still(leaning) and self._profile_time_s < self._profile.duration_s + SETTLE_LIMIT_S:
             return []
         if not self._yielded and self._off_command() > (0.0 if leaning else GOAL_RAD):

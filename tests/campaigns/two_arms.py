@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ from benchmarks.report import finish, percentile, question
 from rtc.protocol.outcomes import OutcomeKind, Refusal
 from rtc.robot import geometry
 from rtc.robot.collision import AS_BUILT, Scene
-from rtc.robot.geometry import Array
+from rtc.robot.geometry import Array, Floats
 from sim_mcm.arms.arm import TICK_S, ArmState, HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.control.executor import Executor
@@ -117,7 +117,7 @@ class Runner:
         self._state = self._sim.state()
 
     def run(self, pair: Pair) -> Ended:
-        cluster = self._at(pair.starts)
+        cluster = self.at(pair.starts)
         for arm, goal in pair.goals.items():
             words = " ".join(f"{x:.6f}" for x in goal)
             cluster.give(f"MOVE {arm} TO JOINTS {words} RAD JOINT-MOTION", client=arm)
@@ -138,13 +138,13 @@ class Runner:
             causes=[outcome.message for outcome in outcomes if outcome.kind is not OutcomeKind.SUCCEEDED],
         )
 
-    def _at(self, starts: dict[str, Array]) -> OneProcess:
+    def at(self, starts: Mapping[str, Floats]) -> OneProcess:
         """A fresh cluster, with the arms at these postures."""
         for arm, joints in starts.items():
             width = CELL.arm(arm).gripper.max_opening_m
             hand = HandCommand(width, CELL.arm(arm).gripper.max_force_n, CELL.arm(arm).gripper.speed_m_s)
             fingers = (0.5 * width, 0.5 * width)
-            self._state.arms[arm] = ArmState(joints=joints.tolist(), fingers=fingers, hand=hand, opening_m=width)
+            self._state.arms[arm] = ArmState(joints=list(joints), fingers=fingers, hand=hand, opening_m=width)
         self._sim.restore(self._state)
         cluster = OneProcess(self._sim)
         cluster.mcm.executors = {name: Executor(arm) for name, arm in self._sim.arms.items()}

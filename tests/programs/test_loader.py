@@ -202,7 +202,7 @@ PLAN = "plan: [{name: A, at: destination, solve: true}]"
             "",
             r"line 7: .*steps\[1\].stop: no stop class move_fast; .*move_free",
         ),
-        (GOOD.replace("move_task", "move_moon"), "", r"line 7: .*no space move_moon; there are move_circle"),
+        (GOOD.replace("move_task", "move_moon"), "", r"line 7: .*no space move_moon; there are move_both"),
         (
             GOOD.replace("do: move", "do: jump"),
             "",

@@ -79,9 +79,11 @@ class OneProcess:
 
     def know_joints(self, joints: dict[str, Any]) -> None:
         """State the position of the arms (rad) in the world."""
-        self.world = self.world.overlay(
-            [m.WorldChange(key=f"{arm}.joints", value=[float(q) for q in values]) for arm, values in joints.items()]
-        )
+        self.know({f"{arm}.joints": [float(q) for q in values] for arm, values in joints.items()})
+
+    def know(self, facts: dict[str, Any]) -> None:
+        """State facts in the world."""
+        self.world = self.world.overlay([m.WorldChange(key=key, value=value) for key, value in facts.items()])
 
     def run(self, limit_s: float = 60.0) -> None:
         """Until all commands have ended. Raises AssertionError after the limit."""

@@ -8,7 +8,7 @@ import pytest
 
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from tests.campaigns.two_arms import Runner, random_pairs
-from tests.workers.conftest import CELL
+from tests.workers.conftest import CELL, MODEL
 from tests.workers.one_process import OneProcess
 
 MIDDLE, RIGHT_SIDE = "POSITION 48 0 95 CM", "POSITION 48 -45 95 CM"
@@ -18,12 +18,12 @@ MIDDLE, RIGHT_SIDE = "POSITION 48 0 95 CM", "POSITION 48 -45 95 CM"
 def test_crossing_pairs_of_motions_never_touch_in_physics():
     runner = Runner()
     try:
-        runs = [runner.run(pair) for pair in itertools.islice(random_pairs(seed=11), 4)]
+        runs = [runner.run(pair) for pair in itertools.islice(random_pairs(seed=11), 2)]
     finally:
         runner.close()
-    assert [run.touches for run in runs] == [0] * 4
+    assert [run.touches for run in runs] == [0] * 2
     assert all(set(run.kinds) == {"succeeded"} for run in runs), [run.causes for run in runs]
-    assert sum(run.overlap_s > 0.0 for run in runs) >= 2
+    assert any(run.overlap_s > 0.0 for run in runs)
 
 
 @pytest.fixture
@@ -79,3 +79,27 @@ def test_an_arm_that_is_halted_in_the_way_of_the_other_keeps_it_waiting(cluster)
     assert cluster.outcomes["C-2"].kind.value == "halted"
     assert cluster.outcomes["C-3"].kind.value == "refused"
     assert not cluster.moving["LEFT-ARM"]
+
+
+@pytest.mark.slow
+def test_two_arms_that_touch_are_both_stopped_and_both_commands_fail():
+    """The left arm stands in the way, and the world believes it elsewhere; it moves a little while it is hit."""
+    runner = Runner()
+    try:
+        cluster = runner.at({"RIGHT-ARM": posture("RIGHT-ARM", -0.4), "LEFT-ARM": posture("LEFT-ARM", 0.0)})
+        cluster.know_joints({"LEFT-ARM": posture("LEFT-ARM", 0.4)})
+        cluster.give(f"MOVE RIGHT-ARM TO {MIDDLE}", client="ann")
+        cluster.give("HOLD LEFT-ARM FOR 20 SEC", client="bob")
+        cluster.run()
+    finally:
+        runner.close()
+    ends = [(outcome.kind.value, outcome.stop) for outcome in cluster.outcomes.values()]
+    assert ends == [("failed", "arm_contact")] * 2
+    assert all("touches LEFT-ARM" in outcome.message for outcome in cluster.outcomes.values())
+
+
+def posture(arm: str, y_m: float) -> list[float]:
+    """The hand level, before the bay."""
+    pose = [0.48, y_m, 0.95, 0.0, 2**-0.5, 0.0, 2**-0.5]
+    found: list[float] = MODEL.arms[arm].ik(pose, CELL.arm(arm).home_rad, 0.06)[0].tolist()
+    return found

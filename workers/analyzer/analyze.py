@@ -127,7 +127,7 @@ def _off_m(data: AnalyzerInput) -> float:
 
 def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Assessment | Refusal:
     step = data.evaluation.step
-    changes = _arm_changes(data.report, query, data.evaluation.arm)
+    changes = _arm_changes(data.report, query, data.evaluation.arm) + _partner_changes(query, data)
     reported = reported_facts.changes_from(data.report.facts, query, program.values)
     if isinstance(reported, Refusal):
         return reported
@@ -167,7 +167,7 @@ def _failure(
     program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, reason: StopReason, failure: OutcomeClass
 ) -> Assessment:
     evaluation = data.evaluation
-    changes = _arm_changes(data.report, query, evaluation.arm)
+    changes = _arm_changes(data.report, query, evaluation.arm) + _partner_changes(query, data)
     changes += _interrupted_grasp(program, query, data)
     changes += _held_object_changes(
         program, query, data, changes, suspect="held" in failure.suspect, drops=failure.drops
@@ -241,6 +241,14 @@ def _arm_changes(report: EndReport, query: WorldQuery, arm: str) -> Changes:
         WorldChange(key=f"{arm}.joints", value=list(report.joints)),
         WorldChange(key=f"{arm}.hand_width", value=max(0.0, report.hand_width_m)),
     ]
+
+
+def _partner_changes(query: WorldQuery, data: AnalyzerInput) -> Changes:
+    """The same for the second arm of a primitive; unchanged if nothing was started."""
+    partner, report = data.evaluation.context.partner, data.report
+    if not partner or (report.partner is None and report.reason in (StopReason.REFUSED, StopReason.BLOCKED)):
+        return []
+    return _arm_changes(report.partner or msgspec.structs.replace(report, joints=[]), query, partner)
 
 
 def _held_object_changes(

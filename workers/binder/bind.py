@@ -40,7 +40,7 @@ from rtc.robot import geometry
 from rtc.robot.axis_names import AXES
 from rtc.robot.geometry import Floats
 from rtc.world.model import World
-from workers.binder import impact, look, replan, stop_conditions
+from workers.binder import impact, look, replan, stop_conditions, together
 from workers.binder.impact import Impact
 from workers.binder.stop_conditions import Values
 from workers.planning import advice, axes, certainty, curves, segments, suggestions
@@ -119,6 +119,8 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     if lacks is not None:
         return lacks
     target = target_of(task)
+    if (alone := together.refuse_alone(task.query, task.arm, context.partner)) is not None:
+        return alone
     if isinstance(target, Refusal):
         return target
     values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data)
@@ -137,6 +139,8 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     pace = Pace(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
     margin_rad = math.radians(values["joint_margin_deg"])
     request = query.planning_request(task.arm, scene, context.limits, pace, margin_rad)
+    if context.partner:
+        request = replace(request, partner=query.model.arms[context.partner])
     motion = segments.plan_segment(request, step.space, target, step.way)
     if not isinstance(motion, Refusal) and "takes_s" in step.args:
         motion = plans.lasting(motion, float(step.args["takes_s"]))
@@ -158,7 +162,12 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     trajectory = motion.timed.trajectory()
     note = "; ".join((*slowed, *motion.notes))
     bound = primitive(task, stop_class, values, trajectory, evaluation, against, note)
-    return bound if isinstance(bound, Refusal) else beside_others(task, request, bound)
+    if isinstance(bound, Refusal):
+        return bound
+    if motion.partner is not None:
+        line = turn_line(task)
+        bound = together.with_partner(task.program, query, context, bound, motion.partner, stop_class, values, line)
+    return beside_others(task, request, bound)
 
 
 def beside_others(task: BindTask, request: PlanningRequest, bound: BoundStep) -> BoundStep | Refusal:

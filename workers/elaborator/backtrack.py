@@ -200,7 +200,10 @@ def _request(script: ScriptFile, candidate: TaskCandidate) -> PlanningRequest:
         exempt=[candidate.target.name] if candidate.target else [],
     )
     margin_rad = math.radians(candidate.figures["joint_margin_deg"])
-    return candidate.query.planning_request(candidate.arm.name, scene, candidate.limits, Pace(), margin_rad)
+    request = candidate.query.planning_request(candidate.arm.name, scene, candidate.limits, Pace(), margin_rad)
+    if candidate.partner is None:
+        return request
+    return replace(request, partner=candidate.query.model.arms[candidate.partner.name])
 
 
 def _ways(

@@ -38,6 +38,7 @@ class TaskCandidate:
     figures: dict[str, float]
     via: parts.Camera | None = None  # the camera of a command that only looks
     seat: parts.Seat | None = None  # what that camera looks for, if it is a seat
+    partner: parts.Arm | None = None  # the second of BOTH-ARMS, which holds the same object
 
     @property
     def arm(self) -> parts.Arm:
@@ -90,6 +91,7 @@ class TaskCandidate:
         """Values of active_arm and the other roles in the resources of a script."""
         return {
             "active_arm": self.hand.name if self.hand else "",
+            "partner_arm": self.partner.name if self.partner else "",
             "active_object": self.body,
             "camera": self.via.name if self.via else "",
             "target": self.target.name if self.target else "",

@@ -18,6 +18,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot.geometry import Array, Floats
 from workers.planning import curves
 from workers.planning.motion import handed, ik
+from workers.planning.motion.carry import plan_carry
 from workers.planning.motion.path import poses_through
 from workers.planning.motion.plan import (
     FreeWay,
@@ -203,14 +204,32 @@ def _tested_curve(request: PlanningRequest, target: Target, detours: bool, first
     return found if isinstance(found, Refusal) else Segment(found.path.knots[-1], target.poses[-1])
 
 
+# --- two arms --------------------------------------------------------------------------------------------
+
+
+def _timed_both(request: PlanningRequest, target: Target, known: Way | None) -> Motion | Refusal:
+    if request.partner is None:
+        message = f"{request.arm.name} has no partner: no other arm holds the same object"
+        return Refusal(reason=RefusalReason.STATE, message=message, clears="a command for one arm")
+    motion = plan_carry(request, _pose(request, target))
+    return motion if isinstance(motion, Refusal) else _other_end(request, target, motion.goal_joints) or motion
+
+
+def _tested_both(request: PlanningRequest, target: Target, detours: bool, first: bool) -> Segment | Refusal:
+    motion = _timed_both(request, target, None)
+    return motion if isinstance(motion, Refusal) else Segment(motion.goal_joints, motion.goal_pose)
+
+
 #: fourth column of a script -> planner of its segments
 SPACES: dict[str, Callable[[PlanningRequest, Target, Way | None], Motion | Refusal]] = {
     "move_joint": _timed_joint,
     "move_task": _timed_task,
     **dict.fromkeys(curves.CURVES, _timed_curve),
+    "move_both": _timed_both,
 }
 _TESTS: dict[str, Callable[[PlanningRequest, Target, bool, bool], Segment | Refusal]] = {
     "move_joint": _tested_joint,
     "move_task": _tested_task,
     **dict.fromkeys(curves.CURVES, _tested_curve),
+    "move_both": _tested_both,
 }

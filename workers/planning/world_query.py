@@ -17,7 +17,7 @@ from rtc.cells import cell as cells
 from rtc.cells import parts
 from rtc.protocol.messages import Limits, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.protocol.primitive import JointTrajectory, Load, Primitive
+from rtc.protocol.primitive import Load, Primitive
 from rtc.robot import geometry, hinges
 from rtc.robot.collision import Held, Hung, Scene
 from rtc.robot.geometry import Array, Floats
@@ -58,8 +58,8 @@ class WorldQuery:
     def joints(self, arm: str) -> list[float]:
         """Joint values as last reported (rad); the home position before any report. Of a moving arm: at its goal."""
         for primitive in self.moving:
-            if primitive.performer == arm and isinstance(primitive.trajectory, JointTrajectory):
-                return primitive.trajectory.positions[-1]
+            if (path := primitive.paths.get(arm)) is not None:
+                return path.positions[-1]
         return self.world.value(f"{arm}.joints") or self.cell.arm(arm).home_rad
 
     def tcp(self, arm: str) -> Array:
@@ -71,6 +71,11 @@ class WorldQuery:
 
     def holding(self, arm: str) -> str:
         return self.world.value(f"{arm}.holding") or ""
+
+    def sharers(self, arm: str) -> list[str]:
+        """The other arms that hold the object that this arm holds."""
+        held = self.holding(arm)
+        return [a.name for a in self.cell.arms if held and a.name != arm and self.holding(a.name) == held]
 
     def held_by(self, thing: str) -> str:
         return self.world.value(f"{thing}.held_by") or ""
@@ -186,6 +191,8 @@ class WorldQuery:
         grasp = self.grasp(thing) if thing else None
         if grasp is None:
             return None
+        if (holder := self.held_by(thing)) not in ("", arm):  # both hold it; the grasp is that of the other hand
+            grasp = geometry.relative(self.tcp(arm), geometry.compose(self.tcp(holder), grasp))
         known = self.cell.object(thing)
         mass_kg = float(self.world.value(f"{thing}.mass") or known.mass_kg)
         turn = geometry.to_matrix(grasp)[:3, :3]

@@ -30,8 +30,8 @@ from broker.decisions.state import (
 from rtc.protocol import wire
 from rtc.protocol.messages import EndReport, Phase, WorkerKind
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
-from rtc.protocol.primitive import JointTrajectory, Primitive
-from rtc.protocol.primitive_id import belongs_to, primitive_id
+from rtc.protocol.primitive import Primitive
+from rtc.protocol.primitive_id import belongs_to, command_of, primitive_id
 
 read_script = wire.decoder(ScriptHead)
 read_bound = wire.decoder(BoundHead)
@@ -108,8 +108,10 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
         return
     primitive = read_primitive(result.primitive)
     held = context.state.resources.held.get(command.id, {})
-    if not (held.get(primitive.performer) or (primitive.performer in held and primitive.performer in subsystem.queues)):
-        message = f"the step moves {primitive.performer}, which its script has not claimed"
+    queues = subsystem.queues
+    unclaimed = next((p for p in primitive.performers if not (held.get(p) or (p in held and p in queues))), "")
+    if unclaimed:
+        message = f"the step moves {unclaimed}, which its script has not claimed"
         refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
         return
     if not belongs_to(primitive.id, command.id, command.primitives + 1, context.state.life):
@@ -120,19 +122,21 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
         message = "the binder made a primitive without an evaluation for the analyzer"
         refuse(context, command, Refusal(reason=RefusalReason.PROGRAM, message=message, where=command.step_words))
         return
-    moves = isinstance(primitive.trajectory, JointTrajectory)
-    if moves and context.state.motions_begun != command.motions_seen[0]:
+    if primitive.paths and context.state.motions_begun != command.motions_seen[0]:
         bind_step(context, command, "another arm has begun to move meanwhile: planned again beside it")
         return
     command.primitives += 1
     command.primitive = primitive.id
     command.primitive_body = result.primitive
-    command.performers = [primitive.performer]
+    command.performers = primitive.performers
     command.subsystem = result.subsystem
     command.evaluation = result.evaluation
     command.limit_s = result.limit_s
-    if moves:
-        context.begin_motion(command, primitive.performer, result.primitive)
+    for arm in primitive.paths:
+        context.begin_motion(command, arm, result.primitive)
+    if primitive.start_after:
+        awaited = ", ".join(dict.fromkeys(command_of(condition.primitive) for condition in primitive.start_after))
+        command.step_words += f" (starts when {awaited} has left the space)"
     send(context, command)
     context.enter(command, Phase.EXECUTING, result.note, expected_s=result.predicted_s * context.state.timeout_scale)
     if command.primitives == 1:

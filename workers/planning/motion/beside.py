@@ -59,29 +59,32 @@ def start_conditions(
     """
     conditions = []
     for other in others:
-        if other.performer == motion.performer or other.performer not in request.joints:
+        pairs = [(arm, their) for arm in motion.paths for their in other.paths if their in request.joints]
+        if set(motion.performers) & set(other.performers) or not pairs:
             continue
-        if not isinstance(other.trajectory, JointTrajectory) or not isinstance(motion.trajectory, JointTrajectory):
-            continue
-        free_from_s = _clear_from(request, motion, motion.trajectory, other, other.trajectory)
-        if free_from_s is None:
-            return _in_the_way(motion.performer, other)
+        free_from_s = 0.0
+        for arm, their in pairs:
+            found = _clear_from(request, motion, arm, other, their)
+            if found is None:
+                return _in_the_way(arm, other, their)
+            free_from_s = max(free_from_s, found)
         if free_from_s > 0.0:
-            conditions.append(_condition(other, other.trajectory, free_from_s))
+            conditions.append(_condition(other, free_from_s))
     return conditions
 
 
-def _clear_from(
-    request: PlanningRequest, motion: Primitive, path: JointTrajectory, other: Primitive, their_path: JointTrajectory
-) -> float | None:
-    check = request.world.compare_arms(motion.performer, other.performer, request.scene)
-    mine, theirs = (course(*pair) for pair in zip((path, their_path), check.reaches, strict=True))
+def _clear_from(request: PlanningRequest, motion: Primitive, arm: str, other: Primitive, their: str) -> float | None:
+    """`clear_from` for this arm of the motion, and that arm of the other one."""
+    check = request.world.compare_arms(arm, their, request.scene)
+    paths = (motion.paths[arm], other.paths[their])
+    mine, theirs = (course(*pair) for pair in zip(paths, check.reaches, strict=True))
     return clear_from(check, mine, theirs, SPACE_M + _softness_m(motion) + _softness_m(other))
 
 
 def _softness_m(motion: Primitive) -> float:
     """How far a compliant arm may be pushed away from its path."""
-    compliance = motion.control_law.compliance
+    law = motion.partner.control_law if motion.partner else motion.control_law
+    compliance = law.compliance
     if compliance is None:
         return 0.0
     softest = min(compliance.stiffness[:3])
@@ -90,23 +93,23 @@ def _softness_m(motion: Primitive) -> float:
     return min(SOFT_M, compliance.most_n / softest)
 
 
-def _condition(other: Primitive, path: JointTrajectory, free_from_s: float) -> StartAfter:
+def _condition(other: Primitive, free_from_s: float) -> StartAfter:
     """A motion that may back off returns on its path, so its end must be awaited."""
-    path_s = free_from_s + LAG_S
-    if path_s >= path.duration_s or any(stop.back_off_m > 0.0 for stop in other.stop_functions):
+    path_s, duration_s = free_from_s + LAG_S, other.paths[other.performer].duration_s
+    if path_s >= duration_s or any(stop.back_off_m > 0.0 for stop in other.stop_functions):
         path_s = LONGEST_S  # reached at its goal only
-    within_s = WAIT_FACTOR * min(path_s, path.duration_s) + WAIT_MARGIN_S
+    within_s = WAIT_FACTOR * min(path_s, duration_s) + WAIT_MARGIN_S
     return StartAfter(primitive=other.id, path_s=path_s, within_s=within_s)
 
 
-def _in_the_way(arm: str, other: Primitive) -> Refusal:
+def _in_the_way(arm: str, other: Primitive, their: str) -> Refusal:
     command = command_of(other.id)
     return Refusal(
         reason=RefusalReason.INFEASIBLE,
-        message=f"{arm} would meet {other.performer} where {command} brings it",
+        message=f"{arm} would meet {their} where {command} brings it",
         owner=command,
-        clears=f"wait until {command} has ended, or move {other.performer} away",
-        detail={"cause": "space", "arm": arm, IN_THE_WAY: other.performer},
+        clears=f"wait until {command} has ended, or move {their} away",
+        detail={"cause": "space", "arm": arm, IN_THE_WAY: their},
     )
 
 

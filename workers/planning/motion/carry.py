@@ -1,20 +1,65 @@
-"""The motion of a second arm that holds the same object as the planned arm: a closed chain. Pure.
+"""Motions of two arms that hold one object: a closed chain. Pure.
 
-The hand of the second arm keeps its pose in the axes of the first hand, so both hold the object as they do now.
+The hand of the second arm, the partner, keeps its pose in the axes of the first hand, so both hold the object as they
+do now. The first hand moves in a straight line.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 
 from rtc.protocol.outcomes import Refusal
 from rtc.robot import geometry, quintic
 from rtc.robot.geometry import Array, Floats
 from rtc.robot.kinematics import ArmModel
-from workers.planning.motion.timing import Timed
+from workers.planning.motion.path import task_line
+from workers.planning.motion.plan import Motion
+from workers.planning.motion.request import PlanningRequest
+from workers.planning.motion.timing import Timed, slower, time_path
+
+
+def plan_carry(request: PlanningRequest, goal_pose: Floats) -> Motion | Refusal:
+    """A straight line of the hand to `goal_pose` (world), with the partner of the request."""
+    arm, partner = request.arm, request.partner
+    assert partner is not None
+    line = task_line(arm, request.start, goal_pose, request.way_margin_rad)
+    timed = line if isinstance(line, Refusal) else time_path(arm, line, request.pace, request.load)
+    if isinstance(line, Refusal) or isinstance(timed, Refusal):
+        return line if isinstance(line, Refusal) else timed  # type: ignore[return-value]
+    both = carry_along(arm, timed, partner, request.joints[partner.name], request.margin_rad)
+    if isinstance(both, Refusal):
+        return both
+    leads, follows = both
+    if (problem := _fault(request, partner, leads, follows)) is not None:
+        return problem
+    notes = [f"generated a straight line of the hand, and the way of {partner.name} with it; tested: free"]
+    goal = line.knots[-1]
+    return Motion(line, leads, goal, arm.fk(goal), notes, partner=follows)
+
+
+def _fault(request: PlanningRequest, partner: ArmModel, leads: Timed, follows: Timed) -> Refusal | None:
+    """The first collision or broken rule while both arms move; None if there is none."""
+    scene = request.scene
+    hand = request.world.cell.arm(partner.name).gripper
+    held = [name for name, by in scene.held.items() if by.arm == request.arm.name]
+    touched = [(f"{partner.name} {link}", thing) for link in (hand.palm_link, *hand.finger_links) for thing in held]
+    scene = replace(scene, moving="", ignore=[*scene.ignore, *touched])
+    for n, (q, theirs) in enumerate(zip(leads.positions, follows.positions, strict=True)):
+        hit = request.world.check({**request.joints, request.arm.name: q, partner.name: theirs}, scene)
+        problem = hit.refusal() if hit is not None else request.rules.broken_by(request.arm, q)
+        if problem is not None:
+            share = n / max(1, len(leads.positions) - 1)
+            return msgspec.structs.replace(
+                problem,
+                message=f"{problem.message} ({share:.0%} along the way)",
+                detail={**problem.detail, "fraction": share},
+            )
+    return None
 
 
 def carry_along(
@@ -40,13 +85,6 @@ def carry_along(
     harder = quintic.most_beyond(points.accelerations, partner.limits.acceleration)
     by = max(1.0, faster, math.sqrt(harder))
     return slower(timed, by), slower(follows, by)
-
-
-def slower(timed: Timed, by: float) -> Timed:
-    """The motion on the same path in `by` times the time."""
-    return Timed(
-        timed.space, timed.time_s * by, timed.positions, timed.velocities / by, timed.accelerations / (by * by)
-    )
 
 
 def _follow(partner: ArmModel, poses: Sequence[Array], start: Array, margin_rad: float) -> Array | Refusal:

@@ -37,6 +37,7 @@ class Motion:
     goal_joints: Array
     goal_pose: Array
     notes: list[str] = field(default_factory=list)
+    partner: Timed | None = None  # the motion of the second arm, if the request has one
 
 
 def plan_task_motion(request: PlanningRequest, goal_pose: Floats) -> Motion | Refusal:
@@ -175,7 +176,9 @@ def lasting(motion: Motion, takes_s: float) -> Motion | Refusal:
             clears=f"takes_s of at least {least_s:.3g} s, or a higher speed",
             detail={"cause": "time", "limit_s": takes_s, "predicted_s": least_s},
         )
-    return replace(motion, timed=slower(motion.timed, takes_s / least_s))
+    by = takes_s / least_s
+    partner = slower(motion.partner, by) if motion.partner is not None else None
+    return replace(motion, timed=slower(motion.timed, by), partner=partner)
 
 
 def in_time(request: PlanningRequest, found: FreeWay) -> Motion | Refusal:

@@ -32,6 +32,7 @@ class PlanningRequest:
     margin_rad: float = 0.0  # minimum distance from every joint limit
     load: Load | None = None  # in the hand
     seed: int = 0  # of the sampling planner: the same request has the same path
+    partner: ArmModel | None = None  # a second arm that holds the same object and moves with it
 
     @property
     def start(self) -> Array:

@@ -1,0 +1,127 @@
+"""BOTH-ARMS: one command moves two arms that hold one object, as a closed chain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rtc.protocol.messages import Script, Validity
+from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from rtc.robot import geometry
+from tests.campaigns.carry import Carrier
+from tests.workers.conftest import CELL, MODEL, Bench
+
+RIGHT, LEFT, MODULE = "RIGHT-ARM", "LEFT-ARM", "MACS-NEW"
+UP = "MOVE BOTH-ARMS BY 40 CM ALONG UP"
+
+
+@pytest.fixture
+def holding(bench: Bench) -> Bench:
+    """Both hands at the handles of a module before the bay."""
+    points = {RIGHT: "HANDLE-A", LEFT: "HANDLE-B"}
+    frames = {arm: CELL.object(MODULE).grasp_point(name).frame.pose for arm, name in points.items()}
+    hand = geometry.make_pose((0.46, -0.085, 0.60), (0.0, 2**-0.5, 0.0, 2**-0.5))
+    module = geometry.compose(hand, geometry.inverse(frames[RIGHT]))
+    for arm, frame in frames.items():
+        joints = MODEL.arms[arm].ik(geometry.compose(module, frame).tolist(), CELL.arm(arm).home_rad, 0.06)[0]
+        bench.subsystem.joints[arm] = np.array(joints)
+        bench.subsystem.widths[arm] = 0.02
+        bench.set_fact(f"{arm}.joints", joints.tolist())
+        bench.set_fact(f"{arm}.hand_width", 0.02)
+        bench.set_fact(f"{arm}.holding", MODULE)
+    bench.set_fact(f"{MODULE}.held_by", RIGHT)
+    bench.set_fact(f"{MODULE}.grasp", geometry.normalise(geometry.relative(hand, module)).tolist())
+    bench.set_fact(f"{MODULE}.frame", geometry.normalise(module).tolist())
+    bench.set_fact(f"{MODULE}.seat", "")
+    return bench
+
+
+def bound(bench: Bench, sentence: str) -> Any:
+    script = bench.elaborate(sentence)
+    assert isinstance(script, Script), script
+    return bench.bind(script, script.steps[0])
+
+
+def test_both_hands_keep_their_places_at_the_object(holding):
+    made = bound(holding, UP).primitive
+    assert made.performers == [RIGHT, LEFT]
+    paths = [np.asarray(made.paths[arm].positions) for arm in (RIGHT, LEFT)]
+    hands = [geometry.relative(MODEL.arms[RIGHT].fk(q), MODEL.arms[LEFT].fk(p)) for q, p in zip(*paths, strict=True)]
+    assert max(geometry.distance(hands[0], hand) for hand in hands) < 1e-6
+    rise = MODEL.arms[LEFT].fk(paths[1][-1])[2] - MODEL.arms[LEFT].fk(paths[1][0])[2]
+    assert rise == pytest.approx(0.40, abs=1e-6)
+    assert made.paths[RIGHT].time_s == made.paths[LEFT].time_s
+
+
+def test_one_leads_the_other_complies_and_each_carries_half(holding):
+    made = bound(holding, UP).primitive
+    assert made.control_law.compliance is None
+    assert made.partner.control_law.compliance.stiffness[0] == 600.0
+    assert [law.load.mass_kg for law in (made.control_law, made.partner.control_law)] == [1.0, 1.0]
+    reasons = {stop.reason for stop in made.partner.stop_functions}
+    assert {StopReason.GOAL, StopReason.TIMEOUT, StopReason.FORCE_LIMIT, StopReason.SLIP} <= reasons
+
+
+def test_the_stiffness_of_the_sentence_is_that_of_the_second_arm(holding):
+    made = bound(holding, f"{UP} MAINTAIN STIFFNESS 300 N/M").primitive
+    assert made.control_law.compliance is None
+    assert made.partner.control_law.compliance.stiffness[0] == 300.0
+
+
+def test_both_arms_and_the_object_are_claimed_and_written(holding):
+    script = holding.elaborate(UP)
+    assert set(script.resources) == set(script.writes) == {RIGHT, LEFT, MODULE}
+
+
+@pytest.mark.parametrize(
+    ("sentence", "message"),
+    [
+        ("MOVE RIGHT-ARM BY 10 CM ALONG UP", "LEFT-ARM holds MACS-NEW too"),
+        ("LIFT MACS-NEW BY 10 CM WITH BOTH-ARMS", "no script for two arms"),
+        (f"{UP} UNLESS FORCE EXCEEDS 10 N THEN BACK-OFF", "can only stop"),
+        ("MOVE BOTH-ARMS BY 90 CM ALONG UP", "ARM"),
+        ("MOVE BOTH-ARMS BY 40 CM ALONG FORWARD", "SATELLITE"),
+    ],
+)
+def test_what_two_arms_at_one_object_cannot_do_is_refused(holding, sentence, message):
+    run = holding.do(sentence)
+    assert run.refusal is not None
+    assert message in run.refusal.message
+    assert run.primitives == []
+
+
+@pytest.mark.parametrize("holder", [{}, {RIGHT: MODULE}, {RIGHT: MODULE, LEFT: "MACS-OLD"}])
+def test_both_arms_must_hold_one_object(bench, holder):
+    for arm, thing in holder.items():
+        bench.set_fact(f"{arm}.holding", thing)
+        bench.set_fact(f"{thing}.held_by", arm)
+    refusal = bench.elaborate(UP)
+    assert isinstance(refusal, Refusal)
+    assert refusal.reason is RefusalReason.STATE
+    assert "must hold one object" in refusal.message
+
+
+def test_an_end_without_the_second_arm_leaves_its_position_in_doubt(holding):
+    script = holding.elaborate(UP)
+    made = holding.bind(script, script.steps[0])
+    holding.subsystem.instead[made.primitive.id] = StopReason.HALT
+    report = holding.subsystem.perform(made.primitive, made)
+    assert report.partner is None
+    changes = {change.key: change for change in holding.analyze(made, report).changes}
+    assert changes[f"{LEFT}.joints"].validity is Validity.SUSPECT
+    assert changes[f"{RIGHT}.joints"].validity is Validity.VALID
+
+
+@pytest.mark.slow
+def test_a_module_is_carried_halted_and_carried_on_in_physics():
+    carrier = Carrier()
+    try:
+        run = carrier.run(np.array([0.001, -0.002, 0.001, 0.005, 0.005, 0.005]), lift_m=0.06)
+    finally:
+        carrier.close()
+    assert run.outcomes == ["halted", "succeeded", "succeeded"], run.causes
+    assert run.between_n <= 5.0
+    assert run.path_m == pytest.approx(0.06, abs=1e-3)
+    assert run.slip_m < 0.002

@@ -1,0 +1,71 @@
+"""The part of a second arm in a primitive of two arms that hold one object. Pure.
+
+The first arm leads under position control. The second one complies, so an error of a grasp or of a path does not pull
+at the object. Each carries half of the load.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from rtc.programs.schema import BinderProgram, StopClass
+from rtc.protocol.messages import BoundStep, ScriptContext
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.primitive import Compliance, ControlLaw, Load, Partner, TimeAbove
+from workers.binder import stop_conditions
+from workers.binder.stop_conditions import Line, Values
+from workers.planning.motion.timing import Timed
+from workers.planning.world_query import WorldQuery
+
+
+def refuse_alone(query: WorldQuery, arm: str, partner: str) -> Refusal | None:
+    """Refuse a motion of one arm whose object another arm holds too; None if no other arm does."""
+    sharing = query.sharers(arm)
+    if partner or not sharing:
+        return None
+    held = query.holding(arm)
+    return Refusal(
+        reason=RefusalReason.STATE,
+        message=f"{arm} cannot move alone: {sharing[0]} holds {held} too",
+        clears=f"MOVE BOTH-ARMS BY a distance, or let {sharing[0]} let go of {held}",
+    )
+
+
+def with_partner(
+    program: BinderProgram,
+    query: WorldQuery,
+    context: ScriptContext,
+    bound: BoundStep,
+    motion: Timed,
+    stop_class: StopClass,
+    values: Values,
+    line: Line,
+) -> BoundStep:
+    """The bound step of the leading arm, with the part of the second one. `values`: in force for the leading arm.
+    `line`: about which the step turns."""
+    made = bound.primitive
+    assert made is not None
+    own = {**values, "held_width_m": query.hand_width(context.partner)}
+    limit_s = next(stop.when.limit_s for stop in made.stop_functions if isinstance(stop.when, TimeAbove))
+    rows = [*stop_class.stops, *program.holding]
+    stops = stop_conditions.stop_functions(rows, {**own, "time_limit_s": limit_s}, None, [], line)
+    stiffness_n_m = values.get("stiffness_n_m", values["partner_n_m"])
+    compliance = Compliance(
+        stiffness=[stiffness_n_m] * 3 + [values["turn_m"] ** 2 * stiffness_n_m] * 3,
+        most_n=values["spring_factor"] * values["force_n"],
+        most_nm=values["spring_factor"] * values["torque_nm"],
+        until_rest=True,
+    )
+    gains = {"wn": values["laden_wn_rad_s"]}
+    law = ControlLaw(name="impedance", gains=gains, load=_half(query.load(context.partner)), compliance=compliance)
+    partner = Partner(performer=context.partner, trajectory=motion.trajectory(), control_law=law, stop_functions=stops)
+    leads = msgspec.structs.replace(made.control_law, load=_half(made.control_law.load))
+    whole = msgspec.structs.replace(made, control_law=leads, partner=partner)
+    return msgspec.structs.replace(bound, primitive=whole)
+
+
+def _half(load: Load | None) -> Load | None:
+    if load is None:
+        return None
+    inertia = [0.5 * value for value in load.inertia_kg_m2]
+    return msgspec.structs.replace(load, mass_kg=0.5 * load.mass_kg, inertia_kg_m2=inertia)
