@@ -66,9 +66,9 @@ class Egress:
         self.clients.send_now(peer, m.Declined(request=request, refusal=refusal))
         self._publish_refusal(request, refusal, text)
 
-    def answer(self, peer: bytes, message: m.BrokerToClient) -> None:
-        """Answer a client at once, after what it was sent before."""
-        self.clients.send_now(peer, message)
+    def answer(self, peer: bytes, message: m.BrokerToClient) -> bool:
+        """Answer a client at once, after what it was sent before. False: it is gone, or its queue is full."""
+        return self.clients.send_now(peer, message)
 
     def send_supervisor(self, message: m.BrokerToSupervisor) -> None:
         send(self._core.sockets["supervisor"], message, self._core.supervisor_peer)

@@ -40,11 +40,11 @@ class Outbox:
         else:
             self._waiting[peer] = [message]
 
-    def send_now(self, peer: bytes, message: Any) -> None:
-        """Send this alone, after what was put before it."""
+    def send_now(self, peer: bytes, message: Any) -> bool:
+        """Send this alone, after what was put before it. False: the peer is gone, or its queue is full."""
         if peer in self._waiting:
             self._send(peer, self._waiting.pop(peer))
-        send(self._socket(), message, peer)
+        return send(self._socket(), message, peer)
 
     def flush(self) -> None:
         waiting, self._waiting = self._waiting, {}

@@ -129,7 +129,8 @@ class SubsystemMessages:
             return
         note = reporting.note_of(command, report, now)
         self._core.reports.keep(note)
-        self._egress.answer(peer_of(command.client), note)
+        if not self._egress.answer(peer_of(command.client), note):
+            self._core.dropped["reports"] += 1
 
 
 def _check_name(sender: str, stated: str) -> None:

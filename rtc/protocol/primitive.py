@@ -286,8 +286,9 @@ class BodyTouch(msgspec.Struct, frozen=True, tag="body-touch"):
     """A link of the arm (not palm or fingers, which may touch) is in contact with anything."""
 
 
-class GripForceBelow(msgspec.Struct, frozen=True, tag="grip-force-below"):
+class GripForceBelow(msgspec.Struct, frozen=True, omit_defaults=True, tag="grip-force-below"):
     limit_n: float
+    once_above: bool = False  # for a hand that closes: counts after it has been above, and then for 20 ms
 
 
 class GripForceAbove(msgspec.Struct, frozen=True, tag="grip-force-above"):

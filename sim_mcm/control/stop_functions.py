@@ -51,6 +51,7 @@ Stops = list[tuple[p.StopFunction, Check]]
 # task. Greatest values measured in pybullet: 0.6 of a speed limit; 6 mrad of following error, placing a module.
 # A compliant arm is pushed away from its command on purpose, so its spring may be stretched further.
 RIGID_RAD, COMPLIANT_RAD = 0.1, 0.5
+GRIPPED_S = 0.02  # time for which a grip force must have fallen, while the hand closes
 NEAR_TICKS = 20  # interval of ClearanceBelow: a look for near bodies costs as much as three ticks
 
 
@@ -227,6 +228,8 @@ def _body_touch(when: p.BodyTouch, traits: Traits) -> Check:
 
 def _grip(when: p.GripForceBelow, traits: Traits) -> Check:
     limit = when.limit_n
+    if when.once_above:
+        return _Fallen(lambda now: now.grip_n, limit, limit, GRIPPED_S)
     return lambda now: (now.grip_n, limit, "") if now.grip_n < limit else None
 
 

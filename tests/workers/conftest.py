@@ -27,6 +27,7 @@ from rtc.protocol.messages import (
     BoundStep,
     ElaboratorInput,
     EndReport,
+    ProgressReport,
     Script,
     Step,
     Validity,
@@ -177,7 +178,9 @@ class Kinematic:
                 made, SceneView(**{name: truth[name] for name in ("poses", "seats", "joints", "fingers", "tcp")})
             )
         messages: list[Any] = list(self.executors[made.performer].accept(made, 0.0))
+        self.progress: list[ProgressReport] = []  # of this primitive
         for tick in range(int(bound.limit_s * 1000)):
+            self.progress += [m for m in messages if isinstance(m, ProgressReport)]
             ends = [m for m in messages if isinstance(m, EndReport)]
             if ends:
                 return ends[0]

@@ -10,6 +10,7 @@ import pytest
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol.outcomes import Reflex, Refusal, StopReason
 from rtc.robot import geometry
+from sim_mcm.arms.arm import HandCommand
 
 ARM = "RIGHT-ARM"
 PALM = 7  # link of the URDF
@@ -143,6 +144,77 @@ def test_comply_gives_way_to_what_pushes_and_then_holds(physical, push) -> None:
 
 
 @slow
+def test_reports_are_sent_in_motion_periodically_and_on_a_condition(physical, push) -> None:
+    push((0, 8, 0), since=400, until=700)
+    report = "REPORT FORCES AND EVERY 0.2 SEC AND WHEN FORCE EXCEEDS 6 N AND WHEN TORQUE EXCEEDS 2 NM"
+    assert physical.do(f"HOLD {ARM} FOR 1 SEC {report}").succeeded
+    sent = physical.subsystem.progress
+    assert [one.condition for one in sent][:5] == [None, None, 0, None, None]
+    assert len(sent) <= 6
+    assert sent[2].measured == pytest.approx(8.0, abs=2.0)
+    assert sent[2].limit == 6.0
+
+
+@slow
+@pytest.mark.parametrize(
+    ("sentence", "words"),
+    [
+        (f"MOVE {ARM} BY 30 DEG ALONG TOOL-Z UNLESS TURN EXCEEDS 10 DEG THEN STOP", "turned by 10."),
+        (f"MOVE {ARM} BY -30 DEG ALONG TOOL-Z UNLESS TURN ALONG TOOL-Z EXCEEDS 10 DEG THEN STOP", "turned by 10."),
+        (f"MOVE {ARM} BY 30 DEG ALONG TOOL-Z UNLESS TURN ALONG JOINT-6 EXCEEDS 10 DEG THEN STOP", "joint_6 has turned"),
+    ],
+)
+def test_a_turn_of_the_hand_or_of_a_joint_is_a_condition(physical, sentence, words) -> None:
+    report = _end(physical.do(sentence))
+    assert report.reason is StopReason.OUT_OF_RANGE
+    assert words in report.message
+    assert report.measured == pytest.approx(0.1745, abs=0.003)
+
+
+@slow
+def test_a_soft_arm_that_a_wall_keeps_from_its_path_makes_no_progress(physical) -> None:
+    physical.subsystem.displace("SATELLITE", [-0.088, 0.0, 0.0])
+    assert physical.do(f"MOVE {ARM} BY 15 CM ALONG DOWN").succeeded
+    soft = "MAINTAIN STIFFNESS 1200 N/M AND SPEED 5 MM/S"
+    run = physical.do(f"MOVE {ARM} BY 4 CM ALONG TOOL-Z {soft} UNLESS NO-PROGRESS THEN STOP")
+    report = _end(run)
+    assert report.reason is StopReason.FORCE_LIMIT
+    assert "no progress" in report.message
+    assert report.measured == pytest.approx(0.015, abs=0.002)
+    assert "as asked: UNLESS NO-PROGRESS" in run.assessments[-1].message
+
+
+@slow
+def test_a_clearance_is_a_condition(physical) -> None:
+    """The satellite is nearer than the world has it."""
+    physical.subsystem.displace("SATELLITE", [-0.06, 0.0, 0.0])
+    assert physical.do(f"MOVE {ARM} BY 15 CM ALONG DOWN").succeeded
+    report = _end(physical.do(f"MOVE {ARM} BY 6 CM ALONG TOOL-Z UNLESS CLEARANCE BELOW 2 CM THEN STOP"))
+    assert report.reason is StopReason.OUT_OF_RANGE
+    assert "near SATELLITE" in report.message
+    assert 0.015 < report.measured < 0.02
+    assert report.peak_force_n < 15.0  # of braking
+
+
+@slow
+def test_a_grip_that_weakens_while_the_hand_closes_is_a_slip(physical) -> None:
+    """The pressing force is taken away when it has been reached."""
+    sentence = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A UNLESS SLIP THEN STOP"
+    executor = physical.subsystem.executors[ARM]
+    pressed = []
+
+    def disturb(tick: int) -> None:
+        forces = min(executor.sample.finger_forces)
+        if pressed or forces > 5.0:
+            pressed.append(tick)
+            physical.subsystem.sim.arms[ARM]._hand.command = HandCommand(0.08, 30.0, 0.05)
+
+    physical.subsystem.disturb = disturb
+    run = physical.do(sentence)
+    assert StopReason.SLIP in [report.reason for report in run.reports]
+
+
+@slow
 def test_release_stops_and_opens_the_hand(physical, push) -> None:
     assert physical.do(f"CLOSE {ARM}").succeeded
     push((0, 0, 12))
@@ -217,6 +289,22 @@ def test_a_constraint_is_kept_in_motion_too(physical, push, constraint, force, t
         ("UNLESS DISTANCE ALONG NOWHERE EXCEEDS 3 CM THEN STOP", "NOWHERE"),
         ("UNLESS GRIP-FORCE ALONG TOOL-Z EXCEEDS 3 N THEN STOP", "one axis"),
         ("UNLESS TORQUE BELOW 3 N THEN STOP", "TORQUE"),
+        ("UNLESS CLEARANCE ALONG X BELOW 2 CM THEN STOP", "all directions"),
+        ("UNLESS CLEARANCE BELOW 0 CM THEN STOP", "CLEARANCE"),
+        ("UNLESS CLEARANCE EXCEEDS 2 CM THEN STOP", "CLEARANCE"),
+        ("UNLESS TURN BELOW 20 DEG THEN STOP", "TURN"),
+        ("UNLESS TURN EXCEEDS 200 DEG THEN STOP", "180 DEG"),
+        ("UNLESS TURN ALONG JOINT-7 EXCEEDS 20 DEG THEN STOP", "JOINT-7"),
+        ("UNLESS TURN ALONG JOINT-0 EXCEEDS 20 DEG THEN STOP", "JOINT-0"),
+        ("UNLESS FORCE ALONG JOINT-1 EXCEEDS 20 N THEN STOP", "JOINT-1"),
+        ("UNLESS NO-PROGRESS THEN STOP", "compliant"),
+        ("UNLESS SLIP THEN STOP", "holds none"),
+        ("UNLESS OBJECT-LOST THEN STOP", "holds none"),
+        ("UNLESS GRIP-FORCE BELOW 5 N THEN STOP", "holds none"),
+        ("REPORT WHEN SLIP", "holds none"),
+        ("REPORT WHEN DISTANCE BELOW 3 CM", "names none"),
+        ("REPORT WHEN FORCE ALONG NOWHERE EXCEEDS 3 N", "NOWHERE"),
+        ("REPORT EVERY 0.01 SEC", "too often"),
         ("MAINTAIN SAFE-WORK-RANGE NOWHERE", "NOWHERE"),
     ],
 )

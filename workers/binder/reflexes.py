@@ -24,6 +24,7 @@ from rtc.protocol.primitive import (
     GripForceBelow,
     HandWidthBelow,
     JointMarginBelow,
+    JointTurnAbove,
     NoProgress,
     Predicate,
     ReportCondition,
@@ -40,6 +41,9 @@ from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from workers.planning import axes, suggestions
 
+JOINT = "JOINT-"  # and its number from the base, from 1: a direction of TURN
+#: conditions about what is between the fingers
+HELD = frozenset({"SLIP", "OBJECT-LOST"})
 ACTIONS: dict[str, Reflex] = {
     "stop": Reflex.STOP,
     "back_off": Reflex.BACK_OFF,
@@ -56,6 +60,7 @@ class StepState:
     hand_pose: Array
     holding: bool
     object_at: list[float] | None
+    closing: bool  # the step closes the hand
     beside: list[Vector]  # balls [x y z radius] round what the command may come near to
 
 
@@ -72,7 +77,13 @@ def _no_contact(_: Condition, state: StepState) -> list[Predicate]:
 
 
 def _slip(_: Condition, state: StepState) -> list[Predicate]:
-    return [GripForceBelow(state.values["slip_n"])] if state.holding else []
+    return _weaker(state.values["slip_n"], state)
+
+
+def _weaker(limit_n: float, state: StepState) -> list[Predicate]:
+    if state.holding:
+        return [GripForceBelow(limit_n)]
+    return [GripForceBelow(limit_n, once_above=True)] if state.closing else []
 
 
 def _lost(_: Condition, state: StepState) -> list[Predicate]:
@@ -130,7 +141,7 @@ def _squeeze(condition: Condition, state: StepState) -> list[Predicate]:
 
 
 def _grip(condition: Condition, state: StepState) -> list[Predicate]:
-    return [GripForceBelow(_figure(condition))] if state.holding else []
+    return _weaker(_figure(condition), state)
 
 
 def _near(condition: Condition, state: StepState) -> list[Predicate]:
@@ -149,6 +160,9 @@ def _close(condition: Condition, state: StepState) -> list[Predicate]:
 
 
 def _turn(condition: Condition, state: StepState) -> list[Predicate]:
+    if condition.along is not None and condition.along.startswith(JOINT):
+        number = int(condition.along.removeprefix(JOINT))
+        return [JointTurnAbove(joint=number - 1, limit_rad=_figure(condition))]
     return [TurnAbove(limit_rad=_figure(condition), axis=_in_world(condition, state))]
 
 
@@ -180,16 +194,17 @@ def reason_of(condition: Condition) -> StopReason | None:
     return None if row is None else row[0]
 
 
-def refuse_unsupported(reflex: ReflexItem, about_object: bool) -> Refusal | None:
-    """Refuse a reflex that cannot be performed; None if it can. `about_object`: the command names an object."""
-    problem = refuse_condition(reflex.condition, about_object)
+def refuse_unsupported(reflex: ReflexItem, about_object: bool, joints: int) -> Refusal | None:
+    """Refuse a reflex that cannot be performed; None if it can. `about_object`: the command names an object. `joints`:
+    number of joints of an arm."""
+    problem = refuse_condition(reflex.condition, about_object, joints)
     if problem is not None or reflex.action in ACTIONS:
         return problem
     word = reflex.action.upper().replace("_", "-")
     return _no(f"THEN {word} is not supported", [action.upper().replace("_", "-") for action in ACTIONS])
 
 
-def refuse_condition(condition: Condition, about_object: bool, word: str = "UNLESS") -> Refusal | None:
+def refuse_condition(condition: Condition, about_object: bool, joints: int, word: str = "UNLESS") -> Refusal | None:
     """Refuse a condition that the motion loop does not measure; None if it does. `word`: that introduces it."""
     words = f"{word} {condition.words}"
     if _row(condition) is None:
@@ -197,6 +212,11 @@ def refuse_condition(condition: Condition, about_object: bool, word: str = "UNLE
         return _no(f"{words}: nothing in the motion loop measures that", known, word=word)
     if condition.measure == "GRIP-FORCE" and condition.along is not None:
         return _no(f"{words}: the fingers press along one axis only", [], "leave out ALONG and its axis", word)
+    if condition.measure == "TURN" and (condition.along or "").startswith(JOINT):
+        number = (condition.along or "").removeprefix(JOINT)
+        if not number.isdigit() or not 1 <= int(number) <= joints:
+            return suggestions.unknown("joint", condition.along or "", [f"{JOINT}{n + 1}" for n in range(joints)])
+        return None
     if condition.measure == "CLEARANCE" and condition.along is not None:
         return _no(f"{words}: a clearance is measured in all directions", [], "leave out ALONG and its axis", word)
     if condition.measure == "TURN" and condition.along is None and _figure(condition) > math.pi:
@@ -208,6 +228,16 @@ def refuse_condition(condition: Condition, about_object: bool, word: str = "UNLE
     if condition.along is not None and condition.along not in axes.AXES:
         return suggestions.unknown("axis", condition.along, axes.AXES, where=words)
     return None
+
+
+def refuse_without_grip(condition: Condition, arm: str, holding: bool, closes: bool) -> Refusal | None:
+    """Refuse a condition about a held object for a hand that holds none; None if it can become true. `closes`: a step
+    of the script closes the hand."""
+    about = condition.event in HELD or (condition.measure, condition.bound) == ("GRIP-FORCE", "below")
+    if not about or holding or (closes and condition.event != "OBJECT-LOST"):
+        return None
+    message = f"{condition.words} is about a held object, but {arm} holds none"
+    return _no(message, [], f"leave out {condition.words}, or GRASP an object first")
 
 
 def report_conditions(conditions: list[Condition], state: StepState) -> list[ReportCondition]:

@@ -178,6 +178,7 @@ def _state(data: BinderInput, query: WorldQuery, values: Values) -> reflexes.Ste
         hand_pose=query.tcp(context.arm),
         holding=bool(query.holding(context.arm)),
         object_at=query.frame(context.object)[:3].tolist() if context.object else None,
+        closing=data.step.op == "close",
         beside=_beside(data, query),
     )
 

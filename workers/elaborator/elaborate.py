@@ -79,12 +79,13 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     problem = problem or command_fields.refuse_report_interval(parsed)
     if isinstance(limits, Refusal) or problem is not None:
         return problem or limits  # type: ignore[return-value]
+    joints = max(len(arm.joints) for arm in cell.cell.arms)
     for reflex in parsed.reflexes:
-        problem = reflexes.refuse_unsupported(reflex, parsed.object is not None)
+        problem = reflexes.refuse_unsupported(reflex, parsed.object is not None, joints)
         if problem is not None:
             return problem
     for condition in parsed.report.when if parsed.report else ():
-        problem = reflexes.refuse_condition(condition, parsed.object is not None, "REPORT WHEN")
+        problem = reflexes.refuse_condition(condition, parsed.object is not None, joints, "REPORT WHEN")
         if problem is not None:
             return problem
     query = WorldQuery(cell, world, data.at_s, seed_of(data.command), data.moving)
@@ -330,7 +331,7 @@ def _script(
     chosen = any("performer" in check.equals for check in option.branch.when)
     problem = command_fields.refuse_unused_field(candidate.parsed, script.script, script.uses, performer=chosen)
     problem = problem or command_fields.refuse_without_effect(candidate.program, candidate.parsed, script)
-    problem = problem or _too_tight(candidate)
+    problem = problem or _too_tight(candidate) or _nothing_held(script, candidate)
     for need in script.needs:
         problem = problem or preconditions.refuse_if_unmet(need, candidate)
     if problem is None and (place := candidate.parsed.place) is not None and place.name:
@@ -560,6 +561,15 @@ def _unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | Non
     if not held or script.despite_grasp or not any(step.to for step in script.steps):
         return None
     return candidate.query.distrusted(f"{held}.grasp", candidate.program.clears)
+
+
+def _nothing_held(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
+    """Refuse a condition about a held object that can never become true."""
+    parsed, arm = candidate.parsed, candidate.arm.name
+    asked = [item.condition for item in parsed.reflexes] + (parsed.report.when if parsed.report else [])
+    holding, closes = bool(candidate.query.holding(arm)), any(step.op == "close" for step in script.steps)
+    found = (reflexes.refuse_without_grip(condition, arm, holding, closes) for condition in asked)
+    return next(filter(None, found), None)
 
 
 def _too_tight(candidate: TaskCandidate) -> Refusal | None:

@@ -135,6 +135,7 @@ FALLEN = [
         {"wrench": [9.0, 9.0, 1.0, 0, 0, 0], "force_n": 12.8},
     ),
     (p.TorqueBelow(limit_nm=1.0), {"torque_nm": 2.0}, {"torque_nm": 0.5}),
+    (p.GripForceBelow(3.0, once_above=True), {"grip_n": 4.0}, {"grip_n": 2.0}),
     (p.TorqueBelow(limit_nm=1.0, axis=[1, 0, 0]), {"wrench": [0, 0, 0, 2.0, 0, 0]}, {"wrench": [0, 0, 0, 0, 5.0, 0]}),
 ]
 
