@@ -218,6 +218,11 @@ def problems(cell: Cell) -> Iterator[tuple[str, str]]:
         for name, joints in place.joints_deg.items():
             if len(joints) != len(arms[name].joints):
                 yield f"places[{n}].joints_deg.{name}", f"{len(arms[name].joints)} joints need as many values"
+            elif [isinstance(value, str) for value in joints] != [isinstance(v, str) for v in arms[name].home_deg]:
+                yield (
+                    f"places[{n}].joints_deg.{name}",
+                    "a joint that slides needs metres, one that turns degrees, as home",
+                )
     regions = sorted(region.name for region in cell.regions)
     for field, known in (("safe_work_range", regions), ("avoid_task_region", regions)):
         if (name := getattr(cell.maintain, field)) is not None and name not in known:

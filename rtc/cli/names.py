@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -11,6 +11,7 @@ import typer
 from rich.text import Text
 
 from rtc.cells.cell import Cell
+from rtc.cells.parts import Camera, Place, Region, Seat
 from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
 from rtc.language.alike import nearest_words
 from rtc.robot.axis_names import AXES
@@ -62,9 +63,10 @@ def _found(cell: str, kind: str) -> dict[str, list[NameEntry]]:
 def print_names(cell: str, kind: str) -> None:
     """`kind`: a row of KINDS; empty: all."""
     console.print(Text(f"cell {cell}"))
+    known = Cell.load(cell)
     for name, rows in _found(cell, kind).items():
         console.print()
-        console.print(Text(name, style="bold") + Text(f"   such as: {KINDS[name][1]}", style="dim"))
+        console.print(Text(name, style="bold") + Text(f"   such as: {KINDS[name][1](known)}", style="dim"))
         out = table("", "", "")
         out.show_header = False
         for row in rows:
@@ -189,15 +191,39 @@ def _xyz(point: tuple[float, ...] | list[float]) -> str:
     return " ".join(map(_cm, point)) + " cm"
 
 
-#: kind -> function that reads it from a cell, and an example sentence
-KINDS: dict[str, tuple[Callable[[Cell], list[NameEntry]], str]] = {
-    "arms": (_arms, "STOW RIGHT-ARM"),
-    "objects": (_objects, "GRASP RIGHT-END-EFF MACS-NEW"),
-    "grasp-points": (_grasp_points, "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"),
-    "seats": (_seats, "PLACE MACS-NEW ON RACK-1"),
-    "places": (_places, "MOVE RIGHT-ARM TO BAY-2-FRONT"),
-    "regions": (_regions, "STOW RIGHT-ARM MAINTAIN AVOID-TASK-REGION SOLAR-ARRAY"),
-    "attitudes": (_attitudes, "LIFT MACS-NEW MAINTAIN POSE-DURING-MOTION LEVEL"),
-    "cameras": (_cameras, "LOCATE MACS-NEW VIA CAMERA-1"),
-    "axes": (_axes, "MOVE RIGHT-ARM BY 5 CM ALONG UP"),
+def _arm(cell: Cell) -> str:
+    """The first arm as a sentence names it."""
+    name = cell.arms[0].name
+    return name if name in ("LEFT-ARM", "RIGHT-ARM") else f"ARM {name}"
+
+
+def _thing(cell: Cell) -> str:
+    return next((thing.name for thing in cell.objects if thing.grasp_points), "OBJECT")
+
+
+def _point(cell: Cell) -> str:
+    return next((point.name for thing in cell.objects for point in thing.grasp_points), "POINT")
+
+
+def _first(parts: Sequence[Camera | Place | Seat | Region], otherwise: str) -> str:
+    return parts[0].name if parts else otherwise
+
+
+#: kind -> function that reads it from a cell, and an example sentence for that cell
+KINDS: dict[str, tuple[Callable[[Cell], list[NameEntry]], Callable[[Cell], str]]] = {
+    "arms": (_arms, lambda cell: f"STOW {_arm(cell)}"),
+    "objects": (_objects, lambda cell: f"GRASP {_thing(cell)} WITH {_arm(cell)}"),
+    "grasp-points": (_grasp_points, lambda cell: f"GRASP {_thing(cell)} {_point(cell)} WITH {_arm(cell)}"),
+    "seats": (_seats, lambda cell: f"PLACE {_thing(cell)} ON {_first(cell.seats, 'SEAT')}"),
+    "places": (_places, lambda cell: f"MOVE {_arm(cell)} TO {_first(cell.places, 'PLACE')}"),
+    "regions": (
+        _regions,
+        lambda cell: f"STOW {_arm(cell)} MAINTAIN AVOID-TASK-REGION {_first(cell.regions, 'REGION')}",
+    ),
+    "attitudes": (
+        _attitudes,
+        lambda cell: f"LIFT {_thing(cell)} MAINTAIN POSE-DURING-MOTION {next(iter(cell.attitudes), 'ATTITUDE')}",
+    ),
+    "cameras": (_cameras, lambda cell: f"LOCATE {_thing(cell)} VIA {_first(cell.cameras, 'CAMERA')}"),
+    "axes": (_axes, lambda cell: f"MOVE {_arm(cell)} BY 5 CM ALONG UP"),
 }

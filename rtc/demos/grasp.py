@@ -63,7 +63,7 @@ class Overlap:
 def run(console: Console, speed: str = "1", out: Path = Path("out")) -> bool:
     """Run the demo; True if every check passed. Writes pictures to `out`; ends all processes."""
     narrator = Narrator(console)
-    narrator.chapter("A cluster: broker, world database, four workers, and two PUMA 560 arms in a physics simulator")
+    narrator.chapter("A cluster: broker, world database, four workers, and two arms in a physics simulator")
     with own_cluster(speed=speed) as run_dir, Client(run_dir) as rtc:
         narrator.line(f"ready; {len(rtc.status().get('workers', []))} workers, run directory {run_dir}")
         pictures = Pictures(out)

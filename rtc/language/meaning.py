@@ -248,7 +248,9 @@ def named_place(parts: Parts) -> Destination:
 
 
 def joint_place(parts: Parts) -> Destination:
-    return Destination(joints=si_numbers(parts[1], JOINTS.units, parts[0]))
+    joints = si_numbers(parts[1], JOINTS.units, parts[0])
+    lengths = [n for n, (_, unit) in enumerate(in_one_unit(parts[1])) if unit is not None and UNITS[unit].si == "m"]
+    return Destination(joints=joints, sliding=lengths)
 
 
 def position_place(parts: Parts) -> Destination:

@@ -21,10 +21,11 @@ class Quantity(msgspec.Struct, frozen=True):
 
 
 class Destination(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A destination. Exactly one field is set, except `along`, which belongs to `by`."""
+    """A destination. Exactly one field is set, except `along`, which belongs to `by`, and `sliding` to `joints`."""
 
     name: str | None = None  # a named place or object
-    joints: list[float] | None = None  # rad, one per joint
+    joints: list[float] | None = None  # one per joint: rad, or m where the sentence gives a length
+    sliding: list[int] = []  # indices of the joints whose value is a length
     position: list[float] | None = None  # m, world frame: x y z
     neighborhood_of: str | None = None  # object whose neighbourhood is the destination (paper, section 5)
     grasp_point_of: str | None = None  # object whose grasp point is the destination

@@ -37,12 +37,13 @@ CURVES = {
 #: elaborator: parameters from outside the command-object table: of the cell, the hand and the sentence
 FIGURES = (
     *Numbers.__struct_fields__,
-    *("opening_m", "hand_width_m", "grasp_width_m", "mass_kg", "duration_s", "seat_depth_m", "detent_n"),
+    *("opening_m", "max_grip_n", "hand_width_m", "grasp_width_m", "mass_kg", "duration_s", "seat_depth_m", "detent_n"),
     "hinged",  # 1: the object has a hinge; 0: it has none
     *("hinge_rad", "hinge_least_rad", "hinge_most_rad"),  # its angle, and its stops
     *("unsure_x_m", "unsure_y_m", "unsure_z_m", "unsure_rad"),  # spread of the grasp point, in tool axes at that point
     *(f"{clause}_{unit}" for clause in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),
 )
+HAND_LIMITS = ("opening_m", "max_grip_n")  # those of them that may limit others
 #: roles that the resources of a script may name
 ROLES = ("active_arm", "partner_arm", "active_object", "its_seat", "target", "camera", "its_holder", "its_content")
 #: placeholders (in braces) in the texts of a script; `camera` and `body` are for steps that look; the last two are for

@@ -316,6 +316,8 @@ def _elaborator_problems(program: ElaboratorProgram) -> Problems:
         for unit, limit in units.items():
             if limit and limit not in Limits.__struct_fields__:
                 yield f"constraints.{slot}.{unit}", f"no limit {limit}; there are {', '.join(Limits.__struct_fields__)}"
+    for figure, most in program.by_hand.items():
+        yield from _known("figure of the hand", most, set(extension_names.HAND_LIMITS), f"by_hand.{figure}")
     pieces = {piece.skill for piece in program.pieces}
     for attribute, skill in program.senses.items():
         yield from _known("piece", skill, pieces, f"senses.{attribute}")

@@ -145,6 +145,7 @@ class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True):
     command_object_table: list[TableRow]
     scripts: list[ScriptFile]
     pieces: list[ScriptPiece] = []
+    by_hand: dict[str, str] = {}  # figure of the table -> figure of the hand that it cannot exceed
     constraints: dict[str, dict[str, str]] = {}  # MAINTAIN slot -> unit (or "name") -> limit
     acts_on: dict[str, ActsOn] = {}  # MAINTAIN slot -> the steps it acts on; without an entry, all steps
     ranges: dict[str, tuple[float, float]] = {}  # MAINTAIN slot -> least and greatest value, SI

@@ -197,6 +197,8 @@ class ArmModel:
         reference = np.asarray(near, dtype=float) if near is not None else self.middle
         if self._closed_form is None:
             found = self._chain.solutions(self._goal(target), reference, margin_rad)
+            if not found:
+                return [q for raw in self._branches(target, reference) for q in self._turns_within(raw, margin_rad)]
             return [q for raw in found for q in self._nearest_turns(raw, reference, margin_rad)]
         within = [q for raw in self._branches(target, reference) for q in self._turns_within(raw, margin_rad)]
         if len(within) < 2:

@@ -198,8 +198,8 @@ class Chain:
         found = np.empty((0, self.count))
         for first, number, steps in zip((0, BATCHES[0]), BATCHES, STEPS, strict=True):
             starts = nearest[first : first + number]
-            if first == 0:
-                starts = np.vstack((reference, starts))
+            if first == 0:  # the middle is among them, so that another reference finds no pose that this one misses
+                starts = np.vstack((reference, 0.5 * (self.lower + self.upper), starts))
             q, converged = self._descend(goal, starts, lower, upper, steps)
             found = q[converged]
             if len(found):

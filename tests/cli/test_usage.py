@@ -125,9 +125,12 @@ def test_bash_completes_commands_and_options() -> None:
 
 
 FAULTS = [f"inject {command.name or command.callback.__name__}" for command in inject.app.registered_commands]
+GROUPS = ("world", "keys", "inject", "cell")
 
 
-@pytest.mark.parametrize("command", [*(name for name in COMMANDS if name not in ("world", "keys", "inject")), *FAULTS])
+@pytest.mark.parametrize(
+    "command", [*(name for name in COMMANDS if name not in GROUPS), *FAULTS, "cell check", "cell new"]
+)
 def test_help_of_each_command_has_an_example(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

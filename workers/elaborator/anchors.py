@@ -83,6 +83,9 @@ def destination(candidate: TaskCandidate) -> Anchor | Refusal:
             return _state(
                 f"{candidate.arm.name} has {wanted} joints, {len(place.joints)} were given", f"give {wanted} values"
             )
+        slides = [n for n, value in enumerate(candidate.arm.home_deg) if isinstance(value, str)]
+        if slides != place.sliding:
+            return _state(_wrong_units(candidate, slides, place.sliding), "give each joint its unit, such as 0.5 M 30 DEG")
         return Anchor(joints=list(place.joints))
     if place.position is not None:  # the attitude is kept
         here = candidate.query.tcp(candidate.arm.name)
@@ -92,6 +95,12 @@ def destination(candidate: TaskCandidate) -> Anchor | Refusal:
             candidate, place.neighborhood_of or place.grasp_point_of or "", near=place.grasp_point_of is None
         )
     return named(candidate, place.name or "")
+
+
+def _wrong_units(candidate: TaskCandidate, slides: list[int], lengths: list[int]) -> str:
+    arm = candidate.arm
+    wrong = next(n for n in range(len(arm.joints)) if (n in slides) != (n in lengths))
+    return f"{arm.joints[wrong]} of {arm.name} {'slides: its value is a length' if wrong in slides else 'turns'}"
 
 
 def refuse_unknown_place(cell: Cell, name: str) -> Refusal | None:

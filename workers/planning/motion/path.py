@@ -163,7 +163,12 @@ def _first_problem(arm: ArmModel, table: Array, margin_rad: float) -> int:
 
 def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_rad: float) -> Refusal | None:
     if q is None:
-        return arm.why_no_ik(pose, margin_rad)
+        return arm.why_no_ik(pose, margin_rad) or Refusal(
+            reason=RefusalReason.INFEASIBLE,
+            message=f"{arm.name} cannot follow the line on from here: it would have to fold another way",
+            clears="another branch or attitude at the start",
+            detail={"cause": "singularity", "arm": arm.name, "sigma_min": arm.sigma_min(before)},
+        )
     leap = np.abs(q - before)
     if leap.max() > LEAP_RAD:
         joint = int(leap.argmax())

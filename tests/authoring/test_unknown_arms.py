@@ -1,0 +1,97 @@
+"""Arms that the project does not know do what sentences say, in physics under gravity, with their first cells alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from rtc.cells.cell import Cell
+from rtc.protocol.outcomes import StopReason
+from rtc.robot import geometry
+from rtc.world.model import World, initial_facts
+from sim_mcm.arms.bullet_arm import BulletCell
+from sim_mcm.control.executor import Executor
+from tests.workers import conftest as workers
+from workers.planning.robot_models import CellModel
+
+pytestmark = pytest.mark.slow
+
+
+class OwnArm(workers.Bench):
+    """The loop of the paper on the physics of another cell."""
+
+    def __init__(self, cell: Cell) -> None:
+        super().__init__(_Physics(cell))
+        self.model = CellModel(cell)
+        self.world = World().overlay(initial_facts(cell))
+
+    def elaborate(self, sentence: str, model: Any = None) -> Any:
+        return super().elaborate(sentence, self.model)
+
+    def _bind(self, data: Any) -> Any:
+        return workers.binder.run(workers.binder.compile(self.programs["binder"]), self.model, self.world, data)
+
+    def _analyze(self, data: Any) -> Any:
+        return workers.analyzer.run(workers.analyzer.compile(self.programs["analyzer"]), self.model, self.world, data)
+
+
+class _Physics(workers.Kinematic):
+    def __init__(self, cell: Cell) -> None:
+        self.disturb = None
+        self.sim = BulletCell(cell)  # type: ignore[assignment]
+        self.executors = {name: Executor(arm) for name, arm in self.sim.arms.items()}
+
+
+@pytest.fixture
+def own(first_cell):
+    benches = []
+
+    def make(arm: str) -> OwnArm:
+        benches.append(OwnArm(Cell.load(first_cell(arm))))
+        return benches[-1]
+
+    yield make
+    for bench in benches:
+        bench.subsystem.sim.close()
+
+
+@pytest.mark.parametrize("arm", ["PANDA", "IIWA"])
+def test_sentences_move_grasp_and_place(own, arm):
+    """The Panda with its own hand, and contact by joint torques; the iiwa with a hand and its wrist sensor."""
+    bench = own(arm)
+    for sentence in (
+        f"MOVE ARM {arm} TO FRONT",
+        f"GRASP CUBE WITH ARM {arm}",
+        "LIFT CUBE BY 10 CM",
+        "PLACE CUBE ON PAD-2",
+        f"STOW ARM {arm}",
+    ):
+        run = bench.do(sentence)
+        assert run.succeeded, (sentence, run.refusal, [made.message for made in run.assessments])
+        for report in run.reports:
+            assert report.peak_force_n < 25.0
+    cube = bench.subsystem.sim.truth()["poses"]["CUBE"]
+    assert geometry.distance(cube, bench.model.cell.seated_pose("PAD-2")) < 0.003
+
+
+def test_what_is_refused_names_its_cause(own):
+    bench = own("PANDA")
+    far = bench.do("MOVE ARM PANDA TO POSITION 150 0 40 CM")
+    assert far.refusal is not None
+    assert far.refusal.detail["cause"] == "reach"
+    assert bench.do("GRASP CUBE WITH RIGHT-ARM").refusal is not None
+
+
+def test_joint_torques_show_a_contact_and_nothing_else(own):
+    """Through a motion of all joints the estimate stays below 0.1 N; a guarded line ends at the pad."""
+    bench = own("PANDA")
+    assert bench.do("MOVE ARM PANDA TO FRONT").reports[-1].peak_force_n < 0.1
+    frame = bench.model.cell.seat("PAD-2").frame.pose
+    bench.set_fact("PAD-2.frame", geometry.translate(frame, (0.0, 0.0, -0.5)).tolist())  # believed elsewhere
+    assert bench.do(f"MOVE ARM PANDA TO POSITION {100 * frame[0]:.1f} {100 * frame[1]:.1f} 8 CM").succeeded
+    run = bench.do("MOVE ARM PANDA BY 3 CM ALONG DOWN UNLESS FORCE EXCEEDS 10 N THEN STOP")
+    report = run.reports[-1]
+    assert report.reason is StopReason.FORCE_LIMIT
+    assert report.peak_force_n < 40.0
+    assert report.trip_pose[2] == pytest.approx(0.05 + 0.015, abs=0.01)  # the finger tips on the block

@@ -1,0 +1,42 @@
+"""Figures that a hand limits, and joint values of an arm with joints that slide."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from rtc.cells.cell import Cell
+from rtc.protocol.outcomes import Refusal
+from rtc.world.model import World, initial_facts
+from tests.workers.conftest import CELL, Bench
+from workers.planning.robot_models import CellModel
+
+
+def test_a_smaller_and_weaker_hand_opens_and_grips_as_it_can(bench: Bench) -> None:
+    gripper = msgspec.structs.replace(CELL.arms[0].gripper, max_opening_m=0.06, max_force_n=25.0)
+    arm = msgspec.structs.replace(CELL.arms[0], gripper=gripper)
+    model = CellModel(msgspec.structs.replace(CELL, arms=[arm, CELL.arms[1]]))
+    script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", model)
+    assert not isinstance(script, Refusal), script
+    args = [step.args for step in script.steps]
+    assert next(each["width_m"] for each in args if "width_m" in each) == pytest.approx(0.06)
+    assert {each["grip_n"] for each in args if "grip_n" in each} == {25.0}
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ("50 CM -5 CM 0 110 -160 0 50 0 DEG", ""),
+        ("50 -5 0 110 -160 0 50 0 DEG", "rail_y of GANTRY slides"),
+        ("50 CM -5 CM 2 CM 110 -160 0 50 0 DEG", "joint_1 of GANTRY turns"),
+        ("0.5 -0.05 0 1.9 -2.8 0 0.9 0", "rail_y of GANTRY slides"),
+        ("110 -160 0 DEG", "has 8 joints"),
+    ],
+)
+def test_a_joint_that_slides_takes_a_length(bench: Bench, values: str, words: str) -> None:
+    cell = Cell.load("gantry")
+    bench.world = World().overlay(initial_facts(cell))
+    found = bench.elaborate(f"MOVE ARM GANTRY TO JOINTS {values}", CellModel(cell))
+    assert isinstance(found, Refusal) == bool(words), found
+    if isinstance(found, Refusal):
+        assert words in found.message
