@@ -22,7 +22,7 @@ from rtc.authoring import self_collisions
 from rtc.authoring.adapt import GYRATION
 from rtc.authoring.robot_file import MOVING, RobotFile, number
 from rtc.cells import cell as cells
-from rtc.cells import model_checks
+from rtc.cells import extension, model_checks
 from rtc.cells.cell import Cell
 from rtc.programs.yaml_location import line_of_key, path_of
 from rtc.protocol.outcomes import ProgramError
@@ -69,9 +69,13 @@ def review(path: Path) -> tuple[list[Finding], Cell | None]:
 
 
 def _cell(path: Path) -> tuple[list[Finding], Cell | None]:
+    folders = [path.parent]
     try:
         text = path.read_bytes()
         plain = msgspec.yaml.decode(text)
+        if isinstance(plain, dict) and "extends" in plain:
+            plain, folders = extension.read(path, cells.file_of)
+            text = b""  # a place in the merged document has no line
     except OSError as error:
         raise ProgramError(f"cannot read {path}: {error.strerror}") from error
     except (msgspec.MsgspecError, yaml.YAMLError) as error:
@@ -81,7 +85,7 @@ def _cell(path: Path) -> tuple[list[Finding], Cell | None]:
             Finding(file=str(path), where="$", problem=f"not YAML: {error}", expected="a cell file", line=line)
         ], None
     found = [_at(path, text, where, problem) for where, problem in _fields(plain)]
-    found += _models(path, plain, text)
+    found += _models(path, plain, text, folders)
     if any(one.severity == "error" for one in found):
         return found, None
     try:
@@ -99,7 +103,7 @@ def _at(path: Path, text: bytes, where: str, problem: str, severity: str = "erro
         where=place,
         problem=problem,
         expected=expected,
-        line=line_of_key(text, path_of(place)) if where else 1,
+        line=line_of_key(text, path_of(place)) if where and text else 0,
     )
 
 
@@ -161,14 +165,14 @@ def _unknown_fields(where: str, value: Any, kind: Any, message: str) -> list[tup
 # --- models --------------------------------------------------------------------------------------------
 
 
-def _models(path: Path, plain: Any, text: bytes) -> Iterator[Finding]:
+def _models(path: Path, plain: Any, text: bytes, folders: list[Path]) -> Iterator[Finding]:
     """Faults of the URDF and SRDF of every arm, each file once; then those of the models against the cell."""
     arms = plain.get("arms") if isinstance(plain, dict) else None
     seen: set[Path] = set()
     for n, arm in enumerate(arms if isinstance(arms, list) else []):
         if not isinstance(arm, dict):
             continue
-        urdf, srdf = (path.parent / str(arm.get(key, "")) for key in ("urdf", "srdf"))
+        urdf, srdf = (_beside(folders, str(arm.get(key, ""))) for key in ("urdf", "srdf"))
         for key, file in (("urdf", urdf), ("srdf", srdf)):
             if key in arm and not file.is_file():
                 yield _at(
@@ -181,13 +185,19 @@ def _models(path: Path, plain: Any, text: bytes) -> Iterator[Finding]:
                 yield from _srdf(srdf, urdf)
         try:
             spec = msgspec.convert(arm, cells.Arm)
-            texts = {file.name: file.read_text(encoding="utf-8") for file in (urdf, srdf) if file.is_file()}
+            both = {spec.urdf: urdf, spec.srdf: srdf}
+            texts = {name: file.read_text(encoding="utf-8") for name, file in both.items() if file.is_file()}
         except (msgspec.ValidationError, ValueError, OSError):
             continue  # reported above
         if {spec.urdf, spec.srdf} <= set(texts):
-            beside = {file: "" for file in model_checks.hulls(texts[spec.urdf]) if (path.parent / file).is_file()}
+            hulls = model_checks.hulls(texts[spec.urdf])
+            beside = {file: "" for file in hulls if _beside(folders, file).is_file()}
             for where, problem in model_checks.problems([spec], texts | beside):
                 yield _at(path, text, where.replace("arms[0]", f"arms[{n}]", 1), problem)
+
+
+def _beside(folders: list[Path], file: str) -> Path:
+    return next((folder / file for folder in folders if (folder / file).is_file()), folders[0] / file)
 
 
 def _urdf(path: Path, in_cell: bool = False) -> Iterator[Finding]:

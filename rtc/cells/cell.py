@@ -65,7 +65,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
     @classmethod
     def load(cls, name_or_path: str | Path) -> Cell:
         """The cell of a name (cells/NAME/cell.yaml) or file, models embedded. Raises ProgramError with the place."""
-        path = _file_of(name_or_path)
+        path = file_of(name_or_path)
         bare, folders = _read(path)
         texts = dict(bare.texts)
         for n, arm in enumerate(bare.arms):
@@ -151,7 +151,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
             yield from (part.name for part in group)
 
 
-def _file_of(name_or_path: str | Path, folder: Path = Path()) -> Path:
+def file_of(name_or_path: str | Path, folder: Path = Path()) -> Path:
     """The file of a cell: its name, its folder or the file itself, relative to `folder`. Raises ProgramError."""
     path = folder / name_or_path
     if path.suffix not in (".yaml", ".yml"):
@@ -167,7 +167,7 @@ def _read(path: Path) -> tuple[Cell, list[Path]]:
     document = path.read_bytes()
     if not EXTENDS.search(document):
         return _decode(document, str(path)), [path.parent]
-    merged, folders = extension.read(path, _file_of)
+    merged, folders = extension.read(path, file_of)
     try:
         return msgspec.convert(merged, Cell), folders
     except msgspec.ValidationError as error:

@@ -85,7 +85,9 @@ def destination(candidate: TaskCandidate) -> Anchor | Refusal:
             )
         slides = [n for n, value in enumerate(candidate.arm.home_deg) if isinstance(value, str)]
         if slides != place.sliding:
-            return _state(_wrong_units(candidate, slides, place.sliding), "give each joint its unit, such as 0.5 M 30 DEG")
+            return _state(
+                _wrong_units(candidate, slides, place.sliding), "give each joint its unit, such as 0.5 M 30 DEG"
+            )
         return Anchor(joints=list(place.joints))
     if place.position is not None:  # the attitude is kept
         here = candidate.query.tcp(candidate.arm.name)

@@ -144,9 +144,9 @@ def figures_of(
     if arm is not None:
         figures |= {"opening_m": arm.gripper.max_opening_m, "hand_width_m": query.hand_width(arm.name)}
         figures["max_grip_n"] = arm.gripper.max_force_n
-        for figure, most in program.by_hand.items():
+        for figure, of_hand in program.by_hand.items():
             if figure in figures:
-                figures[figure] = min(figures[figure], figures[most])
+                figures[figure] = min(figures[figure], figures[of_hand])
     between = point or (query.point_in_hand(thing.name) if thing and query.held_by(thing.name) else None)
     if between is not None:
         figures["grasp_width_m"] = between.width_m
