@@ -165,7 +165,7 @@ def _problem(arm: ArmModel, pose: Array, q: Array | None, before: Array, margin_
     if q is None:
         return arm.why_no_ik(pose, margin_rad) or Refusal(
             reason=RefusalReason.INFEASIBLE,
-            message=f"{arm.name} cannot follow the line on from here: it would have to fold another way",
+            message=f"{arm.name} cannot follow the line on from here: only another branch continues there",
             clears="another branch or attitude at the start",
             detail={"cause": "singularity", "arm": arm.name, "sigma_min": arm.sigma_min(before)},
         )
