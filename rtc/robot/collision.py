@@ -53,6 +53,7 @@ class Scene:
     ignore: Iterable[tuple[str, str]] = ()  # pairs that may touch
     clearance_m: float = 0.0  # minimum distance of arms and held objects
     near: Iterable[str] = ()  # bodies exempt from the clearance, but not from contact
+    arms_apart_m: float = 0.0  # minimum distance of two arms from each other, with what they hold; without exemption
     unsure_m: Mapping[str, float] = field(default_factory=dict)  # bodies that may be this far from their pose here
     keeps_unsure: bool = False  # count these distances as clearance from those bodies
     keep_out: Iterable[str] = ()  # regions that count as solid
@@ -425,7 +426,7 @@ class CollisionWorld:
         held = _in_hands(scene)
         unsure = tuple(scene.unsure_m.items()) if scene.keeps_unsure else ()
         lists = map(tuple, (scene.ignore, scene.near, scene.keep_out))
-        rules = (scene.moving, held, unsure, *lists, scene.clearance_m)
+        rules = (scene.moving, held, unsure, *lists, scene.clearance_m, scene.arms_apart_m)
         pairs = self._pairs_of_scene.get(rules)
         if pairs is None:
             if len(self._pairs_of_scene) >= KEPT_SCENES:
@@ -459,6 +460,10 @@ class CollisionWorld:
             active &= ~self._between(self._matching(a), self._matching(b))
         margin = np.where(carrier[first] == carrier[second], 0.0, scene.clearance_m)
         margin[self._touches(scene.near)] = 0.0
+        if scene.arms_apart_m > 0.0:
+            by_arm = np.isin(carrier, [self._number[arm] for arm in self._bodies.arms])
+            two_arms = by_arm[first] & by_arm[second] & (carrier[first] != carrier[second])
+            margin = np.where(two_arms, np.maximum(margin, scene.arms_apart_m), margin)
         if scene.keeps_unsure:
             for name, most_m in scene.unsure_m.items():
                 margin = np.where(self._touches([name]), np.maximum(margin, most_m), margin)

@@ -25,7 +25,6 @@ from rtc.robot.collision import AS_BUILT, Scene
 from rtc.robot.geometry import Array, Floats
 from sim_mcm.arms.arm import TICK_S, ArmState, HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
-from sim_mcm.control.executor import Executor
 from tests.campaigns import RESULTS
 from tests.workers.conftest import CELL, MODEL
 from tests.workers.one_process import OneProcess
@@ -34,6 +33,7 @@ from workers.planning.motion.path import joint_line
 from workers.planning.motion.plan import find_joint_way
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import time_path
+from workers.planning.world_query import ARMS_APART_M
 
 SEED = 5
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
@@ -105,7 +105,9 @@ def _possible(starts: dict[str, Array], goals: dict[str, Array]) -> bool:
 
 
 def _way(arm: str, joints: dict[str, Array], goals: dict[str, Array]) -> bool:
-    request = PlanningRequest(MODEL.arms[arm], MODEL.collision, joints, Scene(moving=arm), margin_rad=MARGIN_RAD)
+    request = PlanningRequest(
+        MODEL.arms[arm], MODEL.collision, joints, Scene(moving=arm, arms_apart_m=ARMS_APART_M), margin_rad=MARGIN_RAD
+    )
     return not isinstance(find_joint_way(request, goals[arm]), Refusal)
 
 
@@ -147,7 +149,6 @@ class Runner:
             self._state.arms[arm] = ArmState(joints=list(joints), fingers=fingers, hand=hand, opening_m=width)
         self._sim.restore(self._state)
         cluster = OneProcess(self._sim)
-        cluster.mcm.executors = {name: Executor(arm) for name, arm in self._sim.arms.items()}
         cluster.know_joints(starts)
         return cluster
 

@@ -30,6 +30,7 @@ from workers.planning.motion.timing import Pace
 from workers.planning.robot_models import CellModel
 
 UNKNOWN_RADIUS_M = 0.1  # an object of unknown inertia is modelled as a solid ball of this radius
+ARMS_APART_M = 0.005  # least distance of a planned path from another arm: paths are checked at every 2 cm of the hand
 BESIDE_M = 0.04  # maximum distance from the axis of a seat's way out at which an object is in its slot
 SURE_M = 0.005  # bodies that are known better need no clearance for that
 TRUSTED = (Validity.VALID, Validity.CHANGING)
@@ -296,6 +297,7 @@ class WorldQuery:
             near=[*close, *(seat for seat in map(self.seat, filter(None, (*close, carried))) if seat)],
             unsure_m=self._unsure_m(poses),
             keep_out=limits.keep_out,
+            arms_apart_m=ARMS_APART_M,
             moving=arm,
         )
 
