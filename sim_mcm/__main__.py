@@ -3,7 +3,7 @@
 With --template it is the fork server of the MCM, with libraries and cell already loaded.
 
 Order in every tick: halts, messages of the broker, one servo tick, one simulation step. A tick never waits. Faster than
-real time, ticks within half a millisecond share one look at the sockets.
+real time, ticks within a millisecond share one look at the sockets.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from sim_mcm.state_file import StateFile
 NAME = "MCM"
 HEARTBEAT_S = 0.25
 TELEMETRY_S = 0.02
-READ_S = 0.0005  # minimum time between two looks at the sockets: in real time every tick, at --speed max every tenth
+READ_S = 0.001  # minimum time between two looks at the sockets, if the process runs faster than real time
 END_S = 1.0  # simulated: maximum time for the arms to come to rest before the process ends
 LAST_S = 1.0  # for the rest of that end
 RANK, NICENESS = 2, -5  # above the broker and the workers, if the system permits it
@@ -69,6 +69,7 @@ class Station:
         self._clock = Clock(settings.speed, process.now_s())
         self._heartbeat = process.Every(HEARTBEAT_S)
         self._telemetry = process.Every(TELEMETRY_S)
+        self._read_s = 0.0 if _in_real_time(settings) else READ_S
         self._read_at_s = 0.0  # when the sockets are read next
 
     def run(self) -> None:
@@ -107,7 +108,7 @@ class Station:
         if now_s < self._read_at_s:  # ticks faster than real time
             self._move(now_s)
             return
-        self._read_at_s = now_s + READ_S
+        self._read_at_s = now_s + self._read_s
         self._receive(now_s)
         self._move(now_s)
         self._between_ticks(now_s)
