@@ -62,6 +62,5 @@ def on_paced(context: DecisionContext, event: PrimitivePaced) -> None:
     awaited = command is not None and (command.primitive, command.subsystem) == (event.primitive, event.subsystem)
     if awaited and command is not None and command.phase is Phase.EXECUTING:
         context.node = event.subsystem
-        context.note(
-            command, f"stands on its path, {event.done:.0%} done" if event.paused else "goes on along its path"
-        )
+        words = f"stands on its path, {event.done:.0%} done" if event.paused else "goes on along its path"
+        context.note(command, words, warning=event.paused)  # a person sees why it does not go on
