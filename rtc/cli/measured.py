@@ -45,7 +45,7 @@ def in_words(measured: Measured) -> list[str]:
 
 def _sighting(camera: str, seen: Sighting) -> list[str]:
     metres, radians = (
-        max(math.sqrt(max(0.0, seen.covariance[n][n])) for n in axes) for axes in (range(3), range(3, 6))
+        max(math.sqrt(max(0.0, seen.covariance[7 * n])) for n in axes) for axes in (range(3), range(3, 6))
     )
     doubt = ", ambiguous attitude" if seen.ambiguous else ""
     lines = [

@@ -93,7 +93,7 @@ class LookTask:
             return None
         return Sighting(
             pose=self.fit.pose.tolist(),
-            covariance=self.fit.covariance.tolist(),
+            covariance=self.fit.covariance.ravel().tolist(),
             tags=sorted({one.tag for one in self.fit.used}),
             error_px=self.fit.best.error_px,
             age_s=max(0.0, now_s - self.seen_s),

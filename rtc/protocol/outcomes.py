@@ -162,7 +162,7 @@ class Sighting(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc
     """The pose of one body as a camera saw it, without the name of the body."""
 
     pose: list[float]  # [x y z qx qy qz qw]: m, world axes
-    covariance: list[list[float]]  # 6 x 6: position (m) and small turn (rad) about the body's origin, world axes
+    covariance: list[float]  # 6 x 6, row by row: position (m) and small turn (rad) about the body's origin, world axes
     tags: list[int]  # numbers of the AprilTags that it is made of
     error_px: float  # reprojection error of their corners, root mean square
     age_s: float  # from the exposure of the latest picture to the report

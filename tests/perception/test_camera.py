@@ -74,7 +74,7 @@ def test_a_body_is_found_where_it_is_and_not_where_it_is_believed_to_be(cell, ey
     assert (seen.pictures, seen.ambiguous, seen.velocity) == (2, False, None)
     assert {0, 1, 2, 3} <= set(seen.tags)
     assert 0.0 <= seen.age_s < 2 * PERIOD_S
-    assert 0.0 < math.sqrt(seen.covariance[0][0]) < 0.002
+    assert 0.0 < math.sqrt(seen.covariance[0]) < 0.002
 
 
 def test_what_is_out_of_view_is_not_seen_and_the_report_states_why(cell, eyes, look) -> None:

@@ -47,7 +47,7 @@ def sighted(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Chang
 def spread_of(sighting: Sighting, data: AnalyzerInput) -> list[float]:
     """Half-widths along and about the axes of the body."""
     turn = geometry.to_matrix(sighting.pose)[:3, :3]
-    covariance = np.asarray(sighting.covariance)
+    covariance = np.asarray(sighting.covariance).reshape(6, 6)
     own = [turn.T @ block @ turn for block in (covariance[:3, :3], covariance[3:, 3:])]
     bounds = [SIGMAS * math.sqrt(max(0.0, float(n))) for block in own for n in np.diag(block)]
     floor = even(_figure(data, "seen_m"), _figure(data, "seen_rad"))
