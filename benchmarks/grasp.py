@@ -44,7 +44,7 @@ SLACK = [0.005] * 3 + [math.radians(2.0)] * 3  # tolerance added to the spread o
 SEATED_M, SEATED_RAD = 0.005, math.radians(2.0)
 HEAVY, SMOOTH = 1.5, 0.5
 COMMAND_S = 300.0
-ADVISED = re.compile(r"\b(LIFT|RETRACT|RELEASE|VERIFY|OPEN|STOW) ([A-Z0-9-]+(?: AT [A-Z0-9-]+| BY [0-9]+ CM)?)")
+ADVISED = re.compile(r"\b(LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|STOW) ([A-Z0-9-]+(?: AT [A-Z0-9-]+| BY [0-9]+ CM)?)")
 
 
 @dataclass

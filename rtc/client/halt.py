@@ -175,11 +175,10 @@ class HaltLine:
                 if socket in ready and (answer := self._receive(socket, order)) is not None:
                     unanswered.pop(name, None)
                     declined = self._take(answer, order, subsystems) or declined
-            if declined and not _reached(subsystems.values()) and len(sent_to) == len(HALT_ENDPOINTS):
-                # The MCM knows its own arms only; the broker may have passed the order to a camera.
-                if "halt" not in unanswered:
-                    break
-                limit_s = min(limit_s, order.called_at_s + self._unknown_s)
+            # The MCM declines what is not one of its arms; the broker may have passed the order to a camera.
+            both = len(sent_to) == len(HALT_ENDPOINTS) and "halt" not in unanswered
+            if declined and both and not _reached(subsystems.values()):
+                break
         doubt = ""
         if COMMAND.fullmatch(order.scope) and not declined and not _reached(subsystems.values()):
             declined, doubt = self._check_exists(order.scope, "halt" in sent_to)

@@ -167,7 +167,7 @@ def test_a_paused_motion_stands_on_its_path_and_goes_on(running: Running) -> Non
     command = running.moving()
     assert running.client.run("PAUSE RIGHT-ARM", timeout_s=20).outcome.kind is OutcomeKind.SUCCEEDED
     until(lambda: running.speed() < REST_RAD_S)
-    mcm = running.client.status()["subsystems"][0]
+    (mcm,) = [row for row in running.client.status()["subsystems"] if row["name"] == "MCM"]
     assert [name.partition("@")[0] for name in mcm["executing"]] == [f"{command}.1"]
     assert running.client.run("RESUME RIGHT-ARM", timeout_s=20).outcome.kind is OutcomeKind.SUCCEEDED
     until(lambda: running.speed() > 0.03)

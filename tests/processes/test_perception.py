@@ -113,6 +113,6 @@ def test_the_death_of_perception_is_a_true_outcome_and_cameras_are_soon_back(rtc
 def test_a_stopped_process_is_found_and_replaced(rtc: Client, run_dir: Path) -> None:
     await_connected(rtc)
     (row,) = [row for row in rtc.status()["processes"] if row["name"] == "S&P"]
+    command = follow(rtc, until=1)
     os.kill(row["pid"], signal.SIGSTOP)
-    outcome = rtc.run("LOCATE SATELLITE", timeout_s=LIMIT_S).outcome
-    assert outcome.kind is OutcomeKind.LOST_SUBSYSTEM
+    assert rtc.wait(command, LIMIT_S).outcome.kind is OutcomeKind.LOST_SUBSYSTEM

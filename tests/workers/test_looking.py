@@ -96,7 +96,7 @@ def test_verify_confirms_a_place_or_makes_the_pose_suspect(bench) -> None:
     run = bench.do(f"VERIFY {OTHER} AT RACK-2 VIA CAMERA-2")
     assert run.failure.reason is StopReason.OUT_OF_RANGE
     assert "20.0 mm" in run.failure.message
-    assert run.failure.clears == f"LOCATE {OTHER}"
+    assert run.failure.clears.startswith(f"LOCATE {OTHER}")
     assert frame(bench, OTHER).validity is Validity.SUSPECT
 
     assert bench.do(f"LOCATE {OTHER}").succeeded  # the seat has moved too, so it is in its place again
