@@ -4,16 +4,27 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
+from rtc.cells import parts
 from rtc.protocol.messages import Script, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
+from rtc.protocol.primitive import ClearanceBelow, TcpOutside, TcpSpeedAbove, TcpTurned
 from rtc.robot import geometry
 from tests.campaigns.carry import Carrier
 from tests.workers.conftest import CELL, MODEL, Bench
+from workers.planning.robot_models import CellModel
 
 RIGHT, LEFT, MODULE = "RIGHT-ARM", "LEFT-ARM", "MACS-NEW"
+RIGHT_HALF = CellModel(
+    msgspec.structs.replace(
+        CELL,
+        regions=[parts.Region(name="RIGHT-HALF", frame=parts.Frame(xyz=(0.5, -0.6, 0.8)), size_m=(1.0, 1.2, 1.0))],
+        maintain=parts.Maintained(),
+    )
+)
 UP = "MOVE BOTH-ARMS BY 40 CM ALONG UP"
 
 
@@ -68,6 +79,21 @@ def test_the_stiffness_of_the_sentence_is_that_of_the_second_arm(holding):
     made = bound(holding, f"{UP} MAINTAIN STIFFNESS 300 N/M").primitive
     assert made.control_law.compliance is None
     assert made.partner.control_law.compliance.stiffness[0] == 300.0
+
+
+def test_what_is_maintained_is_watched_at_both_hands_and_the_attitude_at_the_first(holding):
+    made = bound(holding, f"{UP} MAINTAIN SAFE-WORK-RANGE AVOID-NEIGHBORS POSE-DURING-MOTION SPEED 20 CM/S").primitive
+    kinds = [{type(stop.when) for stop in stops} for stops in (made.stop_functions, made.partner.stop_functions)]
+    watched = {TcpOutside, ClearanceBelow, TcpSpeedAbove}
+    assert kinds[0] >= watched | {TcpTurned}
+    assert kinds[1] >= watched
+    assert TcpTurned not in kinds[1]
+
+
+def test_the_second_hand_may_not_leave_a_range_either(holding):
+    refusal = holding.elaborate(f"{UP} MAINTAIN SAFE-WORK-RANGE RIGHT-HALF", RIGHT_HALF)
+    assert isinstance(refusal, Refusal)
+    assert "LEFT-ARM would leave RIGHT-HALF" in refusal.message
 
 
 def test_both_arms_and_the_object_are_claimed_and_written(holding):

@@ -166,7 +166,9 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         return bound
     if motion.partner is not None:
         line = turn_line(task)
-        bound = together.with_partner(task.program, query, context, bound, motion.partner, stop_class, values, line)
+        kept = stop_conditions.maintained(task.data, query, values)
+        both = (bound, motion.partner, stop_class, values, line, kept)
+        bound = together.with_partner(task.program, query, context, *both)
     return beside_others(task, request, bound)
 
 

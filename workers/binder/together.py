@@ -11,7 +11,7 @@ import msgspec
 from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.messages import BoundStep, ScriptContext
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.protocol.primitive import Compliance, ControlLaw, Load, Partner, TimeAbove
+from rtc.protocol.primitive import Compliance, ControlLaw, Load, Partner, StopFunction, TcpTurned, TimeAbove
 from workers.binder import stop_conditions
 from workers.binder.stop_conditions import Line, Values
 from workers.planning.motion.timing import Timed
@@ -40,15 +40,17 @@ def with_partner(
     stop_class: StopClass,
     values: Values,
     line: Line,
+    kept: list[StopFunction],
 ) -> BoundStep:
     """The bound step of the leading arm, with the part of the second one. `values`: in force for the leading arm.
-    `line`: about which the step turns."""
+    `line`: about which the step turns. `kept`: of MAINTAIN; an attitude is that of the first hand."""
     made = bound.primitive
     assert made is not None
     own = {**values, "held_width_m": query.hand_width(context.partner)}
     limit_s = next(stop.when.limit_s for stop in made.stop_functions if isinstance(stop.when, TimeAbove))
     rows = [*stop_class.stops, *program.holding]
     stops = stop_conditions.stop_functions(rows, {**own, "time_limit_s": limit_s}, None, [], line)
+    stops += [stop for stop in kept if not isinstance(stop.when, TcpTurned)]
     stiffness_n_m = values.get("stiffness_n_m", values["partner_n_m"])
     compliance = Compliance(
         stiffness=[stiffness_n_m] * 3 + [values["turn_m"] ** 2 * stiffness_n_m] * 3,

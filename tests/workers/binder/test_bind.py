@@ -181,7 +181,8 @@ def test_hands(bench):
 
 
 def test_a_grip_beyond_the_hands_force_is_refused(bench):
-    bench.load("elaborator", "command_object_table: [{verb: CLOSE, values: {grip_n: 80.0}}]")
+    step = "{do: grip, op: close, label: close, args: {grip_n: 80}}"
+    bench.load("elaborator", f"script: close-hand\ncase: 1\nuses: [hand]\nsteps: [{step}]")
     refusal = refused(bench, "CLOSE RIGHT-END-EFF", "close")
 
     assert refusal.reason is RefusalReason.INFEASIBLE

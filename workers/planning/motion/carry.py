@@ -48,10 +48,12 @@ def _fault(request: PlanningRequest, partner: ArmModel, leads: Timed, follows: T
     hand = request.world.cell.arm(partner.name).gripper
     held = [name for name, by in scene.held.items() if by.arm == request.arm.name]
     touched = [(f"{partner.name} {link}", thing) for link in (hand.palm_link, *hand.finger_links) for thing in held]
+    within = replace(request.rules, attitude=None)  # an attitude is that of the first hand
     scene = replace(scene, moving="", ignore=[*scene.ignore, *touched])
     for n, (q, theirs) in enumerate(zip(leads.positions, follows.positions, strict=True)):
         hit = request.world.check({**request.joints, request.arm.name: q, partner.name: theirs}, scene)
         problem = hit.refusal() if hit is not None else request.rules.broken_by(request.arm, q)
+        problem = problem or within.broken_by(partner, theirs)
         if problem is not None:
             share = n / max(1, len(leads.positions) - 1)
             return msgspec.structs.replace(
