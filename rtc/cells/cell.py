@@ -188,6 +188,8 @@ def _decode(document: bytes, source: str) -> Cell:
 
 def problems(cell: Cell) -> Iterator[tuple[str, str]]:
     """(place, problem) for faults that the types do not exclude."""
+    if not cell.arms:
+        yield "arms", "a cell needs an arm"
     yield from _repeated_names(cell)
     seats = {seat.name for seat in cell.seats}
     arms = {arm.name: arm for arm in cell.arms}
