@@ -138,7 +138,13 @@ class Injections:
         return _quietly(lambda: self._simulation.jam(fault.seat, False))
 
     def _strip(self, fault: f.StrippedBolt, check: bool) -> Undo:
-        raise Refused(f"there is no bolt {fault.bolt}: the cell {self._cell.name} has no bolts")
+        bolts = [thing.name for thing in self._cell.objects if thing.thread is not None]
+        if not bolts:
+            raise Refused(f"there is no bolt {fault.bolt}: the cell {self._cell.name} has no bolts")
+        _known(fault.bolt, bolts, "bolt")
+        if not check and (error := self._simulation.strip(fault.bolt, True)):
+            raise Refused(error)
+        return _quietly(lambda: self._simulation.strip(fault.bolt, False))
 
     def _drop(self, fault: f.FailedHand, check: bool) -> Undo:
         _known(fault.arm, self._executors, "arm")

@@ -104,7 +104,7 @@ def strip(
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
-    """A bolt turns without coming out or going in. Refused in a cell without bolts.
+    """A bolt turns without coming out or going in. Refused in a cell without bolts, and with exact arms.
 
     Example:  rtc inject strip BOLT-1
     """

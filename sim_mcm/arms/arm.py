@@ -174,5 +174,8 @@ class Simulation(Protocol):
     def jam(self, seat: str, jammed: bool) -> None:
         """Let a module in a seat, or that comes near its place there, be wedged, or free again."""
 
+    def strip(self, bolt: str, stripped: bool = True) -> str:
+        """Strip a bolt, so that it turns without effect, or mend it. Returns the reason of a refusal, or ''."""
+
     def change_physics(self, mass: float, friction: float) -> str:
         """Scale masses and pad friction relative to the cell file. Returns the reason of a refusal, or ''."""

@@ -170,6 +170,9 @@ class KinematicCell:
         for arm in self.arms.values():
             arm.forget_clearance()
 
+    def strip(self, bolt: str, stripped: bool = True) -> str:
+        return "exact arms turn no bolts; a simulation with physics does"
+
     def change_physics(self, mass: float, friction: float) -> str:
         return "kinematic arms have neither mass nor friction"
 

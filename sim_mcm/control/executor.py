@@ -97,6 +97,7 @@ class Executor:
         self._tcp_pose: Array = arm.tcp_pose(self.sample.joints)
         self._was_compliant = False  # up to the stop
         self._turned_rad: float | None = None  # by the spindle, if the primitive has turned one
+        self._turned_before_rad = 0.0  # by it before a pause
         # The present control law complies: in EXECUTING, COMPLYING, and until rest if the primitive asks for it.
         self._compliant = False
         self._work: dict[Mode, Callable[[float], Reports]] = {
@@ -192,6 +193,21 @@ class Executor:
                 self._freeze_hand()
             else:
                 self._move_hand(trajectory)
+        if isinstance(trajectory, p.SpindleMotion):
+            self._pace_spindle(trajectory, paused)
+
+    def _pace_spindle(self, motion: p.SpindleMotion, paused: bool) -> None:
+        """Stop the spindle, or turn it by what is left."""
+        if paused:
+            self._turned_before_rad += self.arm.spindle().turned_rad
+            self.arm.drive_spindle(None)
+            return
+        left = motion.turn_rad - self._turned_before_rad
+        try:
+            if abs(left) > TURNED_RAD:
+                self.arm.drive_spindle(SpindleCommand(left, motion.speed_rad_s, motion.torque_nm))
+        except ValueError as error:  # the driver is not in the hand any more
+            self._trip(Trip(reason=StopReason.OBJECT_LOST, message=str(error)), Trigger.TRIPPED)
 
     def tick(self, now_s: float) -> Reports:
         """One servo tick: read the sample, evaluate, command."""
@@ -249,6 +265,7 @@ class Executor:
             self._use(profiles.Stay(joints))
         if isinstance(trajectory, p.HandMotion):
             self._move_hand(trajectory)
+        self._turned_before_rad = 0.0
         if isinstance(trajectory, p.SpindleMotion):
             self.arm.drive_spindle(_spindle(trajectory))
 
@@ -303,7 +320,7 @@ class Executor:
         self._was_compliant = self._compliant
         self._stopped_at_s = math.inf if self.trip.reason is StopReason.GOAL else self._profile_time_s
         if isinstance(self.primitive.trajectory, p.SpindleMotion):
-            self._turned_rad = self.arm.spindle().turned_rad
+            self._turned_rad = self._turned_before_rad + self.arm.spindle().turned_rad
             self.arm.drive_spindle(None)
         compliance = self.primitive.control_law.compliance
         if self._compliant and not (compliance is not None and compliance.until_rest):
@@ -588,7 +605,7 @@ class Executor:
         if isinstance(trajectory, p.HandMotion):
             return self._hand_arrived(trajectory)
         if isinstance(trajectory, p.SpindleMotion):
-            turned = abs(self.arm.spindle().turned_rad)
+            turned = abs(self._turned_before_rad + self.arm.spindle().turned_rad)
             wanted = abs(trajectory.turn_rad) - TURNED_RAD
             return (turned, wanted, "") if turned >= wanted else None
         if isinstance(trajectory, p.HoldStill):

@@ -12,12 +12,14 @@ from benchmarks.force import Station
 from rtc.cells.cell import Cell
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
+from rtc.protocol.faults import StrippedBolt
 from rtc.protocol.outcomes import StopReason
 from rtc.robot import geometry, hinges
 from rtc.subsystem.subsystem import BROKER
 from sim_mcm.arms.arm import SpindleCommand
 from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.control.subsystem import McmSubsystem
+from sim_mcm.faults import Injections
 
 CELL = Cell.load("servicing")
 ARM, BOLT, DRIVER = "RIGHT-ARM", "BOLT-1", "POWER-DRIVER"
@@ -61,13 +63,14 @@ def turn(station: Station, turns: float, *stops: p.StopFunction, torque_nm: floa
 def test_a_bolt_is_stripped_stalled_tightened_and_turned_out(station) -> None:
     world, bolts = station.world.world, station.world.bolts
 
-    assert station.world.strip("BOLT-9")  # the reason of a refusal
-    assert not station.world.strip(BOLT)
+    faults = Injections(CELL, station.world, station.mcm.executors)
+    assert "BOLT-1, BOLT-2" in faults.inject(StrippedBolt(bolt="BOLT-9"))
+    assert faults.inject(StrippedBolt(bolt=BOLT)) == ""
     report = turn(station, -0.5)
     assert report.reason is StopReason.GOAL
     assert report.peak_torque_nm < 0.5
     assert world.out_m(BOLT) == pytest.approx(0.0, abs=2e-4)
-    assert not station.world.strip(BOLT, False)
+    assert faults.undo(f"strip {BOLT}") == ("", "")
 
     late = p.StopFunction(reason=StopReason.TIMEOUT, when=p.TimeAbove(0.5))
     report = turn(station, -1.0, late, torque_nm=2.0)  # too weak: it stalls
@@ -90,7 +93,15 @@ def test_a_bolt_is_stripped_stalled_tightened_and_turned_out(station) -> None:
     assert report.peak_torque_nm == pytest.approx(THREAD.breakaway_nm, abs=0.4)
     assert geometry.distance(geometry.relative(station.tcp, world.pose(DRIVER)), held) < 0.001
 
-    assert turn(station, 0.5).reason is StopReason.GOAL  # and in again
+    name = station.begin(p.SpindleMotion(turn_rad=0.5 * TURN, speed_rad_s=6.2, torque_nm=4.0), law=PRESS)
+    list(station.tick(200))  # and in again, with a pause
+    station.mcm.handle(m.Pace(primitive=name, paused=True), BROKER, 0.0)
+    list(station.tick(5))
+    paused_at = bolts.out_turns(BOLT)
+    list(station.tick(300))
+    assert bolts.out_turns(BOLT) == paused_at > 7.6
+    station.mcm.handle(m.Pace(primitive=name, paused=False), BROKER, 0.0)
+    assert station.end(name).turned_rad == pytest.approx(0.5 * TURN, rel=1e-6)
     assert bolts.out_turns(BOLT) == pytest.approx(7.5, abs=0.01)
 
     arms = station.world.arms
