@@ -331,7 +331,8 @@ def _script(
     chosen = any("performer" in check.equals for check in option.branch.when)
     problem = command_fields.refuse_unused_field(candidate.parsed, script.script, script.uses, performer=chosen)
     problem = problem or command_fields.refuse_without_effect(candidate.program, candidate.parsed, script)
-    problem = problem or _too_tight(candidate) or _nothing_held(script, candidate)
+    if candidate.hand:
+        problem = problem or _too_tight(candidate) or _nothing_held(script, candidate)
     for need in script.needs:
         problem = problem or preconditions.refuse_if_unmet(need, candidate)
     if problem is None and (place := candidate.parsed.place) is not None and place.name:
