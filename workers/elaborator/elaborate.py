@@ -566,7 +566,7 @@ def _unsure_grasp(script: ScriptFile, candidate: TaskCandidate) -> Refusal | Non
 
 def _nothing_held(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
     """Refuse a condition about a held object that can never become true."""
-    parsed, arm = candidate.parsed, candidate.arm.name
+    parsed, arm = candidate.parsed, candidate.hand.name if candidate.hand else ""
     asked = [item.condition for item in parsed.reflexes] + (parsed.report.when if parsed.report else [])
     holding, closes = bool(candidate.query.holding(arm)), any(step.op == "close" for step in script.steps)
     found = (reflexes.refuse_without_grip(condition, arm, holding, closes) for condition in asked)

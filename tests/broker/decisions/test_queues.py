@@ -18,7 +18,7 @@ from tests.broker.harness import CONTEXT, Harness, bound, brief, go_on, script
 
 CAMERA, EYES = "CAMERA-1", "S&P"
 HERE = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
-SEEN = Sighting(pose=HERE, covariance=[[0.0] * 6] * 6, tags=[1], error_px=0.1, age_s=0.1)
+SEEN = Sighting(pose=HERE, covariance=[0.0] * 36, tags=[1], error_px=0.1, age_s=0.1)
 
 
 def look(primitive: str) -> BoundStep:
