@@ -32,7 +32,7 @@ SEATED_M = 0.004
 DRAWN_OUT_M = 0.23
 COMMAND_S = 120.0
 FRAME_S = 0.35  # of simulated time between two frames
-FILM_S = 180.0  # limit of drawing
+FILM_S = 600.0  # limit of drawing
 STEPS = [
     f"GRASP LEFT-END-EFF {DOOR} LATCH-PULL",
     f"OPEN {DOOR} BY {OPENED_DEG:g} DEG WITH LEFT-ARM REPORT FORCES",
