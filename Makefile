@@ -9,8 +9,9 @@ BIN := $(VENV)/bin
 .PHONY: demo setup test test-ray fast check bench campaigns help clean
 .DEFAULT_GOAL := help
 
-demo: $(VENV)/.ready ## set up, then show the main task: two arms grasp, lift, are halted, continue, put back
-	$(BIN)/rtc demo grasp
+demo: $(VENV)/.ready ## set up, then show two arms at work, a halt, a door and an insertion; pictures and a film in out/
+	$(BIN)/rtc demo grasp --speed 2
+	$(BIN)/rtc demo door --speed max
 
 setup: $(VENV)/.ready ## set up only: the Python environment, in .venv
 	@echo "set up; next: . $(BIN)/activate"
@@ -38,7 +39,7 @@ bench: $(VENV)/.ready ## run all benchmarks; results in benchmarks/results/
 		echo "== $$name"; $(BIN)/python -m benchmarks.$$name || exit 1; done
 
 campaigns: $(VENV)/.ready ## run the correctness campaigns (about half an hour); results in tests/campaigns/results/
-	@for name in model_check simulation fuzz endurance insertion; do \
+	@for name in model_check simulation fuzz endurance insertion door; do \
 		echo "== $$name"; $(BIN)/python -m tests.campaigns.$$name || exit 1; done
 
 help: ## print this list

@@ -31,7 +31,7 @@ DOOR_N = 15.0  # greatest force on the door
 SEATED_M = 0.004
 DRAWN_OUT_M = 0.23
 COMMAND_S = 120.0
-FRAME_S = 0.35  # of simulated time between two frames
+FRAME_S = 0.5  # of simulated time between two frames
 FILM_S = 600.0  # limit of drawing
 STEPS = [
     f"GRASP LEFT-END-EFF {DOOR} LATCH-PULL",
