@@ -21,7 +21,7 @@ INK, PAPER, HALO = (28, 32, 38), (250, 250, 248), (255, 255, 255)
 WARNING, OUTLINE = (196, 84, 0), (214, 0, 110)
 OUTLINE_PX = 2
 JPEG_QUALITY = 80
-FILM_COLOURS, FILM_END_MS = 56, 1500
+FILM_COLOURS, FILM_END_MS = 112, 1500
 
 
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
@@ -103,7 +103,8 @@ def animate(pictures: Sequence[Image.Image], file: Path, frames_per_s: float) ->
     if not pictures:
         raise ValueError("a film needs a picture")
     some = [np.asarray(one) for one in pictures[:: max(1, len(pictures) // 8)]]
-    palette = Image.fromarray(np.concatenate(some)).quantize(FILM_COLOURS, dither=Image.Dither.NONE)
+    # The palette of the median cut would drop small things in strong colours, such as handles.
+    palette = Image.fromarray(np.concatenate(some)).quantize(FILM_COLOURS, Image.Quantize.MAXCOVERAGE)
     flat = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
     times_ms = [round(1000.0 / frames_per_s)] * (len(flat) - 1) + [FILM_END_MS]
     file.parent.mkdir(parents=True, exist_ok=True)
