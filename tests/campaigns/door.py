@@ -1,9 +1,9 @@
 """Does a compliant arm open a door whose hinge is not where it is believed to be?
 
-The left arm of the cell `servicing` takes the bar of the door and opens it by 90 degrees, by two sentences. The door
-and its hinge are displaced by up to 5 mm along each axis and turned by up to 1 degree about each, without the knowledge
-of the arm; the friction of the hinge is 0.5 to 1.5 N.m. A run succeeds if the door stands within 5 degrees of 90 and
-the wrist force never exceeded 15 N while it was opened.
+The left arm of the cell `servicing` takes the bar of the door and opens it by 90 degrees, by two sentences. The
+satellite with its door and hinge is displaced by up to 5 mm along each axis and turned by up to 1 degree about each,
+without the knowledge of the arm; the friction of the hinge is 0.5 to 1.5 N.m. A run succeeds if the door stands within
+5 degrees of 90 and the wrist force never exceeded 15 N while it was opened.
 
     python -m tests.campaigns.door [--runs 100]
 """
@@ -19,6 +19,7 @@ import pybullet
 
 from benchmarks.report import finish, percentile, question
 from rtc.cells.cell import Cell
+from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from sim_mcm.arms.bullet_world import HINGED
 from tests.campaigns import RESULTS
@@ -48,7 +49,11 @@ class Run(NamedTuple):
 def run(model: CellModel, offset: Array, friction_nm: float) -> Run:
     subsystem = Physical(model.cell)
     bench, sim = Bench(subsystem, model), subsystem.sim
+    before = sim.world.objects[DOOR].home
     assert not sim.displace(DOOR, offset)
+    moved = geometry.compose(sim.world.objects[DOOR].home, geometry.inverse(before))
+    satellite = sim.world.objects["SATELLITE"]  # the door hangs on it
+    sim.world.place(satellite, geometry.compose(moved, satellite.home))
     pybullet.setJointMotorControl2(
         sim.world.objects[DOOR].id,
         HINGED,
