@@ -434,7 +434,7 @@ def primitive(
     )
     if isinstance(trajectory, JointTrajectory):
         stops += stop_conditions.maintained(task.data, task.query, values)
-    if evaluation.held or isinstance(trajectory, HandMotion):
+    if evaluation.held:  # a hand that closes on something off its middle presses more with one finger
         stops += stop_conditions.squeezed(task.data, values)
     if (refusal := refuse_press(task, stop_class, values)) is not None:
         return refusal

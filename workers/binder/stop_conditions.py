@@ -153,7 +153,7 @@ def maintained(data: BinderInput, query: WorldQuery, values: Values) -> list[Sto
 
 
 def squeezed(data: BinderInput, values: Values) -> list[StopFunction]:
-    """Stop functions of MAINTAIN GRIP-FORCE for a hand that closes or holds something."""
+    """Stop functions of MAINTAIN GRIP-FORCE for a hand that holds something."""
     grip_n = data.context.limits.grip_force_n
     if grip_n is None:
         return []
