@@ -201,7 +201,7 @@ class Client:
     ) -> m.CommandEnded:
         """Submit one sentence and wait for its outcome.
 
-        `on_progress` receives each ProgressNote; `seq` 0 marks a report of REPORT EVERY. Raises TimedOut after
+        `on_progress` receives each ProgressNote; `seq` 0 marks a report of EVERY or WHEN. Raises TimedOut after
         `timeout_s`; the command then continues.
         """
         return self.run_many([text], on_progress=on_progress, timeout_s=timeout_s, traceparent=traceparent)[0]
