@@ -25,6 +25,7 @@ BATCHES = (31, 96)  # number of starts from the table; the second batch runs onl
 STEPS = (24, 60)  # maximum number of iterations of each batch
 ENOUGH = 1e-9  # norm of the residual twist (m and rad) for convergence
 WANTED, WANTED_STEPS = 12, 9  # with this many results a batch ends after this many iterations
+HOPELESS_STEPS, HOPELESS = 14, 0.02  # after so many iterations a start that leads to the goal is nearer than this
 METRES_PER_RAD = 0.25  # of the distance between poses, to choose starts
 MOST_STEP = 0.6  # maximum change of a joint in one iteration (rad, m)
 DAMPING, LEAST_DAMPING = 0.1, 1e-10  # share of the squared residual, and floor
@@ -236,6 +237,8 @@ class Chain:
             done = size < ENOUGH * ENOUGH
             converged[active[done]] = True
             if done.all() or (not keep_all and step >= WANTED_STEPS and converged.sum() >= WANTED):
+                break
+            if not keep_all and step == HOPELESS_STEPS and not converged.any() and size.min() > HOPELESS**2:
                 break
             left = ~done
             move = self._step(here[left], error[left], size[left], (at[left], axes[left], places[left]), step)

@@ -143,11 +143,11 @@ def test_without_a_solution_there_is_a_cause_and_with_one_there_is_none(panda):
     """Whatever the reference, at the edge of the reach and near limits too."""
     random = np.random.default_rng(9)
     reached = 0
-    for joints in random_joints(panda, 120, 13):
+    for joints in random_joints(panda, 24, 13):
         pose = panda.fk(joints)
         edge = geometry.make_pose(pose[:3] * random.uniform(0.9, 1.3), random.normal(size=4))
         near = random.uniform(panda.limits.lower, panda.limits.upper)
         found = panda.ik(edge, near, 0.2)
         assert (panda.why_no_ik(edge, 0.2) is None) <= bool(found)
         reached += bool(found)
-    assert 10 < reached < 110
+    assert 2 < reached < 22
