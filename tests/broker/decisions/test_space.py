@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import msgspec
+
 from broker.decisions.effects import DispatchJob
 from broker.decisions.invariants import violations
 from rtc.protocol import wire
-from rtc.protocol.messages import BinderInput
+from rtc.protocol.messages import BinderInput, BoundStep
 from rtc.protocol.outcomes import RefusalReason, StopReason
-from tests.broker.harness import Harness, bound, give_up, go_on, script
+from rtc.protocol.primitive import ControlLaw, Partner
+from tests.broker.harness import PATH, F, Harness, bound, give_up, go_on, script
 
 LEFT = ("LEFT-ARM",)
 
@@ -203,3 +206,45 @@ def test_a_fault_of_one_arm_leaves_the_other_command_alone():
     s.answers(left_binds(s), bound("C-2.1", "LEFT-ARM", moves=True))
     s.reports("C-1", StopReason.COLLISION)
     assert s.phase("C-2") == "executing"
+
+
+def of_two_arms(command: str) -> BoundStep:
+    """One primitive that moves both arms."""
+    made = bound(f"{command}.1", moves=True)
+    assert made.primitive is not None
+    part = Partner(performer="LEFT-ARM", trajectory=PATH, control_law=ControlLaw(), stop_functions=F)
+    return msgspec.structs.replace(made, primitive=msgspec.structs.replace(made.primitive, partner=part))
+
+
+def test_a_primitive_of_two_arms_needs_both_and_is_a_motion_of_both():
+    s = Harness()
+    command = s.elaborated(script(resources=("LEFT-ARM", "RIGHT-ARM")), hand="BOTH-ARMS")
+    s.answers(command, of_two_arms(command))
+    assert {arm: motion.primitive for arm, motion in s.state.motions.items()} == {
+        "LEFT-ARM": "C-1.1",
+        "RIGHT-ARM": "C-1.1",
+    }
+    assert violations(s.state) == []
+    s.reports(command)
+    s.answers(command, go_on())
+    assert s.state.motions == {}
+
+
+def test_a_primitive_of_two_arms_is_refused_if_one_is_not_claimed():
+    s = Harness()
+    command = s.elaborated()
+    s.answers(command, of_two_arms(command))
+    assert "moves LEFT-ARM, which its script has not claimed" in s.outcome(command).message
+
+
+def test_both_arms_of_a_primitive_stay_closed_until_rest_is_confirmed():
+    s = Harness()
+    command = s.elaborated(script(resources=("LEFT-ARM", "RIGHT-ARM")), hand="BOTH-ARMS")
+    s.answers(command, of_two_arms(command))
+    s.halts()
+    s.rings(command)
+    s.answers(command, go_on())
+    assert set(s.state.resources.quarantine) == {"LEFT-ARM", "RIGHT-ARM"}
+    assert set(s.state.motions) == {"LEFT-ARM", "RIGHT-ARM"}  # other arms keep away from the whole paths
+    s.rests("stop-C-1")
+    assert s.state.motions == {}
