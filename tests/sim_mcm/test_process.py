@@ -148,12 +148,6 @@ def test_a_halt_past_the_broker_stops_the_arm_and_is_reported_to_both(mcm, swing
     halt_line.close()
 
 
-def test_only_physics_loads_the_physics_library(mcm) -> None:
-    loaded = Path(f"/proc/{mcm.process.pid}/maps").read_text(encoding="utf-8")
-    assert "pinocchio" in loaded
-    assert ("pybullet" in loaded) is (mcm.settings.mcm == "bullet")
-
-
 def test_messages_are_the_same_at_any_speed(tmp_path_factory, cell, make) -> None:
     """The order and the content of all messages about a motion, except their time stamps (R13)."""
     home = cell.arm(ARM).home_rad
@@ -223,7 +217,10 @@ def test_no_bytes_stop_it(mcm, swing) -> None:
     assert broker.recv(m.EndReport).reason is StopReason.GOAL
 
 
-def test_telemetry_tells_where_the_arms_are(mcm, cell) -> None:
+def test_telemetry_tells_where_the_arms_are_and_only_physics_loads_its_library(mcm, cell) -> None:
+    loaded = Path(f"/proc/{mcm.process.pid}/maps").read_text(encoding="utf-8")
+    assert "pinocchio" in loaded
+    assert ("pybullet" in loaded) is (mcm.settings.mcm == "bullet")
     ear = mcm.context.socket(zmq.SUB)
     ear.connect(mcm.settings.endpoint("telemetry"))
     ear.subscribe(b"")

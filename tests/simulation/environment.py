@@ -204,6 +204,8 @@ def _hello(model: Model) -> events.SubsystemConnected:
         performers=list(ARMS),
         outstanding=executing + [primitive for primitive in mcm.kept if primitive not in executing],
         at_rest=not executing,
+        pauses=True,
+        paused=[primitive for primitive in executing if primitive in mcm.paused],
     )
 
 
@@ -281,7 +283,7 @@ def _handle(model: Model, event: events.Event, out: int | None = None) -> list[d
     if wrong:
         raise Violation("; ".join(wrong))
     for effect in effects:
-        leaves = isinstance(effect, do.SendPrimitive | do.SendHalt | do.AcknowledgeReport | do.ReportEnd)
+        leaves = isinstance(effect, do.SendPrimitive | do.SendPace | do.SendHalt | do.AcknowledgeReport | do.ReportEnd)
         if out is not None and leaves:
             if out == 0:
                 break
@@ -375,6 +377,7 @@ def _end(model: Model, arm: str, reason: StopReason) -> None:
     primitive, mcm.arms[arm] = mcm.arms[arm], ""
     mcm.ended[primitive] = mcm.kept[primitive] = reason
     mcm.braking = [a for a in mcm.braking if a != arm]
+    mcm.paused = [name for name in mcm.paused if name != primitive]
     _report(model, primitive)
 
 
@@ -487,6 +490,13 @@ OF_MCM: dict[str, Callable[..., None]] = {
 }
 
 
+def _pace(model: Model, effect: do.SendPace) -> None:
+    mcm = model.mcm
+    if mcm.alive and effect.primitive in mcm.arms.values():
+        others = [primitive for primitive in mcm.paused if primitive != effect.primitive]
+        mcm.paused = [*others, effect.primitive] if effect.paused else others
+
+
 def _order_halt(model: Model, effect: do.SendHalt) -> None:
     _halt(model, effect.halt, effect.scope, call=effect.call)
 
@@ -519,6 +529,7 @@ CARRIED_OUT: dict[type[do.Effect], Callable[[Model, Any], None]] = {
     do.DispatchJob: _give,
     do.CancelJob: _cancel,
     do.SendPrimitive: _execute,
+    do.SendPace: _pace,
     do.SendHalt: _order_halt,
     do.AcknowledgeReport: _acknowledge,
     do.StartTimer: _start_timer,

@@ -75,6 +75,7 @@ class Mcm(msgspec.Struct):
     exit_reported: bool = True
     arms: dict[str, str] = {}
     braking: list[str] = []
+    paused: list[str] = []  # primitives that stand on their path
     kept: dict[str, StopReason] = {}  # ended, not acknowledged
     ended: dict[str, StopReason] = {}
     open: list[OpenHalt] = []  # that the broker has ordered

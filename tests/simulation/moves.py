@@ -60,7 +60,8 @@ def _moves(model: Model, scenario: Scenario) -> Iterator[Move]:
     for arm, primitive in mcm.arms.items():
         if not primitive:
             continue
-        yield ("rest" if arm in mcm.braking else "goal"), arm
+        if arm in mcm.braking or primitive not in mcm.paused:
+            yield ("rest" if arm in mcm.braking else "goal"), arm
         if arm not in mcm.braking and sentence_of(command_of(primitive), scenario).meets:
             yield "blocked", arm
     if mcm.alive:
@@ -108,7 +109,7 @@ def _deaths(model: Model, scenario: Scenario) -> Iterator[Move]:
         trial = decode(encode(model))
         out = 0
         for effect in decide(trial.du, event_of(trial, scenario, move)):
-            if isinstance(effect, do.SendPrimitive | do.SendHalt | do.AcknowledgeReport | do.ReportEnd):
+            if isinstance(effect, do.SendPrimitive | do.SendPace | do.SendHalt | do.AcknowledgeReport | do.ReportEnd):
                 yield "broker dies", out, move
                 out += 1
 
@@ -151,7 +152,7 @@ def fair(model: Model, scenario: Scenario) -> Move | None:
     if model.du.subsystems["MCM"].link is not LinkState.CONNECTED:
         return ("hello",)
     for arm, primitive in mcm.arms.items():
-        if primitive:
+        if primitive and (arm in mcm.braking or primitive not in mcm.paused):
             return ("rest" if arm in mcm.braking else "goal"), arm
     for command in model.du.commands.values():
         if at_work(model, command):
@@ -162,6 +163,9 @@ def fair(model: Model, scenario: Scenario) -> Move | None:
         return "send again", next(iter(mcm.kept))
     if model.handed_in < len(scenario.sentences):
         return "hand in", model.handed_in
+    for command in model.du.commands.values():
+        if command.phase is Phase.EXECUTING and command.pause_wanted and command.primitive in mcm.paused:
+            return "resume", command.id
     for timer in model.timers:
         return "timer", timer
     for command in model.du.commands.values():

@@ -45,6 +45,7 @@ def _essence(model: Model) -> list[Any]:
             mcm.exit_reported,
             [_name(model, p) for p in mcm.arms.values()],
             mcm.braking,
+            [_name(model, p) for p in mcm.paused],
             [_name(model, p) for p in mcm.kept],
             [(c.id, mcm.ended.get(c.primitive)) for c in du.commands.values()],
             mcm.open,
@@ -86,7 +87,13 @@ def _of_sent(model: Model, outbox: events.AnyEvent) -> list[Any]:
         case events.PrimitiveEnded():
             return ["end", _name(model, outbox.report.primitive), outbox.report.reason]
         case events.SubsystemConnected():
-            return ["hello", outbox.pid, [_name(model, p) for p in outbox.outstanding], outbox.at_rest]
+            return [
+                "hello",
+                outbox.pid,
+                [_name(model, p) for p in outbox.outstanding],
+                outbox.at_rest,
+                [_name(model, p) for p in outbox.paused],
+            ]
         case events.HaltConfirmed():
             return ["rest", outbox.halt, outbox.performers]
         case events.HaltCalled():
