@@ -41,6 +41,7 @@ FIELD_OF_VIEW_DEG = 37.0
 NEAR_M, FAR_M = 0.1, 12.0
 LIGHT = (-1.2, -0.5, 1.1)  # direction to the light
 FLOOR_TILE_M, FLOOR_TILES = 0.4, 10
+FLOOR_AT_M = 0.4  # of its middle along x
 FLOOR_COLOURS = ((0.86, 0.87, 0.89, 1.0), (0.80, 0.82, 0.85, 1.0))
 SKY = (232, 238, 246)
 LIT = 0.95  # brightness of a level surface in the pictures of the cell's cameras
@@ -261,19 +262,18 @@ def backdrop(camera: CellCamera, pose: geometry.Floats) -> Image:
     """Floor and sky as a camera at `pose` (world frame) sees them, height x width x 3."""
     width, height = camera.size_px
     focal_px = 0.5 * height / math.tan(math.radians(0.5 * camera.field_of_view_deg))
-    right, down = (np.arange(n) + 0.5 - 0.5 * n for n in (width, height))
-    rays = np.stack([*np.meshgrid(right / focal_px, down / focal_px), np.ones((height, width))], axis=-1)
-    matrix = geometry.to_matrix(pose)
-    ways = rays @ matrix[:3, :3].T
+    right, down = ((np.arange(n, dtype=np.float32) + 0.5 - 0.5 * n) / np.float32(focal_px) for n in (width, height))
+    matrix = geometry.to_matrix(pose).astype(np.float32)
+    # The direction of each pixel's ray: a sum of a row and a column.
+    x, y, z = (matrix[k, 0] * right + (matrix[k, 1] * down + matrix[k, 2])[:, None] for k in range(3))
     with np.errstate(divide="ignore", invalid="ignore"):
-        far = -matrix[2, 3] / ways[..., 2]
-        tiles = np.floor(
-            (matrix[:2, 3] + far[..., None] * ways[..., :2] - (0.4, 0.0)) / FLOOR_TILE_M + 0.5 * FLOOR_TILES
-        )
-    hit = (far > 0.0) & np.all((tiles >= 0) & (tiles < FLOOR_TILES), axis=-1)
-    colours = np.array([[255.0 * LIT * n for n in colour[:3]] for colour in FLOOR_COLOURS])
-    floor = colours[np.where(hit, tiles.sum(axis=-1), 0).astype(int) % 2]
-    found: Image = np.where(hit[..., None], floor, SKY).astype(np.uint8)
+        far = -matrix[2, 3] / z
+        along = (matrix[0, 3] - FLOOR_AT_M + far * x) / FLOOR_TILE_M + 0.5 * FLOOR_TILES
+        across = (matrix[1, 3] + far * y) / FLOOR_TILE_M + 0.5 * FLOOR_TILES
+    hit = (far > 0.0) & (along >= 0.0) & (along < FLOOR_TILES) & (across >= 0.0) & (across < FLOOR_TILES)
+    tile = np.where(hit, along, 0.0).astype(np.int8) + np.where(hit, across, 0.0).astype(np.int8)
+    colours = [SKY, *([int(255.0 * LIT * n) for n in colour[:3]] for colour in FLOOR_COLOURS)]
+    found: Image = np.array(colours, dtype=np.uint8)[np.where(hit, 1 + tile % 2, 0)]
     return found
 
 
@@ -338,7 +338,7 @@ def _floor(world: PhysicsWorld) -> list[tuple[int, list[float]]]:
     tiles = []
     for row in range(FLOOR_TILES):
         for column in range(FLOOR_TILES):
-            at = [0.4 + (row - middle) * FLOOR_TILE_M, (column - middle) * FLOOR_TILE_M, -0.005]
+            at = [FLOOR_AT_M + (row - middle) * FLOOR_TILE_M, (column - middle) * FLOOR_TILE_M, -0.005]
             tile = pybullet.createMultiBody(
                 baseVisualShapeIndex=shapes[(row + column) % 2], basePosition=at, physicsClientId=world.client
             )

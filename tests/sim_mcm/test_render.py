@@ -136,3 +136,24 @@ def test_the_sensor_of_a_camera_has_noise_and_an_exposure(cell) -> None:
     assert np.array_equal(noisy[0], noisy[1])
     assert not np.array_equal(noisy[0], noisy[2])
     assert not np.array_equal(*here)  # the camera moves with the hand
+
+
+@pytest.mark.slow
+def test_the_computed_floor_of_a_camera_is_where_the_drawn_one_is(cell) -> None:
+    """Tile by tile, up to their edges and the horizon."""
+    camera = Camera(name="FLOOR", xyz=(0.5, -1.3, 0.8), looks_at=(0.9, 0.3, 0.4), size_px=(160, 120))
+    studio = render.Studio(msgspec.structs.replace(cell, cameras=[camera]))
+    matrices = render.lens.matrices(camera, camera.pose)
+    seen = studio.photograph(render.Camera(matrices.view, matrices.lens), *camera.size_px, smooth=False).bodies
+    tiles = {tile: n for n, (tile, _) in enumerate(studio._floor)}
+    computed = render.backdrop(camera, camera.pose)
+    studio.close()
+
+    sky = np.all(computed == render.SKY, axis=-1)
+    light = computed[..., 0] > 200
+    on_floor = np.isin(seen, list(tiles))
+    parity = np.array([sum(divmod(tiles[body], render.FLOOR_TILES)) % 2 for body in seen[on_floor]])
+    assert on_floor.sum() > 4_000
+    assert (seen < 0).sum() > 500
+    assert sky[seen < 0].mean() > 0.98
+    assert (light[on_floor] == (parity == 0)).mean() > 0.97
