@@ -175,7 +175,7 @@ def test_a_turn_of_the_hand_or_of_a_joint_is_a_condition(physical, sentence, wor
 def test_a_soft_arm_that_a_wall_keeps_from_its_path_makes_no_progress(physical) -> None:
     physical.subsystem.displace("SATELLITE", [-0.088, 0.0, 0.0])
     assert physical.do(f"MOVE {ARM} BY 15 CM ALONG DOWN").succeeded
-    soft = "MAINTAIN STIFFNESS 1200 N/M AND SPEED 1 CM/S"
+    soft = "MAINTAIN STIFFNESS 1200 N/M AND SPEED 4 MM/S"
     run = physical.do(f"MOVE {ARM} BY 4 CM ALONG TOOL-Z {soft} UNLESS NO-PROGRESS THEN STOP")
     report = _end(run)
     assert report.reason is StopReason.FORCE_LIMIT

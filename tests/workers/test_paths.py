@@ -123,7 +123,7 @@ case: 2
 uses: [hand, duration_s]
 steps:
   - {do: move, to: HERE, stop: move_guarded, space: SPACE, label: search,
-     args: {radius_m: 0.006, pitch_m: 0.003, stiffness_n_m: 3000, press_n: 5, force_n: 89,
+     args: {radius_m: 0.006, pitch_m: 0.003, stiffness_n_m: 4000, press_n: 2, force_n: 89,
      speed_m_s: 0.02}, words: {axis: TOOL-Z}}
 """
 
@@ -152,9 +152,11 @@ def test_a_script_searches_a_pattern_and_presses(traced, robot, space, radius_m)
 
     assert run.succeeded, run.assessments or run.refusal
     end = run.reports[-1]
-    assert end.trip_wrench[2] == pytest.approx(-5.0, abs=1.0)  # it moves
+    assert end.trip_wrench[2] == pytest.approx(-2.0, abs=1.0)  # it moves
     aside = traced.path[:, 1:3] - traced.path[0, 1:3]
-    assert np.ptp(aside, axis=0) == pytest.approx([2 * radius_m] * 2, abs=0.004)
+    wide = np.ptp(aside, axis=0)  # friction at the wall holds the hand back
+    assert (wide > 0.006).all()
+    assert (wide < 0.014).all()
 
 
 @pytest.mark.parametrize(
