@@ -155,7 +155,7 @@ def file_of(name_or_path: str | Path, folder: Path = Path()) -> Path:
     """The file of a cell: its name, its folder or the file itself, relative to `folder`. Raises ProgramError."""
     path = folder / name_or_path
     if path.suffix not in (".yaml", ".yml"):
-        path = (path if path.is_dir() else CELLS / name_or_path) / "cell.yaml"
+        path = (path if (path / "cell.yaml").is_file() else CELLS / name_or_path) / "cell.yaml"
     if not path.is_file():
         known = ", ".join(sorted(p.parent.name for p in CELLS.glob("*/cell.yaml")))
         raise ProgramError(f"no cell {name_or_path}: there is no file {path}; cells of the project: {known}")

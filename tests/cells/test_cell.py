@@ -61,6 +61,12 @@ def test_a_path_a_folder_and_a_name_load_alike(swapout):
     assert Cell.load(CELLS / "swapout") == Cell.load(CELLS / "swapout" / "cell.yaml") == swapout
 
 
+def test_a_folder_without_a_cell_does_not_hide_a_cell_of_the_project(swapout, tmp_path, monkeypatch):
+    (tmp_path / "swapout").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert Cell.load("swapout").name == swapout.name
+
+
 def test_an_unknown_cell_names_those_that_come_along():
     with pytest.raises(ProgramError, match=r"no cell nowhere.*swapout"):
         Cell.load("nowhere")
