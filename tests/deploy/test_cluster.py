@@ -15,7 +15,7 @@ import zmq
 from deploy import cluster
 from rtc.client.client import Client
 from rtc.protocol import wire
-from rtc.protocol.messages import Telemetry
+from rtc.protocol.messages import Telemetry, Validity
 from rtc.protocol.outcomes import ClusterError, NoCluster, OutcomeKind
 from rtc.runtime.settings import Settings
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 LIMIT_S = 90.0
 WORKERS = ["parser@0", "elaborator@1", "binder@2", "analyzer@3"]
 TEMPLATES = ["template", "twin-template", "broker-template", "world-template", "MCM-template"]
-NAMES = [*TEMPLATES, "broker", "world", "MCM", *WORKERS]
+NAMES = [*TEMPLATES, "broker", "world", "MCM", "S&P", *WORKERS]
 
 
 def deploy(*arguments, run_dir):
@@ -137,7 +137,7 @@ def test_any_process_killed_comes_back_and_nothing_outlives_a_killed_supervisor(
 def test_two_clusters_are_independent(run_dir, tmp_path):
     assert up(run_dir).returncode == 0
     assert up(tmp_path, "--dim", "3").returncode == 0
-    assert len(rows(tmp_path)) == len(TEMPLATES) + 3 + 8
+    assert len(rows(tmp_path)) == len(TEMPLATES) + 4 + 8
     assert report(run_dir)["cluster"] != report(tmp_path)["cluster"]
     deploy("down", run_dir=tmp_path)
     all_ready(run_dir)
@@ -271,8 +271,9 @@ def test_databases_that_were_lost_or_damaged_are_got_over_and_reported(cluster_o
         kill(run_dir, "world")
         assert "world.db was damaged" in notes(run_dir, "world")
         assert len(list(run_dir.glob("world.db.damaged-*[0-9]"))) == 1
-        refused = rtc.run("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A").outcome
-        assert "suspect since the world database began anew" in refused.message
+        (fact,) = rtc.world.view(keys=["MACS-NEW.frame"]).facts
+        assert fact.validity is Validity.SUSPECT
+        assert "the world database began anew" in fact.source
 
 
 @pytest.mark.parametrize("module", ["broker", "sim_mcm", "rtc.world"])
