@@ -38,8 +38,8 @@ bench: $(VENV)/.ready ## run all benchmarks; results in benchmarks/results/
 		grep -q '__main__' $$file || continue; \
 		echo "== $$name"; $(BIN)/python -m benchmarks.$$name || exit 1; done
 
-campaigns: $(VENV)/.ready ## run the correctness campaigns (about half an hour); results in tests/campaigns/results/
-	@for name in model_check simulation fuzz endurance insertion door; do \
+campaigns: $(VENV)/.ready ## run the correctness campaigns (about an hour); results in tests/campaigns/results/
+	@for name in model_check simulation fuzz endurance two_arms carry insertion door insert_sentence; do \
 		echo "== $$name"; $(BIN)/python -m tests.campaigns.$$name || exit 1; done
 
 help: ## print this list
