@@ -102,7 +102,8 @@ def _frames_too_few(kinds: list[Any], rng: random.Random) -> list[bytes]:
 
 
 def _wrong_type(_: list[Any], rng: random.Random) -> list[bytes]:
-    return _good(_types(ACCEPTED[rng.choice(list(ACCEPTED))]), rng)
+    kinds = _types(ACCEPTED[rng.choice(list(ACCEPTED))])
+    return _good([kind for kind in kinds if kind is not m.Shutdown], rng)
 
 
 def _deep_nest(kinds: list[Any], rng: random.Random) -> list[bytes]:
