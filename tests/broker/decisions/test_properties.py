@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from broker.decisions import events
 from broker.decisions.decide import decide
 from broker.decisions.invariants import MOVING, forbidden, violations
-from broker.decisions.state import NIL, State
+from broker.decisions.state import NIL, Deferral, State
 from rtc.protocol import wire
 from rtc.protocol.messages import BoundStep, WorkerKind
 from rtc.protocol.outcomes import RefusalReason, StopReason
@@ -134,7 +134,9 @@ class Environment(Harness):
         for _ in range(3000):
             if not self.state.commands and not self.state.deferred_analyses:
                 return
-            for command in list(self.state.deferred_analyses):  # the world database is back
+            for command, analysis in list(self.state.deferred_analyses.items()):  # the world database is back
+                if analysis.phase is Deferral.WAITING:
+                    self.handle(events.TimerFired, timer=analysis.job.id)
                 self.tells(command)
             for command in list(self.state.commands.values()):
                 live = self.state.commands.get(command.id)
@@ -175,6 +177,7 @@ ACTS = [
 
 
 @settings(max_examples=300, deadline=None)
+@example(acts=[(0, 1), (3, 203), (3, 7), (3, 7), (12, 0), (3, 0)])  # the last analysis is refused
 @given(st.lists(st.tuples(st.integers(0, len(ACTS) - 1), st.integers(0, 100_000)), max_size=120))
 def test_any_events_keep_the_invariants_and_every_command_ends(acts):
     s = Environment()
