@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import msgspec
 import zmq
 
+from benchmarks.hypercube.costs import EVENTS
 from benchmarks.hypercube.fit import fitted, medians, ratios
 from benchmarks.load.subsystem import Instant
 from benchmarks.load.trivial import FUNCTIONS, PERFORMERS, SUBSYSTEM, performer
@@ -40,14 +41,14 @@ from rtc.runtime.process import Every, Process, freeze_heap, open_socket
 from rtc.runtime.settings import Settings, prepare_run_dir
 from rtc.world.lease import KEY_BYTES
 
-STAGES = ("accept", "parsed", "elaborated", "bound", "reported", "analyzed")  # kinds of events, in order
+STAGES = EVENTS  # kinds of events, in order
 FEATURES = ("turn", "message_in", "message_out", *STAGES)
 TOGETHER = (1, 2, 4, 8, 16, 32, 48)  # commands in one turn, of quick workers: one message
 APART = (1, 2, 4, 8, 16)  # of slow workers: one message each
 QUICK_S, SLOW_S = 1e-5, 3e-3  # reported duration of a job
 ALONE_S = 0.0002  # pause before a turn, so that all messages have arrived
 IN_PROGRESS = 1000  # commands that are executing meanwhile, as many as in the trivial workload
-STANDING_AT_ONCE = 25
+BEGUN_AT_ONCE = 25
 LATE_S = 0.2
 START_LIMIT_S = 20.0
 SETTLED = 8  # commands of each kind of worker that make its mean duration known
@@ -76,7 +77,7 @@ class BrokerBench:
         self.journal = Journal.open(run_dir / "journal.db", settings.run, state)
         store = ProgramStore(self.journal, state.programs)
         began_s, handed = time.monotonic(), Handed(settings, secrets.token_bytes(KEY_BYTES))
-        self.router = Router(  # its clock is slow, so that the commands that stand do not reach their time limit
+        self.router = Router(  # its clock is slow, so that commands in progress do not reach their limit
             self.me,
             settings,
             self.journal,
@@ -183,10 +184,10 @@ class BrokerBench:
                 return
             messages, events = self._answer(out, STAGES[STAGES.index(stage) + 1], took_s)
 
-    def stand(self, how_many: int) -> None:
+    def keep_in_progress(self, how_many: int) -> None:
         """Leave this many commands executing."""
-        for _ in range(how_many // STANDING_AT_ONCE):
-            list(self.pass_through(STANDING_AT_ONCE, QUICK_S, last="bound"))
+        for _ in range(how_many // BEGUN_AT_ONCE):
+            list(self.pass_through(BEGUN_AT_ONCE, QUICK_S, last="bound"))
         self._performers = cycle(range(next(self._performers), PERFORMERS))
 
     def snapshot_s(self) -> float:
@@ -272,7 +273,7 @@ def measure(repetitions: int) -> dict[str, Any]:
                 list(broker.pass_through(slots, took_s))
             freeze_heap()
             if slots == 1:
-                broker.stand(IN_PROGRESS)
+                broker.keep_in_progress(IN_PROGRESS)
             for _ in range(repetitions):
                 for size in sizes:
                     turns += broker.pass_through(size, took_s)

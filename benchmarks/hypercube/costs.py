@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.report import RESULTS
+from benchmarks.throughput import PLANNERS
 from rtc.protocol.messages import WorkerKind
 
 FILE = RESULTS / "hypercube_costs.json"
 EVENTS = ("accept", "parsed", "elaborated", "bound", "reported", "analyzed")  # of one command
 LONE_MESSAGES = 8  # that the broker sends for a lone command: 4 jobs, 2 to the client, 2 to the subsystem
-PLANNERS = (WorkerKind.PARSER, WorkerKind.ELABORATOR, WorkerKind.BINDER)  # real ones of the workload `real`
 READERS = (WorkerKind.ELABORATOR, WorkerKind.BINDER)  # of the world database
 
 
