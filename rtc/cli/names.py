@@ -14,6 +14,7 @@ from rtc.cells.cell import Cell
 from rtc.cells.parts import Camera, Place, Region, Seat
 from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
 from rtc.language.alike import nearest_words
+from rtc.language.record import hand_in_words
 from rtc.robot.axis_names import AXES
 from rtc.runtime.settings import Settings, default_run_dir
 
@@ -193,8 +194,7 @@ def _xyz(point: tuple[float, ...] | list[float]) -> str:
 
 def _arm(cell: Cell) -> str:
     """The first arm as a sentence names it."""
-    name = cell.arms[0].name
-    return name if name in ("LEFT-ARM", "RIGHT-ARM") else f"ARM {name}"
+    return hand_in_words(cell.arms[0].name)
 
 
 def _thing(cell: Cell) -> str:

@@ -11,7 +11,10 @@ from collections.abc import Iterable
 from rtc.cells.parts import Numbers
 
 #: elaborator: conditions of the world that a script may require
-NEEDS = ("hand_empty", "object_free", "object_held", "object_seated", "object_hinged", "seat_free", "width_known")
+NEEDS = (
+    *("hand_empty", "object_free", "other_handle", "object_held", "object_seated", "object_hinged"),
+    *("seat_free", "width_known"),
+)
 #: elaborator: anchors of plan lines
 ANCHORS = ("grasp_point", "destination", "stow", "seat", "hinge")
 #: directions; WAY-OUT is the exit direction of the target seat, for plans only
@@ -39,6 +42,7 @@ FIGURES = (
     *Numbers.__struct_fields__,
     *("opening_m", "max_grip_n", "hand_width_m", "grasp_width_m", "mass_kg", "duration_s", "seat_depth_m", "detent_n"),
     "hinged",  # 1: the object has a hinge; 0: it has none
+    "held_elsewhere",  # 1: another hand holds the object; 0: none does
     *("hinge_rad", "hinge_least_rad", "hinge_most_rad"),  # its angle, and its stops
     *("unsure_x_m", "unsure_y_m", "unsure_z_m", "unsure_rad"),  # spread of the grasp point, in tool axes at that point
     *(f"{clause}_{unit}" for clause in ("amount", "by", "to") for unit in ("m", "rad", "turns", "s", "n")),

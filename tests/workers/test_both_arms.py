@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from rtc.cells import parts
-from rtc.protocol.messages import Script, Validity
+from rtc.protocol.messages import EndReport, Script, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import ClearanceBelow, TcpOutside, TcpSpeedAbove, TcpTurned
 from rtc.robot import geometry
-from tests.campaigns.carry import Carrier
+from tests.campaigns.carry import CARRIED, Carrier
 from tests.workers.conftest import CELL, MODEL, Bench
 from workers.planning.robot_models import CellModel
+from workers.planning.world_query import TRUSTED, WorldQuery
 
 RIGHT, LEFT, MODULE = "RIGHT-ARM", "LEFT-ARM", "MACS-NEW"
 RIGHT_HALF = CellModel(
@@ -26,6 +27,7 @@ RIGHT_HALF = CellModel(
     )
 )
 UP = "MOVE BOTH-ARMS BY 40 CM ALONG UP"
+TAKE = f"GRASP {MODULE} HANDLE-B WITH LEFT-ARM"
 
 
 @pytest.fixture
@@ -46,7 +48,118 @@ def holding(bench: Bench) -> Bench:
     bench.set_fact(f"{MODULE}.grasp", geometry.normalise(geometry.relative(hand, module)).tolist())
     bench.set_fact(f"{MODULE}.frame", geometry.normalise(module).tolist())
     bench.set_fact(f"{MODULE}.seat", "")
+    bench.subsystem.poses[MODULE] = module
     return bench
+
+
+@pytest.fixture
+def one_holds(holding: Bench) -> Bench:
+    """The right hand holds the module, the left one is open before the other handle."""
+    model, now = MODEL.arms[LEFT], holding.subsystem.joints[LEFT]
+    before = geometry.compose(model.fk(now), (0.0, 0.0, -0.13, 0.0, 0.0, 0.0, 1.0))
+    joints = model.ik(before.tolist(), now, 0.06)[0]
+    holding.subsystem.joints[LEFT], holding.subsystem.widths[LEFT] = joints, 0.08
+    for name, value in (("joints", joints.tolist()), ("hand_width", 0.08), ("holding", "")):
+        holding.set_fact(f"{LEFT}.{name}", value)
+    return holding
+
+
+def hands(bench: Bench) -> tuple[str, str, str]:
+    """What the right and the left hand hold, and the hand that the module's facts refer to."""
+    keys = (f"{RIGHT}.holding", f"{LEFT}.holding", f"{MODULE}.held_by")
+    return tuple(bench.world.value(key) for key in keys)  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("sentence", [TAKE, f"GRASP LEFT-END-EFF {MODULE}"])
+def test_a_second_hand_takes_a_held_object_at_its_free_handle(one_holds, sentence):
+    run = one_holds.do(sentence)
+    assert run.succeeded, run.refusal or run.failure
+    assert run.script.context.grasp_point == "HANDLE-B"
+    assert set(run.script.resources) == {LEFT, MODULE, RIGHT}  # the first hand must stay
+    assert hands(one_holds) == (MODULE, MODULE, RIGHT)
+    assert one_holds.do(UP).succeeded
+
+
+def test_the_second_arm_complies_while_its_hand_closes(one_holds):
+    laws = [made.control_law for made in one_holds.do(TAKE).primitives]
+    assert [law.compliance is not None for law in laws] == [False] * (len(laws) - 1) + [True]
+    assert laws[-1].compliance.stiffness[0] == 600.0
+
+
+@pytest.mark.parametrize(
+    ("sentence", "message", "clears"),
+    [
+        (f"GRASP {MODULE} HANDLE-A WITH LEFT-ARM", "RIGHT-ARM holds MACS-NEW at HANDLE-A", TAKE),
+        (f"GRASP {MODULE} HANDLE-B WITH RIGHT-ARM", "RIGHT-ARM holds MACS-NEW", "PLACE"),
+        (UP, "LEFT-ARM holds nothing", TAKE),
+    ],
+)
+def test_a_wrong_second_grasp_is_refused_with_the_sentence_that_clears_it(one_holds, sentence, message, clears):
+    run = one_holds.do(sentence)
+    assert message in run.refusal.message
+    assert clears in run.refusal.clears
+    assert run.primitives == []
+
+
+def test_a_module_in_a_doubtful_grasp_is_not_taken_by_a_second_hand(one_holds):
+    one_holds.set_fact(f"{MODULE}.frame", one_holds.world.value(f"{MODULE}.frame"), Validity.SUSPECT)
+    assert one_holds.do(TAKE).refusal.clears == "VERIFY MACS-NEW AT RIGHT-ARM"
+
+
+def test_a_close_of_the_second_hand_on_nothing_makes_the_grasp_of_the_first_one_doubtful(one_holds):
+    one_holds.subsystem.closes = [0.0]
+    run = one_holds.do(TAKE)
+    assert run.failure.reason is StopReason.NO_CONTACT
+    assert hands(one_holds) == (MODULE, "", RIGHT)
+    assert one_holds.world.get(f"{MODULE}.grasp").validity not in TRUSTED
+    assert "VERIFY MACS-NEW AT RIGHT-ARM" in run.failure.clears
+
+
+@pytest.mark.parametrize(("arm", "other"), [(RIGHT, LEFT), (LEFT, RIGHT)])
+def test_one_of_two_hands_lets_go_and_the_other_carries_on(holding, arm, other):
+    frame = holding.world.value(f"{MODULE}.frame")
+    run = holding.do(f"RELEASE {MODULE} WITH {arm}")
+    assert run.succeeded, run.refusal or run.failure
+    assert hands(holding) == (*(MODULE if name == other else "" for name in (RIGHT, LEFT)), other)
+    query = WorldQuery(MODEL, holding.world)
+    assert geometry.distance(query.in_hand(MODULE, query.tcp(other)), frame) < 1e-6
+    assert holding.do(f"MOVE {other} BY 5 CM ALONG UP").succeeded
+
+
+@pytest.mark.parametrize("arm", [RIGHT, LEFT])
+def test_each_of_two_hands_can_be_verified(holding, arm):
+    before = holding.world.value(f"{MODULE}.frame")
+    assert holding.do(f"VERIFY {MODULE} AT {arm}").succeeded
+    assert hands(holding) == (MODULE, MODULE, RIGHT)
+    assert geometry.distance(holding.world.value(f"{MODULE}.frame"), before) < 1e-9
+
+
+@pytest.mark.parametrize("loser", [RIGHT, LEFT])
+def test_a_hand_that_loses_the_object_leaves_it_to_the_other(holding, loser):
+    script = holding.elaborate(UP)
+    made = holding.bind(script, script.steps[0])
+    at = {arm: holding.subsystem.joints[arm].tolist() for arm in (RIGHT, LEFT)}
+    widths = {arm: 0.0 if arm == loser else 0.02 for arm in at}
+    reports = {
+        arm: EndReport(
+            primitive=made.primitive.id,
+            performer=arm,
+            reason=StopReason.OBJECT_LOST,
+            at_s=1.0,
+            duration_s=1.0,
+            joints=at[arm],
+            tcp_pose=MODEL.arms[arm].fk(at[arm]).tolist(),
+            wrench=[0.0] * 6,
+            hand_width_m=widths[arm],
+            hand_force_n=0.0,
+        )
+        for arm in at
+    }
+    report = msgspec.structs.replace(reports[RIGHT], partner=reports[LEFT])
+    holding.world = holding.world.overlay(holding.analyze(made, report).changes)
+    keeps = LEFT if loser == RIGHT else RIGHT
+    assert hands(holding) == (*(MODULE if name == keeps else "" for name in (RIGHT, LEFT)), keeps)
+    assert holding.world.get(f"{MODULE}.grasp").validity not in TRUSTED
 
 
 def bound(bench: Bench, sentence: str) -> Any:
@@ -141,13 +254,13 @@ def test_an_end_without_the_second_arm_leaves_its_position_in_doubt(holding):
 
 
 @pytest.mark.slow
-def test_a_module_is_carried_halted_and_carried_on_in_physics():
+def test_a_second_hand_takes_a_module_which_is_carried_halted_carried_on_and_let_go_in_physics():
     carrier = Carrier()
     try:
         run = carrier.run(np.array([0.001, -0.002, 0.001, 0.005, 0.005, 0.005]), lift_m=0.06)
     finally:
         carrier.close()
-    assert run.outcomes == ["halted", "succeeded", "succeeded"], run.causes
-    assert run.between_n <= 5.0
+    assert run.outcomes == CARRIED, run.causes
+    assert max(run.between_n, run.resting_n) <= 5.0
     assert run.path_m == pytest.approx(0.06, abs=1e-3)
     assert run.slip_m < 0.002

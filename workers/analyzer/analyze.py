@@ -11,7 +11,7 @@ import math
 
 import msgspec
 
-from rtc.language.record import ReflexItem
+from rtc.language.record import ReflexItem, hand_in_words
 from rtc.programs.compatibility import row_of
 from rtc.programs.loader import decode
 from rtc.programs.schema import AnalyzerProgram, OutcomeClass
@@ -21,9 +21,9 @@ from rtc.robot import geometry
 from rtc.world.model import World
 from rtc.world.spread import even, widened
 from workers.analyzer import reported_facts, sighting
-from workers.analyzer.world_changes import EFFECTS, Changes, angles, gone
+from workers.analyzer.world_changes import EFFECTS, Changes, angles
 from workers.binder import reflexes
-from workers.planning import pose_spread
+from workers.planning import pose_spread, shared_hold
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import TRUSTED, WorldQuery
 
@@ -263,7 +263,8 @@ def _held_object_changes(
     """Frame and grasp of the held object after the motion; an opened hand no longer holds it."""
     arm, thing = data.evaluation.arm, data.evaluation.held
     grasp = query.grasp(thing) if thing else None
-    if grasp is None or any(change.key == f"{thing}.grasp" for change in changes):
+    let_go = any(change.key == f"{arm}.holding" and not change.keep_value for change in changes)
+    if grasp is None or let_go or any(change.key == f"{thing}.grasp" for change in changes):
         return []
     if not data.report.tcp_pose:  # hand position unknown, so the held object's too
         doubtful = ("frame", "grasp", "held_by", "seat") if suspect else ()  # the hand may have opened, in a seat
@@ -271,18 +272,28 @@ def _held_object_changes(
     opened = data.report.hand_width_m > query.hand_width(arm) + program.values["opened_m"]
     fact = query.world.get(f"{thing}.grasp")
     trusted = fact is None or fact.validity in TRUSTED
-    held = query.in_hand(thing, data.report.tcp_pose)
+    first = query.held_by(thing) in ("", arm)  # else another hand leads, and this arm was at rest
+    held = query.in_hand(thing, data.report.tcp_pose if first else query.tcp(query.held_by(thing)))
     assert held is not None
     frame = geometry.normalise(held)
     validity = Validity.SUSPECT if suspect or drops or opened or not trusted else Validity.VALID
     moved = [WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity)]
     if drops or opened:
-        return [*moved, *gone(arm, thing)]
+        return [*moved, *shared_hold.let_go(query, _loser(query, data), thing, Validity.SUSPECT)]
     moved.append(WorldChange(key=f"{thing}.grasp", keep_value=True, validity=validity))
     seat = query.seat(thing)
     if seat and geometry.distance(frame, query.seated_pose(seat)) >= query.cell.seat(seat).depth_m:
         moved.append(WorldChange(key=f"{thing}.seat", value=""))
     return moved
+
+
+def _loser(query: WorldQuery, data: AnalyzerInput) -> str:
+    """The arm whose hand has lost the object: of two arms the one whose fingers have come closer."""
+    arm, partner, second = data.evaluation.arm, data.evaluation.context.partner, data.report.partner
+    if second is None:
+        return arm
+    closer = query.hand_width(partner) - second.hand_width_m > query.hand_width(arm) - data.report.hand_width_m
+    return partner if closer else arm
 
 
 def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, changes: Changes) -> Changes:
@@ -351,7 +362,8 @@ def _touched_object_changes(
         return []
     pressed = data.report.peak_force_n > program.values["touched_n"] or not query.seat(thing)
     if "object" in failure.suspect or ("if_touched" in failure.suspect and pressed):
-        return [WorldChange(key=f"{thing}.frame", keep_value=True, validity=Validity.SUSPECT)]
+        doubtful = ("frame", "grasp") if query.held_by(thing) else ("frame",)
+        return [WorldChange(key=f"{thing}.{name}", keep_value=True, validity=Validity.SUSPECT) for name in doubtful]
     return []
 
 
@@ -384,7 +396,7 @@ def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:
         "limit": "the" if report.limit is None else f"{report.limit:.3g}",
         "unit": UNITS.get(report.reason, ""),
         "message": report.message or evaluation.arm or report.performer,
-        "arm": evaluation.arm,
+        "arm": hand_in_words(evaluation.arm),
         "camera": report.performer,
         "object": evaluation.body or evaluation.context.object or evaluation.held or "the object",
         "target": evaluation.context.target or "the seat",

@@ -14,6 +14,7 @@ from rtc.protocol.messages import AnalyzerInput, Validity, WorldChange
 from rtc.robot import geometry, hinges
 from workers.analyzer import touch
 from workers.analyzer.sighting import sighted
+from workers.planning import shared_hold
 from workers.planning.world_query import WorldQuery
 
 Changes = list[WorldChange]
@@ -29,6 +30,8 @@ def taken(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes
     """
     context = data.evaluation.context
     thing, arm = context.object, context.arm
+    if query.held_by(thing) not in ("", arm):  # the second hand: the facts of the object refer to the first one
+        return [WorldChange(key=f"{arm}.holding", value=thing, validity=validity)]
     frame, spread = touch.between_fingers(query, data)
     if query.hinge(thing) is not None:
         point = query.cell.object(thing).grasp_point(context.grasp_point).frame.pose[:3]
@@ -93,7 +96,9 @@ def _seen(data: AnalyzerInput, found: touch.Found, validity: Validity) -> Change
 def let_go(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
     """The fingers are open; the object stays in place, in its seat if the step placed it there."""
     context = data.evaluation.context
-    changes = gone(context.arm, context.object)
+    changes = shared_hold.let_go(query, context.arm, context.object)
+    if query.sharers(context.arm):  # another hand holds it where it is
+        return changes
     seat = data.evaluation.step.args.get("seat")
     if isinstance(seat, str) and seat:
         changes.append(WorldChange(key=f"{context.object}.seat", value=seat, validity=validity))
@@ -111,8 +116,11 @@ def let_go(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Change
 def let_drift(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
     """The fingers are open and nothing holds the object: its frame is suspect."""
     context = data.evaluation.context
+    changes = shared_hold.let_go(query, context.arm, context.object)
+    if query.sharers(context.arm):
+        return changes
     return [
-        *gone(context.arm, context.object),
+        *changes,
         WorldChange(key=f"{context.object}.seat", value=""),
         WorldChange(key=f"{context.object}.frame", keep_value=True, validity=Validity.SUSPECT),
     ]
@@ -125,15 +133,6 @@ def _nearest_seat(query: WorldQuery, thing: str) -> tuple[str, float]:
     return name, off_m
 
 
-def gone(arm: str, thing: str) -> Changes:
-    """The hand no longer holds the object."""
-    return [
-        WorldChange(key=f"{arm}.holding", value=""),
-        WorldChange(key=f"{thing}.held_by", value=""),
-        WorldChange(key=f"{thing}.grasp", value=None),
-    ]
-
-
 def still_held(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
     return []
 
@@ -141,6 +140,8 @@ def still_held(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Ch
 def verified(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
     """The fingers press at the object's width: the previous grasp is confirmed."""
     thing, arm = data.evaluation.context.object, data.evaluation.context.arm
+    if query.held_by(thing) not in ("", arm):  # the second of two hands
+        return [WorldChange(key=f"{arm}.holding", value=thing, validity=validity)]
     frame = query.in_hand(thing, data.report.tcp_pose)
     if frame is None:
         return []

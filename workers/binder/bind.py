@@ -19,7 +19,7 @@ from rtc.programs import expressions
 from rtc.programs.extension_names import SPACE_ARGS
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram, StopClass
-from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext
+from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext, Step
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
     Compliance,
@@ -119,7 +119,7 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     if lacks is not None:
         return lacks
     target = target_of(task)
-    if (alone := together.refuse_alone(task.query, task.arm, context.partner)) is not None:
+    if (alone := together.refuse_alone(query, task.arm, context.partner, task.program.clears)) is not None:
         return alone
     if isinstance(target, Refusal):
         return target
@@ -454,7 +454,7 @@ def primitive(
         performer=task.arm,
         trajectory=trajectory,
         stop_functions=stops,
-        control_law=control_law(stop_class, values, trajectory, load, str(task.data.step.args.get("axis", "TOOL-Z"))),
+        control_law=control_law(task.data.step, stop_class, values, trajectory, load),
         reporting=Reporting(
             every_s=float(every_s) if every_s is not None else None,
             when=stop_conditions.reported(task.data, task.query, values),
@@ -527,9 +527,10 @@ def refuse_press(task: BindTask, stop_class: StopClass, values: Values) -> Refus
 
 
 def control_law(
-    stop_class: StopClass, values: Values, trajectory: Trajectory, load: Load | None, axis: str
+    step: Step, stop_class: StopClass, values: Values, trajectory: Trajectory, load: Load | None
 ) -> ControlLaw:
-    """M: the law of the stop class, or impedance if the command or the step names a stiffness.
+    """M: the law of the stop class, or impedance if the command or the step names a stiffness. While only the hand
+    moves, its arm complies if the step names one.
 
     `press_n` of the step is a force set-point along its axis.
 
@@ -537,7 +538,9 @@ def control_law(
     """
     gains = {"wn": values["laden_wn_rad_s"]} if load else {}
     stiffness_n_m = values.get("stiffness_n_m")
-    if stiffness_n_m is None or stop_class.rigid or isinstance(trajectory, HandMotion):
+    axis = str(step.args.get("axis", "TOOL-Z"))
+    only_hand = isinstance(trajectory, HandMotion) and "stiffness_n_m" not in step.args
+    if stiffness_n_m is None or stop_class.rigid or only_hand:
         return ControlLaw(name=stop_class.control_law, load=load, gains=gains)
     factor = values["spring_factor"]
     frame: Literal["tool", "world"] = "tool"

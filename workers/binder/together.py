@@ -6,8 +6,11 @@ at the object. Each carries half of the load.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import msgspec
 
+from rtc.language.record import hand_in_words
 from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.messages import BoundStep, ScriptContext
 from rtc.protocol.outcomes import Refusal, RefusalReason
@@ -18,7 +21,7 @@ from workers.planning.motion.timing import Timed
 from workers.planning.world_query import WorldQuery
 
 
-def refuse_alone(query: WorldQuery, arm: str, partner: str) -> Refusal | None:
+def refuse_alone(query: WorldQuery, arm: str, partner: str, clears: Mapping[str, str]) -> Refusal | None:
     """Refuse a motion of one arm whose object another arm holds too; None if no other arm does."""
     sharing = query.sharers(arm)
     if partner or not sharing:
@@ -27,7 +30,7 @@ def refuse_alone(query: WorldQuery, arm: str, partner: str) -> Refusal | None:
     return Refusal(
         reason=RefusalReason.STATE,
         message=f"{arm} cannot move alone: {sharing[0]} holds {held} too",
-        clears=f"MOVE BOTH-ARMS BY a distance, or let {sharing[0]} let go of {held}",
+        clears=clears.get("shared", "").replace("{held}", held).replace("{other}", hand_in_words(sharing[0])),
     )
 
 

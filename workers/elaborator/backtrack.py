@@ -24,10 +24,10 @@ from rtc.protocol.messages import Binding, Way
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
 from rtc.world.model import location
-from workers.elaborator import anchors
+from workers.elaborator import anchors, two_hands
 from workers.elaborator.anchors import ANCHORS, Anchor
 from workers.elaborator.task_candidate import TaskCandidate
-from workers.planning import advice, axes, curves, segments, suggestions
+from workers.planning import advice, axes, curves, segments, shared_hold, suggestions
 from workers.planning.motion.plan import PlanningRequest
 from workers.planning.motion.timing import Pace
 from workers.planning.segments import Target
@@ -189,8 +189,11 @@ def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, 
 
 
 def _request(script: ScriptFile, candidate: TaskCandidate) -> PlanningRequest:
-    holds = candidate.query.holding(candidate.arm.name)
-    scene = candidate.query.scene(
+    query = candidate.query
+    if two_hands.lets_go_first(script) and query.sharers(candidate.arm.name):
+        query = shared_hold.after_letting_go(query, candidate.arm.name)
+    holds = query.holding(candidate.arm.name)
+    scene = query.scene(
         candidate.arm.name,
         candidate.limits,
         touching=candidate.thing.name if candidate.thing and not holds else "",
@@ -200,10 +203,10 @@ def _request(script: ScriptFile, candidate: TaskCandidate) -> PlanningRequest:
         exempt=[candidate.target.name] if candidate.target else [],
     )
     margin_rad = math.radians(candidate.figures["joint_margin_deg"])
-    request = candidate.query.planning_request(candidate.arm.name, scene, candidate.limits, Pace(), margin_rad)
+    request = query.planning_request(candidate.arm.name, scene, candidate.limits, Pace(), margin_rad)
     if candidate.partner is None:
         return request
-    return replace(request, partner=candidate.query.model.arms[candidate.partner.name])
+    return replace(request, partner=query.model.arms[candidate.partner.name])
 
 
 def _ways(

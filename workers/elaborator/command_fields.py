@@ -131,7 +131,8 @@ def _impossible(
 
 def refuse_without_effect(program: ElaboratorProgram, parsed: ParsedCommand, script: ScriptFile) -> Refusal | None:
     """Refuse a constraint or condition that applies to none of the script's steps; None if each applies to one."""
-    soft = any(c.slot == "STIFFNESS" for c in parsed.constraints) or any(SOFT in s.args for s in script.steps)
+    complies = any(SOFT in step.args and not step.op for step in script.steps)
+    soft = complies or any(constraint.slot == "STIFFNESS" for constraint in parsed.constraints)
     conditions = [item.condition for item in parsed.reflexes] + (parsed.report.when if parsed.report else [])
     if not soft and any(condition.event == "NO-PROGRESS" for condition in conditions):
         message = f"NO-PROGRESS is about a compliant arm; {parsed.verb} moves a rigid one, which its force limit stops"

@@ -25,8 +25,8 @@ from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.protocol.primitive_id import seed_of
 from rtc.robot import geometry
 from rtc.world.model import World
-from workers.binder import reflexes, together
-from workers.elaborator import anchors, command_fields, hinged, look, preconditions, set_fact
+from workers.binder import reflexes
+from workers.elaborator import anchors, command_fields, hinged, look, preconditions, set_fact, two_hands
 from workers.elaborator.backtrack import FRAME, Planned, plan
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import certainty, suggestions
@@ -141,11 +141,11 @@ def _candidates(
         return arms if isinstance(arms, Refusal) else points  # type: ignore[return-value]
     candidates = []
     for arm in arms:
-        for point in points:
+        for point in two_hands.free_points(query, parsed, thing, points):
             figures = figures_of(program, parsed, query, arm, thing, point, target)
             if isinstance(figures, Refusal):
                 return figures
-            partner = _partner(query, arm) if parsed.hand == BOTH_ARMS else None
+            partner = two_hands.partner(query, arm) if parsed.hand == BOTH_ARMS else None
             candidates.append(
                 TaskCandidate(query, program, parsed, limits, arm, thing, point, target, figures, partner=partner)
             )
@@ -178,37 +178,11 @@ def _arms(
     cell = query.cell
     if parsed.hand is not None:
         if parsed.hand == BOTH_ARMS:
-            return _both_arms(program, parsed, query)
+            return two_hands.both_arms(program, parsed, query)
         found = _part(cell.arms, parsed.hand, "arm")
         return found if isinstance(found, Refusal) else [found]
     holder = query.held_by(thing.name) if thing else ""
     return [arm for arm in cell.arms if not holder or arm.name == holder]
-
-
-def _both_arms(program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery) -> list[parts.Arm] | Refusal:
-    """The leading arm of two that hold one object: the one that the facts of the object refer to."""
-    rows = program.decision_tree
-    able = [row.verb for row in rows if any(check.equals.get("hand") == BOTH_ARMS for check in row.when)]
-    if parsed.verb not in able:
-        message = f"{parsed.verb} has no script for two arms"
-        clears = f"name one arm; {', '.join(dict.fromkeys(able))} can take {BOTH_ARMS}"
-        return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears=clears)
-    if any(reflex.action != "stop" for reflex in parsed.reflexes):
-        message = f"{BOTH_ARMS} can only stop when an UNLESS becomes true: another reflex would pull at the object"
-        return Refusal(reason=RefusalReason.NO_SCRIPT, message=message, clears="THEN STOP")
-    sharing = [arm for arm in query.cell.arms if query.sharers(arm.name)]
-    leading = next((arm for arm in sharing if query.held_by(query.holding(arm.name)) == arm.name), None)
-    if leading is None:
-        message = f"{BOTH_ARMS} must hold one object; " + ", ".join(
-            f"{arm.name} holds {query.holding(arm.name) or 'nothing'}" for arm in query.cell.arms
-        )
-        clears = "name one arm"
-        return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
-    return [leading]
-
-
-def _partner(query: WorldQuery, arm: parts.Arm) -> parts.Arm | None:
-    return next((query.cell.arm(name) for name in query.sharers(arm.name)), None)
 
 
 def _points(
@@ -340,7 +314,7 @@ def _script(
     problem = problem or (_unsure_grasp(script, candidate) if candidate.hand else None)
     problem = problem or (hinged.refuse_other_motion(script, candidate) if candidate.hand else None)
     problem = problem or hinged.refuse_beyond_stops(script, candidate)
-    problem = problem or (_moves_alone(script, candidate) if candidate.hand else None)
+    problem = problem or (two_hands.refuse_moving_alone(script, candidate) if candidate.hand else None)
     if problem is not None:
         return problem
     planned = plan(script, candidate) if candidate.hand else Planned.nothing()
@@ -585,13 +559,6 @@ def _too_tight(candidate: TaskCandidate) -> Refusal | None:
         clears=f"GRIP-FORCE of at most {most_n:g} N",
         detail={"cause": "grip force", "value_n": grip_n, "limit_n": most_n, "arm": arm.name},
     )
-
-
-def _moves_alone(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
-    """Refuse to move one arm whose object another arm holds too."""
-    partner = candidate.partner.name if candidate.partner else ""
-    moves = any(step.to for step in script.steps)
-    return together.refuse_alone(candidate.query, candidate.arm.name, partner) if moves else None
 
 
 def verbs(program: ElaboratorProgram) -> Iterator[str]:

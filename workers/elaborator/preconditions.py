@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+from rtc.language.record import hand_in_words
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
 from workers.elaborator.task_candidate import TaskCandidate
+from workers.planning import shared_hold
 from workers.planning.world_query import WorldQuery
 
 IN_SEAT_M = 0.02  # an object released within this distance of its seated pose stays in the seat
@@ -42,10 +44,26 @@ def _object_free(candidate: TaskCandidate) -> Lack | None:
     return Lack(f"{candidate.thing.name} is held by {holder}", holder, thing=candidate.thing.name) if holder else None
 
 
+def _other_handle(candidate: TaskCandidate) -> Lack | None:
+    """Another hand holds the object, at another grasp point."""
+    assert candidate.thing is not None
+    name, query = candidate.thing.name, candidate.query
+    used = shared_hold.points_in_use(query, name)
+    if not used:
+        return Lack(f"{name} is not held", name, "object_held")
+    free = shared_hold.free_points(query, name)
+    if not free:
+        holder = next(iter(used))
+        return Lack(f"{holder} holds {name} at its only handle", holder, "object_free", name)
+    there = next((arm for arm, point in used.items() if candidate.point and point == candidate.point.name), "")
+    return Lack(f"{there} holds {name} at {used[there]}", " or ".join(free), thing=name) if there else None
+
+
 def _object_held(candidate: TaskCandidate) -> Lack | None:
     assert candidate.thing is not None
     holder = candidate.query.held_by(candidate.thing.name)
-    if holder == candidate.arm.name:
+    second = bool(holder) and candidate.query.holding(candidate.arm.name) == candidate.thing.name
+    if holder == candidate.arm.name or second:
         return None
     if holder:
         message = f"{candidate.thing.name} is held by {holder}, not by {candidate.arm.name}"
@@ -59,7 +77,7 @@ def _object_held(candidate: TaskCandidate) -> Lack | None:
 def _object_seated(candidate: TaskCandidate) -> Lack | None:
     assert candidate.thing is not None
     name = candidate.thing.name
-    if candidate.thing.hinge is not None:
+    if candidate.thing.hinge is not None or candidate.query.sharers(candidate.arm.name):
         return None
     return None if seat_of(candidate.query, name) else Lack(f"{name} is not in a seat, and would drift away", name)
 
@@ -89,6 +107,7 @@ def _width_known(candidate: TaskCandidate) -> Lack | None:
 NEEDS: dict[str, Callable[[TaskCandidate], Lack | None]] = {
     "hand_empty": _hand_empty,
     "object_free": _object_free,
+    "other_handle": _other_handle,
     "object_held": _object_held,
     "object_seated": _object_seated,
     "object_hinged": _object_hinged,
@@ -105,6 +124,7 @@ def refuse_if_unmet(need: str, candidate: TaskCandidate) -> Refusal | None:
     rows = candidate.program.needs
     thing = lack.thing or lack.held
     clears = rows.get(lack.row or need, "").replace("{let_go}", let_go(rows, candidate.query, thing))
+    clears = clears.replace("{hand}", hand_in_words(candidate.arm.name))
     clears = candidate.fill_in(clears).replace("{held}", lack.held)
     doubt = candidate.query.distrusted(f"{candidate.thing.name}.held_by", {}) if candidate.thing is not None else None
     message = lack.message + (f", but {doubt.message}" if doubt else "")

@@ -155,6 +155,7 @@ def figures_of(
     if thing is not None:
         figures["mass_kg"] = float(query.world.value(f"{thing.name}.mass") or thing.mass_kg)
         figures["hinged"] = float(thing.hinge is not None)
+        figures["held_elsewhere"] = float(arm is not None and query.held_by(thing.name) not in ("", arm.name))
         if thing.hinge is not None:
             least, most = thing.hinge.range_rad
             figures |= {"hinge_rad": query.angle(thing.name), "hinge_least_rad": least, "hinge_most_rad": most}

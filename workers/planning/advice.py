@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import msgspec
 
+from rtc.language.record import hand_in_words
 from rtc.protocol.outcomes import Refusal
 from workers.planning.world_query import WorldQuery
 
@@ -20,7 +21,7 @@ def advise_on_collision(refusal: Refusal, query: WorldQuery, arm: str, clears: M
     body = next((name for name in bodies if name not in (arm, held)), bodies[1])
     row = "way_seated" if seat and held in bodies else _at_goal(refusal, query, body) or "way"
     places = [place.name for place in query.cell.places if arm in place.poses or arm in place.joints_deg]
-    texts = {"arm": arm, "held": held, "seat": seat, "body": body, "places": ", ".join(places)}
+    texts = {"arm": hand_in_words(arm), "held": held, "seat": seat, "body": body, "places": ", ".join(places)}
     words = clears.get(row, "")
     for name, text in texts.items():
         words = words.replace("{" + name + "}", text)

@@ -15,6 +15,7 @@ import numpy as np
 
 from rtc.cells import cell as cells
 from rtc.cells import parts
+from rtc.language.record import hand_in_words
 from rtc.protocol.messages import Limits, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Load, Primitive
@@ -235,7 +236,8 @@ class WorldQuery:
             frame = self.frame(location)
             words = words.replace("{position}", _figures(100 * frame[:3]))
             words = words.replace("{attitude}", _figures(np.degrees(geometry.to_rpy(frame))))
-        return words.replace("{location}", location).replace("{holder}", holder or "the hand that holds it")
+        hand = hand_in_words(holder) or "the hand that holds it"
+        return words.replace("{location}", location).replace("{holder}", hand)
 
     # --- for motions ---------------------------------------------------------------------------------------
 
