@@ -21,6 +21,7 @@ from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.runtime.process import Every
 
 QUERIES_PER_S = 100  # of one client: replies are large, and are buffered while the client does not read
+CELL = "cell"  # its place among the programs
 LOAD_QUERIES = 20  # a program to load counts as so many queries
 QUERIES = frozenset([m.StatusQuery, m.TraceQuery, m.ProgramQuery, m.ProgramText])
 MEANT_FOR_ONE = frozenset([m.CommandText, m.ProgramText])  # they name the cluster that they are meant for
@@ -124,7 +125,7 @@ class ClientMessages:
         self._egress.answer(peer, reply)
 
     def _send_program(self, peer: bytes, message: m.ProgramQuery, now: float) -> None:
-        digest = self._core.state.programs.get(message.kind, "")
+        digest = self._core.state.programs.get(message.kind or CELL, "")
         body = self._core.store.body(digest) or b""
         self._egress.answer(peer, m.ProgramReply(request=message.request, kind=message.kind, digest=digest, body=body))
 

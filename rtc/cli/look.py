@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +25,7 @@ from rtc.cells.scene import (
     degrees,
     true_scene,
 )
+from rtc.cli.cluster_cell import cell_file
 from rtc.cli.output import AsJson, RunDir, With, console, duration_s, emit_json, errors, table, trouble
 from rtc.cli.world import COLOUR
 from rtc.client.client import Client
@@ -64,9 +66,10 @@ def look(
     every_s, for_s = duration_s(every, "--every"), duration_s(for_, "--for") if for_ else math.inf
     if (folder := out.absolute().parent) and not folder.is_dir():
         raise trouble(f"there is no directory {folder} for the picture", 2)
-    with Client(run_dir, need_broker=False, key=key) as rtc:
-        # over tcp the cell is not known; use the default one
-        name = "swapout" if key else rtc.settings.cell
+    with (
+        Client(run_dir, need_broker=bool(key), key=key) as rtc,
+        cell_file(rtc.cell()) if key else nullcontext(rtc.settings.cell) as name,
+    ):
         cell = Cell.load(name)
         view = _camera(cell, camera)
         eye = _Eye(rtc, cell)

@@ -5,19 +5,20 @@ from __future__ import annotations
 import logging
 import math
 import os
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.text import Text
 
+from rtc.cli.cluster_cell import cell_file
 from rtc.cli.output import AsJson, RunDir, With, console, duration_s, emit_json, trouble
-from rtc.client.client import running_settings
+from rtc.client.client import Client, running_settings
 from rtc.observers.extras import missing
 from rtc.runtime import process
 from rtc.runtime.keys import Endpoints, KeyFile
-from rtc.runtime.settings import default_run_dir
+from rtc.runtime.settings import Settings, default_run_dir
 
 
 def record(
@@ -61,10 +62,13 @@ def record(
             raise trouble(f"{folder} {why}; choose another place for the file", 2)
     sinks: list[recorder.Sink] = []
     process.log_to_stderr(logging.WARNING)
-    with process.start("rtc record", default_run_dir() if run_dir is None else run_dir) as me:
+    with (
+        process.start("rtc record", default_run_dir() if run_dir is None else run_dir) as me,
+        nullcontext(endpoints.cell) if isinstance(endpoints, Settings) else cell_file(_sent_cell(key)) as cell,
+    ):
         process.nice(recorder.NICENESS)
         try:
-            sinks += recorder.open_recording(path, endpoints, rate, pictures) if mcap else []
+            sinks += recorder.open_recording(path, endpoints, cell, rate, pictures) if mcap else []
             sinks += [recorder.RawEvents(raw)] if raw else []
             files = ", ".join(str(file) for file in ([path] if mcap else []) + ([raw] if raw else []))
             feed = Feed(me, endpoints, telemetry=mcap, records=mcap, world=mcap)
@@ -82,6 +86,11 @@ def record(
                     sink.close()
     lost = f"; {done.lost} events did not arrive" if done.lost else ""
     console.print(Text(f"{files}: {done.events} events{lost}"))
+
+
+def _sent_cell(key: Path | None) -> bytes:
+    with Client(key=key) as rtc:
+        return rtc.cell()
 
 
 def play(

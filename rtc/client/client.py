@@ -292,6 +292,10 @@ class Client:
         query = m.ProgramQuery(request=self._next_request(), kind=m.WorkerKind(kind.lower()))
         return self._query(query, m.ProgramReply)
 
+    def cell(self) -> bytes:
+        """The document of the cluster's cell, which contains all texts; `Cell.load` reads it from a file."""
+        return self._query(m.ProgramQuery(request=self._next_request()), m.ProgramReply).body
+
     def events(self, silence_s: float | None = None) -> Iterator[m.ProgressNote | m.CommandEnded]:
         """Progress and ends of all commands of all clients, from now on.
 

@@ -23,7 +23,6 @@ WAIT_S = 0.1
 NICENESS = 19  # of every observer: on busy cores the cluster comes first
 RATE_HZ = 20.0  # default maximum rate of arm samples
 LOST_S = 5.0  # shortest time between two messages about lost events
-CELL = "swapout"  # of a cluster that is reached by a key, whose settings are not known
 
 Result = TypeVar("Result")
 
@@ -77,18 +76,27 @@ def unused(path: Path) -> Path:
     return found
 
 
-def open_recording(path: Path, endpoints: Endpoints, rate_hz: float = RATE_HZ, pictures_hz: float = 0.0) -> list[Sink]:
-    """A new MCAP file for this cluster, and what draws its pictures. Raises FileExistsError, OSError."""
+def open_recording(
+    path: Path, endpoints: Endpoints, name: str, rate_hz: float = RATE_HZ, pictures_hz: float = 0.0
+) -> list[Sink]:
+    """A new MCAP file for this cluster, and what draws its pictures. `name`: of the cell, or its file.
+
+    Raises FileExistsError, OSError.
+    """
     from rtc.observers.pictures import Pictures
     from rtc.observers.recording import Recording
 
     here = endpoints if isinstance(endpoints, Settings) else None
-    about = {"cluster": here.run if here else "", "cell": here.cell if here else CELL, "began": f"{time.time():.3f}"}
-    cell = Cell.load(about["cell"])
+    cell = Cell.load(name)
+    about = {
+        "cluster": here.run if here else "",
+        "cell": here.cell if here else cell.name,
+        "began": f"{time.time():.3f}",
+    }
     recording = Recording(path, cell, about, rate_hz=rate_hz, shares_clock=not endpoints.far)
     if not pictures_hz:
         return [recording]
-    return [recording, Pictures(about["cell"], cell, recording, 1.0 / pictures_hz)]  # the first one is closed last
+    return [recording, Pictures(name, cell, recording, 1.0 / pictures_hz)]  # the first one is closed last
 
 
 def record(me: Process, feed: Feed, sinks: list[Sink], for_s: float = float("inf")) -> Recorded:
@@ -132,7 +140,7 @@ def main() -> None:
 
 def _opened(me: Process, folder: Path, settings: Settings) -> list[Sink]:
     path = unused(folder / default_name())
-    sinks = open_recording(path, settings)
+    sinks = open_recording(path, settings, settings.cell)
     me.log.info("records to %s", path)
     return sinks
 

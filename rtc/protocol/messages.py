@@ -71,10 +71,10 @@ class ProgramText(Message, frozen=True, kw_only=True):
 
 
 class ProgramQuery(Message, frozen=True, kw_only=True):
-    """Query the program of a kind of worker. The answer is ProgramReply."""
+    """Query the program of a kind of worker, or the cell. The answer is ProgramReply."""
 
     request: Name
-    kind: WorkerKind
+    kind: WorkerKind | None = None  # None: the document of the cell
 
 
 class ClientHello(Message, frozen=True, kw_only=True):
@@ -210,9 +210,9 @@ class ProgramLoaded(Message, frozen=True, kw_only=True):
 
 class ProgramReply(Message, frozen=True, kw_only=True):
     request: str
-    kind: WorkerKind
+    kind: WorkerKind | None = None  # None: the cell
     digest: str
-    body: bytes  # the whole program in its canonical form: JSON; for the parser a grammar
+    body: bytes  # the whole program in its canonical form, or the cell: JSON; for the parser a grammar
 
 
 # --- 2. broker <-> workers ----------------------------------------------------------------------------
