@@ -1,4 +1,4 @@
-"""The rare cells of the five tables, each by its events. The common ones are in `test_decide.py`."""
+"""The rare cells of the five tables, each by its events. The common ones are in the files of the machines."""
 
 from __future__ import annotations
 

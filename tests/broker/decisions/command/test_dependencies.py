@@ -1,0 +1,98 @@
+"""AFTER and TOGETHER-WITH."""
+
+from __future__ import annotations
+
+from broker.decisions.decide import CLIENTS_KEPT
+from rtc.protocol.outcomes import RefusalReason
+from tests.broker.harness import Harness, bound, give_up, go_on, record
+
+# --- after, together with -----------------------------------------------------------------------------
+
+
+def test_after_waits_for_success():
+    s = Harness()
+    s.analyzing()
+    s.says("STOW AFTER C-1")
+    assert s.answers("C-2", record(after="C-1")) == ["note C-2 held"]
+    assert "job C-2/2 elaborator #1" in s.answers("C-1", go_on())
+
+
+def test_what_came_after_keeps_its_place_before_those_given_later():
+    s = Harness()
+    s.analyzing()
+    s.parsed(after="C-1")
+    s.parsed()
+    s.answers("C-1", go_on())
+    assert (s.phase("C-2"), s.phase("C-3")) == ("elaborating", "held")
+
+
+def test_after_last_is_the_command_that_the_same_client_gave_before():
+    s = Harness()
+    s.analyzing()
+    s.says("X", client="bob")
+    s.says("STOW AFTER LAST", client="ann")
+
+    assert s.answers("C-3", record(after="LAST")) == ["note C-3 held"]
+    assert s.state.commands["C-3"].head.after == "C-1"
+    assert "job C-3/2 elaborator #1" in s.answers("C-1", go_on())
+
+
+def test_after_last_of_one_that_has_failed_is_refused():
+    s = Harness()
+    s.analyzing()
+    s.answers("C-1", give_up())
+    s.parsed(after="LAST")
+    assert s.outcome("C-2").refusal.message == "C-1 has ended without success"
+
+
+def test_after_last_without_one_before_is_refused():
+    s = Harness()
+    s.says("X", client="bob")
+    s.parsed(after="LAST")
+
+    refusal = s.outcome("C-2").refusal
+    assert (refusal.reason, refusal.where) == (RefusalReason.NAME, "LAST")
+    assert "AFTER C-n" in refusal.clears
+
+
+def test_the_latest_commands_of_many_clients_are_bounded():
+    s = Harness()
+    for n in range(CLIENTS_KEPT + 5):
+        s.says("HALT", client=f"client-{n}")
+    assert len(s.state.last_given) == CLIENTS_KEPT
+
+
+# --- report, and how long a step takes ----------------------------------------------------------------
+
+
+def test_after_a_failure_is_refused():
+    s = Harness()
+    s.analyzing()
+    s.parsed(after="C-1")
+    s.answers("C-1", give_up())
+    assert s.outcome("C-2").refusal.reason is RefusalReason.STATE
+
+
+def test_after_one_that_has_ended_already():
+    s = Harness()
+    s.analyzing()
+    s.answers("C-1", go_on())
+    s.parsed(after="C-1")
+    assert s.phase("C-2") == "elaborating"
+
+
+def test_a_circle_of_afters_is_refused():
+    s = Harness()
+    s.says("A AFTER C-2")
+    s.says("B AFTER C-1")
+    s.answers("C-1", record(after="C-2"))
+    s.answers("C-2", record(after="C-1"))
+    assert s.outcome("C-2").refusal.reason is RefusalReason.STATE
+
+
+def test_together_with_starts_when_the_other_begins_to_move():
+    s = Harness()
+    s.elaborated()
+    s.says("X TOGETHER-WITH C-1")
+    assert s.answers("C-2", record(hand="LEFT-ARM", together_with="C-1")) == ["note C-2 held"]
+    assert s.answers("C-1", bound("C-1.1"))[-2:] == ["job C-2/2 elaborator #1", "note C-2 elaborating"]

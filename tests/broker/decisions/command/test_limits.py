@@ -1,0 +1,46 @@
+"""Time limits of halts and of the last analysis."""
+
+from __future__ import annotations
+
+import pytest
+
+from broker.decisions.command.limits import CLOSING_LIMIT_S, REPORT_MARGIN_S
+from broker.decisions.events import (
+    BrokerRestarted,
+)
+from rtc.protocol.outcomes import StopReason
+from tests.broker.harness import Harness
+
+
+def time_left(s: Harness, command: str = "C-1") -> float:
+    return s.state.commands[command].due_s - s.now
+
+
+@pytest.mark.parametrize(("timeout_scale", "limit_s"), [(0.5, 2.0), (1.0, 2.0), (3.0, 6.0)])
+def test_every_kind_of_halt_has_the_same_time_limit(timeout_scale, limit_s):
+    by_sentence, by_socket = Harness(), Harness()
+    for s in (by_sentence, by_socket):
+        s.state.timeout_scale = timeout_scale
+        s.executing()
+    by_sentence.says("HALT ALL")
+    by_socket.halts()
+    assert time_left(by_sentence, "C-2") == time_left(by_sentence) == time_left(by_socket) == pytest.approx(limit_s)
+
+
+def test_after_a_restart_a_halt_has_its_limit_and_time_to_reconnect():
+    s = Harness()
+    s.state.timeout_scale = 3.0
+    s.executing()
+    s.says("HALT ALL")
+    s.handle(BrokerRestarted)
+    assert time_left(s) == time_left(s, "C-2") == pytest.approx(6.0 + REPORT_MARGIN_S)
+
+
+def test_after_a_restart_the_last_analysis_has_its_whole_limit():
+    s = Harness()
+    s.executing()
+    s.halts()
+    s.reports("C-1", StopReason.HALT)
+    assert s.phase("C-1") == "closing"
+    s.handle(BrokerRestarted)
+    assert time_left(s) == pytest.approx(CLOSING_LIMIT_S)

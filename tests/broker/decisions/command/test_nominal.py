@@ -1,0 +1,181 @@
+"""From a sentence to its outcome, effect by effect and in order; and the refusals on the way."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from broker.decisions.resources import WORLD
+from rtc.protocol import wire
+from rtc.protocol.messages import AnalyzerInput, BinderInput, BoundStep, ElaboratorInput
+from rtc.protocol.outcomes import RefusalReason
+from tests.broker.harness import Harness, bound, go_on, record, script, stated
+
+# --- the nominal journey ------------------------------------------------------------------------------
+
+
+def test_one_command_all_the_way():
+    s = Harness()
+    assert s.says("GRASP") == ["tell ann Accepted C-1", "job C-1/1 parser #1", "note C-1 parsing"]
+    assert s.answers("C-1", record()) == ["job C-1/2 elaborator #1", "note C-1 elaborating"]
+    assert s.answers("C-1", script()) == ["job C-1/3 binder #1", "note C-1 binding"]
+    assert s.answers("C-1", bound("C-1.1")) == ["primitive C-1.1 to MCM", "timer C-1", "note C-1 executing"]
+    assert s.reports("C-1") == [
+        "no timer C-1",
+        "ack C-1.1",
+        "job C-1/4 analyzer #1 lease RIGHT-ARM",
+        "note C-1 analyzing",
+    ]
+    assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "note C-1 ended", "end C-1 succeeded"]
+    assert s.state.commands == {}
+    assert s.state.resources.held == {}
+
+
+def test_each_step_is_bound_after_the_one_before_was_analysed():
+    s = Harness()
+    s.analyzing(script(steps=2))
+    assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "job C-1/5 binder #1", "note C-1 binding"]
+    assert s.answers("C-1", bound("C-1.2"))[0] == "primitive C-1.2 to MCM"
+
+
+def test_a_step_without_a_primitive_is_passed_through():
+    s = Harness()
+    s.elaborated(script(steps=2))
+    assert s.answers("C-1", BoundStep(note="GP set")) == ["note C-1 binding", "job C-1/4 binder #1", "note C-1 binding"]
+
+
+@pytest.mark.parametrize("name", ["X-9.1", "C-2.1", "C-1.2", ""])
+def test_a_primitive_of_another_name_is_not_sent(name):
+    """A halt of its command would not find it, and its report would belong to no command."""
+    s = Harness()
+    s.elaborated(script())
+    assert not [line for line in s.answers("C-1", bound(name)) if line.startswith("primitive")]
+    refusal = s.outcome("C-1").refusal
+    assert refusal.reason is RefusalReason.PROGRAM
+    assert "which is not the next one of C-1" in refusal.message
+
+
+def test_a_primitive_that_no_subsystem_could_read_is_not_sent():
+    s = Harness()
+    s.elaborated(script())
+    product = msgspec.to_builtins(bound("C-1.1"))
+    product["primitive"]["stop_functions"] = []
+    assert not [line for line in s.answers("C-1", product) if line.startswith("primitive")]
+    refusal = s.outcome("C-1").refusal
+    assert refusal.reason is RefusalReason.PROGRAM
+    assert "F is not complete" in refusal.message
+
+
+def test_a_primitive_that_no_analyzer_could_judge_is_not_sent():
+    s = Harness()
+    s.elaborated(script())
+    product = msgspec.structs.replace(bound("C-1.1"), evaluation=None)
+    assert not [line for line in s.answers("C-1", product) if line.startswith("primitive")]
+    assert s.outcome("C-1").refusal.reason is RefusalReason.PROGRAM
+
+
+def test_stated_facts_go_straight_to_an_analyzer():
+    """A24: it is a report like any other, but nothing moves for it: no subsystem, no acknowledgement, no timer."""
+    s = Harness(mcm=False)
+    s.elaborated(script(resources=("MODULE",)))
+    assert s.answers("C-1", stated(2.1)) == ["job C-1/4 analyzer #1 lease MODULE", "note C-1 analyzing"]
+    given = wire.decoder(AnalyzerInput)(s.state.commands["C-1"].job.input)
+    assert given.report.facts == {"MODULE.mass": 2.1}
+    assert given.evaluation.step.do == "tell"
+    assert s.answers("C-1", go_on()) == ["note C-1 analyzing", "note C-1 ended", "end C-1 succeeded"]
+
+
+def test_elaborator_and_binder_receive_the_time_of_their_job():
+    """What a hand holds is less certain with time, so both need the age of its facts."""
+    s = Harness()
+    s.now = 100.0
+    s.says("GRASP MODULE")
+    s.answers("C-1", record())
+    command = s.state.commands["C-1"]
+    assert wire.decoder(ElaboratorInput)(command.job.input).at_s == s.now
+    s.answers("C-1", script())
+    assert wire.decoder(BinderInput)(command.job.input).at_s == s.now
+
+
+def test_a_step_that_tells_may_stand_between_two_that_move():
+    s = Harness()
+    s.analyzing(script(steps=3))
+    s.answers("C-1", go_on())
+    assert s.answers("C-1", stated())[-1] == "note C-1 analyzing"
+    assert s.answers("C-1", go_on())[1:] == ["job C-1/7 binder #1", "note C-1 binding"]
+    assert s.answers("C-1", bound("C-1.2"))[0] == "primitive C-1.2 to MCM"
+
+
+def test_a_script_without_steps_succeeds_at_once():
+    s = Harness()
+    s.parsed()
+    assert s.answers("C-1", script(steps=0)) == ["note C-1 ended", "end C-1 succeeded"]
+
+
+# --- refusals -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reach", ["says", "parsed", "elaborated"])
+def test_a_refusal_ends_the_command(reach):
+    s = Harness()
+    getattr(s, reach)(*["X"] if reach == "says" else [])
+    assert s.declines("C-1") == ["note C-1 ended", "end C-1 refused"]
+
+
+def test_an_analyzer_that_refuses_ends_the_command_and_closes_its_names_until_their_facts_are_suspect():
+    s = Harness()
+    s.analyzing(script(resources=("RIGHT-ARM", "MODULE")))
+    assert s.declines("C-1") == ["note C-1 ended", "end C-1 refused", "timer C-1/4"]
+    assert "become suspect" in s.outcome("C-1").message
+    assert s.state.resources.quarantine == dict.fromkeys(("RIGHT-ARM", "MODULE"), (WORLD, "C-1"))
+    assert s.rings("C-1/4") == ["job C-1/4 analyzer #3 lease MODULE+RIGHT-ARM doubt"]
+    assert s.tells("C-1") == []
+    assert (s.state.deferred_analyses, s.state.resources.quarantine) == ({}, {})
+
+
+def test_an_analysis_of_a_motion_that_kills_its_workers_leaves_suspect_facts():
+    s = Harness()
+    s.analyzing()
+    s.loses_worker("C-1")
+    s.loses_worker("C-1")
+    assert s.loses_worker("C-1") == ["note C-1 ended", "end C-1 failed", "timer C-1/4"]
+    assert s.rings("C-1/4") == ["job C-1/4 analyzer #5 lease RIGHT-ARM doubt"]
+
+
+def test_a_refused_analysis_of_a_stated_fact_changes_no_fact():
+    s = Harness()
+    s.elaborated(script(resources=("MODULE",)))
+    assert s.answers("C-1", stated())[-1] == "note C-1 analyzing"
+    assert s.declines("C-1") == ["note C-1 ended", "end C-1 refused"]
+    assert s.state.deferred_analyses == {}
+
+
+def test_a_product_that_is_none_is_a_refusal_and_no_crash():
+    s = Harness()
+    s.says("X")
+    assert s.answers("C-1", {"no": "record"}) == ["note C-1 ended", "end C-1 refused"]
+    assert s.outcome("C-1").refusal.reason is RefusalReason.PROGRAM
+
+
+def test_a_hypothesis_test_reaches_no_subsystem():
+    s = Harness()
+    s.says("TEST X")
+    assert s.answers("C-1", record(test=True)) == ["note C-1 ended", "end C-1 refused"]
+
+
+def test_both_arms_of_a_control_are_all():
+    s = Harness()
+    s.executing()
+    s.says("ABORT BOTH-ARMS")
+    assert "halt C-1 to MCM" in s.answers("C-2", record(kind="control", verb="ABORT", hand="BOTH-ARMS"))
+    s.says("HALT BOTH-ARMS")
+    assert s.phase("C-1") == "halting"
+
+
+@pytest.mark.parametrize("verb", ["HALT", "PAUSE", "ABORT"])
+def test_the_test_of_a_control_stops_nothing(verb):
+    s = Harness()
+    s.executing()
+    s.says(f"TEST {verb}")
+    assert s.answers("C-2", record(test=True, kind="control", verb=verb)) == ["note C-2 ended", "end C-2 refused"]
+    assert s.phase("C-1") == "executing"
