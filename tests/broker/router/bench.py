@@ -1,0 +1,119 @@
+"""The router with lists in place of its sockets."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import deque
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import zmq
+
+from broker.decisions.events import ProgramInstalled
+from broker.decisions.state import State
+from broker.persistence import journal as journals
+from broker.persistence.journal import Journal
+from broker.persistence.program_store import ProgramStore
+from broker.router.loop import Router
+from rtc.programs import loader
+from rtc.protocol import messages as m
+from rtc.protocol import wire
+from rtc.runtime.handover import Handed
+from rtc.runtime.settings import Settings
+
+ENDPOINTS = ("front", "halt", "workers", "subsystems", "supervisor", "events")
+
+SETTINGS = Settings(run_dir="/nowhere", run="this")
+
+SILENT = SimpleNamespace(info=lambda *_: None, warning=lambda *_: None)
+
+
+class Frame:
+    def __init__(self, data: bytes, more: bool) -> None:
+        self.bytes, self.more = data, more
+
+
+class Socket:
+    """A ROUTER of which one sees what lies there and what was sent."""
+
+    def __init__(self) -> None:
+        self.inbox: deque[Frame] = deque()
+        self.sent: list[list[bytes]] = []
+        self._parts: list[bytes] = []
+
+    def put(self, parts: list[bytes]) -> None:
+        self.inbox.extend(Frame(part, n + 1 < len(parts)) for n, part in enumerate(parts))
+
+    def recv(self, flags: int = 0, copy: bool = True) -> Frame:
+        if not self.inbox:
+            raise zmq.Again
+        return self.inbox.popleft()
+
+    def send(self, part: bytes, flags: int = 0) -> None:
+        self._parts.append(part)
+        if not flags & zmq.SNDMORE:
+            self.sent.append(self._parts)
+            self._parts = []
+
+    def send_multipart(self, parts: list[bytes], flags: int = 0) -> None:
+        self.sent.append(parts)
+
+
+class Bench:
+    def __init__(self, given: Handed | None = None) -> None:
+        self.now = 100.0
+        self.sockets: dict[str, Socket] = {}
+        db = sqlite3.connect(":memory:", isolation_level=None)
+        db.executescript(journals.SCHEMA)
+        journal = Journal(db)
+        journal.snapshot(State())
+        me = SimpleNamespace(socket=self._socket, log=SILENT, stopping=False)
+        state = State()
+        store = ProgramStore(journal, state.programs)
+        self.router = Router(
+            me, SETTINGS, journal, state, store, given or Handed(SETTINGS, b"k" * 32), lambda: self.now
+        )  # type: ignore[arg-type]
+        for kind in m.WorkerKind:
+            digest = store.keep(loader.default(kind))
+            self.router.enqueue(ProgramInstalled(at_s=self.now, kind=kind, digest=digest))
+        self.turn()
+
+    def _socket(self, _: int, endpoint: str, **__: Any) -> Socket:
+        made = self.sockets[Path(endpoint).stem] = Socket()
+        return made
+
+    def turn(self, times: int = 1) -> None:
+        for _ in range(times):
+            self.now += 0.001
+            self.router.run_once(None)
+
+    def send(self, endpoint: str, peer: bytes, *messages: Any) -> list[Any]:
+        """The answers to this peer, after all messages have been handled."""
+        socket = self.sockets[endpoint]
+        for message in messages:
+            socket.put([peer, *wire.frames(message)])
+        socket.sent.clear()
+        while socket.inbox:
+            self.turn()
+        self.turn()
+        return [wire.reader(ANSWERS[endpoint])(parts[1:]) for parts in socket.sent if parts[0] == peer]
+
+    @property
+    def state(self) -> State:
+        return self.router.core.state
+
+
+ANSWERS: dict[str, Any] = {
+    "front": m.BrokerToClient, "halt": m.FromHalt, "workers": m.BrokerToWorker, "subsystems": m.BrokerToSubsystem,
+    "supervisor": m.BrokerToSupervisor,
+}  # fmt: skip
+
+MCM = m.SubsystemHello(name="MCM", pid=1, performers=["RIGHT-ARM", "LEFT-ARM"])
+
+PARSER = m.WorkerHello(name="parser@0", node=0, kind=m.WorkerKind.PARSER, pid=7)
+
+
+def forwarded(bench: Bench) -> list[Any]:
+    """What the client `ann` has received."""
+    return [wire.reader(m.BrokerToClient)(parts[1:]) for parts in bench.sockets["front"].sent if parts[0] == b"ann"]
