@@ -6,7 +6,7 @@ simulator, which knows the cell.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import msgspec
 
@@ -14,9 +14,12 @@ Word = Annotated[str, msgspec.Meta(max_length=200)]  # a name of the cell
 
 
 class Fault(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    verb: ClassVar[str]  # of `rtc inject`
+
     @property
     def name(self) -> str:
-        raise NotImplementedError
+        """The verb and the names of the cell to which it applies."""
+        return " ".join([self.verb, *(value for value in msgspec.structs.astuple(self) if isinstance(value, str))])
 
     @property
     def words(self) -> str:
@@ -27,12 +30,9 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 class Displaced(Fault, frozen=True, kw_only=True, tag="displaced"):
     """An object, with the seat it sits in, is elsewhere than the world database states."""
 
+    verb = "displace"
     object: Word
     offset: list[float]  # x y z (m) roll pitch yaw (rad), world axes, about the object's origin
-
-    @property
-    def name(self) -> str:
-        return f"displace {self.object}"
 
     @property
     def words(self) -> str:
@@ -42,23 +42,17 @@ class Displaced(Fault, frozen=True, kw_only=True, tag="displaced"):
 class StuckJoint(Fault, frozen=True, kw_only=True, tag="stuck-joint"):
     """A joint of an arm does not move."""
 
+    verb = "stick"
     arm: Word
     joint: Word
-
-    @property
-    def name(self) -> str:
-        return f"stick {self.arm} {self.joint}"
 
 
 class FalseSensor(Fault, frozen=True, kw_only=True, tag="false-sensor"):
     """The wrist sensor of an arm reads too much, or always the same."""
 
+    verb = "sensor"
     arm: Word
     offset: list[float] | None = None  # wrench that it reads too much (N, N.m, tool axes); None: the reading is frozen
-
-    @property
-    def name(self) -> str:
-        return f"sensor {self.arm}"
 
     @property
     def words(self) -> str:
@@ -68,51 +62,36 @@ class FalseSensor(Fault, frozen=True, kw_only=True, tag="false-sensor"):
 class JammedSeat(Fault, frozen=True, kw_only=True, tag="jammed-seat"):
     """A module in the seat, or that comes near its place there, is wedged."""
 
+    verb = "jam"
     seat: Word
-
-    @property
-    def name(self) -> str:
-        return f"jam {self.seat}"
 
 
 class StrippedBolt(Fault, frozen=True, kw_only=True, tag="stripped-bolt"):
     """A bolt turns without moving along its axis."""
 
+    verb = "strip"
     bolt: Word
-
-    @property
-    def name(self) -> str:
-        return f"strip {self.bolt}"
 
 
 class FailedHand(Fault, frozen=True, kw_only=True, tag="failed-hand"):
     """The hand of an arm opens, drops what it holds, and obeys no command."""
 
+    verb = "drop"
     arm: Word
-
-    @property
-    def name(self) -> str:
-        return f"drop {self.arm}"
 
 
 class BlindCamera(Fault, frozen=True, kw_only=True, tag="blind-camera"):
     """The pictures of a camera are black."""
 
+    verb = "blind"
     camera: Word
-
-    @property
-    def name(self) -> str:
-        return f"blind {self.camera}"
 
 
 class SlowLoop(Fault, frozen=True, kw_only=True, tag="slow-loop"):
     """Every tick of the servo loop takes longer."""
 
+    verb = "slow"
     tick_s: float
-
-    @property
-    def name(self) -> str:
-        return "slow"
 
     @property
     def words(self) -> str:
