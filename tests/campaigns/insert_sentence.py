@@ -11,39 +11,18 @@ where the catch holds it. For comparison, the same errors with PLACE, which is p
 
 from __future__ import annotations
 
-import argparse
-from typing import NamedTuple
-
-import numpy as np
 import pybullet
 
-from benchmarks.report import finish, percentile, question
+from benchmarks.report import question
 from rtc.protocol import primitive as p
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from sim_mcm.arms.detents import CATCHES_M, CATCHES_RAD
 from sim_mcm.control.executor import Executor
-from tests.campaigns import RESULTS
+from tests.campaigns.seating import ARM, BAY, BEFORE, MODULE, SEED, Run, options, run_all, write_report
 from tests.workers.conftest import CELL, Bench, Physical
 
-SEED = 7
-ARM, MODULE, BAY = "RIGHT-ARM", "MACS-NEW", "BAY-2"
-ERROR_M, ERROR_RAD = 0.002, np.radians(1.0)
-BEFORE = (
-    f"GRASP RIGHT-END-EFF {MODULE} HANDLE-A",
-    f"LIFT {MODULE} BY 25 CM WITH {ARM}",
-    f"MOVE {ARM} TO BAY-2-FRONT",
-)
 INSERT, PLACE = f"INSERT {MODULE} INTO {BAY} WITH {ARM}", f"PLACE {MODULE} ON {BAY} WITH {ARM}"
-
-
-class Run(NamedTuple):
-    seated: bool
-    off_m: float  # from the seated place
-    off_rad: float
-    peak_n: float
-    trims: int
-    failed: str
 
 
 class Inserter:
@@ -96,37 +75,13 @@ class Inserter:
 
 
 def main() -> None:
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    words.add_argument("--runs", type=int, default=100)
-    words.add_argument("--rigid", action="store_true", help="position control instead, without results file")
-    given = words.parse_args()
+    given = options(__doc__)
     question(
         "insert_sentence", f"does {'PLACE' if given.rigid else 'INSERT'} seat a module in a displaced seat?", seed=SEED
     )
-    random = np.random.default_rng(SEED)
     inserter = Inserter()
-    found: list[Run] = []
-    for n in range(given.runs):
-        offset = random.uniform(-1.0, 1.0, 6) * ([ERROR_M] * 3 + [ERROR_RAD] * 3)
-        run = inserter.run(offset, given.rigid)
-        found.append(run)
-        if not run.seated or run.trims or n % 20 == 19:
-            figures = ", ".join(f"{1e3 * x:.1f}" for x in offset)
-            end = "seated" if run.seated else f"NOT seated, off {1e3 * run.off_m:.1f} mm, {run.off_rad:.3f} rad"
-            print(f"  run {n}: {end}, {run.trims} trims, {run.peak_n:.0f} N; error {figures} {run.failed}", flush=True)
-    seated = [run for run in found if run.seated]
-    peaks = [run.peak_n for run in found]
-    worst_mm = 1e3 * max((run.off_m for run in seated), default=0.0)
-    rows = [
-        ("seated", f"{len(seated)} of {given.runs}, {sum(not run.trims for run in seated)} at the first attempt"),
-        ("peak of the wrist force", f"p50 {percentile(peaks, 50):.0f} N, worst {max(peaks):.0f} N"),
-        ("distance from the seated place, of those seated", f"worst {worst_mm:.1f} mm"),
-    ]
-    if given.rigid:
-        print(rows)
-        return
-    metrics = {"runs": float(given.runs), "seated": float(len(seated)), "peak_n": max(peaks)}
-    finish("insert_sentence", metrics, rows, RESULTS)
+    found = run_all(lambda offset: inserter.run(offset, given.rigid), given.runs)
+    write_report("insert_sentence", found, write=not given.rigid)
 
 
 if __name__ == "__main__":

@@ -12,14 +12,10 @@ comparison, the same errors under position control (`--rigid`).
 
 from __future__ import annotations
 
-import argparse
-from typing import NamedTuple
-
-import numpy as np
 import pybullet
 
 from benchmarks.force import straight
-from benchmarks.report import finish, percentile, question
+from benchmarks.report import question
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
@@ -27,12 +23,9 @@ from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from sim_mcm.arms.detents import CATCHES_M, CATCHES_RAD
 from sim_mcm.control.executor import Executor
-from tests.campaigns import RESULTS
+from tests.campaigns.seating import ARM, BAY, BEFORE, MODULE, SEED, Run, options, run_all, write_report
 from tests.workers.conftest import CELL, Bench, Physical
 
-SEED = 7
-ARM, MODULE, BAY = "RIGHT-ARM", "MACS-NEW", "BAY-2"
-ERROR_M, ERROR_RAD = 0.002, np.radians(1.0)
 GAINS = {"wn": 100.0}
 T = 0.010
 STIFFNESS_N_M = 400.0
@@ -45,14 +38,6 @@ START_M, BEYOND_M = 0.30, 0.004  # before the seat; beyond the nominal seated pl
 LIMIT_N = 80.0
 
 
-class Run(NamedTuple):
-    seated: bool
-    off_m: float  # from the seated place
-    off_rad: float
-    peak_n: float
-    tries: int
-
-
 class Inserter:
     """The arm with the module in its hand before the bay, and this state to return to."""
 
@@ -62,11 +47,7 @@ class Inserter:
         self.world = bench.subsystem.sim
         self.executor = bench.subsystem.executors[ARM]
         self.home = CELL.seat(BAY).frame.pose
-        for sentence in (
-            f"GRASP RIGHT-END-EFF {MODULE} HANDLE-A",
-            f"LIFT {MODULE} BY 25 CM WITH {ARM}",
-            f"MOVE {ARM} TO BAY-2-FRONT",
-        ):
+        for sentence in BEFORE:
             run = bench.do(sentence)
             assert run.succeeded, (sentence, run.refusal, run.assessments)
         self.load = run.primitives[-1].control_law.load
@@ -95,7 +76,7 @@ class Inserter:
         pose = world.world.pose(MODULE)
         off_m, off_rad = geometry.distance(pose, place), geometry.angle(pose, place)
         held = world.held()[ARM] == [MODULE]
-        return Run(held and off_m < CATCHES_M and off_rad < CATCHES_RAD, off_m, off_rad, peak_n, tries)
+        return Run(held and off_m < CATCHES_M and off_rad < CATCHES_RAD, off_m, off_rad, peak_n, tries - 1)
 
     def _go_in(self, goal: Array, turning: float, rigid: bool) -> m.EndReport:
         """Follow the line from here to `goal`. A jam makes the arm back off."""
@@ -141,36 +122,12 @@ class Inserter:
 
 
 def main() -> None:
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    words.add_argument("--runs", type=int, default=100)
-    words.add_argument("--rigid", action="store_true", help="position control instead, without results file")
-    given = words.parse_args()
+    given = options(__doc__)
     law = "position control" if given.rigid else "impedance"
     question("insertion", f"does a module go into a displaced seat under {law}?", seed=SEED)
-    random = np.random.default_rng(SEED)
     inserter = Inserter()
-    found: list[Run] = []
-    for n in range(given.runs):
-        offset = random.uniform(-1.0, 1.0, 6) * ([ERROR_M] * 3 + [ERROR_RAD] * 3)
-        run = inserter.run(offset, given.rigid)
-        found.append(run)
-        if not run.seated or run.tries > 1 or n % 20 == 19:
-            figures = ", ".join(f"{1e3 * x:.1f}" for x in offset)
-            end = "seated" if run.seated else f"NOT seated, off {1e3 * run.off_m:.1f} mm, {run.off_rad:.3f} rad"
-            print(f"  run {n}: {end}, {run.tries} tries, {run.peak_n:.0f} N; error {figures}", flush=True)
-    seated = [run for run in found if run.seated]
-    peaks = [run.peak_n for run in found]
-    worst_mm = 1e3 * max((run.off_m for run in seated), default=0.0)
-    rows = [
-        ("seated", f"{len(seated)} of {given.runs}, {sum(run.tries == 1 for run in seated)} at the first attempt"),
-        ("peak of the wrist force", f"p50 {percentile(peaks, 50):.0f} N, worst {max(peaks):.0f} N"),
-        ("distance from the seated place, of those seated", f"worst {worst_mm:.1f} mm"),
-    ]
-    if given.rigid:
-        print(rows)
-        return
-    metrics = {"runs": float(given.runs), "seated": float(len(seated)), "peak_n": max(peaks)}
-    finish("insertion", metrics, rows, RESULTS)
+    found = run_all(lambda offset: inserter.run(offset, given.rigid), given.runs)
+    write_report("insertion", found, write=not given.rigid)
 
 
 if __name__ == "__main__":
