@@ -334,17 +334,20 @@ def test_an_unknown_place_is_2_and_shows_the_known_ones(rtc: Run) -> None:
     assert "MACS-NEW" in done.stderr
 
 
+def holding(run_dir: Path) -> tuple[subprocess.Popen[str], str]:
+    """`rtc do` of a HOLD without an end, and its command, which is being executed."""
+    words = [*RTC, "do", "HOLD LEFT-ARM", "--run-dir", str(run_dir)]
+    doing = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert doing.stdout is not None
+    line = next(line for line in doing.stdout if "executing" in line)
+    return doing, line.split()[2]
+
+
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_signal_leaves_the_commands_running_and_names_them(
     run_dir: Path, rtc: Run, number: signal.Signals, status: int
 ) -> None:
-    words = [*RTC, "do", "HOLD LEFT-ARM", "--run-dir", str(run_dir)]
-    doing = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert doing.stdout is not None
-    for line in doing.stdout:
-        if "executing" in line:
-            break
-    command = line.split()[2]
+    doing, command = holding(run_dir)
     doing.send_signal(number)
     _, errors = doing.communicate(timeout=60)
     live = [row["command"] for row in last_json(rtc("status", "--json"))["commands"]]
@@ -357,12 +360,7 @@ def test_a_signal_leaves_the_commands_running_and_names_them(
 
 def test_without_a_terminal_an_interrupt_halts_the_commands(run_dir: Path) -> None:
     """A HOLD without an end; stdin is no terminal, so Ctrl-C can not be asked about."""
-    words = [*RTC, "do", "HOLD LEFT-ARM", "--run-dir", str(run_dir)]
-    doing = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert doing.stdout is not None
-    for line in doing.stdout:
-        if "executing" in line:
-            break
+    doing, _ = holding(run_dir)
     doing.send_signal(signal.SIGINT)
     _, errors = doing.communicate(timeout=60)
 

@@ -21,6 +21,7 @@ from urllib.parse import urlsplit
 import pytest
 import zmq
 
+from rtc.client import connection, halt
 from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
@@ -381,12 +382,15 @@ def as_dict(key: KeyFile) -> dict[str, Any]:
     return {field: getattr(key, field) for field in key.__struct_fields__}
 
 
-def test_the_refusal_of_an_unknown_key_has_advice(run_dir: Path, tmp_path: Path) -> None:
+def test_the_refusal_of_an_unknown_key_has_advice(
+    run_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "eve.key"
     known = KeyRing(run_dir).new("eve", Role.OPERATOR, address_of(run_dir), path)
     KeyRing(run_dir).revoke("eve")
     with pytest.raises(NoCluster, match="does not know this key"):
         Client(key=path)
+    monkeypatch.setattr(halt, "FAR_CONNECT_S", 0.3)  # nothing will answer
     with Client(key=path, need_broker=False) as rtc, pytest.raises(ClusterError, match="halt not sent"):
         rtc.halt()
 
@@ -395,6 +399,7 @@ def test_the_refusal_of_an_unknown_key_has_advice(run_dir: Path, tmp_path: Path)
     with pytest.raises(NoCluster, match="not the cluster of this key file"):
         Client(key=tmp_path / "wrong.key")
     other = KeyRing(tmp_path).new("bob", Role.OPERATOR, f"tcp://127.0.0.1:{free_ports()}", tmp_path / "unknown.key")
+    monkeypatch.setattr(connection, "FAR_HELLO_S", 0.3)  # nothing listens
     with pytest.raises(NoCluster, match="no answer from"):
         Client(key=tmp_path / "unknown.key")
 
