@@ -1,10 +1,11 @@
-"""The default cell and its two arms, read once."""
+"""The default cell and its two arms, read once; how property tests choose their examples."""
 
 from __future__ import annotations
 
 import signal
 
 import pytest
+from hypothesis import settings
 
 from rtc.cells.cell import Cell
 from rtc.robot.collision import CollisionWorld
@@ -12,6 +13,10 @@ from rtc.robot.kinematics import ArmModel
 
 # Under `nohup` children would inherit an ignored SIGHUP, and tests of its handling would fail.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+# Every run has the same examples, so that a failure is repeatable. Others: pytest --hypothesis-profile=random
+settings.register_profile("random")
+settings.register_profile("repeatable", derandomize=True)
+settings.load_profile("repeatable")
 
 
 @pytest.fixture(scope="session")
