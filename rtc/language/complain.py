@@ -158,4 +158,6 @@ def _misplaced(stop: Stop) -> Refusal:
             message = f"{written} is a reserved word and cannot be a name, after {stop.written(stop.before[-1])}."
         else:
             message = f"{written} cannot stand here, after {stop.written(stop.before[-1])}."
+            if word.type == "NAME" and "ARM" in stop.allowed and not near:
+                message += f" If it is an arm, write ARM {written}."
     return refusal(word.start_pos or 0, message, readable(stop.grammar, stop.allowed), near)

@@ -67,6 +67,7 @@ WRONG = [
     ("CANNOT¦", ['a text in quotes such as "bolt head is stripped"'], [], "after CANNOT"),
     # a word in the wrong place
     ("MOVE ¦MACS-OLD TO BAY-2", HANDS, [], "MACS-OLD cannot stand here, after MOVE"),
+    ("STOW ¦PANDA", HANDS, [], "If it is an arm, write ARM PANDA."),
     ("GRASP ¦MOVE", ["a name", "LEFT-END-EFF", "RIGHT-END-EFF"], [], "MOVE is a reserved word"),
     ("RELEASE ¦RIGHT-ARM", ["a name"], [],
      "RELEASE needs the name of an object; RIGHT-ARM is an arm"),

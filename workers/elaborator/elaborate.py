@@ -26,7 +26,7 @@ from rtc.protocol.primitive_id import seed_of
 from rtc.robot import geometry
 from rtc.world.model import World
 from workers.binder import reflexes
-from workers.elaborator import anchors, command_fields, hinged, look, preconditions, set_fact, two_hands
+from workers.elaborator import anchors, command_fields, hinged, look, make_way, preconditions, set_fact, two_hands
 from workers.elaborator.backtrack import FRAME, Planned, plan
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import certainty, suggestions
@@ -261,6 +261,7 @@ def _holds(check: BranchCondition, candidate: TaskCandidate) -> bool:
 def _first_feasible(compiled: Compiled, options: list[ScriptOption]) -> Script | Refusal:
     """The script of the first feasible option; else the most informative refusal with the number of options."""
     first: Refusal | None = None
+    its = options[0]
     notes: list[str] = []
     for option in options:
         made = _script(compiled, option, options, notes)
@@ -268,8 +269,14 @@ def _first_feasible(compiled: Compiled, options: list[ScriptOption]) -> Script |
             return made
         notes.append(f"generated {option.name}; tested: {made.message}")
         if first is None or _rank(made) < _rank(first):
-            first = made
+            first, its = made, option
     assert first is not None
+    if isinstance(other := first.detail.get(IN_THE_WAY), str):
+
+        def can_be_planned(candidate: TaskCandidate) -> bool:
+            return isinstance(_script(compiled, ScriptOption(its.branch, candidate), options, []), Script)
+
+        first = make_way.advise(first, its.candidate, other, can_be_planned)
     if len(options) == 1 or _PRECEDENCE[first.reason] == 0 or first.reason is RefusalReason.NO_SCRIPT:
         return first
     others = "; ".join(notes[1:4]) if len(notes) > 1 else ""

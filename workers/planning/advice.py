@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import msgspec
 
 from rtc.language.record import hand_in_words
-from rtc.protocol.outcomes import Refusal
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal
 from workers.planning.world_query import WorldQuery
 
 
@@ -19,9 +19,17 @@ def advise_on_collision(refusal: Refusal, query: WorldQuery, arm: str, clears: M
     held = query.holding(arm)
     seat = query.seat(held) or query.seat_around(held) if held else ""
     body = next((name for name in bodies if name not in (arm, held)), bodies[1])
-    row = "way_seated" if seat and held in bodies else _at_goal(refusal, query, body) or "way"
+    other = str(refusal.detail.get(IN_THE_WAY, ""))
+    row = "way_seated" if seat and held in bodies else "way_other" if other else _at_goal(refusal, query, body) or "way"
     places = [place.name for place in query.cell.places if arm in place.poses or arm in place.joints_deg]
-    texts = {"arm": hand_in_words(arm), "held": held, "seat": seat, "body": body, "places": ", ".join(places)}
+    texts = {
+        "arm": hand_in_words(arm),
+        "held": held,
+        "seat": seat,
+        "body": body,
+        "other": hand_in_words(other),
+        "places": ", ".join(places),
+    }
     words = clears.get(row, "")
     for name, text in texts.items():
         words = words.replace("{" + name + "}", text)

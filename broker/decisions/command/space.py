@@ -58,7 +58,7 @@ def _wait(context: DecisionContext, command: Command, arm: str, refusal: Refusal
         refuse(context, command, refusal)
     elif circle := _circle(context, command, owner):
         message = f"{refusal.message}; {command.id} cannot wait for {owner.id}: {circle}"
-        clears = f"ABORT {owner.id}, or move {arm} first"
+        clears = f"ABORT {owner.id}, then {refusal.clears or f'move {arm}'}"
         refuse(context, command, msgspec.structs.replace(refusal, message=message, owner=owner.id, clears=clears))
     elif command.head is not None and command.head.now:
         message = f"{refusal.message}, {arm} is in use by {owner.id}, and the sentence contains NOW"

@@ -1,0 +1,68 @@
+"""The sentence that moves another arm out of the way of a command, tested before it is stated. Pure.
+
+An arm without a command does not leave by itself, and no command moves another arm than its own. So the refusal states
+a sentence for that arm. It is tested by planning: the arm can go there, and the command can be planned after that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import msgspec
+
+from rtc.language.record import hand_in_words
+from rtc.protocol.messages import Limits, WorldChange
+from rtc.protocol.outcomes import Refusal
+from rtc.robot.geometry import Floats
+from workers.elaborator.task_candidate import TaskCandidate
+from workers.planning.motion.plan import find_joint_way
+from workers.planning.motion.timing import Pace
+from workers.planning.world_query import WorldQuery
+
+
+def advise(
+    refusal: Refusal, candidate: TaskCandidate, other: str, can_be_planned: Callable[[TaskCandidate], bool]
+) -> Refusal:
+    """The refusal, with the sentence that clears it if one was found. `other`: the arm in the way."""
+    query, clears = candidate.query, candidate.program.clears
+    if not _may_leave(query, other):
+        return refusal
+    for row, place, joints in _leaves(query, other):
+        there = WorldChange(key=f"{other}.joints", value=[float(q) for q in joints])
+        after = replace(candidate, query=replace(query, world=query.world.overlay([there])))
+        if can_be_planned(after) and _can_go(query, other, joints):
+            words = clears.get(row, "").replace("{other}", hand_in_words(other)).replace("{place}", place)
+            return msgspec.structs.replace(refusal, clears=words)
+    return refusal
+
+
+def _may_leave(query: WorldQuery, arm: str) -> bool:
+    """Whether a sentence may move this arm alone, as far as what it does and holds is concerned."""
+    held = query.holding(arm)
+    moves = any(arm in primitive.paths for primitive in query.moving)
+    free = not held or (query.hinge(held) is None and not query.sharers(arm) and query.trusts(f"{held}.grasp"))
+    return free and not moves
+
+
+def _leaves(query: WorldQuery, arm: str) -> Iterator[tuple[str, str, Floats]]:
+    """Rows of the advice, with a named place if there is one, and the joint values (rad) of the arm there."""
+    spec, model = query.cell.arm(arm), query.model.arms[arm]
+    yield "way_stow", "", spec.stow_rad
+    for place in query.cell.places:
+        joints: Floats | None = place.joints_rad(arm)
+        if joints is None and (frame := place.poses.get(arm)) is not None:
+            joints = next(iter(model.ik(frame.pose.tolist(), query.joints(arm), _margin_rad(query))), None)
+        if joints is not None:
+            yield "way_place", place.name, joints
+
+
+def _can_go(query: WorldQuery, arm: str, joints: Floats) -> bool:
+    scene = query.scene(arm, Limits(), seated=bool(query.holding(arm)))
+    request = query.planning_request(arm, scene, Limits(), Pace(), _margin_rad(query))
+    return not isinstance(find_joint_way(request, joints), Refusal)
+
+
+def _margin_rad(query: WorldQuery) -> float:
+    return math.radians(query.cell.numbers.joint_margin_deg)
