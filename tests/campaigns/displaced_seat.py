@@ -1,0 +1,141 @@
+"""The scene and the report of two campaigns: a held module before a bay that is not where it is believed to be.
+
+The right arm of the simulated cell holds a module by friction alone. The bay is displaced by up to 2 mm along each
+axis and turned by up to 1 degree about each, without the knowledge of the arm. A run succeeds if the module then rests
+in the seat: within 4 mm and 0.05 rad of its seated place, where the catch holds it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import pybullet
+
+from benchmarks.report import finish, percentile, question
+from rtc.protocol import primitive as p
+from rtc.robot import geometry
+from rtc.robot.geometry import Array
+from sim_mcm.arms.detents import CATCHES_M, CATCHES_RAD
+from sim_mcm.control.executor import Executor
+from tests.campaigns import RESULTS
+from tests.workers.conftest import CELL, Bench, Physical
+
+SEED = 7
+ARM, MODULE, BAY = "RIGHT-ARM", "MACS-NEW", "BAY-2"
+ERROR_M, ERROR_RAD = 0.002, np.radians(1.0)
+BEFORE = (
+    f"GRASP RIGHT-END-EFF {MODULE} HANDLE-A",
+    f"LIFT {MODULE} BY 25 CM WITH {ARM}",
+    f"MOVE {ARM} TO BAY-2-FRONT",
+)
+
+
+class Run(NamedTuple):
+    seated: bool
+    off_m: float  # from the seated place
+    off_rad: float
+    peak_n: float
+    tries: int
+    failed: str = ""
+
+
+class Inserter(Protocol):
+    def run(self, offset: Array) -> Run:
+        """One insertion with the bay displaced by `offset` (x y z roll pitch yaw; m, rad)."""
+        ...
+
+
+class BeforeBay:
+    """The arm with the module in its hand before the bay, and this state to return to."""
+
+    def __init__(self) -> None:
+        self.subsystem = Physical()
+        self.bench = Bench(self.subsystem)
+        self.sim = self.subsystem.sim
+        for sentence in BEFORE:
+            run = self.bench.do(sentence)
+            assert run.succeeded, (sentence, run.refusal, run.assessments)
+        law = run.primitives[-1].control_law
+        self.load = law.load
+        self._law = p.ControlLaw(load=law.load, gains=law.gains)
+        self._saved = pybullet.saveState(physicsClientId=self.sim.world.client)
+        self._world = self.bench.world
+        executor = self.subsystem.executors[ARM]
+        self.joints, self._hand = list(executor._command[0]), executor._hand
+
+    def displace(self, offset: Array) -> None:
+        """Back to the state before the first run, with the bay displaced."""
+        self._restore()
+        seat = self.sim.world.seats[BAY]
+        seat.home = geometry.compose(CELL.seat(BAY).frame.pose, geometry.from_rpy(offset[:3], offset[3:]))
+        self.sim.world.place(seat, seat.home)
+
+    def judge(self, in_hand: bool, peak_n: float, tries: int, failed: str = "") -> Run:
+        """What has become of the module. `in_hand`: whether the hand should hold it now."""
+        place = geometry.compose(self.sim.world.seats[BAY].home, CELL.seat(BAY).module_frame.pose)
+        pose = self.sim.world.pose(MODULE)
+        off_m, off_rad = geometry.distance(pose, place), geometry.angle(pose, place)
+        caught = off_m < CATCHES_M and off_rad < CATCHES_RAD
+        held = self.sim.held()[ARM] == ([MODULE] if in_hand else [])
+        return Run(caught and held and not failed, off_m, off_rad, peak_n, tries, failed)
+
+    def _restore(self) -> None:
+        self.sim._detents.let_go_all()
+        pybullet.restoreState(self._saved, physicsClientId=self.sim.world.client)
+        self.bench.world = self._world
+        still = [0.0] * len(self.joints)
+        arm = self.sim.arms[ARM]
+        arm.use_law(self._law)
+        arm.follow((self.joints, still, still))
+        arm.command_hand(self._hand)
+        arm._hand.wanted_m = 0.0  # the spring of the grip is stretched
+        for name, other in self.sim.arms.items():
+            other.read()
+            self.subsystem.executors[name] = Executor(other)
+        self.subsystem.executors[ARM]._hand = self._hand
+
+
+def offsets(runs: int) -> Iterator[Array]:
+    """The errors of the bay, x y z roll pitch yaw (m, rad): the same ones each time."""
+    random = np.random.default_rng(SEED)
+    for _ in range(runs):
+        yield random.uniform(-1.0, 1.0, 6) * ([ERROR_M] * 3 + [ERROR_RAD] * 3)
+
+
+def arguments(doc: str | None) -> argparse.ArgumentParser:
+    words = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("--runs", type=int, default=100)
+    words.add_argument("--rigid", action="store_true", help="position control instead, without results file")
+    words.add_argument("--only", type=int, nargs="+", help="these runs alone, without results file")
+    return words
+
+
+def campaign(name: str, text: str, inserter: Inserter, given: argparse.Namespace) -> None:
+    """Make the runs, and report them."""
+    question(name, text, seed=SEED)
+    found: list[Run] = []
+    for n, offset in enumerate(offsets(max(given.only) + 1 if given.only else given.runs)):
+        if given.only and n not in given.only:
+            continue
+        run = inserter.run(offset)
+        found.append(run)
+        if not run.seated or run.tries > 1 or n % 20 == 19 or given.only:
+            figures = ", ".join(f"{1e3 * x:.1f}" for x in offset)
+            end = "seated" if run.seated else f"NOT seated, off {1e3 * run.off_m:.1f} mm, {run.off_rad:.3f} rad"
+            print(f"  run {n}: {end}, {run.tries} tries, {run.peak_n:.0f} N; error {figures} {run.failed}", flush=True)
+    seated = [run for run in found if run.seated]
+    peaks = [run.peak_n for run in found]
+    worst_mm = 1e3 * max((run.off_m for run in seated), default=0.0)
+    rows = [
+        ("seated", f"{len(seated)} of {len(found)}, {sum(run.tries == 1 for run in seated)} at the first attempt"),
+        ("peak of the wrist force", f"p50 {percentile(peaks, 50):.0f} N, worst {max(peaks):.0f} N"),
+        ("distance from the seated place, of those seated", f"worst {worst_mm:.1f} mm"),
+    ]
+    if given.rigid or given.only:
+        print(rows)
+        return
+    metrics = {"runs": float(len(found)), "seated": float(len(seated)), "peak_n": max(peaks)}
+    finish(name, metrics, rows, RESULTS)
