@@ -211,8 +211,9 @@ class OutcomeClass(ProgramPart, frozen=True, kw_only=True):
     """
 
     message: str
-    # object: frame of the active object; if_touched: the same, if it may have moved; held: frame of the held object
-    suspect: list[Literal["object", "if_touched", "held"]] = []
+    # object: frame of the active object; if_touched: the same, if it may have moved; held: frame of the held object;
+    # near: frames of all objects near the arm
+    suspect: list[Literal["object", "if_touched", "held", "near"]] = []
     drops: bool = False  # the hand is empty afterwards
     misplaced: bool = False  # the held object is not where the world has it; only vision can locate it
     clears: str = ""  # first hint; the hints of `clears` of the program for each suspect fact follow

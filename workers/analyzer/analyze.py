@@ -20,8 +20,8 @@ from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, StopReas
 from rtc.robot import geometry
 from rtc.world.model import World
 from rtc.world.spread import even, widened
-from workers.analyzer import reported_facts, sighting
-from workers.analyzer.world_changes import EFFECTS, Changes, angles
+from workers.analyzer import nearby, reported_facts, sighting
+from workers.analyzer.world_changes import EFFECTS, Changes, angles, perhaps_taken
 from workers.binder import reflexes
 from workers.planning import pose_spread, shared_hold
 from workers.planning.robot_models import CellModel
@@ -173,6 +173,7 @@ def _failure(
         program, query, data, changes, suspect="held" in failure.suspect, drops=failure.drops
     )
     changes += _touched_object_changes(program, query, data, failure)
+    changes += nearby.doubtful(query, data) if "near" in failure.suspect else []
     if evaluation.step.args.get("effect") == SEEN and not _wrong(program, data):
         changes += EFFECTS[SEEN](query, data, Validity.VALID)  # it was stopped, but has seen the body
     missed = evaluation.step.args.get("missed")
@@ -344,10 +345,16 @@ def _pressed_on(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput
 
 
 def _interrupted_grasp(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Changes:
-    """A grasp stopped during closing: fingers that press at the expected width hold the object (suspect)."""
+    """A grasp stopped during closing: fingers that press at the expected width hold the object (suspect).
+
+    Without a report of the hand the fingers may press too.
+    """
     evaluation, report = data.evaluation, data.report
-    if evaluation.step.args.get("effect") != "taken" or evaluation.width_m is None or not report.tcp_pose:
+    if evaluation.step.args.get("effect") != "taken" or evaluation.width_m is None:
         return []
+    if not report.tcp_pose:
+        begun = report.reason not in (StopReason.REFUSED, StopReason.BLOCKED)
+        return perhaps_taken(query, data) if begun else []
     least, most = evaluation.width_m
     pressing = report.hand_force_n >= program.values["pressing_n"]
     return EFFECTS["taken"](query, data, Validity.SUSPECT) if pressing and least <= report.hand_width_m <= most else []

@@ -46,6 +46,22 @@ def taken(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes
     ]
 
 
+def perhaps_taken(query: WorldQuery, data: AnalyzerInput) -> Changes:
+    """The hand was closing when its report was lost: the object may be in it, where it was believed to be."""
+    thing, arm, doubt = data.evaluation.context.object, data.evaluation.context.arm, Validity.SUSPECT
+    if query.held_by(thing) not in ("", arm):
+        return [WorldChange(key=f"{arm}.holding", value=thing, validity=doubt)]
+    frame = query.frame(thing)
+    grasp = geometry.normalise(geometry.relative(query.tcp(arm), frame))
+    spread = list(query.spread(f"{thing}.frame"))
+    return [
+        WorldChange(key=f"{arm}.holding", value=thing, validity=doubt),
+        WorldChange(key=f"{thing}.held_by", value=arm, validity=doubt),
+        WorldChange(key=f"{thing}.grasp", value=grasp.tolist(), validity=doubt, spread=spread),
+        WorldChange(key=f"{thing}.frame", keep_value=True, validity=doubt),
+    ]
+
+
 def _its_seat(query: WorldQuery, data: AnalyzerInput, found: touch.Found | None, validity: Validity) -> Changes:
     if found is None:
         return []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -13,6 +14,8 @@ from workers.planning import shared_hold
 from workers.planning.world_query import WorldQuery
 
 IN_SEAT_M = 0.02  # an object released within this distance of its seated pose stays in the seat
+IN_HAND_M = 0.06  # maximum distance of a held object's grasp point from the middle between the fingers
+WIDER_M = 0.006  # fingers wider than the object by more than this do not hold it
 
 
 class Lack(NamedTuple):
@@ -40,8 +43,30 @@ def _object_free(candidate: TaskCandidate) -> Lack | None:
     assert candidate.thing is not None
     if candidate.thing.fixed:
         return Lack(f"{candidate.thing.name} is fixed", candidate.thing.name, "object_fixed")
-    holder = candidate.query.held_by(candidate.thing.name)
-    return Lack(f"{candidate.thing.name} is held by {holder}", holder, thing=candidate.thing.name) if holder else None
+    name = candidate.thing.name
+    if holder := candidate.query.held_by(name):
+        return Lack(f"{name} is held by {holder}", holder, thing=name)
+    perhaps = next((arm.name for arm in candidate.query.cell.arms if _may_hold(candidate, arm.name)), "")
+    return Lack(f"{perhaps} may hold {name}", perhaps, "object_perhaps_held", name) if perhaps else None
+
+
+def _may_hold(candidate: TaskCandidate, arm: str) -> bool:
+    """Whether the hand may hold the object of the candidate, although no fact states it.
+
+    The facts are in doubt, the hand is not known to be open, and it is near the object.
+    """
+    query, thing = candidate.query, candidate.thing
+    assert thing is not None
+    certain = query.trusts(f"{arm}.holding") and query.trusts(f"{thing.name}.held_by")
+    if certain or query.holding(arm):
+        return False
+    frame, tcp = query.frame(thing.name), query.tcp(arm)
+    reach_m = IN_HAND_M + math.hypot(*query.spread(f"{thing.name}.frame")[:3])
+    open_m = query.hand_width(arm) - WIDER_M if query.trusts(f"{arm}.hand_width") else -math.inf
+    return any(
+        open_m <= point.width_m and geometry.distance(tcp, geometry.compose(frame, point.frame.pose)) < reach_m
+        for point in thing.grasp_points
+    )
 
 
 def _other_handle(candidate: TaskCandidate) -> Lack | None:

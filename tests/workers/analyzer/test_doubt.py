@@ -1,0 +1,110 @@
+"""Facts that a failure contradicts are suspect, and no next step relies on them (R151)."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from rtc.protocol.messages import Assessment, EndReport, Validity
+from rtc.protocol.outcomes import RefusalReason, StopReason
+
+GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-B"
+TOUCHED = [StopReason.COLLISION, StopReason.CONTACT, StopReason.FORCE_LIMIT, StopReason.FOLLOWING_ERROR]
+
+
+def ended(bench, sentence: str, reason: StopReason, n: int = 0, **fields) -> Assessment:
+    """The assessment of step n of a sentence that ends with this reason; its changes are in the world then."""
+    script = bench.elaborate(sentence)
+    bound = bench.bind(script, script.steps[n])
+    report: EndReport = bench.subsystem.perform(bound.primitive, bound)
+    made = bench.analyze(bound, msgspec.structs.replace(report, reason=reason, **fields), closing=True)
+    bench.world = bench.world.overlay(made.changes, source="C-1/9")
+    return made
+
+
+def validity(bench, key: str) -> Validity:
+    return bench.world.get(key).validity
+
+
+@pytest.mark.parametrize("reason", TOUCHED)
+def test_a_touch_on_a_free_path_makes_the_objects_near_the_arm_suspect(bench, reason) -> None:
+    bench.unsurveyed()
+    ended(bench, GRASP, reason, 2)  # before the handle
+    assert validity(bench, "MACS-NEW.frame") is Validity.SUSPECT
+    assert validity(bench, "MACS-OLD.frame") is Validity.VALID  # the other rack is out of reach
+
+
+@pytest.mark.parametrize("reason", [StopReason.TIMEOUT, StopReason.JOINT_LIMIT, StopReason.HALT])
+def test_an_end_without_a_touch_contradicts_nothing(bench, reason) -> None:
+    bench.unsurveyed()
+    ended(bench, GRASP, reason, 2)
+    assert validity(bench, "MACS-NEW.frame") is Validity.VALID
+
+
+def test_a_touch_of_another_command_makes_a_near_object_suspect_too(bench) -> None:
+    """What has become of the world does not depend on the object of the sentence."""
+    bench.unsurveyed()
+    assert bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM").succeeded
+    ended(bench, "MOVE RIGHT-ARM BY 2 CM ALONG UP", StopReason.COLLISION)
+    assert validity(bench, "MACS-NEW.frame") is Validity.SUSPECT
+
+
+def test_a_contact_that_the_sentence_asks_for_contradicts_nothing(bench) -> None:
+    assert bench.do("APPROACH MACS-NEW AT HANDLE-A WITH RIGHT-ARM").succeeded
+    ended(bench, "MOVE RIGHT-ARM BY 1 CM ALONG UP UNLESS CONTACT THEN STOP", StopReason.CONTACT)
+    assert validity(bench, "MACS-NEW.frame") is Validity.VALID
+
+
+@pytest.fixture
+def lost_while_closing(bench):
+    """The controller died while the fingers closed."""
+    bench.without_cameras()
+    bench.do("MOVE RIGHT-ARM TO-GRASP-POINT-OF MACS-NEW")
+    ended(bench, GRASP, StopReason.SUBSYSTEM_LOST, -1, joints=[], tcp_pose=[], wrench=[])
+    return bench
+
+
+def test_a_hand_that_was_lost_while_it_closed_may_hold_the_object(lost_while_closing) -> None:
+    bench = lost_while_closing
+    assert (bench.world.value("MACS-NEW.held_by"), bench.world.value("RIGHT-ARM.holding")) == ("RIGHT-ARM", "MACS-NEW")
+    for key in ("MACS-NEW.held_by", "MACS-NEW.grasp", "MACS-NEW.frame", "RIGHT-ARM.holding"):
+        assert validity(bench, key) is Validity.SUSPECT, key
+    refusal = bench.elaborate("LIFT MACS-NEW BY 5 CM")
+    assert (refusal.reason, refusal.clears) == (RefusalReason.SUSPECT, "VERIFY MACS-NEW AT RIGHT-ARM")
+    assert bench.elaborate(GRASP).reason is RefusalReason.STATE
+
+
+def test_the_fingers_find_out_that_they_hold_it(lost_while_closing) -> None:
+    bench = lost_while_closing
+    assert bench.do("VERIFY MACS-NEW AT RIGHT-ARM").succeeded
+    assert validity(bench, "MACS-NEW.held_by") is Validity.VALID
+    assert bench.do("LIFT MACS-NEW BY 5 CM").succeeded
+
+
+def test_the_fingers_find_out_that_they_do_not_hold_it(lost_while_closing) -> None:
+    bench = lost_while_closing
+    bench.subsystem.closes = [0.0]
+    assert not bench.do("VERIFY MACS-NEW AT RIGHT-ARM").succeeded
+    assert bench.world.value("RIGHT-ARM.holding") == bench.world.value("MACS-NEW.held_by") == ""
+
+
+def doubt(bench, *keys: str) -> None:
+    for key in keys:
+        bench.set_fact(key, bench.world.value(key), Validity.SUSPECT)
+
+
+def test_an_object_that_a_hand_may_hold_is_not_taken_as_free(bench) -> None:
+    """The analysis of a closure was lost: its facts are the earlier ones, and suspect."""
+    bench.do("MOVE RIGHT-ARM TO-GRASP-POINT-OF MACS-NEW")
+    doubt(bench, "RIGHT-ARM.holding", "RIGHT-ARM.hand_width", "MACS-NEW.held_by")
+    refusal = bench.elaborate(GRASP)
+    assert refusal.reason is RefusalReason.STATE
+    assert "RIGHT-ARM may hold MACS-NEW" in refusal.message
+    assert "OPEN RIGHT-ARM" in refusal.clears
+    assert bench.do("OPEN RIGHT-ARM").succeeded
+    assert bench.do(GRASP).succeeded
+
+
+def test_a_hand_far_away_cannot_hold_it(bench) -> None:
+    doubt(bench, "RIGHT-ARM.holding", "RIGHT-ARM.hand_width", "MACS-NEW.held_by")
+    assert bench.do(GRASP).succeeded

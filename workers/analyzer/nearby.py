@@ -1,0 +1,43 @@
+"""Objects that an arm may have touched where no touch was expected. Pure.
+
+A touch in a path that was planned free contradicts the world. The report does not name the body, so every object that
+the arm may reach from where it stopped is doubtful until it is sensed again (R151).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from rtc.protocol.messages import AnalyzerInput, Limits, Validity, WorldChange
+from rtc.robot.geometry import Floats
+from workers.planning.world_query import WorldQuery
+
+NEAR_M = 0.03  # an arm at full speed rests at most this far from the place of a touch
+
+
+def doubtful(query: WorldQuery, data: AnalyzerInput) -> list[WorldChange]:
+    """The frames of the objects near the arms of the step where they stopped, as suspect."""
+    partner, report = data.evaluation.context.partner, data.report
+    reports = {data.evaluation.arm: report, **({partner: report.partner} if partner else {})}
+    joints = {name: one.joints for name, one in reports.items() if name and one is not None and one.joints}
+    rest = {arm.name: query.joints(arm.name) for arm in query.cell.arms}
+    near = dict.fromkeys(name for arm in joints for name in _near(query, arm, {**rest, **joints}))
+    keys = [f"{name}.frame" for name in near if query.trusts(f"{name}.frame")]
+    return [WorldChange(key=key, keep_value=True, validity=Validity.SUSPECT) for key in keys]
+
+
+def _near(query: WorldQuery, arm: str, joints: dict[str, Floats]) -> Iterator[str]:
+    """The free objects within `NEAR_M` and their own spread of an arm, or of what it holds."""
+    free = {thing.name for thing in query.cell.objects if not thing.fixed and not query.held_by(thing.name)}
+    scene = query.scene(arm, Limits())
+    unsure_m = {name: NEAR_M + scene.unsure_m.get(name, 0.0) for name in free}
+    ignore = list(scene.ignore)
+    for _ in range(len(query.cell.objects) * (len(query.cell.objects) + 1)):
+        here = replace(scene, unsure_m=unsure_m, keeps_unsure=True, ignore=ignore)
+        hit = query.model.collision.check(joints, here)
+        if hit is None:
+            return
+        pair = hit.body_a.split()[0], hit.body_b.split()[0]
+        yield from (name for name in pair if name in free)
+        ignore.append(pair)
