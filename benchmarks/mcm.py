@@ -3,8 +3,9 @@
 The MCM process is the real one; one socket stands for the broker. A tick is late if it begins more than a period (1 ms)
 after it was due, at `--speed 1`, while one busy process per core runs at the workers' niceness. The real-time factor is
 the simulated seconds per second at `--speed max`, with both arms moving, and with one of them gripping. The limit of
-both is the speed of the physics library's step alone, measured in the same run. Ratios to that limit are of processor
-times of the main thread, so that other work on the machine has no part in them.
+both is the speed of the physics library's step alone, measured in the same run and in the same motion, and for
+comparison also with both arms at rest. Ratios to that limit are of processor times of the main thread, so that other
+work on the machine has no part in them.
 
     python -m benchmarks.mcm [--seconds 20] [--mcm bullet|kinematic]
 """
@@ -196,7 +197,7 @@ def free_factor(mcm: str, cell: Cell, seconds: float) -> Factors:
     return Factors(simulated_s / took_s, simulated_s / spent_s)
 
 
-def bare_factor(cell: Cell, seconds: float) -> float:
+def bare_resting_factor(cell: Cell, seconds: float) -> float:
     """Simulated seconds per second of the processor in the physics library's step alone, both arms at rest."""
     world = BulletCell(cell).world
     steps, began_s = 0, time.thread_time()
@@ -205,6 +206,34 @@ def bare_factor(cell: Cell, seconds: float) -> float:
             world.step()
         steps += STEPS
     return steps * STEP_S / took_s
+
+
+def bare_factor(cell: Cell, seconds: float) -> float:
+    """The same while both arms move freely; the rest of each tick is not counted."""
+    world = BulletCell(cell)
+    subsystem = McmSubsystem(world.arms)
+    for n, arm in enumerate(ARMS):
+        subsystem.handle(execute(f"C-1.{n + 1}", arm, swings(cell, arm, seconds)), BROKER, 0.0)
+    return _stepped(world, subsystem, len(ARMS))
+
+
+def _stepped(world: BulletCell, subsystem: McmSubsystem, primitives: int) -> float:
+    """Simulated seconds per second of the physics step alone, until so many primitives have ended."""
+    steps, took_s = 0, 0.0
+    while primitives:
+        primitives -= sum(isinstance(message, m.EndReport) for _, message in subsystem.tick(0.0))
+        for arm in world.arms.values():
+            arm.drive()
+        began_s = time.thread_time()
+        world.world.step()
+        took_s += time.thread_time() - began_s
+        steps += 1
+    return steps * STEP_S / (took_s - steps * _clock_s())
+
+
+def _clock_s(calls: int = 10_000) -> float:
+    """The time that a reading of the clock adds to what it measures."""
+    return sum(-(time.thread_time() - time.thread_time()) for _ in range(calls)) / calls
 
 
 def grasp_and_carry(cell: Cell, seconds: float) -> list[p.Trajectory]:
@@ -241,22 +270,14 @@ def gripping_factor(mcm: str, cell: Cell, seconds: float) -> Factors:
 
 
 def bare_gripping_factor(cell: Cell, seconds: float) -> float:
-    """The physics step alone in the same motion; the rest of each tick is not counted."""
+    """The physics step alone while an arm carries; the rest of each tick is not counted."""
     world = BulletCell(cell)
     subsystem = McmSubsystem(world.arms)
-    steps, took_s = 0, 0.0
+    factor = 0.0
     for n, trajectory in enumerate(grasp_and_carry(cell, seconds)):
-        steps, took_s, ended = 0, 0.0, False
         subsystem.handle(execute(f"C-1.{n + 1}", ARMS[0], trajectory), BROKER, 0.0)
-        while not ended:
-            ended = any(isinstance(message, m.EndReport) for _, message in subsystem.tick(0.0))
-            for arm in world.arms.values():
-                arm.drive()
-            began_s = time.thread_time()
-            world.world.step()
-            took_s += time.thread_time() - began_s
-            steps += 1
-    return steps * STEP_S / took_s
+        factor = _stepped(world, subsystem, 1)
+    return factor
 
 
 def _lift(model: ArmModel, start: list[float], handle: geometry.Array, height_m: float = 0.3) -> p.JointTrajectory:
@@ -304,15 +325,19 @@ def main() -> None:
         measured("late ticks, all cores busy, both arms under impedance", f"{soft:.3f} % of {ticks}")
     free = free_factor(given.mcm, cell, given.seconds)
     gripping = gripping_factor(given.mcm, cell, given.seconds)
-    bare = bare_gripping = None
+    bare = resting = bare_gripping = None
     if given.mcm == "bullet":
-        bare = bare_factor(cell, given.seconds / 4)
+        resting = bare_resting_factor(cell, given.seconds / 4)
+        bare = bare_factor(cell, given.seconds)
         bare_gripping = bare_gripping_factor(cell, given.seconds / 2)
     for label, factor, step in (("both arms moving", free, bare), ("one arm gripping", gripping, bare_gripping)):
         measured(f"real-time factor, {label}", f"{factor.real_time:.1f}; {factor.processor:.1f} with its own core")
         if step is not None:
             words = f"{step:.1f}; ratio {factor.processor / step:.2f}"
             measured(f"real-time factor of the physics step alone, {label}", words)
+    if resting is not None:
+        words = f"{resting:.1f}; ratio of both arms moving {free.processor / resting:.2f}"
+        measured("real-time factor of the physics step alone, both arms at rest", words)
     finish(
         "mcm",
         {
@@ -323,6 +348,8 @@ def main() -> None:
             "real_time_factor_bare": bare,
             "late_ticks_compliant_percent": soft,
             "real_time_factor_bare_gripping": bare_gripping,
+            "real_time_factor_bare_resting": resting,
+            "ratio_resting": None if resting is None else free.processor / resting,
             "ratio": None if bare is None else free.processor / bare,
             "ratio_gripping": None if bare_gripping is None else gripping.processor / bare_gripping,
         },

@@ -45,6 +45,7 @@ SEATED_M = 0.02  # maximum distance from the seated place at which a module coun
 GRIPS_N = 1.0  # a hand whose fingers press less holds nothing
 STUCK_NM = 1e4  # more than any servo exerts
 NOTHING: Mapping[str, float] = {}
+TORQUE_CONTROL = pybullet.TORQUE_CONTROL
 BODY_B, LINK_A, LINK_B, ON_B, DISTANCE, NORMAL_FORCE = 2, 3, 4, 6, 8, 9  # fields of a contact point
 
 
@@ -67,6 +68,7 @@ class BulletArm:
         self._links = {n: link for link, n in links.items()}
         self.others: list[BulletArm] = []  # the other arms of the world
         self._all = [*self._arm, *self._finger_joints]
+        self._dof = len(self._arm)
         sensor = None if spec.sensor_joint is None else joints[spec.sensor_joint]
         self._read_from = self._all if sensor is None else [*self._all, sensor]
         hand = {*self.fingers, links[spec.gripper.palm_link], links.get(spec.tcp_link, -1)}
@@ -88,19 +90,17 @@ class BulletArm:
             HandCommand(spec.gripper.max_opening_m, spec.gripper.max_force_n, spec.gripper.speed_m_s),
             spec.gripper.max_opening_m,
         )
-        self._finger_forces = (0.0, 0.0)
+        self._pressed = (0.0, 0.0)  # by the fingers, towards the middle
         self._sample = self.read()
 
     # --- interface to the executor ---------------------------------------------------------------------
 
     def read(self) -> Sample:
         states = pybullet.getJointStates(self.body, self._read_from, self._client)
-        count = len(self._arm)
-        positions, velocities = [state[0] for state in states], [state[1] for state in states]
-        joints, speeds = positions[:count], velocities[:count]
-        a, b, va, vb = *positions[count : count + 2], *velocities[count : count + 2]
-        forces = pressed(self._finger_forces)
-        wrench = self._wrench(states[-1][2])
+        positions, velocities, reactions, _ = zip(*states)  # noqa: B905 - four fields each
+        count, forces = self._dof, self._pressed
+        joints, speeds = list(positions[:count]), list(velocities[:count])
+        wrench = self._wrench(reactions[-1])
         if self._hand_weight is not None:
             if min(forces) > GRIPS_N and self._driven is not None and not self._stuck:
                 before, torques = self._driven
@@ -109,11 +109,12 @@ class BulletArm:
             wrench = self._hand_weight.removed(wrench, self._model.fk(joints), self._load)
         if self._estimate is not None:
             wrench = self._estimate.wrench(joints, speeds)
-        self._sample = Sample(joints, speeds, wrench, (a, b), (va, vb), forces)
+        fingers = slice(count, count + 2)
+        self._sample = Sample(joints, speeds, wrench, positions[fingers], velocities[fingers], forces)
         return self._sample
 
     def follow(self, motion: Motion) -> None:
-        self._servo.want(motion)
+        self._servo.wanted = motion
 
     def use_law(self, law: ControlLaw) -> None:
         self._servo.use_law(law, self._sample.joints)
@@ -163,7 +164,8 @@ class BulletArm:
     def _contacts(self) -> Sequence[tuple[Any, ...]]:
         """Contact points of the latest step; this arm is body A. Asked for several times in a tick, read once."""
         if self._points is None:
-            self._points = pybullet.getContactPoints(self.body, physicsClientId=self._client) or ()
+            points = self._world.in_contact() and pybullet.getContactPoints(self.body, physicsClientId=self._client)
+            self._points = points or ()
         return self._points
 
     def link_name(self, index: int) -> str:
@@ -186,16 +188,14 @@ class BulletArm:
         """Apply the motor torques of this tick; pybullet keeps them for one step."""
         sample, self._points = self._sample, None
         torques = self._servo.torque(sample.joints, sample.velocities)
-        self._driven = sample, torques
+        if self._hand_weight is not None:
+            self._driven = sample, torques
         if self._estimate is not None:
             self._estimate.drive(torques)
-        self._finger_forces = self._hand.forces(sample.fingers, sample.finger_speeds)
+        forces = self._hand.forces(sample.fingers, sample.finger_speeds)
+        self._pressed = pressed(forces)
         pybullet.setJointMotorControlArray(
-            self.body,
-            self._all,
-            pybullet.TORQUE_CONTROL,
-            forces=[*torques, *self._finger_forces],
-            physicsClientId=self._client,
+            self.body, self._all, TORQUE_CONTROL, forces=[*torques, *forces], physicsClientId=self._client
         )
 
     def pressed_on(self) -> set[int]:
@@ -210,8 +210,7 @@ class BulletArm:
         """Mass matrix of pybullet's model, fingers closed and left out. Tests compare it with the control law's
         model."""
         full = pybullet.calculateMassMatrix(self.body, [*joints, 0.0, 0.0], physicsClientId=self._client)
-        dof = len(self._arm)
-        return np.asarray(full)[:dof, :dof]
+        return np.asarray(full)[: self._dof, : self._dof]
 
     def state(self) -> ArmState:
         sample, hand = self._sample, self._hand
@@ -220,7 +219,7 @@ class BulletArm:
     def restore(self, state: ArmState) -> None:
         self._put([*state.joints, *state.fingers])
         still = [0.0] * len(state.joints)
-        self._servo.want((list(state.joints), still, still))
+        self._servo.wanted = (list(state.joints), still, still)
         self._hand = Hand(state.hand, state.opening_m)
         if self._estimate is not None:
             self._estimate.begin()

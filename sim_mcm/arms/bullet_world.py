@@ -33,6 +33,7 @@ BLACK, PAINT = (0.0, 0.0, 0.0, 1.0), (0.82, 0.83, 0.84, 1.0)
 
 HINGED = THREADED = 0  # the link of an object with a hinge or a thread
 THREAD_N = 200.0  # that a thread holds along its axis
+ASK_AGAIN = 32  # steps after a contact in which arms ask for their own contacts at once
 
 
 class Body:
@@ -71,6 +72,9 @@ class PhysicsWorld:
             enableFileCaching=0,  # another client in this process may load a different URDF of the same name
             physicsClientId=self.client,
         )
+        self._steps = 0
+        self._asked_at = -1  # step of the latest list of all contacts
+        self._touched_at = -ASK_AGAIN  # latest step in which that list had one
         self.names: dict[int, str] = {}  # pybullet id -> name for messages
         self.seats = {seat.name: self._fixed(seat, seat.frame.pose) for seat in cell.seats}
         self.objects: dict[str, Body] = {}
@@ -85,6 +89,19 @@ class PhysicsWorld:
 
     def step(self) -> None:
         pybullet.stepSimulation(physicsClientId=self.client)
+        self._steps += 1
+
+    def in_contact(self) -> bool:
+        """Whether any bodies may touch each other since the latest step. One list of all contacts replaces one per arm,
+        as long as it is empty."""
+        if self._steps - self._touched_at < ASK_AGAIN:
+            return True
+        if self._asked_at != self._steps:
+            self._asked_at = self._steps
+            if pybullet.getContactPoints(physicsClientId=self.client):
+                self._touched_at = self._steps
+                return True
+        return False
 
     def load_arm(self, name: str) -> int:
         """Load an arm from its URDF text; returns the pybullet body id."""

@@ -27,21 +27,24 @@ class Hand:
         self._run(width, limit)
         opening_speed = 0.5 * (speeds[0] + speeds[1])
         pull = 0.5 * OPENING_N_M * (self.wanted_m - width) - OPENING_NS_M * opening_speed
-        pull = max(-limit, min(limit, pull))
+        if not -limit < pull < limit:
+            pull = max(-limit, min(limit, pull))
         aside = 0.5 * CENTRE_N_M * (fingers[0] - fingers[1]) + 0.5 * CENTRE_NS_M * (speeds[0] - speeds[1])
         return pull - aside, pull + aside
 
     def _run(self, width: float, limit_n: float) -> None:
-        most = self.command.speed_m_s * TICK_S
         target = self.command.width_m
         missing = target - width
-        if abs(missing) > THERE_M:
+        if not -THERE_M <= missing <= THERE_M:
             # Move the setpoint beyond the target, so that the spring reaches its full force on an obstacle.
             stretch = 2.0 * limit_n / OPENING_N_M
             target = min(target, width - stretch) if missing < 0.0 else max(target, width + stretch)
-        self.wanted_m += max(-most, min(most, target - self.wanted_m))
+        if target != self.wanted_m:
+            most = self.command.speed_m_s * TICK_S
+            self.wanted_m += max(-most, min(most, target - self.wanted_m))
 
 
 def pressed(forces: tuple[float, float]) -> tuple[float, float]:
     """Pressing force of each finger, derived from its motor force (N, never negative)."""
-    return max(0.0, -forces[0]), max(0.0, -forces[1])
+    a, b = forces
+    return -a if a < 0.0 else 0.0, -b if b < 0.0 else 0.0

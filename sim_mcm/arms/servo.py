@@ -5,6 +5,7 @@ Pure: its state is the last wanted motion and the law. The module `hand` compute
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -27,8 +28,9 @@ class Servo:
         self._law = control_laws.make(self._name, model, self._laws)
         self._feel: Callable[[list[float]], None] | None = None
         self._effort: list[float] = model.limits.effort.tolist()
+        self._least_effort, self._zeros = min(self._effort), [0.0] * len(self._effort)
         still = [0.0] * len(joints)
-        self._wanted: Motion = (list(joints), still, still)
+        self.wanted: Motion = (list(joints), still, still)  # from the next call of `torque` on
 
     def use_law(self, law: ControlLaw, joints: Sequence[float]) -> None:
         """Change the law. Raises ValueError if it is unknown, or rejects its figures at the present joints; the old
@@ -57,16 +59,15 @@ class Servo:
         model = arm.model if load is None else arm.laden(load.mass_kg, load.com_m, load.inertia_kg_m2)
         return model, model.createData()
 
-    def want(self, motion: Motion) -> None:
-        self._wanted = motion
-
     def torque(self, joints: list[float], velocities: list[float]) -> list[float]:
         """Torques of this tick, clipped to the motor limits (N.m)."""
-        torques = self._law.torque(self._wanted, joints, velocities)
+        torques = self._law.torque(self.wanted, joints, velocities)
         if self._weight is not None:
             weight = pin.computeGeneralizedGravity(*self._weight, np.array(joints))
             torques = [torque + part for torque, part in zip(torques, weight.tolist(), strict=True)]
+        if math.dist(torques, self._zeros) < self._least_effort:  # the norm exceeds every part
+            return torques
         return [
             torque if -most < torque < most else (most if torque > 0.0 else -most)
-            for torque, most in zip(torques, self._effort, strict=True)
+            for torque, most in zip(torques, self._effort)  # noqa: B905 - one length; a check costs in every tick
         ]

@@ -10,21 +10,22 @@ holds something if its fingers press.
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import msgspec
 
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import Reflex, StopReason
-from rtc.robot import geometry
-from rtc.robot.geometry import Array
-from sim_mcm.arms.arm import TICK_S, ArmInterface, HandCommand, Motion, Sample, SpindleCommand
+from sim_mcm.arms.arm import TICK_S, ArmInterface, HandCommand, Motion, Sample
 from sim_mcm.control import acceptance, profiles, stop_functions
+from sim_mcm.control.bounds import Bounds
+from sim_mcm.control.goals import GOAL_RAD, WIDTH_M, Arrived, arrival
 from sim_mcm.control.modes import AFTER_STOP, MOVING, TRANSITIONS, Mode, Trigger
+from sim_mcm.control.observation import WINDOW_TICKS, Observation
 from sim_mcm.control.pace import Pace
-from sim_mcm.control.reports import Peaks, Trip, end_report, magnitudes, not_begun
+from sim_mcm.control.reports import Trip, end_report, not_begun
+from sim_mcm.control.spindle import SpindleTurn
 
 # After these reasons the arm may lean on an obstacle; the command then moves to the measured position.
 TOUCHED = frozenset(
@@ -37,39 +38,27 @@ TOUCHED = frozenset(
     }
 )
 
-# Rest means that joints and fingers stay within these spreads for a window of ticks. Speeds are not used: they
-# alternate from tick to tick while a held object is pressed. Equal to 0.005 rad/s and 0.002 m/s of uniform motion.
-WINDOW_TICKS = 20
-REST_RAD, REST_M = 0.005 * WINDOW_TICKS * TICK_S, 0.002 * WINDOW_TICKS * TICK_S
 # Factor by which a command may exceed a joint's speed limit. Reasons: an offset at the start of a path (0.08 rad/s);
 # braking from an acceleration (0.14 rad/s). A greater excess is an error in the profile.
 COMMAND_SLACK = 1.25
-TURNED_RAD = 1e-6  # tolerance of the turn of a spindle
-GOAL_RAD = 0.002  # maximum joint error at the goal
-# An arm at rest for this long, this near the goal, leans on something and ends there; the report has its position.
-LEANING_TICKS, LEANING_RAD = 100, 0.03
-WIDTH_M = 0.0005  # maximum error of the hand opening at the goal
-LEAN_N = 20.0  # a contact force that has increased by this since the start is a new touch
 SQUEEZE_N = 1.0  # a smaller finger force does not count as a grip
-PRESSED = 0.95  # share of the commanded force at which the grip is complete
 SETTLE_LIMIT_S = 1.0  # maximum wait for measured rest; then the end is reported anyway
 RELEASE_LIMIT_S = 3.0
 # Reflex COMPLY: no spring, damping only. It ends at rest with a smaller force than this, or after this time.
 LIMP = p.Compliance(stiffness=[0.0] * 6)
 COMPLIED_N, COMPLY_LIMIT_S = 1.0, 3.0
 
-Reports = list[m.Started | m.Paced | m.ProgressReport | m.EndReport]
+Reports = Sequence[m.Started | m.Paced | m.ProgressReport | m.EndReport]
+NOTHING: Reports = ()
 
 
 class Executor:
     def __init__(self, arm: ArmInterface) -> None:
-        self.arm = arm
         self.name = arm.traits.name
         self.state = Mode.HOLDING
         self.primitive: p.Primitive | None = None
         self.trip: Trip | None = None
-        self.sample = arm.read()
-        self._window = deque([self.sample], WINDOW_TICKS)
+        self._seen = Observation(arm)
         self._most_rad_s = [COMMAND_SLACK * limit for limit in arm.traits.velocity]
         self._most_step_rad = [limit * TICK_S for limit in self._most_rad_s]
         self._ticks = 0  # since the start of this primitive
@@ -81,27 +70,21 @@ class Executor:
         self._paused_ticks = 0  # of this primitive
         self._command: Motion = self._profile.at(0.0)
         self._follow: profiles.Follow | None = None  # the path, if the primitive has one
-        self._hand = HandCommand(sum(self.sample.fingers), arm.traits.max_grip_n, arm.traits.hand_speed_m_s)
+        self._hand = HandCommand(self._seen.width_m, arm.traits.max_grip_n, arm.traits.hand_speed_m_s)
         self._stops: stop_functions.Stops = []
-        self._bias = [0.0] * 6
-        self._wrench = [0.0] * 6
-        self._touched_before: dict[str, float] = {}
-        self._peaks = Peaks()
+        self._bounds = Bounds([], arm.traits)
+        self._arrived: Arrived = lambda time_s: None
         self._report_every: int | None = None
         self._report_when: stop_functions.Reports = []  # not reported yet
         self._yielded = self._releasing = False
-        self._leaning_ticks = 0
         self._stopped_at_s = 0.0  # time along the trajectory, of the latest stop
         self._watch = stop_functions.RetreatWatch([])
-        self._tcp_of: Sample | None = None  # the sample that `_tcp_pose` belongs to
-        self._tcp_pose: Array = arm.tcp_pose(self.sample.joints)
         self._was_compliant = False  # up to the stop
-        self._turned_rad: float | None = None  # by the spindle, if the primitive has turned one
-        self._turned_before_rad = 0.0  # by it before a pause
+        self._spindle: SpindleTurn | None = None  # of the primitive, if it turns one
         # The present control law complies: in EXECUTING, COMPLYING, and until rest if the primitive asks for it.
         self._compliant = False
         self._work: dict[Mode, Callable[[float], Reports]] = {
-            Mode.HOLDING: lambda now_s: [],
+            Mode.HOLDING: lambda now_s: NOTHING,
             Mode.EXECUTING: self._execute,
             Mode.STOPPING: self._stop,
             Mode.RETREATING: self._retreat,
@@ -109,6 +92,7 @@ class Executor:
             Mode.COMPLYING: self._comply,
             Mode.SETTLING: self._settle,
         }
+        self._work_now = self._work[self.state]
         self._enter: dict[Mode, Callable[[], None]] = {
             Mode.HOLDING: self._begin_holding,
             Mode.EXECUTING: self._begin_executing,
@@ -122,12 +106,25 @@ class Executor:
     # --- public interface ---------------------------------------------------------------------------
 
     @property
+    def arm(self) -> ArmInterface:
+        return self._seen.arm
+
+    @arm.setter
+    def arm(self, arm: ArmInterface) -> None:
+        self._seen.arm = arm
+
+    @property
+    def sample(self) -> Sample:
+        """The measurements of this tick."""
+        return self._seen.sample
+
+    @property
     def moving(self) -> bool:
         return self.state in MOVING
 
     @property
     def at_rest(self) -> bool:
-        return self.state in (Mode.HOLDING, Mode.SETTLING) and self._joints_rest()
+        return self.state in (Mode.HOLDING, Mode.SETTLING) and self._seen.joints_rest()
 
     @property
     def primitive_id(self) -> str:
@@ -136,7 +133,7 @@ class Executor:
     @property
     def wrench(self) -> list[float]:
         """Wrench of this tick (N, N.m) minus the bias of the current or last primitive."""
-        return [value - bias for value, bias in zip(self.sample.wrench, self._bias, strict=True)]
+        return self._seen.unbiased()
 
     @property
     def hand(self) -> HandCommand:
@@ -147,7 +144,7 @@ class Executor:
         """Start it with the next tick or refuse it: returns `Started` or an end report with the reason REFUSED."""
         why = self._objection(primitive)
         if why:
-            pose = self.arm.tcp_pose(self.sample.joints)
+            pose = self._seen.tcp()
             return [not_begun(primitive.id, self.name, why, at_s=now_s, sample=self.sample, tcp_pose=pose)]
         self.primitive = primitive
         self._apply(Trigger.ACCEPTED)
@@ -185,7 +182,7 @@ class Executor:
         limit does not count from the order to pause until the order to go on. Without effect on an arm that stops."""
         if self.state is not Mode.EXECUTING or paused is self._pace.paused:
             return
-        self._pace.paused, self._pace.least_s = paused, ramp_s
+        self._pace.order(paused, ramp_s)
         assert self.primitive is not None
         trajectory = self.primitive.trajectory
         if isinstance(trajectory, p.HandMotion):
@@ -193,51 +190,48 @@ class Executor:
                 self._freeze_hand()
             else:
                 self._move_hand(trajectory)
-        if isinstance(trajectory, p.SpindleMotion):
-            self._pace_spindle(trajectory, paused)
+        if self._spindle is not None:
+            self._pace_spindle(self._spindle, paused)
 
-    def _pace_spindle(self, motion: p.SpindleMotion, paused: bool) -> None:
-        """Stop the spindle, or turn it by what is left."""
+    def _pace_spindle(self, spindle: SpindleTurn, paused: bool) -> None:
         if paused:
-            self._turned_before_rad += self.arm.spindle().turned_rad
-            self.arm.drive_spindle(None)
+            spindle.stop()
             return
-        left = motion.turn_rad - self._turned_before_rad
         try:
-            if abs(left) > TURNED_RAD:
-                self.arm.drive_spindle(SpindleCommand(left, motion.speed_rad_s, motion.torque_nm))
+            spindle.run()
         except ValueError as error:  # the driver is not in the hand any more
             self._trip(Trip(reason=StopReason.OBJECT_LOST, message=str(error)), Trigger.TRIPPED)
 
     def tick(self, now_s: float) -> Reports:
         """One servo tick: read the sample, evaluate, command."""
-        sample = self.sample = self.arm.read()
-        self._window.append(sample)
-        if self.state is Mode.HOLDING:  # the most frequent case
-            return []
+        seen = self._seen
+        seen.read()
+        if self.primitive is None:  # HOLDING, the most frequent case
+            return NOTHING
         if self._ticks == 0:
-            self._bias = list(sample.wrench)
-            self._touched_before |= {**self.arm.touches(), **self.arm.arm_touches()}
+            seen.begin()
         self._ticks += 1
-        self._wrench = self.wrench
-        reports = self._work[self.state](now_s)
-        command = self._advance()
+        seen.feel()
+        reports = self._work_now(now_s)
+        if self._pace.full:
+            self._profile_ticks += 1
+            command = self._profile.at(self._profile_ticks * TICK_S + self._shift_s)
+        else:
+            command = self._advance_slowly()
         if not self._checked and not self._within_limits(command):
             command = self._brake_instead(command)
         self._command = command
         if self._compliant:
-            self.arm.feel(self._wrench)
-        self.arm.follow(command)
+            seen.arm.feel(seen.wrench)
+        seen.arm.follow(command)
         return reports
 
     # --- the states ------------------------------------------------------------------------------------
 
     def _begin_holding(self) -> None:
-        self._touched_before = {}
-        if self.trip is not None and self.trip.reason in (StopReason.COLLISION, StopReason.ARM_CONTACT):
-            self._touched_before[self.trip.message] = (
-                0.0  # contact may be intermittent, so it is not measured in every tick
-            )
+        trip = self.trip
+        touched = trip is not None and trip.reason in (StopReason.COLLISION, StopReason.ARM_CONTACT)
+        self._seen.forget_touches(trip.message if trip is not None and touched else None)
         if self._compliant and self.primitive is not None:
             self._stiffen(self.primitive.control_law)
             self._use(profiles.Stay(self._command[0]))
@@ -251,10 +245,7 @@ class Executor:
         self._ticks = self._paused_ticks = 0
         self._stands = False
         self._compliant = self.primitive.control_law.compliance is not None
-        self._peaks = Peaks()
         self._yielded = self._releasing = False
-        self._leaning_ticks = 0
-        self._turned_rad = None
         every_s = self.primitive.reporting.every_s
         self._report_every = None if every_s is None else max(1, round(every_s / TICK_S))
         joints = self._command[0]
@@ -265,15 +256,24 @@ class Executor:
             self._use(profiles.Stay(joints))
         if isinstance(trajectory, p.HandMotion):
             self._move_hand(trajectory)
-        self._turned_before_rad = 0.0
-        if isinstance(trajectory, p.SpindleMotion):
-            self.arm.drive_spindle(_spindle(trajectory))
+        self._spindle = SpindleTurn(trajectory, self._seen) if isinstance(trajectory, p.SpindleMotion) else None
+        if self._spindle is not None:
+            self._spindle.run()
+        self._arrived = arrival(trajectory, self._seen, self._profile.duration_s, self._turned_rad)
+
+    def _turned_rad(self) -> float:
+        return 0.0 if self._spindle is None else self._spindle.turned_rad
 
     def _execute(self, now_s: float) -> Reports:
-        moment = self._moment()
-        self._peaks.take(moment.force_n, moment.torque_nm)
-        reports = self._conditions_met(moment, now_s)
-        found = stop_functions.first(self._stops, moment)
+        seen = self._seen
+        seen.count_peaks()
+        arrived = self._arrived(self._profile_ticks * TICK_S + self._shift_s)
+        elapsed_s = (self._ticks - self._paused_ticks) * TICK_S
+        reports, found = NOTHING, None
+        if arrived is not None or self._report_when or not self._bounds.hold(seen, elapsed_s, self._command):
+            moment = seen.moment(elapsed_s, arrived, self._command)
+            reports = self._conditions_met(moment, now_s)
+            found = stop_functions.first(self._stops, moment)
         if found is not None:
             stop, (measured, limit, words) = found
             trip = Trip(
@@ -285,11 +285,11 @@ class Executor:
                 message=words,
             )
             self._trip(trip, Trigger.TRIPPED)
-            return reports + self._stop(now_s)
+            return [*reports, *self._stop(now_s)]
         if self._pace.paused or self._stands:
-            reports += self._paced(now_s)
+            reports = [*reports, *self._paced(now_s)]
         if self._report_every is not None and self._ticks % self._report_every == 0:
-            reports.append(self._progress(now_s))
+            reports = [*reports, self._progress(now_s)]
         return reports
 
     def _conditions_met(self, moment: stop_functions.Moment, now_s: float) -> Reports:
@@ -319,19 +319,18 @@ class Executor:
         assert self.trip is not None
         self._was_compliant = self._compliant
         self._stopped_at_s = math.inf if self.trip.reason is StopReason.GOAL else self._profile_time_s
-        if isinstance(self.primitive.trajectory, p.SpindleMotion):
-            self._turned_rad = self._turned_before_rad + self.arm.spindle().turned_rad
-            self.arm.drive_spindle(None)
+        if self._spindle is not None:
+            self._spindle.stop()
         compliance = self.primitive.control_law.compliance
         if self._compliant and not (compliance is not None and compliance.until_rest):
             self._stiffen(self.primitive.control_law)
-        self._use(profiles.Brake(self._command, laden=min(self.sample.finger_forces) > SQUEEZE_N))
+        self._use(profiles.Brake(self._command, laden=self._seen.grip_n > SQUEEZE_N))
         hand_moves = isinstance(self.primitive.trajectory, p.HandMotion) and self.trip.reason is not StopReason.GOAL
         if hand_moves or self._releasing:
             self._freeze_hand()
 
     def _stop(self, now_s: float) -> Reports:
-        self._peaks.take(*magnitudes(self._wrench))
+        self._seen.count_peaks()
         if self._profile_time_s < self._profile.duration_s:
             return []
         assert self.trip is not None
@@ -352,9 +351,9 @@ class Executor:
         self._use(profiles.Retrace(self._follow, tripped_s, joints, self.trip.back_off_m, self.arm.tcp_pose))
 
     def _retreat(self, now_s: float) -> Reports:
-        moment = self._moment()
-        self._peaks.take(moment.force_n, moment.torque_nm)
-        met = self._watch.first(moment)
+        self._seen.count_peaks()
+        elapsed_s = (self._ticks - self._paused_ticks) * TICK_S
+        met = self._watch.first(self._seen.moment(elapsed_s, None, self._command))
         if met is not None:
             self._cut_retreat(*met)
             return self._stop(now_s)
@@ -380,7 +379,7 @@ class Executor:
         self._use_hand(HandCommand(traits.max_opening_m, traits.max_grip_n, traits.hand_speed_m_s))
 
     def _release(self, now_s: float) -> Reports:
-        opened = sum(self.sample.fingers) >= self.arm.traits.max_opening_m - WIDTH_M
+        opened = self._seen.width_m >= self.arm.traits.max_opening_m - WIDTH_M
         if not opened and self._profile_time_s < RELEASE_LIMIT_S:
             return []
         self._apply(Trigger.DONE)
@@ -393,7 +392,7 @@ class Executor:
         self._compliant = True
 
     def _comply(self, now_s: float) -> Reports:
-        rests = self._joints_rest() and magnitudes(self._wrench)[0] < COMPLIED_N
+        rests = self._seen.joints_rest() and self._seen.force_n < COMPLIED_N
         waited_s = self._profile_time_s
         if waited_s < WINDOW_TICKS * TICK_S or (not rests and waited_s < COMPLY_LIMIT_S):
             return []
@@ -423,17 +422,11 @@ class Executor:
     def _still(self, leaning: bool) -> bool:
         """At rest and at the commanded position: an arm that swings with a load satisfies only one at a time. An arm
         that leans on an obstacle cannot reach the commanded position."""
-        return self._joints_rest() and self._fingers_rest() and (leaning or self._off_command() < GOAL_RAD)
-
-    def _joints_rest(self) -> bool:
-        return _spread(sample.joints for sample in self._window) <= REST_RAD
-
-    def _fingers_rest(self) -> bool:
-        return _spread(sample.fingers for sample in self._window) <= REST_M
+        return self._seen.joints_rest() and self._seen.fingers_rest() and (leaning or self._off_command() < GOAL_RAD)
 
     def _off_command(self) -> float:
         """The greatest joint error (rad)."""
-        return max(abs(a - b) for a, b in zip(self.sample.joints, self._command[0], strict=True))
+        return self._seen.off(self._command[0])
 
     # --- internals -------------------------------------------------------------------------------------
 
@@ -442,13 +435,15 @@ class Executor:
         row = TRANSITIONS[self.state]
         assert event in row, f"{self.name}: {event.value} cannot happen while {self.state.value} ({self.primitive_id})"
         before, self.state = self.state, following or row[event]
+        self._work_now = self._work[self.state]
         if self.state is not before or event is not Trigger.HALTED:
             self._enter[self.state]()
 
     def _trip(self, trip: Trip, event: Trigger) -> None:
         assert self.trip is None, "a primitive ends for one reason"
-        pose = self.arm.tcp_pose(self.sample.joints).tolist()
-        self.trip = msgspec.structs.replace(trip, at_path_s=self._profile_time_s, pose=pose, wrench=list(self._wrench))
+        pose = self._seen.tcp().tolist()
+        wrench = list(self._seen.wrench)
+        self.trip = msgspec.structs.replace(trip, at_path_s=self._profile_time_s, pose=pose, wrench=wrench)
         self._apply(event)
 
     def _objection(self, primitive: p.Primitive) -> str:
@@ -463,14 +458,16 @@ class Executor:
             if any(stop.reflex is Reflex.COMPLY for stop in primitive.stop_functions):
                 self.arm.use_law(_limp(primitive.control_law))  # an arm that cannot comply refuses here
             if isinstance(primitive.trajectory, p.SpindleMotion):
-                self.arm.drive_spindle(_spindle(primitive.trajectory))  # an arm that cannot refuses here
-                self.arm.drive_spindle(None)
+                spindle = SpindleTurn(primitive.trajectory, self._seen)
+                spindle.run()  # an arm that cannot refuses here
+                spindle.stop()
             self.arm.use_law(primitive.control_law)
         except ValueError as error:
             return str(error)
         except Exception as error:  # a bad primitive must not end the process that controls the other arm
             return f"it cannot be checked: {type(error).__name__}: {error}"
         self._stops, self._report_when = stops, conditions
+        self._bounds = Bounds(stops, self.arm.traits)
         return ""
 
     def _within_limits(self, command: Motion) -> bool:
@@ -502,11 +499,8 @@ class Executor:
         self._profile_ticks, self._shift_s = 0, 0.0
         self._pace = Pace()
 
-    def _advance(self) -> Motion:
-        """The command of this tick."""
-        if self._pace.full:
-            self._profile_ticks += 1
-            return self._profile.at(self._profile_time_s)
+    def _advance_slowly(self) -> Motion:
+        """The command of this tick, in a pause or on the way into or out of it."""
         self._shift_s += self._pace.advance(self._profile, self._profile_time_s, self._most_rad_s2)
         return self._pace.scaled(self._profile.at(self._profile_time_s))
 
@@ -518,7 +512,7 @@ class Executor:
     @property
     def _most_rad_s2(self) -> list[float]:
         most = self.arm.traits.acceleration
-        if min(self.sample.finger_forces) > SQUEEZE_N:
+        if self._seen.grip_n > SQUEEZE_N:
             return [min(a, profiles.LADEN_ACCELERATION_RAD_S2) for a in most]
         return most
 
@@ -539,9 +533,9 @@ class Executor:
 
     def _freeze_hand(self) -> None:
         """Stop the fingers. A hand that grips keeps its present force."""
-        pressed, hand = min(self.sample.finger_forces), self._hand
+        pressed, hand = self._seen.grip_n, self._hand
         if pressed < SQUEEZE_N:
-            self._use_hand(HandCommand(sum(self.sample.fingers), hand.force_n, hand.speed_m_s))
+            self._use_hand(HandCommand(self._seen.width_m, hand.force_n, hand.speed_m_s))
         else:
             self._use_hand(HandCommand(hand.width_m, min(pressed, hand.force_n), hand.speed_m_s))
 
@@ -549,101 +543,13 @@ class Executor:
     def _profile_time_s(self) -> float:
         return self._profile_ticks * TICK_S + self._shift_s
 
-    def _moment(self) -> stop_functions.Moment:
-        sample = self.sample
-        force_n, torque_nm = magnitudes(self._wrench)
-        return stop_functions.Moment(
-            (self._ticks - self._paused_ticks) * TICK_S,
-            sample.joints,
-            sample.velocities,
-            self._wrench,
-            force_n,
-            torque_nm,
-            sample.fingers[0] + sample.fingers[1],
-            min(sample.finger_forces),
-            max(sample.finger_forces),
-            self._arrived(),
-            self._tcp,
-            self._touch,
-            self._command[0],
-            lambda: self.arm.tcp_pose(self._command[0]),
-            self._tcp_speed_m_s,
-            self._arm_touch,
-            self.arm.near,
-        )
-
-    def _tcp(self) -> Array:
-        """Pose of the tcp in this tick, computed once."""
-        if self._tcp_of is not self.sample:
-            self._tcp_of, self._tcp_pose = self.sample, self.arm.tcp_pose(self.sample.joints)
-        return self._tcp_pose
-
-    def _tcp_speed_m_s(self) -> float:
-        """Mean speed of the tcp over the window."""
-        before = self.arm.tcp_pose(self._window[0].joints)
-        return geometry.distance(before, self._tcp()) / (max(1, len(self._window) - 1) * TICK_S)
-
-    def _touch(self) -> str:
-        return self._new_touch(self.arm.touches())
-
-    def _arm_touch(self) -> str:
-        return self._new_touch(self.arm.arm_touches())
-
-    def _new_touch(self, touches: Mapping[str, float]) -> str:
-        """A contact, as text, or ''. A contact from before the start counts only if its force has grown: otherwise the
-        arm could never move away from an obstacle."""
-        before = self._touched_before
-        for words, force_n in touches.items():
-            if force_n > before.get(words, -LEAN_N) + LEAN_N:
-                return words
-        return ""
-
-    def _arrived(self) -> stop_functions.Finding | None:
-        """(worst error, tolerance, '') once the goal is reached and the arm has settled."""
-        assert self.primitive is not None
-        trajectory, sample = self.primitive.trajectory, self.sample
-        if isinstance(trajectory, p.HandMotion):
-            return self._hand_arrived(trajectory)
-        if isinstance(trajectory, p.SpindleMotion):
-            turned = abs(self._turned_before_rad + self.arm.spindle().turned_rad)
-            wanted = abs(trajectory.turn_rad) - TURNED_RAD
-            return (turned, wanted, "") if turned >= wanted else None
-        if isinstance(trajectory, p.HoldStill):
-            if trajectory.duration_s is None or self._profile_time_s < trajectory.duration_s:
-                return None
-            return self._profile_time_s, trajectory.duration_s, ""
-        if self._profile_time_s < self._profile.duration_s:
-            return None
-        assert isinstance(trajectory, p.JointTrajectory)
-        error = max(abs(a - b) for a, b in zip(sample.joints, trajectory.positions[-1], strict=True))
-        rests = self._joints_rest()
-        self._leaning_ticks = self._leaning_ticks + 1 if rests else 0
-        if rests and error <= GOAL_RAD:
-            return error, GOAL_RAD, ""
-        if self._leaning_ticks >= LEANING_TICKS and error <= LEANING_RAD:
-            return error, LEANING_RAD, ""
-        return None
-
-    def _hand_arrived(self, trajectory: p.HandMotion) -> stop_functions.Finding | None:
-        if not self._fingers_rest():
-            return None
-        error = abs(sum(self.sample.fingers) - trajectory.width_m)
-        if error <= WIDTH_M:
-            return error, WIDTH_M, ""
-        # On an object off the centre of the hand one finger presses more and the other less by the same amount.
-        pressed, less = 0.5 * sum(self.sample.finger_forces), min(self.sample.finger_forces)
-        closing = sum(self.sample.fingers) > trajectory.width_m
-        if closing and pressed >= PRESSED * trajectory.force_n and less >= 0.5 * trajectory.force_n:
-            return pressed, trajectory.force_n, ""
-        return None
-
     def _progress(self, now_s: float) -> m.ProgressReport:
         return m.ProgressReport(
             primitive=self.primitive_id,
             at_s=now_s,
             joints=self.sample.joints,
-            wrench=self._wrench,
-            tcp_pose=self.arm.tcp_pose(self.sample.joints).tolist(),
+            wrench=self._seen.wrench,
+            tcp_pose=self._seen.tcp().tolist(),
         )
 
     def _end_report(self, now_s: float) -> m.EndReport:
@@ -654,23 +560,11 @@ class Executor:
             self.trip,
             at_s=now_s,
             duration_s=self._ticks * TICK_S,
-            sample=self.sample,
-            tcp_pose=self.arm.tcp_pose(self.sample.joints),
-            wrench=self._wrench,
-            peaks=self._peaks,
-            turned_rad=self._turned_rad,
+            seen=self._seen,
+            turned_rad=None if self._spindle is None else self._spindle.turned_rad,
         )
-
-
-def _spindle(trajectory: p.SpindleMotion) -> SpindleCommand:
-    return SpindleCommand(trajectory.turn_rad, trajectory.speed_rad_s, trajectory.torque_nm)
 
 
 def _limp(law: p.ControlLaw) -> p.ControlLaw:
     """The law of the reflex COMPLY, with the load of the primitive."""
     return p.ControlLaw(name="impedance", gains=law.gains, load=law.load, compliance=LIMP)
-
-
-def _spread(rows: Iterable[Sequence[float]]) -> float:
-    """The greatest distance between any two values of one column."""
-    return max(max(column) - min(column) for column in zip(*rows, strict=True))

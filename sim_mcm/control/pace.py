@@ -24,14 +24,18 @@ class Pace:
     def __init__(self) -> None:
         self.paused = False  # the latest order
         self.rate, self.change = 1.0, 0.0  # profile time per time, and its derivative (1/s)
-        self.least_s = 0.0  # minimum duration of a ramp
+        self.full = True  # the profile runs at its own pace, and is to go on so
+        self._least_s = 0.0  # minimum duration of a ramp
         self._ticks_left = self._ticks = 0  # of the present ramp
         self._begin = 1.0
 
-    @property
-    def full(self) -> bool:
-        """Whether the profile runs at its own pace, and is to go on so."""
-        return self.rate == 1.0 and not self.paused and not self._ticks_left
+    def order(self, paused: bool, least_s: float) -> None:
+        """Pause, or go on, within this time or more (s)."""
+        self.paused, self._least_s = paused, least_s
+        self._compare()
+
+    def _compare(self) -> None:
+        self.full = self.rate == 1.0 and not self.paused and not self._ticks_left
 
     def advance(self, profile: Profile, at_s: float, most_rad_s2: Sequence[float]) -> float:
         """One tick: returns the progress (s) of the profile's time, which is `at_s` now."""
@@ -40,7 +44,7 @@ class Pace:
             if self.rate == target:
                 return self.rate * TICK_S
             self._begin = self.rate
-            ramp_s = max(self.least_s, _ramp_s(profile, at_s, self.rate, most_rad_s2))
+            ramp_s = max(self._least_s, _ramp_s(profile, at_s, self.rate, most_rad_s2))
             self._ticks = self._ticks_left = round(ramp_s / TICK_S)
         before_s = self._progress_s()
         self._ticks_left -= 1
@@ -52,6 +56,7 @@ class Pace:
             self.change = (end - self._begin) * slope / length_s
         else:
             self.rate, self.change = end, 0.0
+            self._compare()
         return progress_s
 
     def next_ramp_s(self, profile: Profile, at_s: float, most_rad_s2: Sequence[float]) -> float:

@@ -7,6 +7,8 @@ only. This module must not know arms, samples or stop reasons.
 
 from __future__ import annotations
 
+import bisect
+import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
@@ -26,6 +28,7 @@ LADEN_ACCELERATION_RAD_S2 = 4.0
 LADEN_JERK_RAD_S3 = 400.0
 # Limits while the command moves to the position where contact has stopped the arm, to relieve the pressure.
 YIELD_VELOCITY_RAD_S, YIELD_ACCELERATION_RAD_S2, YIELD_JERK_RAD_S3 = 0.2, 2.0, 200.0
+TICKS_PER_S = 1.0 / TICK_S
 BLOCK = 64  # number of ticks of a path computed at once
 SAME_S = 1e-7  # rounding of a time that counts ticks
 BLEND_S = 0.25  # time in which an initial offset between command and path fades out
@@ -65,39 +68,51 @@ class Follow:
         )
         self._block_fits = False
         self._length_s = trajectory.duration_s
+        self._knots = list(trajectory.time_s)
         self._knots_s = np.asarray(trajectory.time_s)
         self._pieces = _hermite(trajectory)
         self._offset = np.asarray(start) - np.asarray(trajectory.positions[0])
         self._blend = bool(np.abs(self._offset).max() > 1e-9)
         self.duration_s = max(self._length_s, BLEND_S) if self._blend else self._length_s
         self._end = Stay(trajectory.positions[-1]).at(0.0)
-        self._block: list[list[list[float]]] = []  # motions from _first_s on, one per tick
-        self._first_s = 0.0
+        self._block: Array = np.empty((0, 3, 0))  # motions, one per tick
+        self._first_s, self._count = 0.0, 0  # time of its first motion; number of them
 
     def at(self, time_s: float) -> Motion:
-        self.within_limits = False
         if time_s >= self.duration_s:
+            self.within_limits = False
             return self._end
-        n = round((time_s - self._first_s) / TICK_S)
-        if not 0 <= n < len(self._block) or abs(time_s - self._first_s - n * TICK_S) > SAME_S:
-            self._first_s = time_s
-            n = 0
-            times_s: Array = time_s + TICK_S * np.arange(BLOCK, dtype=np.float64)
-            block = self.path(times_s)
-            if self._blend and times_s[0] < BLEND_S:
-                block += self._remaining_offset(times_s)
-            self._block = block.tolist()
-            self._block_fits = self._fits(block)
-        else:
+        n = int((time_s - self._first_s) * TICKS_PER_S + 0.5)
+        if n < self._count and -SAME_S < time_s - self._first_s - n * TICK_S < SAME_S:
             self.within_limits = self._block_fits
-        joints, velocities, accelerations = self._block[n]
-        return joints, velocities, accelerations
+        else:
+            self._begin_block(time_s)
+            self.within_limits, n = False, 0
+        motion: Motion = self._block[n].tolist()
+        return motion
+
+    def _begin_block(self, time_s: float) -> None:
+        """Compute the ticks from this time on, at most to the next knot."""
+        end = min(bisect.bisect_right(self._knots, time_s), len(self._pieces))
+        count = min(BLOCK, int((self._knots[end] - time_s) * TICKS_PER_S) + 1)
+        blends = self._blend and time_s < BLEND_S
+        if blends or count < 1:  # beyond the last knot
+            times_s: Array = time_s + TICK_S * np.arange(BLOCK, dtype=np.float64)
+            block, count = self.path(times_s), BLOCK
+            if blends:
+                block += self._remaining_offset(times_s)
+        else:
+            since_s = time_s - self._knots[end - 1]
+            block = (TICK_BASIS[: 3 * count] @ (_shift(since_s) @ self._pieces[end - 1])).reshape(count, 3, -1)
+        self._block = block
+        self._first_s, self._count = time_s, count
+        self._block_fits = self._fits(block)
 
     def _fits(self, block: Array) -> bool:
         if self._most_rad_s is None:
             return False
-        steps, speeds = np.abs(np.diff(block[:, 0], axis=0)), np.abs(block[:, 1])
-        return bool((steps <= TICK_S * self._most_rad_s).all() and (speeds <= self._most_rad_s).all())
+        steps, speeds = block[1:, 0] - block[:-1, 0], block[:, 1]
+        return _within(steps, TICK_S * self._most_rad_s) and _within(speeds, self._most_rad_s)
 
     def path(self, times_s: Array) -> Array:
         """k x 3 x n: joints, velocities, accelerations of the path itself at k times."""
@@ -126,12 +141,38 @@ class Follow:
         return np.asarray(rows)[:, :, None] * self._offset
 
 
+def _within(rows: Array, most: Array) -> bool:
+    """Whether no value of any row exceeds that of its column in magnitude; false for NaN."""
+    return bool((np.abs(rows) <= most).all())
+
+
 # Factors and powers of u in the value, first and second derivative of a quintic polynomial.
 DERIVATIVES: tuple[tuple[Array, list[int]], ...] = (
     (np.ones(6), [0, 1, 2, 3, 4, 5]),
     (np.array((1.0, 2.0, 3.0, 4.0, 5.0)), [0, 1, 2, 3, 4]),
     (np.array((2.0, 6.0, 12.0, 20.0)), [0, 1, 2, 3]),
 )
+
+
+def _tick_basis() -> Array:
+    """For each tick of a block three rows: value, first and second derivative of 1, u .. u^5."""
+    u = (TICK_S * np.arange(BLOCK))[:, None] ** np.arange(6)
+    basis = np.zeros((BLOCK, 3, 6))
+    for order, (factors, powers) in enumerate(DERIVATIVES):
+        basis[:, order, order:] = u[:, powers] * factors
+    return basis.reshape(-1, 6)
+
+
+TICK_BASIS = _tick_basis()
+BINOMIALS: Array = np.array([[float(math.comb(n, k)) for n in range(6)] for k in range(6)])
+POWERS = np.maximum(np.arange(6)[None, :] - np.arange(6)[:, None], 0)
+
+
+def _shift(by_s: float) -> Array:
+    """6 x 6: from the coefficients of a polynomial to those about a time later by this."""
+    powers = [1.0, by_s, by_s**2, by_s**3, by_s**4, by_s**5]
+    shift: Array = BINOMIALS * np.array(powers)[POWERS]
+    return shift
 
 
 class Brake:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-
 import msgspec
 
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.robot.geometry import Array
 from sim_mcm.arms.arm import Sample
+from sim_mcm.control.observation import Observation
 
 
 class Trip(msgspec.Struct, frozen=True, kw_only=True):
@@ -27,26 +25,6 @@ class Trip(msgspec.Struct, frozen=True, kw_only=True):
     wrench: list[float] | None = None
 
 
-class Peaks:
-    """The greatest force and torque of a primitive so far (magnitudes)."""
-
-    def __init__(self) -> None:
-        self.force_n = 0.0
-        self.torque_nm = 0.0
-
-    def take(self, force_n: float, torque_nm: float) -> None:
-        if force_n > self.force_n:
-            self.force_n = force_n
-        if torque_nm > self.torque_nm:
-            self.torque_nm = torque_nm
-
-
-def magnitudes(wrench: Sequence[float]) -> tuple[float, float]:
-    """Force (N) and torque (N.m) of a wrench."""
-    fx, fy, fz, tx, ty, tz = wrench
-    return math.sqrt(fx * fx + fy * fy + fz * fz), math.sqrt(tx * tx + ty * ty + tz * tz)
-
-
 def end_report(
     primitive: str,
     performer: str,
@@ -54,12 +32,10 @@ def end_report(
     *,
     at_s: float,
     duration_s: float,
-    sample: Sample,
-    tcp_pose: Array,
-    wrench: list[float],
-    peaks: Peaks,
+    seen: Observation,
     turned_rad: float | None = None,
 ) -> m.EndReport:
+    sample = seen.sample
     return m.EndReport(
         primitive=primitive,
         performer=performer,
@@ -67,12 +43,12 @@ def end_report(
         at_s=at_s,
         duration_s=duration_s,
         joints=sample.joints,
-        tcp_pose=tcp_pose.tolist(),
-        wrench=wrench,
-        hand_width_m=sample.fingers[0] + sample.fingers[1],
-        hand_force_n=min(sample.finger_forces),
-        peak_force_n=peaks.force_n,
-        peak_torque_nm=peaks.torque_nm,
+        tcp_pose=seen.tcp().tolist(),
+        wrench=seen.wrench,
+        hand_width_m=seen.width_m,
+        hand_force_n=seen.grip_n,
+        peak_force_n=seen.peak_force_n,
+        peak_torque_nm=seen.peak_torque_nm,
         trip_pose=trip.pose,
         trip_wrench=trip.wrench,
         measured=trip.measured,

@@ -31,9 +31,8 @@ class Moment(msgspec.Struct):
     wrench: list[float]
     force_n: float  # magnitudes
     torque_nm: float
-    width_m: float
-    grip_n: float  # force of the finger that presses less
-    grip_most_n: float  # and of the one that presses more
+    fingers: tuple[float, float]  # as in Sample
+    finger_forces: tuple[float, float]
     arrived: Finding | None  # (greatest error, tolerance, '') once the goal is reached
     tcp: Callable[[], Array]  # called on demand: tcp and touch cost more than the other values
     touch: Callable[[], str]
@@ -42,6 +41,15 @@ class Moment(msgspec.Struct):
     tcp_speed_m_s: Callable[[], float]
     arm_touch: Callable[[], str] = str  # contact with another arm, in words
     near: Callable[[float], Sequence[Near]] = lambda within_m: ()  # bodies within a distance (m), see ArmInterface
+
+    @property
+    def width_m(self) -> float:
+        return self.fingers[0] + self.fingers[1]
+
+    @property
+    def grip_n(self) -> float:
+        """Force of the finger that presses less."""
+        return min(self.finger_forces)
 
 
 Check = Callable[[Moment], Finding | None]
@@ -240,7 +248,7 @@ def _width(when: p.HandWidthBelow, traits: Traits) -> Check:
 
 def _grip_above(when: p.GripForceAbove, traits: Traits) -> Check:
     limit = when.limit_n
-    return lambda now: (now.grip_most_n, limit, "") if now.grip_most_n > limit else None
+    return lambda now: (most, limit, "") if (most := max(now.finger_forces)) > limit else None
 
 
 def _tcp_near(when: p.TcpNear, traits: Traits) -> Check:

@@ -30,6 +30,7 @@ class Pending(msgspec.Struct):
 class McmSubsystem(Subsystem[Executor]):
     def __init__(self, arms: Mapping[str, ArmInterface], name: str = "MCM", pid: int = 0) -> None:
         super().__init__({arm: Executor(part) for arm, part in arms.items()}, name, pid)
+        self._all = list(self.performers.values())
         self._pairs = Pairs(self.executors)
         self._reached_s: dict[str, float] = {}  # how far each ended primitive came along its trajectory
         self._pending: dict[str, Pending] = {}  # by performer
@@ -38,6 +39,10 @@ class McmSubsystem(Subsystem[Executor]):
     @property
     def executors(self) -> dict[str, Executor]:
         return self.performers
+
+    @property
+    def idle(self) -> bool:
+        return not self._pending and all(executor.primitive is None for executor in self._all)
 
     def brake(self) -> None:
         self._pending.clear()
@@ -60,8 +65,11 @@ class McmSubsystem(Subsystem[Executor]):
         return performer.accept(primitive, now_s) if primitive.partner is None else self._pairs.begin(primitive, now_s)
 
     def _tick(self, performer: Executor, now_s: float) -> Outgoing:
+        reports = performer.tick(now_s)
+        if not reports and performer.trip is None:  # in nearly every tick
+            return []
         messages: list[Report] = []
-        for message in performer.tick(now_s):
+        for message in reports:
             if isinstance(message, m.Paced):
                 if message not in self._paced:  # of two arms once
                     self._paced.append(message)

@@ -24,7 +24,7 @@ def test_position_brings_the_arm_to_where_it_is_wanted(cell, model) -> None:
     home = np.array(cell.arm("RIGHT-ARM").home_rad)
     servo, data = Servo(model, home.tolist()), model.model.createData()
     wanted = (home + 0.001).tolist()
-    servo.want((wanted, [0.0] * 6, [0.0] * 6))
+    servo.wanted = (wanted, [0.0] * 6, [0.0] * 6)
     q, v = home.copy(), np.zeros(6)
     for _ in range(200):
         torque = np.array(servo.torque(q.tolist(), v.tolist()))
@@ -36,7 +36,7 @@ def test_position_brings_the_arm_to_where_it_is_wanted(cell, model) -> None:
 def test_torques_stay_within_what_the_motors_can(cell, model) -> None:
     home = cell.arm("RIGHT-ARM").home_rad
     servo = Servo(model, home)
-    servo.want(([q + 1.0 for q in home], [0.0] * 6, [0.0] * 6))
+    servo.wanted = ([q + 1.0 for q in home], [0.0] * 6, [0.0] * 6)
     torque = np.abs(servo.torque(home, [0.0] * 6))
     assert np.all(torque <= model.limits.effort)
     assert np.any(torque == model.limits.effort)
