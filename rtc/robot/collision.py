@@ -232,7 +232,7 @@ class CollisionWorld:
         one, two = carrier == self._number[arm], carrier == self._number[other]
         openings_m = {name: self.cell.arm(name).gripper.max_opening_m for name in self._bodies.arms}
         self._apart = self._apart or ApartCheck(self._bodies)
-        self._apart.compare(arm, other, self._between(one, two), self._levers, openings_m)
+        self._apart.compare(arm, other, (one, two), self._levers, openings_m)
         return self._apart
 
     def deepest_contact(self, name: str, joints: Mapping[str, Floats]) -> Collision | None:

@@ -22,10 +22,13 @@ from rtc.protocol.primitive import LONGEST_S, JointTrajectory, Primitive, StartA
 from rtc.protocol.primitive_id import command_of
 from rtc.robot.apart import ApartCheck
 from rtc.robot.geometry import Array
+from rtc.robot.swept import Boxes, Swept
 from workers.planning.motion.request import PlanningRequest
 
 SPACE_M = 0.01  # minimum distance of two moving arms from each other's path
 STEP_M = 0.02  # smallest interval of a path: no point of the arm moves farther in it
+MOST_BLOCKS = 48  # of a course, each with its own boxes
+SHORT_BLOCKS = 6  # boxes sort out intervals of at least so many blocks
 MOST_CHECKS = 3000  # beyond it what is not decided counts as meeting; some 60 ms
 SOFT_M = 0.1  # greatest distance of a compliant arm from its path that is taken into account
 LAG_S = 0.05  # an arm is at most this far behind its command
@@ -45,9 +48,9 @@ class Interval(NamedTuple):
     first: int
     last: int
 
-    def halves(self) -> tuple[Interval, Interval]:
-        middle = (self.first + self.last) // 2
-        return Interval(self.first, middle), Interval(middle, self.last)
+    @property
+    def length(self) -> int:
+        return self.last - self.first
 
 
 def start_conditions(
@@ -118,37 +121,75 @@ def clear_from(check: ApartCheck, mine: Course, theirs: Course, clearance_m: flo
 
     None: their end is not clear of my path.
     """
+    my_swept, their_swept = check.swept
+    my_parts, their_parts = Parts(mine, my_swept), Parts(theirs, their_swept)
     end = len(theirs.time_s) - 1
-    open_: list[tuple[int, Interval, Interval]] = [
-        (-end, Interval(0, end), Interval(0, len(mine.time_s) - 1))
-    ]  # their latest interval first
-    reach, their_reach = check.reaches
+    open_ = [(-end, Interval(0, end), Interval(0, len(mine.time_s) - 1))]  # their latest interval first
     for _ in range(MOST_CHECKS):
         if not open_:
             return 0.0
         _, late, part = heapq.heappop(open_)
-        here, turns = _middle(mine, part)
-        there, their_turns = _middle(theirs, late)
-        if check.apart(here, turns, there, their_turns, clearance_m):
+        short = my_parts.is_short(part) and their_parts.is_short(late)
+        if not short and my_parts.boxes(part).apart(their_parts.boxes(late), clearance_m):
             continue
-        divisible = [interval.last - interval.first > 1 for interval in (late, part)]
-        if not any(divisible):
+        if check.apart(*my_parts.middle(part), *their_parts.middle(late), clearance_m):
+            continue
+        if late.length <= 1 and part.length <= 1:
             return None if late.last == end else float(theirs.time_s[late.last])
-        if divisible[0] and (not divisible[1] or their_reach @ their_turns > reach @ turns):
-            for half in late.halves():
+        if late.length > part.length:
+            for half in their_parts.halves(late):
                 heapq.heappush(open_, (-half.last, half, part))
         else:
-            for half in part.halves():
+            for half in my_parts.halves(part):
                 heapq.heappush(open_, (-late.last, late, half))
     latest = max((late.last for _, late, _ in open_), default=0)
     return None if latest == end else float(theirs.time_s[latest])
 
 
-def _middle(course: Course, part: Interval) -> tuple[Array, Array]:
-    """A posture of the interval, and how far its other postures turn away from it at most, by joint (rad)."""
-    rows = course.postures[part.first : part.last + 1]
-    low, high = rows.min(axis=0), rows.max(axis=0)
-    return 0.5 * (low + high), 0.5 * (high - low)
+class Parts:
+    """The intervals of a course, with what the search needs of each."""
+
+    def __init__(self, course: Course, swept: Swept) -> None:
+        self._postures = course.postures
+        count = len(course.time_s) - 1
+        self._block = -(-count // MOST_BLOCKS)  # intervals of the course that share a box
+        starts = np.arange(0, count, self._block)
+        ends = np.minimum(starts + self._block, count)
+        low, high = (
+            extreme(extreme.reduceat(course.postures, starts), course.postures[ends])
+            for extreme in (np.minimum, np.maximum)
+        )
+        self._blocks = swept.boxes(0.5 * (low + high), 0.5 * (high - low))
+        self._boxes: dict[Interval, Boxes] = {}
+        self._middles: dict[Interval, tuple[Array, Array]] = {}
+
+    def boxes(self, part: Interval) -> Boxes:
+        """Boxes around the pieces of the arm at all postures of the interval."""
+        found = self._boxes.get(part)
+        if found is None:
+            found = self._blocks.between(part.first // self._block, -(-part.last // self._block))
+            self._boxes[part] = found
+        return found
+
+    def is_short(self, part: Interval) -> bool:
+        """Whether an exact check proves more than boxes do, mostly."""
+        return part.length < SHORT_BLOCKS * self._block
+
+    def halves(self, part: Interval) -> tuple[Interval, Interval]:
+        """Two intervals; a long one is divided between two blocks."""
+        middle = (part.first + part.last) // 2
+        if part.length > self._block:
+            middle = max(middle - middle % self._block, part.first - part.first % self._block + self._block)
+        return Interval(part.first, middle), Interval(middle, part.last)
+
+    def middle(self, part: Interval) -> tuple[Array, Array]:
+        """A posture of the interval, and how far its other postures turn away from it at most, by joint (rad)."""
+        found = self._middles.get(part)
+        if found is None:
+            rows = self._postures[part.first : part.last + 1]
+            low, high = rows.min(axis=0), rows.max(axis=0)
+            found = self._middles[part] = (0.5 * (low + high), 0.5 * (high - low))
+        return found
 
 
 def course(path: JointTrajectory, reach: Array) -> Course:
