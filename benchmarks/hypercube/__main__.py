@@ -55,7 +55,7 @@ def main() -> None:
 
 def measure() -> None:
     """Run all microbenchmarks, and write what they give."""
-    from benchmarks.hypercube import broker_costs, lone_costs, process_costs
+    from benchmarks.hypercube import broker_costs, lone_costs, payload_costs, planner_costs, process_costs
 
     question("hypercube_costs", "what does each of broker, workers, client, subsystem and links cost, on shared cores?")
     rounds: list[dict[str, Any]] = []
@@ -71,6 +71,9 @@ def measure() -> None:
             flush=True,
         )
     data = middle(rounds)
+    with neighbours(len(os.sched_getaffinity(0))):
+        data["planners"] = planner_costs.measure(REPETITIONS)
+        data["payload"] = payload_costs.measure(REPETITIONS)
     costs = from_data(data)
     rows = [(f"broker, per {name}", f"{1e6 * cost:.1f} us") for name, cost in costs.broker.items()]
     rows.append(("broker, heartbeat of a worker", f"{1e6 * costs.heartbeat:.1f} us"))

@@ -95,7 +95,7 @@ class BrokerBench:
         self.client = self._peer(settings, "front", "load")
         self.subsystem = self._peer(settings, "subsystems", SUBSYSTEM)
         self.workers = {kind: [self._peer(settings, "workers", _name(kind, n)) for n in range(slots)] for kind in KINDS}
-        self.instant = Instant(os.getpid(), [performer(n) for n in range(PERFORMERS)])
+        self.instant = Instant(os.getpid(), self.performers())
         self._read_job = wire.reader(m.BrokerToWorker)
         self._read_client = wire.reader_of_many(m.BrokerToClient)
         self._read_order = wire.reader_of_many(m.BrokerToSubsystem)
@@ -103,6 +103,12 @@ class BrokerBench:
         self._number = 0
         self._performers = cycle(range(PERFORMERS))
         self._greet(settings)
+
+    def performers(self) -> list[str]:
+        return [performer(n) for n in range(PERFORMERS)]
+
+    def sentence(self) -> str:
+        return f"MOVE {performer(next(self._performers))}"
 
     def _peer(self, settings: Settings, endpoint: str, identity: str) -> zmq.Socket[bytes]:
         return open_socket(self.context, zmq.DEALER, settings.endpoint(endpoint), identity=identity)
@@ -169,9 +175,9 @@ class BrokerBench:
         texts = []
         for _ in range(how_many):
             self._number += 1
-            text = f"MOVE {performer(next(self._performers))}"
+            request = str(self._number)
             texts.append(
-                m.CommandText(request=str(self._number), text=text, progress=False, sent_at_s=time.monotonic())
+                m.CommandText(request=request, text=self.sentence(), progress=False, sent_at_s=time.monotonic())
             )
         for parts in wire.together(texts):
             self.client.send_multipart(parts)
@@ -182,7 +188,7 @@ class BrokerBench:
                 yield turn
             if stage == last:
                 return
-            messages, events = self._answer(out, STAGES[STAGES.index(stage) + 1], took_s)
+            messages, events = self.answer(out, STAGES[STAGES.index(stage) + 1], took_s)
 
     def keep_in_progress(self, how_many: int) -> None:
         """Leave this many commands executing."""
@@ -196,7 +202,7 @@ class BrokerBench:
         self.journal.snapshot(self.router.state)
         return time.thread_time() - began_s
 
-    def _answer(self, out: Sent, stage: str, took_s: float) -> tuple[int, int]:
+    def answer(self, out: Sent, stage: str, took_s: float) -> tuple[int, int]:
         """The peers' answers of the next stage; (messages, events)."""
         if stage == "reported":
             replies = [
@@ -214,7 +220,7 @@ class BrokerBench:
         messages = events = 0
         for n, socket in enumerate(self.workers[kind]):
             results = [
-                m.JobDone(id=job.id, attempt=job.attempt, product=self._product(kind, job), took_s=took_s)
+                m.JobDone(id=job.id, attempt=job.attempt, product=self.product(kind, job), took_s=took_s)
                 for peer, parts in out
                 if peer is socket
                 for job in self._jobs(parts)
@@ -233,7 +239,8 @@ class BrokerBench:
         message = self._read_job(parts)
         return message.jobs if isinstance(message, m.JobBatch) else []
 
-    def _product(self, kind: WorkerKind, job: m.Job) -> msgspec.Raw:
+    def product(self, kind: WorkerKind, job: m.Job) -> msgspec.Raw:
+        """The product of a worker of this kind."""
         return wire.raw(FUNCTIONS[kind].body(self._inputs[kind](job.input)))
 
     def heartbeats(self, how_many: int) -> float:

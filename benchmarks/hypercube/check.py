@@ -61,8 +61,9 @@ HEADER = (
 
 def plan_of(row: dict[str, Any], cores: int) -> Plan:
     """The plan that corresponds to a case of `benchmarks.scaling`."""
-    arms = CELL_ARMS if row["workload"] == "real" else ARMS
-    return Plan(dim=row["dim"], workload=row["workload"], window=row["window"], cores=cores, arms=arms)
+    real = row["workload"] == "real"
+    arms = CELL_ARMS if real else ARMS
+    return Plan(dim=row["dim"], workload=row["workload"], window=row["window"], cores=cores, arms=arms, beside=real)
 
 
 def compare(costs: Costs, data: Sequence[dict[str, Any]], cores: int, seed: int) -> Iterator[Comparison]:

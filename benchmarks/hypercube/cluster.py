@@ -35,6 +35,7 @@ class Plan(NamedTuple):
     cores: int | None = None  # of the one host; None: each process has a core of its own
     tcp: bool = False  # links between hosts
     arms: int = ARMS  # of each broker
+    beside: bool = False  # the arms of a broker share a space, and plan beside each other's motions
     rate: float = 0.0  # commands per second of each broker, at random times; 0: the window is kept full
 
 
@@ -117,7 +118,7 @@ def simulate(costs: Costs, plan: Plan, *, seconds: float, seed: int, warm_up_s: 
         own = workers if plan.shared else workers[n * share : (n + 1) * share]
         if plan.nearest:
             own = sorted(own, key=lambda worker: (hops(worker[0], node), worker[0] ^ node))
-        brokers.append(Broker(world, node, own, plan.arms, costs.payload.get(plan.workload, 0.0)))
+        brokers.append(Broker(world, node, own, plan.arms, costs.payload.get(plan.workload, {}), beside=plan.beside))
         clients.append(Client(world, brokers[-1], plan))
     _run_until(sim, clients, warm_up_s, FULL_BEFORE * plan.window if plan.rate == 0.0 else 0)
     for client, broker in zip(clients, brokers, strict=True):

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from benchmarks.report import RESULTS
-from benchmarks.throughput import PLANNERS
-from rtc.protocol.messages import WorkerKind
 
 FILE = RESULTS / "hypercube_costs.json"
 EVENTS = ("accept", "parsed", "elaborated", "bound", "reported", "analyzed")  # of one command
+REBOUND = "rebound"  # a step is bound, and must be bound again
 LONE_MESSAGES = 8  # that the broker sends for a lone command: 4 jobs, 2 to the client, 2 to the subsystem
-READERS = (WorkerKind.ELABORATOR, WorkerKind.BINDER)  # of the world database
+ALONE, BESIDE = "alone", "beside"  # whether the messages of real planners carry a motion of another arm
+Payload = dict[str, dict[str, float]]  # condition -> kind of event -> s
 
 
 class WorkerCosts(NamedTuple):
@@ -25,6 +27,7 @@ class WorkerCosts(NamedTuple):
     service: list[float]  # durations of a job, of equal probability
     wake_up: float = 0.0  # more for the first message after a sleep
     io_wake_up: float = 0.0
+    conditions: Mapping[str, list[float]] = MappingProxyType({})  # service, as in `benchmarks.hypercube.planner_costs`
 
 
 class PeerCosts(NamedTuple):
@@ -41,7 +44,7 @@ class Costs(NamedTuple):
     """Times in seconds, from microbenchmarks of single processes."""
 
     broker: dict[str, float]  # per turn, wake_up, message_in, message_out and kind of event
-    payload: dict[str, float]  # by workload: more per event, for longer messages than those of the trivial workload
+    payload: dict[str, Payload]  # by workload: more per event, for longer messages than those of the trivial workload
     snapshot_per_event: float
     ratios: list[float]  # measured to fitted times of turns, of equal probability
     io_per_turn: float
@@ -67,11 +70,14 @@ def from_data(data: dict[str, Any]) -> Costs:
         load: [WorkerCosts(**kind) for kind in by_kind.values()] for load, by_kind in processes["workers"].items()
     }
     workers["trivial"] = [WorkerCosts(**kind) for kind in kinds.values()]
-    workers["real"] = [WorkerCosts(**{**kinds[kind], "service": _service(kind, kinds[kind], lone)}) for kind in kinds]
-    more = lone["real"]["per_command"]["broker"][0] - trivial["broker"][0]
+    real = {name: tuple(used) for name, used in lone["real"]["per_command"].items()}
+    workers["real"] = [
+        _planner(data["planners"][kind], real[kind]) if kind in data["planners"] else WorkerCosts(**kinds[kind])
+        for kind in kinds
+    ]
     return Costs(
         broker={**broker["per"], "wake_up": wake_up},
-        payload={"real": max(0.0, more / len(EVENTS))},
+        payload={"real": data["payload"]},
         snapshot_per_event=broker["snapshot_per_event"],
         ratios=broker["ratios"],
         io_per_turn=broker["io_per_turn"],
@@ -105,15 +111,26 @@ def _woken(costs: dict[str, Any], used: tuple[float, ...], messages: int) -> dic
     return {**costs, "wake_up": wake_up, "io_wake_up": io_wake_up}
 
 
-def _service(kind: str, woken: dict[str, Any], lone: dict[str, Any]) -> list[float]:
-    """Durations of the real jobs, as processor time: of the worker, and of the world database for it."""
-    per_command, took_s = lone["real"]["per_command"], lone["real"]["service"][kind]
-    if kind not in PLANNERS:
-        return list(woken["service"])
-    busy_s = per_command[kind][0] - woken["per_message"] - woken["per_item"] - woken["wake_up"]
-    if kind in READERS:
-        busy_s += sum(per_command["world"]) / len(READERS)
-    factor = max(0.0, busy_s) * len(took_s) / sum(took_s)
+def _planner(measured: dict[str, Any], lone: tuple[float, ...]) -> WorkerCosts:
+    """Costs of a real planner. `lone`: processor time per lone command, which is planned alone.
+
+    The service of a job contains the time for its messages, and that of the world database for it."""
+    busy = measured[ALONE]
+    return WorkerCosts(
+        per_message=0.0,
+        per_item=0.0,
+        io_per_message=busy["io"],
+        service=_service(busy),
+        wake_up=max(0.0, lone[0] - busy["main"]),
+        io_wake_up=max(0.0, lone[1] - busy["io"]),
+        conditions={name: _service(costs) for name, costs in measured.items()},
+    )
+
+
+def _service(costs: dict[str, Any]) -> list[float]:
+    """Durations of the jobs, as processor time."""
+    took_s = costs["service"]
+    factor = (costs["main"] + costs["world"]) * len(took_s) / sum(took_s)
     return [factor * each for each in took_s]
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from random import Random
 from typing import Any, NamedTuple
 
-from benchmarks.hypercube.costs import Costs, PeerCosts, WorkerCosts
+from benchmarks.hypercube.costs import ALONE, BESIDE, REBOUND, Costs, Payload, PeerCosts, WorkerCosts
 from benchmarks.hypercube.queues import NORMAL, REAL_TIME, Host, Simulation
 from benchmarks.hypercube.registry import Registry, Slot
 from benchmarks.hypercube.routing import between
@@ -21,15 +21,27 @@ from rtc.protocol.wire import MOST_TOGETHER
 from workers.runtime.worker_loop import HEARTBEAT_S, QUICK_S
 
 EVENTS = ("parsed", "elaborated", "bound", "analyzed")  # of a result, by the kind of the worker
-ANALYZER = 3
+ELABORATOR, BINDER, ANALYZER = 1, 2, 3
+SAME_COST = {REBOUND: "bound"}  # events that cost as much as another one, but for their payload
 
 
 class Command:
-    __slots__ = ("arm", "ended_s", "sent_s", "service_s")
+    """`beside`: the job of its planner carries a motion of another arm; `planned_beside`: that of the elaborator did.
+    `begun`: motions that had begun when the binder's job was created."""
+
+    __slots__ = ("arm", "begun", "beside", "ended_s", "planned_beside", "sent_s", "service_s")
 
     def __init__(self, arm: int, sent_s: float) -> None:
         self.arm, self.sent_s = arm, sent_s
         self.service_s = self.ended_s = 0.0
+        self.beside = self.planned_beside = False
+        self.begun = 0
+
+    @property
+    def condition(self) -> str:
+        """The condition of its job at a planner, as in `benchmarks.hypercube.planner_costs`."""
+        words = BESIDE if self.beside else ALONE
+        return words if self.beside == self.planned_beside else f"{words}, new way"
 
 
 class Network:
@@ -111,21 +123,21 @@ class Worker:
         if self._quick:
             some = list(self._queue)
             self._queue.clear()
-            took = [(each, self._service()) for each in some]
+            took = [(each, self._service(each[2])) for each in some]
             extra_s = sum(max(0.0, s - costs.per_item) for _, s in took)
             more_s = (messages - 1) * costs.per_message + len(some) * costs.per_item + extra_s
             work(NORMAL, fixed_s + more_s, self._answer, took)
         else:
             job = self._queue.popleft()
-            service_s = self._service()
+            service_s = self._service(job[2])
             self.busy_s += service_s
             if self._asleep:
                 self._world.sim.after(service_s, work, NORMAL, fixed_s, self._answer, [(job, service_s)])
             else:
                 work(NORMAL, fixed_s + costs.per_item + service_s, self._answer, [(job, service_s)])
 
-    def _service(self) -> float:
-        times = self._costs.service
+    def _service(self, command: Command) -> float:
+        times = self._costs.conditions.get(command.condition) or self._costs.service
         return times[int(self._world.rng.random() * len(times))]
 
     def _answer(self, took: list[tuple[tuple[Broker, Slot, Command], float]]) -> None:
@@ -172,10 +184,18 @@ class Halt(NamedTuple):
 
 
 class Broker:
-    """`arms`: performers of its subsystem; each executes one command at a time. `payload_s`: more per event."""
+    """`arms`: performers of its subsystem; each executes one command at a time. `beside`: they share a space, so that
+    a step is bound again if another arm has begun to move since its job was created."""
 
     def __init__(
-        self, world: World, node: int, workers: list[tuple[int, Worker]], arms: int, payload_s: float = 0.0
+        self,
+        world: World,
+        node: int,
+        workers: list[tuple[int, Worker]],
+        arms: int,
+        payload: Payload,
+        *,
+        beside: bool = False,
     ) -> None:
         self._world, self.node = world, node
         self.registry = Registry(workers)
@@ -192,7 +212,9 @@ class Broker:
         self._lines: list[deque[Command]] = [deque() for _ in range(arms)]  # the first one has the arm
         self._busy = False
         self._background_s = 0.0  # health checks and heartbeats that are due
-        self._payload_s = payload_s + world.costs.snapshot_per_event
+        self._payload, self._beside = payload, beside
+        self._moving: set[int] = set()  # arms, from the order of a motion until its analysis; if they share a space
+        self._begun = 0  # motions so far
         self.busy_s = self.io_s = self.background_s = 0.0
         self.turns = 0
         world.sim.after(CHECK_S * (1.0 + world.rng.random()), self._check)
@@ -232,12 +254,12 @@ class Broker:
             return
         halts = list(inbox["halts"])
         inbox["halts"].clear()
-        batch = _Batch(halts, wakes)
+        batch = _Batch(halts, self._payload, wakes=wakes)
         if not halts:
             self._read(batch)
         background_s, self._background_s = self._background_s, 0.0
         self.background_s += background_s
-        demand_s = batch.cost_s(self._world.costs, self.registry.count, self._ratio(), self._payload_s) + background_s
+        demand_s = batch.cost_s(self._world.costs, self.registry.count, self._ratio()) + background_s
         self.busy_s += demand_s
         self.turns += 1
         self._world.host.work(REAL_TIME, demand_s, self._end, batch)
@@ -263,42 +285,63 @@ class Broker:
             batch.jobs.append((kind, slot, jobs))
 
     def _accept(self, commands: list[Command], batch: _Batch) -> int:
-        batch.count("accept", len(commands))
+        batch.count("accept", bool(self._moving), len(commands))
         batch.accepted += len(commands)
         self.registry.queues[0].extend(commands)
         return len(commands)
 
     def _finished(self, message: tuple[int, list[tuple[Slot, Command, float]]], batch: _Batch) -> int:
         kind, results = message
-        batch.count(EVENTS[kind], len(results))
         for slot, command, service_s in results:
             self.registry.answered(kind, slot, service_s)
             command.service_s += service_s
-            if kind == 0:
-                self.registry.queues[1].append(command)
-            elif kind == 1:
+            event = EVENTS[kind]
+            if kind == ELABORATOR:
                 self._claim(command)
             elif kind == ANALYZER:
                 batch.ended.append(command)
                 self._release(command)
+            elif kind == BINDER:
+                event = self._bound(command, batch)
             else:
-                batch.primitives.append(command)
+                command.planned_beside = command.beside = self._is_beside(command)
+                self.registry.queues[ELABORATOR].append(command)
+            batch.count(event, bool(self._moving))
         return len(results)
+
+    def _is_beside(self, command: Command) -> bool:
+        return bool(self._moving - {command.arm})
 
     def _claim(self, command: Command) -> None:
         line = self._lines[command.arm]
         line.append(command)
         if len(line) == 1:
-            self.registry.queues[2].append(command)
+            self._bind(command)
 
     def _release(self, command: Command) -> None:
+        self._moving.discard(command.arm)
         line = self._lines[command.arm]
         line.popleft()
         if line:
-            self.registry.queues[2].append(line[0])
+            self._bind(line[0])
+
+    def _bind(self, command: Command) -> None:
+        command.beside, command.begun = self._is_beside(command), self._begun
+        self.registry.queues[BINDER].append(command)
+
+    def _bound(self, command: Command, batch: _Batch) -> str:
+        """Send the primitive, or bind again; the kind of the event."""
+        if command.begun != self._begun:
+            self._bind(command)
+            return REBOUND
+        if self._beside:
+            self._begun += 1
+            self._moving.add(command.arm)
+        batch.primitives.append(command)
+        return EVENTS[BINDER]
 
     def _reported(self, commands: list[Command], batch: _Batch) -> int:
-        batch.count("reported", len(commands))
+        batch.count("reported", bool(self._moving), len(commands))
         batch.acknowledged += len(commands)
         self.registry.queues[ANALYZER].extend(commands)
         return len(commands)
@@ -327,17 +370,21 @@ class Broker:
 class _Batch:
     """One turn of a broker."""
 
-    def __init__(self, halts: list[Halt], wakes: bool) -> None:
-        self.halts, self.wakes = halts, wakes
+    def __init__(self, halts: list[Halt], payload: Payload, *, wakes: bool) -> None:
+        self.halts, self.wakes, self._payload = halts, wakes, payload
         self.messages_in = len(self.halts)
         self.events: dict[str, int] = {}
+        self.payload_s = 0.0  # more than for the events of the trivial workload
         self.jobs: list[tuple[int, Slot, list[Command]]] = []
         self.primitives: list[Command] = []
         self.ended: list[Command] = []
         self.accepted = self.acknowledged = 0
 
-    def count(self, event: str, how_many: int) -> None:
+    def count(self, event: str, beside: bool, how_many: int = 1) -> None:
+        """`beside`: an arm is in motion, so that messages are longer."""
         self.events[event] = self.events.get(event, 0) + how_many
+        if self._payload:
+            self.payload_s += how_many * self._payload[BESIDE if beside else ALONE].get(event, 0.0)
 
     @property
     def messages_out(self) -> int:
@@ -345,12 +392,14 @@ class _Batch:
         orders, answers = len(self.primitives) + self.acknowledged, self.accepted + len(self.ended)
         return len(self.halts) + len(self.jobs) + -(-orders // MOST_TOGETHER) + -(-answers // MOST_TOGETHER)
 
-    def cost_s(self, costs: Costs, workers: int, ratio: float, payload_s: float) -> float:
-        """Processor time of the turn. `payload_s`: more per event."""
+    def cost_s(self, costs: Costs, workers: int, ratio: float) -> float:
+        """Processor time of the turn."""
         per = costs.broker
         messages_s = self.messages_in * per["message_in"] + self.messages_out * per["message_out"]
         fixed_s = per["turn"] + self.wakes * per["wake_up"] + messages_s
-        events_s = sum(how_many * (per[event] + payload_s) for event, how_many in self.events.items())
+        events_s = self.payload_s
+        for event, how_many in self.events.items():
+            events_s += how_many * (per[SAME_COST.get(event, event)] + costs.snapshot_per_event)
         scanned_s = len(self.jobs) * costs.assign_per_worker * workers
         empty = not (self.messages_in or self.jobs)
         return (0.0 if empty else (fixed_s + events_s) * ratio) + scanned_s

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 import zmq
 
@@ -179,7 +179,7 @@ def worker(kind: WorkerKind, data: Any, asleep_s: float, repetitions: int) -> di
         main, io = [], []
         for _ in range(BLOCKS):
             before = process.used_s()
-            took_s += stream(read, process, wire.raw(data), repetitions)
+            took_s += stream(read, process, Jobs(program, "", [body]), repetitions)
             main_s, io_s = (now - then for now, then in zip(process.used_s(), before, strict=True))
             main.append(main_s / repetitions)
             io.append(io_s / repetitions)
@@ -187,18 +187,30 @@ def worker(kind: WorkerKind, data: Any, asleep_s: float, repetitions: int) -> di
         return {**costs, "service": quantiles(took_s)}
 
 
-def stream(read: Any, process: Peer, body: Any, how_many: int) -> list[float]:
+class Jobs(NamedTuple):
+    """Jobs of one kind: digests of program and cell, and inputs to be taken in turn."""
+
+    program: str
+    cell: str
+    inputs: Sequence[Any]
+
+
+def stream(read: Any, process: Peer, jobs: Jobs, how_many: int) -> list[float]:
     """Pass jobs one by one, AHEAD of them at the worker, as the broker does with jobs of some milliseconds; their
-    durations (s)."""
+    durations (s). Raises SystemExit if one has no product."""
     sent, took_s = 0, []
     while len(took_s) < how_many:
         while sent < how_many and sent - len(took_s) < AHEAD:
-            job = m.Job(id=f"C-1/{sent}", attempt=1, program="0" * 16, input=body)
+            body = jobs.inputs[sent % len(jobs.inputs)]
+            job = m.Job(id=f"C-1/{sent}", attempt=1, program=jobs.program, cell=jobs.cell, input=body)
             process.send(wire.frames(m.JobBatch(jobs=[job])))
             sent += 1
         message = read(process.receive()[1:])
         if isinstance(message, m.ResultBatch):
-            took_s.extend(r.took_s for r in message.results if isinstance(r, m.JobDone))
+            failed = [result for result in message.results if not isinstance(result, m.JobDone)]
+            if failed:
+                raise SystemExit(f"{process.process.args!r}: {failed[0]}")
+            took_s.extend(result.took_s for result in message.results if isinstance(result, m.JobDone))
     return took_s
 
 

@@ -106,6 +106,28 @@ def test_commands_of_one_arm_are_executed_one_after_the_other():
     assert two.commands_per_s == pytest.approx(2 * one.commands_per_s, rel=0.05)
 
 
+def test_a_step_is_bound_again_if_another_arm_of_its_space_has_begun_to_move_meanwhile():
+    slow, plan = costs(service=0.004), {"seconds": 2.0, "dim": 4, "workload": "asleep-4ms", "window": 16}
+    apart = run(slow, arms=2, **plan)
+    alone = run(slow, arms=1, beside=True, **plan)
+    beside = run(slow, arms=2, beside=True, **plan)
+    assert apart.broker_us == pytest.approx(60.0, rel=0.02)  # six events
+    assert alone.broker_us == pytest.approx(60.0, rel=0.02)
+    assert 61.0 < beside.broker_us < 80.0
+    assert beside.commands_per_s < apart.commands_per_s
+
+
+def test_a_job_beside_a_motion_takes_its_own_time_and_its_events_their_payload():
+    plan = {"seconds": 2.0, "dim": 4, "workload": "asleep-4ms", "window": 16, "arms": 2, "beside": True}
+    usual = costs(service=0.004)
+    longer = WorkerCosts(0.0, 0.0, 0.0, [0.004], conditions={"beside": [0.008], "beside, new way": [0.008]})
+    slower = run(costs(service=0.004, workers={"asleep-4ms": [longer] * 4}), **plan)
+    assert slower.commands_per_s < 0.9 * run(usual, **plan).commands_per_s
+    payload = {"alone": {}, "beside": {"rebound": 1e-3}}
+    more = run(usual._replace(payload={"asleep-4ms": payload}), **plan)
+    assert more.broker_us > run(usual, **plan).broker_us + 50.0
+
+
 def test_the_cost_of_many_workers_is_paid_by_each_broker_that_shares_them():
     scanned = costs(service=0.004, heartbeat=1e-5)
     few = run(scanned, dim=4, workload="asleep-4ms", window=8)
