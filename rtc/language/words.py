@@ -85,6 +85,8 @@ class Vocabulary:
                     opening = kind == "TEST"
             elif kind == "WRONG":
                 raise _malformed(text, start)
+            elif kind != "STRING" and text[end : end + 1] == "," and text[end + 1 : end + 2].isdigit():
+                raise _decimal_comma(end)
             yield Word(kind, value, start, end)
 
 
@@ -157,6 +159,15 @@ def _malformed(text: str, column: int) -> Wrong:
         column,
         f"The character {quoted(text[column])} cannot stand here.{meant}",
         ["words of letters, digits and '-'"],
+    )
+
+
+def _decimal_comma(column: int) -> Wrong:
+    """The comma of 60,5: 60.5 in half of the world, and two numbers in a list."""
+    return Wrong(
+        column,
+        "A comma between two digits can mean one number or two.",
+        ["a decimal point for one number, such as 60.5", "a blank after the comma for two, such as 60, 5"],
     )
 
 

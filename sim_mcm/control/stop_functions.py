@@ -59,6 +59,8 @@ Stops = list[tuple[p.StopFunction, Check]]
 # task. Greatest values measured in pybullet: 0.6 of a speed limit; 6 mrad of following error, placing a module.
 # A compliant arm is pushed away from its command on purpose, so its spring may be stretched further.
 RIGID_RAD, COMPLIANT_RAD = 0.1, 0.5
+# A joint that a brake holds: measured below 0.1 mrad/s, and more than 20 mrad off once another joint is 0.1 rad off.
+STUCK_RAD, STILL_RAD_S, MOVING_RAD_S = 0.01, 0.002, 0.05
 GRIPPED_S = 0.02  # time for which a grip force must have fallen, while the hand closes
 NEAR_TICKS = 20  # interval of ClearanceBelow: a look for near bodies costs as much as three ticks
 
@@ -202,11 +204,25 @@ def _following(when: p.FollowingErrorAbove, traits: Traits) -> Check:
         commanded = now.commanded
         for n, q in enumerate(now.joints):
             if not -limit <= q - commanded[n] <= limit:
-                off = q - commanded[n]
-                return abs(off), limit, f"{names[n]} is {math.degrees(off):.1f} deg from where it is commanded to be"
+                off, stuck = q - commanded[n], _stuck(now)
+                cause = f"{names[stuck]} does not move; " if stuck is not None else ""
+                found = f"{cause}{names[n]} is {math.degrees(off):.1f} deg from where it is commanded to be"
+                return abs(off), limit, f"{found}; {math.degrees(limit):.1f} deg is the limit"
         return None
 
     return check
+
+
+def _stuck(now: Moment) -> int | None:
+    """The joint that stands still away from its command while others move.
+
+    A stuck joint pulls the lighter joints after it off their commands before it is far from its own.
+    """
+    if max(map(abs, now.velocities)) < MOVING_RAD_S:
+        return None  # all stand: something blocks the arm
+    off = [abs(q - wanted) for q, wanted in zip(now.joints, now.commanded, strict=True)]
+    still = [n for n, speed in enumerate(now.velocities) if abs(speed) < STILL_RAD_S and off[n] > STUCK_RAD]
+    return max(still, key=off.__getitem__, default=None)
 
 
 def _joint_margin(when: p.JointMarginBelow, traits: Traits) -> Check:
@@ -363,7 +379,8 @@ class _Turn:
         if when.axis is None:
             return geometry.angle(self._start, tcp)
         if when.point is None:
-            self._turned += sum(a * b for a, b in zip(when.axis, geometry.rotation_vector(last, tcp), strict=True))
+            turn = geometry.rotation_vector(last, tcp).tolist()
+            self._turned += sum(a * b for a, b in zip(when.axis, turn, strict=True))
         else:
             self._turned += _angle_about(when.axis, _off(when.point, last), _off(when.point, tcp))
         return self._turned

@@ -427,3 +427,22 @@ def test_any_bytes_give_a_record_or_a_located_refusal(data: bytes) -> None:
 )
 def test_monstrous_sentences_are_settled(sentence: str) -> None:
     check_settled(sentence)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "column"),
+    [
+        ("MOVE RIGHT-ARM TO POSITION 60,5 -20 CM", 29),
+        ("MOVE RIGHT-ARM TO JOINTS 0 110,5 -160 0 50 0 DEG", 30),
+        ("LIFT MACS-NEW BY 1,5 CM", 18),
+    ],
+)
+def test_a_decimal_comma_is_refused_where_it_stands(sentence: str, column: int) -> None:
+    refused = parse(GRAMMAR, sentence)
+    assert isinstance(refused, Refusal)
+    assert refused.column == column
+
+
+def test_commas_separate_numbers_with_a_blank_or_a_sign() -> None:
+    assert record("MOVE RIGHT-ARM TO POSITION 60, -20, 35 CM") == record("MOVE RIGHT-ARM TO POSITION 60 -20 35 CM")
+    assert record("MOVE RIGHT-ARM TO POSITION 60,-20 , 35 CM") == record("MOVE RIGHT-ARM TO POSITION 60 -20 35 CM")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgpack
 import msgspec
+import numpy as np
 import pytest
 
 from rtc.protocol import messages as m
@@ -64,3 +65,12 @@ def test_what_is_no_array_stays_as_it_is(body):
 def test_arrays_in_arrays_are_none():
     with pytest.raises(WireError):
         read([wire.PROTOCOL, wire.encode([BEATS, BEATS])])
+
+
+def test_a_number_of_numpy_travels_as_one_of_python():
+    assert msgpack.unpackb(wire.encode({"measured": np.float64(0.5), "joint": np.int64(3)})) == {
+        "measured": 0.5,
+        "joint": 3,
+    }
+    with pytest.raises(NotImplementedError):
+        wire.encode({"measured": object()})

@@ -72,6 +72,23 @@ def physical(cell, make):
     world.close()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("stuck", [1, 2, 3, 4, 5, 6])
+def test_the_joint_that_is_stuck_is_named(physical, make, stuck) -> None:
+    """In motion of all joints: lighter joints are off their commands before it is."""
+    start, ticks = physical.executor._command[0], [0]
+
+    def watch() -> None:
+        ticks[0] += 1
+        if ticks[0] == 300:
+            assert physical.faults.inject(f.StuckJoint(arm=ARM, joint=f"joint_{stuck}")) == ""
+
+    goal = [q + by for q, by in zip(start, (-0.4, 0.4, -0.4, -0.3, -0.4, -0.4), strict=True)]
+    report = physical.do(make.joint_path(start, goal, 1.0), watch=watch)
+    assert report.reason is StopReason.FOLLOWING_ERROR
+    assert report.message.startswith(f"joint_{stuck} ")
+
+
 @pytest.mark.parametrize("kind", ["exact", pytest.param("physical", marks=pytest.mark.slow)])
 def test_a_stuck_joint_is_noticed_by_its_following_error(kind, request) -> None:
     rig = request.getfixturevalue(kind)

@@ -166,6 +166,14 @@ def test_a_time_limit_without_an_argument_is_that_of_the_cell(bench) -> None:
     assert bench.bind(script, script.steps[0]).primitive.trajectory.duration_s == 300.0
 
 
+def test_a_hold_longer_than_its_time_limit_is_refused(bench) -> None:
+    refusal = bench.elaborate(f"HOLD {ARM} FOR 5 SEC MAINTAIN TIME-LIMIT 2 SEC")
+    assert isinstance(refusal, Refusal)
+    assert (refusal.where, refusal.reason) == ("TIME-LIMIT", RefusalReason.NO_SCRIPT)
+    script = bench.elaborate(f"HOLD {ARM} FOR 2 SEC MAINTAIN TIME-LIMIT 2 SEC")
+    assert bench.bind(script, script.steps[0]).primitive.trajectory.duration_s == 2.0
+
+
 def test_the_hand_stays_in_its_range(bench) -> None:
     primitive = bound(bench, f"{TO} MAINTAIN SAFE-WORK-RANGE BAY-2-RANGE")
     region = bench.model.cell.region("BAY-2-RANGE")

@@ -160,6 +160,15 @@ def refuse_report_interval(parsed: ParsedCommand) -> Refusal | None:
     return _refused(message, "EVERY", f"REPORT EVERY {LEAST_REPORT_S:g} SEC, or rarer; `telemetry` has every sample")
 
 
+def refuse_longer_than_limit(parsed: ParsedCommand, limits: Limits) -> Refusal | None:
+    """Refuse a FOR that is longer than the TIME-LIMIT of the same sentence."""
+    for_s, most_s = parsed.duration_s, limits.time_s
+    if for_s is None or most_s is None or for_s <= most_s:
+        return None
+    message = f"FOR {for_s:g} s is longer than the TIME-LIMIT, {most_s:g} s"
+    return _refused(message, "TIME-LIMIT", f"FOR {most_s:g} SEC or less, or a longer TIME-LIMIT")
+
+
 def _needs(slot: str, kept: dict[str, str], unit: str, cell: Cell) -> Refusal:
     """Refusal for a constraint without a value, or with a value of the wrong kind."""
     ways = []

@@ -79,6 +79,9 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     problem = problem or command_fields.refuse_report_interval(parsed)
     if isinstance(limits, Refusal) or problem is not None:
         return problem or limits  # type: ignore[return-value]
+    problem = command_fields.refuse_longer_than_limit(parsed, limits)
+    if problem is not None:
+        return problem
     joints = max(len(arm.joints) for arm in cell.cell.arms)
     for reflex in parsed.reflexes:
         problem = reflexes.refuse_unsupported(reflex, parsed.object is not None, joints)

@@ -146,6 +146,7 @@ def test_a_turn_is_counted_from_the_start(traits, make, when, before, after) -> 
     found = stop_functions.first(stops, moment(tcp=after))
     assert found is not None
     assert found[0].when == when
+    assert [type(value) for value in found[1]] == [float, float, str]  # numbers that a report can carry
 
 
 def test_a_joint_is_watched_from_where_it_began(traits, make) -> None:
