@@ -249,27 +249,26 @@ def smooth(x: float) -> tuple[float, float, float]:
 
 
 def _hermite(trajectory: JointTrajectory) -> Array:
-    """Per segment the 6 x n coefficients of the quintic through position, velocity and acceleration of both knots."""
+    """Per segment the 6 x n coefficients of the quintic through position, velocity and acceleration of both knots.
+
+    All segments at once: one by one, the start of a long path would make the ticks of other arms late.
+    """
     q, v, a = (np.asarray(rows) for rows in (trajectory.positions, trajectory.velocities, trajectory.accelerations))
-    pieces = []
-    for k, (begin_s, end_s) in enumerate(zip(trajectory.time_s, trajectory.time_s[1:], strict=False)):
-        t = end_s - begin_s
-        dq = q[k + 1] - q[k] - v[k] * t - 0.5 * a[k] * t * t
-        dv = v[k + 1] - v[k] - a[k] * t
-        da = a[k + 1] - a[k]
-        pieces.append(
-            np.stack(
-                (
-                    q[k],
-                    v[k],
-                    0.5 * a[k],
-                    (10 * dq - 4 * dv * t + 0.5 * da * t * t) / t**3,
-                    (-15 * dq + 7 * dv * t - da * t * t) / t**4,
-                    (6 * dq - 3 * dv * t + 0.5 * da * t * t) / t**5,
-                )
-            )
-        )
-    return np.stack(pieces)
+    t = np.diff(trajectory.time_s)[:, None]
+    dq = np.diff(q, axis=0) - v[:-1] * t - 0.5 * a[:-1] * t * t
+    dv = np.diff(v, axis=0) - a[:-1] * t
+    da = np.diff(a, axis=0)
+    return np.stack(
+        (
+            q[:-1],
+            v[:-1],
+            0.5 * a[:-1],
+            (10 * dq - 4 * dv * t + 0.5 * da * t * t) / t**3,
+            (-15 * dq + 7 * dv * t - da * t * t) / t**4,
+            (6 * dq - 3 * dv * t + 0.5 * da * t * t) / t**5,
+        ),
+        axis=1,
+    )
 
 
 def _state(motion: Motion, acceleration: float, jerk: float) -> ruckig.InputParameter:
