@@ -10,6 +10,8 @@ planning        the other arm is planned for all the time, and moves
 hung_worker     a binder with a job is stopped
 broker_stopped  SIGSTOP: only the estop socket is left
 compliant       both arms under impedance, the other one holding, and every core has a busy process
+carrying        both arms under impedance carry one module, every core has a busy process, and both are halted at once;
+                without a cluster: one socket stands for the broker, and sentences play no part
 
 The condition is checked before and after each halt. A halt without it is repeated, and the table shows how many were.
 Latency is `decelerating_at_s - called_at_s`, both CLOCK_MONOTONIC of one machine.
@@ -31,7 +33,10 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
+from benchmarks.carrying import carrying
+from benchmarks.mcm import busy_cores
 from benchmarks.report import finish, percentile, question, spread
+from rtc.cells.cell import Cell
 from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
@@ -233,6 +238,22 @@ def _spin() -> None:
         pass
 
 
+def carried(halts: int, rng: random.Random) -> list[tuple[float, float, float]]:
+    """Halts of two arms that carry one module: latency, time until receipt, time of the call; s."""
+    found: list[tuple[float, float, float]] = []
+    with carrying(Cell.load("swapout"), rng) as both, busy_cores():
+        while len(found) < halts:
+            found.append(both.halt_once())
+            if len(found) % 20 == 0 or len(found) == halts:
+                print(f"  {CARRYING}: {len(found)} of {halts}, {spread(_latencies(found), 1e3, 'ms')}", flush=True)
+    return found
+
+
+def _latencies(halts: Iterable[tuple[float, float, float]]) -> list[float]:
+    return [latency_s for latency_s, _, _ in halts]
+
+
+CARRYING = "carrying"
 CONDITIONS: dict[str, tuple[Disturbance, bool]] = {  # name -> (disturbance, whether it starts anew for each halt)
     "idle": (nothing, False),
     "saturated": (saturated, False),
@@ -247,30 +268,35 @@ def main() -> None:
     arguments = argparse.ArgumentParser(prog="python -m benchmarks.halt", description=__doc__)
     arguments.add_argument("--halts", type=int, default=200, help="in each condition")
     arguments.add_argument("--mcm", default="bullet", choices=("bullet", "kinematic"))
-    arguments.add_argument("--only", choices=tuple(CONDITIONS), help="one condition")
+    arguments.add_argument("--only", choices=(*CONDITIONS, CARRYING), help="one condition")
     given = arguments.parse_args()
     question("halt", "How long from the halt to the first decelerating tick of a moving arm?", seed=SEED)
     metrics: dict[str, float | None] = {}
     rows: list[tuple[str, str]] = []
-    with own_cluster(mcm=given.mcm) as run_dir, Client(run_dir) as rtc:
-        assert rtc.halt_ready()
-        bench = Bench(rtc, random.Random(SEED))
-        for name, (disturbance, each) in CONDITIONS.items():
-            if given.only not in (None, name):
-                continue
-            bench.slowest, bench.law = [], COMPLIANT if name == "compliant" else ""
-            found = bench.latencies_s(name, given.halts, disturbance, each=each)
-            metrics[f"{name}_p50_ms"] = percentile(found, 50) * 1e3
-            metrics[f"{name}_p99_ms"] = percentile(found, 99) * 1e3
-            metrics[f"{name}_worst_ms"] = max(found) * 1e3
-            for latency_s, receipt_s, at_s in bench.slowest:
-                print(
-                    f"  {name}: {latency_s * 1e3:.2f} ms, {receipt_s * 1e3:.2f} of them until receipt, at {at_s:.6f} s"
-                )
-            rows.append((name, spread(found, 1e3, "ms")))
-        metrics["missed"] = bench.missed
-        rows.append(("missed", str(bench.missed)))
-        rows.append(("repeated: the condition did not hold", str(bench.undisturbed)))
+
+    def measured(name: str, found: list[float], slowest: list[tuple[float, float, float]]) -> None:
+        metrics[f"{name}_p50_ms"] = percentile(found, 50) * 1e3
+        metrics[f"{name}_p99_ms"] = percentile(found, 99) * 1e3
+        metrics[f"{name}_worst_ms"] = max(found) * 1e3
+        for latency_s, receipt_s, at_s in slowest:
+            print(f"  {name}: {latency_s * 1e3:.2f} ms, {receipt_s * 1e3:.2f} of them until receipt, at {at_s:.6f} s")
+        rows.append((name, spread(found, 1e3, "ms")))
+
+    if given.only != CARRYING:
+        with own_cluster(mcm=given.mcm) as run_dir, Client(run_dir) as rtc:
+            assert rtc.halt_ready()
+            bench = Bench(rtc, random.Random(SEED))
+            for name, (disturbance, each) in CONDITIONS.items():
+                if given.only not in (None, name):
+                    continue
+                bench.slowest, bench.law = [], COMPLIANT if name == "compliant" else ""
+                measured(name, bench.latencies_s(name, given.halts, disturbance, each=each), bench.slowest)
+            metrics["missed"] = bench.missed
+            rows.append(("missed", str(bench.missed)))
+            rows.append(("repeated: the condition did not hold", str(bench.undisturbed)))
+    if given.only in (None, CARRYING) and given.mcm == "bullet":  # exact arms cannot comply
+        halts = carried(given.halts, random.Random(SEED))
+        measured(CARRYING, _latencies(halts), sorted(halts, reverse=True)[:SLOWEST])
     finish("halt", metrics, rows)
 
 

@@ -35,9 +35,11 @@ from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
 from rtc.runtime.settings import Settings, prepare_run_dir
 from rtc.subsystem.subsystem import BROKER
+from sim_mcm.arms.arm import CellState
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.bullet_world import STEP_S
 from sim_mcm.control.subsystem import McmSubsystem
+from sim_mcm.state_file import StateFile
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
 WORKERS_NICENESS = 5
@@ -55,9 +57,12 @@ _look = reader(m.Telemetry)
 class RunningMcm:
     """A running MCM, and the socket that receives its reports."""
 
-    def __init__(self, mcm: str, speed: float, folder: str) -> None:
-        settings = Settings(run_dir=str(prepare_run_dir(Path(folder))), mcm=mcm, speed=speed)
+    def __init__(self, mcm: str, speed: float, folder: str, state: CellState | None = None) -> None:
+        """`state`: where arms and objects are at the start; without it where the cell has them."""
+        settings = self.settings = Settings(run_dir=str(prepare_run_dir(Path(folder))), mcm=mcm, speed=speed)
         settings.save()
+        if state is not None:
+            StateFile(settings.path, settings.run).save(state)
         command = [sys.executable, "-m", "sim_mcm", "--run-dir", folder]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
         assert self.process.stdout is not None
@@ -78,6 +83,8 @@ class RunningMcm:
         while time.monotonic() < limit_s:
             if self.broker.poll(1000):
                 message = _decode(self.broker.recv_multipart()[1:])
+                if isinstance(message, m.HaltOrder):  # of a client; acknowledged, as a broker does
+                    self.order(message)
                 if isinstance(message, kind) and getattr(message, "primitive", "") == primitive:
                     return message
         raise SystemExit(f"the MCM did not answer within {LIMIT_S:.0f} s")
@@ -85,13 +92,16 @@ class RunningMcm:
     def begin(self, arm: str, trajectory: p.Trajectory, law: p.ControlLaw = RIGID) -> str:
         self._count += 1
         order = execute(f"C-1.{self._count}", arm, trajectory, law)
-        self.broker.send_multipart([b"MCM", *frames(order)])
+        self.order(order)
         return order.primitive.id
+
+    def order(self, order: m.Execute | m.HaltOrder | m.ReportAck) -> None:
+        self.broker.send_multipart([b"MCM", *frames(order)])
 
     def end(self, primitive: str) -> m.EndReport:
         report = self.wait(m.EndReport, primitive)
         assert isinstance(report, m.EndReport)
-        self.broker.send_multipart([b"MCM", *frames(m.ReportAck(primitive=primitive))])
+        self.order(m.ReportAck(primitive=primitive))
         return report
 
     def processor_s(self) -> float:
