@@ -60,10 +60,10 @@ def measure() -> None:
     question("hypercube_costs", "what does each of broker, workers, client, subsystem and links cost, on shared cores?")
     rounds: list[dict[str, Any]] = []
     for n in range(ROUNDS):
-        with neighbours(len(os.sched_getaffinity(0))):
-            rounds.append(
-                {"broker": broker_costs.measure(REPETITIONS), "processes": process_costs.measure(REPETITIONS)}
-            )
+        with neighbours(resting=False):
+            rounds.append({"broker": broker_costs.measure(REPETITIONS)})
+        with neighbours():
+            rounds[-1]["processes"] = process_costs.measure(REPETITIONS)
         rounds[-1]["lone"] = lone_costs.measure()  # a cluster has its own neighbours
         turn_us, event_us = (1e6 * rounds[-1]["broker"]["per"][name] for name in ("turn", "elaborated"))
         print(
@@ -71,7 +71,7 @@ def measure() -> None:
             flush=True,
         )
     data = middle(rounds)
-    with neighbours(len(os.sched_getaffinity(0))):
+    with neighbours(resting=False):
         data["planners"] = planner_costs.measure(REPETITIONS)
         data["payload"] = payload_costs.measure(REPETITIONS)
     costs = from_data(data)

@@ -12,7 +12,7 @@ import secrets
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import cycle
 from pathlib import Path
 from statistics import median
@@ -25,7 +25,7 @@ from benchmarks.hypercube.costs import EVENTS
 from benchmarks.hypercube.fit import fitted, medians, ratios
 from benchmarks.load.subsystem import Instant
 from benchmarks.load.trivial import FUNCTIONS, PERFORMERS, SUBSYSTEM, performer
-from broker.__main__ import _first_programs
+from broker.__main__ import RANK, _first_programs
 from broker.decisions.effects import DispatchJob
 from broker.decisions.state import State
 from broker.dispatch.autoscaler import Autoscaler
@@ -37,7 +37,7 @@ from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.messages import WorkerKind
 from rtc.runtime.handover import Handed
-from rtc.runtime.process import Every, Process, freeze_heap, open_socket
+from rtc.runtime.process import Every, Process, freeze_heap, open_socket, real_time
 from rtc.runtime.settings import Settings, prepare_run_dir
 from rtc.world.lease import KEY_BYTES
 
@@ -47,8 +47,9 @@ TOGETHER = (1, 2, 4, 8, 16, 32, 48)  # commands in one turn, of quick workers: o
 APART = (1, 2, 4, 8, 16)  # of slow workers: one message each
 QUICK_S, SLOW_S = 1e-5, 3e-3  # reported duration of a job
 ALONE_S = 0.0002  # pause before a turn, so that all messages have arrived
-IN_PROGRESS = 1000  # commands that are executing meanwhile, as many as in the trivial workload
-BEGUN_AT_ONCE = 25
+IN_PROGRESS = 1000  # commands that take turns, as many as in the trivial workload
+QUICK_WORKERS = 8  # of each kind: enough to hold so many jobs
+PASSES = 4  # repetitions of a size in one round of turns, at least
 LATE_S = 0.2
 START_LIMIT_S = 20.0
 SETTLED = 8  # commands of each kind of worker that make its mean duration known
@@ -190,11 +191,17 @@ class BrokerBench:
                 return
             messages, events = self.answer(out, STAGES[STAGES.index(stage) + 1], took_s)
 
-    def keep_in_progress(self, how_many: int) -> None:
-        """Leave this many commands executing."""
-        for _ in range(how_many // BEGUN_AT_ONCE):
-            list(self.pass_through(BEGUN_AT_ONCE, QUICK_S, last="bound"))
-        self._performers = cycle(range(next(self._performers), PERFORMERS))
+    def take_turns(self, sizes: Sequence[int], took_s: float) -> Iterator[TurnCost]:
+        """Pass groups of these sizes through all stages, each group by one stage in turn. So each command waits for
+        all others between two of its events, as in a cluster, and its data have left the nearest caches."""
+        groups = [self.pass_through(size, took_s) for size in sizes]
+        while groups:
+            for group in groups.copy():
+                turn = next(group, None)
+                if turn is None:
+                    groups.remove(group)
+                else:
+                    yield turn
 
     def snapshot_s(self) -> float:
         """Processor time (s) of a snapshot of the state."""
@@ -271,20 +278,32 @@ def bench(slots: int) -> Iterator[BrokerBench]:
             made.close()
 
 
+@contextmanager
+def priority() -> Iterator[None]:
+    """The priority of a broker, if it is permitted: a process that is preempted between two turns finds less of its
+    data in the caches. Only for this thread; the I/O threads exist already."""
+    with ExitStack() as entered:
+        with suppress(OSError):
+            entered.enter_context(real_time(RANK))
+        yield
+
+
 def measure(repetitions: int) -> dict[str, Any]:
     """Costs of the broker in seconds: per turn, message, event and registered worker; the spread."""
     turns: list[TurnCost] = []
-    for slots, sizes, took_s in ((1, TOGETHER, QUICK_S), (max(APART), APART, SLOW_S)):
-        with bench(slots) as broker:
+    for slots, sizes, took_s in ((QUICK_WORKERS, TOGETHER, QUICK_S), (max(APART), APART, SLOW_S)):
+        with bench(slots) as broker, priority():
             for _ in range(SETTLED):
                 list(broker.pass_through(slots, took_s))
             freeze_heap()
-            if slots == 1:
-                broker.keep_in_progress(IN_PROGRESS)
-            for _ in range(repetitions):
-                for size in sizes:
-                    turns += broker.pass_through(size, took_s)
-            if slots == 1:
+            if sizes is TOGETHER:
+                for _ in range(-(-repetitions // PASSES)):
+                    turns += broker.take_turns(sizes * (IN_PROGRESS // sum(sizes)), took_s)
+            else:
+                for _ in range(repetitions):
+                    for size in sizes:
+                        turns += broker.pass_through(size, took_s)
+            if sizes is TOGETHER:
                 heartbeat_s = min(broker.heartbeats(100) for _ in range(5))
                 snapshot_s = median(broker.snapshot_s() for _ in range(5))
     rows, main = [turn.features for turn in turns], [turn.main_s for turn in turns]

@@ -1,7 +1,8 @@
 """Other work on the cores, as in a cluster: `python -m benchmarks.hypercube.neighbour`, until it is ended.
 
 A core that sleeps between two messages is slow to wake up, and a process that is alone finds its data in the caches.
-Neither is so in a cluster. So `--measure` runs one neighbour per core, each busy for half of the time.
+Neither is so in a cluster. So `--measure` runs one neighbour per core. Each is busy for half of the time, or always:
+a saturated broker works while the workers keep all other cores busy, which often share caches and units with its own.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ ROOT = Path(__file__).parents[2]
 PERIOD_S = 0.001  # busy, then asleep, for this long each
 TABLES, ENTRIES = 2_000, 50  # some megabytes: more than the caches of one core
 NICENESS = 5  # as that of workers
+RESTLESS = "--restless"
 
 
 @contextlib.contextmanager
-def neighbours(count: int) -> Iterator[None]:
-    """Run this many neighbours until the block ends."""
-    running = [subprocess.Popen([sys.executable, "-m", __name__], cwd=ROOT) for _ in range(count)]
+def neighbours(*, resting: bool = True) -> Iterator[None]:
+    """Run one neighbour per core until the block ends. `resting`: each sleeps for half of the time."""
+    command = [sys.executable, "-m", __name__, *(() if resting else (RESTLESS,))]
+    running = [subprocess.Popen(command, cwd=ROOT) for _ in os.sched_getaffinity(0)]
     try:
         yield
     finally:
@@ -36,13 +39,14 @@ def neighbours(count: int) -> Iterator[None]:
 def main() -> None:
     os.nice(NICENESS)
     tables = [{str(key): key for key in range(ENTRIES)} for _ in range(TABLES)]
-    parent = os.getppid()
+    parent, resting = os.getppid(), RESTLESS not in sys.argv
     while os.getppid() == parent:
         until_s = time.perf_counter() + PERIOD_S
         while time.perf_counter() < until_s:
             table = random.choice(tables)
             tables[sum(table.values()) % TABLES] = dict(table)
-        time.sleep(PERIOD_S)
+        if resting:
+            time.sleep(PERIOD_S)
 
 
 if __name__ == "__main__":

@@ -136,11 +136,14 @@ def _real(repetitions: int) -> dict[str, list[tuple[str, TurnCost | None]]]:
     with tempfile.TemporaryDirectory(prefix="rtc-bench-") as folder:
         bench = MotionBench(Path(folder), Motions())
         try:
-            for n in range(-SETTLED, repetitions):
-                arm, other = n % ARMS, (n + 1) % ARMS
-                turns = {ALONE: [*bench.through(arm)], BESIDE: [*bench.beside(arm, other), *bench.rebound(arm, other)]}
-                for condition in turns if n >= 0 else ():
-                    found[condition] += turns[condition]
+            with broker_costs.priority():
+                for n in range(-SETTLED, repetitions):
+                    arm, other = n % ARMS, (n + 1) % ARMS
+                    alone = [*bench.through(arm)]
+                    beside = [*bench.beside(arm, other), *bench.rebound(arm, other)]
+                    if n >= 0:
+                        found[ALONE] += alone
+                        found[BESIDE] += beside
         finally:
             bench.close()
     return found
@@ -148,7 +151,7 @@ def _real(repetitions: int) -> dict[str, list[tuple[str, TurnCost | None]]]:
 
 def _trivial(repetitions: int) -> list[tuple[str, TurnCost | None]]:
     found: list[tuple[str, TurnCost | None]] = []
-    with broker_costs.bench(1) as broker:
+    with broker_costs.bench(1) as broker, broker_costs.priority():
         for n in range(-SETTLED, repetitions):
             turns = [*zip(STAGES, broker.pass_through(1, SLOW_S), strict=False)]
             found += turns if n >= 0 else []

@@ -28,6 +28,7 @@ from rtc.protocol.messages import WorkerKind
 from rtc.runtime.process import die_with_parent
 
 BLOCKS = 7  # the median of so many blocks is taken
+LONGER = 2.0  # times the median: a job that took longer was preempted
 SETTLING = 20  # jobs before the first block
 
 
@@ -77,10 +78,16 @@ def planner(kind: WorkerKind, inputs: dict[str, list[Any]], motions: Motions, re
     return {
         name: {
             **{of: median(values) for of, values in zip(("main", "io", "world"), zip(*rows, strict=True), strict=True)},
-            "service": quantiles(took_s[name]),
+            "service": _undisturbed(quantiles(took_s[name])),
         }
         for name, rows in found.items()
     }
+
+
+def _undisturbed(took_s: list[float]) -> list[float]:
+    """The durations without waits for a core: jobs of one condition differ by less than LONGER."""
+    most_s = LONGER * median(took_s)
+    return [min(each, most_s) for each in took_s]
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from benchmarks.hypercube import broker_costs, process_costs
+from benchmarks.hypercube import broker_costs, payload_costs, planner_costs, process_costs
 from benchmarks.hypercube.costs import _woken
 from benchmarks.hypercube.fit import fitted, medians, middle, quantiles, ratios
 from rtc.protocol.messages import WorkerKind
@@ -50,6 +50,10 @@ def test_the_middle_of_rounds_is_the_median_of_each_number():
     assert middle([[1.0, 2.0], [3.0, 8.0], [2.0, 4.0, 9.0]]) == [2.0, 4.0]
 
 
+def test_a_preempted_job_does_not_count_as_a_long_one():
+    assert planner_costs._undisturbed([1.0, 1.2, 1.5, 9.0, 40.0]) == [1.0, 1.2, 1.5, 3.0, 3.0]
+
+
 def test_a_woken_process_costs_what_a_lone_command_took_more():
     woken = _woken({"per_message": 10.0, "per_item": 2.0, "io_per_message": 3.0}, (52.0, 13.0), 2)
     assert (woken["wake_up"], woken["io_wake_up"]) == (15.0, 3.5)
@@ -62,9 +66,20 @@ def test_each_stage_of_the_real_broker_is_timed_by_its_number_of_events():
         for _ in range(broker_costs.SETTLED):
             list(broker.pass_through(2, broker_costs.QUICK_S))
         turns = list(broker.pass_through(5, broker_costs.QUICK_S))
+        mixed = list(broker.take_turns((3, 2), broker_costs.QUICK_S))
     stages = len(broker_costs.STAGES)
+    assert {sum(turn.features[-stages:]) for turn in mixed} == {3.0, 2.0}  # a late turn is not given
+    assert len(mixed) <= 2 * stages
     assert all(sum(turn.features[-stages:]) == 5 and turn.main_s > 0 for turn in turns)
     assert all(turn.features[0] == 1.0 for turn in turns)
+
+
+@pytest.mark.slow
+def test_turns_with_the_messages_of_real_planners_are_timed_alone_and_beside_a_motion():
+    stages = set(broker_costs.STAGES)
+    found = payload_costs._real(2)
+    assert {event for event, _ in found["alone"]} == stages
+    assert {event for event, _ in found["beside"]} == {*stages, "rebound"}
 
 
 @pytest.mark.slow
