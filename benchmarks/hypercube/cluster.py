@@ -107,7 +107,7 @@ class Client:
 
 def simulate(costs: Costs, plan: Plan, *, seconds: float, seed: int, warm_up_s: float = 0.3) -> Result:
     """Run one plan. The same seed gives the same result."""
-    sim, rng = Simulation(), Random(seed)
+    sim, rng, costs = Simulation(), Random(seed), costs.of(plan.workload)
     host = Host(sim, plan.cores)
     world = World(sim, host, Network(sim, host, costs, rng, tcp=plan.tcp, cubic=plan.cubic), costs, rng)
     kinds, asleep = costs.workers[plan.workload], plan.workload.startswith("asleep")
@@ -118,7 +118,8 @@ def simulate(costs: Costs, plan: Plan, *, seconds: float, seed: int, warm_up_s: 
         own = workers if plan.shared else workers[n * share : (n + 1) * share]
         if plan.nearest:
             own = sorted(own, key=lambda worker: (hops(worker[0], node), worker[0] ^ node))
-        brokers.append(Broker(world, node, own, plan.arms, costs.payload.get(plan.workload, {}), beside=plan.beside))
+        payload = costs.lengthy[plan.workload].payload if plan.workload in costs.lengthy else {}
+        brokers.append(Broker(world, node, own, plan.arms, payload, beside=plan.beside))
         clients.append(Client(world, brokers[-1], plan))
     _run_until(sim, clients, warm_up_s, FULL_BEFORE * plan.window if plan.rate == 0.0 else 0)
     for client, broker in zip(clients, brokers, strict=True):

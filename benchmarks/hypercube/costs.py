@@ -16,6 +16,7 @@ REBOUND = "rebound"  # a step is bound, and must be bound again
 LONE_MESSAGES = 8  # that the broker sends for a lone command: 4 jobs, 2 to the client, 2 to the subsystem
 ALONE, BESIDE = "alone", "beside"  # whether the messages of real planners carry a motion of another arm
 Payload = dict[str, dict[str, float]]  # condition -> kind of event -> s
+Used = dict[str, tuple[float, ...]]  # process -> processor time, main and I/O thread (s)
 
 
 class WorkerCosts(NamedTuple):
@@ -40,11 +41,20 @@ class PeerCosts(NamedTuple):
     io_wake_up: float = 0.0
 
 
+class Lengthy(NamedTuple):
+    """What is different in a workload with longer messages than those of the trivial one."""
+
+    wake_up: float  # of the broker, main and I/O thread
+    io_wake_up: float
+    subsystem: PeerCosts
+    payload: Payload  # of the broker, more per event
+
+
 class Costs(NamedTuple):
     """Times in seconds, from microbenchmarks of single processes."""
 
     broker: dict[str, float]  # per turn, wake_up, message_in, message_out and kind of event
-    payload: dict[str, Payload]  # by workload: more per event, for longer messages than those of the trivial workload
+    lengthy: dict[str, Lengthy]  # by workload
     snapshot_per_event: float
     ratios: list[float]  # measured to fitted times of turns, of equal probability
     io_per_turn: float
@@ -59,12 +69,21 @@ class Costs(NamedTuple):
     links: dict[str, list[float]]  # "ipc", "tcp" -> one-way times, of equal probability
     relay: float  # to receive a message and send it on
 
+    def of(self, workload: str) -> Costs:
+        """The costs with the broker's wake-up and the subsystem of this workload."""
+        if workload not in self.lengthy:
+            return self
+        special = self.lengthy[workload]
+        broker = {**self.broker, "wake_up": special.wake_up}
+        return self._replace(broker=broker, io_wake_up=special.io_wake_up, subsystem=special.subsystem)
+
 
 def from_data(data: dict[str, Any]) -> Costs:
     """Join the costs of busy processes with those of woken ones, which `lone_costs` has measured."""
     broker, processes, lone = data["broker"], data["processes"], data["lone"]
     trivial = {name: tuple(used) for name, used in lone["trivial"]["per_command"].items()}
     wake_up, io_wake_up = _broker_wake_up(broker, trivial["broker"])
+    payload = data["payload"]
     kinds = {kind: _woken(costs, trivial[kind], 1) for kind, costs in processes["workers"]["trivial"].items()}
     workers = {
         load: [WorkerCosts(**kind) for kind in by_kind.values()] for load, by_kind in processes["workers"].items()
@@ -72,12 +91,19 @@ def from_data(data: dict[str, Any]) -> Costs:
     workers["trivial"] = [WorkerCosts(**kind) for kind in kinds.values()]
     real = {name: tuple(used) for name, used in lone["real"]["per_command"].items()}
     workers["real"] = [
-        _planner(data["planners"][kind], real[kind]) if kind in data["planners"] else WorkerCosts(**kinds[kind])
-        for kind in kinds
+        _planner(data["planners"][kind], real[kind])
+        if kind in data["planners"]
+        else WorkerCosts(**_woken(costs, real[kind], 1))
+        for kind, costs in processes["workers"]["trivial"].items()
     ]
+    lengthy = Lengthy(
+        *_broker_wake_up(broker, real["broker"], sum(payload[ALONE].values())),
+        subsystem=_with_longer_items(PeerCosts(**_woken(processes["subsystem"], trivial["MCM"], 1)), trivial, real),
+        payload=payload,
+    )
     return Costs(
         broker={**broker["per"], "wake_up": wake_up},
-        payload={"real": data["payload"]},
+        lengthy={"real": lengthy},
         snapshot_per_event=broker["snapshot_per_event"],
         ratios=broker["ratios"],
         io_per_turn=broker["io_per_turn"],
@@ -94,13 +120,21 @@ def from_data(data: dict[str, Any]) -> Costs:
     )
 
 
-def _broker_wake_up(broker: dict[str, Any], used: tuple[float, ...]) -> tuple[float, float]:
-    """What the turns of a lone command cost more than turns in a row, per turn: main and I/O thread."""
+def _with_longer_items(subsystem: PeerCosts, trivial: Used, real: Used) -> PeerCosts:
+    """The costs of a subsystem whose primitives have trajectories. `trivial`, `real`: time per lone command."""
+    longer_s = max(0.0, sum(real["MCM"]) - sum(trivial["MCM"]))
+    return subsystem._replace(per_item=subsystem.per_item + longer_s)
+
+
+def _broker_wake_up(broker: dict[str, Any], used: tuple[float, ...], payload_s: float = 0.0) -> tuple[float, float]:
+    """What the turns of a lone command cost more than turns in a row, per turn: main and I/O thread.
+
+    `payload_s`: for its long messages."""
     per, turns = broker["per"], len(EVENTS)
     main_s = turns * (per["turn"] + per["message_in"]) + LONE_MESSAGES * per["message_out"]
     main_s += sum(per[event] for event in EVENTS)
     io_s = turns * broker["io_per_turn"] + (turns + LONE_MESSAGES) * broker["io_per_message"]
-    return max(0.0, used[0] - main_s) / turns, max(0.0, used[1] - io_s) / turns
+    return max(0.0, used[0] - main_s - payload_s) / turns, max(0.0, used[1] - io_s) / turns
 
 
 def _woken(costs: dict[str, Any], used: tuple[float, ...], messages: int) -> dict[str, Any]:

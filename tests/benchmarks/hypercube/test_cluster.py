@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from benchmarks.hypercube.cluster import Plan, simulate
-from benchmarks.hypercube.costs import Costs, PeerCosts, WorkerCosts
+from benchmarks.hypercube.costs import Costs, Lengthy, PeerCosts, WorkerCosts
 from benchmarks.hypercube.registry import Registry
 from benchmarks.hypercube.routing import between, homes, hops
 from broker.decisions.effects import DispatchJob
@@ -28,7 +28,7 @@ def costs(turn=0.0, event=1e-5, service=0.0, link=1e-5, relay=1e-5, **others):
     load = "asleep-4ms" if service else "trivial"
     given = {
         "broker": free | dict.fromkeys(STAGES, event),
-        "payload": {},
+        "lengthy": {},
         "snapshot_per_event": 0.0,
         "ratios": [1.0],
         "io_per_turn": 0.0,
@@ -124,7 +124,7 @@ def test_a_job_beside_a_motion_takes_its_own_time_and_its_events_their_payload()
     slower = run(costs(service=0.004, workers={"asleep-4ms": [longer] * 4}), **plan)
     assert slower.commands_per_s < 0.9 * run(usual, **plan).commands_per_s
     payload = {"alone": {}, "beside": {"rebound": 1e-3}}
-    more = run(usual._replace(payload={"asleep-4ms": payload}), **plan)
+    more = run(usual._replace(lengthy={"asleep-4ms": Lengthy(0.0, 0.0, usual.subsystem, payload)}), **plan)
     assert more.broker_us > run(usual, **plan).broker_us + 50.0
 
 
