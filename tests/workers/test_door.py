@@ -9,6 +9,7 @@ import pytest
 
 from rtc.cells.cell import Cell
 from rtc.protocol.outcomes import RefusalReason, StopReason
+from rtc.protocol.primitive import TurnAbove
 from rtc.robot import geometry, hinges
 from tests.workers.conftest import Bench, Physical, Reporter
 from workers.planning.robot_models import CellModel
@@ -55,6 +56,28 @@ def test_a_sentence_opens_the_held_door_along_a_circle(bench) -> None:
     assert bench.do(f"OPEN {DOOR} TO 45 DEG").succeeded
     assert bench.do(f"CLOSE {DOOR} BY 10 DEG").succeeded
     assert angle_deg(bench) == pytest.approx(35.0, abs=4.0)  # the stop does not stop the reporter's arm
+
+
+@pytest.mark.parametrize(
+    ("verb", "to_deg", "off_deg"), [("OPEN", 20.0, 3.0), ("CLOSE", 60.0, 3.0), ("CLOSE", 0.0, 2.1)]
+)
+def test_to_an_angle_turns_either_way(bench, verb, to_deg, off_deg) -> None:
+    bench.do(GRASP)
+    bench.do(f"OPEN {DOOR} BY 45 DEG")
+    before = angle_deg(bench)
+    run = bench.do(f"{verb} {DOOR} TO {to_deg:g} DEG")
+    assert run.succeeded, (run.refusal, run.failure)
+    assert angle_deg(bench) == pytest.approx(to_deg, abs=off_deg)  # the reporter's arm goes as far as its command
+    ends = [f.when for f in run.primitives[-1].stop_functions if isinstance(f.when, TurnAbove)]
+    assert [math.degrees(when.limit_rad) for when in ends] == pytest.approx([abs(to_deg - before)])
+
+
+def test_a_door_that_is_there_already_is_not_moved(bench) -> None:
+    bench.do(GRASP)
+    bench.set_fact(f"{DOOR}.angle", math.radians(20.0))
+    run = bench.do(f"OPEN {DOOR} TO 20 DEG")
+    assert run.refusal is not None
+    assert "at 20 deg" in run.refusal.message
 
 
 def test_an_open_door_is_taken_where_it_is(bench) -> None:
@@ -134,6 +157,10 @@ def test_the_door_opens_by_90_degrees_with_a_small_force(physical) -> None:
     assert run.succeeded, (run.refusal, run.failure)
     assert math.degrees(world.angle(DOOR)) == pytest.approx(90.0, abs=2.0)
     assert angle_deg(physical) == pytest.approx(math.degrees(world.angle(DOOR)), abs=0.5)
+    assert max(report.peak_force_n for report in run.reports) <= MOST_N
+    run = physical.do(f"OPEN {DOOR} TO 75 DEG")  # back
+    assert run.succeeded, (run.refusal, run.failure)
+    assert math.degrees(world.angle(DOOR)) == pytest.approx(75.0, abs=2.0)
     assert max(report.peak_force_n for report in run.reports) <= MOST_N
     assert physical.do(f"RELEASE {DOOR}").succeeded
     left = world.angle(DOOR)

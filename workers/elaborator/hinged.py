@@ -11,6 +11,7 @@ from workers.elaborator.task_candidate import TaskCandidate
 
 SPACE = "move_circle"  # of a step that turns an object about its hinge
 SLACK_RAD = 0.1  # a compliant hand is commanded beyond the angle that it reaches
+LEAST_RAD = math.radians(0.1)  # minimum turn; the angle of a door is not known better
 
 
 def refuse_other_motion(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
@@ -36,13 +37,21 @@ def refuse_beyond_stops(script: ScriptFile, candidate: TaskCandidate) -> Refusal
         if step.space != SPACE:
             continue
         try:
-            angle += expressions.number(step.args.get("by_rad", 0.0), candidate.figures)
+            turn = expressions.number(step.args.get("by_rad", 0.0), candidate.figures)
         except expressions.ExpressionError:
             return Refusal(
                 reason=RefusalReason.SENTENCE,
                 message=f"{candidate.parsed.verb} {thing.name}: an angle is wanted",
                 clears="an amount in DEG or RAD",
             )
+        if abs(turn) < LEAST_RAD:
+            at = f"{math.degrees(angle):g} deg"
+            return Refusal(
+                reason=RefusalReason.STATE,
+                message=f"{thing.name} is at {at}: nothing to turn",
+                clears=f"an angle other than {at}; after SET {thing.name} ANGLE, if it is at another one",
+            )
+        angle += turn
         if not least - SLACK_RAD <= angle <= most + SLACK_RAD:
             now = math.degrees(candidate.query.angle(thing.name))
             return Refusal(
