@@ -14,10 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from rtc.authoring.hull import hull_of
-from rtc.authoring.robot_file import MOVING, PACKAGE, RobotFile, number, numbers, origin
+from rtc.authoring.robot_file import PACKAGE, RobotFile, number, numbers, origin
+from rtc.cells import urdf_values
+from rtc.cells.urdf_values import MOVING
 from rtc.protocol.outcomes import ProgramError
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
+from rtc.robot.numeric_ik import FEWEST
 
 HAND = Path(__file__).with_name("hand.urdf")
 BELOW_TIP_M = 0.015  # distance of the tcp below the finger tips, at most a quarter of a finger
@@ -59,6 +62,7 @@ def adapt(path: Path, folder: str, tip: str = "") -> AdaptedArm:
     Raises ProgramError for a model that cannot be used, with the reason.
     """
     robot = RobotFile(path)
+    _refuse_wrong_values(robot)
     notes: list[str] = []
     fingers = None if tip else _fingers(robot, notes)
     if fingers is None:
@@ -67,13 +71,23 @@ def adapt(path: Path, folder: str, tip: str = "") -> AdaptedArm:
         fingers = ("finger_a_slide", "finger_b_slide")
     palm = robot.parent[fingers[0]]
     arm = AdaptedArm(robot, robot.moving_way(palm), palm, fingers, notes=notes)
-    if not arm.joints:
-        raise ProgramError(f"{path}: no joint moves {palm}")
+    if len(arm.joints) < FEWEST:
+        moving = f"only {arm.joints[0]} moves" if arm.joints else "no joint moves"
+        raise ProgramError(f"{path}: {moving} {palm}; expected: an arm with {FEWEST} joints or more before its hand")
     _tidy(arm)
     _meshes(arm, folder)
     _tool(arm)
     arm.sensor = _sensor(arm)
     return arm
+
+
+def _refuse_wrong_values(robot: RobotFile) -> None:
+    long = urdf_values.too_long(robot.robot)
+    wrong = [*urdf_values.faults(robot.robot), *([] if long is None else [long])]
+    if wrong:
+        where, problem, expected = wrong[0]
+        others = f". All {len(wrong)} faults: rtc cell check {robot.path}" if wrong[1:] else ""
+        raise ProgramError(f"{robot.path}: {where}: {problem}; expected: {expected}{others}")
 
 
 # --- the hand ------------------------------------------------------------------------------------------
@@ -192,6 +206,9 @@ def _tidy(arm: AdaptedArm) -> None:
             continue
         if name not in kept:
             joint.set("type", "fixed")
+            for tag in ("limit", "mimic", "dynamics", "safety_controller", "calibration"):
+                for part in joint.findall(tag):
+                    joint.remove(part)
             arm.notes.append(f"{name} moves neither the hand nor a finger: it is fixed at 0")
             continue
         if (mimic := joint.find("mimic")) is not None:
@@ -258,6 +275,12 @@ def _motor(arm: AdaptedArm, name: str, joint: ElementTree.Element) -> None:
         if not number(limit, key) > 0.0:
             limit.set(key, f"{otherwise:g}")
             arm.notes.append(f"{name} has no {key}: {otherwise:g} is assumed; see its data sheet")
+    lower, upper = arm.robot.limits(name)
+    if not lower < upper:
+        raise ProgramError(
+            f"{arm.robot.path}: joint {name}: its limits are {lower:g} and {upper:g}; "
+            "expected: lower below upper, in rad or m"
+        )
 
 
 def _points(robot: RobotFile, link: str) -> list[Array]:

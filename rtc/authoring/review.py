@@ -20,10 +20,11 @@ import yaml
 
 from rtc.authoring import self_collisions
 from rtc.authoring.adapt import GYRATION
-from rtc.authoring.robot_file import MOVING, RobotFile, number
+from rtc.authoring.robot_file import RobotFile, kinematics, number
 from rtc.cells import cell as cells
-from rtc.cells import extension, model_checks
+from rtc.cells import extension, model_checks, urdf_values
 from rtc.cells.cell import Cell
+from rtc.cells.urdf_values import MOVING
 from rtc.programs.yaml_location import line_of_key, path_of
 from rtc.protocol.outcomes import ProgramError
 from rtc.robot import geometry
@@ -189,11 +190,19 @@ def _models(path: Path, plain: Any, text: bytes, folders: list[Path]) -> Iterato
             texts = {name: file.read_text(encoding="utf-8") for name, file in both.items() if file.is_file()}
         except (msgspec.ValidationError, ValueError, OSError):
             continue  # reported above
-        if {spec.urdf, spec.srdf} <= set(texts):
+        if {spec.urdf, spec.srdf} <= set(texts) and not _wrong_values(texts[spec.urdf]):
             hulls = model_checks.hulls(texts[spec.urdf])
             beside = {file: "" for file in hulls if _beside(folders, file).is_file()}
             for where, problem in model_checks.problems([spec], texts | beside):
                 yield _at(path, text, where.replace("arms[0]", f"arms[{n}]", 1), problem)
+
+
+def _wrong_values(urdf: str) -> bool:
+    """Whether a URDF has faults that `_urdf` states."""
+    try:
+        return any(urdf_values.faults(ElementTree.fromstring(urdf)))
+    except ElementTree.ParseError:
+        return True
 
 
 def _beside(folders: list[Path], file: str) -> Path:
@@ -213,14 +222,25 @@ def _urdf(path: Path, in_cell: bool = False) -> Iterator[Finding]:
     except ProgramError as error:
         yield found("robot", str(error).removeprefix(f"{path}: "), "one tree of links and joints")
         return
+    wrong = list(urdf_values.faults(robot.robot))
+    yield from (found(*fault) for fault in wrong)
+    if (long := urdf_values.too_long(robot.robot)) is not None:
+        yield found(*long, "warning")
+    faulty, errors = {fault.where for fault in wrong}, bool(wrong)
     for name in robot.joints:
-        for problem, expected, severity in _joint(robot, name):
+        for problem, expected, severity in [] if f"joint {name}" in faulty else _joint(robot, name):
+            errors = errors or severity == "error"
             yield found(f"joint {name}", problem, expected, severity)
     for name, link in robot.links.items():
-        for problem, expected, severity in _inertial(robot, name, link):
+        for problem, expected, severity in [] if f"link {name}" in faulty else _inertial(robot, name, link):
             yield found(f"link {name}", problem, expected, severity)
         for problem in [] if in_cell else _mesh_faults(robot, link):
             yield found(f"link {name}", problem, "a readable mesh")
+    if not errors:
+        try:
+            kinematics(ElementTree.tostring(robot.robot, encoding="unicode"), path)
+        except ProgramError as error:
+            yield found("robot", str(error).removeprefix(f"{path}: "))
 
 
 Row = tuple[str, str, Literal["error", "warning"]]
@@ -242,7 +262,7 @@ def _joint(robot: RobotFile, name: str) -> Iterator[Row]:
     except ProgramError as error:
         yield str(error), "a number", "error"
         return
-    if robot.type(name) != "continuous" and not lower < upper:
+    if robot.type(name) != "continuous" and lower == upper:
         yield f"its limits are {lower:g} and {upper:g}", "lower below upper, in rad or m", "error"
     if robot.type(name) == "revolute" and max(abs(lower), abs(upper)) > 4 * math.pi:
         yield f"its limits are {lower:g} and {upper:g} rad: degrees?", "radians", "warning"
@@ -317,7 +337,7 @@ def _srdf(path: Path, urdf: Path) -> Iterator[Finding]:
 
     try:
         robot = ElementTree.fromstring(path.read_text(encoding="utf-8"))
-    except (OSError, ElementTree.ParseError) as error:
+    except (OSError, UnicodeDecodeError, ElementTree.ParseError) as error:
         yield found(1, "robot", f"cannot be read: {error}", "an XML file <robot>")
         return
     try:

@@ -12,12 +12,14 @@ from pathlib import Path
 
 import coal
 import numpy as np
+import pinocchio as pin
 
+from rtc.cells import urdf_values
+from rtc.cells.urdf_values import MOVING
 from rtc.protocol.outcomes import ProgramError
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 
-MOVING = ("revolute", "continuous", "prismatic")
 PACKAGE = "package://"
 ANCESTORS = 4  # directories above a URDF in which the packages of its meshes are looked for
 Element = ElementTree.Element
@@ -63,6 +65,11 @@ class RobotFile:
         roots = [link for link in self.links if link not in children]
         if len(roots) != 1:
             yield f"one root link is needed; there are {', '.join(roots) or 'none, the joints form a ring'}"
+            return
+        reached = self.below(roots[0])
+        if len(reached) < len(self.links):
+            ring = ", ".join(link for link in self.links if link not in reached)
+            yield f"one tree is needed; the joints of {ring} form a ring"
 
     def type(self, joint: str) -> str:
         return str(self.joints[joint].get("type"))
@@ -151,25 +158,35 @@ def end(joint: Element, which: str) -> str:
 
 
 def number(element: Element, field: str, otherwise: float = 0.0) -> float:
-    """A numeric attribute. Raises ProgramError if it is not a number."""
+    """A numeric attribute. Raises ProgramError if it is not a finite number."""
     text = element.get(field)
     if text is None:
         return otherwise
-    try:
-        return float(text)
-    except ValueError:
-        raise ProgramError(f"<{element.tag} {field}={text!r}> is not a number") from None
+    values = urdf_values.parsed(text)
+    if values is None or len(values) != 1:
+        raise ProgramError(f"<{element.tag} {field}={text!r}> is not a number")
+    return values[0]
 
 
 def numbers(element: Element | None, field: str, otherwise: tuple[float, float, float]) -> tuple[float, float, float]:
     text = None if element is None else element.get(field)
     if text is None:
         return otherwise
-    try:
-        x, y, z = (float(part) for part in text.split())
-    except ValueError:
-        raise ProgramError(f"<{element.tag if element is not None else ''} {field}={text!r}>: three numbers") from None
+    values = urdf_values.parsed(text)
+    if values is None or len(values) != 3:
+        raise ProgramError(f"<{element.tag if element is not None else ''} {field}={text!r}>: three numbers")
+    x, y, z = values
     return x, y, z
+
+
+def kinematics(urdf: str, path: Path) -> pin.Model:
+    """The model of a URDF text. `path`: of its file. Raises ProgramError if pinocchio cannot read it."""
+    try:
+        return pin.buildModelFromXML(urdf)
+    except (ValueError, RuntimeError, IndexError) as error:
+        raise ProgramError(
+            f"{path}: pinocchio cannot read it: {error} Expected: a URDF that `check_urdf` accepts"
+        ) from error
 
 
 def origin(element: Element) -> Array:

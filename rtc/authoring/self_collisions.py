@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from rtc.authoring.robot_file import RobotFile
+from rtc.authoring.robot_file import RobotFile, kinematics
 from rtc.robot import hulls
 from rtc.robot.geometry import Array
 
@@ -41,7 +41,7 @@ def srdf(robot: RobotFile, urdf: str, texts: Mapping[str, str]) -> tuple[str, li
 
 def pairs(robot: RobotFile, urdf: str, texts: Mapping[str, str]) -> tuple[dict[Pair, str], list[str]]:
     """(pair -> Adjacent, Default (two fingers, which touch in a closed hand), Always or Never; notes)."""
-    model = pin.buildModelFromXML(urdf)
+    model = kinematics(urdf, robot.path)
     shapes = hulls.shapes(model, urdf, texts)
     links = [item.name.rsplit("_", 1)[0] for item in shapes.geometryObjects]
     rows = dict.fromkeys(adjacent(robot, set(links)), "Adjacent") | dict.fromkeys(_fingers(robot), "Default")

@@ -74,7 +74,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid
                     folder = next((one for one in folders if (one / file).is_file()), path.parent)
                     try:
                         texts[file] = (folder / file).read_text(encoding="utf-8")
-                    except OSError as error:
+                    except (OSError, UnicodeDecodeError) as error:
                         raise ProgramError(f"{path}: $.arms[{n}].{field}: cannot read {file}: {error}") from error
             for file in model_checks.hulls(texts[arm.urdf]):
                 own = next((one for one in folders if (one / file).is_file()), None)

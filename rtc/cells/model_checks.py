@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from rtc.cells import urdf_values
 from rtc.cells.parts import Arm
+from rtc.cells.urdf_values import MOVING
 from rtc.robot import geometry
 
-MOVING = ("revolute", "continuous", "prismatic")
 HULL = ".obj"
 WIDTH_SLACK_M = 0.0005
 OPPOSED = 1e-3  # maximum norm of the sum of two opposed unit vectors
@@ -25,7 +26,7 @@ Element = ElementTree.Element
 
 
 def problems(arms: Sequence[Arm], texts: Mapping[str, str]) -> Problems:
-    """All problems, arm by arm. `texts`: URDF and SRDF by file name."""
+    """All problems, arm by arm. `texts`: URDF and SRDF by file name. A list of another length is left to the cell."""
     for n, arm in enumerate(arms):
         place = f"arms[{n}]"
         try:
@@ -34,11 +35,8 @@ def problems(arms: Sequence[Arm], texts: Mapping[str, str]) -> Problems:
         except ElementTree.ParseError as error:
             yield f"{place}.urdf", f"the model of {arm.name} is not XML: {error}"
             continue
-        try:
-            found = list(_arm(arm, _Model(root), texts))
-        except ValueError as error:
-            found = [("urdf", f"a value is not a number: {error}")]
-        for field, problem in found:
+        wrong = [f"{where}: {problem}; expected: {expected}" for where, problem, expected in urdf_values.faults(root)]
+        for field, problem in [("urdf", one) for one in wrong] or _arm(arm, _Model(root), texts):
             yield f"{place}.{field}", f"{arm.urdf}: {problem}"
 
 
@@ -142,14 +140,14 @@ def _chain(arm: Arm, model: _Model) -> Problems:
 def _postures(arm: Arm, model: _Model) -> Problems:
     postures = {"home_deg": (arm.home_deg, arm.home_rad), "stow_deg": (arm.stow_deg, arm.stow_rad)}
     for field, (given, values) in postures.items():
-        for joint, written, value in zip(arm.joints, given, values, strict=True):
+        for joint, written, value in zip(arm.joints, given, values, strict=False):
             slides, limits = model.type(joint) == "prismatic", model.limits(joint)
             if slides != isinstance(written, str):
                 yield field, f"{joint} {'slides: write metres, such as 0.5 m' if slides else 'turns: write degrees'}"
             elif limits is not None and not limits[0] <= value <= limits[1]:
                 at = written if slides else f"{written:g} deg"
                 yield field, f"{joint} is at {at} there; its limits are {_range(limits, slides)}"
-    for joint, rate in zip(arm.joints, arm.acceleration_deg_s2, strict=True):
+    for joint, rate in zip(arm.joints, arm.acceleration_deg_s2, strict=False):
         if (model.type(joint) == "prismatic") != isinstance(rate, str):
             yield "acceleration_deg_s2", f"{joint}: write a number in deg/s2, or for a joint that slides such as 1 m/s2"
 

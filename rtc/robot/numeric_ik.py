@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from rtc.robot.geometry import Array
 
+FEWEST = 2  # joints of an arm
 TABLE = 2048  # postures in the table
 SEED = 560
 BATCHES = (31, 96)  # number of starts from the table; the second batch runs only if the first has no result
@@ -64,6 +65,8 @@ class Chain:
         self.count = model.nv
         if model.nq != model.nv:
             raise ValueError("a continuous joint has no limits")
+        if self.count < FEWEST:
+            raise ValueError(f"it has {self.count} moving joint; an arm needs {FEWEST} or more")
         self.slides = np.zeros(self.count, dtype=bool)
         self._joints = [self._joint(n) for n in range(1, model.njoints)]
         tip = model.frames[tcp].placement
