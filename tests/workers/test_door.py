@@ -133,6 +133,55 @@ def test_a_halted_door_is_suspect(bench) -> None:
     assert bench.world.get(f"{DOOR}.frame").validity == bench.world.get(f"{DOOR}.angle").validity == "suspect"
 
 
+def test_a_halted_door_goes_on_after_the_command_that_the_refusal_states(bench) -> None:
+    bench.do(GRASP)
+    bench.subsystem.instead["C-2.1"] = StopReason.HALT
+    bench.do(OPEN)
+    refusal = bench.do(OPEN).refusal
+    assert refusal is not None
+    assert refusal.reason is RefusalReason.SUSPECT
+    run = bench.do(refusal.clears)
+    assert run.succeeded, (run.refusal, run.failure)
+    assert bench.world.get(f"{DOOR}.angle").validity == "valid"
+    assert bench.do(OPEN).succeeded
+
+
+def test_a_door_let_go_after_a_halt_is_taken_again_after_its_angle_is_stated(bench) -> None:
+    bench.do(GRASP)
+    bench.do(f"OPEN {DOOR} BY 30 DEG")
+    bench.subsystem.poses[DOOR] = bench.world.value(f"{DOOR}.frame")
+    before = angle_deg(bench)
+    bench.subsystem.instead["C-3.1"] = StopReason.HALT
+    bench.do(f"OPEN {DOOR} BY 30 DEG")
+    assert bench.do(f"RELEASE {DOOR}").succeeded
+    refusal = bench.do(GRASP).refusal
+    assert refusal is not None
+    assert refusal.reason is RefusalReason.SUSPECT
+    assert f"SET {DOOR} ANGLE" in refusal.clears
+    assert bench.do(refusal.clears.partition("state it: ")[2].partition(",")[0]).succeeded
+    assert angle_deg(bench) == pytest.approx(before, abs=0.01)
+    assert bench.do(GRASP).succeeded
+
+
+@pytest.mark.parametrize(
+    ("stated", "word"),
+    [
+        ("FRAME 0 0 0 CM", "from its hinge"),
+        ("FRAME 75 17 70 CM 90 0 0 DEG", "tilted"),
+        ("FRAME 75 17 70 CM 0 0 -150 DEG", "150 deg"),
+    ],
+)
+def test_a_door_stays_on_its_hinge(bench, stated, word) -> None:
+    before = bench.world.get(f"{DOOR}.frame")
+    refusal = bench.do(f"SET {DOOR} {stated}").refusal
+    assert refusal is not None
+    assert word in refusal.message
+    assert "ANGLE" in refusal.clears
+    assert bench.world.get(f"{DOOR}.frame") == before
+    assert bench.do(f"SET {DOOR} FRAME 75.4 17.3 70 CM 0 1 -30 DEG").succeeded  # the survey of its hinge was not exact
+    assert angle_deg(bench) == pytest.approx(30.0, abs=0.5)
+
+
 def test_an_open_door_is_an_obstacle_at_its_angle(bench) -> None:
     """The hand where the panel is when the door stands open."""
     inside = geometry.make_pose((0.55, 0.18, 0.70), geometry.LEVEL)
@@ -158,6 +207,17 @@ def test_the_door_opens_by_90_degrees_with_a_small_force(physical) -> None:
     assert math.degrees(world.angle(DOOR)) == pytest.approx(90.0, abs=2.0)
     assert angle_deg(physical) == pytest.approx(math.degrees(world.angle(DOOR)), abs=0.5)
     assert max(report.peak_force_n for report in run.reports) <= MOST_N
+
+    def halt_in_motion(tick: int) -> None:
+        if tick == 800:
+            assert physical.subsystem.executors[ARM].halt()
+
+    physical.subsystem.disturb = halt_in_motion
+    assert physical.do(f"OPEN {DOOR} TO 75 DEG").reasons == [StopReason.HALT]
+    physical.subsystem.disturb = None
+    run = physical.do(f"VERIFY {DOOR} AT {ARM}")
+    assert run.succeeded, (run.refusal, run.failure)
+    assert angle_deg(physical) == pytest.approx(math.degrees(world.angle(DOOR)), abs=0.5)
     run = physical.do(f"OPEN {DOOR} TO 75 DEG")  # back
     assert run.succeeded, (run.refusal, run.failure)
     assert math.degrees(world.angle(DOOR)) == pytest.approx(75.0, abs=2.0)

@@ -12,13 +12,16 @@ from typing import Any
 
 from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot import geometry
+from rtc.robot import geometry, hinges
 from rtc.world.model import problem
 from rtc.world.spread import even
 from workers.planning.world_query import WorldQuery
 
 Changes = list[WorldChange]
 Values = Mapping[str, float]
+
+HINGE_OFF_M = 0.05  # maximum error of a hinge's place in the cell file
+HINGE_OFF_RAD = 0.1  # maximum error of its axis, and of an angle at a stop
 
 
 def changes_from(facts: Mapping[str, Any], query: WorldQuery, values: Values) -> Changes | Refusal:
@@ -75,6 +78,8 @@ def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Change
     """Changes of seat, grasp or seated objects that follow from a new frame."""
     if any(seat.name == thing for seat in query.cell.seats):
         return _moved_with(thing, frame, query)
+    if off := _off_hinge(thing, frame, query):
+        return _refused(off, f"{thing}.frame", f"SET {thing} ANGLE and an angle in DEG; or its hinge in the cell file")
     if query.held_by(thing):
         return _in_hand(thing, frame, query, values)
     seat = seat_at(frame, query, values["seated_m"], values["seated_rad"])
@@ -89,6 +94,28 @@ def _placed(thing: str, frame: Any, query: WorldQuery, values: Values) -> Change
         WorldChange(key=f"{thing}.seat", value=seat),
         WorldChange(key=f"{thing}.grasp", value=None),
     ]
+
+
+def _off_hinge(thing: str, frame: Any, query: WorldQuery) -> str:
+    """Why an object with a hinge cannot be at this frame; empty if it can, or has no hinge.
+
+    Its hinge is where the cell file has it, up to an error of the survey.
+    """
+    known = query.cell.object(thing)
+    if known.hinge is None:
+        return ""
+    home, (least, most) = known.frame.pose, known.hinge.range_rad
+    angle = hinges.angle_of(home, known.hinge.axis, frame)
+    place = hinges.turned(home, known.hinge.axis, angle)
+    off_m, tilt_rad = geometry.distance(place, frame), geometry.angle(place, frame)
+    if off_m > HINGE_OFF_M:
+        return f"{thing} would be {off_m * 1000:.0f} mm from its hinge; {HINGE_OFF_M * 1000:.0f} mm is the most"
+    if tilt_rad > HINGE_OFF_RAD:
+        return f"{thing} would be tilted by {math.degrees(tilt_rad):.0f} deg against its hinge"
+    if not least - HINGE_OFF_RAD <= angle <= most + HINGE_OFF_RAD:
+        stops = f"from {math.degrees(least):g} to {math.degrees(most):g} deg"
+        return f"{thing} would be at {math.degrees(angle):.0f} deg; it turns {stops}"
+    return ""
 
 
 def _in_hand(thing: str, frame: Any, query: WorldQuery, values: Values) -> Changes | Refusal:

@@ -228,7 +228,9 @@ class WorldQuery:
         """What would make this fact trusted again. For a held object, clearing the grasp also clears the frame."""
         location, _, attribute = key.rpartition(".")
         holder = self.held_by(location)
-        row = "grasp" if attribute == "frame" and holder else attribute
+        row = attribute
+        if attribute in ("frame", "angle"):
+            row = "grasp" if holder else "angle" if self.hinge(location) and "angle" in clears else attribute
         if row == "frame" and "seen" in clears and self.cameras(location):
             row = "seen"
         words = clears.get(row, "sense {location} again")
@@ -236,6 +238,7 @@ class WorldQuery:
             frame = self.frame(location)
             words = words.replace("{position}", _figures(100 * frame[:3]))
             words = words.replace("{attitude}", _figures(np.degrees(geometry.to_rpy(frame))))
+        words = words.replace("{angle}", _figures(np.degrees([self.angle(location)])))
         hand = hand_in_words(holder) or "the hand that holds it"
         return words.replace("{location}", location).replace("{holder}", hand)
 
