@@ -72,6 +72,11 @@ def test_to_an_angle_turns_either_way(bench, verb, to_deg, off_deg) -> None:
     assert [math.degrees(when.limit_rad) for when in ends] == pytest.approx([abs(to_deg - before)])
 
 
+def test_a_door_stops_at_the_turn_of_a_joint(bench) -> None:
+    bench.do(GRASP)
+    assert bench.do(f"OPEN {DOOR} BY 30 DEG UNLESS TURN ALONG JOINT-1 EXCEEDS 10 DEG THEN STOP").refusal is None
+
+
 def test_a_door_that_is_there_already_is_not_moved(bench) -> None:
     bench.do(GRASP)
     bench.set_fact(f"{DOOR}.angle", math.radians(20.0))
@@ -102,6 +107,8 @@ def test_an_open_door_is_taken_where_it_is(bench) -> None:
         (True, f"MOVE {ARM} BY 5 CM ALONG BACK", RefusalReason.STATE, "hinge"),
         (True, f"STOW {ARM}", RefusalReason.STATE, "hinge"),
         (True, f"OPEN {DOOR} BY 5 CM", RefusalReason.SENTENCE, "angle"),
+        (True, f"OPEN {DOOR} BY 30 DEG UNLESS TURN EXCEEDS 10 DEG THEN STOP", RefusalReason.NO_SCRIPT, "attitude"),
+        (True, f"CLOSE {DOOR} REPORT WHEN TURN ALONG Z EXCEEDS 1 DEG", RefusalReason.NO_SCRIPT, "attitude"),
     ],
 )
 def test_what_a_door_cannot_do_is_refused(bench, held, sentence, reason, word) -> None:

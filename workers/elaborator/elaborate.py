@@ -323,7 +323,7 @@ def _script(
         problem = anchors.refuse_unknown_place(candidate.query.cell, place.name)  # a wrong name before doubtful facts
     problem = problem or (_unsure_grasp(script, candidate) if candidate.hand else None)
     problem = problem or (hinged.refuse_other_motion(script, candidate) if candidate.hand else None)
-    problem = problem or hinged.refuse_beyond_stops(script, candidate)
+    problem = problem or hinged.refuse_turn_of_hand(script, candidate) or hinged.refuse_beyond_stops(script, candidate)
     problem = problem or (two_hands.refuse_moving_alone(script, candidate) if candidate.hand else None)
     if problem is not None:
         return problem

@@ -7,6 +7,7 @@ import math
 from rtc.programs import expressions
 from rtc.programs.schema import ScriptFile
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from workers.binder import reflexes
 from workers.elaborator.task_candidate import TaskCandidate
 
 SPACE = "move_circle"  # of a step that turns an object about its hinge
@@ -24,6 +25,27 @@ def refuse_other_motion(script: ScriptFile, candidate: TaskCandidate) -> Refusal
     clears = candidate.program.needs.get("hinge_held", "").replace("{held}", held)
     message = f"{candidate.arm.name} holds {held}, which only turns about its hinge"
     return Refusal(reason=RefusalReason.STATE, message=message, clears=clears)
+
+
+def refuse_turn_of_hand(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
+    """The refusal of a TURN condition if the hand keeps its attitude in all motions of the script.
+
+    TURN of a joint is accepted.
+    """
+    moves = [step for step in script.steps if step.do == "move"]
+    if not moves or not all(step.space == SPACE and step.args.get("hand_turn") == 0.0 for step in moves):
+        return None
+    parsed = candidate.parsed
+    asked = [item.condition for item in parsed.reflexes] + (parsed.report.when if parsed.report else [])
+    turn = next((c for c in asked if c.measure == "TURN" and not (c.along or "").startswith(reflexes.JOINT)), None)
+    if turn is None:
+        return None
+    return Refusal(
+        reason=RefusalReason.NO_SCRIPT,
+        message=f"{turn.words}: TURN is the turn of the hand, which keeps its attitude on this path",
+        where="TURN",
+        clears=f"{parsed.verb} {candidate.body} BY the angle at which it should stop; or leave out {turn.words}",
+    )
 
 
 def refuse_beyond_stops(script: ScriptFile, candidate: TaskCandidate) -> Refusal | None:
