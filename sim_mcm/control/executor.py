@@ -311,8 +311,13 @@ class Executor:
         if stands is self._stands:
             return []
         self._stands = stands
-        done = min(1.0, self._profile_time_s / self._profile.duration_s) if self._profile.duration_s else 0.0
-        return [m.Paced(primitive=self.primitive_id, at_s=now_s, paused=stands, done=done)]
+        return [m.Paced(primitive=self.primitive_id, at_s=now_s, paused=stands, done=self._done())]
+
+    def _done(self) -> float:
+        """Share of the path, or of the turn of the spindle."""
+        if self._spindle is not None:
+            return self._spindle.done
+        return min(1.0, self._profile_time_s / self._profile.duration_s) if self._profile.duration_s else 0.0
 
     def _begin_stopping(self) -> None:
         assert self.primitive is not None

@@ -33,3 +33,8 @@ class SpindleTurn:
     def turned_rad(self) -> float:
         """By this motion so far."""
         return self._before_rad + (self._seen.arm.spindle().turned_rad if self._turns else 0.0)
+
+    @property
+    def done(self) -> float:
+        """Share of the turn, 0 to 1."""
+        return min(1.0, abs(self.turned_rad / self._motion.turn_rad)) if self._motion.turn_rad else 1.0
