@@ -15,7 +15,7 @@ from sim_mcm.control.executor import Executor
 from tests.workers import conftest as workers
 from workers.planning.robot_models import CellModel
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.physics
 
 
 class OwnArm(workers.Bench):

@@ -25,6 +25,7 @@ from rtc.client.client import Client
 from rtc.protocol import messages as m
 from rtc.protocol.faults import JammedSeat, SlowLoop
 from rtc.protocol.outcomes import RequestDeclined
+from tests.cli.in_process import call
 
 pytestmark = pytest.mark.slow
 
@@ -49,7 +50,7 @@ def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def rtc(run_dir: Path) -> Run:
-    return lambda *words: command(*words, run_dir=run_dir)
+    return lambda *words: call(*words, "--run-dir", str(run_dir))
 
 
 def last_json(done: subprocess.CompletedProcess[str]) -> Any:
@@ -57,9 +58,12 @@ def last_json(done: subprocess.CompletedProcess[str]) -> Any:
 
 
 def test_no_cluster_is_exit_status_4_with_what_to_do(tmp_path: Path) -> None:
-    for words in (["status"], ["do", "STOW LEFT-ARM"], ["halt"], ["trace", "C-1"], ["world", "list"]):
-        done = command(*words, run_dir=tmp_path)
-        assert done.returncode == 4, words
+    where = ["--run-dir", str(tmp_path)]
+    answers = [
+        call(*words, *where) for words in (["do", "STOW LEFT-ARM"], ["halt"], ["trace", "C-1"], ["world", "list"])
+    ]
+    for done in (command("status", run_dir=tmp_path), *answers):
+        assert done.returncode == 4, done.args
         assert "rtc up -d" in done.stderr
         assert "Traceback" not in done.stderr
 

@@ -107,7 +107,7 @@ def test_down_without_a_cluster_is_what_was_wanted(run_dir):
         cluster.down(run_dir / "nowhere")
 
 
-def test_a_second_cluster_in_the_directory_is_refused_and_the_first_unharmed(run_dir):
+def test_a_second_cluster_in_the_directory_is_refused_and_one_elsewhere_is_independent(run_dir, tmp_path):
     assert up(run_dir).returncode == 0
     all_ready(run_dir)
     before = report(run_dir)
@@ -116,6 +116,13 @@ def test_a_second_cluster_in_the_directory_is_refused_and_the_first_unharmed(run
     assert f"already running in {run_dir}: supervisor pid {before['pid']}" in second.stdout + second.stderr
     assert report(run_dir) == before
     assert (run_dir / "front.sock").exists()
+
+    assert up(tmp_path, "--dim", "3").returncode == 0
+    assert len(rows(tmp_path)) == len(TEMPLATES) + 4 + 8
+    assert report(run_dir)["cluster"] != report(tmp_path)["cluster"]
+    deploy("down", run_dir=tmp_path)
+    all_ready(run_dir)
+    assert deploy("down", run_dir=run_dir).returncode == 0
 
 
 def test_any_process_killed_comes_back_and_nothing_outlives_a_killed_supervisor(run_dir):
@@ -131,17 +138,13 @@ def test_any_process_killed_comes_back_and_nothing_outlives_a_killed_supervisor(
     # Given: a dead cluster's files lie about. When: a new one is started there
     again = up(run_dir)
     assert again.returncode == 0, again.stdout + again.stderr
-    assert {row["restarts"] for row in rows(run_dir).values()} == {0}
-
-
-def test_two_clusters_are_independent(run_dir, tmp_path):
-    assert up(run_dir).returncode == 0
-    assert up(tmp_path, "--dim", "3").returncode == 0
-    assert len(rows(tmp_path)) == len(TEMPLATES) + 4 + 8
-    assert report(run_dir)["cluster"] != report(tmp_path)["cluster"]
-    deploy("down", run_dir=tmp_path)
-    all_ready(run_dir)
-    assert deploy("down", run_dir=run_dir).returncode == 0
+    table = rows(run_dir)
+    assert {row["restarts"] for row in table.values()} == {0}
+    # And: stopped processes do not outlive their supervisor either
+    for name in ("MCM", "broker", "parser@0"):
+        os.kill(table[name]["pid"], signal.SIGSTOP)
+    os.kill(report(run_dir)["pid"], signal.SIGKILL)
+    gone([row["pid"] for row in table.values()])
 
 
 def test_a_bad_cell_is_reported_in_the_first_line_that_matters(run_dir):
@@ -158,17 +161,6 @@ def test_a_directory_that_takes_no_files_is_reported_in_one_line(run_dir):
     assert failed.returncode == 1
     assert "Traceback" not in failed.stdout + failed.stderr
     assert f"no cluster can be started in {run_dir}: [Errno 28]" in failed.stdout + failed.stderr
-
-
-def test_a_foreground_cluster_ends_at_ctrl_c(run_dir):
-    command = [sys.executable, "-m", "rtc.cli.entry", "up", "--mcm", "kinematic", "--run-dir", str(run_dir)]
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert any(line.startswith("ready in") for line in running.stdout)
-    pids = [row["pid"] for row in rows(run_dir).values()]
-    running.send_signal(signal.SIGINT)
-    running.communicate(timeout=LIMIT_S)
-    assert running.returncode == 0
-    gone(pids)
 
 
 def test_a_run_directory_too_deep_for_sockets_is_refused(tmp_path):
@@ -205,24 +197,10 @@ def test_a_new_cluster_in_the_directory_does_nothing_of_what_was_sent_to_the_old
     with Client(run_dir) as anew:
         status = anew.status()
         assert (status["commands_accepted"], status["commands"]) == (0, [])
-
-
-def test_stopped_processes_do_not_outlive_a_killed_supervisor(run_dir):
-    assert up(run_dir).returncode == 0
-    table = rows(run_dir)
-    for name in ("MCM", "broker", "parser@0"):
-        os.kill(table[name]["pid"], signal.SIGSTOP)
-    os.kill(report(run_dir)["pid"], signal.SIGKILL)
-    gone([row["pid"] for row in table.values()])
-
-
-def test_a_stopped_supervisor_ends_its_cluster_in_order(run_dir):
-    assert deploy("up", "-d", "--mcm", "kinematic", run_dir=run_dir).returncode == 0
-    with Client(run_dir) as rtc:
-        moving = rtc.submit("MOVE RIGHT-ARM TO RACK-1-FRONT MAINTAIN SPEED 5 CM/S")
+        # And: when its supervisor is stopped by a signal, then it still ends in order
+        moving = anew.submit("MOVE RIGHT-ARM TO RACK-1-FRONT MAINTAIN SPEED 5 CM/S")
         os.kill(report(run_dir)["pid"], signal.SIGSTOP)
-        ended = deploy("down", run_dir=run_dir)
-        assert moving in ended.stdout  # the supervisor has named what it stopped
+        assert moving in deploy("down", run_dir=run_dir).stdout  # the supervisor has named what it stopped
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from rtc.runtime import renderer
 from tests.observers.conftest import until
 from tests.observers.samples import T0, received, telemetry
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.physics
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
 """Processes of a real cluster die and hang in the middle of work; every command still ends as it should, once.
 
-Exact arms in real time, two workers of each kind. `pytest -m slow`; some ten seconds in all.
+Exact arms in real time, two workers of each kind. Half a minute in all.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A real cluster reached over tcp: every role does what it may and nothing else, strangers get nothing, no one is hurt.
 
-Exact arms in real time, so that a halt has something to stop. `pytest -m slow`; half a minute in all.
+Exact arms in real time, so that a halt has something to stop. Half a minute in all.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Workers on another host, behind a slow link: they do the work, the link is cut, the host dies, and nothing is lost.
 
 Two network namespaces on this machine. The cluster starts without workers of its own: it starts one of a kind only when
-a job waits and no worker of that kind is there. `pytest -m slow`; needs root, about forty seconds in all.
+a job waits and no worker of that kind is there. Needs root; about half a minute in all.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from rtc.sensing.detector import TagDetector
 from sim_mcm import render
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_four_tags_are_within_the_budget() -> None:
     """Four tags of 48 mm at 0.6 to 1.2 m, up to 50 degrees, 640 x 480 pixels: median 1 mm and 0.4 degrees."""
     trials = bench.trials(bench.random_poses(40, seed=3), tags=4)
@@ -27,7 +27,7 @@ def test_four_tags_are_within_the_budget() -> None:
     assert np.median([trial.off_deg for trial in found]) <= 0.4
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_the_cameras_of_the_cell_see_a_module_that_has_moved() -> None:
     cell = Cell.load("swapout")
     studio = render.Studio(cell)
@@ -54,7 +54,7 @@ def test_the_cameras_of_the_cell_see_a_module_that_has_moved() -> None:
     assert found["RACK-1"].pose[1] == pytest.approx(rack[1], abs=0.008)  # one tag, seen at an angle of 64 degrees
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_a_camera_without_light_sees_nothing() -> None:
     cell = Cell.load("swapout")
     dark = [msgspec.structs.replace(camera, exposure=0.01) for camera in cell.cameras]

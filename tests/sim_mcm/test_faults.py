@@ -72,7 +72,7 @@ def physical(cell, make):
     world.close()
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 @pytest.mark.parametrize("stuck", [1, 2, 3, 4, 5, 6])
 def test_the_joint_that_is_stuck_is_named(physical, make, stuck) -> None:
     """In motion of all joints: lighter joints are off their commands before it is."""
@@ -89,7 +89,7 @@ def test_the_joint_that_is_stuck_is_named(physical, make, stuck) -> None:
     assert report.message.startswith(f"joint_{stuck} ")
 
 
-@pytest.mark.parametrize("kind", ["exact", pytest.param("physical", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["exact", pytest.param("physical", marks=pytest.mark.physics)])
 def test_a_stuck_joint_is_noticed_by_its_following_error(kind, request) -> None:
     rig = request.getfixturevalue(kind)
     assert rig.faults.inject(f.StuckJoint(arm=ARM, joint="joint_1")) == ""
@@ -144,7 +144,7 @@ def test_a_module_is_wedged_before_its_place_in_a_jammed_seat(exact, make) -> No
     assert 0.03 < height_m < 0.041
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_jammed_seats_hold_with_more_than_their_catches(physical) -> None:
     def pull() -> float:
         """Motion (m) of the module while 100 N pull it out for a fifth of a second."""

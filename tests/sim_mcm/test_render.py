@@ -40,7 +40,7 @@ def test_what_is_written_is_read_again(tmp_path) -> None:
     assert np.array_equal(read_png((tmp_path / "a.png").read_bytes()), image)
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_a_picture_shows_what_has_moved(tmp_path, cell) -> None:
     pose = cell.object_pose("MACS-NEW").tolist()
     lifted = [pose[0], pose[1], pose[2] + 0.3, *pose[3:]]
@@ -66,7 +66,7 @@ def test_a_bad_file_is_reported_and_not_a_crash(tmp_path, capsys) -> None:
     assert "truncated" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_a_picture_of_two_scenes_outlines_what_is_elsewhere(tmp_path, cell) -> None:
     begun = {thing.name: cell.object_pose(thing.name).tolist() for thing in cell.objects}
     moved = begun | {"MACS-OLD": [n + d for n, d in zip(begun["MACS-OLD"], (-0.05, 0, 0.02, 0, 0, 0, 0), strict=True)]}
@@ -86,7 +86,7 @@ def test_a_picture_of_two_scenes_outlines_what_is_elsewhere(tmp_path, cell) -> N
     studio.close()
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_the_renderer_answers_each_request_and_ends_with_its_stdin(tmp_path) -> None:
     with Renderer() as renderer:
         renderer.draw(
@@ -114,7 +114,7 @@ CAMERAS = (
 )
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_the_sensor_of_a_camera_has_noise_and_an_exposure(cell) -> None:
     studio = render.Studio(msgspec.structs.replace(cell, cameras=[*CAMERAS]))
     scene = SceneView()
@@ -138,7 +138,7 @@ def test_the_sensor_of_a_camera_has_noise_and_an_exposure(cell) -> None:
     assert not np.array_equal(*here)  # the camera moves with the hand
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_the_computed_floor_of_a_camera_is_where_the_drawn_one_is(cell) -> None:
     """Tile by tile, up to their edges and the horizon."""
     camera = Camera(name="FLOOR", xyz=(0.5, -1.3, 0.8), looks_at=(0.9, 0.3, 0.4), size_px=(160, 120))

@@ -12,7 +12,7 @@ from sim_mcm.arms.kinematic_arm import KinematicCell
 from sim_mcm.state_file import FILE, StateFile
 
 ARM, MODULE = "RIGHT-ARM", "MACS-NEW"
-SIMULATIONS = [(KinematicCell, 1e-9), pytest.param(BulletCell, 1e-3, marks=pytest.mark.slow)]
+SIMULATIONS = [(KinematicCell, 1e-9), pytest.param(BulletCell, 1e-3, marks=pytest.mark.physics)]
 
 
 @pytest.fixture

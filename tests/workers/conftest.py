@@ -343,7 +343,7 @@ def bench() -> Bench:
     return Bench(Reporter())
 
 
-@pytest.fixture(params=["reports", pytest.param("kinematic", marks=pytest.mark.slow)])
+@pytest.fixture(params=["reports", pytest.param("kinematic", marks=pytest.mark.physics)])
 def either(request: pytest.FixtureRequest) -> Bench:
     """The same on perfect reports, and on the MCM's own executor."""
     make: dict[str, Callable[[], Any]] = {"reports": Reporter, "kinematic": Kinematic}

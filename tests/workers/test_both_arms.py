@@ -253,7 +253,7 @@ def test_an_end_without_the_second_arm_leaves_its_position_in_doubt(holding):
     assert changes[f"{RIGHT}.joints"].validity is Validity.VALID
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_a_second_hand_takes_a_module_which_is_carried_halted_carried_on_and_let_go_in_physics():
     carrier = Carrier()
     try:

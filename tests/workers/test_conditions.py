@@ -14,7 +14,7 @@ from sim_mcm.arms.arm import HandCommand
 
 ARM = "RIGHT-ARM"
 PALM = 7  # link of the URDF
-slow = pytest.mark.slow
+physics = pytest.mark.physics
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def _end(run):
 
 
 # Tool z is world x, and tool x is world -z, at home.
-@slow
+@physics
 @pytest.mark.parametrize(
     ("condition", "force", "torque", "reason"),
     [
@@ -63,7 +63,7 @@ def test_the_end_of_a_force_is_noticed(physical, push, condition, force, torque,
     assert "as asked: UNLESS" in run.assessments[-1].message
 
 
-@slow
+@physics
 @pytest.mark.parametrize(
     ("condition", "force", "torque"),
     [
@@ -78,7 +78,7 @@ def test_other_forces_do_not_stop_it(physical, push, condition, force, torque) -
     assert _end(physical.do(f"HOLD {ARM} FOR 1 SEC UNLESS {condition} THEN STOP")).reason is StopReason.GOAL
 
 
-@slow
+@physics
 @pytest.mark.parametrize(
     ("condition", "force", "torque", "reason"),
     [
@@ -96,7 +96,7 @@ def test_a_force_stops_it(physical, push, condition, force, torque, reason) -> N
     assert report.duration_s < 2.5
 
 
-@slow
+@physics
 def test_a_distance_is_measured_from_the_start_of_the_step_or_along_an_axis(physical) -> None:
     before = physical.model.arms[ARM].fk(physical.world.get(f"{ARM}.joints").value)
     run = physical.do(f"MOVE {ARM} BY 10 CM ALONG DOWN UNLESS DISTANCE EXCEEDS 4 CM THEN STOP")
@@ -109,7 +109,7 @@ def test_a_distance_is_measured_from_the_start_of_the_step_or_along_an_axis(phys
     assert _end(run).reason is StopReason.OUT_OF_RANGE
 
 
-@slow
+@physics
 def test_a_distance_to_the_object_both_ways(physical) -> None:
     run = physical.do("APPROACH MACS-NEW HANDLE-A UNLESS DISTANCE BELOW 40 CM THEN STOP")
     at = physical.world.get("MACS-NEW.frame").value
@@ -117,7 +117,7 @@ def test_a_distance_to_the_object_both_ways(physical) -> None:
     assert geometry.distance(_end(run).trip_pose, at) == pytest.approx(0.40, abs=0.002)
 
 
-@slow
+@physics
 def test_a_grip_that_presses_too_much_is_a_condition(physical) -> None:
     assert physical.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A").succeeded
     assert _end(physical.do(f"HOLD {ARM} FOR 1 SEC UNLESS GRIP-FORCE EXCEEDS 35 N THEN STOP")).reason is StopReason.GOAL
@@ -126,7 +126,7 @@ def test_a_grip_that_presses_too_much_is_a_condition(physical) -> None:
     assert _end(run).measured == pytest.approx(30.0, rel=0.1)
 
 
-@slow
+@physics
 def test_comply_gives_way_to_what_pushes_and_then_holds(physical, push) -> None:
     push((0, 0, 8), since=200, until=1000)
     run = physical.do(f"HOLD {ARM} FOR 10 SEC UNLESS FORCE EXCEEDS 6 N THEN COMPLY")
@@ -143,7 +143,7 @@ def test_comply_gives_way_to_what_pushes_and_then_holds(physical, push) -> None:
     assert physical.subsystem.sim.arms[ARM].read().joints == pytest.approx(here, abs=1e-3)
 
 
-@slow
+@physics
 def test_reports_are_sent_in_motion_periodically_and_on_a_condition(physical, push) -> None:
     push((0, 8, 0), since=400, until=700)
     report = "REPORT FORCES AND EVERY 0.2 SEC AND WHEN FORCE EXCEEDS 6 N AND WHEN TORQUE EXCEEDS 2 NM"
@@ -155,7 +155,7 @@ def test_reports_are_sent_in_motion_periodically_and_on_a_condition(physical, pu
     assert sent[2].limit == 6.0
 
 
-@slow
+@physics
 @pytest.mark.parametrize(
     ("sentence", "words"),
     [
@@ -171,7 +171,7 @@ def test_a_turn_of_the_hand_or_of_a_joint_is_a_condition(physical, sentence, wor
     assert report.measured == pytest.approx(0.1745, abs=0.003)
 
 
-@slow
+@physics
 def test_a_soft_arm_that_a_wall_keeps_from_its_path_makes_no_progress(physical) -> None:
     physical.subsystem.displace("SATELLITE", [-0.088, 0.0, 0.0])
     assert physical.do(f"MOVE {ARM} BY 15 CM ALONG DOWN").succeeded
@@ -184,7 +184,7 @@ def test_a_soft_arm_that_a_wall_keeps_from_its_path_makes_no_progress(physical) 
     assert "as asked: UNLESS NO-PROGRESS" in run.assessments[-1].message
 
 
-@slow
+@physics
 def test_a_clearance_is_a_condition(physical) -> None:
     """The satellite is nearer than the world has it."""
     physical.subsystem.displace("SATELLITE", [-0.06, 0.0, 0.0])
@@ -196,7 +196,7 @@ def test_a_clearance_is_a_condition(physical) -> None:
     assert report.peak_force_n < 15.0  # of braking
 
 
-@slow
+@physics
 def test_a_grip_that_weakens_while_the_hand_closes_is_a_slip(physical) -> None:
     """The pressing force is taken away when it has been reached."""
     sentence = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A UNLESS SLIP THEN STOP"
@@ -214,7 +214,7 @@ def test_a_grip_that_weakens_while_the_hand_closes_is_a_slip(physical) -> None:
     assert StopReason.SLIP in [report.reason for report in run.reports]
 
 
-@slow
+@physics
 def test_release_stops_and_opens_the_hand(physical, push) -> None:
     assert physical.do(f"CLOSE {ARM}").succeeded
     push((0, 0, 12))
@@ -225,7 +225,7 @@ def test_release_stops_and_opens_the_hand(physical, push) -> None:
     assert "opened the hand" in run.assessments[-1].message
 
 
-@slow
+@physics
 def test_backing_off_ends_at_what_the_arm_meets_on_its_way_back(physical) -> None:
     """The module behind the hand was not there when the hand came."""
     sim = physical.subsystem.sim
@@ -254,7 +254,7 @@ def test_backing_off_ends_at_what_the_arm_meets_on_its_way_back(physical) -> Non
     assert geometry.distance(report.trip_pose, report.tcp_pose) < 0.028
 
 
-@slow
+@physics
 @pytest.mark.parametrize(
     ("constraint", "force", "torque", "reason", "words"),
     [

@@ -205,7 +205,7 @@ def test_an_open_door_is_an_obstacle_at_its_angle(bench) -> None:
     assert DOOR in hit()
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_the_door_opens_by_90_degrees_with_a_small_force(physical) -> None:
     world = physical.subsystem.sim.world
     assert physical.do(GRASP).succeeded

@@ -119,7 +119,7 @@ def test_a_pose_stated_within_a_few_millimetres_is_taken_as_in_figure_4(bench):
     assert bench.elaborate(GRASP).context.script == "grasp-centering"
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_a_seat_is_where_what_sits_in_it_was_felt_to_be():
     """It goes back there, though the cell file has the seat elsewhere."""
     bench = Bench(Kinematic())

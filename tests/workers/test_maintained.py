@@ -28,7 +28,7 @@ from rtc.robot import geometry
 from workers.planning.robot_models import CellModel
 
 ARM = "RIGHT-ARM"
-slow = pytest.mark.slow
+physics = pytest.mark.physics
 S1 = (
     "GRASP LEFT-END-EFF MACS-OLD HANDLE-A MAINTAIN SAFE-WORK-RANGE AVOID-TASK-REGION AVOID-NEIGHBORS "
     "POSE-DURING-MOTION SPEED GUARDED"
@@ -254,7 +254,7 @@ def test_a_wrong_argument_is_refused_and_nothing_moves(bench, sentence, words) -
 # --- in motion -------------------------------------------------------------------------------------------
 
 
-@slow
+@physics
 def test_the_sentence_of_figure_2_is_executed_in_physics(physical) -> None:
     run = physical.do(S1)
     assert run.succeeded, run.refusal or [a.message for a in run.assessments]
@@ -293,7 +293,7 @@ DISTURBED = [
 ]
 
 
-@slow
+@physics
 @pytest.mark.parametrize(("item", "others", "pushed", "reason"), DISTURBED, ids=lambda value: str(value)[:20])
 def test_a_disturbance_in_motion_is_noticed(physical, push, item, others, pushed, reason) -> None:
     physical.load("binder", "values: {fast_factor: 1000}")  # a push is faster than the path
@@ -301,7 +301,7 @@ def test_a_disturbance_in_motion_is_noticed(physical, push, item, others, pushed
     assert physical.do(f"{LINE} {item} AND {others}").reports[-1].reason is reason
 
 
-@slow
+@physics
 @pytest.mark.parametrize(("words", "least_m"), [(" BY 3 CM", 0.025), ("", 0.005)])
 def test_a_body_that_comes_near_stops_the_arm_before_it_touches(physical, words, least_m) -> None:
     """A module drifts towards the hand, which the world does not know."""
@@ -322,7 +322,7 @@ def test_a_body_that_comes_near_stops_the_arm_before_it_touches(physical, words,
     assert report.peak_force_n < 5.0
 
 
-@slow
+@physics
 def test_a_hand_that_is_pressed_too_hard_is_noticed(physical) -> None:
     assert physical.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A MAINTAIN GRIP-FORCE").succeeded
     hand = physical.subsystem.sim.arms[ARM]._hand
@@ -334,7 +334,7 @@ def test_a_hand_that_is_pressed_too_hard_is_noticed(physical) -> None:
     assert report.limit == pytest.approx(1.3 * 20.0 + 3.0)
 
 
-@slow
+@physics
 def test_a_push_moves_a_soft_arm_by_what_its_stiffness_says(physical, push) -> None:
     physical.load("binder", "values: {fast_factor: 1000}")
     push((0, 6, 0))

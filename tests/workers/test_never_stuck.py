@@ -121,7 +121,7 @@ def test_a_hand_closed_round_a_handle_leaves_the_place_of_the_thing_in_doubt(ben
     assert bench.do("OPEN RIGHT-ARM").succeeded
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_on_physics_out_of_a_handle_that_is_believed_to_be_between_finger_and_palm(physical):
     """The hand straddles the handle; the stated pose has, wrongly, a finger stands 10 mm deep in it."""
     for sentence in (

@@ -21,7 +21,7 @@ def do(bench, *sentences):
         assert run.succeeded, (sentence, run.refusal, run.failure)
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_an_arm_on_a_moving_base_takes_lifts_and_carries_in_physics():
     bench = bench_of("gantry", Physical)
     try:

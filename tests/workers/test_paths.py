@@ -11,7 +11,7 @@ import pytest
 from rtc.robot import geometry
 from tests.workers.conftest import Bench, Physical
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.physics
 ARM = "RIGHT-ARM"
 HOME = "38.95 DEG 86.558 DEG -179.578 DEG 86.271 DEG 39.048 DEG -85.203 DEG"
 

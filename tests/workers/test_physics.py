@@ -9,7 +9,7 @@ import pytest
 from rtc.protocol.outcomes import StopReason
 from rtc.robot import geometry
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.physics
 
 
 def test_a_held_module_rests_and_every_step_with_it_ends(physical) -> None:

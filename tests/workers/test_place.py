@@ -62,7 +62,7 @@ def test_from_anywhere_with_either_handle(bench, arm, thing, rack, handle):
             bench.subsystem.widths[arm] = 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_on_physics_ways_found_by_sampling_are_followed(physical):
     """Beside the satellite no direct way is free; and with an attitude kept."""
     ways = []
@@ -155,7 +155,7 @@ def true_pose(bench):
     return bench.subsystem.sim.truth()["poses"]["MACS-NEW"]
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_on_physics_a_module_short_of_its_seat_is_not_placed_until_its_pose_is_stated(physical):
     physical.subsystem.displace("MACS-NEW", [-0.023, 0.0, 0.0])
     failed = lifted(physical).do("PLACE MACS-NEW ON BAY-2")
@@ -176,7 +176,7 @@ def test_on_physics_a_module_short_of_its_seat_is_not_placed_until_its_pose_is_s
     assert "MACS-NEW" in physical.subsystem.sim._detents._caught
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_on_physics_what_no_catch_holds_is_not_let_go(physical):
     lifted(physical)
     physical.subsystem.sim._detents._seats = []  # the catches are broken

@@ -10,7 +10,7 @@ from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import StopReason
 from rtc.robot import geometry
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.physics
 
 MODULE, OTHER = "MACS-NEW", "MACS-OLD"
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"

@@ -14,7 +14,7 @@ from tests.workers.one_process import OneProcess
 MIDDLE, RIGHT_SIDE = "POSITION 48 0 95 CM", "POSITION 48 -45 95 CM"
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_crossing_pairs_of_motions_never_touch_in_physics():
     runner = Runner()
     try:
@@ -81,7 +81,7 @@ def test_an_arm_that_is_halted_in_the_way_of_the_other_keeps_it_waiting(cluster)
     assert not cluster.moving["LEFT-ARM"]
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_two_arms_that_touch_are_both_stopped_and_both_commands_fail():
     """The left arm stands in the way, and the world believes it elsewhere; it moves a little while it is hit."""
     runner = Runner()

@@ -59,7 +59,7 @@ def turn(station: Station, turns: float, *stops: p.StopFunction, torque_nm: floa
     return station.end(station.begin(motion, *stops, law=PRESS))
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_a_bolt_is_stripped_stalled_tightened_and_turned_out(station) -> None:
     world, bolts = station.world.world, station.world.bolts
 

@@ -18,7 +18,7 @@ from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.control import profiles
 from sim_mcm.control.modes import Mode
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.physics
 ARM, MODULE = "RIGHT-ARM", "MACS-NEW"
 
 

@@ -10,7 +10,7 @@ from sim_mcm.arms.bullet_arm import FINGER_FRICTION, BulletCell
 from sim_mcm.arms.kinematic_arm import KinematicCell
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_things_weigh_and_pads_rub_by_factors_of_what_the_cell_says():
     world = BulletCell(Cell.load("swapout"))
     body, client = world.world.objects["MACS-NEW"].id, world.world.client

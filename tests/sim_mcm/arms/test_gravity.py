@@ -14,7 +14,7 @@ from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms.bullet_arm import BulletCell
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.physics
 ARM, MODULE = "RIGHT-ARM", "MACS-NEW"
 LIGHTER = 0.25  # two kilograms, 15 cm before the pads, would turn in the grip on earth
 

@@ -37,7 +37,7 @@ def turn(world: PhysicsWorld, torque_nm: float, steps: int) -> float:
     return math.degrees(world.angle(DOOR))
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_a_door_yields_to_more_than_its_friction_and_ends_at_its_stop(world) -> None:
     assert turn(world, 0.9, 300) == pytest.approx(0.0, abs=0.01)
     opened = turn(world, 1.3, 300)
@@ -51,7 +51,7 @@ def test_a_door_yields_to_more_than_its_friction_and_ends_at_its_stop(world) -> 
     assert geometry.angle(geometry.make_pose((0, 0, 0), state[5]), pose) < 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.physics
 def test_the_angle_of_a_door_is_saved_and_restored() -> None:
     cell = BulletCell(CELL)
     opened = hinges.turned(HOME, HINGE.axis, 0.7)

@@ -13,7 +13,7 @@ from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms.bullet_arm import BulletCell
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.physics
 ARM = "RIGHT-ARM"
 PALM = 7  # link of the URDF
 FACE_M, HOME_M, TIP_M = 0.75, 0.64, 0.015  # x of the satellite's face and of the tcp at home; from the tcp to the tips
