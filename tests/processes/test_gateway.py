@@ -283,9 +283,29 @@ def test_a_worker_whose_key_is_revoked_or_unknown_ends_at_once_with_the_reason(
         KeyRing(run_dir).revoke(key.stem)
         assert process.wait(LIMIT_S) == 1
         assert b"or it was revoked" in process.stderr.read()
-    with worker(key, None, *patient, kind="parser") as process:
-        assert process.wait(LIMIT_S) == 1
-        assert b"does not know this key" in process.stderr.read()
+        late = new_key("worker")
+        wait_for(lambda: any(row["key"] == late.stem for row in here.status()["hosts"]))
+        KeyRing(run_dir).revoke(late.stem)
+        words = [sys.executable, "-P", "-c", SLOW_WORKER, "--kind", "parser", "--with", str(late), *patient]
+        with subprocess.Popen(words, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+            try:
+                wait_for(lambda: any(row["key"] == late.stem and row["refused"] for row in here.status()["hosts"]))
+                _, errors = process.communicate(b"\n", LIMIT_S)
+            finally:
+                process.kill()
+        assert process.returncode == 1
+        assert b"does not know this key" in errors
+
+
+#: a worker that is still being prepared when its key is refused, which is reported once
+SLOW_WORKER = """
+import sys
+from workers import __main__ as workers
+from workers.runtime import start
+made = start.WorldClient
+start.WorldClient = lambda *given, **more: sys.stdin.readline() and made(*given, **more)
+workers.main()
+"""
 
 
 @contextlib.contextmanager

@@ -17,6 +17,7 @@ from rtc.protocol.messages import WorkerHello, WorkerKind
 from rtc.protocol.outcomes import ClusterError
 from rtc.runtime import process
 from rtc.runtime.keys import Endpoints, KeyFile
+from rtc.runtime.link import Link
 from rtc.runtime.process import Process
 from rtc.runtime.settings import Settings
 from rtc.world.client import WorldClient
@@ -68,10 +69,18 @@ def run(
         lazy_import.load("workers.planning.robot_models")
     # Over tcp the hello carries the name.
     identity, secure = ("", endpoints.secure) if endpoints.far else (hello.name, None)
-    socket = me.socket(zmq.DEALER, endpoints.endpoint("workers"), identity=identity, secure=secure)
+    links: list[Link] = []
+
+    def prepare(made: zmq.Socket[Any]) -> None:
+        """Watch the socket before it connects: a refusal of the key is reported only once."""
+        if secure is not None:
+            secure(made)
+        links.append(Link(me, made))
+
+    socket = me.socket(zmq.DEALER, endpoints.endpoint("workers"), identity=identity, secure=prepare)
     world = WorldClient(endpoints.endpoint("world"), me.context, secure=secure)
     programs = prepared.programs.get(hello.kind, {})
-    shell = Shell(me, hello, function, socket, world, _models_of, programs, prepared.cells, contact)
+    shell = Shell(me, hello, function, socket, world, _models_of, programs, prepared.cells, contact, links[0])
     process.freeze_heap()
     gc.set_threshold(50_000, 20, 20)  # jobs leave little garbage; a collection would delay a job
     if contact is None:

@@ -83,7 +83,7 @@ class StopRequested(Exception):
 class Shell:
     """One worker. `socket` is its DEALER to the broker; `build_cell` builds the models of a cell; `programs` and
     `cells` are preloaded, keyed by digest. A remote worker has a `contact`: nothing else ends it if its broker is
-    lost."""
+    lost. `link`: the monitor of a socket that may be connected already."""
 
     def __init__(
         self,
@@ -96,6 +96,7 @@ class Shell:
         programs: Mapping[str, Any] = MappingProxyType({}),
         cells: Mapping[str, Any] = MappingProxyType({}),
         contact: BrokerContact | None = None,
+        link: Link | None = None,
     ) -> None:
         self._me, self._hello, self._function = me, hello, function
         self._socket = socket
@@ -113,7 +114,7 @@ class Shell:
         self._contact = contact
         self._retiring = False
         self._why = ""  # reason of an end that this process did not receive as a signal
-        self._link = Link(me, socket)
+        self._link = link or Link(me, socket)
         self._heartbeat = Every(HEARTBEAT_S)
         self._hello_sent_s = 0.0
         self._socket_read_s = 0.0
