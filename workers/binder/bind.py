@@ -145,7 +145,7 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     if not isinstance(motion, Refusal) and "takes_s" in step.args:
         motion = plans.lasting(motion, float(step.args["takes_s"]))
     if isinstance(motion, Refusal):
-        return advice.advise_on_collision(motion, query, task.arm, task.program.clears)
+        return advice.advise_on_collision(motion, query, task.arm, task.program.clears, context.limits)
     evaluation = EvaluationContext(
         context=context,
         step=msgspec.structs.replace(step, way=None),

@@ -170,7 +170,8 @@ def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Ancho
             first = tried if searched == 1 else first  # states more than the refusal of a direct way
         first = first or tried
     assert first is not None
-    first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, candidate.program.clears)
+    clears, limits = candidate.program.clears, candidate.limits
+    first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, clears, limits)
     return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))})
 
 

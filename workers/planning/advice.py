@@ -7,12 +7,18 @@ from collections.abc import Mapping
 import msgspec
 
 from rtc.language.record import hand_in_words
+from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal
 from workers.planning.world_query import WorldQuery
 
+UNLIMITED = Limits()
 
-def advise_on_collision(refusal: Refusal, query: WorldQuery, arm: str, clears: Mapping[str, str]) -> Refusal:
-    """Add advice to the refusal of a colliding motion of this arm; other refusals are returned unchanged."""
+
+def advise_on_collision(
+    refusal: Refusal, query: WorldQuery, arm: str, clears: Mapping[str, str], limits: Limits = UNLIMITED
+) -> Refusal:
+    """Add advice to the refusal of a colliding motion of this arm; other refusals are returned unchanged. `limits`: of
+    the command."""
     if refusal.detail.get("cause") != "collision":
         return refusal
     bodies = [str(refusal.detail[name]).split()[0] for name in ("body_a", "body_b")]
@@ -20,7 +26,10 @@ def advise_on_collision(refusal: Refusal, query: WorldQuery, arm: str, clears: M
     seat = query.seat(held) or query.seat_around(held) if held else ""
     body = next((name for name in bodies if name not in (arm, held)), bodies[1])
     other = str(refusal.detail.get(IN_THE_WAY, ""))
-    row = "way_seated" if seat and held in bodies else "way_other" if other else _at_goal(refusal, query, body) or "way"
+    row = "way_seated" if seat and held in bodies else "way_other" if other else ""
+    row = (
+        row or _kept_out(refusal, body, limits) or _hinged(query, arm, body) or _at_goal(refusal, query, body) or "way"
+    )
     places = [place.name for place in query.cell.places if arm in place.poses or arm in place.joints_deg]
     texts = {
         "arm": hand_in_words(arm),
@@ -34,6 +43,21 @@ def advise_on_collision(refusal: Refusal, query: WorldQuery, arm: str, clears: M
     for name, text in texts.items():
         words = words.replace("{" + name + "}", text)
     return msgspec.structs.replace(refusal, clears=words)
+
+
+def _kept_out(refusal: Refusal, body: str, limits: Limits) -> str:
+    """The row for a collision that only a MAINTAIN of the command makes one; empty for others."""
+    if body in limits.keep_out:
+        return "way_region"
+    near = float(refusal.detail.get("distance_m", 0.0)) > 0.0
+    return "way_neighbors" if near and limits.clearance_m else ""
+
+
+def _hinged(query: WorldQuery, arm: str, body: str) -> str:
+    """The row for a door that is in the way, or that this arm turns; empty for other bodies."""
+    if query.hinge(body) is None:
+        return ""
+    return "way_turned" if query.held_by(body) == arm else "way_hinged"
 
 
 def _at_goal(refusal: Refusal, query: WorldQuery, body: str) -> str:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import pytest
 
+from rtc.cells.cell import Cell
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram
 from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.robot import geometry
+from tests.workers.conftest import Bench, Reporter
 from workers.planning.advice import advise_on_collision
+from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
@@ -51,6 +54,28 @@ def test_a_way_that_is_blocked_goes_by_another_place(bench):
     advised = advise_on_collision(blocked, WorldQuery(bench.model, bench.world), "RIGHT-ARM", clears)
 
     assert "MOVE RIGHT-ARM TO another place first (BAY-2-FRONT, CLEAR-POINT-1, RACK-1-FRONT)" in advised.clears
+
+
+@pytest.mark.parametrize(
+    ("sentence", "cause"),
+    [
+        ("MOVE RIGHT-ARM TO POSITION 80 -30 120 CM", " MAINTAIN AVOID-TASK-REGION SOLAR-ARRAY"),
+        ("MOVE RIGHT-ARM TO BAY-2-FRONT", " MAINTAIN AVOID-NEIGHBORS BY 30 CM"),
+    ],
+)
+def test_a_motion_that_only_a_maintain_blocks_is_done_without_it(bench, sentence, cause):
+    advised = bench.do(sentence + cause).refusal.clears
+
+    assert cause.split()[1] in advised
+    assert "leave" in advised
+    assert bench.elaborate(sentence).steps
+
+
+def test_a_door_in_the_way_is_turned():
+    cell = Cell.load("servicing")
+    bench = Bench(Reporter(cell), CellModel(cell))
+
+    assert "OPEN or CLOSE" in bench.do("GRASP RIGHT-END-EFF MACS-OLD HANDLE-A").refusal.clears
 
 
 def test_a_module_beside_the_satellite_finds_its_way_into_the_bay(bench):
