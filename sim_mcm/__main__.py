@@ -46,7 +46,9 @@ def _bullet(cell: Cell) -> Simulation:
 def _kinematic(cell: Cell) -> Simulation:
     from sim_mcm.arms.kinematic_arm import KinematicCell
 
-    return KinematicCell(cell)
+    simulation = KinematicCell(cell)
+    simulation.watch.prepare()
+    return simulation
 
 
 SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": _bullet, "kinematic": _kinematic}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import coal
 import numpy as np
@@ -243,6 +243,20 @@ class CollisionWorld:
         pairs = np.flatnonzero(self._touches([name]) & ~region).tolist()
         found = [self._describe(pair) for pair in pairs]
         return min(found, key=lambda collision: collision.distance_m, default=None)
+
+    def near(self, arm: str, joints: Mapping[str, Floats], scene: Scene) -> list[Collision]:
+        """All pairs of a link of this arm and another body that are nearer than the clearance of the scene, the link
+        first; without what the arm holds."""
+        self._set(joints, scene)
+        data = self._geometry_data
+        pin.computeCollisions(self._bodies.model, self._data, self._bodies.geometry, data, self._q, False)
+        mine = self._matching(arm) & self._arm_piece
+        others = self._carriers(scene) != self._number[arm]
+        wanted = self._pairs.active & self._between(mine, others)
+        hits = [self._describe(n) for n in np.flatnonzero(wanted).tolist() if data.collisionResults[n].isCollision()]
+        return [
+            hit if hit.body_a.split()[0] == arm else replace(hit, body_a=hit.body_b, body_b=hit.body_a) for hit in hits
+        ]
 
     # --- inside ------------------------------------------------------------------------------------------
 

@@ -4,8 +4,8 @@ Fast (microseconds per tick) and exact for all except dynamics: joints, frames a
 would move palm or fingers into an object or seat, the arm keeps its last free position. The wrist sensor then shows the
 depth of the command as the force of a stiff spring, so guarded moves find contact. Fingers stop on an object between
 them, press with the commanded force, and carry it. A carried object meets the bottom and the catch of a seat
-(`kinematic_seats`). Left out: inertia, friction, slip, objects that give way, contacts of other links or of a held
-object."""
+(`kinematic_seats`). Two arms that touch stop, and clearances are watched (`kinematic_watch`). Left out: inertia,
+friction, slip, objects that give way, contacts of other links or of a held object with objects."""
 
 from __future__ import annotations
 
@@ -39,8 +39,10 @@ from sim_mcm.arms.arm import (
 )
 from sim_mcm.arms.hand import CENTRE_N_M
 from sim_mcm.arms.kinematic_seats import Seats
+from sim_mcm.arms.kinematic_watch import Watch
 
 SPRING_N_M = 50_000.0  # 1 mm of depth gives 50 N; at 20 mm/s each tick adds 1 N
+PRESSED_N = 1.0  # force of a contact of two arms, which exact arms do not feel
 REACH_M = 0.16  # greatest distance of a part of the hand from the tcp
 
 
@@ -82,6 +84,7 @@ class KinematicCell:
             piece.row = row
         for owner in self.pieces:
             self._place(owner)
+        self.watch = Watch(cell, self.poses, self.carried)
         self.fixed = {thing.name for thing in cell.objects if thing.fixed} | {seat.name for seat in cell.seats}
         self.arms = {arm.name: KinematicArm(self, arm.name) for arm in cell.arms}
 
@@ -138,7 +141,8 @@ class KinematicCell:
 
     def restore(self, state: CellState) -> None:
         self.poses |= {name: np.array(pose) for name, pose in state.poses.items()}
-        self.carried = {name: (arm, np.array(grasp)) for name, (arm, grasp) in state.carried.items()}
+        self.carried.clear()
+        self.carried |= {name: (arm, np.array(grasp)) for name, (arm, grasp) in state.carried.items()}
         self._hang()
         for owner in self.pieces:
             self._place(owner)
@@ -262,10 +266,14 @@ class KinematicArm:
         return {}  # left out, see the module docstring
 
     def arm_touches(self) -> Mapping[str, float]:
-        return {}  # exact arms pass through each other
+        name = self.traits.name
+        return {f"{name} touches {other}": PRESSED_N for other in self._world.watch.touching(name, self._all_joints())}
 
     def near(self, within_m: float) -> Sequence[Near]:
-        return ()  # left out like the touches of links
+        return self._world.watch.near(self.traits.name, within_m, self._all_joints())
+
+    def _all_joints(self) -> dict[str, list[float]]:
+        return {name: arm.joints for name, arm in self._world.arms.items()}
 
     @property
     def pose(self) -> Array:

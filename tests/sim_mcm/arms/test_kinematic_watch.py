@@ -1,0 +1,87 @@
+"""Exact arms: two arms that touch are noticed at the first contact, and bodies near an arm are found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rtc.cells.cell import Cell
+from rtc.protocol import messages as m
+from rtc.protocol import primitive as p
+from rtc.protocol.outcomes import StopReason
+from rtc.robot.collision import CollisionWorld
+from rtc.subsystem.subsystem import BROKER
+from sim_mcm.arms.kinematic_arm import KinematicCell
+from sim_mcm.control.subsystem import McmSubsystem
+
+CELL = Cell.load("swapout")
+RIGHT, LEFT = "RIGHT-ARM", "LEFT-ARM"
+ACROSS = np.radians([80.0, 0, 0, 0, 0, 0])  # of joint_1: the hands come together
+
+
+@pytest.fixture
+def sim() -> KinematicCell:
+    return KinematicCell(CELL)
+
+
+def put(sim: KinematicCell, joints: dict[str, np.ndarray]) -> None:
+    for name, values in joints.items():
+        sim.arms[name].joints = values.tolist()
+
+
+def test_a_contact_of_two_arms_is_found_where_the_planner_finds_it(sim):
+    world, home = CollisionWorld(CELL), {name: np.array(sim.arms[name].joints) for name in (RIGHT, LEFT)}
+    met = []
+    for share in np.linspace(0.0, 1.0, 60):
+        joints = {RIGHT: home[RIGHT] + share * ACROSS, LEFT: home[LEFT] - share * ACROSS}
+        put(sim, joints)
+        hit = world.check(joints)
+        both = hit is not None and {hit.body_a.split()[0], hit.body_b.split()[0]} == {RIGHT, LEFT}
+        met.append((both, bool(sim.arms[RIGHT].arm_touches()), bool(sim.arms[LEFT].arm_touches())))
+    assert any(both for both, _, _ in met)
+    assert all(right == left for _, right, left in met)
+    assert all(right for both, right, _ in met if both)
+    first = next(n for n, (_, right, _) in enumerate(met) if right)
+    assert any(both for both, _, _ in met[first : first + 2])
+
+
+def test_a_contact_of_two_arms_stops_both(sim):
+    mcm = McmSubsystem(sim.arms, pid=1)
+    home = {name: np.array(sim.arms[name].joints) for name in (RIGHT, LEFT)}
+    ends = {}
+    for name, sign in ((RIGHT, 1.0), (LEFT, -1.0)):
+        goal = home[name] + sign * ACROSS
+        still = [[0.0] * 6] * 2
+        way = p.JointTrajectory(
+            space="joint",
+            time_s=[0.0, 4.0],
+            positions=[home[name].tolist(), goal.tolist()],
+            velocities=still,
+            accelerations=still,
+        )
+        stops = [
+            p.StopFunction(reason=StopReason.GOAL, when=p.GoalReached()),
+            p.StopFunction(reason=StopReason.TIMEOUT, when=p.TimeAbove(9.0)),
+        ]
+        made = p.Primitive(id=f"C-{2 + int(sign)}.1", performer=name, trajectory=way, stop_functions=stops)
+        mcm.handle(m.Execute(primitive=made, pid=1), BROKER, 0.0)
+    for tick in range(6000):
+        sim.step()
+        ends |= {sent.performer: sent for _, sent in mcm.tick(0.001 * tick) if isinstance(sent, m.EndReport)}
+        if len(ends) == 2:
+            break
+    assert {end.reason for end in ends.values()} == {StopReason.ARM_CONTACT}
+    assert np.abs(np.array(sim.arms[RIGHT].joints) - home[RIGHT]).max() < ACROSS.max() - 0.1
+
+
+def test_bodies_near_an_arm_are_found_and_what_it_holds_is_not(sim):
+    assert sim.arms[RIGHT].near(0.005) == []
+    wide = {words for _, _, words in sim.arms[RIGHT].near(0.9)}
+    assert any(words.endswith(" near SATELLITE") for words in wide)
+    assert any(words.endswith(" near LEFT-ARM") for words in wide)
+    distances = [away for away, _, _ in sim.arms[RIGHT].near(0.9)]
+    assert min(distances) > 0.005
+    assert max(distances) <= 0.9
+    sim.carried["MACS-NEW"] = (RIGHT, CELL.object_pose("MACS-NEW"))
+    sim.step()
+    assert not any(words.endswith(" near MACS-NEW") for _, _, words in sim.arms[RIGHT].near(0.9))
