@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -102,7 +103,7 @@ class _Space:
         self._touches_at_start = free_posture(request)(self._start) is not None
         self.steer = self._straight if request.rules.attitude is None else self._projected
 
-    @property
+    @cached_property
     def limits(self) -> tuple[Array, Array]:
         """Lower and upper joint limits (rad); the start is within them."""
         limits, margin = self._request.arm.limits, self._request.way_margin_rad
@@ -144,7 +145,7 @@ class _Space:
             free = count + 1 if hit is None else hit.index
         else:
             free = request.world.free_until(request.arm.name, rows, request.joints, request.scene)
-        if request.rules.work_range is not None or request.rules.attitude is not None:
+        if request.rules.work_range is not None:  # an attitude holds between two near postures that keep it
             broken = (n for n in range(free) if request.rules.broken_by(request.arm, rows[n]) is not None)
             free = next(broken, free)
         return 1.0 if free > count else BACK * max(0, free - 1) / count
