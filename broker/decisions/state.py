@@ -234,6 +234,10 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """Nothing moves for it: before the first primitive, or after a report or confirmed rest."""
     pause_wanted: bool = False
     """A pause takes effect before the next step."""
+    paused_primitive: str = ""
+    """The primitive that stands on its path; empty once it goes on."""
+    paused_done: float = 0.0
+    """Part of the duration of that primitive that is done."""
     pending_outcome: PendingOutcome | None = None
     """The outcome after HALTING and CLOSING."""
     notes: list[ProgressNote] = []
@@ -248,6 +252,25 @@ class Command(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     """`motions_begun` and `motions_ended` when that job was created."""
     waits_for: str = ""
     """WAITING: the arm that must leave the space it needs."""
+
+    @property
+    def stands(self) -> bool:
+        """Whether it is paused on the path of its motion."""
+        return self.phase is Phase.EXECUTING and bool(self.primitive) and self.paused_primitive == self.primitive
+
+    @property
+    def shown_phase(self) -> Phase:
+        """Its phase for people, who see a pause on a path as a pause."""
+        return Phase.PAUSED if self.stands else self.phase
+
+    @property
+    def shown_step(self) -> str:
+        return f"{self.step_words}; {path_words(self.paused_done)}" if self.stands else self.step_words
+
+
+def path_words(done: float) -> str:
+    """What a motion does that is paused on its path. `done`: part of its duration."""
+    return f"stands on its path, {done:.0%} done"
 
 
 class HaltPhase(StrEnum):

@@ -87,8 +87,8 @@ def status(view: BrokerView, now: float) -> dict[str, Any]:
             {
                 "command": c.id,
                 "text": c.text[:TEXT_SHOWN],
-                "phase": c.phase.value,
-                "step": c.step_words,
+                "phase": c.shown_phase.value,
+                "step": c.shown_step,
                 "resources": sorted(name for name, alone in resources.held.get(c.id, {}).items() if alone),
                 "age_s": now - c.accepted_at_s,
             }
@@ -143,7 +143,7 @@ def trace(
             source=live.source,
             request=live.request,
             accepted_at_s=live.accepted_at_s,
-            phase=live.phase,
+            phase=live.shown_phase,
             notes=live.notes,
         )
         return m.TraceReply(request=query.request, record=record)

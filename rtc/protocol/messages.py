@@ -124,7 +124,7 @@ class Phase(StrEnum):
     BINDING = "binding"
     EXECUTING = "executing"
     ANALYZING = "analyzing"
-    PAUSED = "paused"  # between two steps
+    PAUSED = "paused"  # between two steps; in replies to queries also on the path of a motion
     HALTING = "halting"  # halted; waits until rest is confirmed
     CLOSING = "closing"  # a last analysis, whose advice is ignored; facts about what was touched become suspect
     ENDED = "ended"

@@ -12,7 +12,7 @@ from broker.decisions.context import DecisionContext
 from broker.decisions.events import Stimulus
 from broker.decisions.halt_request import Settled, halted, on_sentence
 from broker.decisions.resources import number
-from broker.decisions.state import Command, ParsedHead, PendingOutcome
+from broker.decisions.state import Command, ParsedHead, PendingOutcome, path_words
 from rtc.protocol.messages import Phase
 from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason
 
@@ -46,8 +46,8 @@ def control(context: DecisionContext, command: Command, head: ParsedHead) -> Non
         answers = {name: answer(context, context.state.commands[name]) for name in targets}
         targets = [name for name, (will, _) in answers.items() if will]
         words = "; ".join(f"{name} {what}" for name, (_, what) in answers.items()) or words
-        if answers and not targets:
-            clears = f"HALT {scope} stops now, and ends it" if stimulus is Stimulus.PAUSE else ""
+        if not targets:
+            clears = _instead(context, scope, list(answers)) if stimulus is Stimulus.PAUSE else ""
             refuse(context, command, Refusal(reason=RefusalReason.STATE, message=words, clears=clears))
             return
     ending = PendingOutcome(kind=OutcomeKind.ABORTED, message=f"aborted by {command.id}")
@@ -89,8 +89,8 @@ Answer = tuple[bool, str]  # (is the request accepted?, what the command does, i
 
 def _will_pause(context: DecisionContext, command: Command) -> Answer:
     """Whether a command can pause: on the path of its motion if its subsystem can do that, else between two steps."""
-    if command.phase is Phase.PAUSED:
-        return False, "is paused already"
+    if _is_paused(command):
+        return False, "is paused already" + (f": it {path_words(command.paused_done)}" if command.stands else "")
     if command.phase in (Phase.HALTING, Phase.CLOSING):
         return False, "is ending"
     if command.phase is Phase.WAITING and command.actions is not None:
@@ -102,6 +102,19 @@ def _will_pause(context: DecisionContext, command: Command) -> Answer:
     if command.actions.refs:
         return True, f"pauses after step {command.step_words}"
     return False, f"is in its last step ({command.step_words}) and ends with it"
+
+
+def _is_paused(command: Command) -> bool:
+    return command.phase is Phase.PAUSED or (command.stands and command.pause_wanted)
+
+
+def _instead(context: DecisionContext, scope: str, targets: list[str]) -> str:
+    """What helps after a refused PAUSE."""
+    if not targets:
+        return "PAUSE while something moves"
+    if any(_is_paused(context.state.commands[target]) for target in targets):
+        return f"RESUME {scope} lets it go on"
+    return f"HALT {scope} stops now, and ends it"
 
 
 def _will_resume(context: DecisionContext, command: Command) -> Answer:

@@ -13,7 +13,7 @@ from broker.decisions.command.stopping import stop_overdue
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendPace
 from broker.decisions.events import PrimitivePaced
-from broker.decisions.state import Command, LinkState
+from broker.decisions.state import Command, LinkState, path_words
 from rtc.protocol.messages import Phase
 from rtc.protocol.primitive_id import command_of
 
@@ -62,5 +62,7 @@ def on_paced(context: DecisionContext, event: PrimitivePaced) -> None:
     awaited = command is not None and (command.primitive, command.subsystem) == (event.primitive, event.subsystem)
     if awaited and command is not None and command.phase is Phase.EXECUTING:
         context.node = event.subsystem
-        words = f"stands on its path, {event.done:.0%} done" if event.paused else "goes on along its path"
+        command.paused_primitive = event.primitive if event.paused else ""
+        command.paused_done = event.done
+        words = path_words(event.done) if event.paused else "goes on along its path"
         context.note(command, words, warning=event.paused)  # a person sees why it does not go on

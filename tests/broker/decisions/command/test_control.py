@@ -95,6 +95,25 @@ def test_a_motion_pauses_on_its_path_and_goes_on_even_in_the_last_step():
     assert s.answers("C-1", go_on())[-1] == "end C-1 succeeded"
 
 
+def test_a_motion_that_stands_is_shown_as_paused_and_not_paused_again():
+    s = moving()
+    s.parsed(kind="control", verb="PAUSE", object="C-1")
+    s.handle(PrimitivePaced, subsystem="MCM", primitive="C-1.1", paused=True, done=0.4)
+    command = s.state.commands["C-1"]
+    assert (command.phase, command.shown_phase) == ("executing", "paused")
+    assert "40%" in command.shown_step
+    again = s.outcome(s.parsed(kind="control", verb="PAUSE", object="C-1"))
+    assert again.refusal is not None
+    assert again.refusal.clears.startswith("RESUME C-1")
+    s.parsed(kind="control", verb="RESUME", object="C-1")
+    late = s.outcome(s.parsed(kind="control", verb="PAUSE", object="C-1"))  # before it has gone on
+    assert late.kind is OutcomeKind.SUCCEEDED
+    s.parsed(kind="control", verb="RESUME", object="C-1")
+    s.handle(PrimitivePaced, subsystem="MCM", primitive="C-1.1", paused=False)
+    assert command.shown_phase == "executing"
+    assert command.shown_step == command.step_words
+
+
 def test_the_time_limit_of_a_report_waits_for_the_end_of_a_pause():
     s = moving()
     s.parsed(kind="control", verb="PAUSE", object="C-1")
@@ -156,8 +175,10 @@ def test_a_control_word_that_finds_nothing_says_so():
 
 @pytest.mark.parametrize("verb", ["PAUSE", "RESUME", "ABORT"])
 def test_an_idle_arm_is_nothing_to_act_on_and_an_unknown_name_is_refused(verb):
+    """Nothing is left to abort, so ABORT has its effect. PAUSE and RESUME have none."""
     s = Harness()
     s.parsed(kind="control", verb=verb, hand="RIGHT-ARM")
     s.parsed(kind="control", verb=verb, object="NOWHERE")
-    assert (s.outcome("C-1").kind, s.outcome("C-1").message) == ("succeeded", f"{verb} had nothing to act on")
+    kind = "succeeded" if verb == "ABORT" else "refused"
+    assert (s.outcome("C-1").kind, s.outcome("C-1").message) == (kind, f"{verb} had nothing to act on")
     assert s.outcome("C-2").refusal.reason == "name"
