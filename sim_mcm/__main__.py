@@ -130,6 +130,8 @@ class Station:
         """One servo tick and one simulation step."""
         out = self._subsystem.tick(now_s)
         self._simulation.step()
+        if self._faults.drifts:
+            self._faults.advance()
         if out:
             if any(isinstance(message, m.EndReport) for _, message in out):
                 self._state_file.save(self._simulation.state())  # a reported state survives a restart
@@ -210,6 +212,7 @@ class Station:
         truth = self._simulation.truth()
         return m.SimTruthReply(
             request=request,
+            at_s=process.now_s(),
             sim_s=self._clock.sim_s,
             poses=truth["poses"],
             velocities=truth["velocities"],

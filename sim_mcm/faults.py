@@ -14,11 +14,13 @@ import msgspec
 from rtc.cells.cell import Cell
 from rtc.protocol import faults as f
 from rtc.robot import geometry
-from sim_mcm.arms.arm import ArmInterface, HandCommand, Sample, Simulation
+from sim_mcm.arms.arm import TICK_S, ArmInterface, HandCommand, Sample, Simulation
 from sim_mcm.control.executor import Executor
 
 ALL = "ALL"
 FARTHEST = 10.0  # m or rad, maximum displacement; pybullet fails at 1e300 m
+FASTEST = 0.5  # m/s or rad/s, of a drifting object
+DRIFT_TICKS = 5  # it is moved once in so many ticks
 MOST_SENSED = 1000.0  # N or N.m, maximum offset of a sensor
 LEAST_SLOW_S, MOST_SLOW_S = 1e-4, 0.05  # per tick; more would count as a hung process
 MOVED_M, MOVED_RAD = 0.001, 0.01  # a displaced object that is farther from there was moved since
@@ -38,6 +40,15 @@ class Injections:
         self._active: dict[str, tuple[str, Undo]] = {}  # name -> words, how to undo it
         self.blind: set[str] = set()  # cameras
         self.tick_s = 0.0
+        self.drifts: dict[str, list[float]] = {}  # object -> velocity
+        self._ticks = 0
+
+    def advance(self) -> None:
+        """Move what drifts. Call it in every tick if there is a drift."""
+        self._ticks += 1
+        if self._ticks % DRIFT_TICKS == 0:
+            for name, velocity in self.drifts.items():
+                self._simulation.displace(name, [DRIFT_TICKS * TICK_S * part for part in velocity])
 
     @property
     def active(self) -> list[str]:
@@ -99,6 +110,16 @@ class Injections:
             return ""
 
         return back
+
+    def _drift(self, fault: f.Drifting, check: bool) -> Undo:
+        velocity = fault.velocity
+        if len(velocity) != 6 or not all(abs(part) <= FASTEST for part in velocity):  # false for NaN too
+            raise Refused(f"velocity: six finite numbers are required, none beyond {FASTEST:g} m/s or rad/s")
+        _known(fault.object, (thing.name for thing in self._cell.objects), "object")
+        if check:
+            return _nothing
+        self.drifts[fault.object] = list(velocity)
+        return _quietly(lambda: self.drifts.pop(fault.object))
 
     def _move(self, name: str, offset: list[float]) -> None:
         if error := self._simulation.displace(name, offset):
@@ -256,6 +277,7 @@ def _quietly(undo: Callable[[], object]) -> Undo:
 
 BEGIN: dict[type, Callable[..., Undo]] = {
     f.Displaced: Injections._displace,
+    f.Drifting: Injections._drift,
     f.StuckJoint: Injections._stick,
     f.FalseSensor: Injections._falsify,
     f.JammedSeat: Injections._jam,

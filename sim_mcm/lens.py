@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rtc.cells.parts import Camera
 from rtc.robot import geometry
+from rtc.sensing.optics import Window
 
 NEAR_M, FAR_M = 0.05, 12.0
 SHIFT_PX = (0.5, -0.5)  # of pybullet's software renderer against an ideal camera: right, down
@@ -25,15 +26,17 @@ class Matrices(NamedTuple):
     lens: Sequence[float]
 
 
-def matrices(camera: Camera, pose: geometry.Floats) -> Matrices:
-    """`pose`: of the camera's axes (x right, y down, z forward), world frame."""
+def matrices(camera: Camera, pose: geometry.Floats, window: Window | None = None) -> Matrices:
+    """`pose`: of the camera's axes (x right, y down, z forward), world frame. `window`: only this part of its picture,
+    with the same pixels."""
     view = geometry.to_matrix(geometry.inverse(geometry.compose(pose, OPENGL)))
     width, height = camera.size_px
+    part = window or Window(0, 0, width, height)
     per_px = 2.0 * NEAR_M * math.tan(math.radians(0.5 * camera.field_of_view_deg)) / height
-    right, down = SHIFT_PX[0] * per_px, SHIFT_PX[1] * per_px
-    half_width, half_height = 0.5 * width * per_px, 0.5 * height * per_px
+    left = (part.x - 0.5 * width + SHIFT_PX[0]) * per_px
+    top = (0.5 * height - part.y - SHIFT_PX[1]) * per_px
     lens = pybullet.computeProjectionMatrix(
-        right - half_width, right + half_width, -down - half_height, -down + half_height, NEAR_M, FAR_M
+        left, left + part.width * per_px, top - part.height * per_px, top, NEAR_M, FAR_M
     )
     return Matrices(view.T.reshape(-1).tolist(), lens)
 

@@ -28,6 +28,7 @@ from rtc.cells.parts import Camera as CellCamera
 from rtc.cells.scene import VIEWS, CameraPicture, Drawn, Panel, Picture, SceneView
 from rtc.protocol.outcomes import RtcError
 from rtc.robot import geometry
+from rtc.sensing.optics import Window
 from sim_mcm import lens
 from sim_mcm import picture as sheet
 from sim_mcm.arms.bullet_world import PhysicsWorld
@@ -205,9 +206,11 @@ class Studio:
         seen: sheet.Mask = np.isin(photograph.bodies, bodies)
         return seen
 
-    def camera_picture(self, name: str, scene: SceneView, seed: int | None = None) -> Image:
-        """The picture of a camera of the cell, height x width x 3; call `pose` first. Raises RtcError if the scene
-        lacks the tcp of the arm that carries the camera. `seed`: of the noise."""
+    def camera_picture(
+        self, name: str, scene: SceneView, seed: int | None = None, window: Window | None = None
+    ) -> Image:
+        """The picture of a camera of the cell, or a window of it, height x width x 3; call `pose` first. Raises
+        RtcError if the scene lacks the tcp of the arm that carries the camera. `seed`: of the noise."""
         camera = self.cell.camera(name)
         pose = camera.pose
         if camera.arm is not None:
@@ -215,10 +218,10 @@ class Studio:
                 raise RtcError(f"{name} is on {camera.arm}, whose tcp is not known")
             pose = geometry.compose(scene.tcp[camera.arm], pose)
         self._show_floor(False)  # drawing it takes more time than all the rest
-        width, height = camera.size_px
+        left, top, width, height = window or Window(0, 0, *camera.size_px)
         if name in scene.blind:
             return np.zeros((height, width, 3), dtype=np.uint8)
-        matrices = lens.matrices(camera, pose)
+        matrices = lens.matrices(camera, pose, window)
         _, _, pixels, _, bodies = pybullet.getCameraImage(
             width,
             height,
@@ -236,7 +239,7 @@ class Studio:
         )
         image = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[:, :, :3].copy()
         behind = np.asarray(bodies).reshape(height, width, 1) < 0
-        np.copyto(image, self._backdrop(camera, pose), where=behind)
+        np.copyto(image, self._backdrop(camera, pose)[top : top + height, left : left + width], where=behind)
         return lens.exposed(image, camera, self._random if seed is None else np.random.default_rng(seed))
 
     def _show_floor(self, shown: bool) -> None:
@@ -308,6 +311,10 @@ def _draw_to_file(studio: Studio, wanted: Picture | CameraPicture) -> None:
     if isinstance(wanted, Picture):
         return sheet.save(compose(studio, wanted), file)
     studio.pose(wanted.scene)
+    if wanted.windows:
+        parts = [studio.camera_picture(wanted.camera, wanted.scene, window=Window(*part)) for part in wanted.windows]
+        np.save(file, np.concatenate([part.reshape(-1) for part in parts]))
+        return None
     image = studio.camera_picture(wanted.camera, wanted.scene, wanted.seed)
     if file.suffix == ".npy":
         np.save(file, image)

@@ -223,6 +223,9 @@ def on_started(context: DecisionContext, event: PrimitiveStarted) -> None:
         context.node = event.subsystem
         if command.actions is not None:
             command.step_words = step_in_words(command.actions)  # without the condition of the start
+        for motion in context.state.motions.values():
+            if motion.primitive == event.primitive:
+                motion.started_s = context.now
         context.note(command, "started")
 
 

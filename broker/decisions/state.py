@@ -137,6 +137,8 @@ class ArmMotion(msgspec.Struct, kw_only=True, gc=False):
     """The encoded primitive, input of the binders of other arms."""
     beside: list[str] = []
     """Ids of the motions of other arms that its binder knew."""
+    started_s: float = 0.0
+    """Time when the subsystem reported its start; 0: it has not."""
 
 
 class Deferral(StrEnum):

@@ -9,7 +9,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from broker.decisions.state import State
+from broker.decisions.command.nominal import read_primitive
+from broker.decisions.state import ArmMotion, State
 from broker.dispatch.worker_registry import WorkerRegistry
 from broker.persistence.journal import number
 from broker.router.hosts import hosts, requests_for_more
@@ -95,6 +96,7 @@ def status(view: BrokerView, now: float) -> dict[str, Any]:
             for c in list(state.commands.values())[:COMMANDS_SHOWN]
         ],
         "commands_live": len(state.commands),
+        "motions": [_motion(arm, motion, now) for arm, motion in state.motions.items()],
         "commands_accepted": state.accepted,
         "subsystems": [
             {
@@ -117,6 +119,18 @@ def status(view: BrokerView, now: float) -> dict[str, Any]:
             if (found := state.program_files.get(name)) is not None
         },
         "rolled_back": {kind: rollout.why for kind, rollout in state.rollouts.items() if rollout.why},
+    }
+
+
+def _motion(arm: str, motion: ArmMotion, now: float) -> dict[str, Any]:
+    path = read_primitive(motion.body).paths[arm]
+    return {
+        "arm": arm,
+        "command": motion.command,
+        "primitive": motion.primitive,
+        "started_ago_s": now - motion.started_s if motion.started_s else None,
+        "time_s": path.time_s,
+        "positions": path.positions,
     }
 
 

@@ -46,6 +46,26 @@ def displace(
 
 
 @app.command()
+def drift(
+    object: Annotated[str, typer.Argument(help="An object of the cell; the seat in which it sits moves with it.")],
+    by: Annotated[str, typer.Option(help="X,Y,Z in metres per second, world axes.")] = "0,0,0",
+    turn: Annotated[str, typer.Option(help="X,Y,Z in degrees per second, world axes, about the object.")] = "0,0,0",
+    run_dir: RunDir = None,
+    json: AsJson = False,
+) -> None:
+    """An object moves by itself, steadily: such as a satellite that turns. In a hand it rests.
+
+    Nothing is in its way, and it pushes nothing. Undone, it stays where it is.
+
+    Example:  rtc inject drift SATELLITE --turn 1,0,0
+    """
+    velocity = [*_figures(by, 3, "--by"), *map(math.radians, _figures(turn, 3, "--turn"))]
+    if not any(velocity):
+        raise trouble("state --by, --turn or both", 2)
+    _inject(f.Drifting(object=_name(object), velocity=velocity), run_dir, json)
+
+
+@app.command()
 def stick(
     arm: Arm,
     joint: Annotated[str, typer.Argument(help="A joint of its URDF, such as joint_3.")],

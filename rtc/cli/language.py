@@ -147,7 +147,9 @@ def _camera_in_words(record: ParsedCommand, cell: Cell) -> list[str]:
     if not any(tag.body == record.object for tag in cell.tags):
         return [f"  VIA: refused, because {record.object} has no tags in cell {cell.name}"]
     if record.performer is None:
-        return [f"  VIA: the camera that sees {record.object} best, of {', '.join(known)} in cell {cell.name}"]
+        which = "the camera that sees" if record.verb == "TRACK" else "the cameras that see"
+        best = " best" if record.verb == "TRACK" else ""
+        return [f"  VIA: {which} {record.object}{best}, of {', '.join(known)} in cell {cell.name}"]
     if record.performer in known:
         return [f"  VIA {record.performer}: this camera, also if it does not see {record.object}"]
     return [f"  VIA {record.performer}: refused; the cameras of cell {cell.name} are {', '.join(known)}"]

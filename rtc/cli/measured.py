@@ -48,9 +48,10 @@ def _sighting(camera: str, seen: Sighting) -> list[str]:
         max(math.sqrt(max(0.0, seen.covariance[7 * n])) for n in axes) for axes in (range(3), range(3, 6))
     )
     doubt = ", ambiguous attitude" if seen.ambiguous else ""
+    who = f"{' and '.join(seen.cameras)} see" if seen.cameras else f"{camera} sees"
     lines = [
-        f"{camera} sees: {_pose(seen.pose)}",
-        f"  +- {1e3 * metres:.1f} mm, {math.degrees(radians):.2f} deg{doubt}; {len(seen.tags)} tags, "
+        f"{who}: {_pose(seen.pose)}",
+        f"  +- {1e3 * metres:.1f} mm, {math.degrees(radians):.2f} deg{doubt}; tags {', '.join(map(str, seen.tags))}, "
         f"{seen.error_px:.2f} px off, {1e3 * seen.age_s:.0f} ms old",
     ]
     if seen.velocity is not None:

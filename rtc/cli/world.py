@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Annotated, Any, NoReturn
 
@@ -16,9 +16,11 @@ from rtc.cells.scene import centimetres, degrees
 from rtc.cli.output import AsJson, RunDir, With, console, emit_json, seconds, table, trouble
 from rtc.client.client import Client
 from rtc.protocol.messages import Fact, Validity, View
+from rtc.protocol.outcomes import RtcError
 from rtc.world.client import WorldClient
 from rtc.world.spread import in_words
 
+BROKER_S = 1.0  # maximum wait for what the arms are doing; the facts are shown without a broker too
 HISTORY = 1000  # maximum number of facts of one key that `at` searches
 COLOUR = {Validity.VALID: "green", Validity.SUSPECT: "bold yellow", Validity.INVALID: "red", Validity.CHANGING: "cyan"}
 
@@ -33,13 +35,13 @@ app = typer.Typer(
 
 @app.command("list")
 def list_facts(json: AsJson = False, run_dir: RunDir = None, key_file: With = None) -> None:
-    """Print all facts.
+    """Print all facts. What a moving arm changes is shown as changing, with its path and the time since its start.
 
     Example:  rtc world list
     """
     with Client(run_dir, need_broker=False, key=key_file) as rtc:
-        view = rtc.world.view()
-    _show(view.facts, json, view.version)
+        view, motions = rtc.world.view(), _motions(rtc)
+    _show(changing(view.facts, motions, time.monotonic(), whole=True), json, view.version)
 
 
 @app.command()
@@ -49,10 +51,10 @@ def get(key: Key, json: AsJson = False, run_dir: RunDir = None, key_file: With =
     Example:  rtc world get MACS-NEW.frame
     """
     with Client(run_dir, need_broker=False, key=key_file) as rtc:
-        view = rtc.world.view(keys=[spelt(key)])
+        view, motions = rtc.world.view(keys=[spelt(key)]), _motions(rtc)
         if not view.facts:
             raise _unknown(key, rtc.world)
-    _show(view.facts, json, view.version)
+    _show(changing(view.facts, motions, time.monotonic(), whole="." not in key), json, view.version)
 
 
 @app.command()
@@ -132,6 +134,45 @@ def at(
     _show(newest.values(), json, version)
 
 
+def _motions(rtc: Client) -> list[dict[str, Any]]:
+    """What the arms are doing, as the broker knows it; empty without a broker that answers."""
+    try:
+        found: list[dict[str, Any]] = rtc.status(within_s=BROKER_S).get("motions", [])
+    except RtcError:
+        return []
+    return found
+
+
+def changing(facts: Iterable[Fact], motions: Sequence[Mapping[str, Any]], now_s: float, *, whole: bool) -> list[Fact]:
+    """The facts, with those that a motion changes as changing. The world database has their values before it.
+
+    `whole`: with a fact ARM.motion for each moving arm among them: its path, and the time since its start."""
+    facts = list(facts)
+    held = {fact.key.partition(".")[0]: fact.value for fact in facts if fact.key.endswith(".held_by")}
+    arms = {one["arm"]: one for one in motions}
+
+    def shown_as(fact: Fact) -> Fact:
+        location, _, attribute = fact.key.partition(".")
+        own = location in arms and attribute == "joints"
+        carried = held.get(location) in arms and attribute in ("frame", "seat")
+        return msgspec.structs.replace(fact, validity=Validity.CHANGING) if own or carried else fact
+
+    known = {fact.key.partition(".")[0]: fact.version for fact in facts}
+    added = [
+        Fact(
+            key=f"{arm}.motion",
+            value={name: one[name] for name in ("primitive", "started_ago_s", "time_s", "positions")},
+            validity=Validity.CHANGING,
+            version=known[arm],
+            source=one["command"],
+            at_s=now_s - (one["started_ago_s"] or 0.0),
+        )
+        for arm, one in arms.items()
+        if whole and arm in known
+    ]
+    return [*map(shown_as, facts), *added]
+
+
 def spelt(key: str) -> str:
     """A key as in the database: the location in capitals with '-', the attribute unchanged."""
     place, dot, attribute = key.partition(".")
@@ -168,12 +209,31 @@ def _width(value: Any) -> str:
     return f"{round(100 * value, 2) + 0.0:g} cm" if isinstance(value, float | int) else shown(value)
 
 
+def _sighting(value: Any) -> str:
+    """What a camera saw: the evidence for the frame."""
+    if not isinstance(value, dict):
+        return shown(value)
+    words = f"{' and '.join(value['cameras'])}: tags {shown(value['tags'])[1:-1]} in {value['pictures']} pictures, "
+    words += f"{value['error_px']:.2f} px off, +- {1e3 * value['deviation_m']:.1f} mm "
+    words += f"{math.degrees(value['deviation_rad']):.2f} deg (1 sigma), {1e3 * value['age_s']:.0f} ms old then"
+    return words + (", ambiguous attitude" if value["ambiguous"] else "")
+
+
+def _motion(value: Any) -> str:
+    """Where an arm is going."""
+    ago_s, takes_s = value["started_ago_s"], value["time_s"][-1]
+    since = "not started yet" if ago_s is None else f"started {ago_s:.1f} s ago"
+    return f"to {_joints(value['positions'][-1])} in {takes_s:.1f} s, {since} ({value['primitive']})"
+
+
 #: attribute -> its value for people; JSON has m, rad and quaternions
 UNITS: dict[str, Callable[[Any], str]] = {
     "frame": _pose,
     "grasp": _pose,
     "joints": _joints,
     "hand_width": _width,
+    "sighting": _sighting,
+    "motion": _motion,
     "mass": lambda value: f"{shown(value)} kg",
 }
 VALUE = "value (x y z cm, roll pitch yaw deg)"

@@ -260,9 +260,10 @@ class Client:
 
     # --- looking --------------------------------------------------------------------------------------
 
-    def status(self) -> dict[str, Any]:
-        """Processes, workers, queues, resources, commands, subsystems, counters (see docs/protocol.md)."""
-        return self._query(m.StatusQuery(request=self._next_request()), m.StatusReply).status
+    def status(self, within_s: float = ANSWER_S) -> dict[str, Any]:
+        """Processes, workers, queues, resources, commands, subsystems, counters (see docs/protocol.md). Raises TimedOut
+        if the broker has not answered within this time."""
+        return self._query(m.StatusQuery(request=self._next_request()), m.StatusReply, within_s).status
 
     def trace(self, command: str) -> m.CommandRecord:
         """The record of a command. Raises RequestDeclined for an unknown command."""

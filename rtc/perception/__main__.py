@@ -72,7 +72,7 @@ class Station:
                 camera.take(result.found)
         link.send(subsystem.tick(now_s))
         if not self._eye.busy and (due := subsystem.next_camera(now_s)) is not None:
-            self._eye.look(due.name)
+            self._eye.look(due.name, due.windows(now_s))
         if self._heartbeat.due(now_s):
             link.send([(BROKER, m.Heartbeat(name=NAME))])
 

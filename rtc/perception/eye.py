@@ -11,8 +11,8 @@ import contextlib
 import queue
 import socket
 import threading
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 import zmq
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rtc.cells.cell import Cell
 from rtc.cells.scene import true_scene
-from rtc.perception.camera import Evaluated
+from rtc.perception.look_task import Evaluated
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError, TimedOut
 from rtc.protocol.wire import frames, reader
@@ -29,6 +29,10 @@ from rtc.runtime.process import inbox, now_s, open_socket
 from rtc.runtime.renderer import Renderer
 from rtc.runtime.settings import Settings
 from rtc.sensing import optics
+from rtc.sensing.optics import Window
+
+if TYPE_CHECKING:
+    from rtc.sensing.detector import TagDetector
 
 NICENESS = 5  # of the drawing process, as of workers: a command waits for it
 IDLE_S = 30.0  # after this time without a picture the drawing process ends
@@ -38,13 +42,13 @@ STILL_M, STILL_RAD = 0.0005, 0.001  # a camera on an arm must move less than thi
 
 class Photograph(NamedTuple):
     at_s: float  # time of the exposure
-    pixels: NDArray[np.uint8]
+    parts: Sequence[NDArray[np.uint8]]  # the windows of the picture, or the whole picture alone
     tcp: list[float] | None  # measured pose of the hand that carries the camera, world frame
 
 
 class Cameras(Protocol):
-    def photograph(self, camera: str) -> Photograph:
-        """Raises RtcError without a picture."""
+    def photograph(self, camera: str, windows: Sequence[Window] = ()) -> Photograph:
+        """A picture, or windows of it. Raises RtcError without one."""
 
     def rest(self) -> None:
         """Release what only pictures need."""
@@ -62,22 +66,23 @@ class SimulatedCameras:
         self._requests = 0
         self._arms: dict[str, m.ArmSample] = {}
 
-    def photograph(self, camera: str) -> Photograph:
+    def photograph(self, camera: str, windows: Sequence[Window] = ()) -> Photograph:
         arm = self._cell.camera(camera).arm
         before = self._tcp(arm)
-        at_s, truth = now_s(), self._truth()
+        asked_s, truth = now_s(), self._truth()
         if self._renderer is None:
             self._renderer = Renderer(NICENESS)
             self._renderer.__enter__()
+        what = self._settings.cell, camera, true_scene(truth)
         try:
-            pixels = self._renderer.photograph(self._settings.cell, camera, true_scene(truth))
+            parts = self._renderer.windows(*what, windows) if windows else [self._renderer.photograph(*what)]
         except RtcError:
             self.rest()  # the next picture gets a new process
             raise
         after = self._tcp(arm)
         if before is not None and after is not None and _moved(before, after):
             raise RtcError(f"{arm}, which carries {camera}, moved during the picture")
-        return Photograph(at_s, pixels, before)
+        return Photograph(truth.at_s or asked_s, parts, before)
 
     def rest(self) -> None:
         if self._renderer is not None:
@@ -128,6 +133,11 @@ class Failed(NamedTuple):
     why: str
 
 
+class _Order(NamedTuple):
+    camera: str
+    windows: Mapping[int, Window]  # by tag; empty: the whole picture
+
+
 class Result(NamedTuple):
     camera: str
     found: Evaluated | Failed
@@ -138,7 +148,7 @@ class Eye:
 
     def __init__(self, cell: Cell, cameras: Callable[[], Cameras], idle_s: float = IDLE_S) -> None:
         self._cell, self._cameras, self._idle_s = cell, cameras, idle_s
-        self._wanted: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._wanted: queue.SimpleQueue[_Order | None] = queue.SimpleQueue()
         self._results: queue.SimpleQueue[Result] = queue.SimpleQueue()
         self._wake_end, self._wake_start = socket.socketpair()
         self._wake_end.setblocking(False)
@@ -146,14 +156,14 @@ class Eye:
         self.busy = False  # a picture is under way
         self._thread: threading.Thread | None = None
 
-    def look(self, camera: str) -> None:
-        """Order a picture; one at a time."""
+    def look(self, camera: str, windows: Mapping[int, Window] | None = None) -> None:
+        """Order a picture; one at a time. `windows`: only the parts in which these tags are expected."""
         assert not self.busy
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, daemon=True)
             self._thread.start()
         self.busy = True
-        self._wanted.put(camera)
+        self._wanted.put(_Order(camera, windows or {}))
 
     def result(self) -> Result | None:
         """The picture that was ordered, if it is there."""
@@ -177,18 +187,27 @@ class Eye:
         detector, cameras = TagDetector(), self._cameras()
         while True:
             try:
-                camera = self._wanted.get(timeout=self._idle_s)
+                order = self._wanted.get(timeout=self._idle_s)
             except queue.Empty:
                 cameras.rest()
-                camera = self._wanted.get()
-            if camera is None:
+                order = self._wanted.get()
+            if order is None:
                 cameras.rest()
                 return
             try:
-                taken = cameras.photograph(camera)
-                view = optics.view(self._cell.camera(camera), taken.tcp)
-                found: Evaluated | Failed = Evaluated(taken.at_s, view, taken.pixels, detector.find(taken.pixels))
+                found: Evaluated | Failed = self._evaluated(order, cameras, detector)
             except RtcError as error:
-                found = Failed(f"{camera} gives no picture: {error}")
-            self._results.put(Result(camera, found))
+                found = Failed(f"{order.camera} gives no picture: {error}")
+            self._results.put(Result(order.camera, found))
             self._wake_start.send(b"\0")
+
+    def _evaluated(self, order: _Order, cameras: Cameras, detector: TagDetector) -> Evaluated:
+        """Raises RtcError without a picture."""
+        taken = cameras.photograph(order.camera, list(order.windows.values()))
+        view = optics.view(self._cell.camera(order.camera), taken.tcp)
+        if not order.windows:
+            (image,) = taken.parts
+            return Evaluated(taken.at_s, view, image, detector.find(image))
+        parts = zip(order.windows.items(), taken.parts, strict=True)
+        marks = detector.find_in({tag: (window, image) for (tag, window), image in parts})
+        return Evaluated(taken.at_s, view, None, marks)

@@ -23,6 +23,18 @@ class Motion:
         while at_s - self._poses[0][0] > KEPT_S:
             self._poses.popleft()
 
+    def predicted(self, at_s: float) -> Array | None:
+        """The pose at a time after the latest one; None without a pose. Without a velocity: the latest pose."""
+        if not self._poses:
+            return None
+        seen_s, pose = self._poses[-1]
+        velocity = self.velocity()
+        if velocity is None:
+            return pose
+        moved, turned = ((at_s - seen_s) * np.array(part) for part in (velocity[:3], velocity[3:]))
+        turn = geometry.make_pose((0.0, 0.0, 0.0), (*(0.5 * turned), 1.0))  # of a small angle
+        return geometry.make_pose(pose[:3] + moved, geometry.compose(turn, (0.0, 0.0, 0.0, *pose[3:]))[3:])
+
     def velocity(self) -> list[float] | None:
         """m/s and rad/s, world axes; None with too short a history."""
         if not self._poses or self._poses[-1][0] - self._poses[0][0] < LEAST_S:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from rtc.perception.camera import Camera
+from rtc.perception.camera import MOST_LOOKS, Camera
 from rtc.protocol.primitive import Primitive
 from rtc.subsystem.subsystem import Outgoing, Reports, Subsystem, in_scope
 
@@ -31,8 +31,20 @@ class PerceptionSubsystem(Subsystem[Camera]):
     def _primitives(self, performer: Camera) -> list[str]:
         return performer.primitives
 
+    def _busy(self, primitive: Primitive) -> str:
+        """Why a further camera of the look cannot take pictures for it."""
+        further = primitive.performers[1:]
+        unknown = [name for name in further if name not in self.performers]
+        full = [name for name in further if name in self.performers and self.performers[name].full]
+        if unknown:
+            return f"{self.name} has no {', '.join(unknown)}; it has {', '.join(self.performers)}"
+        return f"{', '.join(full)}: {MOST_LOOKS} looks already" if full else ""
+
     def _accept(self, performer: Camera, primitive: Primitive, now_s: float) -> Reports:
-        return performer.accept(primitive, now_s)
+        reports = performer.accept(primitive, now_s)
+        for name in primitive.performers[1:]:
+            performer.share(primitive.id, self.performers[name])
+        return reports
 
     def _tick(self, performer: Camera, now_s: float) -> Outgoing:
         return self._sent(performer.tick(now_s), now_s)

@@ -39,6 +39,21 @@ class Displaced(Fault, frozen=True, kw_only=True, tag="displaced"):
         return f"{self.name} by {', '.join(f'{x:g}' for x in self.offset[:3])} m, {_figures(self.offset[3:])} rad"
 
 
+class Drifting(Fault, frozen=True, kw_only=True, tag="drifting"):
+    """An object, with the seat it sits in, moves by itself, steadily and whatever is in its way. In a hand it rests."""
+
+    object: Word
+    velocity: list[float]  # m/s three times, rad/s three times: world axes, about the object's origin
+
+    @property
+    def name(self) -> str:
+        return f"drift {self.object}"
+
+    @property
+    def words(self) -> str:
+        return f"{self.name} with {_figures(self.velocity[:3])} m/s, {_figures(self.velocity[3:])} rad/s"
+
+
 class StuckJoint(Fault, frozen=True, kw_only=True, tag="stuck-joint"):
     """A joint of an arm does not move."""
 
@@ -98,7 +113,9 @@ class SlowLoop(Fault, frozen=True, kw_only=True, tag="slow-loop"):
         return f"{self.name} by {1e3 * self.tick_s:g} ms per tick"
 
 
-AnyFault = Displaced | StuckJoint | FalseSensor | JammedSeat | StrippedBolt | FailedHand | BlindCamera | SlowLoop
+AnyFault = (
+    Displaced | Drifting | StuckJoint | FalseSensor | JammedSeat | StrippedBolt | FailedHand | BlindCamera | SlowLoop
+)
 
 
 def _figures(values: list[float]) -> str:

@@ -348,12 +348,13 @@ class ProgramWanted(Message, frozen=True, kw_only=True):
 
 
 class Binding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A named parameter of a script: joints, a pose (in the axes of the object `frame`, if one is named), or a
+    """A named parameter of a script: joints, a pose (in the axes of the object or seat `frame`, if one is named), or a
     number. Exactly one of `joints`, `pose` and `number` is set."""
 
     joints: list[float] | None = None  # rad
     pose: list[float] | None = None  # of the tcp
-    frame: str | None = None  # the object whose axes the pose is in; None = world
+    frame: str | None = None  # the object or seat whose axes the pose is in; None = world
+    grasp: list[float] | None = None  # pose of the held object in the hand that this pose was made for
     number: float | None = None
 
 
@@ -912,6 +913,7 @@ class SimTruthReply(Message, frozen=True, kw_only=True):
     held: dict[str, list[str]]  # arm -> objects that both its fingers press on
     seats: dict[str, list[float]] = {}  # every seat of the cell, world frame
     blind: list[str] = []  # cameras whose pictures are black
+    at_s: float = 0.0  # when it was so, by the clock of this machine; 0: not stated
 
 
 class SimDisplace(Message, frozen=True, kw_only=True):

@@ -169,6 +169,7 @@ class Sighting(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc
     pictures: int = 1  # number of pictures in which it was seen
     ambiguous: bool = False  # a second attitude explains the pictures nearly as well; the covariance covers it
     velocity: list[float] | None = None  # m/s three times, rad/s three times, world axes; None = not measured
+    cameras: list[str] = []  # whose pictures it is made of, if there are several
 
 
 class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):

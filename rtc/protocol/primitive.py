@@ -98,6 +98,9 @@ class Look(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="l
     pictures: Annotated[int, msgspec.Meta(ge=1, le=100)] = 1
     duration_s: Annotated[float, msgspec.Meta(gt=0, le=LONGEST_S)] | None = None
     every_s: Annotated[float, msgspec.Meta(ge=0.01, le=3600)] = 0.1  # shortest time between two of its pictures
+    # Further cameras: each takes as many pictures, and one pose is fitted to all. A camera that does not see the body
+    # is left out, if another does.
+    cameras: Annotated[list[str], msgspec.Meta(max_length=8)] = []
 
 
 class SpindleMotion(msgspec.Struct, frozen=True, kw_only=True, tag="spindle-motion"):
@@ -489,8 +492,9 @@ class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, t
 
     @property
     def performers(self) -> list[str]:
-        """All arms that it moves, the leading one first."""
-        return [self.performer, *([self.partner.performer] if self.partner else ())]
+        """All arms that it moves, the leading one first; or all cameras that look."""
+        further = self.trajectory.cameras if isinstance(self.trajectory, Look) else ()
+        return [self.performer, *([self.partner.performer] if self.partner else ()), *further]
 
     @property
     def paths(self) -> dict[str, JointTrajectory]:

@@ -8,6 +8,7 @@ import select
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from tempfile import TemporaryDirectory
 from types import TracebackType
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from rtc.cells.scene import CameraPicture, Drawn, Picture, SceneView
 from rtc.protocol.outcomes import RtcError
+from rtc.sensing.optics import Window
 
 COMMAND = [sys.executable, "-P", "-m", "sim_mcm.render", "--serve"]
 NICENESS = 15  # the servo's ticks go first
@@ -32,6 +34,8 @@ class Renderer:
 
     def __enter__(self) -> Renderer:
         self._unread = b""
+        self._folder = TemporaryDirectory(prefix="rtc-camera-")
+        self._file = f"{self._folder.name}/pixels.npy"
         self._process = subprocess.Popen(
             ["nice", "-n", str(self._niceness), *COMMAND],
             stdin=subprocess.PIPE,
@@ -50,6 +54,7 @@ class Renderer:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        self._folder.cleanup()
 
     def draw(self, picture: Picture | CameraPicture) -> None:
         """Returns once the file is there. Raises RtcError with the reason when it cannot be drawn."""
@@ -59,11 +64,22 @@ class Renderer:
 
     def photograph(self, cell: str, camera: str, scene: SceneView, seed: int | None = None) -> NDArray[np.uint8]:
         """What a camera of the cell sees: height x width x 3. `seed`: of its noise. Raises RtcError."""
-        with TemporaryDirectory(prefix="rtc-camera-") as folder:
-            file = f"{folder}/{camera}.npy"
-            self.draw(CameraPicture(out=file, cell=cell, camera=camera, scene=scene, seed=seed))
-            pixels: NDArray[np.uint8] = np.load(file)
-            return pixels
+        return self._pixels(CameraPicture(out=self._file, cell=cell, camera=camera, scene=scene, seed=seed))
+
+    def windows(
+        self, cell: str, camera: str, scene: SceneView, windows: Sequence[Window]
+    ) -> Sequence[NDArray[np.uint8]]:
+        """Parts of what a camera of the cell sees: height x width x 3 each. Raises RtcError."""
+        parts = [(window.x, window.y, window.width, window.height) for window in windows]
+        flat = self._pixels(CameraPicture(out=self._file, cell=cell, camera=camera, scene=scene, windows=parts))
+        ends = np.cumsum([3 * window.width * window.height for window in windows])
+        pieces = np.split(flat, ends[:-1])
+        return [one.reshape(window.height, window.width, 3) for one, window in zip(pieces, windows, strict=True)]
+
+    def _pixels(self, picture: CameraPicture) -> NDArray[np.uint8]:
+        self.draw(picture)
+        pixels: NDArray[np.uint8] = np.load(picture.out)
+        return pixels
 
     def request(self, picture: Picture | CameraPicture) -> None:
         """Order one picture, without waiting; call `drawn` until it is there. Raises RtcError."""

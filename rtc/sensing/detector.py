@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from pyapriltags import Detector
 
 from rtc.robot.geometry import Array
+from rtc.sensing.optics import Window
 
 
 class Mark(NamedTuple):
@@ -26,9 +28,17 @@ class TagDetector:
             families="tag36h11", quad_decimate=1.0
         )  # with fewer pixels corners are 1.4 x as far off
 
+    def find_in(self, parts: Mapping[int, tuple[Window, NDArray[np.uint8]]]) -> list[Mark]:
+        """Each tag in a window of the picture, by its number; the corners are pixels of the whole picture."""
+        found = []
+        for tag, (window, image) in parts.items():
+            offset = (window.x, window.y)
+            found += [Mark(tag, mark.corners + offset) for mark in self.find(image) if mark.tag == tag]
+        return found
+
     def find(self, image: NDArray[np.uint8]) -> list[Mark]:
         """`image`: height x width x 3, or grey. A tag that appears twice is left out."""
-        grey = image if image.ndim == 2 else (image.sum(axis=2, dtype=np.uint16) // 3).astype(np.uint8)
+        grey = image if image.ndim == 2 else image[:, :, 1]  # a tag is black and white: one colour has its contrast
         found = [hit for hit in self._detector.detect(np.ascontiguousarray(grey)) if hit.hamming == 0]
         ids = [hit.tag_id for hit in found]
         return [Mark(hit.tag_id, np.array(hit.corners)) for hit in found if ids.count(hit.tag_id) == 1]

@@ -61,7 +61,10 @@ def sightings(tags: Iterable[TagOnBody], pictures: Iterable[Seen]) -> dict[str, 
     return found
 
 
-def locate(tags: Iterable[TagOnBody], pictures: Iterable[Seen]) -> Mapping[str, Fit]:
-    """The bodies that are seen, by name."""
-    fits = {body: fit(seen) for body, seen in sightings(tags, pictures).items()}
+def locate(
+    tags: Iterable[TagOnBody], pictures: Iterable[Seen], near: Mapping[str, geometry.Floats] | None = None
+) -> Mapping[str, Fit]:
+    """The bodies that are seen, by name. `near`: expected poses of bodies, world frame; they save time."""
+    expected = {body: geometry.to_matrix(pose) for body, pose in (near or {}).items()}
+    fits = {body: fit(seen, expected.get(body)) for body, seen in sightings(tags, pictures).items()}
     return {body: found for body, found in fits.items() if found is not None}

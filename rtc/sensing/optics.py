@@ -15,6 +15,15 @@ from rtc.robot import geometry
 from rtc.robot.geometry import Array
 
 
+class Window(NamedTuple):
+    """A part of a picture, in pixels: its upper left corner and its size."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
 class View(NamedTuple):
     """A camera at the time of a picture."""
 

@@ -58,10 +58,12 @@ class Fit(NamedTuple):
         return self.second is not None and self.second.error_px < CONFUSED * max(self.best.error_px, NOISE_PX)
 
 
-def fit(sightings: Sequence[Sighting]) -> Fit | None:
+def fit(sightings: Sequence[Sighting], near: Array | None = None) -> Fit | None:
     """The pose that explains all sightings of a body. None if there is not one, or none leads to a pose in front of
-    the cameras."""
-    used, solutions = _consistent(list(sightings))
+    the cameras. `near`: 4 x 4, an expected pose; it is used as the start if it leads to one that fits."""
+    used, solutions = list(sightings), _from_expected(sightings, near)
+    if not solutions:
+        used, solutions = _consistent(used)
     if not solutions:
         return None
     best = solutions[0]
@@ -97,6 +99,19 @@ def _solutions(sightings: Sequence[Sighting]) -> list[Solution]:
             different.append(start)
     found = [solution for start in different if (solution := _refined(sightings, start.matrix)) is not None]
     return sorted(found, key=lambda solution: solution.error_px)
+
+
+def _from_expected(sightings: Sequence[Sighting], near: Array | None) -> list[Solution]:
+    """The solutions from an expected pose, and from that with the largest tag tilted to the other side; best first.
+    Empty if neither fits."""
+    if near is None or not sightings:
+        return []
+    first = _refined(sightings, near)
+    if first is None or first.error_px > BAD_PX:
+        return []
+    largest = max(sightings, key=lambda sighting: area_px(sighting.pixels))
+    other = _refined(sightings, _mirrored(largest, first.matrix))
+    return sorted([first, *([other] if other is not None else [])], key=lambda solution: solution.error_px)
 
 
 def _consistent(sightings: list[Sighting]) -> tuple[list[Sighting], list[Solution]]:

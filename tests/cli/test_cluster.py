@@ -270,7 +270,7 @@ def test_a_camera_gives_its_picture(rtc: Run, tmp_path: Path) -> None:
     assert last_json(done)["camera"] == "CAMERA-1"
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     assert unknown.returncode == 2
-    assert "CAMERA-1, CAMERA-2, CAMERA-3" in unknown.stderr
+    assert "CAMERA-1, CAMERA-2, CAMERA-3, CAMERA-4" in unknown.stderr
 
 
 def test_a_version_of_the_world_that_is_still_to_come_is_2(rtc: Run) -> None:

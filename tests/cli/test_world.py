@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from rtc.cli.world import shown, spelt, stated
+from rtc.cli.world import changing, shown, spelt, stated
 from rtc.protocol import messages as m
 
 
@@ -39,3 +39,30 @@ def test_a_value_is_readable(value: Any, text: str) -> None:
 def test_a_fact_is_stated_in_the_units_of_sentences(key: str, value: Any, text: str) -> None:
     fact = m.Fact(key=key, value=value, validity=m.Validity.VALID, version=1, source="cell", at_s=0.0)
     assert stated(fact) == text
+
+
+def test_what_a_moving_arm_changes_is_shown_as_changing_with_its_path_and_start() -> None:
+    values = {
+        "RIGHT-ARM.joints": [0.0, 0.0],
+        "RIGHT-ARM.holding": "MACS-NEW",
+        "MACS-NEW.frame": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+        "MACS-NEW.held_by": "RIGHT-ARM",
+        "MACS-OLD.frame": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+        "LEFT-ARM.joints": [0.0, 0.0],
+    }
+    facts = [
+        m.Fact(key=key, value=value, validity=m.Validity.VALID, version=n, source="C-1/5", at_s=1.0)
+        for n, (key, value) in enumerate(values.items())
+    ]
+    path = {"time_s": [0.0, 4.0], "positions": [[0.0, 0.0], [1.5707963, 0.0]]}
+    motion = {"arm": "RIGHT-ARM", "command": "C-2", "primitive": "C-2.1@x", "started_ago_s": 1.5, **path}
+
+    found = {fact.key: fact for fact in changing(facts, [motion], 10.0, whole=True)}
+
+    moved = {"RIGHT-ARM.joints", "MACS-NEW.frame", "RIGHT-ARM.motion"}
+    assert {key for key, fact in found.items() if fact.validity is m.Validity.CHANGING} == moved
+    assert found["RIGHT-ARM.motion"].value["positions"] == path["positions"]
+    assert found["RIGHT-ARM.motion"].at_s == 8.5
+    assert stated(found["RIGHT-ARM.motion"]) == "to 90 0 deg in 4.0 s, started 1.5 s ago (C-2.1@x)"
+    assert len(changing(facts[:1], [motion], 10.0, whole=False)) == 1
+    assert changing(facts, [], 10.0, whole=True) == facts

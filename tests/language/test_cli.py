@@ -47,7 +47,8 @@ def test_parse_explains_what_an_item_means_without_its_argument(tmp_path) -> Non
 @pytest.mark.parametrize(
     ("sentence", "words"),
     [
-        ("LOCATE MACS-OLD", "sees MACS-OLD best, of CAMERA-1, CAMERA-2, CAMERA-3"),
+        ("LOCATE MACS-OLD", "the cameras that see MACS-OLD, of CAMERA-1, CAMERA-2, CAMERA-3, CAMERA-4"),
+        ("TRACK MACS-OLD", "the camera that sees MACS-OLD best, of CAMERA-1, CAMERA-2, CAMERA-3, CAMERA-4"),
         ("TRACK SATELLITE VIA CAMERA-3", "VIA CAMERA-3: this camera"),
         ("VERIFY MACS-OLD AT RACK-2 VIA CAMERA-9", "refused; the cameras of cell swapout are"),
         ("LOCATE BAY-2", "has no tags"),

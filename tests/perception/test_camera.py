@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -160,6 +161,36 @@ def test_a_body_that_goes_out_of_sight_ends_the_following(cell, eyes, look) -> N
     assert end.sighting.age_s >= UNSEEN_S
 
 
+def test_a_body_that_is_followed_is_looked_for_where_it_is_expected(cell, eyes, look) -> None:
+    """Windows of a tenth of the picture; the whole picture again when it is not there, and for another look."""
+    camera = Camera("CAMERA-3")
+    camera.accept(look(FACE, camera="CAMERA-3", duration_s=60.0), eyes.now_s)
+    assert camera.windows(eyes.now_s) == {}
+    for n in range(5):
+        scene, _ = at(cell, FACE, [0.0, 0.01 * n, 0.0])
+        eyes.now_s += PERIOD_S
+        camera.take(eyes.picture("CAMERA-3", scene))
+    eyes.now_s += PERIOD_S
+    parts = camera.windows(eyes.now_s)
+    whole = eyes.picture("CAMERA-3", at(cell, FACE, [0.0, 0.05, 0.0])[0])  # it goes on
+    assert {tag.id for tag in cell.tags if tag.body == FACE} == set(parts)
+    assert sum(window.width * window.height for window in parts.values()) < 0.12 * 640 * 480
+    for mark in whole.marks:
+        x, y, width, height = parts[mark.tag]
+        assert np.all(mark.corners >= (x, y))
+        assert np.all(mark.corners <= (x + width, y + height))
+
+    camera.take(whole._replace(image=None, marks=[]))
+    assert camera.windows(eyes.now_s) == {}
+    assert camera.due_s <= eyes.now_s  # at once
+    camera.take(whole)
+    assert camera.tick(eyes.now_s) == []
+    eyes.now_s += PERIOD_S
+    assert camera.windows(eyes.now_s)
+    camera.accept(look("MACS-OLD", id="C-2.1", camera="CAMERA-3"), eyes.now_s)
+    assert camera.windows(eyes.now_s) == {}
+
+
 def refused(camera: Camera, made: p.Primitive) -> str:
     (answer,) = camera.accept(made, 0.0)
     assert answer.reason is StopReason.REFUSED
@@ -209,7 +240,7 @@ def subsystem(cell):
 def test_its_hello_states_that_cameras_are_queues(subsystem) -> None:
     ((_, hello),) = subsystem.hello()
     assert hello.name == "S&P"
-    assert hello.queues == hello.performers == ["CAMERA-1", "CAMERA-2", "CAMERA-3"]
+    assert hello.queues == hello.performers == ["CAMERA-1", "CAMERA-2", "CAMERA-3", "CAMERA-4"]
     assert hello.at_rest
 
 
@@ -243,3 +274,106 @@ def test_its_end_report_is_repeated_until_it_is_acknowledged(subsystem, eyes, lo
     assert again == first
     subsystem.handle(m.ReportAck(primitive=first.primitive), BROKER, eyes.now_s)
     assert subsystem.tick(eyes.now_s + 5 * REPEAT_S) == []
+
+
+# --- several cameras -------------------------------------------------------------------------------------
+
+PAIR = {"camera": "CAMERA-3", "cameras": ["CAMERA-4"]}
+
+
+def noisy(picture, random: np.random.Generator, pixels: float = 0.3):
+    """The same picture with corners that are off by so much (standard deviation)."""
+    moved = [mark._replace(corners=mark.corners + random.normal(0.0, pixels, (4, 2))) for mark in picture.marks]
+    return picture._replace(marks=moved)
+
+
+def located(cell, eyes, made: p.Primitive, scene: SceneView, random: np.random.Generator) -> m.EndReport:
+    subsystem = PerceptionSubsystem([camera.name for camera in cell.cameras])
+    subsystem.handle(m.Execute(primitive=made), BROKER, eyes.now_s)
+    while True:
+        for _, message in subsystem.tick(eyes.now_s):
+            if isinstance(message, m.EndReport):
+                return message
+        eyes.now_s += PERIOD_S
+        while (camera := subsystem.next_camera(eyes.now_s)) is not None:
+            camera.take(noisy(eyes.picture(camera.name, scene), random))
+
+
+def test_two_cameras_measure_the_distance_better_than_one(cell, eyes, look) -> None:
+    """Along the optical axis of the first camera, and in all; the covariance states as much."""
+    random, errors = np.random.default_rng(3), {1: [], 2: []}
+    axis = np.array(cell.camera("CAMERA-3").looks_at) - cell.camera("CAMERA-3").pose[:3]
+    axis /= np.linalg.norm(axis)
+    stated = {}
+    for n in range(40):
+        scene, true = at(cell, FACE, random.uniform(-0.02, 0.02, 3).tolist())
+        for count, cameras in ((1, {"camera": "CAMERA-3"}), (2, PAIR)):
+            seen = located(cell, eyes, look(FACE, id=f"C-{n}.{count}", **cameras), scene, random).sighting
+            errors[count].append((np.array(seen.pose) - true)[:3])
+            covariance = np.array(seen.covariance).reshape(6, 6)[:3, :3]
+            stated[count] = math.sqrt(axis @ covariance @ axis)
+    along = {count: np.std(np.array(one) @ axis) for count, one in errors.items()}
+    whole = {count: np.median(np.linalg.norm(one, axis=1)) for count, one in errors.items()}
+    assert along[2] < 0.8 * along[1]
+    assert whole[2] < 0.8 * whole[1]
+    assert stated[2] < 0.8 * stated[1]
+
+
+def test_a_pair_of_cameras_decides_which_way_a_single_tag_is_tilted(cell, eyes, look) -> None:
+    random, wrong = np.random.default_rng(4), {1: 0, 2: 0}
+    (tag,) = (p.TagGeometry(id=tag.id, size_m=0.03, pose=tag.frame.pose.tolist()) for tag in cell.tags if tag.id == 18)
+    small = [one for one in cell.tags if one.id != 18] + [
+        msgspec.structs.replace(one, size_m=0.03) for one in cell.tags if one.id == 18
+    ]
+    eyes.cell = msgspec.structs.replace(cell, tags=small)
+    for n in range(20):
+        for count, cameras in ((1, {"camera": "CAMERA-3"}), (2, PAIR)):
+            made = look(FACE, id=f"C-{n}.{count}", **cameras)
+            made = msgspec.structs.replace(made, trajectory=msgspec.structs.replace(made.trajectory, tags=[tag]))
+            seen = located(cell, eyes, made, SceneView(), random).sighting
+            wrong[count] += geometry.angle(seen.pose, cell.object_pose(FACE)) > math.radians(10.0)
+    assert wrong[1] > 0
+    assert wrong[2] == 0
+
+
+def test_a_camera_that_does_not_see_the_body_is_left_out(cell, eyes, look) -> None:
+    made = look(camera="CAMERA-1", cameras=["CAMERA-2"], pictures=2)
+    report = located(cell, eyes, made, SceneView(), np.random.default_rng(1))
+    assert report.reason is StopReason.FOUND
+    assert (report.sighting.cameras, report.sighting.pictures) == ([], 2)
+    assert report.duration_s >= UNSEEN_S
+    assert report.message == "CAMERA-2: out of view"
+
+    both = located(cell, eyes, look(FACE, id="C-2.1", **PAIR, pictures=2), SceneView(), np.random.default_rng(1))
+    assert (both.sighting.cameras, both.sighting.pictures) == (["CAMERA-3", "CAMERA-4"], 4)
+
+
+def test_what_no_camera_of_several_sees_is_not_seen(cell, eyes, look) -> None:
+    made = look(camera="CAMERA-1", cameras=["CAMERA-2"])
+    scene, _ = at(cell, MODULE, [0.0, 0.0, 2.0])
+    report = located(cell, eyes, made, scene, np.random.default_rng(1))
+    assert report.reason is StopReason.NOT_SEEN
+    assert "CAMERA-1: something hides it" in report.message
+    assert "CAMERA-2: out of view" in report.message
+
+
+@pytest.mark.parametrize("scope", ["CAMERA-4", "C-1"])
+def test_a_halt_of_one_of_several_cameras_stops_their_look(subsystem, look, scope) -> None:
+    subsystem.handle(m.Execute(primitive=look(FACE, **PAIR)), BROKER, 1.0)
+    assert subsystem.outstanding == ["C-1.1"]
+    out = subsystem.handle(m.HaltOrder(halt="H-1", scope=scope), BROKER, 2.0) + subsystem.tick(2.001)
+    report, started, rest = [message for _, message in out]
+    assert (report.performer, report.reason) == ("CAMERA-3", StopReason.HALT)
+    assert "CAMERA-4" in started.moving
+    assert rest.at_rest
+    assert subsystem.idle
+
+
+@pytest.mark.parametrize(
+    ("how", "words"), [({"cameras": ["CAMERA-9"]}, "no CAMERA-9"), (PAIR | {"duration_s": 5.0}, "only one camera")]
+)
+def test_what_several_cameras_cannot_do_is_refused(subsystem, look, how, words) -> None:
+    ((_, report),) = subsystem.handle(m.Execute(primitive=look(FACE, **how)), BROKER, 1.0)
+    assert report.reason is StopReason.REFUSED
+    assert words in report.message
+    assert subsystem.idle

@@ -195,6 +195,28 @@ def test_a_displaced_object_returns_unless_it_was_moved_since(exact) -> None:
     assert exact.faults.active == []
 
 
+def test_a_drifting_object_turns_and_moves_steadily_until_it_is_held_or_this_is_undone(exact) -> None:
+    before = exact.world.truth()["poses"]["SATELLITE"]
+    fault = f.Drifting(object="SATELLITE", velocity=[0.0, 0.01, 0.0, 0.1, 0.0, 0.0])
+    assert exact.faults.inject(fault) == ""
+    for _ in range(1000):
+        exact.faults.advance()
+    after = exact.world.truth()["poses"]["SATELLITE"]
+    assert geometry.relative(before, after)[:3] == pytest.approx([0.0, 0.01, 0.0], abs=1e-6)
+    assert geometry.rotation_vector(before, after) == pytest.approx([0.1, 0.0, 0.0], abs=1e-6)
+    assert exact.faults.active == ["drift SATELLITE with 0, 0.01, 0 m/s, 0.1, 0, 0 rad/s"]
+    assert exact.faults.undo("ALL") == ("", "")
+    exact.faults.advance()
+    assert exact.world.truth()["poses"]["SATELLITE"] == after
+
+    exact.grip()
+    held = exact.world.truth()["poses"][MODULE]
+    exact.faults.inject(f.Drifting(object=MODULE, velocity=[0.1] * 6))
+    for _ in range(100):
+        exact.faults.advance()
+    assert exact.world.truth()["poses"][MODULE] == held
+
+
 def test_what_is_held_is_not_displaced(exact) -> None:
     exact.grip()
     assert exact.faults.inject(f.Displaced(object=MODULE, offset=[0.1] + [0.0] * 5)) == "MACS-NEW is held by RIGHT-ARM"
@@ -213,6 +235,8 @@ def test_a_fault_of_the_same_name_replaces_the_first(exact) -> None:
 @pytest.mark.parametrize(
     ("fault", "word"),
     [
+        (f.Drifting(object="SATELLIT", velocity=[0.0] * 6), "unknown object SATELLIT"),
+        (f.Drifting(object="SATELLITE", velocity=[0.0] * 5 + [np.inf]), "six finite numbers"),
         (f.StuckJoint(arm="NO-ARM", joint="joint_1"), "unknown arm NO-ARM"),
         (f.StuckJoint(arm=ARM, joint="joint_9"), "unknown joint of RIGHT-ARM joint_9"),
         (f.Displaced(object="NOTHING", offset=[0.0] * 6), "unknown object NOTHING"),

@@ -83,7 +83,11 @@ class Reporter:
         arm, trajectory = made.performer, made.trajectory
         reason, pressed = self.instead.get(made.id, StopReason.GOAL), 0.0
         if reason is StopReason.GOAL and isinstance(trajectory, JointTrajectory):
+            before = MODEL.arms[arm].fk(self.joints[arm])
             reason = self._move(arm, trajectory, made, bound)
+            if held := bound.evaluation.held:
+                in_hand = geometry.relative(before, self.poses[held])
+                self.poses[held] = geometry.compose(MODEL.arms[arm].fk(self.joints[arm]), in_hand)
         elif reason is StopReason.GOAL and isinstance(trajectory, HandMotion):
             pressed = self._hand(arm, trajectory, bound)
         else:

@@ -12,13 +12,15 @@ import numpy as np
 
 from rtc.cells.cell import Cell
 from rtc.cells.scene import SceneView
-from rtc.perception.camera import Camera, Evaluated
-from rtc.protocol.messages import EndReport
+from rtc.perception.look_task import Evaluated
+from rtc.perception.subsystem import PerceptionSubsystem
+from rtc.protocol.messages import EndReport, Execute
 from rtc.protocol.primitive import Primitive
 from rtc.robot import geometry
 from rtc.sensing import optics
 from rtc.sensing.detector import Mark
 from rtc.sensing.locate import corners
+from rtc.subsystem.subsystem import BROKER
 
 GREY = np.full((480, 640, 3), 128, np.uint8)
 PERIOD_S = 0.1  # between two pictures
@@ -32,14 +34,15 @@ class Ideal:
 
     def perform(self, made: Primitive, scene: SceneView) -> EndReport:
         """Pictures of this scene until the look ends."""
-        camera = Camera(made.performer)
-        camera.accept(made, self.now_s)
+        cameras = PerceptionSubsystem(made.performers)
+        cameras.handle(Execute(primitive=made), BROKER, self.now_s)
         while True:
-            for message in camera.tick(self.now_s):
+            for _, message in cameras.tick(self.now_s):
                 if isinstance(message, EndReport):
                     return message
             self.now_s += PERIOD_S
-            camera.take(self.picture(made.performer, scene))
+            for camera in cameras.performers.values():
+                camera.take(self.picture(camera.name, scene))
 
     def picture(self, name: str, scene: SceneView) -> Evaluated:
         camera = self.cell.camera(name)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
-from rtc.protocol.messages import Validity
+from rtc.protocol.messages import Validity, WorldChange
 from rtc.protocol.outcomes import RefusalReason, StopReason
 from rtc.robot import geometry
+from rtc.world.spread import even
+from tests.workers.conftest import CELL
 
 MODULE, OTHER = "MACS-NEW", "MACS-OLD"
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
@@ -42,6 +45,20 @@ def test_a_primitive_for_a_camera_has_tags_and_no_names(bench) -> None:
     assert made.performer == "CAMERA-1"
     assert [tag.id for tag in made.trajectory.tags] == list(range(8))
     assert MODULE not in repr(made)
+
+
+def test_all_cameras_that_see_a_body_at_rest_locate_it_together_unless_one_is_named(bench) -> None:
+    run = bench.do("LOCATE SATELLITE")
+    assert run.succeeded
+    assert run.script.resources == ["CAMERA-3", "SATELLITE", "CAMERA-4"]
+    (made,) = run.primitives
+    assert made.performers == ["CAMERA-3", "CAMERA-4"]
+    assert run.reports[0].sighting.cameras == ["CAMERA-3", "CAMERA-4"]
+    evidence = bench.world.value("SATELLITE.sighting")
+    assert (evidence["cameras"], evidence["tags"]) == (["CAMERA-3", "CAMERA-4"], [18, 19, 20, 21])
+    for sentence in ("LOCATE SATELLITE VIA CAMERA-4", "TRACK SATELLITE FOR 1 SEC"):
+        (made,) = bench.do(sentence).primitives
+        assert len(made.performers) == 1
 
 
 @pytest.mark.parametrize(
@@ -179,6 +196,93 @@ def test_a_doubtful_pose_that_a_camera_does_not_find_stops_the_command_before_th
 def holding(bench):
     assert bench.do(GRASP).succeeded
     return bench
+
+
+def lifted(bench, slip=(0.0, 0.0, 0.004)):
+    """Lifted, slipped in the hand, and in doubt."""
+    assert bench.do(f"LIFT {MODULE} BY 15 CM").succeeded
+    bench.subsystem.displace(MODULE, list(slip))
+    bench.set_fact(f"{MODULE}.grasp", bench.world.value(f"{MODULE}.grasp"), Validity.SUSPECT)
+
+
+def assert_in_rack(bench) -> None:
+    """Truly in its slot; along the way out the simple arm of these tests goes as far as it is commanded."""
+    seat = CELL.seat("RACK-1")
+    place = geometry.compose(seat.frame.pose, seat.module_frame.pose)
+    out = geometry.rotate(seat.frame.pose, seat.way_out)
+    off = bench.subsystem.poses[MODULE][:3] - place[:3]
+    assert abs(off @ out) < 0.01
+    assert np.linalg.norm(off - (off @ out) * out) < 1e-4
+    assert geometry.angle(bench.subsystem.poses[MODULE], place) < 1e-4
+
+
+def test_a_doubtful_grasp_is_sensed_before_the_arm_moves(holding) -> None:
+    lifted(holding)
+    run = holding.do("MOVE RIGHT-ARM BY 5 CM ALONG UP")
+    assert run.succeeded
+    assert run.labels[0] == f"look for {MODULE} with CAMERA-1"
+    true = geometry.relative(run_tcp(holding), holding.subsystem.poses[MODULE])
+    grasp = holding.world.get(f"{MODULE}.grasp")
+    assert grasp.validity is Validity.VALID
+    assert geometry.distance(grasp.value, true) < 1e-6
+
+
+def test_an_object_that_has_slipped_is_placed_as_it_lies_in_the_hand(holding) -> None:
+    """The plan was made for the believed grasp; it is restated for the one that the camera has seen."""
+    lifted(holding)
+    run = holding.do(f"PLACE {MODULE} ON RACK-1")
+    assert run.succeeded, run.failure
+    assert run.labels[:2] == [f"look for {MODULE} with CAMERA-1", "restate the plan"]
+    assert not run.trims
+    assert_in_rack(holding)
+
+
+def test_a_grasp_that_is_too_uncertain_is_sensed_first(holding) -> None:
+    assert holding.do(f"LIFT {MODULE} BY 15 CM").succeeded
+    wide = WorldChange(key=f"{MODULE}.grasp", keep_value=True, spread=even(0.02, 0.1))
+    holding.world = holding.world.overlay([wide])
+    run = holding.do(f"PLACE {MODULE} ON RACK-1")
+    assert run.succeeded, run.failure
+    assert run.labels[0] == f"look for {MODULE} with CAMERA-1"
+
+
+def test_an_object_that_was_lost_stops_the_command_before_the_arm_moves(holding) -> None:
+    lifted(holding, slip=(0.1, 0.0, 0.0))
+    run = holding.do(f"PLACE {MODULE} ON RACK-1")
+    assert run.failure.reason is StopReason.OBJECT_LOST
+    assert [made.performer for made in run.primitives] == ["CAMERA-1"]
+    assert run.failure.clears == f"GRASP {MODULE}"
+    assert holding.world.value("RIGHT-ARM.holding") == ""
+    assert geometry.distance(frame(holding, MODULE).value, holding.subsystem.poses[MODULE]) < 1e-6
+
+
+def test_a_doubtful_seat_is_sensed_before_an_object_is_placed_in_it(holding) -> None:
+    assert holding.do(f"LIFT {MODULE} BY 15 CM").succeeded
+    rack = CELL.seat("RACK-1").frame.pose
+    holding.set_fact("RACK-1.frame", geometry.translate(rack, [0.01, 0.005, 0.0]).tolist(), Validity.SUSPECT)
+    run = holding.do(f"PLACE {MODULE} ON RACK-1")
+    assert run.succeeded, run.failure
+    assert run.labels[0] == "look for RACK-1 with CAMERA-1"
+    assert frame(holding, "RACK-1").validity is Validity.VALID
+    assert_in_rack(holding)
+
+
+@pytest.mark.parametrize(
+    ("fact", "cure"), [(f"{MODULE}.grasp", f"VERIFY {MODULE} AT RIGHT-ARM"), ("BAY-2.frame", "SET BAY-2 FRAME")]
+)
+def test_what_is_in_doubt_and_out_of_sight_is_refused_with_what_would_clear_it(bench, fact, cure) -> None:
+    """The bay has no tags; the module is not in any picture."""
+    if fact.startswith(MODULE):
+        bench.without_cameras()
+    assert bench.do(GRASP).succeeded
+    assert bench.do(f"LIFT {MODULE} BY 15 CM").succeeded
+    value = bench.world.value(fact) or CELL.seat("BAY-2").frame.pose.tolist()
+    bench.set_fact(fact, value, Validity.SUSPECT)
+    run = bench.do(f"PLACE {MODULE} ON BAY-2")
+    assert run.refusal.reason is RefusalReason.SUSPECT
+    assert run.refusal.where == fact
+    assert cure in run.refusal.clears
+    assert not run.primitives
 
 
 def test_a_camera_measures_how_a_held_object_lies_in_the_hand(holding) -> None:

@@ -72,7 +72,7 @@ def run(
         known = ", ".join(compiled.outcomes)
         message = f"the analyzer has no row {row}; there are {known}"
         return Refusal(reason=RefusalReason.PROGRAM, message=message, where=row, clears="LOAD a program that has it")
-    wrong = _wrong(compiled, data)
+    wrong = _wrong(compiled, data) or ("dropped" if _dropped(query, data) else "")
     reason = compiled.derived.get(row, {}).get(wrong, data.report.reason)
     if not wrong and data.report.reason in evaluation.step.expect:
         return _success(compiled, query, data)
@@ -103,6 +103,14 @@ def _wrong(program: AnalyzerProgram, data: AnalyzerInput) -> str:
         if _off_m(data) > program.values["position_m"] or turned > program.values["angle_rad"]:
             return "off_goal"
     return ""
+
+
+def _dropped(query: WorldQuery, data: AnalyzerInput) -> bool:
+    """Whether a camera has found the object that the arm of this command should hold elsewhere."""
+    evaluation, holder = data.evaluation, data.evaluation.context.arm
+    if evaluation.step.args.get("effect") != SEEN or data.report.sighting is None or not holder:
+        return False
+    return query.held_by(evaluation.body) == holder and not sighting.is_in_hand(query, holder, data)
 
 
 def _is_displaced(data: AnalyzerInput) -> bool:

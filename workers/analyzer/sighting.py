@@ -7,6 +7,7 @@ Figures are args of the step: `seen_m` and `seen_rad`, the accuracy of cameras a
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -36,12 +37,36 @@ def sighted(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Chang
     if _moves(sighting) or sighting.age_s > OLD_S:
         validity = Validity.SUSPECT
     frame, spread = geometry.normalise(sighting.pose), spread_of(sighting, data)
-    change = WorldChange(key=f"{body}.frame", value=frame.tolist(), validity=validity, spread=spread)
+    changes = [
+        WorldChange(key=f"{body}.frame", value=frame.tolist(), validity=validity, spread=spread),
+        WorldChange(key=f"{body}.sighting", value=_evidence(sighting, data.report.performer)),
+    ]
     if any(seat.name == body for seat in query.cell.seats):
-        return [change, *_content(query, body, frame, spread, validity)]
+        return [*changes, *_content(query, body, frame, spread, validity)]
     if query.held_by(body):
-        return [change, *_in_hand(query, body, frame, spread, validity)]
-    return [change, *_seated(query, data, frame, spread, validity)]
+        return [*changes, *_in_hand(query, body, frame, spread, validity)]
+    return [*changes, *_seated(query, data, frame, spread, validity)]
+
+
+def _evidence(sighting: Sighting, camera: str) -> dict[str, Any]:
+    """What the pose of a body is based on, as a fact for people: nothing plans with it."""
+    metres, radians = deviations(sighting)
+    return {
+        "cameras": sighting.cameras or [camera],
+        "tags": sighting.tags,
+        "pictures": sighting.pictures,
+        "error_px": sighting.error_px,
+        "deviation_m": metres,
+        "deviation_rad": radians,
+        "age_s": sighting.age_s,  # at the report
+        "ambiguous": sighting.ambiguous,
+    }
+
+
+def deviations(sighting: Sighting) -> tuple[float, float]:
+    """The largest standard deviation of its position along a world axis (m), and of its attitude about one (rad)."""
+    variances = [max(0.0, sighting.covariance[7 * n]) for n in range(6)]
+    return math.sqrt(max(variances[:3])), math.sqrt(max(variances[3:]))
 
 
 def spread_of(sighting: Sighting, data: AnalyzerInput) -> list[float]:
@@ -75,12 +100,22 @@ def _content(query: WorldQuery, seat: str, frame: Array, spread: list[float], va
     return changes
 
 
+def is_in_hand(query: WorldQuery, arm: str, data: AnalyzerInput) -> bool:
+    """Whether the body is between the fingers of the arm, as the camera has seen it."""
+    assert data.report.sighting is not None
+    return _is_at(query, query.tcp(arm), data.evaluation.body, geometry.normalise(data.report.sighting.pose))
+
+
+def _is_at(query: WorldQuery, tcp: Array, thing: str, frame: Array) -> bool:
+    points = [geometry.compose(frame, point.frame.pose) for point in query.cell.object(thing).grasp_points]
+    return min((geometry.distance(tcp, point) for point in points), default=math.inf) <= IN_HAND_M
+
+
 def _in_hand(query: WorldQuery, thing: str, frame: Array, spread: list[float], validity: Validity) -> Changes:
     """A held object: its pose in the hand. One that is far from the fingers is not held any more."""
     arm = query.held_by(thing)
     tcp = query.tcp(arm)
-    points = [geometry.compose(frame, point.frame.pose) for point in query.cell.object(thing).grasp_points]
-    if min((geometry.distance(tcp, point) for point in points), default=math.inf) > IN_HAND_M:
+    if not _is_at(query, tcp, thing, frame):
         return [
             WorldChange(key=f"{arm}.holding", value=""),
             WorldChange(key=f"{thing}.held_by", value=""),
@@ -127,5 +162,9 @@ def in_words(query: WorldQuery, data: AnalyzerInput) -> str:
         1e3 * geometry.distance(sighting.pose, before),
         math.degrees(geometry.angle(sighting.pose, before)),
     )
-    words = f"{off_mm:.1f} mm and {turned_deg:.1f} deg from where it was believed to be; {len(sighting.tags)} tags"
-    return words + (", ambiguous attitude" if sighting.ambiguous else "")
+    metres, radians = deviations(sighting)
+    cameras = f" of {' and '.join(sighting.cameras)}" if sighting.cameras else ""
+    words = f"{off_mm:.1f} mm and {turned_deg:.1f} deg from where it was believed to be; "
+    words += f"+- {1e3 * metres:.1f} mm, {math.degrees(radians):.2f} deg by tags "
+    words += f"{', '.join(map(str, sighting.tags))}{cameras}, {sighting.error_px:.2f} px off, "
+    return words + f"{1e3 * sighting.age_s:.0f} ms old" + (", ambiguous attitude" if sighting.ambiguous else "")

@@ -279,19 +279,20 @@ def _curve_of(task: BindTask, start: list[float], axis: str) -> Target | Refusal
 
 
 def world_pose(task: BindTask, binding: Binding, name: str) -> list[float] | Refusal:
-    """A pose binding in the world frame. Refuses a binding relative to an object whose frame is not trusted (R151)."""
+    """A pose binding in the world frame. Refuses a binding relative to a body whose frame is not trusted (R151)."""
     if binding.pose is None:
         return refused_program(f"{name} is not a pose", "bind a pose or joint values to it")
-    if binding.frame is None:
-        return binding.pose
-    if binding.frame not in {thing.name for thing in task.query.cell.objects}:
-        return suggestions.unknown("object", binding.frame, [t.name for t in task.query.cell.objects])
-    command = command_of(task.data.primitive_id)
-    distrusted = task.query.distrusted(f"{binding.frame}.frame", task.program.clears, own=command)
-    if distrusted is not None:
-        return distrusted
-    pose: list[float] = geometry.compose(task.query.frame(binding.frame), binding.pose).tolist()
-    return pose
+    query = task.query
+    if binding.frame is not None:
+        known = [one.name for bodies in (query.cell.objects, query.cell.seats) for one in bodies]
+        if binding.frame not in known:
+            return suggestions.unknown("object or seat", binding.frame, known)
+        command = command_of(task.data.primitive_id)
+        distrusted = query.distrusted(f"{binding.frame}.frame", task.program.clears, own=command)
+        if distrusted is not None:
+            return distrusted
+    pose = replan.restated(query, task.arm, binding)
+    return pose if isinstance(pose, Refusal) else pose.tolist()
 
 
 def against_motion(start: list[float], motion: Motion) -> Vector | None:

@@ -6,7 +6,7 @@ The primitive contains no name of the body (R15); the analyzer has it from the e
 from __future__ import annotations
 
 from rtc.programs.schema import StopClass
-from rtc.protocol.messages import BinderInput, BoundStep, EvaluationContext
+from rtc.protocol.messages import BinderInput, BoundStep, EvaluationContext, Step
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Look, Primitive, Reporting, TagGeometry
 from workers.binder import stop_conditions
@@ -15,15 +15,23 @@ from workers.planning import sight, suggestions
 from workers.planning.world_query import WorldQuery
 
 SUBSYSTEM = "S&P"
-CAMERA = "camera"  # performer of the steps of a script that look
+CAMERA = "camera"  # performer of the steps of a script that look, and the arg with its name
+FURTHER = "further"  # arg of such a step: other cameras
+
+
+def cameras_of(step: Step) -> list[str]:
+    """The cameras of a step that looks, the one that reports first."""
+    return [*str(step.args.get(CAMERA, "")).split(), *str(step.args.get(FURTHER, "")).split()]
 
 
 def bind(query: WorldQuery, data: BinderInput, stop_class: StopClass, values: Values) -> BoundStep | Refusal:
-    """Args of the step: `camera`, `body`; `pictures`, or `duration_s` to follow the body every `every_s`."""
+    """Args of the step: `camera`, `body`; `pictures`, or `duration_s` to follow the body every `every_s`; `further`:
+    other cameras, with blanks between."""
     args, context = data.step.args, data.context
-    camera, body = str(args.get("camera", "")), str(args.get("body", ""))
-    if camera not in {one.name for one in query.cell.cameras}:
-        return suggestions.unknown("camera", camera, [one.name for one in query.cell.cameras])
+    cameras, body = cameras_of(data.step), str(args.get("body", ""))
+    known = [one.name for one in query.cell.cameras]
+    if unknown := [name for name in cameras if name not in known] or ([""] if not cameras else []):
+        return suggestions.unknown("camera", unknown[0], known)
     tags = sight.tags(query.cell, body)
     if not tags:
         return Refusal(
@@ -33,7 +41,7 @@ def bind(query: WorldQuery, data: BinderInput, stop_class: StopClass, values: Va
         )
     follows = "duration_s" in values
     picture_s = values["picture_s"]
-    predicted_s = values["duration_s"] if follows else values["pictures"] * picture_s
+    predicted_s = values["duration_s"] if follows else values["pictures"] * picture_s * len(cameras)
     limit_s = values["time_factor"] * predicted_s + values["time_margin_s"]
     if context.limits.time_s is not None:
         limit_s = min(limit_s, context.limits.time_s)
@@ -43,11 +51,12 @@ def bind(query: WorldQuery, data: BinderInput, stop_class: StopClass, values: Va
         pictures=1 if follows else round(values["pictures"]),
         duration_s=values["duration_s"] if follows else None,
         every_s=values["every_s"],
+        cameras=cameras[1:],
     )
     every_s = args.get("report_every_s")
     made = Primitive(
         id=data.primitive_id,
-        performer=camera,
+        performer=cameras[0],
         trajectory=look,
         stop_functions=stop_conditions.stop_functions(
             stop_class.stops, {**values, "time_limit_s": limit_s}, None, [], stop_conditions.Line(None, None)

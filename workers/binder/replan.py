@@ -1,12 +1,14 @@
-"""Replanning at execution time: joint values for objects that have moved since planning. Pure."""
+"""Replanning at execution time: poses and joint values for what has moved since planning, in the world or in the hand.
+Pure."""
 
 from __future__ import annotations
 
 import math
 
 from rtc.protocol.messages import Binding
-from rtc.protocol.outcomes import Refusal
+from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import geometry
+from rtc.robot.geometry import Array
 from workers.elaborator.backtrack import PLAN
 from workers.planning.world_query import WorldQuery
 
@@ -14,8 +16,25 @@ MOVED_M = 0.0005  # smaller displacements need no replanning
 MOVED_RAD = math.radians(0.2)
 
 
+def restated(query: WorldQuery, arm: str, binding: Binding) -> Array | Refusal:
+    """The tcp pose of a pose binding now, world frame. With an object that lies otherwise in the hand than planned, the
+    tcp goes where the object comes to the planned place."""
+    assert binding.pose is not None
+    pose = geometry.compose(query.pose(binding.frame) if binding.frame else geometry.IDENTITY, binding.pose)
+    if binding.grasp is None:
+        return pose
+    held = query.holding(arm)
+    grasp = query.grasp(held) if held else None
+    if grasp is None:
+        message = f"{arm} does not hold the object any more"
+        return Refusal(reason=RefusalReason.STATE, message=message, clears="take it again")
+    if geometry.distance(grasp, binding.grasp) < MOVED_M and geometry.angle(grasp, binding.grasp) < MOVED_RAD:
+        return pose
+    return geometry.compose(geometry.compose(pose, binding.grasp), geometry.inverse(grasp))
+
+
 def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[str, Binding] | Refusal:
-    """Joint values (rad), nearest to the old ones, for each planned pose whose object has moved; or a refusal."""
+    """Joint values (rad), nearest to the old ones, for each planned pose that is elsewhere now; or a refusal."""
     model = query.model.arms[arm]
     margin_rad = math.radians(query.cell.numbers.joint_margin_deg)
     replanned: dict[str, Binding] = {}
@@ -23,8 +42,9 @@ def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[st
         old = bindings.get(name.removesuffix(PLAN))
         if not name.endswith(PLAN) or planned.pose is None or old is None or old.joints is None:
             continue
-        frame = query.frame(planned.frame) if planned.frame else geometry.IDENTITY
-        wanted = geometry.compose(frame, planned.pose)
+        wanted = restated(query, arm, planned)
+        if isinstance(wanted, Refusal):
+            return wanted
         was = model.fk(old.joints)
         if geometry.distance(wanted, was) < MOVED_M and geometry.angle(wanted, was) < MOVED_RAD:
             continue

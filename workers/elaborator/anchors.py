@@ -20,11 +20,14 @@ ALONG_BAR = (1.0, 0.0, 0.0)  # tool x
 
 @dataclass(frozen=True)
 class Anchor:
-    """Joint values (rad), or a tcp pose in `frame` (an object; None = world). `relies_on`: keys of the facts used."""
+    """Joint values (rad), or a tcp pose in `frame` (an object or seat; None = world). `grasp`: pose of the held object
+    in the hand that it was made for; with another one the tcp must go elsewhere. `relies_on`: keys of the facts used.
+    """
 
     joints: list[float] | None = None
     pose: list[float] | None = None
     frame: str | None = None
+    grasp: list[float] | None = None
     relies_on: tuple[str, ...] = ()
 
 
@@ -58,9 +61,13 @@ def seat(candidate: TaskCandidate) -> Anchor | Refusal:
         return _state(
             f"how {candidate.arm.name} holds {candidate.thing.name} is not known", "let go of it, and take it again"
         )
-    seated = candidate.query.seated_pose(candidate.target.name)
-    pose = geometry.compose(seated, geometry.inverse(grasp)).tolist()
-    return Anchor(pose=pose, relies_on=(f"{candidate.thing.name}.grasp", f"{candidate.target.name}.frame"))
+    pose = geometry.compose(candidate.target.module_frame.pose, geometry.inverse(grasp)).tolist()
+    return Anchor(
+        pose=pose,
+        frame=candidate.target.name,
+        grasp=grasp.tolist(),
+        relies_on=(f"{candidate.thing.name}.grasp", f"{candidate.target.name}.frame"),
+    )
 
 
 def hinge(candidate: TaskCandidate) -> Anchor | Refusal:

@@ -33,7 +33,7 @@ from workers.planning.motion.timing import Pace
 from workers.planning.segments import Target
 
 MOST_DETOURED = 3  # maximum number of inverse solutions to which ways round are searched
-FRAME = "frame"  # attribute of a pose that cameras sense
+FRAME, GRASP = "frame", "grasp"  # attributes that cameras sense
 PLAN = "/plan"  # suffix: NAME/plan is the pose from which the joint values NAME were solved, for `replan`
 
 
@@ -61,7 +61,7 @@ def plan(script: ScriptFile, candidate: TaskCandidate) -> Planned | Refusal:
     doubtful: list[str] = []
     for key in relies_on:
         distrusted = candidate.query.distrusted(key, candidate.program.clears)
-        if distrusted is not None and not _can_be_seen(key, candidate):
+        if distrusted is not None and not can_be_seen(key, candidate):
             return distrusted
         if distrusted is not None:
             doubtful.append(location(key))
@@ -73,14 +73,14 @@ def plan(script: ScriptFile, candidate: TaskCandidate) -> Planned | Refusal:
     return Planned(_bindings(lines, joints), relies_on, notes, chosen, ways, doubtful)
 
 
-def _can_be_seen(key: str, candidate: TaskCandidate) -> bool:
-    """Whether a camera can sense this fact before the script begins (R151): the pose of a free object.
-
-    Poses in its axes are restated after the look. Those that depend on a seat or a grasp are fixed in the plan."""
-    body = location(key)
-    free = any(thing.name == body for thing in candidate.query.cell.objects) and not candidate.query.held_by(body)
-    senses = FRAME in candidate.program.senses and key == f"{body}.{FRAME}"
-    return senses and free and bool(candidate.query.cameras(body))
+def can_be_seen(key: str, candidate: TaskCandidate) -> bool:
+    """Whether a camera can sense this fact before the script begins (R151): the pose of a free object or of a seat, or
+    how the arm holds an object. The poses of the plan that depend on it are restated after the look."""
+    body, _, attribute = key.rpartition(".")
+    holder = candidate.query.held_by(body)
+    senses = attribute in (FRAME, GRASP) and attribute in candidate.program.senses
+    fits = holder == (candidate.arm.name if attribute == GRASP else "")
+    return senses and fits and bool(candidate.query.cameras(body))
 
 
 # --- the poses, backwards from the goal ------------------------------------------------------------------
@@ -116,7 +116,7 @@ def _moved(anchor: Anchor, line: PlanLine, candidate: TaskCandidate) -> Anchor |
     except expressions.ExpressionError as error:
         return _program(f"{line.by}, {line.turn_rad}: {error}")
     pose = anchor.pose or candidate.query.model.arms[candidate.arm.name].fk(anchor.joints or ()).tolist()
-    frame = candidate.query.frame(anchor.frame) if anchor.frame else geometry.IDENTITY
+    frame = candidate.query.pose(anchor.frame) if anchor.frame else geometry.IDENTITY
     world = geometry.compose(frame, pose)
     if line.along == "WAY-OUT":
         if candidate.target is None:
@@ -133,7 +133,8 @@ def _moved(anchor: Anchor, line: PlanLine, candidate: TaskCandidate) -> Anchor |
 def _bindings(lines: dict[str, Anchor], joints: dict[str, list[float]]) -> dict[str, Binding]:
     bindings: dict[str, Binding] = {}
     for name, anchor in lines.items():
-        pose = Binding(pose=anchor.pose, frame=anchor.frame) if anchor.pose is not None else None
+        made = Binding(pose=anchor.pose, frame=anchor.frame, grasp=anchor.grasp)
+        pose = made if anchor.pose is not None else None
         if name in joints:
             bindings[name] = Binding(joints=joints[name])
             if pose is not None and anchor.frame:
@@ -241,7 +242,7 @@ def _branches(
 
 def _world(candidate: TaskCandidate, anchor: Anchor) -> list[float]:
     assert anchor.pose is not None
-    frame = candidate.query.frame(anchor.frame) if anchor.frame else geometry.IDENTITY
+    frame = candidate.query.pose(anchor.frame) if anchor.frame else geometry.IDENTITY
     return geometry.compose(frame, anchor.pose).tolist()
 
 

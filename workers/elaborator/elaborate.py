@@ -26,8 +26,9 @@ from rtc.protocol.primitive_id import seed_of
 from rtc.robot import geometry
 from rtc.world.model import World
 from workers.binder import reflexes
+from workers.binder.look import FURTHER, cameras_of
 from workers.elaborator import anchors, command_fields, hinged, look, make_way, preconditions, set_fact, two_hands
-from workers.elaborator.backtrack import FRAME, Planned, plan
+from workers.elaborator.backtrack import FRAME, GRASP, Planned, can_be_seen, plan
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import certainty, suggestions
 from workers.planning.robot_models import CellModel
@@ -38,6 +39,7 @@ NEEDS_WORLD = True
 NEEDS_CELL = True
 
 CAMERA = "camera"  # performer of steps that look
+MOST_FURTHER = 3  # maximum number of cameras beside the best one
 FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
 
 
@@ -321,7 +323,9 @@ def _script(
         problem = problem or preconditions.refuse_if_unmet(need, candidate)
     if problem is None and (place := candidate.parsed.place) is not None and place.name:
         problem = anchors.refuse_unknown_place(candidate.query.cell, place.name)  # a wrong name before doubtful facts
-    problem = problem or (_unsure_grasp(script, candidate) if candidate.hand else None)
+    unsure = _unsure_grasp(script, candidate) if candidate.hand else None
+    if unsure is not None and not can_be_seen(unsure.where, candidate):
+        problem = problem or unsure
     problem = problem or (hinged.refuse_other_motion(script, candidate) if candidate.hand else None)
     problem = problem or hinged.refuse_turn_of_hand(script, candidate) or hinged.refuse_beyond_stops(script, candidate)
     problem = problem or (two_hands.refuse_moving_alone(script, candidate) if candidate.hand else None)
@@ -338,15 +342,17 @@ def _script(
         nominal = [_step(step, candidate, entries, nominal=True) for step in script.steps]
         for index, way in planned.ways.items():
             nominal[index] = msgspec.structs.replace(nominal[index], way=way)
-        steps = [*_sensed_first(compiled, candidate, planned.doubtful), *nominal]
+        lacks = _refuse_if_uncertain(nominal, candidate) if candidate.hand else None
+        if lacks is not None and not can_be_seen(lacks.where, candidate):
+            return lacks
+        held = candidate.query.holding(candidate.arm.name) if candidate.hand else ""
+        in_hand = [held] if lacks is not None or unsure is not None else []
+        doubtful = list(dict.fromkeys([*in_hand, *planned.doubtful]))
+        steps = [*_sensed_first(compiled, candidate, doubtful), *nominal]
     except expressions.ExpressionError as error:
         return Refusal(reason=RefusalReason.PROGRAM, message=f"{script.script}: {error}", where=script.script)
-    lacks = _refuse_if_uncertain(steps, candidate) if candidate.hand else None
-    if lacks is not None:
-        return lacks
-    held = candidate.query.holding(candidate.arm.name) if candidate.hand else ""
     looking = [*steps, *(step for entry in entries for step in entry.steps)]
-    cameras = [str(step.args["camera"]) for step in looking if step.who == CAMERA]
+    cameras = [name for step in looking if step.who == CAMERA for name in cameras_of(step)]
     case = script.case if script.case >= FIRST_SKILL else 1 if len(options) == 1 and not planned.chosen else 2
     return Script(
         context=_context(option, candidate, entries),
@@ -355,9 +361,7 @@ def _script(
         trims=entries,
         bindings=planned.bindings,
         resources=list(dict.fromkeys([*_names(script.resources, candidate, held), *cameras])),
-        writes=list(
-            dict.fromkeys([*_names(script.writes, candidate, held), *_with_seats(candidate, planned.doubtful)])
-        ),
+        writes=list(dict.fromkeys([*_names(script.writes, candidate, held), *_with_seats(candidate, doubtful)])),
         reads=[key.rpartition(".")[0] for key in planned.relies_on],
         candidates=[option.name, *(c.name for c in options if c is not option)],
         notes=[*notes, *(f"{option.name}: {note}" for note in planned.notes), *left_out],
@@ -409,8 +413,10 @@ def _names(roles: list[str], candidate: TaskCandidate, held: str) -> list[str]:
 
 
 def _with_seats(candidate: TaskCandidate, doubtful: list[str]) -> list[str]:
-    """These objects, and the seats that they are in."""
-    return [name for body in doubtful for name in (body, candidate.query.seat(body)) if name]
+    """These objects with the seats that they are in, and these seats with what is in them."""
+    query = candidate.query
+    inside = [thing.name for thing in query.cell.objects if query.seat(thing.name) in doubtful]
+    return [name for body in doubtful for name in (body, query.seat(body)) if name] + inside
 
 
 def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nominal: bool, body: str = "") -> Step:
@@ -426,11 +432,14 @@ def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nomin
         figures["report_every_s"] = report.every_s
     words = {name: candidate.fill_in(word) for name, word in step.words.items()}
     camera, body = _camera_for(step, candidate, body), body or candidate.body
+    further = _further_cameras(step, candidate, body, camera) if camera is not None else []
     if camera is not None:
         figures |= {"camera": camera.name, "body": body}
+        figures |= {FURTHER: " ".join(further)} if further else {}
+    in_words = " and ".join([camera.name, *further]) if camera is not None else ""
     return Step(
         do=step.do,
-        label=candidate.fill_in(step.label.replace("{body}", body).replace("{camera}", camera.name if camera else "")),
+        label=candidate.fill_in(step.label.replace("{body}", body).replace("{camera}", in_words)),
         name=step.name,
         who=step.who,
         to=step.to,
@@ -451,16 +460,26 @@ def _camera_for(step: ScriptStep, candidate: TaskCandidate, body: str) -> parts.
     return candidate.camera if body in ("", candidate.body) else candidate.query.cameras(body)[0]
 
 
+def _further_cameras(step: ScriptStep, candidate: TaskCandidate, body: str, camera: parts.Camera) -> list[str]:
+    """The other cameras that can see the body, if the sentence names none: together they measure its distance better.
+    Only one camera can follow a body."""
+    if "duration_s" in step.args or candidate.parsed.performer is not None:
+        return []
+    return [other.name for other in candidate.query.cameras(body) if other.name != camera.name][:MOST_FURTHER]
+
+
 def _sensed_first(compiled: Compiled, candidate: TaskCandidate, doubtful: list[str]) -> list[Step]:
-    """Steps that sense untrusted facts of the arm, and poses that the plan relies on; they precede the steps of the
-    script. `doubtful`: bodies that a camera can see."""
+    """Steps that sense untrusted facts of the arm, and what the plan relies on; they precede the steps of the script.
+    `doubtful`: bodies that a camera can see."""
     if candidate.hand is None:
         return []
     senses, pieces, trusts = compiled.program.senses, compiled.pieces, candidate.query.trusts
-    unknown = [name for name in senses if name != FRAME and not trusts(f"{candidate.arm.name}.{name}")]
+    of_arm = [name for name in senses if name not in (FRAME, GRASP)]
+    unknown = [name for name in of_arm if not trusts(f"{candidate.arm.name}.{name}")]
     steps = [_step(step, candidate, [], nominal=False) for name in unknown for step in pieces[senses[name]].steps]
     for body in doubtful:
-        steps += [_step(step, candidate, [], nominal=False, body=body) for step in pieces[senses[FRAME]].steps]
+        piece = pieces[senses[GRASP if candidate.query.held_by(body) else FRAME]]
+        steps += [_step(step, candidate, [], nominal=False, body=body) for step in piece.steps]
     return steps
 
 

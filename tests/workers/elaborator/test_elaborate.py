@@ -338,6 +338,7 @@ def test_a_suspect_frame_is_not_planned_upon(bench):
 
 
 def test_a_wrong_name_is_refused_before_a_doubtful_fact(bench):
+    bench.without_cameras()
     assert bench.do("GRASP MACS-NEW HANDLE-A").succeeded
     bench.set_fact("MACS-NEW.grasp", bench.world.value("MACS-NEW.grasp"), Validity.SUSPECT)
 
@@ -373,6 +374,7 @@ IN_DOUBT = [
 @pytest.mark.parametrize(("sentence", "refused"), IN_DOUBT)
 def test_nothing_is_carried_while_it_is_in_doubt_how_it_is_held(bench, sentence, refused):
     """R151: what was halted or failed in the hand is felt again first; backing off and letting go are permitted."""
+    bench.without_cameras()
     bench.load(
         "elaborator",
         "script: my-extract\ncase: 3\nuses: [object, target]\nneeds: [object_held]\n"
