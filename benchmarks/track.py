@@ -41,7 +41,7 @@ Truth = tuple[float, list[float]]  # time, pose
 
 
 @contextmanager
-def turning(run_dir: Path) -> Iterator[list[Truth]]:
+def turning(run_dir: Path, rate_deg_s: float = RATE_DEG_S) -> Iterator[list[Truth]]:
     """The satellite turns; the list has its true poses."""
     truths: list[Truth] = []
     end = threading.Event()
@@ -54,15 +54,15 @@ def turning(run_dir: Path) -> Iterator[list[Truth]]:
 
     thread = threading.Thread(target=read)
     with Client(run_dir) as rtc:
-        name = Drifting(object=BODY, velocity=[0.0, 0.0, 0.0, math.radians(RATE_DEG_S), 0.0, 0.0])
-        rtc.inject(name)
+        fault = Drifting(object=BODY, velocity=[0.0, 0.0, 0.0, math.radians(rate_deg_s), 0.0, 0.0])
+        rtc.inject(fault)
         thread.start()
         try:
             yield truths
         finally:
             end.set()
             thread.join()
-            rtc.undo_fault(name.name)
+            rtc.undo_fault(fault.name)
 
 
 @contextmanager

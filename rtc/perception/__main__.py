@@ -22,6 +22,7 @@ from rtc.subsystem.broker_link import BrokerLink
 from rtc.subsystem.subsystem import BROKER
 
 HEARTBEAT_S = 0.25
+NICENESS = -10  # before the workers, if the system permits it: a camera that follows a body has a beat to keep
 TICK_S = 0.02  # period of time limits while something is looked for
 
 
@@ -81,6 +82,8 @@ def live(run_dir: Path, fd: int = -1) -> None:
     """Run S&P until it is stopped. `fd`: handover from the supervisor (rtc.runtime.handover)."""
     process.show_name(NAME)
     given = handover.begin(NAME, run_dir, fd)
+    process.nice(NICENESS)
+    process.nice_session(NICENESS)  # with the drawing process
     with process.start(NAME, run_dir) as me:
         Station(me, given).run()
 

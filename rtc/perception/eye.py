@@ -34,7 +34,7 @@ from rtc.sensing.optics import Window
 if TYPE_CHECKING:
     from rtc.sensing.detector import TagDetector
 
-NICENESS = 5  # of the drawing process, as of workers: a command waits for it
+DRAWING_NICENESS = 0  # of the drawing process, added to that of S&P
 IDLE_S = 30.0  # after this time without a picture the drawing process ends
 TRUTH_S = 1.0  # time limit for the state of the simulation
 STILL_M, STILL_RAD = 0.0005, 0.001  # a camera on an arm must move less than this while it takes a picture
@@ -71,7 +71,7 @@ class SimulatedCameras:
         before = self._tcp(arm)
         asked_s, truth = now_s(), self._truth()
         if self._renderer is None:
-            self._renderer = Renderer(NICENESS)
+            self._renderer = Renderer(DRAWING_NICENESS)
             self._renderer.__enter__()
         what = self._settings.cell, camera, true_scene(truth)
         try:

@@ -42,12 +42,9 @@ class Displaced(Fault, frozen=True, kw_only=True, tag="displaced"):
 class Drifting(Fault, frozen=True, kw_only=True, tag="drifting"):
     """An object, with the seat it sits in, moves by itself, steadily and whatever is in its way. In a hand it rests."""
 
+    verb = "drift"
     object: Word
     velocity: list[float]  # m/s three times, rad/s three times: world axes, about the object's origin
-
-    @property
-    def name(self) -> str:
-        return f"drift {self.object}"
 
     @property
     def words(self) -> str:

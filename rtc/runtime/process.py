@@ -401,6 +401,18 @@ def nice(by: int) -> bool:
     return True
 
 
+def nice_session(by: int) -> bool:
+    """The same for all processes of a session that begins with this process. A Linux with autogroups shares the
+    processors among sessions, and then the niceness of a process counts only within its own."""
+    if os.getsid(0) != os.getpid():
+        return False
+    try:
+        Path("/proc/self/autogroup").write_text(str(by))
+    except OSError:  # not permitted, or a system without them
+        return False
+    return True
+
+
 def come_first(rank: int, niceness: int) -> str:
     """Raise the priority of this process: real-time with priority `rank`, or else `niceness`, if permitted.
 

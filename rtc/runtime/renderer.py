@@ -41,7 +41,7 @@ class Renderer:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is ours; it ends when its stdin does, also when we are killed
+            process_group=0,  # Ctrl-C is ours; it ends when its stdin does, also when we are killed
         )
         return self
 

@@ -13,8 +13,8 @@ from rtc.sensing import absence
 from rtc.sensing.locate import TagOnBody, corners
 from rtc.sensing.optics import View, Window
 
-MARGIN = 0.25  # around a tag, in its widths: its white border, and what it moves more than was predicted
-LEAST_MARGIN_PX = 6.0
+MARGIN = 0.18  # around a tag, in its widths: its white border, and what it moves more than was predicted
+LEAST_MARGIN_PX = 5.0
 MOST = 0.5  # share of the picture's pixels; above it, the whole picture is as fast
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import zmq
 
+from benchmarks.track import at, turning
 from rtc.client.client import Client
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
@@ -88,6 +89,23 @@ def test_a_blind_camera_states_that_it_is_dark(rtc: Client) -> None:
     assert outcome.kind is OutcomeKind.FAILED
     assert outcome.stop is StopReason.NOT_SEEN
     assert "too dark" in outcome.message
+
+
+def test_a_satellite_that_turns_by_itself_is_followed(rtc: Client, run_dir: Path) -> None:
+    """Each pose is that of the time which its report states; so is the rate."""
+    seen: list[m.ProgressNote] = []
+    with turning(run_dir, rate_deg_s=3.0) as truths:
+        ended = rtc.run("TRACK SATELLITE FOR 2 SEC REPORT POSE AND EVERY 0.1 SEC", seen.append, LIMIT_S)
+    assert ended.outcome.kind is OutcomeKind.SUCCEEDED, ended.outcome
+    poses = [one for one in seen if one.measured is not None and one.measured.sighting is not None]
+    assert len(poses) > 3
+    for one in poses:
+        sighting = one.measured.sighting
+        true = at(truths, one.at_s - sighting.age_s)
+        assert geometry.distance(sighting.pose, true) < 0.003
+        assert geometry.angle(sighting.pose, true) < math.radians(0.4)
+    velocity = ended.outcome.measured.sighting.velocity
+    assert velocity[3:] == pytest.approx([math.radians(3.0), 0.0, 0.0], abs=math.radians(0.4))
 
 
 def test_a_halt_stops_a_look(rtc: Client) -> None:

@@ -15,6 +15,7 @@ from rtc.cells.scene import VIEWS, CameraPicture, Panel, Picture, SceneView
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError
 from rtc.runtime.renderer import Renderer
+from rtc.sensing.optics import Window
 from sim_mcm import render
 
 
@@ -136,6 +137,19 @@ def test_the_sensor_of_a_camera_has_noise_and_an_exposure(cell) -> None:
     assert np.array_equal(noisy[0], noisy[1])
     assert not np.array_equal(noisy[0], noisy[2])
     assert not np.array_equal(*here)  # the camera moves with the hand
+
+
+@pytest.mark.physics
+def test_a_window_has_the_pixels_of_the_whole_picture(cell) -> None:
+    camera = Camera(name="CLEAR", xyz=(-0.1, 0.0, 1.1), looks_at=(0.8, 0.0, 0.72), size_px=(320, 240))
+    studio, scene = render.Studio(msgspec.structs.replace(cell, cameras=[camera])), SceneView()
+    studio.pose(scene)
+    whole = studio.camera_picture("CLEAR", scene)
+    for window in (Window(50, 46, 47, 44), Window(0, 0, 20, 30), Window(280, 200, 40, 40)):
+        left, top, width, height = window
+        part = studio.camera_picture("CLEAR", scene, window=window)
+        assert np.array_equal(part, whole[top : top + height, left : left + width])
+    studio.close()
 
 
 @pytest.mark.physics
