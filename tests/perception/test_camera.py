@@ -305,7 +305,7 @@ def test_two_cameras_measure_the_distance_better_than_one(cell, eyes, look) -> N
     axis = np.array(cell.camera("CAMERA-3").looks_at) - cell.camera("CAMERA-3").pose[:3]
     axis /= np.linalg.norm(axis)
     stated = {}
-    for n in range(40):
+    for n in range(25):
         scene, true = at(cell, FACE, random.uniform(-0.02, 0.02, 3).tolist())
         for count, cameras in ((1, {"camera": "CAMERA-3"}), (2, PAIR)):
             seen = located(cell, eyes, look(FACE, id=f"C-{n}.{count}", **cameras), scene, random).sighting
@@ -326,7 +326,7 @@ def test_a_pair_of_cameras_decides_which_way_a_single_tag_is_tilted(cell, eyes, 
         msgspec.structs.replace(one, size_m=0.03) for one in cell.tags if one.id == 18
     ]
     eyes.cell = msgspec.structs.replace(cell, tags=small)
-    for n in range(20):
+    for n in range(12):
         for count, cameras in ((1, {"camera": "CAMERA-3"}), (2, PAIR)):
             made = look(FACE, id=f"C-{n}.{count}", **cameras)
             made = msgspec.structs.replace(made, trajectory=msgspec.structs.replace(made.trajectory, tags=[tag]))

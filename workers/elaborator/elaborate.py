@@ -26,7 +26,7 @@ from rtc.protocol.primitive_id import seed_of
 from rtc.robot import geometry
 from rtc.world.model import World
 from workers.binder import reflexes
-from workers.binder.look import FURTHER, cameras_of
+from workers.binder.look import CAMERA, FURTHER, cameras_of
 from workers.elaborator import anchors, command_fields, hinged, look, make_way, preconditions, set_fact, two_hands
 from workers.elaborator.backtrack import FRAME, GRASP, Planned, can_be_seen, plan
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
@@ -38,8 +38,6 @@ INPUT = ElaboratorInput
 NEEDS_WORLD = True
 NEEDS_CELL = True
 
-CAMERA = "camera"  # performer of steps that look
-MOST_FURTHER = 3  # maximum number of cameras beside the best one
 FIRST_SKILL = 3  # cases 1 and 2 are actions, cases 3 and 4 are skills (R76)
 
 
@@ -431,8 +429,8 @@ def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nomin
     if report is not None and report.every_s is not None:
         figures["report_every_s"] = report.every_s
     words = {name: candidate.fill_in(word) for name, word in step.words.items()}
-    camera, body = _camera_for(step, candidate, body), body or candidate.body
-    further = _further_cameras(step, candidate, body, camera) if camera is not None else []
+    camera, body = look.camera_for(step, candidate, body), body or candidate.body
+    further = look.further_cameras(step, candidate, body, camera) if camera is not None else []
     if camera is not None:
         figures |= {"camera": camera.name, "body": body}
         figures |= {FURTHER: " ".join(further)} if further else {}
@@ -452,20 +450,6 @@ def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nomin
         trims=[*asked, *own],
         args={**figures, **{name: word for name, word in words.items() if word or name != "through"}},
     )
-
-
-def _camera_for(step: ScriptStep, candidate: TaskCandidate, body: str) -> parts.Camera | None:
-    if step.who != CAMERA:
-        return None
-    return candidate.camera if body in ("", candidate.body) else candidate.query.cameras(body)[0]
-
-
-def _further_cameras(step: ScriptStep, candidate: TaskCandidate, body: str, camera: parts.Camera) -> list[str]:
-    """The other cameras that can see the body, if the sentence names none: together they measure its distance better.
-    Only one camera can follow a body."""
-    if "duration_s" in step.args or candidate.parsed.performer is not None:
-        return []
-    return [other.name for other in candidate.query.cameras(body) if other.name != camera.name][:MOST_FURTHER]
 
 
 def _sensed_first(compiled: Compiled, candidate: TaskCandidate, doubtful: list[str]) -> list[Step]:

@@ -1,4 +1,4 @@
-"""Candidates of commands that only cameras perform: one per camera that can see the body, the best first. Pure."""
+"""Cameras of commands: candidates of those that only cameras perform, and the cameras of a step that looks. Pure."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ from collections.abc import Mapping
 
 from rtc.cells import parts
 from rtc.language.record import ParsedCommand
-from rtc.programs.schema import ElaboratorProgram, ScriptFile
+from rtc.programs.schema import ElaboratorProgram, ScriptFile, ScriptStep
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.sensing import absence
+from workers.binder.look import CAMERA
 from workers.elaborator.task_candidate import TaskCandidate, figures_of
 from workers.planning import sight, suggestions
 from workers.planning.world_query import WorldQuery
+
+MOST_FURTHER = 3  # maximum number of cameras beside the best one
 
 
 def candidates(
@@ -48,6 +51,21 @@ def candidates(
         TaskCandidate(query, program, parsed, limits, None, thing, None, target, figures, camera, seat)
         for camera in cameras
     ]
+
+
+def camera_for(step: ScriptStep, candidate: TaskCandidate, body: str) -> parts.Camera | None:
+    """The camera that looks for the body and reports; empty `body`: the object. None: it is not a step of a camera."""
+    if step.who != CAMERA:
+        return None
+    return candidate.camera if body in ("", candidate.body) else candidate.query.cameras(body)[0]
+
+
+def further_cameras(step: ScriptStep, candidate: TaskCandidate, body: str, camera: parts.Camera) -> list[str]:
+    """The other cameras that can see the body, if the sentence names none: together they measure its distance better.
+    Only one camera can follow a body."""
+    if "duration_s" in step.args or candidate.parsed.performer is not None:
+        return []
+    return [other.name for other in candidate.query.cameras(body) if other.name != camera.name][:MOST_FURTHER]
 
 
 def _cameras(

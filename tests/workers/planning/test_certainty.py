@@ -116,6 +116,7 @@ def test_an_empty_hand_needs_to_know_nothing(bench):
 
 def test_what_a_grasp_could_not_feel_is_too_little_for_a_seat(bench):
     """Figure 4 alone feels one axis; in the cell as it comes that is refused before anything moves."""
+    bench.without_cameras()
     bench.load("elaborator", "decision_tree: [{verb: GRASP, script: grasp-feeling, enabled: false}]")
     bench.unsurveyed()
     assert bench.do(GRASP).succeeded
