@@ -271,13 +271,15 @@ def _by_step(notes: list[m.ProgressNote]) -> list[tuple[str, m.ProgressNote]]:
 
 
 def _in_short(notes: list[m.ProgressNote]) -> str:
-    """The result of a step, as its subsystem reported it."""
+    """The result of a step, as its subsystem reported it, and what the analyzer found in the report."""
     reports = [note for note in notes if note.node and "@" not in note.node and note.note != "started"]
     shown = reports or [note for note in notes if note.note]
     if not shown:
         return "done"
     note = shown[-1]
-    return f"{note.node} {note.note} after {seconds(note.took_s)}" if reports else link(note)
+    judged = [one.note.partition("; ")[2] for one in notes if one.node.startswith("analyzer")]
+    found = "".join(f"; {words}" for words in judged if words)
+    return f"{note.node} {note.note} after {seconds(note.took_s)}{found}" if reports else link(note)
 
 
 def _print_decision(record: m.CommandRecord) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
+
 from rtc.cli.trace import address, as_json, chain, link, waits_for
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Outcome, OutcomeKind, StopReason
@@ -121,3 +123,17 @@ def test_json_has_times_since_acceptance_and_addresses() -> None:
     assert record_json["notes"][4]["since_accept_s"] == 0.5
     assert record_json["notes"][4]["address"] == "10"
     assert record_json["outcome"]["kind"] == "failed"
+
+
+def test_what_the_analyzer_found_in_a_report_is_in_the_line_of_its_step() -> None:
+    step = "1 of 1: look for MACS-OLD with CAMERA-2"
+    notes = [
+        note(m.Phase.ANALYZING, node="S&P", took_s=0.4, step=step, note="ended: found"),
+        note(
+            m.Phase.ENDED, node="analyzer@3", step=step, note="look for MACS-OLD with CAMERA-2; 20.0 mm off; tags 8, 9"
+        ),
+    ]
+    record = msgspec.structs.replace(
+        failed_in_step_2(), notes=notes, outcome=Outcome(kind=OutcomeKind.SUCCEEDED, steps_done=1)
+    )
+    assert chain(record)[-1] == f"script line {step}: S&P ended: found after 400 ms; 20.0 mm off; tags 8, 9"

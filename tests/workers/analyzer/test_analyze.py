@@ -221,6 +221,7 @@ def test_a_halt_in_free_motion_leaves_the_object_trusted(bench):
 
 
 def test_after_a_halt_while_carrying_the_next_command_works_at_once(bench):
+    bench.without_cameras()
     bench.do(GRASP)
     bench.do("LIFT MACS-NEW BY 15 CM")
     bound, report = bound_and_done(bench, "MOVE RIGHT-ARM TO CLEAR-POINT-1")
@@ -255,6 +256,7 @@ def test_a_halt_while_feeling_makes_suspect_what_was_touched(bench, peak_n, susp
 
 def test_fingers_halted_while_they_press_do_hold(bench):
     """Otherwise an arm could drag along an object that it is not known to hold."""
+    bench.without_cameras()
     script = bench.elaborate(GRASP)
     bench.do("MOVE RIGHT-ARM TO-GRASP-POINT-OF MACS-NEW")
     bound = bench.bind(script, script.steps[-1])
@@ -425,6 +427,7 @@ def test_every_reason_has_an_answer_for_every_step(bench, n):
 
 
 def test_what_a_halt_has_put_in_doubt_is_trusted_again_when_the_fingers_feel_it(either):
+    either.without_cameras()
     either.do(GRASP)
     for key in ("MACS-NEW.grasp", "MACS-NEW.frame", "MACS-NEW.held_by", "RIGHT-ARM.holding"):
         either.set_fact(key, either.world.value(key), Validity.SUSPECT)
