@@ -27,7 +27,7 @@ from benchmarks.report import RESULTS, finish, question
 SEED = 16
 DIMS = tuple(range(2, 17))
 REPETITIONS = 12
-ROUNDS = 5  # of all microbenchmarks; the median of each figure is used
+ROUNDS = 4  # of all microbenchmarks; the median of each figure is used
 
 
 def main() -> None:

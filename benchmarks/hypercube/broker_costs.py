@@ -26,6 +26,7 @@ from benchmarks.hypercube.fit import fitted, medians, ratios
 from benchmarks.load.subsystem import Instant
 from benchmarks.load.trivial import FUNCTIONS, PERFORMERS, SUBSYSTEM, performer
 from broker.__main__ import RANK, _first_programs
+from broker.decisions.command.termination import ENDED_KEPT, FORGOTTEN_AT_ONCE
 from broker.decisions.effects import DispatchJob
 from broker.decisions.state import State
 from broker.dispatch.autoscaler import Autoscaler
@@ -203,6 +204,12 @@ class BrokerBench:
                 else:
                     yield turn
 
+    def fill(self) -> None:
+        """Pass commands until the broker forgets old results, as it does from then on."""
+        for _ in range(-(-(ENDED_KEPT + FORGOTTEN_AT_ONCE) // IN_PROGRESS)):
+            for _ in self.take_turns([TOGETHER[-1]] * (IN_PROGRESS // TOGETHER[-1] + 1), QUICK_S):
+                pass
+
     def snapshot_s(self) -> float:
         """Processor time (s) of a snapshot of the state."""
         began_s = time.thread_time()
@@ -297,6 +304,7 @@ def measure(repetitions: int) -> dict[str, Any]:
                 list(broker.pass_through(slots, took_s))
             freeze_heap()
             if sizes is TOGETHER:
+                broker.fill()
                 for _ in range(-(-repetitions // PASSES)):
                     turns += broker.take_turns(sizes * (IN_PROGRESS // sum(sizes)), took_s)
             else:
