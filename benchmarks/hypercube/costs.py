@@ -134,7 +134,8 @@ def _broker_wake_up(broker: dict[str, Any], used: tuple[float, ...], payload_s: 
     main_s = turns * (per["turn"] + per["message_in"]) + LONE_MESSAGES * per["message_out"]
     main_s += sum(per[event] for event in EVENTS)
     io_s = turns * broker["io_per_turn"] + (turns + LONE_MESSAGES) * broker["io_per_message"]
-    return max(0.0, used[0] - main_s - payload_s) / turns, max(0.0, used[1] - io_s) / turns
+    usual = sum(broker["ratios"]) / len(broker["ratios"])  # the model multiplies each turn by one of these
+    return max(0.0, used[0] / usual - main_s - payload_s) / turns, max(0.0, used[1] - io_s) / turns
 
 
 def _woken(costs: dict[str, Any], used: tuple[float, ...], messages: int) -> dict[str, Any]:
