@@ -98,6 +98,8 @@ ALLOWED: tuple[tuple[str, str, str], ...] = (
 
 WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 IDENTIFIER = re.compile(r"[A-Za-z_]+")
+NO_LETTERS = re.compile(r"[^a-z]+")
+PERHAPS = re.compile("|".join(NO_LETTERS.sub("", word) for word in RETIRED))  # in a line without other characters
 
 
 def files(*endings: str) -> list[Path]:
@@ -119,6 +121,8 @@ def lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def retired_in(line: str) -> list[str]:
+    if not PERHAPS.search(NO_LETTERS.sub("", line.lower())):  # most lines: this is quicker
+        return []
     prose = f" {' '.join(WORD.findall(line))} ".lower()
     names = " ".join(f"_{'_'.join(WORD.findall(name))}_" for name in IDENTIFIER.findall(line)).lower()
     return [word for word in RETIRED if (f"_{word}_" in names if "_" in word else f" {word} " in prose)]
@@ -165,16 +169,14 @@ def test_a_retired_word_is_found_in_names_and_in_prose(line: str, found: list[st
 
 def test_every_allowed_use_is_still_there() -> None:
     """An entry that allows nothing any more is removed."""
-    left = [
+    used = {
         entry
+        for path in files(".py", ".md", ".yaml", ".yml")
         for entry in ALLOWED
-        if not any(
-            place(path).startswith(entry[1]) and entry[2] in line and entry[0] in retired_in(line)
-            for path in files(".py", ".md", ".yaml", ".yml")
-            for _, line in lines(path)
-        )
-    ]
-    assert not left
+        if place(path).startswith(entry[1])
+        if any(entry[2] in line and entry[0] in retired_in(line) for _, line in lines(path))
+    }
+    assert not set(ALLOWED) - used
 
 
 @pytest.mark.parametrize("path", files(".py"), ids=place)
