@@ -68,10 +68,11 @@ def refuse_beyond_stops(script: ScriptFile, candidate: TaskCandidate) -> Refusal
             )
         if abs(turn) < LEAST_RAD:
             at = f"{math.degrees(angle):g} deg"
+            clears = candidate.program.needs.get("hinge_there", "")
             return Refusal(
                 reason=RefusalReason.STATE,
                 message=f"{thing.name} is at {at}: nothing to turn",
-                clears=f"an angle other than {at}; after SET {thing.name} ANGLE, if it is at another one",
+                clears=clears.replace("{at}", at).replace("{held}", thing.name),
             )
         angle += turn
         if not least - SLACK_RAD <= angle <= most + SLACK_RAD:
