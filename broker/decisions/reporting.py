@@ -79,6 +79,6 @@ def _met(asked: ReportHead, report: ProgressReport) -> str:
     if report.condition is None:
         return ""
     condition = asked.when[report.condition]
-    unit = condition.quantity.unit.upper() if condition.quantity else ""
-    measured = f": {report.measured:.3g} {unit}".rstrip() if report.measured is not None else ""
-    return condition.sentence + measured
+    if report.measured is None:
+        return condition.sentence
+    return f"{condition.sentence}: {condition.measured_in_words(report.measured) or f'{report.measured:.3g}'}"

@@ -27,7 +27,8 @@ READABLE = {
 AXES = frozenset({"X", "Y", "Z", "TOOL-X", "TOOL-Y", "TOOL-Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK"})
 ARMS = frozenset({"LEFT-ARM", "RIGHT-ARM"})
 THE_END = "the end of the sentence"
-A_UNIT = "a unit such as CM"
+A_UNIT, A_TIME = "a unit such as CM", "a unit of time such as SEC"
+OF_TIME = frozenset({"FOR", "TIME_LIMIT", "EVERY"})  # words before a number of seconds
 LOOK_BACK = 6  # number of words before the fault that are tested for a misspelling
 
 
@@ -92,7 +93,9 @@ def _unit_fault(stop: Stop) -> Refusal | None:
 
 def _no_unit(stop: Stop, word: Word) -> Refusal:
     near = nearest_words(word.value, UNITS)
-    return refusal(word.start_pos or 0, f"{stop.written(word)} is not a unit.", [A_UNIT], near)
+    last = next((one.type for one in reversed(stop.before) if one.type != "NUMBER"), "")
+    expected = A_TIME if last in OF_TIME else A_UNIT
+    return refusal(word.start_pos or 0, f"{stop.written(word)} is not a unit.", [expected], near)
 
 
 def _misspelt_before(stop: Stop) -> Refusal | None:
@@ -158,6 +161,8 @@ def _misplaced(stop: Stop) -> Refusal:
             message = f"{written} is a reserved word and cannot be a name, after {stop.written(stop.before[-1])}."
         else:
             message = f"{written} cannot stand here, after {stop.written(stop.before[-1])}."
+            if word.type == "THROUGH" and stop.before[-1].type in ("STRAIGHT_LINE", "JOINT_MOTION"):
+                message += f" Write THROUGH and its place before {stop.written(stop.before[-1])}."
             if word.type == "NAME" and "ARM" in stop.allowed and not near:
                 message += f" If it is an arm, write ARM {written}."
     return refusal(word.start_pos or 0, message, readable(stop.grammar, stop.allowed), near)

@@ -106,7 +106,7 @@ def checked(given: WrittenNumber, takes: Takes, by: str) -> Quantity:
     value = to_si(given.number, given.unit)
     if (value < 0 and takes.sense != "any") or (value == 0 and takes.sense == "more than nothing"):
         message = f"{by} {quoted(given.text)} makes no sense: it must be {takes.sense}."
-        raise Wrong(given.column, message, map(such_as, takes.units))
+        raise Wrong(given.column, message, [such_as(si)])
     if si == "rad" and abs(value) > math.radians(takes.most_deg) + ROUNDING_RAD:
         message = f"{by} {quoted(given.text)} makes no sense: from -{takes.most_deg:g} to {takes.most_deg:g} DEG."
         raise Wrong(given.column, message, [such_as(si)])

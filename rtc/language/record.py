@@ -10,6 +10,8 @@ from typing import Literal
 
 import msgspec
 
+from rtc.language.units import in_words, measured_in_words
+
 Kind = Literal["task", "control", "data", "operator"]
 
 
@@ -53,7 +55,11 @@ class Condition(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     @property
     def sentence(self) -> str:
         """The same with the figure."""
-        return self.words + (f" {self.quantity.value:g} {self.quantity.unit.upper()}" if self.quantity else "")
+        return self.words + (f" {in_words(self.quantity.value, self.quantity.unit).upper()}" if self.quantity else "")
+
+    def measured_in_words(self, value: float) -> str:
+        """A measured value (SI) in the unit of `sentence`; empty for an event, whose unit the stop reason states."""
+        return measured_in_words(value, self.quantity.unit).upper() if self.quantity else ""
 
 
 class ReflexItem(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

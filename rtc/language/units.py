@@ -84,6 +84,12 @@ def in_words(value: float, si: str) -> str:
     return f"{round(value * times, 6):g} {unit}"
 
 
+def measured_in_words(value: float, si: str) -> str:
+    """As `in_words`, with the three digits that a measured value deserves."""
+    unit, times = _READ.get(si, (si, 1.0))
+    return f"{value * times:.3g} {unit}"
+
+
 def such_as(si: str) -> str:
     """`a length such as 10 CM`."""
     kind = KINDS[si]

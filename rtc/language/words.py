@@ -22,6 +22,7 @@ from rtc.protocol.outcomes import ProgramError, Refusal
 TOKEN_CLASSES = ("NAME", "STRING", "NUMBER", "QUANTITY")
 
 _UNIT_LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz/%"
+_FOREIGN = re.compile(r"(?:(?!--)[!#-+\--~])*[^\x00-\x7f]")  # the rest of a word up to a character outside of ASCII
 _MALFORMED_NUMBER = re.compile(r"[-+]?\.?\d[^\s,\"]*")
 
 
@@ -74,8 +75,10 @@ class Vocabulary:
                 continue
             start, end = match.span(kind)
             value = match[kind]
-            if not plain and text[end : end + 1] > "\x7f":  # STÖW must not be read as the word ST and a rest
-                raise _malformed(text, end)
+            if kind == "WRONG":
+                raise _malformed(text, start)
+            if not plain and (foreign := _FOREIGN.match(text, end)):  # STÖW must not be read as the word ST and a rest
+                raise _malformed(text, foreign.end() - 1)
             if kind == "NAME":
                 value = value.upper().replace("_", "-")
                 kind, value = reserved.get(value, ("NAME", value))
@@ -83,8 +86,6 @@ class Vocabulary:
                     if kind == "STOP":
                         kind = value = "HALT"
                     opening = kind == "TEST"
-            elif kind == "WRONG":
-                raise _malformed(text, start)
             elif kind != "STRING" and text[end : end + 1] == "," and text[end + 1 : end + 2].isdigit():
                 raise _decimal_comma(end)
             yield Word(kind, value, start, end)

@@ -387,14 +387,14 @@ def test_what_was_measured_is_reported_at_the_end_and_on_the_way(rtc: Run) -> No
     assert set(first["measured"]) == {"arm", "wrench", "peak_force_n", "peak_torque_nm"}
     assert (len(second["measured"]["tcp_pose"]), len(second["measured"]["joints"])) == (7, 6)
     assert [(one["when"].partition(": ")[0], len(one["joints"])) for one in second["reports"]] == [
-        ("DISTANCE EXCEEDS 0.01 M", 6)
+        ("DISTANCE EXCEEDS 10 MM", 6)
     ]
     assert {row["command"]: row["reports"] for row in last_json(rtc("log", "-n", "3", "--json"))["commands"]} == {
         first["command"]: len(first["reports"]),
         second["command"]: 1,
         brief["command"]: 0,
     }
-    assert "DISTANCE EXCEEDS 0.01 M: " in rtc("trace", second["command"]).stdout
+    assert "DISTANCE EXCEEDS 10 MM: " in rtc("trace", second["command"]).stdout
     why = last_json(rtc("why", second["command"], "--json"))
     assert why["outcome"]["measured"] == second["measured"]
     trace = last_json(rtc("trace", first["command"], "--json"))

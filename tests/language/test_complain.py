@@ -18,6 +18,7 @@ END = "the end of the sentence"
 AFTER_TASK = ["AFTER", "NOW", "REPORT", "TOGETHER-WITH", "VIA", END]
 AFTER_OBJECT = ["AFTER", "GUARDED", "MAINTAIN", "NOW", "REPORT", "TOGETHER-WITH", "UNLESS", "VIA", "WITH", END]
 AFTER_STEP = [*sorted({"ALONG", "JOINT-MOTION", "STRAIGHT-LINE", "THROUGH", *AFTER_OBJECT} - {"WITH", END}), END]
+AFTER_OBJECT_STEP = [*(word for word in AFTER_OBJECT if word != "WITH")]
 EVENTS = ["CLEARANCE", "COLLISION", "CONTACT", "DISTANCE", "FORCE", "GRIP-FORCE", "JOINT-LIMIT", "NO-CONTACT",
           "NO-PROGRESS", "OBJECT-LOST", "SLIP", "TIMEOUT", "TORQUE", "TURN"]  # fmt: skip
 SLOTS = ["AVOID-NEIGHBORS", "AVOID-TASK-REGION", "FORCE-LIMIT", "GRIP-FORCE", "POSE-DURING-MOTION",
@@ -49,6 +50,9 @@ WRONG = [
     ("MOVE LEFT-ARM BY 5 DEG ¦ABOUT Z", AFTER_STEP, ["ALONG"], "ABOUT cannot stand here"),
     # letters and dashes of other alphabets
     ("ST¦ÖW LEFT-ARM", WORDS, [], "The character Ö cannot stand here."),
+    ("¦ÄÖÜ", WORDS, [], "The character Ä cannot stand here."),
+    ("STOW LEFT-¦ÄRM", WORDS, [], "The character Ä cannot stand here."),
+    ("MOVE LEFT-ARM TO X STRAIGHT-LINE ¦THROUGH Y", AFTER_OBJECT_STEP, [], "Write THROUGH and its place before"),
     ("STOW LEFT¦\u2013ARM", WORDS, [], "The character \u2013 cannot stand here. Did you mean -?"),
     ("STOW LEFT¦\u2212ARM", WORDS, [], "Did you mean -?"),
     # it ends too early
@@ -121,10 +125,11 @@ WRONG = [
     ("MOVE LEFT-ARM BY ¦3 N", [A_LENGTH, AN_ANGLE], [], "MOVE BY takes a length or an angle"),
     ("TRACK X REPORT EVERY ¦3 CM", [A_TIME, "a rate such as 10 HZ"], [], "EVERY takes a time or a rate"),
     # numbers out of sense
-    ("GRASP X MAINTAIN SPEED ¦-10 CM/S", SPEEDS, [], "SPEED -10 CM/S makes no sense"),
-    ("GRASP X MAINTAIN SPEED ¦0 CM/S", SPEEDS, [], "more than nothing"),
+    ("GRASP X MAINTAIN SPEED ¦-10 CM/S", SPEEDS[:1], [], "SPEED -10 CM/S makes no sense"),
+    ("GRASP X MAINTAIN SPEED ¦0 CM/S", SPEEDS[:1], [], "more than nothing"),
     ("GRASP X MAINTAIN SPEED ¦150 PERCENT", ["100 PERCENT"], [], "at most 100 PERCENT"),
     ("LIFT X BY ¦-5 CM", [A_LENGTH], [], "LIFT BY -5 CM makes no sense"),
+    ("HOLD LEFT-ARM FOR 2 ¦MIN", ["a unit of time such as SEC"], [], "MIN is not a unit"),
     ("HOLD LEFT-ARM FOR ¦-1 SEC", [A_TIME], [], "FOR -1 SEC makes no sense"),
     ("GRASP X MAINTAIN AVOID-NEIGHBORS BY ¦0 CM", [A_LENGTH], [], "must be more than nothing"),
     ("GRASP X UNLESS FORCE EXCEEDS ¦-5 N THEN STOP", [A_FORCE], [], "must be not negative"),

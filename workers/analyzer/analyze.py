@@ -398,8 +398,11 @@ def _merged(changes: Changes) -> Changes:
 
 def _stopped_as_requested(reflex: ReflexItem, data: AnalyzerInput) -> str:
     """Message for a stop by a reflex of the command: the goal is not reached, but there is no fault."""
-    measured = _words(" at {measured} {unit}", data, data.report.reason) if data.report.measured is not None else ""
-    return f"stopped{measured.rstrip()} as asked: {reflexes.in_words(reflex)}"
+    value, measured = data.report.measured, ""
+    if value is not None:
+        by_reason = _words("{measured} {unit}", data, data.report.reason).rstrip()
+        measured = f" at {reflex.condition.measured_in_words(value) or by_reason}"
+    return f"stopped{measured} as asked: {reflexes.in_words(reflex)}"
 
 
 def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:

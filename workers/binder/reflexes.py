@@ -43,6 +43,7 @@ from workers.planning import axes, suggestions
 
 JOINT = "JOINT-"  # and its number from the base, from 1: a direction of TURN
 #: conditions about what is between the fingers
+TURNED_DEG = 0.05  # a smaller turn of a back-off is not stated
 HELD = frozenset({"SLIP", "OBJECT-LOST"})
 ACTIONS: dict[str, Reflex] = {
     "stop": Reflex.STOP,
@@ -300,7 +301,9 @@ def in_words(reflex: ReflexItem) -> str:
 def describe_action(report: EndReport) -> str:
     """The reflex action after the stop, in words; empty if the arm only stopped."""
     if report.reflex is Reflex.BACK_OFF and report.trip_pose and report.tcp_pose:
-        return f"backed off by {100.0 * geometry.distance(report.trip_pose, report.tcp_pose):.1f} cm"
+        turned_deg = math.degrees(geometry.angle(report.trip_pose, report.tcp_pose))
+        turned = f" and {turned_deg:.1f} deg" if turned_deg > TURNED_DEG else ""
+        return f"backed off by {100.0 * geometry.distance(report.trip_pose, report.tcp_pose):.1f} cm{turned}"
     if report.reflex is Reflex.COMPLY and report.trip_pose and report.tcp_pose:
         return f"gave way by {1000.0 * geometry.distance(report.trip_pose, report.tcp_pose):.1f} mm"
     return f"opened the hand to {1000.0 * report.hand_width_m:.0f} mm" if report.reflex is Reflex.RELEASE else ""

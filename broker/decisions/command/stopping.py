@@ -20,7 +20,7 @@ from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReaso
 STOP = "stop-"  # prefix of the halt that stops a command's primitive; the command's number follows
 
 
-RETRY_ADVICE = "give the sentence again when the subsystem is back: the arm's position is read first"
+RETRY_ADVICE = "give the sentence again when the subsystem is back"
 
 
 def stop_primitive(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:

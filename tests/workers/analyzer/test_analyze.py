@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import msgspec
 import pytest
 
+from rtc.language.record import Condition, Quantity
 from rtc.protocol.messages import Assessment, BoundStep, EndReport, Validity, WorldChange
 from rtc.protocol.outcomes import ProgramError, Reflex, RefusalReason, StopReason
 from rtc.robot import geometry
 from workers.analyzer import analyze
+from workers.binder import reflexes
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A GUARDED"
 
@@ -328,6 +331,20 @@ def test_a_stop_that_was_asked_for_reads_as_such(bench):
 def test_what_was_done_after_the_stop_is_reported(bench):
     made = _felt(bench, f"{FORWARD} THEN BACK-OFF BY 2 CM", StopReason.CONTACT, 5.0, 0.02)
     assert made.message.endswith("as asked: UNLESS CONTACT THEN BACK-OFF; backed off by 2.0 cm")
+
+
+def test_a_back_off_from_a_turn_reports_the_angle():
+    turned = {"trip_pose": [0, 0, 0, 0, 0, 0, 1.0], "tcp_pose": [0, 0, 0, 0, 0, math.sin(0.1), math.cos(0.1)]}
+    how = {"reason": StopReason.CONTACT, "reflex": Reflex.BACK_OFF, "at_s": 1.0, "duration_s": 1.0}
+    report = EndReport(primitive="C-1.1", performer="LEFT-ARM", **how, **turned)
+    assert reflexes.describe_action(report) == "backed off by 0.0 cm and 11.5 deg"
+
+
+def test_figures_of_a_condition_have_the_units_of_a_sentence():
+    for written, si, shown in ((0.174532925, "rad", "10 DEG"), (0.08, "m", "80 MM"), (5.0, "N", "5 N")):
+        condition = Condition(measure="TURN", bound="above", quantity=Quantity(written, si))
+        assert condition.sentence == f"TURN EXCEEDS {shown}"
+        assert condition.measured_in_words(written) == shown
 
 
 def test_the_reason_is_the_one_that_won_and_what_was_done_is_reported_beside_it(bench):

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from rtc.language.parse import default_grammar, parse
 from rtc.programs import loader
 from rtc.programs.loader import decode
 from rtc.programs.schema import ElaboratorProgram
@@ -251,7 +252,20 @@ def test_the_refusal_of_a_sentence_without_a_script_names_the_forms_with_one(ben
     bench.load("elaborator", "decision_tree: [{verb: STOW, script: stow, when: [{given: duration_s}]}]")
     refusal = refusal_of(bench, "STOW LEFT-ARM")
 
-    assert refusal.clears == "STOW with FOR"
+    assert refusal.clears == "STOW LEFT-ARM FOR"
+
+
+@pytest.mark.parametrize(
+    ("sentence", "clears"),
+    [
+        ("MOVE BOTH-ARMS TO BAY-2-FRONT", "MOVE BOTH-ARMS BY a distance"),
+        ("MOVE BOTH-ARMS BY 5 CM ALONG UP JOINT-MOTION", "MOVE BOTH-ARMS without JOINT-MOTION"),
+    ],
+)
+def test_the_forms_are_those_of_the_same_hand_with_what_is_missing(sentence, clears):
+    parsed = parse(default_grammar(), sentence)
+    tree = decode(loader.default("elaborator"), ElaboratorProgram).decision_tree
+    assert elaborate._none_fits(parsed, [branch for branch in tree if branch.verb == "MOVE"]).clears == clears
 
 
 @pytest.mark.parametrize(
