@@ -68,7 +68,7 @@ class LookTask:
         self._sides = {camera: _Side(now_s) for camera in primitive.performers}
         self._motion = Motion()
         self._predicts = False  # the latest picture shows the body
-        self._report_s = now_s + (primitive.reporting.every_s or 0.0)  # time of the next periodic report
+        self._report_s = now_s + (primitive.reporting.every_s or 0.0)  # beat of the exposures that are reported
         self._reported_s = now_s  # exposure of the latest picture that was reported
 
     @property
@@ -125,9 +125,9 @@ class LookTask:
         every_s, seen_s = self.primitive.reporting.every_s, self._seen_s()
         if every_s is None or seen_s is None or seen_s <= self._reported_s:
             return None
-        if now_s < self._report_s - 0.5 * self.look.every_s:  # the next picture is nearer to the beat
+        if seen_s < self._report_s - 0.5 * self.look.every_s:  # the exposure of the next picture is nearer to the beat
             return None
-        self._report_s = max(self._report_s, now_s - 0.5 * every_s) + every_s
+        self._report_s = max(self._report_s, seen_s - 0.5 * every_s) + every_s
         self._reported_s = seen_s
         return m.ProgressReport(primitive=self.primitive.id, at_s=now_s, sighting=self.sighting(now_s))
 
