@@ -18,7 +18,7 @@ import msgspec.yaml
 import numpy as np
 import yaml
 
-from rtc.authoring import self_collisions
+from rtc.authoring import self_collisions, words_and_keys
 from rtc.authoring.adapt import GYRATION
 from rtc.authoring.robot_file import RobotFile, kinematics, number
 from rtc.cells import cell as cells
@@ -86,6 +86,11 @@ def _cell(path: Path) -> tuple[list[Finding], Cell | None]:
             Finding(file=str(path), where="$", problem=f"not YAML: {error}", expected="a cell file", line=line)
         ], None
     found = [_at(path, text, where, problem) for where, problem in _fields(plain)]
+    found += [
+        Finding(file=str(path), where=f"$.{where}", problem=problem, expected="one of them", line=line)
+        for where, problem, line in words_and_keys.keys_given_twice(path.read_bytes())
+    ]
+    found += [_at(path, text, *row) for row in words_and_keys.faults(plain)]
     found += _models(path, plain, text, folders)
     if any(one.severity == "error" for one in found):
         return found, None
@@ -148,7 +153,7 @@ def _converted_one(where: str, value: Any, kind: Any) -> tuple[Any, list[tuple[s
     except (msgspec.ValidationError, ValueError) as error:
         message, _, inner = str(error).partition(" - at `$")
         inside = inner.rstrip("`")
-        wrong = [(f"{where}{inside}", message[:1].lower() + message[1:])]
+        wrong = [(f"{where}{inside}", words_and_keys.plain_words(message[:1].lower() + message[1:]))]
         return None, wrong + _unknown_fields(where, value, kind, message)
 
 

@@ -55,6 +55,33 @@ def test_all_faults_of_the_fields_are_found_at_once(copy):
     assert "heavy" in lines[rows["$.objects[1].mass_kg"].line - 1]
 
 
+def test_names_keys_and_gravity_that_the_types_allow_are_checked(tmp_path):
+    """A reserved word as a name, a key given twice, a name in small letters, too few values, gravity upwards."""
+    shutil.copytree(CELLS / "panda", tmp_path / "cell")
+    file = tmp_path / "cell" / "cell.yaml"
+    spoil(
+        file,
+        ("name: panda\n", "name: panda\nname: again\n"),
+        ("[0, 0, -9.81]", "[0, 0, 9.81]"),
+        ("  - name: CUBE-1", "  - name: HALT"),
+        ("  - name: CUBE-2", "  - name: cube-2"),
+        ("acceleration_deg_s2: [300, 240, 300, 300, 500, 500, 500]", "acceleration_deg_s2: [300, 240]"),
+    )
+    findings, cell = review(file)
+    rows = {one.where: one for one in findings}
+    names = sorted(one.where for one in findings if "objects" in one.where and one.where.endswith(".name"))
+    assert cell is None
+    assert rows["$.name"].line == 6
+    assert rows["$.gravity_m_s2"].severity == "warning"
+    assert len(names) == 2
+    assert "word of the command language" in rows[names[0]].problem
+    assert "capital letters" in rows[names[1]].problem
+    assert not [one for one in findings if one.where == "$.arms[0].urdf"]
+    spoil(file, ("cube-2", "CUBE-2"))
+    assert "7 joints" in found(file)["$.arms[0].acceleration_deg_s2"].problem
+    assert "$.arms[0].urdf" not in found(file)
+
+
 def test_references_and_models_are_checked_too(copy):
     spoil(copy, ("seat: PAD-1", "seat: PAD-9"), ("panda_joint7]", "panda_joint8]"))
     spoil(copy.parent / "panda.urdf", ('velocity="2.1750"', 'velocity="0"'))
