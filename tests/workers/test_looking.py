@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -129,18 +130,31 @@ def test_track_follows_for_its_time_and_reports(bench) -> None:
     assert frame(bench, "SATELLITE").validity is Validity.VALID
 
 
-def test_a_body_that_still_moves_after_track_has_a_suspect_pose(bench) -> None:
-    script = bench.elaborate(f"TRACK {MODULE} FOR 2 SEC")
+def judged_with(bench, sentence: str, **sighting):
+    """The assessment of the first step of a sentence whose sighting differs by these fields."""
+    script = bench.elaborate(sentence)
     bound = bench.bind(script, script.steps[0])
     report = bench.subsystem.perform(bound.primitive, bound)
-    moving = report.sighting.__class__(
-        **{name: getattr(report.sighting, name) for name in report.sighting.__struct_fields__}
-        | {"velocity": [0.0, 0.0, 0.01, 0.0, 0.0, 0.0]}
-    )
-    fields = {name: getattr(report, name) for name in report.__struct_fields__} | {"sighting": moving}
-    judged = bench.analyze(bound, type(report)(**fields))
+    seen = msgspec.structs.replace(report.sighting, **sighting)
+    return bench.analyze(bound, msgspec.structs.replace(report, sighting=seen))
+
+
+@pytest.mark.parametrize(
+    ("sentence", "sighting", "words"),
+    [
+        (f"TRACK {MODULE} FOR 0.3 SEC", {"velocity": [0.0, 0.0, 0.01, 0.0, 0.0, 0.0]}, "it moves"),
+        (f"TRACK {MODULE} FOR 0.3 SEC", {"age_s": 3.0}, "3.0 s ago"),
+        (f"LOCATE {MODULE}", {"age_s": 3.0}, "3.0 s ago"),
+    ],
+)
+def test_a_body_that_may_be_elsewhere_by_now_has_a_suspect_pose_and_the_outcome_states_it(
+    bench, sentence, sighting, words
+) -> None:
+    judged = judged_with(bench, sentence, **sighting)
     (change,) = [one for one in judged.changes if one.key == f"{MODULE}.frame"]
     assert change.validity is Validity.SUSPECT
+    assert "suspect" in judged.message
+    assert words in judged.message
 
 
 # --- Figure 4 and doubtful facts ---------------------------------------------------------------------------
@@ -294,6 +308,15 @@ def test_a_camera_measures_how_a_held_object_lies_in_the_hand(holding) -> None:
     grasp = holding.world.get(f"{MODULE}.grasp")
     assert geometry.distance(grasp.value, true) < 1e-6
     assert max(grasp.spread[:3]) < 0.003
+
+
+@pytest.mark.parametrize(("sentence", "trusted"), [(f"LOCATE {MODULE}", True), (f"TRACK {MODULE} FOR 0.3 SEC", False)])
+def test_a_slow_look_at_a_held_object_is_trusted_because_its_hand_is_reserved(holding, sentence, trusted) -> None:
+    assert "RIGHT-ARM" in holding.elaborate(sentence).resources
+    judged = judged_with(holding, sentence, age_s=4.0)
+    (grasp,) = [one for one in judged.changes if one.key == f"{MODULE}.grasp"]
+    assert grasp.validity is (Validity.VALID if trusted else Validity.SUSPECT)
+    assert ("suspect" in judged.message) is not trusted
 
 
 def test_an_object_that_is_seen_far_from_the_hand_is_not_held(holding) -> None:

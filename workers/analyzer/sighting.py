@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rtc.protocol.messages import AnalyzerInput, Validity, WorldChange
-from rtc.protocol.outcomes import Sighting
+from rtc.protocol.outcomes import Sighting, StopReason
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from rtc.world.spread import even, widened
@@ -25,7 +25,7 @@ Changes = list[WorldChange]
 SIGMAS = 3.0  # half-width of a bound, in standard deviations
 IN_HAND_M = 0.06  # maximum distance of a held object's grasp point from the middle between the fingers
 MOVES_M_S, MOVES_RAD_S = 0.002, 0.01  # a body that is faster is not there any more when the report is read
-OLD_S = 2.0  # an older sighting is not trusted
+OLD_S = 2.0  # an older sighting is not trusted, unless a hand has held the body since
 WIDEST_RAD = math.pi
 
 
@@ -34,7 +34,7 @@ def sighted(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Chang
     sighting, body = data.report.sighting, data.evaluation.body
     if sighting is None:
         return []
-    if _moves(sighting) or sighting.age_s > OLD_S:
+    if _doubt(query, data, sighting):
         validity = Validity.SUSPECT
     frame, spread = geometry.normalise(sighting.pose), spread_of(sighting, data)
     changes = [
@@ -77,6 +77,18 @@ def spread_of(sighting: Sighting, data: AnalyzerInput) -> list[float]:
     bounds = [SIGMAS * math.sqrt(max(0.0, float(n))) for block in own for n in np.diag(block)]
     floor = even(_figure(data, "seen_m"), _figure(data, "seen_rad"))
     return [*widened(bounds, floor)[:3], *(min(WIDEST_RAD, n) for n in widened(bounds, floor)[3:])]
+
+
+def _doubt(query: WorldQuery, data: AnalyzerInput, sighting: Sighting) -> str:
+    """Why the body may not be where it was seen; empty if it is there.
+
+    A busy machine needs seconds to find the tags in a picture. A look reserves the hand that holds its body, so a held
+    body has not moved since; the hand is free to move after a TRACK has lost its body.
+    """
+    if _moves(sighting):
+        return "it moves"
+    rests = data.report.reason is StopReason.FOUND and query.held_by(data.evaluation.body)
+    return "" if rests or sighting.age_s <= OLD_S else f"it was seen {sighting.age_s:.1f} s ago"
 
 
 def _moves(sighting: Sighting) -> bool:
@@ -167,4 +179,6 @@ def in_words(query: WorldQuery, data: AnalyzerInput) -> str:
     words = f"{off_mm:.1f} mm and {turned_deg:.1f} deg from where it was believed to be; "
     words += f"+- {1e3 * metres:.1f} mm, {math.degrees(radians):.2f} deg by tags "
     words += f"{', '.join(map(str, sighting.tags))}{cameras}, {sighting.error_px:.2f} px off, "
-    return words + f"{1e3 * sighting.age_s:.0f} ms old" + (", ambiguous attitude" if sighting.ambiguous else "")
+    words += f"{1e3 * sighting.age_s:.0f} ms old" + ", ambiguous attitude" * sighting.ambiguous
+    doubt = _doubt(query, data, sighting)
+    return words + (f"; its pose is suspect: {doubt}" if doubt else "")
