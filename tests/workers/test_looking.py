@@ -121,6 +121,15 @@ def test_verify_confirms_a_place_or_makes_the_pose_suspect(bench) -> None:
     assert bench.do(f"VERIFY {OTHER} AT RACK-2").succeeded
 
 
+def test_verify_at_another_place_leaves_a_pose_that_the_camera_confirms(bench) -> None:
+    before = frame(bench, MODULE)
+    run = bench.do(f"VERIFY {MODULE} AT BAY-2 VIA CAMERA-1")
+    assert run.failure.reason is StopReason.OUT_OF_RANGE
+    assert "believed" in run.failure.message
+    assert "PLACE" in run.failure.clears
+    assert frame(bench, MODULE) == before
+
+
 def test_track_follows_for_its_time_and_reports(bench) -> None:
     run = bench.do("TRACK SATELLITE FOR 2 SEC VIA CAMERA-3 REPORT POSE AND EVERY 0.1 SEC")
     assert run.succeeded

@@ -194,6 +194,8 @@ def _failure(
     words = _words(failure.message, data, reason) if asked is None else _stopped_as_requested(asked, data)
     if done := reflexes.describe_action(data.report):
         words = f"{words}; {done}"
+    if reason is StopReason.OUT_OF_RANGE and _seen_as_believed(query, data):
+        words = f"{words}; it is where it is believed to be"
     if evaluation.slowed and reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT):
         words = f"{words}; {evaluation.slowed}"
     cures = _ways_to_clear(program, query, changes, failure.misplaced)
@@ -373,13 +375,23 @@ def _touched_object_changes(
 ) -> Changes:
     """After a failure the touched object is suspect until it is sensed again (R151)."""
     thing = data.evaluation.context.object
-    if not thing or thing == data.evaluation.held:
+    if not thing or thing == data.evaluation.held or _seen_as_believed(query, data):
         return []
     pressed = data.report.peak_force_n > program.values["touched_n"] or not query.seat(thing)
     if "object" in failure.suspect or ("if_touched" in failure.suspect and pressed):
         doubtful = ("frame", "grasp") if query.held_by(thing) else ("frame",)
         return [WorldChange(key=f"{thing}.{name}", keep_value=True, validity=Validity.SUSPECT) for name in doubtful]
     return []
+
+
+def _seen_as_believed(query: WorldQuery, data: AnalyzerInput) -> bool:
+    """Whether a camera that looked for a body in another place has seen it where it is believed to be."""
+    sighting, args = data.report.sighting, data.evaluation.step.args
+    if sighting is None or data.evaluation.body_pose is None:
+        return False
+    believed = query.pose(data.evaluation.body)
+    near = geometry.distance(sighting.pose, believed) <= float(args.get("within_m", 0.0))
+    return near and geometry.angle(sighting.pose, believed) <= float(args.get("within_rad", 0.0))
 
 
 def _merged(changes: Changes) -> Changes:
