@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -11,7 +12,7 @@ import typer
 from rich.text import Text
 
 from rtc.cells.cell import Cell
-from rtc.cells.parts import Camera, Place, Region, Seat
+from rtc.cells.parts import Camera, Object, Place, Region, Seat
 from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
 from rtc.language.alike import nearest_words
 from rtc.language.record import hand_in_words
@@ -19,6 +20,7 @@ from rtc.robot.axis_names import AXES
 from rtc.runtime.settings import Settings, default_run_dir
 
 CELL = "swapout"  # default cell of a cluster
+NO_GRASP = "GRASP needs a row of command_object_table for it"  # of an object of a kind that the programs do not know
 OTHER_WORDS = {"axis": "axes", "hand": "arms", "hands": "arms", "end-effector": "arms", "end-effectors": "arms"}
 
 
@@ -119,7 +121,8 @@ def _objects(cell: Cell) -> list[NameEntry]:
         NameEntry(
             thing.name,
             f"{thing.kind}, " + ("fixed, cannot be grasped" if thing.fixed else f"{thing.mass_kg:g} kg")
-            + (f", begins in {thing.seat}" if thing.seat else ""),
+            + (f", begins in {thing.seat}" if thing.seat else "")
+            + ("" if thing.fixed or _can_be_grasped(thing) else f", {NO_GRASP}"),
         )
         for thing in cell.objects
     ]  # fmt: skip
@@ -127,10 +130,28 @@ def _objects(cell: Cell) -> list[NameEntry]:
 
 def _grasp_points(cell: Cell) -> list[NameEntry]:
     return [
-        NameEntry(point.name, f"of {thing.name}, {_cm(point.width_m)} cm wide")
+        NameEntry(
+            point.name,
+            f"of {thing.name}, {_cm(point.width_m)} cm wide" + ("" if _can_be_grasped(thing) else f", {NO_GRASP}"),
+        )
         for thing in cell.objects
         for point in thing.grasp_points
     ]
+
+
+def _can_be_grasped(thing: Object) -> bool:
+    """Whether the programs that come with rtc have figures to GRASP it."""
+    return thing.kind in _graspable() or thing.name in _graspable()
+
+
+@cache
+def _graspable() -> frozenset[str]:
+    """Kinds and names of objects in the rows of GRASP."""
+    from rtc.programs.loader import decode, default
+    from rtc.programs.schema import ElaboratorProgram
+
+    rows = decode(default("elaborator"), ElaboratorProgram).command_object_table
+    return frozenset(row.name or row.kind for row in rows if row.verb == "GRASP")
 
 
 def _seats(cell: Cell) -> list[NameEntry]:
@@ -198,11 +219,13 @@ def _arm(cell: Cell) -> str:
 
 
 def _thing(cell: Cell) -> str:
-    return next((thing.name for thing in cell.objects if thing.grasp_points), "OBJECT")
+    return next((thing.name for thing in cell.objects if thing.grasp_points and _can_be_grasped(thing)), "OBJECT")
 
 
 def _point(cell: Cell) -> str:
-    return next((point.name for thing in cell.objects for point in thing.grasp_points), "POINT")
+    return next(
+        (point.name for thing in cell.objects if _can_be_grasped(thing) for point in thing.grasp_points), "POINT"
+    )
 
 
 def _first(parts: Sequence[Camera | Place | Seat | Region], otherwise: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rtc.cells.cell import Cell
-from rtc.cli.names import KINDS, _cell_of
+from rtc.cli.names import KINDS, NO_GRASP, _cell_of
 from rtc.language.parse import default_grammar, parse
 from rtc.language.record import ParsedCommand
 from rtc.runtime.settings import Settings
@@ -21,7 +21,7 @@ def test_all_names_of_the_cell_are_listed(cell: Cell) -> None:
     assert {"HANDLE-A", "HANDLE-B", "LEVEL", "TOOL-Z", "UP"} <= listed
 
 
-@pytest.mark.parametrize("name", ["swapout", "panda", "gantry"])
+@pytest.mark.parametrize("name", ["swapout", "panda", "gantry", "servicing"])
 def test_the_examples_are_sentences_with_a_name_of_their_kind(name: str) -> None:
     cell = Cell.load(name)
     for kind, (read, example) in KINDS.items():
@@ -29,6 +29,13 @@ def test_the_examples_are_sentences_with_a_name_of_their_kind(name: str) -> None
         assert isinstance(parse(default_grammar(), sentence), ParsedCommand), sentence
         listed = {name for row in read(cell) for name in (row.name, *row.also)}
         assert not listed or listed & set(sentence.split()), kind
+
+
+def test_what_no_program_can_grasp_is_marked() -> None:
+    cell = Cell.load("servicing")
+    marked = {row.name for kind in ("objects", "grasp-points") for row in KINDS[kind][0](cell) if NO_GRASP in row.about}
+
+    assert marked == {"POWER-DRIVER", "TOOL-GRIP"}
 
 
 def test_the_cell_is_that_of_the_cluster(tmp_path: Path) -> None:
