@@ -13,6 +13,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import pinocchio as pin
 
 from rtc.authoring import self_collisions
 from rtc.authoring.adapt import TCP, AdaptedArm, adapt
@@ -27,6 +28,8 @@ from rtc.robot.kinematics import ArmModel
 
 SEED, POSTURES = 1, 1500  # among which home and stow are chosen
 EFFORT = 0.6  # share of the motor torque that a posture may need against gravity
+FAR = 0.9  # half turns of a joint from home to stow, at most if the arm allows it
+NEAR_HOME = 0.06  # weight of half a turn of a joint from home, against a reach more of extent, for stow
 ACCELERATION = 0.4  # share of the remaining motor torque that accelerates the joint alone
 ACCELERATIONS = (0.5, 10.0)  # rad/s^2, m/s^2: range of what is proposed
 PAYLOADS_KG = (0.5, 10.0)
@@ -156,8 +159,12 @@ def _with_postures(cell: Cell, adapted: AdaptedArm) -> Cell:
     singular = np.array([model.sigma_min(q) for q in held])
     before = np.linalg.norm(hands[:, :3] - (0.5 * reach, 0.0, 0.45 * reach), axis=1)
     home = held[int(np.argmin(before / reach - tool[:, 2] * -0.5 - np.clip(margin, 0, 0.4) - singular))]
-    folded = np.linalg.norm(hands[:, :2], axis=1) / reach - np.clip(margin, 0, 0.2)
-    stow = held[int(np.argmin(folded + np.where(hands[:, 2] < 0.2 * reach, 1.0, 0.0)))]
+    home = _unwound(model, home, model.middle)
+    folded = np.array([_extent_m(model, q) for q in held]) / reach - np.clip(margin, 0, 0.2)
+    near_home = _unwound(model, held, home)
+    turns = np.abs(near_home - home).max(axis=1) / np.pi
+    avoided = np.where((hands[:, 2] < 0.2 * reach) | (turns > FAR), 1.0, 0.0)
+    stow = near_home[int(np.argmin(folded + NEAR_HOME * turns + avoided))]
     spec = msgspec.structs.replace(
         cell.arms[0],
         home_deg=_written(adapted, home),
@@ -172,6 +179,25 @@ def _samples(model: ArmModel) -> Iterator[Array]:
     lower, upper = model.limits.lower, model.limits.upper
     margin = np.minimum(MARGIN_RAD, 0.2 * (upper - lower))
     yield from np.random.default_rng(SEED).uniform(lower + margin, upper - margin, (POSTURES, len(lower)))
+
+
+def _extent_m(model: ArmModel, q: Array) -> float:
+    """The greatest distance of a joint or of the hand from the base."""
+    data = model.model.createData()
+    pin.framesForwardKinematics(model.model, data, q)
+    places = [data.oMi[n].translation for n in range(1, model.model.njoints)] + [data.oMf[model.tcp_frame].translation]
+    return float(np.linalg.norm(places, axis=1).max())
+
+
+def _unwound(model: ArmModel, q: Array, near: Array) -> Array:
+    """The same postures, one or rows of them, with whole turns taken off, so that joints are nearer to `near`.
+
+    A joint that would then be beyond its limits stays.
+    """
+    turned = q - 2 * np.pi * np.round((q - near) / (2 * np.pi)) * ~np.array(model.slides)
+    margin = np.minimum(MARGIN_RAD, 0.2 * (model.limits.upper - model.limits.lower))
+    within = (turned >= model.limits.lower + margin) & (turned <= model.limits.upper - margin)
+    return np.where(within, turned, q)
 
 
 def _weight_share(model: ArmModel, q: Array) -> float:

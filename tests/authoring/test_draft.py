@@ -50,6 +50,25 @@ def test_an_arm_without_a_hand_gets_one_that_points_away_from_it(first_cell):
         assert np.linalg.norm(at["tcp"] - at[before]) > np.linalg.norm(at[last] - at[before]) + 0.10
 
 
+@pytest.mark.parametrize("arm", ARMS)
+def test_stow_is_compact_and_not_far_from_home(first_cell, arm):
+    """No joint winds up, and the whole arm stays nearer to its base than at home."""
+    cell = Cell.load(first_cell(arm))
+    spec = cell.arm(arm)
+    model = pin.buildModelFromXML(cell.urdf(arm))
+
+    def extent_m(joints):
+        q = np.zeros(model.nq)
+        for name, value in zip(spec.joints, joints, strict=True):
+            q[model.joints[model.getJointId(name)].idx_q] = value
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, q)
+        return max(float(np.linalg.norm(place.translation)) for place in data.oMf)
+
+    assert extent_m(spec.stow_rad) < 0.9 * extent_m(spec.home_rad)
+    assert np.abs(np.subtract(spec.stow_rad, spec.home_rad)).max() < np.pi
+
+
 def test_the_same_urdf_gives_the_same_cell(first_cell):
     urdf, tip = ARMS["PANDA"]
     assert draft(urdf, "PANDA", tip).yaml == first_cell("PANDA").read_text()
