@@ -110,7 +110,7 @@ def new(
     for note in made.notes:
         console.print(Text(f"- {note}"))
     console.print(Text(f"{file}: the arm is {arm}. Next:"))
-    console.print(Text(f"  rtc cell check {file} -o cell.png"))
+    console.print(Text(f"  rtc cell check {file} -o cell.png --camera left"))
     console.print(Text(f"  rtc up -d --cell {file}"))
     console.print(Text(f'  rtc do "STOW ARM {arm}"'))
 

@@ -69,6 +69,14 @@ def test_stow_is_compact_and_not_far_from_home(first_cell, arm):
     assert np.abs(np.subtract(spec.stow_rad, spec.home_rad)).max() < np.pi
 
 
+def test_a_mounted_hand_has_colours_of_its_own(first_cell):
+    """A picture of the cell must show where it points."""
+    robot = ElementTree.fromstring(Cell.load(first_cell("IIWA")).urdf("IIWA"))
+    for name in ("palm", "finger_a", "finger_b"):
+        (visual,) = robot.findall(f"link[@name='{name}']/visual")
+        assert visual.find("material/color") is not None
+
+
 def test_the_same_urdf_gives_the_same_cell(first_cell):
     urdf, tip = ARMS["PANDA"]
     assert draft(urdf, "PANDA", tip).yaml == first_cell("PANDA").read_text()
