@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 
 from benchmarks.load.client import LoadClient
 from benchmarks.load.cluster import cluster
-from benchmarks.load.trivial import performer, sentence
+from benchmarks.load.trivial import PERFORMERS, performer, sentence
 from benchmarks.report import RESULTS, finish, percentile, question
 from benchmarks.throughput import PLANNERS, motion
 from rtc.protocol.messages import WorkerKind
@@ -37,7 +37,8 @@ from rtc.protocol.outcomes import OutcomeKind
 
 WARM_UP_S = 1.0
 JOIN_LIMIT_S = 60.0  # time limit for all workers to register
-LOADED = 1024  # performers with commands; the others are for halts
+# Performers with commands, twice as many as are in progress: none waits for another's. The last one is for halts.
+LOADED = PERFORMERS - 1
 IDLE_PERFORMER = performer(LOADED)
 ENGINES = {"process": "forked workers", "ray": "Ray actors"}
 
