@@ -29,7 +29,7 @@ def _plain(value: Any) -> float:
     """A number of numpy as one of Python: one that slips into a report must not end the process that sends it."""
     if isinstance(value, numbers.Real):
         return float(value)
-    raise NotImplementedError(f"no message may contain a {type(value).__name__}")
+    raise TypeError(f"no message may contain a {type(value).__name__}")
 
 
 _encoder = msgspec.msgpack.Encoder(enc_hook=_plain)

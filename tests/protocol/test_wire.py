@@ -72,5 +72,5 @@ def test_a_number_of_numpy_travels_as_one_of_python():
         "measured": 0.5,
         "joint": 3,
     }
-    with pytest.raises(NotImplementedError):
+    with pytest.raises(TypeError):
         wire.encode({"measured": object()})
