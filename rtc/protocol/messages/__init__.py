@@ -1,0 +1,24 @@
+"""All messages between processes: read this package first. Other packages import the messages from here.
+
+The modules in the order to read them, that of a command's path: `client`, `worker`, `payloads` (what jobs carry),
+`subsystem`, `world`, `supervisor`, `simulator`. `shared` has what several of them use. A module ends with the unions
+of its messages, one per socket and direction.
+
+Every message is a frozen struct, on the wire a MessagePack map whose key "type" holds the name of the class (see
+`rtc.protocol.wire`, the only module that encodes). Unknown keys are ignored and missing keys take their defaults, so
+that different versions can communicate (R42).
+
+Times that end in `_at_s` are CLOCK_MONOTONIC seconds of the machine they were taken on, comparable between
+the processes of one host; `_s` is a duration. Poses are [x y z qx qy qz qw] (m, unit quaternion), in world
+axes unless a `frame` states another. A wrench is [Fx Fy Fz Tx Ty Tz] (N, N.m) that the environment exerts on
+the hand, in tool axes at the tcp. Names are upper case.
+"""
+
+from rtc.protocol.messages.client import *
+from rtc.protocol.messages.payloads import *
+from rtc.protocol.messages.shared import *
+from rtc.protocol.messages.simulator import *
+from rtc.protocol.messages.subsystem import *
+from rtc.protocol.messages.supervisor import *
+from rtc.protocol.messages.worker import *
+from rtc.protocol.messages.world import *

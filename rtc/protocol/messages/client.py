@@ -1,0 +1,201 @@
+"""Client <-> broker: sentences, queries, programs, progress and outcomes (front.sock), and published events."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from rtc.protocol.messages.shared import PROGRAM_BYTES, Heartbeat, Message, Name, Shutdown, WorkerKind
+from rtc.protocol.outcomes import Measured, Outcome, Refusal
+
+# --- client -> broker ---
+
+
+class CommandText(Message, frozen=True, kw_only=True):
+    """A sentence. The same (client, request) sent twice is one command: a client may repeat it after a reconnect."""
+
+    request: Name  # chosen by the client, unique for it
+    text: str
+    source: Literal["operator", "aip"] = "operator"  # appears in records only (R133)
+    progress: bool = True  # send ProgressNotes too, not only the end
+    halt_if_lost: bool = False  # halt this command if the client is lost; the client sends Heartbeat every second
+    # A sentence sent before a HALT ALL does not start after it; 0 = unknown.
+    sent_at_s: Annotated[float, msgspec.Meta(ge=0)] = 0.0
+    cluster: Name = ""  # the run it is for, as in Welcome; another run declines it; empty = any
+    known_as: Name = ""  # C-n, if it is sent again after it was accepted
+
+
+class StatusQuery(Message, frozen=True, kw_only=True):
+    request: Name
+
+
+class TraceQuery(Message, frozen=True, kw_only=True):
+    request: Name
+    command: Name  # C-n
+
+
+class ProgramText(Message, frozen=True, kw_only=True):
+    """LOAD: replace the program of a kind of worker by this document, or merge it into it."""
+
+    request: Name
+    kind: WorkerKind
+    name: Name  # of the file, for messages
+    body: Annotated[bytes, msgspec.Meta(max_length=PROGRAM_BYTES)]  # YAML
+    reset: bool = False  # restore the default program of this kind; `body` is ignored
+    cluster: Name = ""  # as in CommandText
+
+
+class ProgramQuery(Message, frozen=True, kw_only=True):
+    """Query the program of a kind of worker, or the cell. The answer is ProgramReply."""
+
+    request: Name
+    kind: WorkerKind | None = None  # None: the document of the cell
+
+
+class ClientHello(Message, frozen=True, kw_only=True):
+    """First message of a client; its name `client` survives reconnects. The answer is Welcome."""
+
+    client: Name
+    at_s: float = 0.0  # the client's clock, from which a gateway computes the offset; 0 = unknown
+    arrays: bool = False  # it also reads arrays of messages; else each message travels alone
+
+
+# --- broker -> client ---
+
+
+class Welcome(Message, frozen=True, kw_only=True):
+    cluster: str  # the run's id
+    pid: int
+    arrays: bool = False  # the broker reads arrays of messages too
+
+
+class Accepted(Message, frozen=True, kw_only=True):
+    request: str
+    command: str  # C-n
+
+
+class Declined(Message, frozen=True, kw_only=True):
+    """The request was not accepted (not a command's outcome): unknown command, queue full, bad message."""
+
+    request: str
+    refusal: Refusal
+
+
+class Phase(StrEnum):
+    """Phase of a command. ENDED is final; HALTING and CLOSING lead only to ENDED."""
+
+    PARSING = "parsing"
+    ELABORATING = "elaborating"
+    HELD = "held"  # waits for its resources
+    WAITING = "waiting"  # waits until another arm leaves the space that it needs
+    BINDING = "binding"
+    EXECUTING = "executing"
+    ANALYZING = "analyzing"
+    PAUSED = "paused"  # between two steps; in replies to queries also on the path of a motion
+    HALTING = "halting"  # halted; waits until rest is confirmed
+    CLOSING = "closing"  # a last analysis, whose advice is ignored; facts about what was touched become suspect
+    ENDED = "ended"
+
+
+class ProgressNote(Message, frozen=True, kw_only=True):
+    """One event in the journey of a command; also one line of a trace."""
+
+    seq: int  # number in the broker's event stream; 0: a report of EVERY or WHEN, outside that stream
+    at_s: float
+    command: str
+    phase: Phase  # the phase it is in now
+    step: str = ""  # "5 of 9: feel GP1"
+    node: str = ""  # process that did the work that just ended: "binder@2", "MCM"
+    took_s: float = 0.0  # duration of that work, from dispatch to answer
+    note: str = ""  # its result, in words
+    expected_s: float = 0.0  # planned duration of the current step; 0 = unknown
+    measured: Measured | None = None  # what REPORT requests
+    warning: bool = False  # needs a person's attention although the command continues
+
+
+class CommandEnded(Message, frozen=True, kw_only=True):
+    seq: int
+    at_s: float
+    command: str
+    request: str
+    text: str
+    outcome: Outcome
+    took_s: float
+
+
+class RequestRefused(Message, frozen=True, kw_only=True):
+    """Published for observers: a request that never became a command. Above a rate they are only counted."""
+
+    at_s: float
+    request: str
+    refusal: Refusal
+    text: str = ""  # the sentence, where it is known
+
+
+class HaltRequested(Message, frozen=True, kw_only=True):
+    """Published for observers: a halt that is not a sentence, also one of arms at rest. Once per halt."""
+
+    at_s: float
+    halt: str
+    scope: str
+    called_at_s: float = 0.0  # when the operator called; 0: unknown
+    refused: str = ""  # why nothing was halted: the scope is unknown
+
+
+class StatusReply(Message, frozen=True, kw_only=True):
+    request: str
+    status: dict[str, Any]  # see docs/protocol.md; plain JSON types
+
+
+class CommandRecord(Message, frozen=True, kw_only=True):
+    """The whole record of a command, live or archived."""
+
+    command: str
+    text: str
+    source: str
+    request: str
+    accepted_at_s: float
+    phase: Phase
+    notes: list[ProgressNote] = []
+    outcome: Outcome | None = None
+    ended_at_s: float | None = None
+    reports: list[ProgressNote] = []  # the latest reports of EVERY and WHEN; the broker that sent them keeps some
+    reports_older: int = 0  # number of those before them
+
+
+class TraceReply(Message, frozen=True, kw_only=True):
+    request: str
+    record: CommandRecord
+
+
+class ProgramLoaded(Message, frozen=True, kw_only=True):
+    request: str
+    kind: WorkerKind
+    digest: str  # of the whole program
+    changes: list[str] = []  # in words, one for each changed item; empty: nothing changed
+
+
+class ProgramReply(Message, frozen=True, kw_only=True):
+    request: str
+    kind: WorkerKind | None = None  # None: the cell
+    digest: str
+    body: bytes  # the whole program in its canonical form, or the cell: JSON; for the parser a grammar
+
+
+ClientToBroker = (
+    ClientHello | CommandText | StatusQuery | TraceQuery | ProgramQuery | ProgramText | Shutdown | Heartbeat
+)
+BrokerToClient = (
+    Welcome
+    | Accepted
+    | Declined
+    | ProgressNote
+    | CommandEnded
+    | StatusReply
+    | TraceReply
+    | ProgramReply
+    | ProgramLoaded
+)
+Event = ProgressNote | CommandEnded | RequestRefused | HaltRequested  # what the broker publishes

@@ -1,0 +1,199 @@
+"""What jobs carry: inputs and products of the four kinds of worker. Opaque to the Decision Unit."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+from rtc.language.record import Condition, ParsedCommand, ReflexItem
+from rtc.protocol.messages.shared import Message
+from rtc.protocol.messages.subsystem import EndReport
+from rtc.protocol.messages.world import WorldChange
+from rtc.protocol.outcomes import StopReason
+from rtc.protocol.primitive import Primitive
+
+
+class Binding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A named parameter of a script: joints, a pose (in the axes of the object or seat `frame`, if one is named), or a
+    number. Exactly one of `joints`, `pose` and `number` is set."""
+
+    joints: list[float] | None = None  # rad
+    pose: list[float] | None = None  # of the tcp
+    frame: str | None = None  # the object or seat whose axes the pose is in; None = world
+    grasp: list[float] | None = None  # pose of the held object in the hand that this pose was made for
+    number: float | None = None
+
+
+class Way(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A way of an arm that an elaborator has found free. A binder may use it if its own planning request has the same
+    digest; otherwise it plans anew (`workers.planning.motion.handed`)."""
+
+    asked: bytes  # digest of the planning request: joints of all arms, goal, scene, rules
+    space: Literal["joint", "task"]
+    s: list[float]  # parameter of each knot; rises from 0
+    knots: list[list[float]]  # rad
+    radii: list[float] = []  # of the rounded corners at the inner knots, in the unit of s
+    notes: list[str] = []  # how it was found
+
+
+class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One line of a script (Figure 4): do, resource, destination, stop class, interpolation space, trims."""
+
+    do: str  # "proc", "move", "let", "grip", "hold": a row of the binder's program
+    label: str  # in words, for people: "feel one side of the handle (GP1)"
+    name: str = ""  # of the procedure, or of the value that is set
+    who: str = "active_arm"
+    to: str = ""  # a binding's name
+    stop: str = ""  # stop class: move_free, move_to_contact ...
+    space: str = ""  # move_joint, move_task
+    value: str = ""  # of a "let": an expression over bindings
+    op: str = ""  # of a "grip": open, close
+    expect: list[StopReason] = msgspec.field(
+        default_factory=lambda: [StopReason.GOAL]
+    )  # the stop reasons that count as success (A13)
+    keep: dict[str, str] = {}  # binding to set from the report on success: {"GP1": "report.pose"}
+    trims: list[int] = []  # entries of the trimming stack that may correct it, in order (A9)
+    args: dict[str, float | str] = {}  # other parameters of the program's row: speeds, thresholds, widths
+    way: Way | None = None  # of the first motion of a script
+
+
+class Trim(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One entry of the trimming stack: a corrective piece of script, and what follows it (A16)."""
+
+    n: int
+    label: str
+    steps: list[Step]
+    then: Literal["retry_step", "restart_script", "skip", "replace_rest", "give_up"] = "retry_step"
+    fits: list[StopReason] = []  # the failures it may correct; empty = any
+
+
+class Limits(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """MAINTAIN, as numbers. None = the program's default."""
+
+    speed_m_s: float | None = None
+    speed_ratio: float | None = None
+    force_n: float | None = None
+    torque_nm: float | None = None
+    grip_force_n: float | None = None
+    time_s: float | None = None
+    clearance_m: float | None = None  # AVOID-NEIGHBORS
+    keep_out: list[str] = []  # regions
+    work_range: str | None = None
+    attitude: str | None = None  # POSE-DURING-MOTION
+    stiffness_n_m: float | None = None
+
+
+class ScriptContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What every step of a script is bound with. Opaque to the Decision Unit."""
+
+    verb: str
+    script: str  # its name: grasp-centering
+    arm: str = ""  # active_arm; empty: only a camera works
+    partner: str = ""  # the arm that holds the same object and complies; empty: one arm moves
+    object: str = ""  # active_object
+    grasp_point: str = ""
+    target: str = ""
+    limits: Limits = Limits()
+    guarded: bool = False
+    reflexes: list[ReflexItem] = []
+    report_when: list[Condition] = []
+    fits: dict[int, list[StopReason]] = {}  # entry of the trimming stack -> failures it may correct; empty = any
+    # Facts stated by the sentence itself, by key, SI.
+    stated: dict[str, Any] = msgspec.field(default_factory=dict, name="told")
+
+
+class Script(Message, frozen=True, kw_only=True):
+    """Product of an elaborator: what to do, what may go wrong, what it needs (R118)."""
+
+    context: ScriptContext
+    case: int  # 1-4 (R68)
+    steps: list[Step]
+    trims: list[Trim] = []
+    bindings: dict[str, Binding] = {}  # decided backwards from the goal (R134)
+    resources: list[str] = []  # non-sharable, all or none
+    writes: list[str] = []  # locations of the world that analyzers of this command may write
+    reads: list[str] = []  # further locations that its plan relies on
+    candidates: list[str] = []  # what was ranked, the chosen one first (R75)
+    notes: list[str] = []  # log of the planning, for people: generated, tested, modified (R92)
+
+
+class EvaluationContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What the binder expects of a primitive; the analyzer judges the report by it. Opaque to the
+    Decision Unit and never sent to a subsystem."""
+
+    context: ScriptContext
+    step: Step
+    arm: str = ""
+    goal_pose: list[float] | None = None  # of the tcp, predicted at the goal
+    goal_joints: list[float] | None = None
+    held: str = ""  # the object in the hand before the primitive, if any
+    predicted_s: float = 0.0
+    width_m: list[float] | None = None  # for a grip: [least, most] that count as success
+    no_contact_is_failure: bool = False
+    slowed: str = ""  # why the motion is slower than the command allows, in words
+    start_joints: list[float] | None = None
+    body: str = ""  # what a camera looks for
+    body_pose: list[float] | None = None  # where it should be, for a check
+
+
+class ParserInput(msgspec.Struct, frozen=True, kw_only=True):
+    text: str
+
+
+class ElaboratorInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """`at_s`: when the broker asks; what a hand holds is less certain with the age of its facts. 0 = unknown."""
+
+    command: str
+    parsed: ParsedCommand
+    at_s: float = 0.0
+    moving: list[Primitive] = []  # of other arms: executing, or ended and not in the world database yet
+
+
+class BinderInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """`at_s`, `moving`: as in `ElaboratorInput`. `moved_s`: how long this command has moved, in arm time."""
+
+    primitive_id: str
+    context: ScriptContext
+    step: Step
+    bindings: dict[str, Binding]
+    at_s: float = 0.0
+    moving: list[Primitive] = []
+    moved_s: float = 0.0
+
+
+class AnalyzerInput(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """`closing`: the command is ending, so only the world is updated and advice is ignored (R151)."""
+
+    evaluation: EvaluationContext
+    report: EndReport
+    trims_used: list[int] = []  # for this step
+    closing: bool = False
+
+
+class BoundStep(Message, frozen=True, kw_only=True):
+    """Product of a binder: a primitive with its expected result, or bindings for a step without motion, or `report`.
+
+    `report` has the facts that the operator stated; it goes to an analyzer without a subsystem.
+    """
+
+    subsystem: str = ""  # "MCM", "S&P"; empty = nothing to execute
+    primitive: Primitive | None = None
+    report: EndReport | None = msgspec.field(default=None, name="told")
+    evaluation: EvaluationContext | None = None
+    bindings: dict[str, Binding] = {}
+    limit_s: float = 0.0  # time limit of the end report, above the time limit of the primitive itself
+    predicted_s: float = 0.0  # planned duration of the primitive
+    note: str = ""
+
+
+class Assessment(Message, frozen=True, kw_only=True):
+    """Product of an analyzer (R122): continue, trim or abort; and the changes of the world."""
+
+    verdict: Literal["continue", "trim", "abort"]
+    reason: StopReason  # after derivation: NO_CONTACT where goal was reached and a touch expected
+    message: str = ""
+    trim: int = 0  # entry of the trimming stack to push
+    keep: dict[str, Binding] = {}  # measured values for later steps
+    changes: list[WorldChange] = []
+    clears: str = ""  # what would clear the failure

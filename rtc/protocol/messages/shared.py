@@ -1,0 +1,54 @@
+"""What several sockets share: the base of all messages, limits, kinds of worker, signs of life."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated
+
+import msgspec
+
+
+class Message(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag=True, gc=False):
+    """Base of all messages. They contain no reference cycles, so the garbage collector does not track them."""
+
+
+# Limits of what a peer chooses and the receiver keeps; a message above them is not decoded.
+NODES = 1 << 16  # number of addresses of workers
+PROGRAM_BYTES = 128 << 10  # maximum size of a program file; the longest default program has 7 kB
+Name = Annotated[str, msgspec.Meta(max_length=200)]  # characters
+
+
+class WorkerKind(StrEnum):
+    """The four kinds of worker; the position of a kind gives the two low bits of a node's cube address."""
+
+    PARSER = "parser"
+    ELABORATOR = "elaborator"
+    BINDER = "binder"
+    ANALYZER = "analyzer"
+
+
+class Heartbeat(Message, frozen=True, kw_only=True):
+    """Sign of life, with the current job, if any. From a worker, a subsystem, or a client with `halt_if_lost`.
+
+    The broker returns that of a registered worker if it has a time."""
+
+    name: Name
+    job: Name = ""
+    at_s: float = 0.0  # clock of the worker; 0 = no answer wanted
+    # From a worker: how long the answer to an earlier one took; None = not measured again.
+    round_trip_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] | None = None
+
+
+class Shutdown(Message, frozen=True, kw_only=True):
+    """End in order: the cluster (from a client) or a retiring worker. From the supervisor to the broker: halt
+    everything, accept no more commands, and answer AllEnded."""
+
+    request: Name = ""
+    why: str = ""  # to a worker that the gateway rejects: the reason
+
+
+class Dropped(Message, frozen=True, kw_only=True):
+    """Number of unreadable messages by socket since the start of the process, for `rtc status`. Sent now and then by
+    the processes that have sockets of their own (MCM, world database)."""
+
+    counts: Annotated[dict[Name, int], msgspec.Meta(max_length=10)]

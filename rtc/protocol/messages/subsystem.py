@@ -1,0 +1,192 @@
+"""Broker <-> subsystems: primitives and their reports, halts; and telemetry for subscribers."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import msgspec
+
+from rtc.protocol.messages.client import Declined
+from rtc.protocol.messages.shared import Dropped, Heartbeat, Message, Name
+from rtc.protocol.outcomes import Reflex, Sighting, StopReason
+from rtc.protocol.primitive import Primitive
+
+
+class SubsystemHello(Message, frozen=True, kw_only=True):
+    """A subsystem is ready. `outstanding`: primitives it executes or whose report is not acknowledged."""
+
+    name: Name  # MCM, S&P
+    pid: int
+    performers: Annotated[list[Name], msgspec.Meta(max_length=10_000)]  # LEFT-ARM, RIGHT-ARM
+    # Those that take several primitives at once and serve them in turn: cameras.
+    queues: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []
+    outstanding: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []
+    at_rest: bool = True
+    arrays: bool = False  # as in ClientHello
+    pauses: bool = False  # it obeys Pace; else its commands pause between two steps only
+    paused: Annotated[list[Name], msgspec.Meta(max_length=10_000)] = []  # primitives that it was ordered to pause
+
+
+class Execute(Message, frozen=True, kw_only=True):
+    """Execute a primitive. A repeated one is executed once. One that the broker sent before it knew of a halt is not
+    begun after that halt."""
+
+    primitive: Primitive
+    issued_at_s: float = 0.0
+    pid: int = 0  # of the process it is for, as in its hello; another one ignores it; 0 = any
+
+
+class HaltOrder(Message, frozen=True, kw_only=True):
+    """Stop now. `scope`: ALL, a performer, or a command number, which stops the primitives that begin with it.
+
+    It is obeyed whenever it is received, also if its name was used before. From a subsystem to the broker: a halt that
+    bypassed the broker. Nothing in its scope begins until the broker has answered with the same order; the subsystem
+    repeats it with every hello until then."""
+
+    halt: Name
+    scope: Name = "ALL"
+    called_at_s: float = 0.0  # when the operator called
+    call: Name = ""  # the sender's number of this order; answers repeat it
+    # From a subsystem only: when it received the halt; sentences sent later go on. 0: unknown.
+    received_at_s: float = 0.0
+
+
+class Pace(Message, frozen=True, kw_only=True):
+    """Pause a primitive on its path, or let it go on. Repeating it changes nothing; one that has ended ignores it.
+
+    F is checked during a pause. A time limit does not count from the order to pause until the order to go on."""
+
+    primitive: Name
+    paused: bool
+
+
+class Injected(Message, frozen=True, kw_only=True):
+    """The faults that are injected in a simulated subsystem, for `rtc status`; after each change and each hello."""
+
+    active: Annotated[list[Name], msgspec.Meta(max_length=1000)] = []
+
+
+class ReportAck(Message, frozen=True, kw_only=True):
+    """The broker has journalled the end report of this primitive; the subsystem may forget it."""
+
+    primitive: str
+
+
+class Started(Message, frozen=True, kw_only=True):
+    primitive: str
+    at_s: float
+
+
+class Paced(Message, frozen=True, kw_only=True):
+    """A primitive has come to rest on its path, or has gone on from there."""
+
+    primitive: str
+    at_s: float
+    paused: bool
+    done: float = 0.0  # part of the duration of its trajectory, 0 to 1
+
+
+class ProgressReport(Message, frozen=True, kw_only=True):
+    """A report during a motion or a look: at the period requested in R, or because a condition of R is true.
+
+    Only an arm has joints, wrench and tcp pose."""
+
+    primitive: str
+    at_s: float
+    joints: list[float] = []
+    wrench: list[float] = []
+    tcp_pose: list[float] = []
+    condition: int | None = None  # number of the condition; None: a periodic report
+    measured: float | None = None  # what the condition compares
+    limit: float | None = None
+    sighting: Sighting | None = None  # of a camera: the latest pose of the body
+
+
+class EndReport(Message, frozen=True, kw_only=True):
+    """The one end report of a primitive: what, where, why (R65). Repeated until it is acknowledged.
+
+    Joints, poses, wrenches and the hand are those of an arm; of a camera they are empty, and it has a sighting."""
+
+    primitive: Name
+    performer: Name
+    reason: StopReason
+    at_s: float
+    duration_s: float  # in the time of the simulation, pauses included
+    joints: list[float] = []  # rad, after coming to rest
+    tcp_pose: list[float] = []  # at rest
+    wrench: list[float] = []  # at rest
+    hand_width_m: float = 0.0
+    hand_force_n: float = 0.0  # pressed by the fingers, the smaller of the two
+    peak_force_n: float = 0.0  # while moving
+    peak_torque_nm: float = 0.0
+    trip_pose: list[float] | None = None  # of the tcp, in the tick that tripped
+    trip_wrench: list[float] | None = None
+    measured: float | None = None  # the value that tripped
+    limit: float | None = None  # the limit it exceeded
+    message: str = ""  # for REFUSED: why; for COLLISION: the bodies' link names
+    turned_rad: float | None = None  # by the spindle of a held driver
+    reflex: Reflex = Reflex.STOP  # what was done after the stop: BACK_OFF, RELEASE
+    facts: dict[str, Any] = {}  # stated, by key (MACS-OLD.frame), SI; an analyzer writes them
+    partner: EndReport | None = None  # of the second arm, if the primitive has one
+    sighting: Sighting | None = None  # of a camera; None: the body was not seen
+
+
+class HaltStarted(Message, frozen=True, kw_only=True):
+    """The first decelerating tick of a halt (the figure `rtc halt` prints)."""
+
+    halt: str
+    subsystem: str
+    received_at_s: float
+    decelerating_at_s: float
+    moving: list[str]  # performers that were in motion
+    call: str = ""  # of the order that this answers
+
+
+class HaltAtRest(Message, frozen=True, kw_only=True):
+    """All performers in the scope of the halt are at rest (or not: `at_rest`)."""
+
+    halt: str
+    subsystem: str
+    at_s: float
+    at_rest: bool
+    performers: list[str]
+    call: str = ""  # of the order that this answers
+
+
+# --- subsystem -> subscribers (PUB) ---
+
+
+class ArmSample(msgspec.Struct, frozen=True, kw_only=True):
+    joints: list[float]
+    velocities: list[float]
+    wrench: list[float]
+    tcp_pose: list[float]
+    hand_width_m: float
+    primitive: str  # being executed; empty = holding
+
+
+class Telemetry(Message, frozen=True, kw_only=True):
+    subsystem: str
+    at_s: float
+    sim_s: float
+    late_ticks: int  # since the start
+    ticks: int
+    arms: dict[str, ArmSample]
+
+
+SubsystemToBroker = (
+    SubsystemHello
+    | Heartbeat
+    | Started
+    | Paced
+    | ProgressReport
+    | EndReport
+    | HaltStarted
+    | HaltAtRest
+    | HaltOrder
+    | Injected
+    | Dropped
+)
+BrokerToSubsystem = Execute | Pace | HaltOrder | ReportAck | Declined  # Declined: the name is in use
+ToHalt = HaltOrder  # on the broker's halt socket and the MCM's estop socket
+FromHalt = HaltStarted | HaltAtRest | Declined

@@ -1,0 +1,121 @@
+"""Supervisor and gateway <-> broker: processes of the cluster, and peers on other machines."""
+
+from __future__ import annotations
+
+from typing import Annotated, NotRequired, TypedDict
+
+import msgspec
+
+from rtc.protocol.messages.shared import Dropped, Message, Name, Shutdown, WorkerKind
+
+
+class SupervisorHello(Message, frozen=True, kw_only=True):
+    pid: int
+
+
+class ProcessExited(Message, frozen=True, kw_only=True):
+    """A process of the cluster has ended."""
+
+    name: Name  # "binder@2", "MCM", "world"
+    pid: int
+    status: int  # as from waitpid: negative = signal
+    restarting: bool
+
+
+class ProcessRow(TypedDict):
+    """A process as the supervisor knows it; a plain map, because `rtc status` passes it on unchanged."""
+
+    name: Name
+    pid: int
+    state: Name
+    since_s: float  # CLOCK_MONOTONIC
+    restarts: NotRequired[int]
+    notes: NotRequired[list[str]]  # warnings: a database set aside, the last output of a crash loop
+    node: NotRequired[int | None]  # a worker's address
+
+
+class Asked(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The latest run of the command line for more workers of a kind (`rtc up --more`)."""
+
+    kind: WorkerKind
+    count: int
+    had: int  # workers of this kind on other machines at that time
+    at_s: float  # CLOCK_MONOTONIC
+    running: bool = False
+    failed: str = ""  # why it failed, in words; empty = it succeeded or is running
+    output: Name = ""  # its last line
+
+
+class ProcessTable(Message, frozen=True, kw_only=True):
+    """All processes of the cluster, for `rtc status`."""
+
+    processes: Annotated[list[ProcessRow], msgspec.Meta(max_length=10_000)]
+    asked: Annotated[list[Asked], msgspec.Meta(max_length=100)] = []
+
+
+class FarWorker(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A worker on another machine, as the gateway knows it."""
+
+    name: Name
+    last_message_at_s: float  # its latest message
+    round_trip_s: float | None = None  # gateway -> worker -> gateway; None = not measured
+    round_trip_at_s: float = 0.0
+
+
+class PeerRow(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What the gateway knows of the holder of a key on one host. A time of 0 means never."""
+
+    key: Name  # its name; empty = an unknown key
+    role: Name = ""
+    host: Name = ""  # network address; empty = the key was not used yet
+    asked: int = 0  # number of workers that are to use this key, as in `rtc keys new --count`
+    revoked: bool = False
+    workers: list[FarWorker] = []
+    lost: dict[str, float] = {}  # worker that is not connected any more -> when its connection was lost
+    connections: int = 0
+    last_message_at_s: float = 0.0
+    refused: int = 0
+    refusal: Name = ""  # the latest, in words
+    refused_at_s: float = 0.0
+
+
+class GatewayReport(Message, frozen=True, kw_only=True):
+    """The peers on other machines, for `rtc status`. Sent twice a second by the gateway."""
+
+    peers: Annotated[list[PeerRow], msgspec.Meta(max_length=1_000)]
+
+
+class KillProcess(Message, frozen=True, kw_only=True):
+    """Ask the supervisor to kill -9 a hung process and start it anew."""
+
+    name: str
+    pid: int
+    why: str
+
+
+class AllEnded(Message, frozen=True, kw_only=True):
+    """Answer to the supervisor's Shutdown: every command has ended, and its client has been sent the outcome."""
+
+    commands: list[str]  # that were live at the Shutdown
+    arms: list[str] = []  # that were in motion at the Shutdown
+
+
+class SpawnWorker(Message, frozen=True, kw_only=True):
+    kind: WorkerKind
+
+
+class RetireWorker(Message, frozen=True, kw_only=True):
+    name: str
+
+
+class AskMore(Message, frozen=True, kw_only=True):
+    """Run the user's command line for more workers on other machines, unless it runs already."""
+
+    kind: WorkerKind
+    count: int
+    had: int  # workers of this kind on other machines
+
+
+# Dropped, GatewayReport: from other processes
+SupervisorToBroker = SupervisorHello | ProcessExited | ProcessTable | Shutdown | Dropped | GatewayReport
+BrokerToSupervisor = KillProcess | SpawnWorker | RetireWorker | AskMore | Shutdown | AllEnded
