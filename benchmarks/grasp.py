@@ -1,17 +1,18 @@
 """How well does a grasp locate a module that is far from its believed place, and what follows from it?
 
-    python -m benchmarks.grasp [--runs 200] [--clusters 2] [--touch] [--short]
+    python -m benchmarks.grasp [--runs 200] [--clusters 2] [--minutes 60] [--touch] [--short]
 
 Each cluster makes two runs at a time, one with each arm. The modules are displaced with their seats, unknown to the
 cluster: along one axis by up to 31 mm to either side, by up to 4 deg of yaw, or along all axes at once (each up to
 25 mm) with up to 4 deg of yaw. `--touch`: without cameras. Every second cluster has loads of 1.5 times the mass and
 pads with half the friction. A run grasps and lifts the module, and puts it back; every third run of the right arm
-carries it to BAY-2. `--short`: the grasp alone. After a failure the advised sentences are submitted, with the true
-position; then the arm must stow.
+carries it to BAY-2. `--short`: the grasp alone. `--minutes`: no cluster is started after that time. After a failure the
+advised sentences are submitted, with the true position; then the arm must stow.
 
     within_25_mm_rate     share of grasps in runs with x, y, z within 25 mm and yaw within 4 deg
     within_straddle_rate  the same, with x, y, z within 14 mm
     wrong_valid_facts     valid poses of a module, after any command, that are off by more than 5 mm or 2 deg
+    outside_spread        valid frames, of any module or seat, whose truth lies outside their stated spread
     restless              arms that moved after a failed command
     stuck                 arms that the advised sentences did not free
     false_successes       PLACE that succeeded with the module more than 5 mm or 2 deg from its seat
@@ -25,7 +26,7 @@ import multiprocessing
 import random
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from functools import partial
@@ -52,6 +53,7 @@ WRONG_M, WRONG_RAD = 0.005, math.radians(2.0)
 SEATED_M, SEATED_RAD = 0.005, math.radians(2.0)
 HEAVY, SMOOTH = 1.5, 0.5
 COMMAND_S = 300.0
+BEYOND_M, BEYOND_RAD = 1e-4, 1e-3  # a truth this far outside a spread is a matter of rounding
 REST_S, REST_RAD = 0.2, 1e-3  # an arm at rest turns by less in this time
 ADVISED = re.compile(r"\b(LOCATE|LIFT|RETRACT|RELEASE|VERIFY|OPEN|STOW) ([A-Z0-9-]+(?: AT [A-Z0-9-]+| BY [0-9]+ CM)?)")
 
@@ -67,6 +69,7 @@ class GraspRun:
     grasped: bool = False
     placed: bool = False
     wrong: list[str] = field(default_factory=list)  # wrong facts, as text
+    outside: list[str] = field(default_factory=list)  # facts whose spread is too narrow, as text
     stuck: str = ""
     false_success: str = ""
     restless: str = ""
@@ -83,7 +86,7 @@ class GraspRun:
         x, y, z, _, _, yaw = self.offset
         where = f"{1e3 * x:+.0f} {1e3 * y:+.0f} {1e3 * z:+.0f} mm {math.degrees(yaw):+.0f} deg"
         how = f"{'grasped' if self.grasped else 'not grasped'}, {'placed' if self.placed else 'not placed'}"
-        bad = [*self.wrong, *filter(None, (self.stuck, self.false_success, self.restless, self.failed))]
+        bad = [*self.wrong, *self.outside, *filter(None, (self.stuck, self.false_success, self.restless, self.failed))]
         return f"{self.arm} {'heavy ' if self.heavy else ''}{where}: {how} {'; '.join(bad)}"
 
 
@@ -91,6 +94,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(prog="python -m benchmarks.grasp", description=__doc__)
     arguments.add_argument("--runs", type=int, default=200)
     arguments.add_argument("--clusters", type=int, default=2, help="at a time")
+    arguments.add_argument("--minutes", type=float, default=math.inf, help="start no cluster after this time")
     arguments.add_argument("--speed", default="max")
     arguments.add_argument("--seed", type=int, default=SEED)
     arguments.add_argument("--touch", action="store_true", help="without cameras; no results file")
@@ -102,7 +106,8 @@ def main() -> None:
     context = multiprocessing.get_context("spawn")
     with TemporaryDirectory(prefix="rtc-grasp-") as folder, ProcessPoolExecutor(given.clusters, context) as pool:
         cell = _without_cameras(Path(folder)) if given.touch else "swapout"
-        work = partial(_cluster, given.speed, cell, given.short)
+        until = time.monotonic() + 60.0 * given.minutes
+        work = partial(_cluster, given.speed, cell, given.short, until)
         for ended in as_completed([pool.submit(work, pair) for pair in pairs]):
             for run in ended.result():
                 done.append(run)
@@ -127,6 +132,7 @@ def _finish(done: list[GraspRun], partial_run: bool) -> None:
         "within_25_mm_rate": sum(run.grasped for run in near) / len(near) if near else None,
         "within_straddle_rate": sum(run.grasped for run in straddled) / len(straddled) if straddled else None,
         "wrong_valid_facts": sum(len(run.wrong) for run in done),
+        "outside_spread": sum(len(run.outside) for run in done),
         "stuck": sum(bool(run.stuck) for run in done),
         "restless": sum(bool(run.restless) for run in done),
         "false_successes": sum(bool(run.false_success) for run in done),
@@ -170,7 +176,10 @@ def _offsets(rng: random.Random) -> Iterator[list[float]]:
 # --- one cluster -------------------------------------------------------------------------------------------
 
 
-def _cluster(speed: str, cell_name: str, short: bool, runs: list[GraspRun]) -> list[GraspRun]:
+def _cluster(speed: str, cell_name: str, short: bool, until: float, runs: list[GraspRun]) -> list[GraspRun]:
+    """The finished runs; none after the time `until` of this machine."""
+    if time.monotonic() > until:
+        return []
     with own_cluster(cell=cell_name, speed=speed) as run_dir, Client(run_dir) as rtc:
         if runs[0].heavy:
             rtc.change_physics(HEAVY, SMOOTH)
@@ -220,15 +229,26 @@ def _good(ended: CommandEnded) -> bool:
 
 
 def _judge(rtc: Client, run: GraspRun) -> None:
-    """Check that the module's pose, if the fact is valid, is the true one."""
-    module = MODULES[run.arm][0]
-    fact = rtc.world.view(keys=[f"{module}.frame"]).facts[0]
-    if fact.validity is not Validity.VALID:
-        return
-    off = geometry.relative(fact.value, rtc.truth().poses[module])
-    away_m, turned = math.hypot(*off[:3].tolist()), geometry.angle(geometry.IDENTITY, off)
-    if away_m > WRONG_M or turned > WRONG_RAD:
-        run.wrong.append(f"valid and off by {1e3 * away_m:.1f} mm, {math.degrees(turned):.1f} deg since {fact.source}")
+    """Compare the valid frames of the modules and seats with their true poses."""
+    truth = rtc.truth()
+    true = {f"{name}.frame": pose for name, pose in (truth.poses | truth.seats).items()}
+    for fact in rtc.world.view(keys=list(true)).facts:
+        if fact.validity is not Validity.VALID:
+            continue
+        off = geometry.relative(fact.value, true[fact.key])
+        away_m, turned = math.hypot(*off[:3].tolist()), geometry.angle(geometry.IDENTITY, off)
+        words = f"{fact.key} off by {1e3 * away_m:.1f} mm, {math.degrees(turned):.1f} deg since {fact.source}"
+        if fact.key == f"{MODULES[run.arm][0]}.frame" and (away_m > WRONG_M or turned > WRONG_RAD):
+            run.wrong.append(f"valid and {words}")
+        errors = [*off[:3].tolist(), *geometry.to_rpy(off).tolist()]
+        if fact.spread is not None and not within(errors, fact.spread):
+            run.outside.append(f"outside its spread: {words}")
+
+
+def within(errors: Sequence[float], spread: Sequence[float]) -> bool:
+    """Whether errors x y z roll pitch yaw (m, rad) are within a spread."""
+    room = [BEYOND_M] * 3 + [BEYOND_RAD] * 3
+    return all(abs(error) <= most + more for error, most, more in zip(errors, spread, room, strict=True))
 
 
 def _restless(rtc: Client, arm: str) -> str:
