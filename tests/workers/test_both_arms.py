@@ -11,7 +11,7 @@ import pytest
 from rtc.cells import parts
 from rtc.protocol.messages import EndReport, Script, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
-from rtc.protocol.primitive import ClearanceBelow, TcpOutside, TcpSpeedAbove, TcpTurned
+from rtc.protocol.primitive import ClearanceBelow, ForceAbove, TcpOutside, TcpSpeedAbove, TcpTurned
 from rtc.robot import geometry
 from tests.campaigns.carry import CARRIED, Carrier
 from tests.workers.conftest import CELL, MODEL, Bench
@@ -192,6 +192,12 @@ def test_the_stiffness_of_the_sentence_is_that_of_the_second_arm(holding):
     made = bound(holding, f"{UP} MAINTAIN STIFFNESS 300 N/M").primitive
     assert made.control_law.compliance is None
     assert made.partner.control_law.compliance.stiffness[0] == 300.0
+
+
+def test_a_condition_of_the_sentence_stops_both_arms_at_either_hand(holding):
+    made = bound(holding, f"{UP} UNLESS FORCE EXCEEDS 10 N THEN STOP").primitive
+    for stops in (made.stop_functions, made.partner.stop_functions):
+        assert min(stop.when.limit_n for stop in stops if isinstance(stop.when, ForceAbove)) == 10.0
 
 
 def test_what_is_maintained_is_watched_at_both_hands_and_the_attitude_at_the_first(holding):

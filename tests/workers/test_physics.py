@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from rtc.protocol.outcomes import StopReason
+from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.robot import geometry
 
 pytestmark = pytest.mark.physics
@@ -54,6 +54,21 @@ def test_guarded_lines_onto_a_rigid_wall(physical) -> None:
     assert report.reason is StopReason.FORCE_LIMIT
     assert 15.0 < report.peak_force_n < 30.0  # a tick below the threshold, and one above it
     assert "as asked: UNLESS FORCE EXCEEDS 15 N THEN STOP" in made.message
+
+
+def test_a_hand_that_runs_into_a_wall_backs_off_as_asked_at_any_speed(physical) -> None:
+    """A rigid wall is felt with 50 to 500 N in the first tick: beyond every limit of the step."""
+    physical.subsystem.displace("SATELLITE", [-0.078, 0.0, 0.0])
+    assert physical.do(f"MOVE {ARM} BY 15 CM ALONG DOWN").succeeded
+    for condition, speed_cm_s in (("COLLISION", 2), ("COLLISION", 5), ("COLLISION", 10), ("CONTACT", 10)):
+        line = f"MOVE {ARM} BY 3 CM ALONG TOOL-Z MAINTAIN SPEED {speed_cm_s} CM/S"
+        run = physical.do(f"{line} UNLESS {condition} THEN BACK-OFF BY 1 CM")
+        report = run.reports[-1]
+        assert report.peak_force_n > 45.0
+        assert report.reflex is Reflex.BACK_OFF
+        assert geometry.distance(report.tcp_pose, report.trip_pose) == pytest.approx(0.01, abs=0.001)
+        asked = "as asked: UNLESS COLLISION THEN BACK-OFF; " if condition == "COLLISION" else ""
+        assert run.assessments[-1].message.endswith(f"{asked}backed off by 1.0 cm")
 
 
 PRESS = """

@@ -168,7 +168,7 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         line = turn_line(task)
         kept = stop_conditions.maintained(task.data, query, values)
         both = (bound, motion.partner, stop_class, values, line, kept)
-        bound = together.with_partner(task.program, query, context, *both)
+        bound = together.with_partner(task.program, query, task.data, *both)
     return beside_others(task, request, bound)
 
 
@@ -431,7 +431,7 @@ def primitive(
     values = {**values, "time_limit_s": limit_s}
     rows = [*stop_class.stops, *(task.program.holding if moves and evaluation.held else [])]
     stops: list[StopFunction] = stop_conditions.stop_functions(
-        rows, values, against, stop_conditions.from_command(task.data, task.query, values), turn_line(task)
+        rows, values, against, stop_conditions.from_command(task.data, task.query, values, rows), turn_line(task)
     )
     if isinstance(trajectory, JointTrajectory):
         stops += stop_conditions.maintained(task.data, task.query, values)
@@ -458,7 +458,7 @@ def primitive(
         control_law=control_law(task.data.step, stop_class, values, trajectory, load),
         reporting=Reporting(
             every_s=float(every_s) if every_s is not None else None,
-            when=stop_conditions.reported(task.data, task.query, values),
+            when=stop_conditions.reported(task.data, task.query, values, rows),
         ),
     )
     return BoundStep(

@@ -4,6 +4,10 @@
 `stop_functions` is valid only for reflexes that it accepted. A limit along an axis applies in both directions. BELOW
 and NO-CONTACT become true after the value has been above the limit in the same step, because every motion begins
 without force. DISTANCE is that to the object of the command; without one, EXCEEDS measures from the start of the step.
+
+The force and torque limits of the step (`StepState.overloads`) do not prevent a reflex of the command. A hand that
+exceeds one has touched something unplanned: this is a COLLISION too. A reflex that takes the force away acts at the
+limit if its own figure is higher; RELEASE, which drops the object, does not.
 """
 
 from __future__ import annotations
@@ -11,6 +15,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+
+import msgspec
 
 from rtc.language.record import Condition, ReflexItem
 from rtc.protocol.messages import EndReport
@@ -45,6 +51,8 @@ JOINT = "JOINT-"  # and its number from the base, from 1: a direction of TURN
 #: conditions about what is between the fingers
 TURNED_DEG = 0.05  # a smaller turn of a back-off is not stated
 HELD = frozenset({"SLIP", "OBJECT-LOST"})
+Overload = ForceAbove | TorqueAbove
+EASING = frozenset({Reflex.BACK_OFF, Reflex.COMPLY})  # reflexes that take the force away: at least as safe as STOP
 ACTIONS: dict[str, Reflex] = {
     "stop": Reflex.STOP,
     "back_off": Reflex.BACK_OFF,
@@ -63,6 +71,7 @@ class StepState:
     object_at: list[float] | None
     closing: bool  # the step closes the hand
     beside: list[Vector]  # balls [x y z radius] round what the command may come near to
+    overloads: list[Overload]  # force and torque limits of the step itself
 
 
 Maker = Callable[[Condition, StepState], list[Predicate]]
@@ -87,6 +96,10 @@ def _weaker(limit_n: float, state: StepState) -> list[Predicate]:
     return [GripForceBelow(limit_n, once_above=True)] if state.closing else []
 
 
+def _collision(_: Condition, state: StepState) -> list[Predicate]:
+    return [BodyTouch(), *state.overloads]
+
+
 def _lost(_: Condition, state: StepState) -> list[Predicate]:
     return [HandWidthBelow(state.values["held_width_m"] - state.values["lost_m"])] if state.holding else []
 
@@ -99,7 +112,7 @@ def _jam(_: Condition, state: StepState) -> list[Predicate]:
 EVENTS: dict[str, tuple[StopReason, Maker]] = {
     "CONTACT": (StopReason.CONTACT, _contact),
     "NO-CONTACT": (StopReason.NO_CONTACT, _no_contact),
-    "COLLISION": (StopReason.COLLISION, lambda c, state: [BodyTouch()]),
+    "COLLISION": (StopReason.COLLISION, _collision),
     "SLIP": (StopReason.SLIP, _slip),
     "OBJECT-LOST": (StopReason.OBJECT_LOST, _lost),
     "JOINT-LIMIT": (StopReason.JOINT_LIMIT, lambda c, state: [JointMarginBelow(state.values["joint_margin_rad"])]),
@@ -262,10 +275,24 @@ def stop_functions(reflexes: list[ReflexItem], state: StepState) -> list[StopFun
         by = reflex.by.value if reflex.by else state.values["back_off_m"]
         back_off_m = by if action is Reflex.BACK_OFF else 0.0
         made += [
-            StopFunction(reason=reason, when=when, reflex=action, back_off_m=back_off_m)
+            StopFunction(reason=reason, when=_in_reach(when, action, state), reflex=action, back_off_m=back_off_m)
             for when in maker(reflex.condition, state)
         ]
     return made
+
+
+def _in_reach(when: Predicate, action: Reflex, state: StepState) -> Predicate:
+    """The condition of a reflex that takes the force away, no higher than the step's own limit, which stops the arm."""
+    if action not in EASING:
+        return when
+    match when:
+        case ForceAbove():
+            limits_n = [limit.limit_n for limit in state.overloads if isinstance(limit, ForceAbove)]
+            return msgspec.structs.replace(when, limit_n=min(when.limit_n, *limits_n)) if limits_n else when
+        case TorqueAbove():
+            limits_nm = [limit.limit_nm for limit in state.overloads if isinstance(limit, TorqueAbove)]
+            return msgspec.structs.replace(when, limit_nm=min(when.limit_nm, *limits_nm)) if limits_nm else when
+    return when
 
 
 def _row(condition: Condition) -> tuple[StopReason, Maker] | None:

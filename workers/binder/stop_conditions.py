@@ -73,6 +73,7 @@ MAKERS: dict[str, Callable[[float, Vector | None, Line, Values], Predicate]] = {
 }
 #: limit of MAINTAIN -> the figure that it tightens
 TIGHTENED = {"speed_m_s": "speed_m_s", "force_n": "force_n", "torque_nm": "torque_nm"}
+OVERLOADS = {"force-above": StopReason.FORCE_LIMIT, "torque-above": StopReason.TORQUE_LIMIT}
 NEAR_M = 0.05  # added to the radius of what a command may come near to: how far it may be from where it is believed
 
 
@@ -161,26 +162,42 @@ def squeezed(data: BinderInput, values: Values) -> list[StopFunction]:
     return [StopFunction(reason=StopReason.FORCE_LIMIT, when=GripForceAbove(most_n))]
 
 
-def from_command(data: BinderInput, query: WorldQuery, values: Values) -> list[StopFunction]:
-    """Stop functions of the command's UNLESS ... THEN ... for this step."""
-    return reflexes.stop_functions(data.context.reflexes, _state(data, query, values))
+def from_command(
+    data: BinderInput, query: WorldQuery, values: Values, rows: list[StopRow], arm: str = ""
+) -> list[StopFunction]:
+    """Stop functions of the command's UNLESS ... THEN ... for this step, whose own rows are `rows`. `arm`: a second
+    arm that takes part in it."""
+    return reflexes.stop_functions(data.context.reflexes, _state(data, query, values, rows, arm))
 
 
-def reported(data: BinderInput, query: WorldQuery, values: Values) -> list[ReportCondition]:
+def reported(data: BinderInput, query: WorldQuery, values: Values, rows: list[StopRow]) -> list[ReportCondition]:
     """Conditions of the command's REPORT WHEN for this step."""
-    return reflexes.report_conditions(data.context.report_when, _state(data, query, values))
+    return reflexes.report_conditions(data.context.report_when, _state(data, query, values, rows))
 
 
-def _state(data: BinderInput, query: WorldQuery, values: Values) -> reflexes.StepState:
-    context = data.context
+def _state(
+    data: BinderInput, query: WorldQuery, values: Values, rows: list[StopRow], arm: str = ""
+) -> reflexes.StepState:
+    context, arm = data.context, arm or data.context.arm
     return reflexes.StepState(
         values=values,
-        hand_pose=query.tcp(context.arm),
-        holding=bool(query.holding(context.arm)),
+        hand_pose=query.tcp(arm),
+        holding=bool(query.holding(arm)),
         object_at=query.frame(context.object)[:3].tolist() if context.object else None,
         closing=data.step.op == "close",
         beside=_beside(data, query),
+        overloads=_overloads(rows, values),
     )
+
+
+def _overloads(rows: list[StopRow], values: Values) -> list[reflexes.Overload]:
+    """The force and torque limits among the rows: those of the program, not the force of an expected touch."""
+    made = []
+    for row in rows:
+        limit = _limit(row, values)
+        if limit is not None and OVERLOADS.get(row.when) is row.reason:
+            made.append(MAKERS[row.when](limit, None, Line(None, None), values))
+    return [when for when in made if isinstance(when, reflexes.Overload)]
 
 
 def _reach_m(shape: parts.AnyShape) -> float:

@@ -12,7 +12,7 @@ import msgspec
 
 from rtc.language.record import hand_in_words
 from rtc.programs.schema import BinderProgram, StopClass
-from rtc.protocol.messages import BoundStep, ScriptContext
+from rtc.protocol.messages import BinderInput, BoundStep
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Compliance, ControlLaw, Load, Partner, StopFunction, TcpTurned, TimeAbove
 from workers.binder import stop_conditions
@@ -37,7 +37,7 @@ def refuse_alone(query: WorldQuery, arm: str, partner: str, clears: Mapping[str,
 def with_partner(
     program: BinderProgram,
     query: WorldQuery,
-    context: ScriptContext,
+    data: BinderInput,
     bound: BoundStep,
     motion: Timed,
     stop_class: StopClass,
@@ -46,13 +46,16 @@ def with_partner(
     kept: list[StopFunction],
 ) -> BoundStep:
     """The bound step of the leading arm, with the part of the second one. `values`: in force for the leading arm.
-    `line`: about which the step turns. `kept`: of MAINTAIN; an attitude is that of the first hand."""
-    made = bound.primitive
+    `line`: about which the step turns. `kept`: of MAINTAIN; an attitude is that of the first hand. The reflexes of the
+    command are those of both arms."""
+    made, context = bound.primitive, data.context
     assert made is not None
     own = {**values, "held_width_m": query.hand_width(context.partner)}
     limit_s = next(stop.when.limit_s for stop in made.stop_functions if isinstance(stop.when, TimeAbove))
     rows = [*stop_class.stops, *program.holding]
-    stops = stop_conditions.stop_functions(rows, {**own, "time_limit_s": limit_s}, None, [], line)
+    own["time_limit_s"] = limit_s
+    requested = stop_conditions.from_command(data, query, own, rows, context.partner)
+    stops = stop_conditions.stop_functions(rows, own, None, requested, line)
     stops += [stop for stop in kept if not isinstance(stop.when, TcpTurned)]
     stiffness_n_m = values.get("stiffness_n_m", values["partner_n_m"])
     compliance = Compliance(

@@ -23,6 +23,7 @@ from rtc.protocol.primitive import (
     HoldStill,
     JointTrajectory,
     TimeAbove,
+    TorqueAbove,
 )
 from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
@@ -276,6 +277,9 @@ def test_maintain_and_guarded_only_tighten(bench):
         assert stops(bound)[StopReason.FORCE_LIMIT].limit_n == limit_n, clause
 
 
+LINE = "MOVE RIGHT-ARM BY 5 CM ALONG TOOL-Z"
+
+
 def test_unless_runs_in_the_motion_loop(bench):
     clause = "UNLESS FORCE EXCEEDS 10 N THEN BACK-OFF BY 3 CM UNLESS TORQUE EXCEEDS 3 NM THEN RELEASE"
     _, bound = bound_to(bench, f"MOVE RIGHT-ARM TO BAY-2-FRONT {clause}", "GOAL")
@@ -288,7 +292,45 @@ def test_unless_runs_in_the_motion_loop(bench):
     assert (torque.when.limit_nm, torque.reflex) == (3.0, Reflex.RELEASE)
 
 
-LINE = "MOVE RIGHT-ARM BY 5 CM ALONG TOOL-Z"
+def _with_reflex(bound: BoundStep, reflex: Reflex) -> list:
+    return [stop.when for stop in bound.primitive.by_priority() if stop.reflex is reflex]
+
+
+def test_a_collision_of_the_hand_is_a_force_or_torque_beyond_the_limits_of_the_step(bench):
+    """Only links are seen to touch. The reflex precedes the stop at the same limit."""
+    clause = "MAINTAIN FORCE-LIMIT 30 N UNLESS COLLISION THEN BACK-OFF BY 5 CM REPORT WHEN COLLISION"
+    _, bound = bound_to(bench, f"{LINE} {clause}", "HERE")
+    touches = [BodyTouch(), ForceAbove(limit_n=30.0), TorqueAbove(limit_nm=12.0)]
+    assert _with_reflex(bound, Reflex.BACK_OFF) == touches
+    assert bound.primitive.by_priority()[0].reflex is Reflex.BACK_OFF
+    assert [condition.when for condition in bound.primitive.reporting.when] == touches
+
+
+def test_an_expected_touch_is_not_a_collision(bench):
+    run = bench.elaborate("GRASP MACS-NEW UNLESS COLLISION THEN BACK-OFF")
+    search = next(step for step in run.steps if step.stop == "move_to_contact")
+    bound = bench.bind(run, search)
+    felt_n = next(stop.when.limit_n for stop in bound.primitive.stop_functions if stop.reason is StopReason.CONTACT)
+    forces_n = [when.limit_n for when in _with_reflex(bound, Reflex.BACK_OFF) if isinstance(when, ForceAbove)]
+    assert forces_n == [20.0]
+    assert felt_n < forces_n[0]
+
+
+@pytest.mark.parametrize(
+    ("sentence", "figures"),
+    [
+        (f"{LINE} UNLESS FORCE EXCEEDS 60 N THEN BACK-OFF", [45.0]),  # the line stops at 45 N
+        (f"{LINE} UNLESS FORCE ALONG TOOL-Z EXCEEDS 60 N THEN COMPLY", [45.0, 45.0]),
+        (f"{LINE} UNLESS FORCE EXCEEDS 30 N THEN BACK-OFF", [30.0]),
+        (f"{LINE} UNLESS FORCE EXCEEDS 60 N THEN RELEASE", [60.0]),
+        (f"{LINE} UNLESS TORQUE EXCEEDS 20 NM THEN BACK-OFF", [12.0]),
+        ("HOLD RIGHT-ARM UNLESS TORQUE EXCEEDS 20 NM THEN COMPLY", [20.0]),  # no torque ends a HOLD by itself
+    ],
+)
+def test_a_reflex_that_takes_the_force_away_acts_at_the_limit_of_the_step_at_the_latest(bench, sentence, figures):
+    _, bound = bound_to(bench, sentence, "HERE" if "MOVE" in sentence else "")
+    asked = [when for reflex in Reflex if reflex is not Reflex.STOP for when in _with_reflex(bound, reflex)]
+    assert [getattr(when, "limit_n", None) or when.limit_nm for when in asked] == figures
 
 
 def _speed_m_s(bound: BoundStep) -> float:
