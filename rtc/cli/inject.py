@@ -6,6 +6,7 @@ It uses the bench socket of the simulator, which is not reachable over TCP: only
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -39,10 +40,7 @@ def displace(
 
     Example:  rtc inject displace MACS-NEW --by 0,0.02,0 --turn 0,0,3
     """
-    offset = [*_figures(by, 3, "--by"), *map(math.radians, _figures(turn, 3, "--turn"))]
-    if not any(offset):
-        raise trouble("state --by, --turn or both", 2)
-    _inject(f.Displaced(object=_name(object), offset=offset), run_dir, json)
+    _inject(f.Displaced(object=_name(object), offset=_by_and_turn(by, turn)), run_dir, json)
 
 
 @app.command()
@@ -59,10 +57,7 @@ def drift(
 
     Example:  rtc inject drift SATELLITE --turn 1,0,0
     """
-    velocity = [*_figures(by, 3, "--by"), *map(math.radians, _figures(turn, 3, "--turn"))]
-    if not any(velocity):
-        raise trouble("state --by, --turn or both", 2)
-    _inject(f.Drifting(object=_name(object), velocity=velocity), run_dir, json)
+    _inject(f.Drifting(object=_name(object), velocity=_by_and_turn(by, turn)), run_dir, json)
 
 
 @app.command()
@@ -183,22 +178,20 @@ def undo(
     Example:  rtc inject undo jam BAY-2
     """
     words = " ".join(name) if name else "ALL"
-    with Client(run_dir, need_broker=False) as rtc:
-        try:
-            _show(rtc.undo_fault(words), json)
-        except TimedOut as error:
-            raise _no_simulator() from error
+    _change(lambda rtc: rtc.undo_fault(words), run_dir, json)
 
 
 def _inject(fault: f.AnyFault, run_dir: RunDir, json: bool) -> None:
+    _change(lambda rtc: rtc.inject(fault), run_dir, json)
+
+
+def _change(send: Callable[[Client], SimDone], run_dir: RunDir, json: bool) -> None:
+    """Change the injected faults and show those that are active now."""
     with Client(run_dir, need_broker=False) as rtc:
         try:
-            _show(rtc.inject(fault), json)
+            done = send(rtc)
         except TimedOut as error:
-            raise _no_simulator() from error
-
-
-def _show(done: SimDone, json: bool) -> None:
+            raise RtcError("faults are injected into a simulation, and this MCM does not answer as one") from error
     if done.note:
         console.print(Text(done.note))
     console.print(Text("injected faults: ", style="bold") + Text("; ".join(done.active) or "none"))
@@ -206,13 +199,17 @@ def _show(done: SimDone, json: bool) -> None:
         emit_json({"active": done.active, "note": done.note})
 
 
-def _no_simulator() -> RtcError:
-    return RtcError("faults are injected into a simulation, and this MCM does not answer as one")
-
-
 def _name(text: str) -> str:
     """A name of the cell; case and `_` are ignored."""
     return text.upper().replace("_", "-")
+
+
+def _by_and_turn(by: str, turn: str) -> list[float]:
+    """Three lengths (m) and three angles (rad), not all 0."""
+    values = [*_figures(by, 3, "--by"), *map(math.radians, _figures(turn, 3, "--turn"))]
+    if not any(values):
+        raise trouble("state --by, --turn or both", 2)
+    return values
 
 
 def _figures(text: str, count: int, option: str) -> list[float]:
