@@ -326,9 +326,6 @@ class Numbers(CellPart, frozen=True, kw_only=True):
 
     neighborhood_radius_m: Positive = 0.15
     approach_m: Positive = 0.10  # the paper's "set distance" before a grasp point
-    grasp_tolerance_m: Positive = 0.010
-    grasp_tolerance_deg: Positive = 5.0
-    search_overrun_m: Positive = 0.010  # beyond the nominal contact
     free_speed_m_s: Positive = 0.25
     near_speed_m_s: Positive = 0.10
     contact_speed_m_s: Positive = 0.02

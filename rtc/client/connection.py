@@ -52,7 +52,6 @@ class BrokerConnection:
         self._cluster = cluster
         self.welcome: m.Welcome | None = None
         self.replaced = False  # another cluster has taken the place of ours: nothing is sent to it
-        self.bad_messages = 0
         self.unanswered = 0  # number of probes without an answer
         self._open: dict[str, m.ClientToBroker] = {}  # request -> message, until its last answer
         self._resend = False  # send all open requests again after the next Welcome
@@ -136,7 +135,6 @@ class BrokerConnection:
         try:
             self._received.extend(_read(self._socket.recv_multipart()))
         except WireError:
-            self.bad_messages += 1
             return None
         return self._handle(self._received.popleft()) if self._received else None
 

@@ -110,16 +110,6 @@ def interpolate_all(a: Floats, b: Floats, fractions: Array) -> Array:
     return poses
 
 
-def mean_pose(poses: Sequence[Floats]) -> Array:
-    """The mean of poses: mean position and Markley's quaternion mean. Raises ValueError for an empty sequence."""
-    if not poses:
-        raise ValueError("an empty sequence of poses has no mean")
-    table = np.asarray([_floats(p) for p in poses])
-    quaternions = table[:, 3:]
-    _, vectors = np.linalg.eigh(quaternions.T @ quaternions)  # q and -q count alike in the outer product
-    return normalise((*table[:, :3].mean(axis=0), *vectors[:, -1]))
-
-
 def distance(a: Floats, b: Floats) -> float:
     """Metres between the origins of two poses (or between two points)."""
     return math.dist(_floats(a)[:3], _floats(b)[:3])

@@ -52,13 +52,6 @@ def test_interpolation_runs_evenly_from_end_to_end(a, b):
     assert np.linalg.norm(g.rotation_vector(a, b)) == pytest.approx(g.angle(a, b))
 
 
-def test_mean_lies_between_and_ignores_the_spelling_of_quaternions():
-    a = g.from_rpy((0, 0, 0), (0, 0, 0.2))
-    b = g.from_rpy((1, 0, 0), (0, 0, 0.6))
-    b_respelt = np.concatenate([b[:3], -b[3:]])
-    assert np.allclose(g.mean_pose([a, b_respelt]), g.from_rpy((0.5, 0, 0), (0, 0, 0.4)))
-
-
 def test_level_straddles_a_vertical_bar():
     level = g.make_pose((0, 0, 0), g.LEVEL)
     assert np.allclose(g.rotate(level, (0, 0, 1)), (1, 0, 0), atol=1e-15)  # approaches along world +x
