@@ -8,6 +8,7 @@ from typing import Any
 from broker.decisions import effects as do
 from broker.decisions.events import ListenersChanged
 from broker.router.core import Core, peer_of
+from broker.router.event_stream import EventStream
 from broker.router.outbox import Outbox
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason
@@ -29,6 +30,7 @@ class Egress:
         self.topics: set[bytes] = set()  # prefixes that the subscribers of the event stream want
         self.clients = Outbox(lambda: core.sockets["front"])
         self.subsystems = Outbox(lambda: core.sockets["subsystems"])
+        self.stream = EventStream(lambda: core.sockets["events"])
         self._perform = {kind: perform.__get__(self) for kind, perform in PERFORM.items()}
 
     def perform(self, effects: Iterable[do.Effect]) -> None:
@@ -125,7 +127,7 @@ class Egress:
         if effect.client:
             self.clients.put(peer_of(effect.client), effect.note)
         if self.topics:
-            send(self._core.sockets["events"], effect.note)
+            self.stream.put(effect.note)
             self._notes += 1
             if self._notes > NOTES_PER_S:
                 self._set_crowded(True)
@@ -141,7 +143,7 @@ class Egress:
         message = kept.message if kept else effect.ended  # encoded already, if it is kept
         self.clients.put(peer_of(effect.client), message)
         if self.topics:
-            send(self._core.sockets["events"], message)
+            self.stream.put(message)
 
     def _decline_halt(self, effect: do.DeclineHalt) -> None:
         refusal = Refusal(reason=RefusalReason.NAME, message=effect.message)
@@ -149,7 +151,7 @@ class Egress:
 
     def _publish_halt(self, effect: do.PublishHalt) -> None:
         if self.topics:
-            send(self._core.sockets["events"], effect.halt)
+            self.stream.send_now(effect.halt)
 
     def _publish_refusal(self, request: str, refusal: Refusal, text: str = "") -> None:
         """Publish a request that did not become a command. A flood of them must not displace events of commands."""
@@ -162,8 +164,7 @@ class Egress:
         if self._refusals > REFUSALS_PER_S:
             self._core.dropped["refusals"] += 1
             return
-        message = m.RequestRefused(at_s=now, request=request, refusal=refusal, text=text[:TEXT_SHOWN])
-        send(self._core.sockets["events"], message)
+        self.stream.put(m.RequestRefused(at_s=now, request=request, refusal=refusal, text=text[:TEXT_SHOWN]))
 
 
 PERFORM: dict[type[do.Effect], Callable[[Egress, Any], None]] = {

@@ -79,6 +79,7 @@ class Router:
             self._end_orphaned()
         else:
             self.core.journal.snapshot(self.core.state)
+        self.egress.stream.flush()
 
     def wait_s(self) -> float:
         """How long the next iteration may wait for messages, in seconds."""
@@ -88,6 +89,8 @@ class Router:
             wait_s = min(wait_s, PROGRAM_POLL_S)
         if (timer_s := self.core.timers.next_at_s()) is not None:
             wait_s = min(wait_s, max(0.0, timer_s - now))
+        if (stream_s := self.egress.stream.left_s(now)) is not None:
+            wait_s = min(wait_s, stream_s)
         return wait_s
 
     def run_once(self, readable: Collection[Any] | None = None) -> None:
@@ -115,6 +118,7 @@ class Router:
             core.loop_times_s.append(core.clock() - began)
         else:
             self.egress.assign_jobs(began)
+        self.egress.stream.flush_if_due(began)
 
     def _receive(self, waiting: Collection[str], now: float) -> bool:
         """Receive from all sockets but that of halts. False: reports of subsystems may still be queued."""

@@ -13,25 +13,15 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from opentelemetry.context import Context
 from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
 from opentelemetry.sdk.resources import Resource
-from opentelemetry.sdk.trace import ReadableSpan, TracerProvider
+from opentelemetry.sdk.trace import Event, ReadableSpan
 from opentelemetry.sdk.trace.export import BatchSpanProcessor, SpanExporter, SpanExportResult
-from opentelemetry.sdk.trace.id_generator import IdGenerator, RandomIdGenerator
-from opentelemetry.trace import (
-    Link,
-    NonRecordingSpan,
-    Span,
-    SpanContext,
-    SpanKind,
-    Status,
-    StatusCode,
-    TraceFlags,
-    set_span_in_context,
-)
+from opentelemetry.sdk.trace.id_generator import RandomIdGenerator
+from opentelemetry.sdk.util.instrumentation import InstrumentationScope
+from opentelemetry.trace import Link, SpanContext, SpanKind, Status, StatusCode, TraceFlags
 
 from rtc.observers.feed import Received
 from rtc.protocol import messages as m
@@ -40,6 +30,7 @@ from rtc.protocol.outcomes import OutcomeKind
 from rtc.protocol.traceparent import TraceParent, traceparent_of
 
 LOG = logging.getLogger("rtc observe")
+SCOPE = InstrumentationScope("rtc")
 EXPORT_S = 5.0  # limit for one request to the collector
 DELAY_S = 1.0  # longest time that a span waits for others
 MOST_COMMANDS = 10_000  # commands in progress whose notes are kept, and ended ones whose trace context is kept
@@ -94,21 +85,6 @@ class Followed:
     links: list[str] = field(default_factory=list)
 
 
-class _Identifiers(IdGenerator):
-    """Random identifiers, except for the next root span."""
-
-    def __init__(self) -> None:
-        self._random = RandomIdGenerator()
-        self.next: tuple[int, int] | None = None  # trace, span
-
-    def generate_trace_id(self) -> int:
-        return self.next[0] if self.next else self._random.generate_trace_id()
-
-    def generate_span_id(self) -> int:
-        (_, span), self.next = self.next or (0, self._random.generate_span_id()), None
-        return span
-
-
 class Traces:
     """Makes and sends the spans of one run. `url`: of an OTLP/HTTP collector, such as http://localhost:4318.
 
@@ -118,13 +94,11 @@ class Traces:
     def __init__(self, run: str, url: str = "", *, exporter: SpanExporter | None = None, shares_clock: bool = True):
         endpoint = url if url.endswith(PATH) else url.rstrip("/") + PATH
         self._run, self._shares_clock = run, shares_clock
-        self._identifiers = _Identifiers()
-        resource = Resource.create({"service.name": "rtc", "service.instance.id": run or "unknown"})
-        self._provider = TracerProvider(resource=resource, id_generator=self._identifiers)
+        self._resource = Resource.create({"service.name": "rtc", "service.instance.id": run or "unknown"})
+        self._new_span_id = RandomIdGenerator().generate_span_id
         logging.getLogger("opentelemetry.exporter").setLevel(logging.CRITICAL)  # we report it ourselves, once
         to = exporter or ReportingExporter(OTLPSpanExporter(endpoint=endpoint, timeout=EXPORT_S), url)
-        self._provider.add_span_processor(BatchSpanProcessor(to, schedule_delay_millis=1e3 * DELAY_S))
-        self._tracer = self._provider.get_tracer("rtc")
+        self._ended = BatchSpanProcessor(to, schedule_delay_millis=1e3 * DELAY_S)
         self._offset_s = time.time() - time.monotonic()
         self._commands: dict[str, Followed] = {}
         self._parents: dict[str, TraceParent] = {}
@@ -145,8 +119,8 @@ class Traces:
 
     def close(self) -> None:
         """Send what is left, within EXPORT_S."""
-        self._provider.force_flush(int(1e3 * EXPORT_S))
-        self._provider.shutdown()
+        self._ended.force_flush(int(1e3 * EXPORT_S))
+        self._ended.shutdown()
 
     def _take_note(self, note: m.ProgressNote) -> None:
         command = self._commands.setdefault(note.command, Followed())
@@ -180,22 +154,25 @@ class Traces:
         flags = TraceFlags(parent.flags if parent else TraceFlags.SAMPLED)
         return SpanContext(trace, int.from_bytes(digest[16:24]), is_remote=False, trace_flags=flags)
 
-    def _caller(self, command: str) -> Context:
+    def _caller(self, command: str) -> SpanContext | None:
         parent = self._parents.get(command)
-        if parent is None:
-            return Context()
-        remote = SpanContext(parent.trace, parent.span, is_remote=True, trace_flags=TraceFlags(parent.flags))
-        return set_span_in_context(NonRecordingSpan(remote), Context())
+        return parent and SpanContext(parent.trace, parent.span, is_remote=True, trace_flags=TraceFlags(parent.flags))
 
     def _export(self, ended: m.CommandEnded, followed: Followed) -> None:
-        own, outcome = self._root(ended.command), ended.outcome
-        self._identifiers.next = (own.trace_id, own.span_id)
-        root = self._tracer.start_span(
+        root, outcome = self._root(ended.command), ended.outcome
+        for step, group in groupby(segments(followed.notes, ended.at_s), key=lambda segment: segment.step):
+            self._export_step(root, step, list(group))
+        failed = outcome.kind is not OutcomeKind.SUCCEEDED
+        self._send(
             "command",
-            context=self._caller(ended.command),
+            root,
+            self._caller(ended.command),
             kind=SpanKind.SERVER,
             start_time=self._ns(ended.at_s - ended.took_s),
+            end_time=self._ns(ended.at_s),
+            events=list(self._events(followed.notes)),
             links=[Link(self._root(command)) for command in followed.links],
+            status=Status(StatusCode.ERROR, outcome.message) if failed else Status(),
             attributes={
                 "rtc.command": ended.command,
                 "rtc.sentence": ended.text,
@@ -206,36 +183,35 @@ class Traces:
                 **({"rtc.refusal": outcome.refusal.reason.value} if outcome.refusal else {}),
             },
         )
-        self._identifiers.next = None
-        for note in followed.notes:
-            if note.phase is Phase.HALTING and note.note:
-                root.add_event("halt", {"rtc.note": note.note}, self._ns(note.at_s))
-            if note.warning:
-                root.add_event("warning", {"rtc.note": note.note}, self._ns(note.at_s))
-        for step, group in groupby(segments(followed.notes, ended.at_s), key=lambda segment: segment.step):
-            self._export_step(root, step, list(group))
-        if outcome.kind is not OutcomeKind.SUCCEEDED:
-            root.set_status(Status(StatusCode.ERROR, outcome.message))
-        root.end(self._ns(ended.at_s))
 
-    def _export_step(self, root: Span, step: str, parts: list[Segment]) -> None:
+    def _events(self, notes: list[m.ProgressNote]) -> Iterator[Event]:
+        for note in notes:
+            if note.phase is Phase.HALTING and note.note:
+                yield Event("halt", {"rtc.note": note.note}, self._ns(note.at_s))
+            if note.warning:
+                yield Event("warning", {"rtc.note": note.note}, self._ns(note.at_s))
+
+    def _export_step(self, root: SpanContext, step: str, parts: list[Segment]) -> None:
         """The phases of a step, below its span; phases without a step are below the command."""
-        above, span = set_span_in_context(root, Context()), None
-        if step:
-            begin = self._ns(parts[0].begin_s)
-            span = self._tracer.start_span("step", context=above, start_time=begin, attributes={"rtc.step": step})
-            above = set_span_in_context(span, Context())
+        above = self._below(root) if step else root
         for part in parts:
             about = {"rtc.node": part.node, "rtc.note": part.words}
-            phase = self._tracer.start_span(
-                part.phase.value,
-                context=above,
-                start_time=self._ns(part.begin_s),
-                attributes={name: value for name, value in about.items() if value},
-            )
-            phase.end(self._ns(part.end_s))
-        if span is not None:
-            span.end(self._ns(parts[-1].end_s))
+            attributes = {name: value for name, value in about.items() if value}
+            begin, end = self._ns(part.begin_s), self._ns(part.end_s)
+            self._send(part.phase, self._below(root), above, start_time=begin, end_time=end, attributes=attributes)
+        if step:
+            begin, end = self._ns(parts[0].begin_s), self._ns(parts[-1].end_s)
+            self._send("step", above, root, start_time=begin, end_time=end, attributes={"rtc.step": step})
+
+    def _below(self, root: SpanContext) -> SpanContext:
+        """The context of a new span of the same trace."""
+        return SpanContext(root.trace_id, self._new_span_id(), is_remote=False, trace_flags=root.trace_flags)
+
+    def _send(self, name: str, context: SpanContext, parent: SpanContext | None, **about: Any) -> None:
+        """Queue a finished span for the collector. A tracer, made for spans in progress, would need twice the time."""
+        self._ended.on_end(
+            ReadableSpan(name, context, parent, resource=self._resource, instrumentation_scope=SCOPE, **about)
+        )
 
     def _ns(self, at_s: float) -> int:
         return int(1e9 * (at_s + self._offset_s))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from broker.router.egress import NOTES_PER_S, REFUSALS_PER_S
+from broker.router.event_stream import PERIOD_S
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import RefusalReason
@@ -31,8 +32,36 @@ def subscribe(bench: Bench) -> None:
 
 
 def published(bench: Bench, kind: type) -> list[Any]:
+    """The events of this kind that were published until PERIOD_S from now."""
+    bench.now += PERIOD_S
+    bench.turn()
     read = wire.reader(m.Event)
     return [event for parts in bench.sockets["events"].sent if isinstance(event := read(parts), kind)]
+
+
+def test_an_event_after_a_silence_is_published_at_once_and_those_that_follow_it_together(working: Bench) -> None:
+    subscribe(working)
+    sent = working.sockets["events"].sent
+    working.send("front", b"ann", m.CommandText(request="2", text="STOW LEFT-ARM"))
+    first = len(sent)
+    assert first
+    working.send("front", b"ann", m.CommandText(request="3", text="STOW RIGHT-ARM"))
+    assert len(sent) == first
+    assert working.router.wait_s() <= PERIOD_S
+    working.now += PERIOD_S
+    working.turn()
+    assert len(sent) > first
+
+
+def test_a_halt_is_published_at_once_after_the_events_before_it(working: Bench) -> None:
+    subscribe(working)
+    for number, arm in enumerate(("LEFT-ARM", "RIGHT-ARM")):
+        working.send("front", b"ann", m.CommandText(request=f"stow {number}", text=f"STOW {arm}"))
+    working.send("halt", b"bob", m.HaltOrder(halt="H-bob", scope="ALL"))
+    read = wire.reader(m.Event)
+    sent = [read(parts) for parts in working.sockets["events"].sent]
+    (halt,) = (n for n, event in enumerate(sent) if isinstance(event, m.HaltRequested))
+    assert {event.command for event in sent[:halt]} == {"C-2", "C-3"}
 
 
 def test_a_refused_request_is_published_with_its_sentence(working: Bench) -> None:
