@@ -8,28 +8,35 @@ scripts.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeVar
 
 import msgspec
 
-from rtc.cells import cell as cells
-from rtc.cells import parts
-from rtc.language.record import BOTH_ARMS, ParsedCommand
+from rtc.language.record import ParsedCommand
 from rtc.programs import expressions
 from rtc.programs.loader import decode
 from rtc.programs.schema import Branch, BranchCondition, ElaboratorProgram, ScriptFile, ScriptPiece, ScriptStep
-from rtc.protocol.messages import ElaboratorInput, Limits, Script, ScriptContext, Step, Trim
+from rtc.protocol.messages import ElaboratorInput, Script, ScriptContext, Step, Trim
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.protocol.primitive_id import seed_of
-from rtc.robot import geometry
 from rtc.world.model import World
 from workers.binder import reflexes
 from workers.binder.look import CAMERA, FURTHER, cameras_of
-from workers.elaborator import anchors, command_fields, hinged, look, make_way, preconditions, set_fact, two_hands
+from workers.elaborator import (
+    anchors,
+    arm_candidates,
+    command_fields,
+    hinged,
+    look,
+    make_way,
+    no_script,
+    preconditions,
+    set_fact,
+    two_hands,
+)
 from workers.elaborator.backtrack import FRAME, GRASP, Planned, can_be_seen, plan
-from workers.elaborator.task_candidate import TaskCandidate, figures_of
+from workers.elaborator.task_candidate import TaskCandidate
 from workers.planning import certainty, suggestions
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import WorldQuery
@@ -72,7 +79,7 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     program, parsed = compiled.program, data.parsed
     branches = [b for b in program.decision_tree if b.verb == parsed.verb and b.enabled]
     if not branches:
-        return _no_script(program, parsed)
+        return no_script.refuse_verb(program, parsed)
     limits = command_fields.limits(program, parsed, cell.cell)
     cameras = any("camera" in compiled.scripts[branch.script].resources for branch in branches)
     problem = command_fields.refuse_unsupported(program, parsed, cameras=cameras)
@@ -97,7 +104,9 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     branches = [branch for branch in branches if _fits_sentence(branch, parsed)] or branches
     candidates: list[TaskCandidate] = []
     for looks in sorted({_looks(compiled.scripts[branch.script]) for branch in branches}):
-        found = (look.candidates if looks else _candidates)(compiled.program, compiled.scripts, parsed, limits, query)
+        found = (look.candidates if looks else arm_candidates.candidates)(
+            compiled.program, compiled.scripts, parsed, limits, query
+        )
         if isinstance(found, Refusal):
             return found
         candidates += found
@@ -105,111 +114,8 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     if isinstance(options, Refusal):
         return options
     if not options:
-        return _none_fits(parsed, branches)
+        return no_script.refuse_form(parsed, branches)
     return _first_feasible(compiled, options)
-
-
-# --- resolve arm, object, point and target ---------------------------------------------------------------
-
-
-def _looks(script: ScriptFile) -> bool:
-    """Whether only a camera works for this script."""
-    return "camera" in script.resources and "active_arm" not in script.resources
-
-
-def _candidates(
-    program: ElaboratorProgram,
-    scripts: Mapping[str, ScriptFile],
-    parsed: ParsedCommand,
-    limits: Limits,
-    query: WorldQuery,
-) -> list[TaskCandidate] | Refusal:
-    """One candidate per arm and grasp point that the sentence allows, nearest first."""
-    cell = query.cell
-    thing: parts.Object | None = None
-    if parsed.object is not None:
-        found = _part(cell.objects, parsed.object, "object")
-        if isinstance(found, Refusal):
-            return _or_a_hand(found, program, parsed, cell)
-        thing = found
-    target: parts.Seat | None = None
-    if parsed.target is not None:
-        seat = _part(cell.seats, parsed.target, "seat")
-        if isinstance(seat, Refusal):
-            return seat
-        target = seat
-    arms = _arms(program, parsed, query, thing)
-    points = arms if isinstance(arms, Refusal) else _points(program, scripts, parsed, thing)
-    if isinstance(arms, Refusal) or isinstance(points, Refusal):
-        return arms if isinstance(arms, Refusal) else points  # type: ignore[return-value]
-    candidates = []
-    for arm in arms:
-        for point in two_hands.free_points(query, parsed, thing, points):
-            figures = figures_of(program, parsed, query, arm, thing, point, target)
-            if isinstance(figures, Refusal):
-                return figures
-            partner = two_hands.partner(query, arm) if parsed.hand == BOTH_ARMS else None
-            candidates.append(
-                TaskCandidate(query, program, parsed, limits, arm, thing, point, target, figures, partner=partner)
-            )
-    return sorted(candidates, key=_far)
-
-
-def _or_a_hand(unknown: Refusal, program: ElaboratorProgram, parsed: ParsedCommand, cell: cells.Cell) -> Refusal:
-    """Refusal for an unknown object. If the verb also takes a hand without an object, arms are expected as well."""
-    takers = [row for row in program.decision_tree if row.verb == parsed.verb]
-    hands = any(check.missing == "object" for row in takers for check in row.when)
-    if parsed.hand is not None or not hands:
-        return unknown
-    known = [*unknown.expected, *(name for arm in cell.arms for name in (arm.name, arm.end_effector))]
-    return suggestions.unknown("object or hand", parsed.object or "", known)
-
-
-def _far(candidate: TaskCandidate) -> float:
-    """Distance (m) from the arm's base to its grasp goal; the order in which candidates are tried."""
-    if candidate.thing is None:
-        return 0.0
-    frame = candidate.query.frame(candidate.thing.name)
-    goal = geometry.compose(frame, candidate.point.frame.pose) if candidate.point else frame
-    return geometry.distance(candidate.arm.base.pose, goal)
-
-
-def _arms(
-    program: ElaboratorProgram, parsed: ParsedCommand, query: WorldQuery, thing: parts.Object | None
-) -> list[parts.Arm] | Refusal:
-    """The arm named in the sentence; else the arm that holds the object; else all arms."""
-    cell = query.cell
-    if parsed.hand is not None:
-        if parsed.hand == BOTH_ARMS:
-            return two_hands.both_arms(program, parsed, query)
-        found = _part(cell.arms, parsed.hand, "arm")
-        return found if isinstance(found, Refusal) else [found]
-    holder = query.held_by(thing.name) if thing else ""
-    return [arm for arm in cell.arms if not holder or arm.name == holder]
-
-
-def _points(
-    program: ElaboratorProgram,
-    scripts: Mapping[str, ScriptFile],
-    parsed: ParsedCommand,
-    thing: parts.Object | None,
-) -> list[parts.GraspPoint | None] | Refusal:
-    """The grasp point named in the sentence; else all; [None] if no script of the verb uses a grasp point."""
-    chosen = [scripts[b.script] for b in program.decision_tree if b.verb == parsed.verb]
-    if thing is None or not any("grasp_point" in script.uses for script in chosen):
-        return [None]
-    if parsed.grasp_point is None:
-        return [*thing.grasp_points] or [None]
-    found = _part(thing.grasp_points, parsed.grasp_point, f"grasp point of {thing.name}")
-    return found if isinstance(found, Refusal) else [found]
-
-
-T = TypeVar("T", parts.Arm, parts.Object, parts.Seat, parts.GraspPoint)
-
-
-def _part(choices: list[T], name: str, what: str) -> T | Refusal:
-    found = next((part for part in choices if part.name == name), None)
-    return found or suggestions.unknown(what, name, [part.name for part in choices])
 
 
 # --- choose the script -----------------------------------------------------------------------------------
@@ -234,6 +140,11 @@ def _ranked(
                     clears="LOAD a row of command_object_table that has that figure",
                 )
     return sorted(options, key=lambda c: -c.branch.likelihood)
+
+
+def _looks(script: ScriptFile) -> bool:
+    """Whether only a camera works for this script."""
+    return "camera" in script.resources and "active_arm" not in script.resources
 
 
 def _fits_sentence(branch: Branch, parsed: ParsedCommand) -> bool:
@@ -499,60 +410,6 @@ def _trims(compiled: Compiled, script: ScriptFile, candidate: TaskCandidate) -> 
 # --- refusals --------------------------------------------------------------------------------------------
 
 
-def _no_script(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal:
-    scripted = sorted(verbs(program))
-    instead = program.instead.get(parsed.verb, "")
-    load = "" if "rtc load" in instead else f"load a script for {parsed.verb}: rtc load FILE INTO elaborator"
-    return Refusal(
-        reason=RefusalReason.NO_SCRIPT,
-        message=f"there is no script for {parsed.verb} yet",
-        where=parsed.verb,
-        expected=scripted,
-        clears="; or ".join(filter(None, (instead, load))),
-    )
-
-
-def _none_fits(parsed: ParsedCommand, branches: list[Branch]) -> Refusal:
-    """The refusal of a sentence that no branch takes. It names what to change, with the same hand if that is enough."""
-    begun = " ".join(filter(None, (parsed.verb, parsed.hand)))
-    changes = [_changes(branch, parsed) for branch in branches]
-    kept = [one for one in changes if not any(path == "hand" for path, _ in one)] or changes
-    wanted = [", ".join(words for _, words in one) or "with an object whose figures fit" for one in kept]
-    return Refusal(
-        reason=RefusalReason.NO_SCRIPT,
-        message=f"{parsed.verb} has no script for this form of the sentence",
-        where=parsed.verb,
-        clears="; or ".join(dict.fromkeys(f"{begun if kept is not changes else parsed.verb} {one}" for one in wanted)),
-    )
-
-
-def _changes(branch: Branch, parsed: ParsedCommand) -> list[tuple[str, str]]:
-    """The conditions of a branch that the sentence does not meet: (field, what to change, in words)."""
-    found: list[tuple[str, str]] = []
-    for check in branch.when:
-        if check.given and command_fields.field(parsed, check.given) is None:
-            found.append((check.given, _with(command_fields.in_words(check.given))))
-        if check.missing and command_fields.field(parsed, check.missing) is not None:
-            found.append((check.missing, f"without {command_fields.in_words(check.missing)}"))
-        for path, value in check.equals.items():
-            if command_fields.field(parsed, path) != value:
-                found.append((path, f"with {command_fields.in_words(path)} {_written(value)}"))
-        for path, value in check.differs.items():
-            if command_fields.field(parsed, path) == value:
-                other = f"with {command_fields.in_words(path)} other than {_written(value)}"
-                found.append((path, f"without {_written(value)}" if path == "path" else other))
-    return found
-
-
-def _with(words: str) -> str:
-    """`BY a distance` stays as it is; `an object` gets a word before it."""
-    return words if words.partition(" ")[0].isupper() else f"with {words}"
-
-
-def _written(value: str) -> str:
-    return "JOINT-MOTION" if value == "joint" else value.upper().replace("_", "-")
-
-
 def _cannot_try(name: str, compiled: Compiled, script: ScriptFile) -> Refusal:
     if script.case < FIRST_SKILL and name.lower() in compiled.pieces:
         message = f"AND TRY {name}: {script.script} is an action, and only skills are corrected on the way"
@@ -592,8 +449,3 @@ def _too_tight(candidate: TaskCandidate) -> Refusal | None:
         clears=f"GRIP-FORCE of at most {most_n:g} N",
         detail={"cause": "grip force", "value_n": grip_n, "limit_n": most_n, "arm": arm.name},
     )
-
-
-def verbs(program: ElaboratorProgram) -> Iterator[str]:
-    """All verbs with a script."""
-    yield from dict.fromkeys(branch.verb for branch in program.decision_tree if branch.enabled)

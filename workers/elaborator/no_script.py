@@ -1,0 +1,69 @@
+"""Refusals of a sentence that no script takes: what to change in it, or which script to load."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rtc.language.record import ParsedCommand
+from rtc.programs.schema import Branch, ElaboratorProgram
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from workers.elaborator import command_fields
+
+
+def refuse_verb(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal:
+    scripted = sorted(verbs(program))
+    instead = program.instead.get(parsed.verb, "")
+    load = "" if "rtc load" in instead else f"load a script for {parsed.verb}: rtc load FILE INTO elaborator"
+    return Refusal(
+        reason=RefusalReason.NO_SCRIPT,
+        message=f"there is no script for {parsed.verb} yet",
+        where=parsed.verb,
+        expected=scripted,
+        clears="; or ".join(filter(None, (instead, load))),
+    )
+
+
+def refuse_form(parsed: ParsedCommand, branches: list[Branch]) -> Refusal:
+    """The refusal of a sentence that no branch takes. It names what to change, with the same hand if that is enough."""
+    begun = " ".join(filter(None, (parsed.verb, parsed.hand)))
+    changes = [_changes(branch, parsed) for branch in branches]
+    kept = [one for one in changes if not any(path == "hand" for path, _ in one)] or changes
+    wanted = [", ".join(words for _, words in one) or "with an object whose figures fit" for one in kept]
+    return Refusal(
+        reason=RefusalReason.NO_SCRIPT,
+        message=f"{parsed.verb} has no script for this form of the sentence",
+        where=parsed.verb,
+        clears="; or ".join(dict.fromkeys(f"{begun if kept is not changes else parsed.verb} {one}" for one in wanted)),
+    )
+
+
+def _changes(branch: Branch, parsed: ParsedCommand) -> list[tuple[str, str]]:
+    """The conditions of a branch that the sentence does not meet: (field, what to change, in words)."""
+    found: list[tuple[str, str]] = []
+    for check in branch.when:
+        if check.given and command_fields.field(parsed, check.given) is None:
+            found.append((check.given, _with(command_fields.in_words(check.given))))
+        if check.missing and command_fields.field(parsed, check.missing) is not None:
+            found.append((check.missing, f"without {command_fields.in_words(check.missing)}"))
+        for path, value in check.equals.items():
+            if command_fields.field(parsed, path) != value:
+                found.append((path, f"with {command_fields.in_words(path)} {_written(value)}"))
+        for path, value in check.differs.items():
+            if command_fields.field(parsed, path) == value:
+                other = f"with {command_fields.in_words(path)} other than {_written(value)}"
+                found.append((path, f"without {_written(value)}" if path == "path" else other))
+    return found
+
+
+def _with(words: str) -> str:
+    """`BY a distance` stays as it is; `an object` gets a word before it."""
+    return words if words.partition(" ")[0].isupper() else f"with {words}"
+
+
+def _written(value: str) -> str:
+    return "JOINT-MOTION" if value == "joint" else value.upper().replace("_", "-")
+
+
+def verbs(program: ElaboratorProgram) -> Iterator[str]:
+    """All verbs with a script."""
+    yield from dict.fromkeys(branch.verb for branch in program.decision_tree if branch.enabled)
