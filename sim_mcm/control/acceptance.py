@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from rtc.protocol import primitive as p
+from rtc.protocol.outcomes import Reflex
 from rtc.robot import quintic
 from sim_mcm.arms.arm import Traits
 
@@ -33,6 +34,8 @@ def objection(primitive: p.Primitive, traits: Traits, joints: Sequence[float]) -
     for stop in primitive.stop_functions:
         if not math.isfinite(stop.back_off_m) or stop.back_off_m < 0.0:
             return f"back_off_m of {stop.reason} must be 0 or more, not {stop.back_off_m}"
+        if (stop.reflex is Reflex.BACK_OFF) is not (stop.back_off_m > 0.0):
+            return f"back_off_m of {stop.reason} is {stop.back_off_m:g} m with the reflex {stop.reflex.value}"
     if primitive.reporting.every_s is not None and not primitive.reporting.every_s >= 0.001:
         return f"progress reports every {primitive.reporting.every_s} s: 0.001 s is the least"
     return ""

@@ -488,6 +488,9 @@ CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
 
 LENGTHS = {"centre": 7, "attitude": 4}  # of lists; all others have three numbers
 BALLS = "except_near"
+UNIT_SLACK = 1e-3  # of the length of an axis: rounding of its numbers
+# True below a limit: with the limit 0 they are never true.
+BELOW = (p.ForceBelow, p.TorqueBelow, p.GripForceBelow, p.HandWidthBelow, p.TcpNear, p.ClearanceBelow)
 
 
 def _problems(when: p.Predicate) -> Iterator[str]:
@@ -505,3 +508,11 @@ def _problems(when: p.Predicate) -> Iterator[str]:
             yield f"{kind}.{field}: not a finite number"
         if field in ("centre", "attitude") and not any(value[-4:]):
             yield f"{kind}.{field}: four zeros are not an attitude"
+        if field == "axis" and value is not None and abs(math.hypot(*value) - 1.0) > UNIT_SLACK:
+            yield f"{kind}.axis: a unit vector is needed; {value} has the length {math.hypot(*value):.3g}"
+        if field == "size_m" and min(value) <= 0.0:
+            yield f"{kind}.size_m: a box has three sides above 0, not {value}"
+        if not isinstance(value, list) and min(numbers, default=0.0) < 0.0:
+            yield f"{kind}.{field}: {value:g} is below 0"
+        if isinstance(when, BELOW) and field in ("limit_n", "limit_nm", "limit_m", "distance_m") and value <= 0.0:
+            yield f"{kind}.{field}: nothing is below {value:g}"

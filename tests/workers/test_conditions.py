@@ -312,3 +312,10 @@ def test_a_wrong_condition_is_refused_before_anything_moves(bench, clause, words
     refusal = parsed if isinstance(parsed, Refusal) else bench.elaborate(sentence)
     assert isinstance(refusal, Refusal), refusal
     assert words in refusal.message
+
+
+@pytest.mark.parametrize("verb", [f"HOLD {ARM} FOR 1 SEC", f"OPEN {ARM}", f"CLOSE {ARM}"])
+def test_an_arm_that_stays_cannot_back_off(bench, verb) -> None:
+    refusal = bench.elaborate(f"{verb} UNLESS FORCE EXCEEDS 6 N THEN BACK-OFF BY 1 CM")
+    assert isinstance(refusal, Refusal), refusal
+    assert "path of the arm" in refusal.message

@@ -139,7 +139,7 @@ def maintained(data: BinderInput, query: WorldQuery, values: Values) -> list[Sto
         made.append((StopReason.OUT_OF_RANGE, TcpOutside(centre=region.frame.pose.tolist(), size_m=size_m)))
     for name in limits.keep_out:
         region = cell.region(name)
-        size_m = [max(side - 2.0 * margin_m, 0.0) for side in region.size_m]
+        size_m = [max(side - 2.0 * margin_m, 0.5 * side) for side in region.size_m]  # a thin region is watched too
         made.append((StopReason.OUT_OF_RANGE, TcpInside(centre=region.frame.pose.tolist(), size_m=size_m)))
     if limits.attitude:
         attitude = cell.attitudes[limits.attitude].pose[3:].tolist()

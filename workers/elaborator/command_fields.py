@@ -130,13 +130,16 @@ def _impossible(
 
 
 def refuse_without_effect(program: ElaboratorProgram, parsed: ParsedCommand, script: ScriptFile) -> Refusal | None:
-    """Refuse a constraint or condition that applies to none of the script's steps; None if each applies to one."""
+    """Refuse a constraint, condition or reflex that applies to none of the script's steps; None if each applies to one."""
     complies = any(SOFT in step.args and not step.op for step in script.steps)
     soft = complies or any(constraint.slot == "STIFFNESS" for constraint in parsed.constraints)
     conditions = [item.condition for item in parsed.reflexes] + (parsed.report.when if parsed.report else [])
     if not soft and any(condition.event == "NO-PROGRESS" for condition in conditions):
         message = f"NO-PROGRESS is about a compliant arm; {parsed.verb} moves a rigid one, which its force limit stops"
         return _refused(message, "NO-PROGRESS", "MAINTAIN STIFFNESS, such as 600 N/M; or leave out NO-PROGRESS")
+    if any(item.action == "back_off" for item in parsed.reflexes) and not any(s.do == "move" for s in script.steps):
+        message = f"BACK-OFF goes back along the path of the arm, of which {parsed.verb} has none"
+        return _refused(message, "BACK-OFF", "another reflex, such as THEN STOP")
     for constraint in parsed.constraints:
         wanted = program.acts_on.get(constraint.slot)
         if wanted is None or any(_is(step, wanted) for step in script.steps):

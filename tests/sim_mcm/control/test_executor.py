@@ -193,6 +193,8 @@ def _bad(rig, make, kind: str) -> p.Primitive:
         "wide": lambda: make.primitive(p.HandMotion(width_m=0.2, force_n=10.0)),
         "strong": lambda: make.primitive(p.HandMotion(width_m=0.0, force_n=500.0)),
         "period": lambda: make.primitive(swing, reporting=p.Reporting(every_s=0.0)),
+        "no way": lambda: make.primitive(swing, make.stop(contact, p.ForceAbove(limit_n=5.0), Reflex.BACK_OFF)),
+        "no reflex": lambda: make.primitive(swing, make.stop(contact, p.ForceAbove(limit_n=5.0), Reflex.STOP, 0.02)),
         "not finite": lambda: make.primitive(swing, reporting=conditions(p.ForceAbove(limit_n=float("nan")))),
     }[kind]()
 
@@ -215,6 +217,9 @@ def _bad(rig, make, kind: str) -> p.Primitive:
         ("wide", "width_m 0.2 is outside 0.0 to 0.08"),
         ("strong", "force_n 500.0 is outside"),
         ("period", "every 0.0 s"),
+        ("no way", "back_off_m of contact is 0 m with the reflex back_off"),
+        ("no reflex", "back_off_m of contact is 0.02 m with the reflex stop"),
+        ("not finite", "not a finite number"),
     ],
 )
 def test_what_cannot_be_done_is_refused_in_words_and_moves_nothing(rig, make, kind: str, words: str) -> None:
@@ -491,7 +496,7 @@ def _bring_to(rig, make, state: Mode) -> None:
     if state is Mode.RELEASING:
         rig.arm.width, rig.arm.hand = 0.02, HandCommand(0.02, 30.0, 0.05)
     if state is not Mode.HOLDING:
-        rig.accept(rig.swing(_feel(make, reflex, 0.05)))
+        rig.accept(rig.swing(_feel(make, reflex, 0.05 if reflex is Reflex.BACK_OFF else 0.0)))
         rig.tick(500)
     if state not in (Mode.HOLDING, Mode.EXECUTING):
         rig.arm.wrench = [6.0, 0.0, 0.0, 0.0, 0.0, 0.0]

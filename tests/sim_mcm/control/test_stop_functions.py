@@ -190,6 +190,20 @@ def test_a_body_that_may_come_near_is_left_out(traits, make) -> None:
         p.TurnAbove(limit_rad=1.0, axis=[0.0, 1.0]),
         p.ClearanceBelow(limit_m=math.inf),
         p.ClearanceBelow(limit_m=0.1, except_near=[[0.0, 0.0, 0.0, math.nan]]),
+        # never true, or always
+        p.ForceAbove(limit_n=-1.0),
+        p.ForceAbove(limit_n=5.0, axis=[0.0, 0.0, 0.0]),
+        p.TorqueAbove(limit_nm=1.0, axis=[0.0, 2.0, 0.0]),
+        p.ForceBelow(limit_n=0.0),
+        p.ForceBelow(limit_n=1.0, for_s=-0.1),
+        p.TorqueBelow(limit_nm=0.0),
+        p.GripForceBelow(0.0),
+        p.HandWidthBelow(-0.001),
+        p.TcpNear(point=[0.0] * 3, distance_m=0.0),
+        p.ClearanceBelow(limit_m=0.0),
+        p.TurnAbove(limit_rad=1.0, axis=[0.0, 0.0, 0.0]),
+        p.TcpOutside(centre=[0.0] * 6 + [1.0], size_m=[1.0, -1.0, 1.0]),
+        p.TcpInside(centre=[0.0] * 6 + [1.0], size_m=[1.0, 0.0, 1.0]),
     ],
 )
 def test_a_condition_that_no_arm_can_check_is_refused(traits, make, bad) -> None:
