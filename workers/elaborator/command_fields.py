@@ -130,7 +130,7 @@ def _impossible(
 
 
 def refuse_without_effect(program: ElaboratorProgram, parsed: ParsedCommand, script: ScriptFile) -> Refusal | None:
-    """Refuse a constraint, condition or reflex that applies to none of the script's steps; None if each applies to one."""
+    """Refuse a constraint, condition or reflex that applies to no step of the script; None if each applies to one."""
     complies = any(SOFT in step.args and not step.op for step in script.steps)
     soft = complies or any(constraint.slot == "STIFFNESS" for constraint in parsed.constraints)
     conditions = [item.condition for item in parsed.reflexes] + (parsed.report.when if parsed.report else [])
