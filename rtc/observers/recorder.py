@@ -127,6 +127,7 @@ def main() -> None:
     handed = handover.begin("recorder", given.run_dir, given.handed)
     with process.start("recorder", given.run_dir) as me:
         process.nice(NICENESS)
+        process.nice_session(NICENESS)
         feed = Feed(me, handed.settings, world=True)
         sinks = _try(me, lambda: _opened(me, given.into, handed.settings)) or []
         me.ready()
