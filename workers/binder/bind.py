@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import msgspec
 
 from rtc.language.units import in_words
 from rtc.programs import expressions
-from rtc.programs.extension_names import SPACE_ARGS
 from rtc.programs.loader import decode
 from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.messages import BinderInput, Binding, BoundStep, EndReport, EvaluationContext, Step
@@ -36,21 +35,17 @@ from rtc.protocol.primitive import (
     Vector,
 )
 from rtc.protocol.primitive_id import command_of, seed_of
-from rtc.robot import geometry
 from rtc.robot.axis_names import AXES
-from rtc.robot.geometry import Floats
 from rtc.world.model import World
-from workers.binder import impact, look, replan, stop_conditions, together
-from workers.binder.impact import Impact
+from workers.binder import impact, look, replan, stop_conditions, targets, together
+from workers.binder.bind_task import BindTask, refused_program
 from workers.binder.stop_conditions import Values
-from workers.planning import advice, axes, certainty, curves, segments, suggestions
+from workers.planning import advice, certainty, segments, suggestions
 from workers.planning.motion import beside
 from workers.planning.motion import plan as plans
-from workers.planning.motion.plan import Motion
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import Pace
 from workers.planning.robot_models import CellModel
-from workers.planning.segments import Target
 from workers.planning.world_query import WorldQuery
 
 INPUT = BinderInput
@@ -61,25 +56,6 @@ SUBSYSTEM = "MCM"
 PERFORMERS = ("active_arm", look.CAMERA)
 TELLER = "OPERATOR"  # performer in the report of facts that a command states
 LEAST_WIDTH_M = 1e-6  # rounding tolerance of the hand's range
-LEAST_STEP_M = 0.001  # minimum length of a line with a defined direction
-MOST_TURN_RAD = math.radians(5.0)  # maximum rotation along a line with a constant direction in the tool frame
-
-
-@dataclass(frozen=True)
-class BindTask:
-    """One step to be bound."""
-
-    program: BinderProgram
-    query: WorldQuery
-    data: BinderInput
-
-    @property
-    def arm(self) -> str:
-        return self.data.context.arm
-
-    def stop_class(self, name: str) -> StopClass | Refusal:
-        known = self.program.stop_classes
-        return known.get(name) or refused_program(f"no stop class {name}", f"there are {', '.join(known)}")
 
 
 def compile(program: bytes) -> BinderProgram:
@@ -118,7 +94,7 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     lacks = certainty.refuse_if_uncertain(query, task.arm, step.args, task.program.clears)
     if lacks is not None:
         return lacks
-    target = target_of(task)
+    target = targets.target_of(task)
     if (alone := together.refuse_alone(query, task.arm, context.partner, task.program.clears)) is not None:
         return alone
     if isinstance(target, Refusal):
@@ -133,9 +109,9 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         ignore_suspect=stop_class.away,
         exempt=[name for name in (context.object, context.target) if name],
     )
-    hit = impact_of(task, target, values, held)
+    hit = impact.impact_of(task, target, values, held)
     expected = step.space != "move_joint" or stop_class.touches
-    speed_m_s, slowed = pace_of(task, values, hit, touches=expected, firmly=stop_class.slow_for_force)
+    speed_m_s, slowed = impact.pace_of(task, values, hit, touches=expected, firmly=stop_class.slow_for_force)
     pace = Pace(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
     margin_rad = math.radians(values["joint_margin_deg"])
     request = query.planning_request(task.arm, scene, context.limits, pace, margin_rad)
@@ -158,14 +134,14 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         no_contact_is_failure=StopReason.CONTACT in step.expect and StopReason.GOAL not in step.expect,
         start_joints=request.start.tolist(),
     )
-    against = against_motion(query.tcp(task.arm).tolist(), motion) if step.space == "move_task" else None
+    against = targets.against_motion(query.tcp(task.arm).tolist(), motion) if step.space == "move_task" else None
     trajectory = motion.timed.trajectory()
     note = "; ".join((*slowed, *motion.notes))
     bound = primitive(task, stop_class, values, trajectory, evaluation, against, note)
     if isinstance(bound, Refusal):
         return bound
     if motion.partner is not None:
-        line = turn_line(task)
+        line = targets.turn_line(task)
         kept = stop_conditions.maintained(task.data, query, values)
         both = (bound, motion.partner, stop_class, values, line, kept)
         bound = together.with_partner(task.program, query, task.data, *both)
@@ -188,125 +164,6 @@ def beside_others(task: BindTask, request: PlanningRequest, bound: BoundStep) ->
         limit_s=bound.limit_s + max(condition.within_s for condition in conditions),
         note=f"{bound.note}; starts when {awaited} has left the space that it needs",
     )
-
-
-def impact_of(task: BindTask, target: Target, values: Values, held: str) -> Impact | None:
-    """Expected impact of this motion on a rigid body; None if the command sets no force limit."""
-    limit_n = impact.asked_force_n(task.data.context)
-    if limit_n is None:
-        return None
-    arm, joints = task.query.model.arms[task.arm], task.query.joints(task.arm)
-    goal: Floats = arm.fk(target.joints or joints) if target.pose is None else target.pose
-    if target.poses is not None:
-        goal = target.poses[1]  # the direction in which it begins
-    way = [there - here for there, here in zip(goal[:3], task.query.tcp(task.arm)[:3], strict=True)]
-    load = task.query.load(task.arm) if held else None
-    carried_kg = load.mass_kg if load else 0.0
-    return impact.impact(arm, joints, way, carried_kg, values["impact_s"], values["speed_m_s"], limit_n)
-
-
-def pace_of(
-    task: BindTask, values: Values, hit: Impact | None, *, touches: bool, firmly: bool
-) -> tuple[float, list[str]]:
-    """The speed (m/s), with a note if the force limit has reduced it or cannot be kept at it.
-
-    A path without expected contact (`touches`) is not slowed. `firmly`: a speed stated in the command is reduced too.
-    """
-    speed_m_s, limits = values["speed_m_s"], task.data.context.limits
-    if hit is None or hit.felt_n <= hit.limit_n:
-        return speed_m_s, []
-    felt = (
-        f"at {speed_m_s * 1e3:.3g} mm/s the first millisecond on a rigid body is felt with {hit.felt_n:.0f} N; "
-        f"{hit.limit_n:g} N is kept up to {hit.safe_speed_m_s * 1e3:.3g} mm/s"
-    )
-    stated = limits.speed_m_s is not None or limits.speed_ratio is not None
-    if not touches or (stated and not firmly):
-        return speed_m_s, [f"not slowed: {felt}"]
-    slow_m_s = max(hit.safe_speed_m_s, values["slowest_m_s"])
-    faster = "a higher force allows more speed" if firmly else "MAINTAIN SPEED keeps another speed"
-    return slow_m_s, [f"slowed to {slow_m_s * 1e3:.3g} mm/s: {felt}; {faster}"]
-
-
-def target_of(task: BindTask) -> Target | Refusal:
-    """The target of the step (world frame): a binding or the tcp pose, shifted and turned by the step's args."""
-    step = task.data.step
-    if step.to == "HERE":
-        pose = task.query.tcp(task.arm).tolist()
-    else:
-        vias = [_bound_target(task, name) for name in str(step.args.get("through", "")).split()]
-        goal = _bound_target(task, step.to)
-        for found in (goal, *vias):
-            if isinstance(found, Refusal):
-                return found
-        assert isinstance(goal, Target)
-        return replace(goal, via=tuple(via for via in vias if isinstance(via, Target)))
-    axis = str(step.args.get("axis", "TOOL-Z"))
-    if axis not in axes.AXES:
-        return suggestions.unknown("axis", axis, axes.AXES)
-    if step.space in curves.CURVES:
-        return _curve_of(task, pose, axis)
-    by_m, by_rad = (float(step.args.get(name, 0.0)) for name in ("by_m", "by_rad"))
-    if by_m:
-        pose = axes.shifted(pose, axis, by_m).tolist()
-    if by_rad:
-        pose = axes.turned(pose, axis, by_rad).tolist()
-    return Target(pose=pose)
-
-
-def _bound_target(task: BindTask, name: str) -> Target | Refusal:
-    """The target that a binding stands for."""
-    if name not in task.data.bindings:
-        return refused_program(f"nothing binds {name}", f"there are {', '.join(task.data.bindings)}")
-    binding = task.data.bindings[name]
-    if binding.joints is not None:
-        return Target(joints=binding.joints)
-    pose = world_pose(task, binding, name)
-    return pose if isinstance(pose, Refusal) else Target(pose=pose)
-
-
-def _curve_of(task: BindTask, start: list[float], axis: str) -> Target | Refusal:
-    step, about = task.data.step, start
-    if (name := str(step.args.get("about", "HERE"))) != "HERE":
-        if name not in task.data.bindings:
-            return refused_program(f"nothing binds {name}", f"there are {', '.join(task.data.bindings)}")
-        found = world_pose(task, task.data.bindings[name], name)
-        if isinstance(found, Refusal):
-            return found
-        about = found
-    figures = {name: float(step.args[name]) for name in SPACE_ARGS[step.space] if name in step.args}
-    poses = curves.curve(step.space, start, about, axis, figures)
-    return poses if isinstance(poses, Refusal) else Target(poses=poses)
-
-
-def world_pose(task: BindTask, binding: Binding, name: str) -> list[float] | Refusal:
-    """A pose binding in the world frame. Refuses a binding relative to a body whose frame is not trusted (R151)."""
-    if binding.pose is None:
-        return refused_program(f"{name} is not a pose", "bind a pose or joint values to it")
-    query = task.query
-    if binding.frame is not None:
-        known = [one.name for bodies in (query.cell.objects, query.cell.seats) for one in bodies]
-        if binding.frame not in known:
-            return suggestions.unknown("object or seat", binding.frame, known)
-        command = command_of(task.data.primitive_id)
-        distrusted = query.distrusted(f"{binding.frame}.frame", task.program.clears, own=command)
-        if distrusted is not None:
-            return distrusted
-    pose = replan.restated(query, task.arm, binding)
-    return pose if isinstance(pose, Refusal) else pose.tolist()
-
-
-def against_motion(start: list[float], motion: Motion) -> Vector | None:
-    """Unit vector (tool frame) of a force that opposes this line; None if it is not constant along the line."""
-    if (
-        geometry.distance(start, motion.goal_pose) < LEAST_STEP_M
-        or geometry.angle(start, motion.goal_pose) > MOST_TURN_RAD
-    ):
-        return None
-    way = motion.goal_pose[:3] - start[:3]
-    axis: Vector = (
-        -geometry.rotate(geometry.inverse(start), way / math.dist(motion.goal_pose[:3], start[:3]))
-    ).tolist()
-    return axis
 
 
 # --- a motion of the hand --------------------------------------------------------------------------------
@@ -431,7 +288,11 @@ def primitive(
     values = {**values, "time_limit_s": limit_s}
     rows = [*stop_class.stops, *(task.program.holding if moves and evaluation.held else [])]
     stops: list[StopFunction] = stop_conditions.stop_functions(
-        rows, values, against, stop_conditions.from_command(task.data, task.query, values, rows), turn_line(task)
+        rows,
+        values,
+        against,
+        stop_conditions.from_command(task.data, task.query, values, rows),
+        targets.turn_line(task),
     )
     if isinstance(trajectory, JointTrajectory):
         stops += stop_conditions.maintained(task.data, task.query, values)
@@ -486,20 +347,6 @@ def _refuse_time(task: BindTask, predicted_s: float, left_s: float) -> Refusal:
         clears="more time, or more speed",
         detail={"cause": "time", "predicted_s": predicted_s, "limit_s": most_s, "moved_s": moved_s},
     )
-
-
-def turn_line(task: BindTask) -> stop_conditions.Line:
-    """The line about which the step turns; of a step without an axis any change of attitude counts."""
-    step, query = task.data.step, task.query
-    axis, name = step.args.get("axis"), str(step.args.get("about", "HERE"))
-    if not isinstance(axis, str) and name == "HERE":
-        return stop_conditions.Line(None, None)
-    here = query.tcp(task.arm)
-    found = world_pose(task, task.data.bindings[name], name) if name in task.data.bindings else here.tolist()
-    if isinstance(found, Refusal):  # `target_of` has refused it
-        return stop_conditions.Line(None, None)
-    along = axes.direction(found, str(axis or "TOOL-Z"))
-    return stop_conditions.Line(along, found[:3] if name != "HERE" else None)
 
 
 def refuse_press(task: BindTask, stop_class: StopClass, values: Values) -> Refusal | None:
@@ -583,7 +430,7 @@ def bind_assignment(task: BindTask) -> BoundStep | Refusal:
         binding = task.data.bindings.get(name)
         if binding is None:
             return refused_program(f"nothing binds {name}", f"there are {', '.join(task.data.bindings)}")
-        pose = binding.number if binding.number is not None else world_pose(task, binding, name)
+        pose = binding.number if binding.number is not None else targets.world_pose(task, binding, name)
         if isinstance(pose, Refusal):
             return pose
         given[name] = pose
@@ -640,10 +487,6 @@ def restate_plan(task: BindTask) -> BoundStep | Refusal:
     """Bindings of the plan, with joint values solved again for objects that have moved since planning."""
     laid = replan.replan(task.query, task.arm, task.data.bindings)
     return laid if isinstance(laid, Refusal) else BoundStep(bindings=laid, note="the plan")
-
-
-def refused_program(message: str, clears: str) -> Refusal:
-    return Refusal(reason=RefusalReason.PROGRAM, message=message, clears=clears)
 
 
 Action = Callable[[BindTask], BoundStep | Refusal]

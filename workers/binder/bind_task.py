@@ -1,0 +1,31 @@
+"""A step to be bound: what all parts of the binder share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rtc.programs.schema import BinderProgram, StopClass
+from rtc.protocol.messages import BinderInput
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from workers.planning.world_query import WorldQuery
+
+
+@dataclass(frozen=True)
+class BindTask:
+    """One step to be bound."""
+
+    program: BinderProgram
+    query: WorldQuery
+    data: BinderInput
+
+    @property
+    def arm(self) -> str:
+        return self.data.context.arm
+
+    def stop_class(self, name: str) -> StopClass | Refusal:
+        known = self.program.stop_classes
+        return known.get(name) or refused_program(f"no stop class {name}", f"there are {', '.join(known)}")
+
+
+def refused_program(message: str, clears: str) -> Refusal:
+    return Refusal(reason=RefusalReason.PROGRAM, message=message, clears=clears)

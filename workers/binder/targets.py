@@ -1,0 +1,117 @@
+"""Where a step goes: its target, its line or curve, and the direction of a force against it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from rtc.programs.extension_names import SPACE_ARGS
+from rtc.protocol.messages import Binding
+from rtc.protocol.outcomes import Refusal
+from rtc.protocol.primitive import Vector
+from rtc.protocol.primitive_id import command_of
+from rtc.robot import geometry
+from workers.binder import replan, stop_conditions
+from workers.binder.bind_task import BindTask, refused_program
+from workers.planning import axes, curves, suggestions
+from workers.planning.motion.plan import Motion
+from workers.planning.segments import Target
+
+LEAST_STEP_M = 0.001  # minimum length of a line with a defined direction
+MOST_TURN_RAD = math.radians(5.0)  # maximum rotation along a line with a constant direction in the tool frame
+
+
+def target_of(task: BindTask) -> Target | Refusal:
+    """The target of the step (world frame): a binding or the tcp pose, shifted and turned by the step's args."""
+    step = task.data.step
+    if step.to == "HERE":
+        pose = task.query.tcp(task.arm).tolist()
+    else:
+        vias = [_bound_target(task, name) for name in str(step.args.get("through", "")).split()]
+        goal = _bound_target(task, step.to)
+        for found in (goal, *vias):
+            if isinstance(found, Refusal):
+                return found
+        assert isinstance(goal, Target)
+        return replace(goal, via=tuple(via for via in vias if isinstance(via, Target)))
+    axis = str(step.args.get("axis", "TOOL-Z"))
+    if axis not in axes.AXES:
+        return suggestions.unknown("axis", axis, axes.AXES)
+    if step.space in curves.CURVES:
+        return _curve_of(task, pose, axis)
+    by_m, by_rad = (float(step.args.get(name, 0.0)) for name in ("by_m", "by_rad"))
+    if by_m:
+        pose = axes.shifted(pose, axis, by_m).tolist()
+    if by_rad:
+        pose = axes.turned(pose, axis, by_rad).tolist()
+    return Target(pose=pose)
+
+
+def _bound_target(task: BindTask, name: str) -> Target | Refusal:
+    """The target that a binding stands for."""
+    if name not in task.data.bindings:
+        return refused_program(f"nothing binds {name}", f"there are {', '.join(task.data.bindings)}")
+    binding = task.data.bindings[name]
+    if binding.joints is not None:
+        return Target(joints=binding.joints)
+    pose = world_pose(task, binding, name)
+    return pose if isinstance(pose, Refusal) else Target(pose=pose)
+
+
+def _curve_of(task: BindTask, start: list[float], axis: str) -> Target | Refusal:
+    step, about = task.data.step, start
+    if (name := str(step.args.get("about", "HERE"))) != "HERE":
+        if name not in task.data.bindings:
+            return refused_program(f"nothing binds {name}", f"there are {', '.join(task.data.bindings)}")
+        found = world_pose(task, task.data.bindings[name], name)
+        if isinstance(found, Refusal):
+            return found
+        about = found
+    figures = {name: float(step.args[name]) for name in SPACE_ARGS[step.space] if name in step.args}
+    poses = curves.curve(step.space, start, about, axis, figures)
+    return poses if isinstance(poses, Refusal) else Target(poses=poses)
+
+
+def world_pose(task: BindTask, binding: Binding, name: str) -> list[float] | Refusal:
+    """A pose binding in the world frame. Refuses a binding relative to a body whose frame is not trusted (R151)."""
+    if binding.pose is None:
+        return refused_program(f"{name} is not a pose", "bind a pose or joint values to it")
+    query = task.query
+    if binding.frame is not None:
+        known = [one.name for bodies in (query.cell.objects, query.cell.seats) for one in bodies]
+        if binding.frame not in known:
+            return suggestions.unknown("object or seat", binding.frame, known)
+        command = command_of(task.data.primitive_id)
+        distrusted = query.distrusted(f"{binding.frame}.frame", task.program.clears, own=command)
+        if distrusted is not None:
+            return distrusted
+    pose = replan.restated(query, task.arm, binding)
+    return pose if isinstance(pose, Refusal) else pose.tolist()
+
+
+def against_motion(start: list[float], motion: Motion) -> Vector | None:
+    """Unit vector (tool frame) of a force that opposes this line; None if it is not constant along the line."""
+    if (
+        geometry.distance(start, motion.goal_pose) < LEAST_STEP_M
+        or geometry.angle(start, motion.goal_pose) > MOST_TURN_RAD
+    ):
+        return None
+    way = motion.goal_pose[:3] - start[:3]
+    axis: Vector = (
+        -geometry.rotate(geometry.inverse(start), way / math.dist(motion.goal_pose[:3], start[:3]))
+    ).tolist()
+    return axis
+
+
+def turn_line(task: BindTask) -> stop_conditions.Line:
+    """The line about which the step turns; of a step without an axis any change of attitude counts."""
+    step, query = task.data.step, task.query
+    axis, name = step.args.get("axis"), str(step.args.get("about", "HERE"))
+    if not isinstance(axis, str) and name == "HERE":
+        return stop_conditions.Line(None, None)
+    here = query.tcp(task.arm)
+    found = world_pose(task, task.data.bindings[name], name) if name in task.data.bindings else here.tolist()
+    if isinstance(found, Refusal):  # `target_of` has refused it
+        return stop_conditions.Line(None, None)
+    along = axes.direction(found, str(axis or "TOOL-Z"))
+    return stop_conditions.Line(along, found[:3] if name != "HERE" else None)
