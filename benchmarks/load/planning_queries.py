@@ -15,7 +15,7 @@ import numpy as np
 
 from rtc.cells import parts
 from rtc.robot import geometry
-from rtc.robot.collision import Held, Scene
+from rtc.robot.collision_scene import Held, Scene
 from rtc.robot.geometry import Array
 from workers.planning.motion import path as paths
 from workers.planning.motion.constraints import FREE, Rules

@@ -22,7 +22,8 @@ from rtc.cells.cell import Cell
 from rtc.cells.parts import Arm, Box, Frame, GraspPoint, Gripper, Object, Place, Seat, Vec3
 from rtc.protocol.outcomes import ProgramError
 from rtc.robot import geometry
-from rtc.robot.collision import CollisionWorld, Scene
+from rtc.robot.collision import CollisionWorld
+from rtc.robot.collision_scene import Scene
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
 

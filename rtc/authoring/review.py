@@ -28,7 +28,8 @@ from rtc.cells.urdf_values import MOVING
 from rtc.programs.yaml_location import line_of_key, path_of
 from rtc.protocol.outcomes import ProgramError
 from rtc.robot import geometry
-from rtc.robot.collision import CollisionWorld, Scene
+from rtc.robot.collision import CollisionWorld
+from rtc.robot.collision_scene import Scene
 from rtc.robot.kinematics import ArmModel
 
 TRIANGLE_SLACK = 1e-9

@@ -1,15 +1,15 @@
 """Collision checks of arms, held objects and the rest of the cell.
 
-A `Scene` is the state of the world: poses, held objects, permitted contacts. A `CollisionWorld` checks joint values in
-a scene. Reuse one scene for many checks: setting it up takes about 0.2 ms, a check 20-40 us. The result names the two
-bodies. Geometry only: the caller decides which contacts are intended.
+A `CollisionWorld` checks joint values in a scene (`rtc.robot.collision_scene`). Reuse one scene for many checks:
+setting it up takes about 0.2 ms, a check 20-40 us. The result names the two bodies. Geometry only: the caller decides
+which contacts are intended.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import coal
 import numpy as np
@@ -19,45 +19,10 @@ from rtc.cells import cell as cells
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import bodies, hinges
 from rtc.robot.apart import ApartCheck
+from rtc.robot.collision_pairs import Pairs, PairTable
+from rtc.robot.collision_scene import AS_BUILT, Scene, in_hands
 from rtc.robot.geometry import Array, Floats
 from rtc.robot.levers import ball, levers, of_pairs
-
-
-@dataclass(frozen=True, eq=False)
-class Held:
-    """A held object: the arm, and the object's pose in the axes of that arm's tcp."""
-
-    arm: str
-    pose: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class Hung:
-    """A held object with a hinge. It turns to where a point of it is nearest to the tcp of the arm that holds it."""
-
-    arm: str
-    home: Floats  # pose at angle 0, world
-    axis: Floats  # unit vector, object's axes
-    range_rad: tuple[float, float]  # its stops
-    point: Floats  # m, object's axes
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """The state of the world for a check. A name is an owner (RACK-1) or a part of one (RACK-1 floor)."""
-
-    poses: Mapping[str, Floats] = field(default_factory=dict)  # of seats and objects, world; others as in the cell
-    held: Mapping[str, Held] = field(default_factory=dict)  # by object
-    hung: Mapping[str, Hung] = field(default_factory=dict)  # by object
-    openings_m: Mapping[str, float] = field(default_factory=dict)  # of the hands, by arm; default: fully open
-    ignore: Iterable[tuple[str, str]] = ()  # pairs that may touch
-    clearance_m: float = 0.0  # minimum distance of arms and held objects
-    near: Iterable[str] = ()  # bodies exempt from the clearance, but not from contact
-    arms_apart_m: float = 0.0  # minimum distance of two arms from each other, with what they hold; without exemption
-    unsure_m: Mapping[str, float] = field(default_factory=dict)  # bodies that may be this far from their pose here
-    keeps_unsure: bool = False  # count these distances as clearance from those bodies
-    keep_out: Iterable[str] = ()  # regions that count as solid
-    moving: str = ""  # the arm to check, pairs without it are ignored; empty: all arms
 
 
 @dataclass(frozen=True)
@@ -94,23 +59,12 @@ class PathCollision:
     collision: Collision
 
 
-AS_BUILT = Scene()
 LEAVING_STEPS = 10  # interpolation steps between configurations while an initial contact lasts
 GROUP = 3  # configurations of a path that one check may prove free
 LEAST_GROUPED = 7  # a shorter path is checked one by one
 WIDER_M = 1e-4  # tolerance of distances in the check of a group
 KEPT_SCENES = 64  # maximum number of scenes whose active pairs and margins are kept
 DEEPER_M = 0.0002  # tolerance for noise of joint values and of penetration depths
-
-
-@dataclass(frozen=True, eq=False)
-class Pairs:
-    """The pairs to check in a scene and their margins (m), by pair and as matrices [piece][piece]."""
-
-    active: np.ndarray
-    margin: np.ndarray
-    active_matrix: np.ndarray
-    margin_matrix: np.ndarray
 
 
 class CollisionWorld:
@@ -137,11 +91,12 @@ class CollisionWorld:
         self._q = pin.neutral(self._bodies.model)
         self._scene: Scene | None = None
         self._placed: dict[str, tuple[str, tuple[float, ...]]] = {}  # body -> the arm that holds it, and its pose there
-        self._pairs_of_scene: dict[tuple[object, ...], Pairs] = {}  # by all that `_pairs_in` reads of a scene
+        self._pairs_of_scene: dict[tuple[object, ...], Pairs] = {}  # by all that `PairTable.of_scene` reads
         self._pair_levers: dict[int, Array] = {}  # by the first joint of an arm
         self._apart: ApartCheck | None = None  # made when it is first needed
-        self._index()
-        self._put_in_force(self._pairs_in(AS_BUILT))
+        self._table = PairTable(self._bodies)
+        self._measure_bodies()
+        self._put_in_force(self._table.of_scene(AS_BUILT))
         self._arrange(AS_BUILT)
 
     def check(self, joints: Mapping[str, Floats], scene: Scene = AS_BUILT) -> Collision | None:
@@ -228,8 +183,8 @@ class CollisionWorld:
         """Checks of the distance between two arms, each with what it holds in this scene. Both hands count as open."""
         if scene is not self._scene:
             self._arrange(scene)
-        carrier = self._carriers(scene)
-        one, two = carrier == self._number[arm], carrier == self._number[other]
+        carrier = self._table.carriers(scene)
+        one, two = carrier == self._table.number[arm], carrier == self._table.number[other]
         openings_m = {name: self.cell.arm(name).gripper.max_opening_m for name in self._bodies.arms}
         self._apart = self._apart or ApartCheck(self._bodies)
         self._apart.compare(arm, other, (one, two), self._levers, openings_m)
@@ -239,8 +194,7 @@ class CollisionWorld:
         """The nearest pair of a body and any other as the cell begins; None if the body has no pair."""
         self._set(joints, AS_BUILT)
         self._place()
-        region = self._region_piece[self._first] | self._region_piece[self._second]
-        pairs = np.flatnonzero(self._touches([name]) & ~region).tolist()
+        pairs = np.flatnonzero(self._table.touches([name]) & ~self._table.with_region).tolist()
         found = [self._describe(pair) for pair in pairs]
         return min(found, key=lambda collision: collision.distance_m, default=None)
 
@@ -250,9 +204,9 @@ class CollisionWorld:
         self._set(joints, scene)
         data = self._geometry_data
         pin.computeCollisions(self._bodies.model, self._data, self._bodies.geometry, data, self._q, False)
-        mine = self._matching(arm) & self._arm_piece
-        others = self._carriers(scene) != self._number[arm]
-        wanted = self._pairs.active & self._between(mine, others)
+        mine = self._table.matching(arm) & self._table.arm_piece
+        others = self._table.carriers(scene) != self._table.number[arm]
+        wanted = self._pairs.active & self._table.between(mine, others)
         hits = [self._describe(n) for n in np.flatnonzero(wanted).tolist() if data.collisionResults[n].isCollision()]
         return [
             hit if hit.body_a.split()[0] == arm else replace(hit, body_a=hit.body_b, body_b=hit.body_a) for hit in hits
@@ -298,7 +252,7 @@ class CollisionWorld:
         if not np.array_equal(self._wide_active, pairs.active):
             self._wide_data.setActiveCollisionPairs(self._bodies.geometry, pairs.active_matrix)
             self._wide_active = pairs.active
-        margins = self._as_matrix(pairs.margin + nearer + WIDER_M)
+        margins = self._table.as_matrix(pairs.margin + nearer + WIDER_M)
         self._wide_data.setSecurityMargins(self._bodies.geometry, margins)
 
     def _levers_of_pairs(self, slots: list[int]) -> Array:
@@ -306,7 +260,7 @@ class CollisionWorld:
         known = self._pair_levers.get(slots[0])
         if known is None:
             levers = self._levers[:, slots]
-            known = self._pair_levers[slots[0]] = of_pairs(levers[self._first], levers[self._second])
+            known = self._pair_levers[slots[0]] = of_pairs(levers[self._table.first], levers[self._table.second])
         return known
 
     def _all_free(self, slots: list[int], group: Sequence[Floats] | Array) -> bool:
@@ -427,17 +381,17 @@ class CollisionWorld:
         if holder:
             hand = self._bodies.arms[holder]
             parent, at = hand.hand_joint, hand.tcp * at
-        for n in self._pieces_of.get(owner, ()):
+        for n in self._table.pieces_of.get(owner, ()):
             item = self._bodies.geometry.geometryObjects[n]
             item.parentJoint, item.placement = parent, at * self._bodies.pieces[n].in_owner
-        rows = self._owner == self._number.get(owner)
+        rows = self._table.owner == self._table.number.get(owner)
         if parent or self._levers[rows].any():
             self._levers[rows] = levers(self._bodies.model, parent, at.translation, self._radius_m.get(owner, 0.0))
             self._pair_levers.clear()
 
     def _switch(self, scene: Scene) -> None:
         """Sets the active pairs and the margins of a scene."""
-        held = _in_hands(scene)
+        held = in_hands(scene)
         unsure = tuple(scene.unsure_m.items()) if scene.keeps_unsure else ()
         lists = map(tuple, (scene.ignore, scene.near, scene.keep_out))
         rules = (scene.moving, held, unsure, *lists, scene.clearance_m, scene.arms_apart_m)
@@ -445,7 +399,7 @@ class CollisionWorld:
         if pairs is None:
             if len(self._pairs_of_scene) >= KEPT_SCENES:
                 del self._pairs_of_scene[next(iter(self._pairs_of_scene))]
-            pairs = self._pairs_of_scene[rules] = self._pairs_in(scene)
+            pairs = self._pairs_of_scene[rules] = self._table.of_scene(scene)
         if pairs is not self._pairs:
             self._put_in_force(pairs)
 
@@ -457,51 +411,9 @@ class CollisionWorld:
         self._geometry_data.setSecurityMargins(self._bodies.geometry, pairs.margin_matrix)
         self._pairs = pairs
 
-    def _pairs_in(self, scene: Scene) -> Pairs:
-        moving = self._arm_piece.copy()  # pieces that move with an arm
-        carrier = self._carriers(scene)
-        for name, _ in _in_hands(scene):
-            moving |= self._owner == self._number[name]
-        first, second = self._first, self._second
-        if scene.moving:
-            moving = carrier == self._number[scene.moving]
-        active = moving[first] | moving[second]
-        active &= ~(self._region_piece[first] | self._region_piece[second]) | self._touches(scene.keep_out)
-        for name, arm in _in_hands(scene):  # the hand touches what it holds
-            hand = self._matching(arm) & np.isin(self._part, list(self._bodies.arms[arm].hand_links))
-            active &= ~self._between(hand, self._owner == self._number[name])
-        for a, b in scene.ignore:
-            active &= ~self._between(self._matching(a), self._matching(b))
-        margin = np.where(carrier[first] == carrier[second], 0.0, scene.clearance_m)
-        margin[self._touches(scene.near)] = 0.0
-        if scene.arms_apart_m > 0.0:
-            by_arm = np.isin(carrier, [self._number[arm] for arm in self._bodies.arms])
-            two_arms = by_arm[first] & by_arm[second] & (carrier[first] != carrier[second])
-            margin = np.where(two_arms, np.maximum(margin, scene.arms_apart_m), margin)
-        if scene.keeps_unsure:
-            for name, most_m in scene.unsure_m.items():
-                margin = np.where(self._touches([name]), np.maximum(margin, most_m), margin)
-        return Pairs(active, margin, self._as_matrix(active), self._as_matrix(margin))
-
-    def _carriers(self, scene: Scene) -> np.ndarray:
-        """Number of the owner that moves each piece."""
-        carrier = self._owner.copy()
-        for name, arm in _in_hands(scene):
-            carrier[self._owner == self._number[name]] = self._number[arm]
-        return carrier
-
-    def _index(self) -> None:
-        """Builds arrays over pieces and pairs, so that a scene is applied by masks."""
+    def _measure_bodies(self) -> None:
+        """Sets the levers, sizes and built poses of all bodies."""
         pieces = self._bodies.pieces
-        owners = list(dict.fromkeys(piece.owner for piece in pieces))
-        self._number = {owner: n for n, owner in enumerate(owners)}
-        self._pieces_of = {owner: [n for n, p in enumerate(pieces) if p.owner == owner] for owner in owners}
-        self._owner = np.array([self._number[p.owner] for p in pieces])
-        self._part = np.array([p.part for p in pieces])
-        self._arm_piece = np.array([p.kind == "arm" for p in pieces])
-        self._region_piece = np.array([p.kind == "region" for p in pieces])
-        pairs = np.array(self._bodies.pairs, dtype=int).reshape(-1, 2)
-        self._first, self._second = pairs[:, 0], pairs[:, 1]
         items = self._bodies.geometry.geometryObjects
         balls = [ball(item.geometry, piece.in_owner) for item, piece in zip(items, pieces, strict=True)]
         joints = [item.parentJoint for item in items]
@@ -511,43 +423,11 @@ class CollisionWorld:
         #: radius of a ball around the origin of each owner, for a body that is held
         self._radius_m = {
             owner: max(math.hypot(*balls[n][0]) + balls[n][1] for n in numbers)
-            for owner, numbers in self._pieces_of.items()
+            for owner, numbers in self._table.pieces_of.items()
         }
         self._built_pose: dict[str, Floats] = {seat.name: seat.frame.pose for seat in self.cell.seats}
         self._built_pose |= {thing.name: self.cell.object_pose(thing.name) for thing in self.cell.objects}
         self._built_pose |= {region.name: region.frame.pose for region in self.cell.regions}
-
-    def _matching(self, name: str) -> np.ndarray:
-        """Mask of the pieces of an owner, or of a part of one. Raises ValueError for an unknown owner."""
-        owner, _, part = name.partition(" ")
-        if owner not in self._number:
-            raise ValueError(f"no body {owner} in the cell")
-        mask = self._owner == self._number[owner]
-        return mask & (self._part == part) if part else mask
-
-    def _as_matrix(self, of_pairs: np.ndarray) -> np.ndarray:
-        matrix = np.zeros((len(self._owner), len(self._owner)), dtype=of_pairs.dtype)
-        matrix[self._first, self._second] = of_pairs
-        return matrix
-
-    def _between(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Mask of the pairs of one piece in `a` and one piece in `b`."""
-        return (a[self._first] & b[self._second]) | (b[self._first] & a[self._second])
-
-    def _touches(self, names: Iterable[str]) -> np.ndarray:
-        """Mask of the pairs that contain any of these bodies."""
-        mask = np.zeros(len(self._owner), dtype=bool)
-        for name in names:
-            mask |= self._matching(name)
-        return mask[self._first] | mask[self._second]
-
-
-def _in_hands(scene: Scene) -> tuple[tuple[str, str], ...]:
-    """(object, arm) of all objects that move with a hand."""
-    return (
-        *((name, held.arm) for name, held in scene.held.items()),
-        *((n, hung.arm) for n, hung in scene.hung.items()),
-    )
 
 
 def _coal_transform(placement: pin.SE3) -> coal.Transform3s:

@@ -13,7 +13,8 @@ from itertools import combinations
 import numpy as np
 
 from rtc.cells import cell as cells
-from rtc.robot.collision import CollisionWorld, Held, Scene
+from rtc.robot.collision import CollisionWorld
+from rtc.robot.collision_scene import Held, Scene
 from rtc.robot.geometry import Array
 from sim_mcm.arms.arm import Near
 

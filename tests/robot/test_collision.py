@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from rtc.robot import geometry
-from rtc.robot.collision import Held, Scene
+from rtc.robot.collision_scene import Held, Scene
 
 HANDLE = (0.65, -0.885, 0.60)  # HANDLE-A of the module in RACK-1
 

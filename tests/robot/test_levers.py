@@ -7,7 +7,8 @@ import pinocchio as pin
 import pytest
 
 from rtc.robot import bodies
-from rtc.robot.collision import AS_BUILT, GROUP, CollisionWorld
+from rtc.robot.collision import GROUP, CollisionWorld
+from rtc.robot.collision_scene import AS_BUILT
 from rtc.robot.levers import ball, levers, of_pairs
 
 

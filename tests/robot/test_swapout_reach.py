@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rtc.robot import geometry
-from rtc.robot.collision import Held, Scene
+from rtc.robot.collision_scene import Held, Scene
 
 MARGIN = math.radians(15)
 

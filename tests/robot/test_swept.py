@@ -10,7 +10,7 @@ import pinocchio as pin
 import pybullet_data
 import pytest
 
-from rtc.robot.collision import AS_BUILT, Held, Scene
+from rtc.robot.collision_scene import AS_BUILT, Held, Scene
 from rtc.robot.swept import Boxes, Chain
 
 ARMS = ("RIGHT-ARM", "LEFT-ARM")
@@ -24,7 +24,7 @@ def test_boxes_hold_each_piece_at_every_posture_of_the_interval(world, cell, sce
     middles, turns = random.uniform(-2.0, 2.0, (6, 6)), random.uniform(0.0, 0.15, (6, 6))
     boxes = check.swept[0].boxes(middles, turns)
     model, geometry = world._bodies.model, world._bodies.geometry
-    mine = np.flatnonzero(world._carriers(scene) == world._number["RIGHT-ARM"]).tolist()
+    mine = np.flatnonzero(world._table.carriers(scene) == world._table.number["RIGHT-ARM"]).tolist()
     assert boxes.low.shape == (6, len(mine), 3)
     data, geometry_data, q = model.createData(), geometry.createData(), pin.neutral(model)
     for name, slots in world._bodies.arms.items():
@@ -99,9 +99,9 @@ def test_two_arms_are_apart_if_their_nearest_pieces_are(world, arms, home, scene
     """The check has a collision model of its own; the distances are those of the whole cell's."""
     random = np.random.default_rng(7)
     check = world.compare_arms(*ARMS, scene)
-    carrier = world._carriers(scene)
-    one, two = (carrier == world._number[arm] for arm in ARMS)
-    pairs = np.flatnonzero(world._between(one, two)).tolist()
+    carrier = world._table.carriers(scene)
+    one, two = (carrier == world._table.number[arm] for arm in ARMS)
+    pairs = np.flatnonzero(world._table.between(one, two)).tolist()
     found = set()
     for _ in range(12):
         y_m = random.uniform(-0.1, 0.1, 2)

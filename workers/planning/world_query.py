@@ -20,7 +20,7 @@ from rtc.protocol.messages import Limits, Validity
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Load, Primitive
 from rtc.robot import geometry, hinges
-from rtc.robot.collision import Held, Hung, Scene
+from rtc.robot.collision_scene import Held, Hung, Scene
 from rtc.robot.geometry import Array, Floats
 from rtc.world.model import World
 from rtc.world.spread import EXACT, Spread

@@ -17,7 +17,7 @@ from rtc.protocol.primitive import (
     StopFunction,
     TimeAbove,
 )
-from rtc.robot.collision import Scene
+from rtc.robot.collision_scene import Scene
 from tests.workers.conftest import CELL, MODEL
 from workers.planning.motion.beside import SPACE_M, clear_from, course, start_conditions
 from workers.planning.motion.path import joint_line

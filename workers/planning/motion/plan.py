@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.robot.collision import Scene
+from rtc.robot.collision_scene import Scene
 from rtc.robot.geometry import Array, Floats
 from workers.planning.motion import path as paths
 from workers.planning.motion.path import Path

@@ -11,7 +11,8 @@ import numpy as np
 
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal
 from rtc.protocol.primitive import Load
-from rtc.robot.collision import AS_BUILT, Collision, CollisionWorld, Scene
+from rtc.robot.collision import Collision, CollisionWorld
+from rtc.robot.collision_scene import AS_BUILT, Scene
 from rtc.robot.geometry import Array, Floats
 from rtc.robot.kinematics import ArmModel
 from workers.planning.motion.constraints import FREE, Rules

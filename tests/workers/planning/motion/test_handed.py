@@ -10,7 +10,7 @@ import pytest
 
 from rtc.protocol.messages import Way
 from rtc.robot import geometry
-from rtc.robot.collision import Scene
+from rtc.robot.collision_scene import Scene
 from workers.planning import segments
 from workers.planning.motion import handed, plan
 from workers.planning.motion.constraints import Rules

@@ -13,7 +13,8 @@ import pytest
 from rtc.cells.parts import Box, Frame, Object
 from rtc.protocol.outcomes import Refusal
 from rtc.robot import geometry
-from rtc.robot.collision import CollisionWorld, Held, Scene
+from rtc.robot.collision import CollisionWorld
+from rtc.robot.collision_scene import Held, Scene
 from workers.planning.motion import sampled_way
 from workers.planning.motion.constraints import Rules
 from workers.planning.motion.ik import choose

@@ -1,0 +1,56 @@
+"""The state of the world for a collision check: poses, held objects, distances to keep, permitted contacts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from rtc.robot.geometry import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A held object: the arm, and the object's pose in the axes of that arm's tcp."""
+
+    arm: str
+    pose: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Hung:
+    """A held object with a hinge. It turns to where a point of it is nearest to the tcp of the arm that holds it."""
+
+    arm: str
+    home: Floats  # pose at angle 0, world
+    axis: Floats  # unit vector, object's axes
+    range_rad: tuple[float, float]  # its stops
+    point: Floats  # m, object's axes
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The state of the world for a check. A name is an owner (RACK-1) or a part of one (RACK-1 floor)."""
+
+    poses: Mapping[str, Floats] = field(default_factory=dict)  # of seats and objects, world; others as in the cell
+    held: Mapping[str, Held] = field(default_factory=dict)  # by object
+    hung: Mapping[str, Hung] = field(default_factory=dict)  # by object
+    openings_m: Mapping[str, float] = field(default_factory=dict)  # of the hands, by arm; default: fully open
+    ignore: Iterable[tuple[str, str]] = ()  # pairs that may touch
+    clearance_m: float = 0.0  # minimum distance of arms and held objects
+    near: Iterable[str] = ()  # bodies exempt from the clearance, but not from contact
+    arms_apart_m: float = 0.0  # minimum distance of two arms from each other, with what they hold; without exemption
+    unsure_m: Mapping[str, float] = field(default_factory=dict)  # bodies that may be this far from their pose here
+    keeps_unsure: bool = False  # count these distances as clearance from those bodies
+    keep_out: Iterable[str] = ()  # regions that count as solid
+    moving: str = ""  # the arm to check, pairs without it are ignored; empty: all arms
+
+
+AS_BUILT = Scene()
+
+
+def in_hands(scene: Scene) -> tuple[tuple[str, str], ...]:
+    """(object, arm) of all objects that move with a hand."""
+    return (
+        *((name, held.arm) for name, held in scene.held.items()),
+        *((n, hung.arm) for n, hung in scene.hung.items()),
+    )
