@@ -8,9 +8,10 @@ executed, reported, analysed, its end reported. Broker and worker loop are real,
 round measures all of them once, one after the other, so that a busy machine affects all. A ratio is the median of the
 rounds' ratios. Nothing is trimmed.
 
-Two more figures of the same cluster: the time from a message to its effects in the broker while all workers are
-saturated (jobs of BUSY_S each), and the rate of real sentences as far as a bound motion. The latter has the real
-parser, elaborator and binder on the real cell with two arms. Its subsystem ends each primitive without motion.
+Two more figures of the same cluster are measured. One is the time from a message to its effects in the broker while all
+workers are saturated (jobs of BUSY_S each). The other is the rate of real sentences as far as a bound motion. The
+latter has the real parser, elaborator and binder on the real cell with two arms. Its subsystem ends each primitive
+without motion.
 """
 
 from __future__ import annotations

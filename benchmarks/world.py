@@ -1,7 +1,7 @@
 """How long does one grouped read of 50 facts from the world database take, with socket and decoding?
 
-In the same run it measures the usual read of a worker (only changes since its last view), a commit to disk, and, if a
-Redis server can be started, MGET of 50 keys from Redis through its own client.
+In the same run it measures the usual read of a worker (only changes since its last view) and a commit to disk. If a
+Redis server can be started, it also measures MGET of 50 keys from Redis through its own client.
 
     python -m benchmarks.world [--reads 5000]
 """

@@ -109,8 +109,8 @@ def worker(settings: Settings, address: int) -> Spec:
 
 
 def new_worker(settings: Settings, address: int, fd: int) -> Spec | None:
-    """The spec of a further worker. None if the address belongs to workers on other machines: then this machine has
-    all the workers of that kind that it may have, and one of them is starting."""
+    """The spec of a further worker. None if the address belongs to workers on other machines. Then this machine has its
+    maximum number of workers of that kind, and one of them is starting."""
     return None if address >= settings.first_far_node else _hand(worker(settings, address), fd)
 
 

@@ -1,6 +1,6 @@
 """The cube of worker nodes: the addresses, and the kind of worker at each. Pure (R147).
 
-The address of a node has `dim` bits. Its two low bits give the kind, the other bits number the replica, so every
+The address of a node has `dim` bits. Its two low bits give the kind, the other bits number the replica. So every
 sub-cube spanned by the two low dimensions has one worker of each kind. This module knows neither processes nor hosts.
 """
 

@@ -1,7 +1,7 @@
 """The user's command line that asks an engine for workers on other machines (`rtc up --more`).
 
-It runs beside the supervisor, one run at a time, with a time limit. Only the command itself is ended at that limit:
-workers that it has started in the background keep running, and their output goes to the same log.
+It runs beside the supervisor, one run at a time, with a time limit. Only the command itself is ended at that limit.
+Workers that it has started in the background keep running, and their output goes to the same log.
 """
 
 from __future__ import annotations

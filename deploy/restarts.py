@@ -1,9 +1,9 @@
 """The restart policy: whether and when a dead process is started again. Pure: times are arguments.
 
 A process that ran for a while is restarted at once, any number of times. A process that dies repeatedly soon after its
-start is in a crash loop: its delay doubles up to a maximum, so that it takes little processor time and still returns
-soon after the fault. A process that was never ready in many starts is given up. A process that was ready once is never
-given up, because its fault (a full disk) can pass.
+start is in a crash loop. Its delay doubles up to a maximum, so it takes little processor time and still returns soon
+after the fault. A process that was never ready in many starts is given up. A process that was ready once is never given
+up, because its fault (a full disk) can pass.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """The supervisor: starts, watches and restarts the processes of a cluster.
 
-It waits on file descriptors (a pidfd and a pipe per process) and does not poll, so it reports a death to the broker
+It waits on file descriptors, a pidfd and a pipe per process, and does not poll. So it reports a death to the broker
 within a millisecond. `restarts.delay_s` decides when to restart. The supervisor does not know the purpose of its
-processes: it gets a list of `Spec`s and a function that makes the spec of a new worker, or None if there may not be
-a further one.
+processes. It gets a list of `Spec`s, and a function that makes the spec of a new worker, or None at the maximum number.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Draws a film of simulated scenes: `python -m sim_mcm.film --frames FILE.jsonl --cell NAME --out FILE.gif`.
 
-One line of JSON per frame (`FilmFrame`). The result is an animated GIF with one palette for all frames, in which only
-what changes is stored; it is a small file because the walls and the floor do not move.
+One line of JSON per frame (`FilmFrame`). The result is an animated GIF with one palette for all frames. It stores only
+the changes between frames, so it is small: the walls and the floor do not move.
 """
 
 from __future__ import annotations

@@ -126,8 +126,8 @@ def _commands(state: State) -> Iterable[str]:
 
 
 def forbidden(before: State, live_before: set[str], effects: list[Effect], *, halt_all: bool) -> list[str]:
-    """What must not be among the effects of one event: work for a command that has ended, a second end, and after
-    HALT ALL anything new for a command that was there."""
+    """The forbidden effects of one event: work for a command that has ended, and a second end. After HALT ALL, also
+    anything new for a command that was there."""
     wrong, ended = [], set()
     for effect in effects:
         match effect:

@@ -1,8 +1,8 @@
 """When to ask an engine for workers on other machines: one command line of the user, run by the supervisor. Pure.
 
-Asked only when jobs of a kind wait although this machine has all the workers of that kind that it may have. What was
-asked for and has not joined is not asked for again before the declared time (`rtc up --more-wait`) has passed. The
-supervisor's table states what was asked, so that a restarted broker does not ask again either.
+Asked only when jobs of a kind wait although this machine has all the workers of that kind that it may have. Workers
+that were asked for and have not joined are not asked for again before the declared time (`rtc up --more-wait`) has
+passed. The supervisor's table states what was asked, so that a restarted broker does not ask again either.
 """
 
 from __future__ import annotations

@@ -81,8 +81,8 @@ class Admission:
         return self.known.get(public)
 
     def _reload(self) -> None:
-        """Read the keys. Connections of removed keys are cut before a handshake is answered: the cut renews whole
-        endpoints, and a peer that was just admitted would lose the messages it has sent."""
+        """Read the keys. Connections of removed keys are cut before a handshake is answered. The cut renews whole
+        endpoints, so a peer that was just admitted would lose the messages it has sent."""
         known = {key.public: key for key in self._ring.known()}
         removed = {public: key for public, key in self.known.items() if known.get(public) != key}
         self.known = known

@@ -1,9 +1,9 @@
 """The write-ahead journal in SQLite: every event of the Decision Unit, before its effects are performed (invariant 7).
 
-One row of the table `turns` holds the events of one batch of the broker's loop as one MessagePack list, written in one
-transaction (WAL, so a commit takes some microseconds). A killed process loses nothing that was committed. A crash of
-the operating system ends the run, and its journal is not continued, so nothing waits for the disk. Snapshots of the
-whole state make earlier events unnecessary: they bound the size of the journal and the time of a replay.
+One row of the table `turns` holds the events of one batch of the broker's loop, as one MessagePack list. It is written
+in one transaction (WAL, so a commit takes some microseconds). A killed process loses nothing that was committed. A
+crash of the operating system ends the run, and its journal is not continued, so nothing waits for the disk. Snapshots
+of the whole state make earlier events unnecessary: they bound the size of the journal and the time of a replay.
 
 The table `stories` holds the records of the `RECORDS_KEPT` commands that ended last. They are written some at a time.
 Unwritten records are recovered by replay: their events are kept until the next snapshot, which writes the records.

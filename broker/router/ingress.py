@@ -23,8 +23,8 @@ from rtc.protocol.outcomes import Refusal, RefusalReason, WireError
 from rtc.runtime.halt_admission import read_order
 from rtc.runtime.process import inbox, send
 
-# Maximum number of events per socket and iteration. The shares are those of a stream of short commands, so that none
-# of its messages waits for long (one message of a worker has several results).
+# Maximum number of events per socket and iteration. The shares are those of a stream of short commands, so none of its
+# messages waits for long. One message of a worker has several results.
 MOST_EVENTS = {"halt": 10, "subsystems": 16, "workers": 48, "front": 64}
 MOST_MESSAGES = 200  # maximum number of messages per socket and iteration; not all are events
 READ_S = 0.003  # time limit per socket and iteration: queries, long and invalid messages take time too

@@ -207,7 +207,7 @@ def _weight_share(model: ArmModel, q: Array) -> float:
 
 
 def _accelerations(adapted: AdaptedArm, model: ArmModel, held: Array) -> list[float | str]:
-    """What each motor can give to its joint alone in the worst of the postures, with a reserve."""
+    """The acceleration that each motor can give to its joint alone in the worst of the postures, with a reserve."""
     least = np.full(len(adapted.joints), np.inf)
     for q in held[:200]:
         still = np.zeros((1, len(q)))

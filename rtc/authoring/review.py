@@ -1,7 +1,7 @@
 """All faults of a user's cell file, URDF or SRDF, each with its place, its line and what was expected.
 
-Three stages; a later one runs only if the earlier ones found no error: the file by itself; the models against the cell;
-the geometry: postures, places and seats with collisions, limits and weights.
+There are three stages: the file by itself; the models against the cell; the geometry (postures, places and seats with
+collisions, limits and weights). A later stage runs only if the earlier ones found no error.
 """
 
 from __future__ import annotations

@@ -334,9 +334,9 @@ class Numbers(CellPart, frozen=True, kw_only=True):
     guard_force_n: Positive = 20.0
     joint_margin_deg: NotNegative = 3.0  # IK solutions nearer to a limit are rejected
     # Creep of an object in the hand, along and about each axis. Measured in the simulation, at the module's origin: a
-    # carry of 7 s moves it by 0.43 mm and 0.07 deg, and by 0.5 mm and 0.17 deg more in the next 5 s; with 1.5 times the
-    # mass and 0.6 of the friction by 0.79 mm and 0.18 deg. Later it moves by 0.004 mm/s and 0.0014 deg/s at most. The
-    # rate is 2.5 times the mean of a carry and a minute of rest, and 10 times that of rest alone.
+    # carry of 7 s moves it by 0.43 mm and 0.07 deg. The next 5 s add 0.5 mm and 0.17 deg. With 1.5 times the mass and
+    # 0.6 of the friction the carry moves it by 0.79 mm and 0.18 deg. Later it moves by 0.004 mm/s and 0.0014 deg/s at
+    # most. The rate is 2.5 times the mean of a carry and a minute of rest, and 10 times that of rest alone.
     creep_m_s: NotNegative = 0.00004
     creep_rad_s: NotNegative = 0.0003
 

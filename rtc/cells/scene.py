@@ -187,8 +187,8 @@ def centimetres(point: geometry.Floats) -> str:
 
 
 def degrees(pose: geometry.Floats) -> str:
-    """0 90 -45.5: roll pitch yaw of a pose. Where the pitch is about 90 deg, only roll and yaw together mean anything:
-    the yaw is 0 then."""
+    """0 90 -45.5: roll pitch yaw of a pose. At a pitch of about 90 deg only the sum of roll and yaw is defined: the yaw
+    is 0 then."""
     roll, pitch, yaw = (math.degrees(n) for n in geometry.to_rpy(pose).tolist())
     if abs(pitch) > STEEP_DEG:
         roll, yaw = (roll - math.copysign(yaw, yaw * pitch) + 180.0) % 360.0 - 180.0, 0.0

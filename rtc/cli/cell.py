@@ -28,9 +28,9 @@ def check(
 ) -> None:
     """All faults of a cell with its robot models, or of one URDF or SRDF: where, what, and what was expected.
 
-    Errors keep `rtc up` or a motion from working; warnings are probable mistakes. Checked are: the fields of the file,
-    its references, joints, links, limits, inertias, meshes, the SRDF, then home, stow, places, grasp points and seats
-    with inverse kinematics, collisions and weight. Exit status 1 with an error.
+    Errors keep `rtc up` or a motion from working; warnings are probable mistakes. First it checks the file: fields,
+    references, joints, links, limits, inertias, meshes, the SRDF. Then it checks home, stow, places, grasp points and
+    seats, with inverse kinematics, collisions and weight. Exit status 1 with an error.
 
     Example:  rtc cell check cell.yaml -o cell.png
     Example:  rtc cell check arm.urdf

@@ -42,8 +42,9 @@ def picture(
 ) -> None:
     """The picture of one camera, as the running simulation shows it now.
 
-    With --locate also a table of the bodies with tags: pose from the pixels, its standard deviation, the distance from
-    the believed pose, the tags; or why the camera does not see one. The world database is not changed.
+    With --locate it also prints a table of the bodies with tags: pose from the pixels, its standard deviation, the
+    distance from the believed pose, the tags. For a body that the camera does not see, it states the reason. The world
+    database is not changed.
 
     The cell file states where each camera is, its field of view, size, exposure and noise (`cameras:`), and where
     AprilTags are (`tags:`).

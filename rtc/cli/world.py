@@ -35,7 +35,8 @@ app = typer.Typer(
 
 @app.command("list")
 def list_facts(json: AsJson = False, run_dir: RunDir = None, key_file: With = None) -> None:
-    """Print all facts. What a moving arm changes is shown as changing, with its path and the time since its start.
+    """Print all facts. Facts that a moving arm changes are shown as changing, with its path and the time since its
+    start.
 
     Example:  rtc world list
     """

@@ -7,7 +7,7 @@
         print(ended.command, ended.outcome.kind, ended.outcome.message)
 
 Threads: only one thread may use a Client. The exception is `halt`: it has its own sockets, and any thread may call it
-at any time, also while another waits in `run`. A lost broker is not an error: open requests are sent again to the new
+at any time, also while another waits in `run`. A lost broker is not an error. Open requests are sent again to the new
 one under the same request name, so none is lost or done twice. A failed sentence does not raise: see its
 `CommandEnded.outcome`. Exceptions (see `rtc.protocol.outcomes`) mean that the cluster does not answer.
 """
@@ -219,9 +219,9 @@ class Client:
     ) -> list[m.CommandEnded]:
         """Submit sentences and wait; outcomes in the order of `texts`.
 
-        `parallel`: submit all at once, and let the cluster run those that need different resources at the same time;
-        otherwise each sentence is submitted when the one before has ended. `on_accept(i, "C-7")` and
-        `on_end(i, ended)` are called for sentence i. `timeout_s` is for all together.
+        `parallel`: submit all at once; the cluster runs those that need different resources at the same time. Otherwise
+        each sentence is submitted when the one before has ended. `on_accept(i, "C-7")` and `on_end(i, ended)` are
+        called for sentence i. `timeout_s` is for all together.
         """
         limit_s = None if timeout_s is None else time.monotonic() + timeout_s
         ended: dict[int, m.CommandEnded] = {}

@@ -1,8 +1,8 @@
 """The driver of the cameras: a thread that takes one picture at a time and finds the tags in it.
 
-Cameras are simulated. A picture is drawn by a process of its own (`rtc.runtime.renderer`) from the true scene, which
-goes to that process and nowhere else: from here on there are pixels. The drawing process starts with the first picture
-and ends after IDLE_S without one. A driver of real cameras replaces `SimulatedCameras`.
+Cameras are simulated. A picture is drawn by a process of its own (`rtc.runtime.renderer`) from the true scene. The true
+scene goes only to that process; the result is pixels. The drawing process starts with the first picture and ends after
+IDLE_S without one. A driver of real cameras replaces `SimulatedCameras`.
 """
 
 from __future__ import annotations

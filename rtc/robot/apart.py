@@ -1,9 +1,9 @@
 """Whether two arms stay apart while both move: one check for many pairs of postures. Pure.
 
-A check in the middle of two intervals of motion proves that no posture of one meets any posture of the other, if the
-two arms are farther apart there than both can move within their intervals (`rtc.robot.levers`). The timing of the two
-arms does not matter. The check has a collision model of the two arms alone, which is four times faster than that of the
-whole cell.
+One check in the middle of two intervals of motion can prove that no posture of one meets any posture of the other. It
+does if the two arms are farther apart there than both can move within their intervals (`rtc.robot.levers`). The timing
+of the two arms does not matter. The check has a collision model of the two arms alone, which is four times faster than
+that of the whole cell.
 """
 
 from __future__ import annotations

@@ -199,8 +199,8 @@ class CollisionWorld:
         return min(found, key=lambda collision: collision.distance_m, default=None)
 
     def near(self, arm: str, joints: Mapping[str, Floats], scene: Scene) -> list[Collision]:
-        """All pairs of a link of this arm and another body that are nearer than the clearance of the scene, the link
-        first; without what the arm holds."""
+        """All pairs of a link of this arm and another body that are nearer than the clearance of the scene. The link is
+        first; what the arm holds is left out."""
         self._set(joints, scene)
         data = self._geometry_data
         pin.computeCollisions(self._bodies.model, self._data, self._bodies.geometry, data, self._q, False)

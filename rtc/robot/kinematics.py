@@ -67,7 +67,8 @@ class ArmModel:
         model = pin.buildReducedModel(full, others, pin.neutral(full))  # other joints do not move the tcp
         if list(model.names)[1:] != names:
             raise ProgramError(f"{name}: joints {names} are not in the URDF's order {list(model.names)[1:]}")
-        # pinocchio presets the gravity of the earth. That of the cell is in world axes, that of the model in base axes.
+        # pinocchio presets the gravity of the earth. The gravity of the cell is in world axes, that of the model in
+        # base axes.
         model.gravity.linear[:] = geometry.rotate(geometry.inverse(geometry.normalise(base_pose)), gravity_m_s2)
         self.name = name
         self.joints = names
@@ -192,7 +193,7 @@ class ArmModel:
 
         Sorted by the motion time from `near`, or from mid-range without it. If empty, `why_no_ik` returns the cause.
         Without a closed form some branches may be missing, and the order prefers distance from limits and
-        singularities; of an arm with more than six joints they are samples of an infinite number.
+        singularities. For an arm with more than six joints they are samples of an infinite number.
         """
         reference = np.asarray(near, dtype=float) if near is not None else self.middle
         if self._closed_form is None:

@@ -2,7 +2,7 @@
 
 A table of seeded random postures is computed once for each arm. A search begins at a reference and at the postures of
 the table whose tcp is nearest to the goal, so a few iterations suffice. All starts run together as arrays. An arm with
-more than six joints moves away from its limits in the null space on the way, so its results differ in the redundant
+more than six joints moves away from its limits in the null space on the way. So its results differ in the redundant
 joints too. The number of iterations is bounded: a search without a result ends after some 20 ms.
 
 Values of joints are rad, or m for a joint that slides. Poses are in the axes of the base.

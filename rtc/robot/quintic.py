@@ -1,7 +1,7 @@
 """Bounds of quintic trajectories between their knots: position, velocity and acceleration. Pure.
 
 A polynomial lies between the least and the greatest of its Bernstein control points. Subdivision moves the control
-points towards the curve, so after a few halvings all points of a piece are inside the limits, or an end is outside.
+points towards the curve. After a few halvings all points of a piece are inside the limits, or an end is outside.
 """
 
 from __future__ import annotations

@@ -61,8 +61,8 @@ class Chain:
         self._slides = np.array([_slides(model, data, n) for n in ids])
 
     def carried(self, joint: int, placement: pin.SE3) -> tuple[int, pin.SE3]:
-        """The number of the chain's joint (0: none) that moves what is fixed to this joint of the model, and its place
-        in the axes of that joint."""
+        """For a joint of the model: the number of the chain's joint that moves it (0: none), and its place in the axes
+        of that joint."""
         number, place = self._carried[joint]
         return number, place * placement
 

@@ -34,7 +34,7 @@ BYTES = 4096  # maximum size of a key file; a real one has some hundred
 HANDSHAKE_MS = 5_000  # time limit of a handshake
 CONNECT_MS = 2_000  # time limit of an attempt to connect; the kernel alone would wait for minutes on a cut link
 # The declared limit until a cut link is noticed. The kernel closes a connection whose peer has acknowledged nothing for
-# UNACKNOWLEDGED_MS (TCP_USER_TIMEOUT), counted from the first repetition of a packet; it checks idle connections every
+# UNACKNOWLEDGED_MS (TCP_USER_TIMEOUT), counted from the first repetition of a packet. It checks idle connections every
 # KEEPALIVE_S. ZeroMQ's own heartbeat is not used: libzmq 4.3.5 aborts the process if it is due on a failed connection
 # while the reader is behind (zeromq/libzmq issue 4364).
 LINK_LIMIT_S = 5.0

@@ -93,10 +93,9 @@ class Process:
     ) -> zmq.Socket[bytes]:
         """A socket on `endpoint` with limited queues, polled by `wait` unless `poll` is False.
 
-        `bounds`: limits per peer of a bound socket. `handover`: a ROUTER gives an identity to the newest peer that
-        uses it, so that a restarted process is served at once; without it the older peer keeps the identity.
-        `secure` is called with the socket before it binds or connects.
-        Raises `zmq.ZMQError` when the endpoint cannot be bound.
+        `bounds`: limits per peer of a bound socket. `handover`: a ROUTER gives an identity to the newest peer that uses
+        it, so a restarted process is served at once. Without it the older peer keeps the identity. `secure` is called
+        with the socket before it binds or connects. Raises `zmq.ZMQError` when the endpoint cannot be bound.
         """
         made = open_socket(
             self.context,

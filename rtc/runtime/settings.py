@@ -161,7 +161,7 @@ def shell_command(words: str, run_dir: Path) -> str:
 def prepare_run_dir(run_dir: Path) -> Path:
     """Make the run directory, private to its owner (0700); its absolute path.
 
-    Raises ClusterError if sockets in it would not work, or if it holds files that do not belong to a cluster: a new
+    Raises ClusterError if sockets in it would not work, or if it holds files that do not belong to a cluster. A new
     cluster deletes what the previous one left.
     """
     run_dir = run_dir.absolute()

@@ -281,7 +281,7 @@ class Subsystem(ABC, Generic[Performer]):
         return scope in ("ALL", name) or any(in_scope(scope, name, one) for one in self._primitives(performer))
 
     def _numbered(self, order: m.HaltOrder, now_s: float) -> m.HaltOrder:
-        """The order with its time of receipt and a unique call number: two halts may share an id, and the broker may
+        """The order with its time of receipt and a unique call number. Two halts may share an id, and the broker may
         know only one of them."""
         self._calls += 1
         return msgspec.structs.replace(order, call=f"{self.pid}-{self._calls}", received_at_s=now_s)

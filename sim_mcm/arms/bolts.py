@@ -1,7 +1,7 @@
 """Bolts and the drivers that turn them: threads, break-away, tightness, and the reaction on the tool.
 
 A driver is an object with a spindle; it turns for the hand that presses on it. A bolt is an object with a thread. While
-the tip of a spindle is on the head of a bolt, the bolt turns with it if the torque suffices, and its head moves along
+the tip of a spindle is on the head of a bolt, the bolt turns with it if the torque suffices. Its head then moves along
 the thread. The driver feels the torque. Outside a bolt the spindle turns freely. The grip of the bit is not simulated:
 it never slips off a sound bolt, and a stripped bolt turns without effect.
 """

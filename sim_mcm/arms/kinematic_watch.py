@@ -1,6 +1,6 @@
 """What exact arms are near to, and whether two of them touch, by the collision model of the planners.
 
-Two arms are checked when they may have come near enough: each check proves a distance, and each motion of either arm
+Two arms are checked when they may have come near enough. Each check proves a distance, and each motion of either arm
 uses up some of it. Bodies near an arm are looked for only while a primitive watches its clearance.
 """
 

@@ -303,8 +303,8 @@ def of_cluster(name: str, answer: Answer) -> Answer:
 
 
 def test_another_cluster_in_its_place_receives_nothing_of_what_was_sent_to_the_old_one(run_dir: Path) -> None:
-    """Given two sentences under way, when another cluster answers in the same directory, then they are gone for good,
-    and what is sent afterwards is not for it either."""
+    """Given two sentences under way, when another cluster answers in the same directory, then both are lost. Sentences
+    sent afterwards do not go to it either."""
     first = SmallBroker(run_dir, of_cluster("old", accepting))
     with Client(run_dir) as rtc:
         commands = [rtc.submit("STOW LEFT-ARM 1"), rtc.submit("STOW RIGHT-ARM 2")]

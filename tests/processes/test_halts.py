@@ -1,7 +1,7 @@
 """Halts and the end of a cluster, judged by telemetry: what the joints do, never what is reported of them.
 
-Real processes, the exact arm in real time; the messages are those of docs/protocol.md, sent by plain sockets where a
-client that is not ours is meant.
+Real processes, the exact arm in real time. The messages are those of docs/protocol.md; plain sockets stand for clients
+of others.
 """
 
 from __future__ import annotations

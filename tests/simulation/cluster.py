@@ -1,8 +1,8 @@
 """A whole cluster on a simulated clock. One seed determines all messages, their times, and all failures.
 
-Real: the broker's loop (`broker.router.loop`) with its Decision Unit, worker registry, timers and journal, every byte
-on its sockets, replay after a crash, the MCM's subsystem and executors, the world database's server and store.
-Simulated: clock, sockets and the other processes (tests/simulation/processes.py).
+The real parts are the broker's loop (`broker.router.loop`) with its Decision Unit, worker registry, timers and journal,
+every byte on its sockets, and replay after a crash. Real are also the MCM's subsystem and executors, and the world
+database's server and store. Simulated: clock, sockets and the other processes (tests/simulation/processes.py).
 
 The broker may be killed between two turns, before a turn is journalled, after that, and before any one of the messages
 of a turn leaves. What must hold is checked after each of its turns (`broker.decisions.invariants`) and at the end

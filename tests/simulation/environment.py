@@ -1,10 +1,10 @@
 """The environment model of the model check: carries out one move around the real Decision Unit.
 
-The real `decide` runs on a real `State`. Around it are modelled, adverse but within the rules: workers that answer,
-refuse or die; a subsystem that executes, brakes, rests, dies, falls silent and comes back; timers; a halt on either of
-its two ways; a broker that is killed before an event is journalled, or after that and before any one of its effects is
-out. Messages of the subsystem arrive in order, with any delay. Messages to it arrive with the turn: whether it acts
-before or after is a move of its own, so the Decision Unit sees every order. Times never matter: any timer may fire.
+The real `decide` runs on a real `State`. The model around it is adverse but within the rules. Workers answer, refuse or
+die. A subsystem executes, brakes, rests, dies, is silent and returns. Timers expire. A halt takes either of its two
+ways. The broker is killed before an event is journalled, or after that and before any one of its effects has left.
+Messages of the subsystem arrive in order, with any delay. Messages to it arrive with the turn: whether it acts before
+or after is a move of its own, so the Decision Unit sees every order. Times never matter: any timer may fire.
 
 `happen` carries out one move and checks the rules (`oracle`). `moves` lists the moves; `state_key` identifies a state.
 """

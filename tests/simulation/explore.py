@@ -1,8 +1,8 @@
 """All interleavings: breadth first through every move of the model, until nothing new is found or a bound is met.
 
-In every state that is reached the invariants hold (or the shortest path to it is reported), and every command can still
-end: if nothing goes wrong from there on, all of them do. That is proven by following the fair moves until a state is
-met from which it is proven already.
+In every state that is reached the invariants hold; otherwise the shortest path to it is reported. Every command can
+still end: without further faults all of them do. That is proven by following the fair moves until a state is met from
+which it is proven already.
 """
 
 from __future__ import annotations

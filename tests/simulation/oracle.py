@@ -13,8 +13,8 @@ from tests.simulation.model import Model
 
 
 def stopped_by(model: Model, live: set[str], scope: str) -> list[str]:
-    """Of a halt: the commands that must not go on. Those that hold, want or name an arm are the Decision Unit's own
-    business; here the ones that hold it count, which is what an onlooker can see."""
+    """Of a halt: the commands that must not go on. The Decision Unit counts the commands that hold, want or name an
+    arm. Here only those that hold it count, because an observer sees no others."""
     du = model.du
     if scope == "ALL":
         return [c for c in live if c not in du.commands or not du.commands[c].text.startswith("HALT")]

@@ -1,6 +1,6 @@
 """Objects that an arm may have touched where no touch was expected. Pure.
 
-A touch in a path that was planned free contradicts the world. The report does not name the body, so every object that
+A touch in a path that was planned free contradicts the world. The report does not name the body. So every object that
 the arm may reach from where it stopped is doubtful until it is sensed again (R151).
 """
 

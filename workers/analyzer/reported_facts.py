@@ -1,7 +1,7 @@
 """Reported facts of objects that no arm touched (stated or observed): checked, then converted to world changes. Pure.
 
-If one fact is implausible, all are refused. Plausible facts are accepted as reported, with their consequences: an
-object at a seated pose is in that seat, and an object that is not in a hand has no grasp.
+If one fact is implausible, all are refused. Plausible facts are accepted as reported, with their consequences. An
+object at a seated pose is in that seat; an object that is not in a hand has no grasp.
 """
 
 from __future__ import annotations

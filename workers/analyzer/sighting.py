@@ -83,7 +83,7 @@ def _doubt(query: WorldQuery, data: AnalyzerInput, sighting: Sighting) -> str:
     """Why the body may not be where it was seen; empty if it is there.
 
     A busy machine needs seconds to find the tags in a picture. A look reserves the hand that holds its body, so a held
-    body has not moved since; the hand is free to move after a TRACK has lost its body.
+    body has not moved since. The hand is free to move after a TRACK has lost its body.
     """
     if _moves(sighting):
         return "it moves"

@@ -333,7 +333,7 @@ def primitive(
 
 
 def time_left_s(task: BindTask) -> float | None:
-    """What the motions of the command have left of its TIME-LIMIT; None without one."""
+    """The time that the motions of the command have left of its TIME-LIMIT; None without one."""
     most_s = task.data.context.limits.time_s
     return None if most_s is None else most_s - task.data.moved_s
 

@@ -74,8 +74,8 @@ def plan(script: ScriptFile, candidate: TaskCandidate) -> Planned | Refusal:
 
 
 def can_be_seen(key: str, candidate: TaskCandidate) -> bool:
-    """Whether a camera can sense this fact before the script begins (R151): the pose of a free object or of a seat, or
-    how the arm holds an object. The poses of the plan that depend on it are restated after the look."""
+    """Whether a camera can sense this fact before the script begins (R151). The fact is the pose of a free object or of
+    a seat, or how the arm holds an object. The poses of the plan that depend on it are restated after the look."""
     body, _, attribute = key.rpartition(".")
     holder = candidate.query.held_by(body)
     senses = attribute in (FRAME, GRASP) and attribute in candidate.program.senses

@@ -26,8 +26,8 @@ Figures = Mapping[str, float]
 def curve(space: str, start: Floats, about: Floats, axis: str, figures: Figures) -> Array | Refusal:
     """The curve of a step that begins at the tcp pose `start`, or the refusal of its figures.
 
-    `axis`: of a circle, through the origin of the pose `about` and a TOOL axis is one of that pose; of a pattern, the
-    normal of its plane, and a TOOL axis is one of the hand. All poses are in world axes.
+    `axis` of a circle passes through the origin of the pose `about`; a TOOL axis is an axis of that pose. `axis` of a
+    pattern is the normal of its plane; a TOOL axis is an axis of the hand. All poses are in world axes.
     """
     if axis not in axes.AXES:
         return suggestions.unknown("axis", axis, axes.AXES)
@@ -74,7 +74,7 @@ def _spiral(start: Array, about: Array, axis: str, figures: Figures) -> Array | 
 
 def _raster(start: Array, about: Array, axis: str, figures: Figures) -> Array | Refusal:
     """Lines back and forth at a distance of `pitch_m`, joined by half circles, over a square of half side `radius_m`
-    round the hand; it begins in the middle and goes to a corner first."""
+    round the hand. The path begins in the middle and goes to a corner first."""
     size = _pattern(figures)
     if isinstance(size, Refusal):
         return size

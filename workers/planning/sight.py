@@ -1,7 +1,7 @@
 """Which cameras can see a body at a pose. Pure.
 
-A camera counts if a tag of the body faces it, lies in its picture and is large enough to be read. What hides the tag is
-not considered: a look finds that out.
+A camera counts if a tag of the body faces it, lies in its picture and is large enough to be read. Bodies that hide the
+tag are not considered: a look finds them out.
 """
 
 from __future__ import annotations

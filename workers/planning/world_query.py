@@ -1,7 +1,7 @@
 """Queries on one view of the world for motion planning: joints, hands, frames and collision scenes. Pure.
 
-A fact that is not trusted yields a Refusal that states what would clear it. Joints are used as last reported, whatever
-their validity: a subsystem refuses a trajectory that does not start at the arm's position, and its report then
+A fact that is not trusted yields a Refusal that states what would clear it. Joints are used as last reported, even if
+they are not valid. A subsystem refuses a trajectory that does not start at the arm's position, and its report then
 corrects the fact.
 """
 
@@ -225,7 +225,8 @@ class WorldQuery:
         )
 
     def clears(self, key: str, clears: Mapping[str, str]) -> str:
-        """What would make this fact trusted again. For a held object, clearing the grasp also clears the frame."""
+        """The remedy that would make this fact trusted again. For a held object, clearing the grasp also clears the
+        frame."""
         location, _, attribute = key.rpartition(".")
         holder = self.held_by(location)
         row = attribute

@@ -5,8 +5,8 @@ commits an analyzer's changes before it answers. Every call becomes a result: a 
 crash. The loop makes no decisions and knows neither commands nor scripts.
 
 Jobs run in order. Results of quick jobs are sent in one batch after at most FLUSH_S; a result never waits for a job
-that may be slow. After a reconnection, or after an empty JobBatch (the broker does not know this worker), the worker
-sends a new hello and discards all jobs of the previous session.
+that may be slow. After a reconnection the worker sends a new hello and discards all jobs of the previous session. It
+does the same after an empty JobBatch: the broker does not know this worker.
 """
 
 from __future__ import annotations

@@ -109,7 +109,7 @@ def _is_paused(command: Command) -> bool:
 
 
 def _instead(context: DecisionContext, scope: str, targets: list[str]) -> str:
-    """What helps after a refused PAUSE."""
+    """The remedy after a refused PAUSE."""
     if not targets:
         return "PAUSE while something moves"
     if any(_is_paused(context.state.commands[target]) for target in targets):

@@ -60,8 +60,8 @@ def _broker_refusal(command: Command, head: ParsedHead) -> Refusal | None:
 
 
 def take_up(context: DecisionContext, command: Command, _: Any = None) -> None:
-    """Start the command after parsing. The commands of one client are taken up in the order given, however long each
-    takes to parse: the first of two commands for one arm is first in line."""
+    """Start the command after parsing. The commands of one client are taken up in the order given, not in the order in
+    which they are parsed. So the first of two commands for one arm is first in line."""
     assert command.head is not None
     if command.head.kind == "control":
         control(context, command, command.head)

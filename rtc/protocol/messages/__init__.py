@@ -4,9 +4,9 @@ The modules in the order to read them, that of a command's path: `client`, `work
 `subsystem`, `world`, `supervisor`, `simulator`. `shared` has what several of them use. A module ends with the unions
 of its messages, one per socket and direction.
 
-Every message is a frozen struct, on the wire a MessagePack map whose key "type" holds the name of the class (see
-`rtc.protocol.wire`, the only module that encodes). Unknown keys are ignored and missing keys take their defaults, so
-that different versions can communicate (R42).
+Every message is a frozen struct. On the wire it is a MessagePack map whose key "type" holds the name of the class; only
+`rtc.protocol.wire` encodes. Unknown keys are ignored and missing keys take their defaults, so that different versions
+can communicate (R42).
 
 Times that end in `_at_s` are CLOCK_MONOTONIC seconds of the machine they were taken on, comparable between
 the processes of one host; `_s` is a duration. Poses are [x y z qx qy qz qw] (m, unit quaternion), in world

@@ -12,8 +12,8 @@ from tests.broker.router.bench import Bench
 
 
 def test_who_calls_halts_without_end_is_obeyed_and_folded(working: Bench) -> None:
-    """Given a stream of halts of one caller, when another calls one, it is answered, and the last of the stream too
-    has stopped what it meant."""
+    """Given a stream of halts of one caller, when another calls a halt, then it is answered. The last halt of the
+    stream has stopped its scope too."""
     calls = [m.HaltOrder(halt=f"H-{n}", scope=("LEFT-ARM", "RIGHT-ARM")[n % 2]) for n in range(PER_S + 50)]
     working.send("halt", b"x", *calls)
     working.now += 0.2

@@ -241,8 +241,8 @@ def test_a_halt_of_all_under_the_open_name_of_a_halt_of_one_arm_stops_the_other_
 
 
 def test_the_broker_that_knows_of_one_halt_need_not_know_of_another_of_its_name(bench, swing) -> None:
-    """Given a halt that the broker has received, when another of the same name is called past it, then what the broker
-    sent before it knows of that one does not begin."""
+    """Given a halt that the broker has received, when another halt of the same name bypasses it, then primitives that
+    the broker sent before it knows of the second do not begin."""
     first = bench.handle(m.HaltOrder(halt="1"), CALLER)
     second = bench.handle(m.HaltOrder(halt="1"), ANOTHER)
     for order in kinds(first, m.HaltOrder):

@@ -2,8 +2,8 @@
 
 Either arm may be stopped anywhere on its path, at any time, and the other one goes on. So two motions may overlap in
 time only if no posture of one meets any posture that the other still has before it. The part of a path that an arm has
-left behind is free. A motion therefore starts at once, or when the other arm has come far enough along its trajectory;
-the subsystem, which moves both arms, knows when that is.
+left behind is free. A motion therefore starts at once, or when the other arm has come far enough along its trajectory.
+The subsystem moves both arms, so it knows when that is.
 
 The search divides both paths into intervals and proves with one check that two intervals cannot meet, or divides them
 further (`rtc.robot.apart`). It is conservative: it never calls two motions free that may meet.
@@ -56,7 +56,7 @@ class Interval(NamedTuple):
 def start_conditions(
     request: PlanningRequest, motion: Primitive, others: Sequence[Primitive]
 ) -> list[StartAfter] | Refusal:
-    """What must be met before this motion of the requested arm starts, beside the motions of other arms.
+    """The conditions for the start of this motion beside the motions of other arms.
 
     Refused if the motion meets the place where another arm will come to rest.
     """

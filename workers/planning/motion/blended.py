@@ -1,8 +1,8 @@
 """A path of straight lines in joint space whose corners are rounded off. Pure.
 
-The parameter s is the length along the lines in the maximum norm. Within its radius of a corner the direction
-turns from that of one line to that of the next by a smooth step, so position, direction and curvature are continuous,
-and the rounded corner lies within the triangle of the two lines.
+The parameter s is the length along the lines in the maximum norm. Within its radius of a corner the direction turns
+from that of one line to that of the next by a smooth step. So position, direction and curvature are continuous. The
+rounded corner lies within the triangle of the two lines.
 """
 
 from __future__ import annotations

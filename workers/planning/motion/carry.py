@@ -1,7 +1,7 @@
 """Motions of two arms that hold one object: a closed chain. Pure.
 
-The hand of the second arm, the partner, keeps its pose in the axes of the first hand, so both hold the object as they
-do now. The first hand moves in a straight line.
+The second arm is the partner. Its hand keeps its pose in the axes of the first hand, so both hold the object as they do
+now. The first hand moves in a straight line.
 """
 
 from __future__ import annotations

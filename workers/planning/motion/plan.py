@@ -1,8 +1,8 @@
 """Motion planning: a timed, collision-free path that satisfies the constraints, or a refusal with the cause. Pure.
 
 `plan_task_motion` plans a straight line or refuses. `plan_joint_motion` may choose its path by the paper's "generate,
-test and modify" (R92): a line in joint space first, then a straight line of the hand, then a way found by sampling. The
-first that passes is taken; `notes` record the attempts. Deterministic: the seed is part of the request.
+test and modify" (R92). It tries a line in joint space, then a straight line of the hand, then a way found by sampling.
+The first that passes is taken; `notes` record the attempts. Deterministic: the seed is part of the request.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Two trees of free postures grow towards each other, one from the start and one from all goals (Kuffner and LaValle,
 2000). Samples come from a box around start and goals that widens to the joint limits. The budget is a number of samples
-and the seed is an argument: the same problem always has the same path, at any load of the machine.
+and the seed is an argument. So the same problem always has the same path, at any load of the machine.
 """
 
 from __future__ import annotations

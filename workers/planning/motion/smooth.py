@@ -1,6 +1,6 @@
 """Smooth rows of numbers through given ones: a cubic in each piece, with a common slope at every inner one. Pure.
 
-The slope at a row comes from it and its two neighbours (Catmull-Rom, for uneven distances), so a row affects its
+The slope at a row comes from it and its two neighbours (Catmull-Rom, for uneven distances). So a row affects its
 neighbouring pieces only, and the path hardly overshoots.
 """
 
