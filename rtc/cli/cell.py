@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import typer
@@ -12,7 +13,11 @@ from rich.text import Text
 from rtc.cells.cell import CELLS, Cell
 from rtc.cells.scene import VIEWS, Panel, Picture, SceneView
 from rtc.cli.output import AsJson, console, emit_json, table, trouble
+from rtc.protocol.outcomes import RtcError
 from rtc.runtime.renderer import Renderer
+
+if TYPE_CHECKING:
+    from rtc.authoring.draft import Draft
 
 app = typer.Typer(no_args_is_help=True, help="Check and draw a work-cell; write the first one for an arm of your own.")
 
@@ -21,7 +26,8 @@ app = typer.Typer(no_args_is_help=True, help="Check and draw a work-cell; write 
 def check(
     file: Annotated[Path, typer.Argument(help="A cell (.yaml, or a name such as swapout), URDF or SRDF file.")],
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Draw the cell: the PNG file to write.", show_default="none")
+        Path | None,
+        typer.Option("-o", "--out", help="Draw the cell or arm: the PNG file to write.", show_default="none"),
     ] = None,
     camera: Annotated[str, typer.Option(help=f"With -o: {', '.join(VIEWS)}; or an arm, object, seat.")] = "overview",
     json: AsJson = False,
@@ -33,18 +39,15 @@ def check(
     seats, with inverse kinematics, collisions and weight. Exit status 1 with an error.
 
     Example:  rtc cell check cell.yaml -o cell.png
-    Example:  rtc cell check arm.urdf
+    Example:  rtc cell check arm.urdf -o arm.png
     """
     from rtc.authoring.review import review  # imports kinematics, which takes 0.3 s
 
     path = _file(file)
-    if out is not None and path.suffix not in (".yaml", ".yml"):
-        raise trouble("-o draws a cell: give a cell file", 2)
     findings, cell = review(path)
     errors = sum(one.severity == "error" for one in findings)
-    if out is not None and cell is not None:
-        draw(path, cell, out, camera)
-    drawn = str(out) if out is not None and cell is not None else ""
+    why = "" if out is None else _draw_checked(path, cell, errors, out, camera)
+    drawn = str(out) if out is not None and not why else ""
     if json:
         emit_json({"file": str(path), "errors": errors, "findings": msgspec.to_builtins(findings), "picture": drawn})
     else:
@@ -57,11 +60,9 @@ def check(
             )
         if findings:
             console.print(rows)
-        console.print(Text(f"{path}: {errors} errors, {len(findings) - errors} warnings"))
-        if drawn:
-            console.print(Text(f"picture: {drawn}"))
-        elif out is not None:
-            console.print(Text("no picture: the cell cannot be built before its errors are corrected"))
+        console.print(Text(f"{path}: {_count(errors, 'error')}, {_count(len(findings) - errors, 'warning')}"))
+        if out is not None:
+            console.print(Text(f"no picture: {why}" if why else f"picture: {drawn}"))
     if errors:
         raise typer.Exit(1)
 
@@ -96,13 +97,11 @@ def new(
     file = out or Path(made.cell.name) / "cell.yaml"
     if file.suffix not in (".yaml", ".yml"):
         raise trouble(f"-o names a cell file, such as {file / 'cell.yaml'}", 2)
-    files = {file: made.yaml, **{file.parent / one: text for one, text in made.files.items()}}
+    files = _files(made, file)
     there = [str(one) for one in files if one.exists()]
     if there and not force:
         raise trouble(f"{there[0]} exists{f' and {len(there) - 1} more files' if there[1:] else ''}: use --force", 2)
-    for one, text in files.items():
-        one.parent.mkdir(parents=True, exist_ok=True)
-        one.write_text(text, encoding="utf-8")
+    _write(files)
     arm = made.cell.arms[0].name
     if json:
         emit_json({"file": str(file), "arm": arm, "files": [str(one) for one in files], "notes": made.notes})
@@ -113,6 +112,41 @@ def new(
     console.print(Text(f"  rtc cell check {file} -o cell.png --camera left"))
     console.print(Text(f"  rtc up -d --cell {file}"))
     console.print(Text(f'  rtc do "STOW ARM {arm}"'))
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def _files(made: Draft, file: Path) -> dict[Path, str]:
+    """The files of a first cell with their texts. `file`: the cell file."""
+    return {file: made.yaml, **{file.parent / one: text for one, text in made.files.items()}}
+
+
+def _write(files: dict[Path, str]) -> None:
+    for one, text in files.items():
+        one.parent.mkdir(parents=True, exist_ok=True)
+        one.write_text(text, encoding="utf-8")
+
+
+def _draw_checked(path: Path, cell: Cell | None, errors: int, out: Path, camera: str) -> str:
+    """Draw the cell, or the first cell of the arm of a URDF or SRDF. Returns why there is no picture, or ''."""
+    if cell is not None:
+        draw(path, cell, out, camera)
+        return ""
+    if errors:
+        return "it cannot be built before its errors are corrected"
+    from rtc.authoring.draft import draft
+
+    with TemporaryDirectory(prefix="rtc-cell-") as folder:
+        file = Path(folder) / "cell.yaml"
+        try:
+            made = draft(path.with_suffix(".urdf"))
+        except RtcError as error:
+            return str(error)
+        _write(_files(made, file))
+        draw(file, made.cell, out, camera)
+    return ""
 
 
 def draw(path: Path, cell: Cell, out: Path, camera: str) -> None:

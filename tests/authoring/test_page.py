@@ -51,6 +51,18 @@ def test_faults_end_the_check_with_status_one(tmp_path, monkeypatch, capsys) -> 
     assert found["errors"] == 1
 
 
+@pytest.mark.physics
+def test_an_arm_is_drawn_from_its_urdf_and_faults_are_named_instead(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("rtc cell check $DATA/kuka_iiwa/model.urdf -o arm.png", monkeypatch) == 0
+    assert "picture: arm.png" in capsys.readouterr().out
+    assert (tmp_path / "arm.png").read_bytes().startswith(b"\x89PNG")
+    Path("broken.urdf").write_text("<robot name='x'><link name='a'>")
+    assert run("rtc cell check broken.urdf -o broken.png", monkeypatch) == 1
+    assert "no picture" in capsys.readouterr().out
+    assert not Path("broken.png").exists()
+
+
 def test_every_sentence_of_the_page_is_one() -> None:
     sentences = [text for line in LINES for text in re.findall(r'"([A-Z].*?)"', line)]
     sentences += re.findall(r"`(MOVE .*?)`", PAGE.read_text())

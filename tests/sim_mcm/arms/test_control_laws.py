@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
+from rtc.protocol.outcomes import StopReason
 from rtc.protocol.primitive import ControlLaw
 from rtc.robot.kinematics import ArmModel
 from sim_mcm.arms import control_laws
 from sim_mcm.arms.arm import TICK_S
+from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.arms.servo import Servo
 
 
@@ -59,6 +62,15 @@ def test_a_law_that_will_not_do_is_refused_in_words_and_the_old_one_stays(cell, 
     assert servo.torque(home, [0.0] * 6) == pytest.approx([0.0] * 6, abs=1e-9)
 
 
+def install(folder: Path, monkeypatch: pytest.MonkeyPatch, module: str, entry: str) -> None:
+    """Make the metadata of a package with this entry point, beside its module in the folder, and put it on the path."""
+    info = folder / f"{module}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{control_laws.GROUP}]\n{entry}\n")
+    monkeypatch.syspath_prepend(str(folder))
+
+
 def test_a_law_is_added_by_installing_a_package_that_names_it(tmp_path, monkeypatch, model) -> None:
     # Given a package on the path: a module and an entry point of our group, no change to ours
     (tmp_path / "slack_law.py").write_text(
@@ -68,14 +80,46 @@ def test_a_law_is_added_by_installing_a_package_that_names_it(tmp_path, monkeypa
         "    def torque(self, wanted, q, v):\n"
         "        return [0.0] * self.n\n"
     )
-    info = tmp_path / "slack_law-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: slack-law\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[rtc.control_laws]\nslack = slack_law:Slack\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
+    install(tmp_path, monkeypatch, "slack_law", "slack = slack_law:Slack")
     try:
         laws = control_laws.known()
         law = control_laws.make(ControlLaw(name="slack"), model, laws)
         assert law.torque(([1.0] * 6, [0.0] * 6, [0.0] * 6), [0.0] * 6, [0.0] * 6) == [0.0] * 6
     finally:
         sys.modules.pop("slack_law", None)
+
+
+SPRINGS = """
+import numpy as np, pinocchio as pin
+
+class Springs:
+    def __init__(self, model, gains):
+        self.model, self.data, self.wn = model, model.createData(), gains["wn"]
+    def torque(self, wanted, q, v):
+        off, rate = np.subtract(wanted[0], q), np.subtract(wanted[1], v)
+        inertia = pin.crba(self.model, self.data, np.array(q))
+        inertia = np.triu(inertia) + np.triu(inertia, 1).T
+        return (inertia @ (self.wn**2 * off + 2.0 * self.wn * rate)).tolist()
+"""
+
+
+@pytest.mark.physics
+def test_a_primitive_is_executed_under_an_added_law_in_physics(tmp_path, monkeypatch, cell, make) -> None:
+    (tmp_path / "springs_law.py").write_text(SPRINGS)
+    install(tmp_path, monkeypatch, "springs_law", "springs = springs_law:Springs")
+    world = BulletCell(cell)
+    try:
+        bench = make.Bench(world)
+        start = cell.arm("RIGHT-ARM").home_rad
+        path = make.joint_path(start, [*start[:-1], start[-1] + 0.3], 1.0)
+        refused = bench.perform(make.primitive(path, id="C-1.1", control_law=ControlLaw(name="springs")))
+        report = bench.perform(
+            make.primitive(path, id="C-1.2", control_law=ControlLaw(name="springs", gains={"wn": 150.0}))
+        )
+    finally:
+        world.close()
+        sys.modules.pop("springs_law", None)
+    assert refused.reason is StopReason.REFUSED
+    assert "wn" in refused.message
+    assert report.reason is StopReason.GOAL
+    assert report.joints == pytest.approx([*start[:-1], start[-1] + 0.3], abs=1e-3)
