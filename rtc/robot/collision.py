@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import coal
 import numpy as np
@@ -170,14 +171,31 @@ class CollisionWorld:
         if grouped:
             self._widen(slots, configurations)
         for first in range(0, count, GROUP):
-            group = configurations[first : first + GROUP]
-            if grouped and self._all_free(slots, group):
-                continue
-            for n, configuration in enumerate(group, first):
-                self._q[slots] = configuration
-                if self._touches_any():
-                    return n
+            n = self._first_hit(slots, configurations, first, grouped)
+            if n is not None:
+                return n
         return count
+
+    def is_free(self, arm: str, configurations: Array, others: Mapping[str, Floats], scene: Scene = AS_BUILT) -> bool:
+        """Whether no configuration is in collision. As `free_until`, but in an order that finds a collision sooner."""
+        count = len(configurations)
+        if scene.hung or count < LEAST_GROUPED:
+            return self.free_until(arm, configurations, others, scene) == count
+        self._set({**others, arm: configurations[0]}, scene)
+        slots = self._bodies.arms[arm].joints
+        self._widen(slots, configurations)
+        return all(self._first_hit(slots, configurations, GROUP * n, True) is None for n in _spread(-(-count // GROUP)))
+
+    def _first_hit(self, slots: list[int], configurations: Array, first: int, grouped: bool) -> int | None:
+        """The first configuration in collision of the group that begins at `first`; None if all of it are free."""
+        group = configurations[first : first + GROUP]
+        if grouped and self._all_free(slots, group):
+            return None
+        for n, configuration in enumerate(group, first):
+            self._q[slots] = configuration
+            if self._touches_any():
+                return n
+        return None
 
     def compare_arms(self, arm: str, other: str, scene: Scene) -> ApartCheck:
         """Checks of the distance between two arms, each with what it holds in this scene. Both hands count as open."""
@@ -428,6 +446,12 @@ class CollisionWorld:
         self._built_pose: dict[str, Floats] = {seat.name: seat.frame.pose for seat in self.cell.seats}
         self._built_pose |= {thing.name: self.cell.object_pose(thing.name) for thing in self.cell.objects}
         self._built_pose |= {region.name: region.frame.pose for region in self.cell.regions}
+
+
+@cache
+def _spread(count: int) -> list[int]:
+    """The numbers below `count`: every eighth first, then those between."""
+    return list(dict.fromkeys((*range(4, count, 8), *range(2, count, 4), *range(1, count, 2), *range(count))))
 
 
 def _coal_transform(placement: pin.SE3) -> coal.Transform3s:

@@ -223,5 +223,6 @@ def test_a_search_finds_the_same_first_contact_as_a_path_check(world, right, hom
             continue
         hit = world.check_path("RIGHT-ARM", rows, home)
         assert world.free_until("RIGHT-ARM", rows, home) == (len(rows) if hit is None else hit.index)
+        assert world.is_free("RIGHT-ARM", rows, home) is (hit is None)
         counted += hit is not None
     assert counted > 5

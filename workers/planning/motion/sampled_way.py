@@ -27,7 +27,7 @@ MORE_M = 0.002  # clearance of the search beyond that of the request
 JUDGED_RAD = 0.012  # step of the final check: shortened ways pass obstacles closely, so it is finer than `CHECK_RAD`
 OUTER = 0.4  # weight in distances of the joints that move the hand least; that of the others is between it and 1
 BACK = 0.85  # share of the free part of a blocked line after which its node is set, away from the obstacle
-PROJECTED_RAD = 0.15  # weighted length of a step between two projections
+PROJECTED_RAD = 0.25  # weighted length of a step between two projections
 AWAY = 0.5  # a projected step must make this share of its length towards its end
 RAISED_AND_BACK_M = ((0.15, 0.0), (0.0, 0.15), (0.3, 0.15))  # of the first samples
 NARROWER = 8  # maximum number of halvings of a corner's radius, in the mean of all corners
@@ -62,7 +62,7 @@ def find_sampled_way(request: PlanningRequest, goals: Sequence[Floats]) -> FreeW
         if not isinstance(found, Found):
             return drawn + found
         drawn += found.samples
-        corners = shorten(found.waypoints, space.steer, space.weights, seed=seed)
+        corners = shorten(found.waypoints, space.join, space.weights, seed=seed)
         way = rounded(request, corners) or rounded(request, found.waypoints)
         if way is not None:
             words = f"by way of {len(way.knots) - 2} points, found with {drawn} samples of seed {seed}"
@@ -101,7 +101,9 @@ class _Space:
         self._per_rad = steps / CHECK_RAD  # as `Path.dense`
         self._start = request.start
         self._touches_at_start = free_posture(request)(self._start) is not None
-        self.steer = self._straight if request.rules.attitude is None else self._projected
+        self._attitude = None if request.rules.attitude is None else request.rules.attitude.pose
+        self.steer = self._straight if self._attitude is None else self._projected
+        self.join = self._joined if self._attitude is None else self._projected
 
     @cached_property
     def limits(self) -> tuple[Array, Array]:
@@ -122,10 +124,9 @@ class _Space:
 
     def onto(self, q: Array) -> Array | None:
         """The posture, turned to the attitude to keep; None: not found within the joint limits."""
-        attitude = self._request.rules.attitude
-        if attitude is None:
+        if self._attitude is None:
             return q
-        turned = self._request.arm.turned_to(attitude.pose, q)
+        turned = self._request.arm.turned_to(self._attitude, q)
         lower, upper = self.limits
         return turned if turned is not None and bool((turned >= lower).all() and (turned <= upper).all()) else None
 
@@ -135,20 +136,45 @@ class _Space:
             return [there.copy()], True
         return ([here + share * (there - here)] if share > 0 else []), False
 
+    def _joined(self, here: Array, there: Array) -> tuple[list[Array], bool]:
+        """As `_straight`, but without the free part of a line that is not free."""
+        request = self._request
+        if self._from_a_touch(here):
+            return self._straight(here, there)
+        rows = self._rows(here, there)
+        free = request.world.is_free(request.arm.name, rows, request.joints, request.scene)
+        return ([there.copy()], True) if free and self._in_range(rows) == len(rows) else ([], False)
+
     def _free_share(self, here: Array, there: Array) -> float:
         """The free share of a line in joint space, 0 to 1."""
-        request, way = self._request, there - here
-        count = max(1, int(np.ceil(np.abs(way * self._per_rad).max())))
-        rows = here + (np.arange(count + 1) / count)[:, None] * way
-        if self._touches_at_start and np.array_equal(here, self._start):
+        request, rows = self._request, self._rows(here, there)
+        if self._from_a_touch(here):
             hit = request.world.check_path(request.arm.name, rows, request.joints, request.scene)
-            free = count + 1 if hit is None else hit.index
+            free = len(rows) if hit is None else hit.index
         else:
             free = request.world.free_until(request.arm.name, rows, request.joints, request.scene)
-        if request.rules.work_range is not None:  # an attitude holds between two near postures that keep it
-            broken = (n for n in range(free) if request.rules.broken_by(request.arm, rows[n]) is not None)
-            free = next(broken, free)
-        return 1.0 if free > count else BACK * max(0, free - 1) / count
+        free = self._in_range(rows[:free])
+        return 1.0 if free == len(rows) else BACK * max(0, free - 1) / (len(rows) - 1)
+
+    def _rows(self, here: Array, there: Array) -> Array:
+        """The line in joint space in steps of collision checks."""
+        way = there - here
+        count = max(1, int(np.ceil(np.abs(way * self._per_rad).max())))
+        rows: Array = here + (np.arange(count + 1) / count)[:, None] * way
+        return rows
+
+    def _from_a_touch(self, here: Array) -> bool:
+        """Whether the line leaves a contact that exists at the start."""
+        return self._touches_at_start and np.array_equal(here, self._start)
+
+    def _in_range(self, rows: Array) -> int:
+        """The number of rows before the first that leaves the work range. An attitude holds between two near postures
+        that keep it."""
+        request = self._request
+        if request.rules.work_range is None:
+            return len(rows)
+        broken = (n for n, q in enumerate(rows) if request.rules.broken_by(request.arm, q) is not None)
+        return next(broken, len(rows))
 
     def _projected(self, here: Array, there: Array) -> tuple[list[Array], bool]:
         """In short steps, each projected onto the attitude to keep."""
