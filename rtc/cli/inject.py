@@ -34,9 +34,9 @@ def displace(
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
-    """Move an object in the simulation only: what the world database states becomes wrong. Refused if it is held.
+    """Move an object in the simulation only, so that the world database is wrong. Refused while a hand holds it.
 
-    Undone, it returns, unless an arm has moved it since.
+    Undo returns it, unless an arm has moved it since.
 
     Example:  rtc inject displace MACS-NEW --by 0,0.02,0 --turn 0,0,3
     """
@@ -51,9 +51,9 @@ def drift(
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
-    """An object moves by itself, steadily: such as a satellite that turns. In a hand it rests.
+    """Make an object move by itself at a constant velocity, such as a turning satellite. In a hand it rests.
 
-    Nothing is in its way, and it pushes nothing. Undone, it stays where it is.
+    It passes through other bodies and pushes none of them. After undo it stays where it is.
 
     Example:  rtc inject drift SATELLITE --turn 1,0,0
     """
@@ -67,7 +67,7 @@ def stick(
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
-    """A joint does not move any more. A motion of it ends with the reason following_error.
+    """Lock a joint of an arm. A motion of it ends with the reason following_error.
 
     Example:  rtc inject stick RIGHT-ARM joint_3
     """
@@ -78,15 +78,15 @@ def stick(
 def sensor(
     arm: Arm,
     offset: Annotated[
-        str, typer.Option(help="FX,FY,FZ[,TX,TY,TZ] in N and N.m, tool axes: the wrist sensor reads so much more.")
+        str, typer.Option(help="FX,FY,FZ[,TX,TY,TZ] in N and N.m, tool axes, added to each reading.")
     ] = "",
     freeze: Annotated[bool, typer.Option("--freeze", help="The wrist sensor repeats its present reading.")] = False,
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
-    """The wrist sensor of an arm reads too much, or always the same.
+    """Falsify the wrist sensor of an arm: add an offset to its readings, or freeze them.
 
-    An offset that is there before a motion begins has no effect on it: each motion measures from its start.
+    An offset that exists before a motion begins has no effect on it: each motion measures from its start.
 
     Example:  rtc inject sensor RIGHT-ARM --offset 0,0,30
     Example:  rtc inject sensor RIGHT-ARM --freeze
@@ -106,7 +106,7 @@ def jam(
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
-    """A module in the seat is stuck; one that is put there is wedged 4 cm before its place.
+    """Jam a seat. A module in it is stuck; a module that is inserted is wedged 4 cm before its place.
 
     Example:  rtc inject jam BAY-2
     """
@@ -119,7 +119,7 @@ def strip(
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
-    """A bolt turns without coming out or going in. Refused in a cell without bolts, and with exact arms.
+    """Strip the thread of a bolt: it turns without coming out or going in. Refused in a cell without bolts, and with exact arms.
 
     Example:  rtc inject strip BOLT-1
     """
@@ -128,9 +128,9 @@ def strip(
 
 @app.command()
 def drop(arm: Arm, run_dir: RunDir = None, json: AsJson = False) -> None:
-    """The hand of an arm fails: it opens, drops what it holds, and obeys nothing until this is undone.
+    """Make the hand of an arm fail: it opens, drops the object, and obeys no command until this is undone.
 
-    Refused if it holds nothing.
+    Refused if it holds no object.
 
     Example:  rtc inject drop RIGHT-ARM
     """
@@ -143,7 +143,7 @@ def blind(
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
-    """The pictures of a camera are black.
+    """Make the pictures of a camera black.
 
     Example:  rtc inject blind CAMERA-1
     """
@@ -152,11 +152,11 @@ def blind(
 
 @app.command()
 def slow(
-    by: Annotated[str, typer.Argument(help="Added to each tick of the servo loop: 0.1ms to 50ms.")],
+    by: Annotated[str, typer.Argument(help="Time added to each tick of the servo loop: 0.1ms to 50ms.")],
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
-    """The servo loop is slower. Above 1 ms ticks are late, and simulated time passes more slowly.
+    """Slow the servo loop down. Above 1 ms ticks are late, and simulated time passes more slowly.
 
     Example:  rtc inject slow 3ms
     """

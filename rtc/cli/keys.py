@@ -119,7 +119,7 @@ def _status(run_dir: Path) -> dict[str, Any] | None:
 
 
 @app.command()
-def revoke(name: Annotated[str, typer.Argument(help="Of the key.")], run_dir: RunDir = None) -> None:
+def revoke(name: Annotated[str, typer.Argument(help="Name of the key.")], run_dir: RunDir = None) -> None:
     """Revoke a key. Its connections close within a second; commands in progress continue (halt them if needed).
 
     Example:  rtc keys revoke alice

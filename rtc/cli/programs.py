@@ -34,7 +34,7 @@ def load(
     run_dir: RunDir = None,
     key: With = None,
 ) -> None:
-    """Change a program while the cluster runs; motions are not touched, and a program that fails is rolled back.
+    """Change a program while the cluster runs. Motions continue; a program that fails is rolled back.
 
     --check shows the errors of the file, or what it would change in the programs of the running cluster (without one,
     in the default programs). Exit status: 0 it may be loaded, 2 it may not.

@@ -33,9 +33,9 @@ Previous = Annotated[bool, typer.Option("--previous", help="Use the run before t
 def trace(
     command: Command = "", previous: Previous = False, json: AsJson = False, run_dir: RunDir = None, key: With = None
 ) -> None:
-    """Every phase of a command: time, process (with its cube address), duration, result.
+    """Show every phase of a command: time, process (with its cube address), duration, result.
 
-    Without a number: of the last command. After `rtc down` it reads the journal of the run that has ended.
+    Without a number it shows the last command. After `rtc down` it reads the journal of the run that has ended.
 
     Example:  rtc trace C-7
     """
@@ -154,9 +154,9 @@ def trace_line(note: m.ProgressNote, accepted_at_s: float) -> str:
 def why(
     command: Command = "", previous: Previous = False, json: AsJson = False, run_dir: RunDir = None, key: With = None
 ) -> None:
-    """The chain of causes: sentence -> script line -> primitive -> report -> decision, and what would clear it.
+    """Show the chain of causes: sentence -> script line -> primitive -> report -> decision, and what would clear it.
 
-    Without a number: of the last command. After `rtc down` it reads the journal of the run that has ended.
+    Without a number it shows the last command. After `rtc down` it reads the journal of the run that has ended.
 
     Example:  rtc why
     Example:  rtc why C-7
