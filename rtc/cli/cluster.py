@@ -50,7 +50,7 @@ SAME_AGE_S = 1.0  # maximum age difference of a cluster and a broker that was no
 def up(
     cell: Annotated[str, typer.Option(help="Name of a cell that comes with rtc, or a cell file.")] = DEFAULT.cell,
     dim: Annotated[
-        int, typer.Option(min=LEAST_DIM, max=MOST_DIM, help="Dimension of the cube of workers: 2^dim workers.")
+        int, typer.Option(min=LEAST_DIM, max=MOST_DIM, help="Dimension of the cube: 2^dim workers.")
     ] = DEFAULT.dim,
     least: Annotated[
         int | None,

@@ -32,7 +32,7 @@ def halt(
     run_dir: RunDir = None,
     key: With = None,
 ) -> None:
-    """Stop motion now. It bypasses every queue and works without a broker too. Exit status 0 only when rest is confirmed.
+    """Stop motion now, also without a broker: it bypasses every queue. Exit status 0 only when rest is confirmed.
 
     The printed latency is the time from this order to the first decelerating tick of a joint. For a cluster on another
     machine it ends with the arrival of its report.

@@ -119,7 +119,9 @@ def strip(
     run_dir: RunDir = None,
     json: AsJson = False,
 ) -> None:
-    """Strip the thread of a bolt: it turns without coming out or going in. Refused in a cell without bolts, and with exact arms.
+    """Strip the thread of a bolt: it turns without coming out or going in.
+
+    Refused in a cell without bolts, and with exact arms.
 
     Example:  rtc inject strip BOLT-1
     """

@@ -47,4 +47,4 @@ def no_target(context: DecisionContext, scope: str, asker: str = "") -> Refusal:
         return Refusal(reason=RefusalReason.STATE, message=f"{scope} has already ended")
     live = [command for command in context.state.commands if command != asker]
     known = [*(p for s in context.state.subsystems.values() for p in s.performers), *live]
-    return Refusal(reason=RefusalReason.NAME, message=f"nothing live is called {scope}", expected=["ALL", *known[:20]])
+    return Refusal(reason=RefusalReason.NAME, message=f"no live command or performer is named {scope}", expected=["ALL", *known[:20]])
