@@ -47,4 +47,5 @@ def no_target(context: DecisionContext, scope: str, asker: str = "") -> Refusal:
         return Refusal(reason=RefusalReason.STATE, message=f"{scope} has already ended")
     live = [command for command in context.state.commands if command != asker]
     known = [*(p for s in context.state.subsystems.values() for p in s.performers), *live]
-    return Refusal(reason=RefusalReason.NAME, message=f"no live command or performer is named {scope}", expected=["ALL", *known[:20]])
+    message = f"no live command or performer is named {scope}"
+    return Refusal(reason=RefusalReason.NAME, message=message, expected=["ALL", *known[:20]])
