@@ -483,10 +483,9 @@ def test_advice_is_for_what_is_suspect_now_and_in_order(bench):
 
     made = judged(bench, bound, ended(report, StopReason.TIMEOUT))
 
-    assert made.clears.split("; ") == [
-        "VERIFY MACS-NEW AT RIGHT-ARM",
-        "do it again, with more time if it needs more",
-    ]
+    first, again = made.clears.split("; ")
+    assert first == "VERIFY MACS-NEW AT RIGHT-ARM"
+    assert "more time" in again
 
 
 def test_an_empty_hand_that_moves_freely_puts_nothing_in_doubt(bench):
@@ -494,7 +493,7 @@ def test_an_empty_hand_that_moves_freely_puts_nothing_in_doubt(bench):
 
     made = judged(bench, bound, ended(report, StopReason.TIMEOUT))
 
-    assert made.clears == "do it again, with more time if it needs more"
+    assert ";" not in made.clears  # the advice of the class alone, without a doubtful fact
 
 
 # --- how well it is known ----------------------------------------------------------------------------------

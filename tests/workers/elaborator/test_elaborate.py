@@ -235,17 +235,17 @@ def test_what_another_hand_holds_is_lifted_by_that_hand(bench):
 
     refusal = refusal_of(bench, "LIFT MACS-NEW WITH LEFT-ARM")
 
-    assert refusal.message == "MACS-NEW is held by RIGHT-ARM, not by LEFT-ARM"
+    assert refusal.reason is RefusalReason.STATE
+    assert "RIGHT-ARM" in refusal.message
     assert refusal.clears == "name RIGHT-ARM, or RELEASE MACS-NEW"
 
 
 def test_the_refusal_of_a_verb_without_a_script_names_another_command(bench):
     extract, turn = refusal_of(bench, "EXTRACT MACS-NEW FROM RACK-1"), refusal_of(bench, "TURN CRANK-1 BY 90 DEG")
 
-    assert (extract.reason, extract.message) == (RefusalReason.NO_SCRIPT, "there is no script for EXTRACT yet")
-    assert extract.clears.endswith("; or load a script for EXTRACT: rtc load FILE INTO elaborator")
+    assert (extract.reason, extract.where) == (RefusalReason.NO_SCRIPT, "EXTRACT")
     assert extract.clears.startswith("GRASP the module")
-    assert turn.clears == "load a script for TURN: rtc load FILE INTO elaborator"
+    assert all("rtc load FILE INTO elaborator" in refusal.clears for refusal in (extract, turn))
 
 
 def test_the_refusal_of_a_sentence_without_a_script_names_the_forms_with_one(bench):
@@ -310,7 +310,7 @@ def test_a_width_that_is_not_known_is_not_built_upon(bench):
 
     refusal = refusal_of(bench, "OPEN RIGHT-ARM BY 2 CM")
 
-    assert refusal.message == "it is not known how wide the hand of RIGHT-ARM is open"
+    assert refusal.reason is RefusalReason.STATE
     assert refusal.clears.startswith("OPEN RIGHT-ARM")
     assert isinstance(bench.elaborate("OPEN RIGHT-ARM TO 2 CM"), Script)
 
@@ -320,7 +320,7 @@ def test_a_field_that_a_script_does_not_use_is_named_as_the_sentence_says_it(ben
 
     refusal = refusal_of(bench, "RETRACT RIGHT-ARM BY 2 CM")
 
-    assert refusal.message == "RETRACT does not take BY: its script retract has no use for it"
+    assert "BY" in refusal.message
     assert "put amount into its `uses`" in refusal.clears
 
 
@@ -365,7 +365,7 @@ def test_a_full_hand_lets_go_before_it_grasps_another_object(bench):
 
     refusal = refusal_of(bench, "LIFT MACS-OLD WITH RIGHT-ARM")
 
-    assert refusal.message == "MACS-OLD is not held, and RIGHT-ARM holds MACS-NEW"
+    assert refusal.reason is RefusalReason.STATE
     assert refusal.clears == "RELEASE MACS-NEW, then GRASP MACS-OLD"
 
 
@@ -455,7 +455,7 @@ def test_a_missing_cell_of_the_table_is_a_clear_refusal(bench):
     refusal = refusal_of(bench, "GRASP SATELLITE")
 
     assert refusal.reason is RefusalReason.NO_SCRIPT
-    assert refusal.message == "GRASP is not possible with SATELLITE: it is a structure"
+    assert "SATELLITE" in refusal.message
     assert refusal.clears == "GRASP one of MACS-NEW, MACS-OLD"
 
 

@@ -66,8 +66,9 @@ def test_a_pause_in_the_last_step_is_refused():
     s.executing(script(steps=1))
     outcome = s.outcome(s.parsed(kind="control", verb="PAUSE", object="C-1"))
     assert outcome.refusal is not None
-    assert outcome.message == "C-1 is in its last step (1 of 1: step 1) and ends with it"
-    assert outcome.refusal.clears == "HALT C-1 stops now, and ends it"
+    assert outcome.kind is OutcomeKind.REFUSED
+    assert "last step" in outcome.message
+    assert "HALT C-1" in outcome.refusal.clears
 
 
 def moving() -> Harness:
@@ -85,7 +86,8 @@ def test_a_motion_pauses_on_its_path_and_goes_on_even_in_the_last_step():
         "note C-1 executing",
         "pause C-1.1 at MCM",
     ]
-    assert s.outcome("C-2").message == "C-1 slows down on its path and pauses, in step 1 of 1: step 1"
+    assert s.outcome("C-2").kind is OutcomeKind.SUCCEEDED
+    assert "step 1 of 1" in s.outcome("C-2").message
     s.handle(PrimitivePaced, subsystem="MCM", primitive="C-1.1", paused=True, done=0.4)
     assert s.state.commands["C-1"].notes[-1].note == "stands on its path, 40% done"
     s.says("RESUME C-1")
@@ -170,7 +172,8 @@ def test_control_of_a_command_that_is_not_there_is_refused():
 def test_a_control_word_that_finds_nothing_says_so():
     s = Harness()
     s.parsed(kind="control", verb="ABORT", object="ALL")
-    assert s.outcome("C-1").message == "ABORT had nothing to act on"
+    assert s.outcome("C-1").kind is OutcomeKind.SUCCEEDED
+    assert "nothing" in s.outcome("C-1").message
 
 
 @pytest.mark.parametrize("verb", ["PAUSE", "RESUME", "ABORT"])
