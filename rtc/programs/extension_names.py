@@ -73,6 +73,8 @@ ARGS = (
     *("speed_m_s", "force_n", "contact_n", "torque_nm"),
     *("beyond_m", "felt_m", "lever_m", "aside_m", "pad_m", "centre_n_m", "play_m"),  # of the centring touches
     *("stiffness_n_m", "press_n"),  # of a compliant step; force set-point along its axis
+    "centre_share",  # of a compliant step: its centre of compliance, from the tcp (0) to the load's centre of mass (1)
+    "spin_m",  # of a compliant step: stiffness in rotation about its axis = stiffness * this squared
     *("press_from_n", "press_s"),  # that set-point at the start, and the time in which it changes
     *("needs_m", "needs_rad"),  # required accuracy of the held object's pose
     *("within_rad", "pictures", "seen_m", "seen_rad", "seated_m"),  # of a look

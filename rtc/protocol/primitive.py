@@ -165,11 +165,12 @@ class ForceProfile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Compliance(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Figures of a compliant control law, along x y z and about x y z of the selection frame, at the tcp."""
+    """Figures of a compliant control law, along x y z and about x y z of the selection frame."""
 
     stiffness: Vector  # N/m three times, N.m/rad three times
     damping: Vector = msgspec.field(default_factory=lambda: [1.0] * 6)  # ratio to critical damping
     frame: Literal["tool", "world"] = "tool"  # axes of the selection frame
+    centre: Vector = []  # centre of compliance, origin of the selection frame (m, tool axes); empty: the tcp
     # Force set-points: what the hand exerts on its environment (N, N.m). An axis with a number is force-controlled and
     # has no spring; None leaves it to the spring. Empty: no axis is force-controlled.
     wrench: list[float | None] = []
@@ -187,6 +188,8 @@ class Compliance(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             raise ValueError(f"a stiffness is 0 or more, not {min(self.stiffness):g}")
         if not all(0.1 <= ratio <= 3.0 for ratio in self.damping):
             raise ValueError("a damping ratio is 0.1 to 3")
+        if len(self.centre) not in (0, 3) or not all(abs(x) <= FARTHEST_M for x in self.centre):  # false for nan too
+            raise ValueError(f"a centre of compliance has 3 figures of at most {FARTHEST_M:g} m")
         if len(self.wrench) not in (0, 6):
             raise ValueError(f"a wrench has 6 figures, not {len(self.wrench)}")
         if self.profile is not None and not any(self.wrench):

@@ -2,7 +2,8 @@
 
     torque = rnea(q, v, wanted acceleration) + J' (K e + D de + force part)
 
-e and de are errors of pose and velocity along the axes of the selection frame. D is scaled by the effective mass
+e and de are errors of pose and velocity along the axes of the selection frame, at the centre of compliance. J is the
+Jacobian of this point of the tool, by default the tcp. D is scaled by the effective mass
 matrix: D = Z (sqrt(L) sqrt(K) + sqrt(K) sqrt(L)), symmetric, with L = (J M^-1 J')^-1 and damping ratios Z. An axis with
 a force set-point has no spring: it presses with the set-point plus an integral of the force error, and its damping
 limits the approach to `APPROACH_M_S`. This module must not know sockets, samples or primitives.
@@ -68,10 +69,16 @@ class Impedance:
         self._measured = np.zeros(6)
         self._saturated = False
         self._presses = bool(self._pressed.any())
+        self._centre = np.array(compliance.centre) if compliance.centre else None
+        self._to_centre = np.eye(6)  # velocity of the tcp to that of the centre, tool axes
+        if self._centre is not None:
+            self._to_centre[:3, 3:] = -pin.skew(self._centre)
 
     def feel(self, wrench: list[float]) -> None:
         """The measured wrench of this tick: of the environment on the hand, tool axes, about the tcp, without bias."""
         self._measured[:] = wrench
+        if self._centre is not None:
+            self._measured[3:] += self._to_centre[:3, 3:] @ self._measured[:3]
 
     def torque(self, wanted: Motion, q: list[float], v: list[float]) -> list[float]:
         model, data = self._model, self._data
@@ -87,9 +94,15 @@ class Impedance:
 
         turn = here.rotation.T  # base axes to tool axes
         error, wanted_speed = np.empty(6), np.empty(6)
+        turned = turn @ there.rotation
         error[:3] = turn @ (there.translation - here.translation)
-        error[3:] = pin.log3(turn @ there.rotation)
+        error[3:] = pin.log3(turned)
         wanted_speed[:3], wanted_speed[3:] = turn @ moving.linear, turn @ moving.angular
+        if self._centre is not None:
+            arm = turned @ self._centre  # from the wanted tcp to the wanted centre
+            error[:3] += arm - self._centre
+            wanted_speed[:3] -= pin.skew(arm) @ wanted_speed[3:]
+            jacobian = self._to_centre @ jacobian
         speed_error = wanted_speed - jacobian @ v_now
 
         selection = None if self._in_tool else self._base @ here.rotation  # tool axes to world axes

@@ -9,6 +9,8 @@ comparison, the same errors with PLACE, which is position-controlled (`--rigid`)
 
 from __future__ import annotations
 
+from functools import partial
+
 from rtc.robot.geometry import Array
 from tests.campaigns.displaced_seat import ARM, BAY, MODULE, BeforeBay, Run, arguments, campaign
 
@@ -27,14 +29,15 @@ class Commander(BeforeBay):
         done = self.bench.do(self._sentence)
         why = done.failure or done.refusal
         peak_n = max((report.peak_force_n for report in done.reports[1:]), default=0.0)
-        return self.judge(False, peak_n, 1 + len(done.trims), why.message if why else "")
+        run = self.judge(False, peak_n, 1 + len(done.trims), why.message if why else "")
+        return run._replace(true=run.seated if done.succeeded else bool(run.failed) and self.holds_still())
 
 
 def main() -> None:
     given = arguments(__doc__).parse_args()
     verb = "PLACE" if given.rigid else "INSERT"
-    commander = Commander(PLACE if given.rigid else INSERT)
-    campaign("insert_sentence", f"does {verb} seat a module in a displaced seat?", commander, given)
+    make = partial(Commander, PLACE if given.rigid else INSERT)
+    campaign("insert_sentence", f"does {verb} seat a module in a displaced seat?", make, given)
 
 
 if __name__ == "__main__":

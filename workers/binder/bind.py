@@ -298,11 +298,12 @@ def primitive(
         stops += stop_conditions.maintained(task.data, task.query, values)
     if evaluation.held:  # a hand that closes on something off its middle presses more with one finger
         stops += stop_conditions.squeezed(task.data, values)
-    if (refusal := refuse_press(task, stop_class, values)) is not None:
-        return refusal
     every_s = task.data.step.args.get("report_every_s")
     lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > task.query.hand_width(task.arm)
     load = None if lets_go else task.query.load(task.arm)
+    refusal = refuse_press(task, stop_class, values) or refuse_compliance(stop_class, values, load)
+    if refusal is not None:
+        return refusal
     payload_kg = task.query.cell.arm(task.arm).payload_kg
     if load is not None and load.mass_kg > payload_kg:
         return Refusal(
@@ -316,7 +317,9 @@ def primitive(
         performer=task.arm,
         trajectory=trajectory,
         stop_functions=stops,
-        control_law=control_law(task.data.step, stop_class, values, trajectory, load),
+        control_law=control_law(
+            task.data.step, stop_class, values, trajectory, load, spin_axis(task) if "spin_m" in values else 2
+        ),
         reporting=Reporting(
             every_s=float(every_s) if every_s is not None else None,
             when=stop_conditions.reported(task.data, task.query, values, rows),
@@ -374,13 +377,37 @@ def refuse_press(task: BindTask, stop_class: StopClass, values: Values) -> Refus
     return None
 
 
+def refuse_compliance(stop_class: StopClass, values: Values, load: Load | None) -> Refusal | None:
+    """Refuse figures of a spring that would have no effect."""
+    share = values.get("centre_share", 0.0)
+    named = [name for name in ("centre_share", "spin_m") if name in values]
+    if not named:
+        return None
+    if "stiffness_n_m" not in values or stop_class.rigid:
+        return refused_program(f"{named[0]} needs a compliant step", "stiffness_n_m, and another stop class")
+    if "spin_m" in values and "press_n" in values:
+        return refused_program("spin_m and press_n both act along the axis of the step", "one of them")
+    if not 0.0 <= share <= 1.0:
+        return refused_program(f"centre_share {share:g} is not a share", "a share of 0 to 1")
+    if share and load is None:
+        return refused_program("centre_share needs an object in the hand, without a hinge", "a step after the grasp")
+    return None
+
+
+def spin_axis(task: BindTask) -> int:
+    """Number of the tool axis nearest to the `axis` of the step."""
+    along = axes.in_tool(task.query.tcp(task.arm), str(task.data.step.args.get("axis", "TOOL-Z")))
+    return max(range(3), key=lambda n: abs(along[n]))
+
+
 def control_law(
-    step: Step, stop_class: StopClass, values: Values, trajectory: Trajectory, load: Load | None
+    step: Step, stop_class: StopClass, values: Values, trajectory: Trajectory, load: Load | None, spin: int = 2
 ) -> ControlLaw:
     """M: the law of the stop class, or impedance if the command or the step names a stiffness. While only the hand
     moves, its arm complies if the step names one.
 
-    `press_n` of the step is a force set-point along its axis.
+    `press_n` of the step is a force set-point along its axis. `centre_share` puts the centre of compliance between
+    the tcp (0) and the centre of mass of the load (1). `spin_m` replaces `turn_m` about the tool axis number `spin`.
 
     Its spring pulls with a share of the force and torque limits, so a blocked arm leans on the obstacle within them.
     """
@@ -390,7 +417,7 @@ def control_law(
     only_hand = isinstance(trajectory, HandMotion) and "stiffness_n_m" not in step.args
     if stiffness_n_m is None or stop_class.rigid or only_hand:
         return ControlLaw(name=stop_class.control_law, load=load, gains=gains)
-    factor = values["spring_factor"]
+    factor, share = values["spring_factor"], values.get("centre_share", 0.0)
     frame: Literal["tool", "world"] = "tool"
     wrench: list[float | None] = []
     profile: ForceProfile | None = None
@@ -400,11 +427,15 @@ def control_law(
         most_n = max(values["press_n"], values.get("press_from_n", 0.0)) if "press_s" in values else values["press_n"]
         wrench = [most_n * n if n else None for n in direction] + [None] * 3
         profile = press_profile(values, most_n)
+    turning = [values["turn_m"] ** 2 * stiffness_n_m] * 3
+    if "spin_m" in values:
+        turning[spin] = values["spin_m"] ** 2 * stiffness_n_m
     compliance = Compliance(
-        stiffness=[stiffness_n_m] * 3 + [values["turn_m"] ** 2 * stiffness_n_m] * 3,
+        stiffness=[stiffness_n_m] * 3 + turning,
         most_n=factor * values["force_n"],
         most_nm=factor * values["torque_nm"],
         frame=frame,
+        centre=[share * x for x in load.com_m] if load and share else [],
         wrench=wrench,
         profile=profile,
     )

@@ -91,7 +91,7 @@ def _softness_m(motion: Primitive) -> float:
     if compliance is None:
         return 0.0
     softest = min(compliance.stiffness[:3])
-    if compliance.most_n is None or softest <= 0.0:
+    if compliance.most_n is None or softest <= 0.0 or compliance.centre:  # about a centre the tcp gives way farther
         return SOFT_M
     return min(SOFT_M, compliance.most_n / softest)
 
