@@ -100,6 +100,28 @@ def test_a_soft_axis_gives_way_and_a_stiff_one_does_not(world, bench, make, mode
 
 
 @pytest.mark.parametrize("frame", ["tool", "world"])
+def test_a_push_at_the_centre_of_compliance_does_not_turn_the_tool(world, bench, make, model, frame) -> None:
+    """The centre is 150 mm before the palm and 85 mm aside; the tool points along world x, and its y is that of the
+    world. A push at the tcp turns the tool then."""
+    executor = bench.subsystem.executors[ARM]
+    centre = {"centre": [0.0, 0.085, 0.150], "frame": frame}
+    turned = []
+    for n, torque_nm in enumerate((4.0 * 0.150, 0.0)):
+        bench.handle(m.Execute(primitive=hold(make, impedance(400.0, 5.0, **centre), 4.0, f"C-1.{n + 1}")))
+        bench.tick(2)
+        start = model.fk(executor.sample.joints)
+        pushed(world, bench, [0.0, 4.0, 0.0, 0.0, 0.0, torque_nm], 2000)
+        now = model.fk(executor.sample.joints)
+        turned.append(geometry.angle(start, now))
+        if torque_nm:
+            assert now[:3] - start[:3] == pytest.approx([0.0, 0.010, 0.0], abs=0.001)
+        bench.handle(m.HaltOrder(halt=f"H-{n}", scope="ALL"))
+        bench.tick(200)
+    assert turned[0] < 0.005
+    assert turned[1] == pytest.approx(4.0 * 0.150 / 5.0, rel=0.1)
+
+
+@pytest.mark.parametrize("frame", ["tool", "world"])
 def test_a_force_set_point_is_held_on_a_wall_within_5_percent(world, bench, make, model, frame) -> None:
     before_the_wall(world, bench, make, model)
     executor = bench.subsystem.executors[ARM]
