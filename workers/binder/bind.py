@@ -40,7 +40,7 @@ from rtc.world.model import World
 from workers.binder import impact, look, replan, stop_conditions, targets, together
 from workers.binder.bind_task import BindTask, refused_program
 from workers.binder.stop_conditions import Values
-from workers.planning import advice, certainty, segments, suggestions
+from workers.planning import advice, axes, certainty, segments, suggestions
 from workers.planning.motion import beside
 from workers.planning.motion import plan as plans
 from workers.planning.motion.request import PlanningRequest
