@@ -1,0 +1,46 @@
+"""The film of a run: an animated GIF, drawn by several processes."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from PIL import Image
+
+from rtc.cells.scene import FilmFrame, SceneView
+from sim_mcm import film
+
+
+def frame(cell, turned_rad: float) -> FilmFrame:
+    arm = cell.arms[0]
+    joints = [arm.home_rad[0] + turned_rad, *arm.home_rad[1:]]
+    return FilmFrame(scene=SceneView(poses={}, joints={arm.name: joints}), caption=f"{turned_rad}")
+
+
+def made(folder: Path, cell: str, frames: list[FilmFrame]) -> Path:
+    (folder / "frames.jsonl").write_bytes(b"\n".join(map(msgspec.json.encode, frames)))
+    out = folder / "film.gif"
+    film.main(["--frames", str(folder / "frames.jsonl"), "--cell", cell, "--out", str(out)])
+    return out
+
+
+@pytest.mark.physics
+def test_frames_are_in_their_order_whichever_process_has_drawn_them(tmp_path, cell, monkeypatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
+    with Image.open(made(tmp_path, "swapout", [frame(cell, turn) for turn in (0.0, 0.5, 1.0)])) as pictures:
+        assert pictures.n_frames == 3
+        pixels = []
+        for n in range(3):
+            pictures.seek(n)
+            pixels.append(np.asarray(pictures.convert("L"), dtype=float))
+    near, far = (float(np.abs(pixels[n] - pixels[0]).mean()) for n in (1, 2))
+    assert 0.0 < near < far  # the arm turns away
+
+
+def test_a_film_without_frames_ends_with_the_reason(tmp_path, capsys) -> None:
+    with pytest.raises(SystemExit):
+        made(tmp_path, "swapout", [])
+    assert "needs a picture" in capsys.readouterr().err
