@@ -109,7 +109,7 @@ def _arms(cell: Cell) -> list[NameEntry]:
     ]
     known = {arm.name for arm in cell.arms}
     both = (
-        [NameEntry("BOTH-ARMS", "in HALT, and in MOVE BOTH-ARMS BY with one object in both hands")]
+        [NameEntry("BOTH-ARMS", "in HALT, and in MOVE BOTH-ARMS BY or TO with one object in both hands")]
         if {"LEFT-ARM", "RIGHT-ARM"} <= known
         else []
     )

@@ -179,6 +179,17 @@ def test_both_hands_keep_their_places_at_the_object(holding):
     assert made.paths[RIGHT].time_s == made.paths[LEFT].time_s
 
 
+@pytest.mark.parametrize("place", ["CLEAR-POINT-1", "POSITION 48 -8.5 95 CM STRAIGHT-LINE"])
+def test_both_arms_carry_the_object_to_where_the_leading_hand_is_at_the_place(holding, place):
+    run = holding.do(f"MOVE BOTH-ARMS TO {place}")
+    assert run.succeeded, run.refusal or run.failure
+    query = WorldQuery(MODEL, holding.world)
+    assert query.tcp(RIGHT)[:3].tolist() == pytest.approx([0.48, -0.085, 0.95], abs=1e-6)
+    assert run.primitives[0].performers == [RIGHT, LEFT]
+    across = geometry.relative(query.tcp(RIGHT), MODEL.arms[LEFT].fk(run.primitives[0].paths[LEFT].positions[-1]))
+    assert across[:3].tolist() == pytest.approx([0.0, 0.17, 0.0], abs=1e-4)
+
+
 def test_one_leads_the_other_complies_and_each_carries_half(holding):
     made = bound(holding, UP).primitive
     assert made.control_law.compliance is None
@@ -228,6 +239,11 @@ def test_both_arms_and_the_object_are_claimed_and_written(holding):
         (f"{UP} UNLESS FORCE EXCEEDS 10 N THEN BACK-OFF", "can only stop"),
         ("MOVE BOTH-ARMS BY 90 CM ALONG UP", "ARM"),
         ("MOVE BOTH-ARMS BY 40 CM ALONG FORWARD", "SATELLITE"),
+        ("MOVE BOTH-ARMS TO POSITION 90 0 60 CM", "SATELLITE"),
+        ("MOVE BOTH-ARMS TO RACK-2-FRONT", "RACK-2-FRONT"),
+        ("MOVE BOTH-ARMS TO JOINTS 0 0 0 0 0 0 DEG", "no script"),
+        ("MOVE BOTH-ARMS TO CLEAR-POINT-1 JOINT-MOTION", "no script"),
+        ("MOVE BOTH-ARMS TO CLEAR-POINT-1 THROUGH BAY-2-FRONT", "THROUGH"),
     ],
 )
 def test_what_two_arms_at_one_object_cannot_do_is_refused(holding, sentence, message):
@@ -235,6 +251,7 @@ def test_what_two_arms_at_one_object_cannot_do_is_refused(holding, sentence, mes
     assert run.refusal is not None
     assert message in run.refusal.message
     assert run.primitives == []
+    assert "RETRACT" not in run.refusal.clears  # of one arm, which cannot move alone
 
 
 @pytest.mark.parametrize("holder", [{}, {RIGHT: MODULE}, {RIGHT: MODULE, LEFT: "MACS-OLD"}])

@@ -36,6 +36,7 @@ _WORDS = {
     "grasp_point": "a grasp point",
     "place": "a destination",
     "place.by": "BY a distance",
+    "place.joints": "JOINTS",
     "path": "STRAIGHT-LINE or JOINT-MOTION",
     "performer": "VIA",
     "through": "THROUGH",

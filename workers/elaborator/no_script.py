@@ -24,11 +24,13 @@ def refuse_verb(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal:
 
 
 def refuse_form(parsed: ParsedCommand, branches: list[Branch]) -> Refusal:
-    """The refusal of a sentence that no branch takes. It names what to change, with the same hand if that is enough."""
+    """The refusal of a sentence that no branch takes. It names no more changes than necessary, with the same hand if
+    that is enough."""
     begun = " ".join(filter(None, (parsed.verb, parsed.hand)))
     changes = [_changes(branch, parsed) for branch in branches]
     kept = [one for one in changes if not any(path == "hand" for path, _ in one)] or changes
-    wanted = [", ".join(words for _, words in one) or "with an object whose figures fit" for one in kept]
+    least = [one for one in kept if not any(set(other) < set(one) for other in kept)]
+    wanted = [", ".join(words for _, words in one) or "with an object whose figures fit" for one in least]
     return Refusal(
         reason=RefusalReason.NO_SCRIPT,
         message=f"{parsed.verb} has no script for this form of the sentence",

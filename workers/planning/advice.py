@@ -28,7 +28,11 @@ def advise_on_collision(
     other = str(refusal.detail.get(IN_THE_WAY, ""))
     row = "way_seated" if seat and held in bodies else "way_other" if other else ""
     row = (
-        row or _kept_out(refusal, body, limits) or _hinged(query, arm, body) or _at_goal(refusal, query, body) or "way"
+        row
+        or _kept_out(refusal, body, limits)
+        or _hinged(query, arm, body)
+        or _at_goal(refusal, query, body)
+        or ("way_shared" if query.sharers(arm) else "way")
     )
     places = [place.name for place in query.cell.places if arm in place.poses or arm in place.joints_deg]
     texts = {

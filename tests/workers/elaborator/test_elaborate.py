@@ -258,7 +258,7 @@ def test_the_refusal_of_a_sentence_without_a_script_names_the_forms_with_one(ben
 @pytest.mark.parametrize(
     ("sentence", "clears"),
     [
-        ("MOVE BOTH-ARMS TO BAY-2-FRONT", "MOVE BOTH-ARMS BY a distance"),
+        ("MOVE BOTH-ARMS TO JOINTS 0 0 0 0 0 0 DEG", "MOVE BOTH-ARMS BY a distance; or MOVE BOTH-ARMS without JOINTS"),
         ("MOVE BOTH-ARMS BY 5 CM ALONG UP JOINT-MOTION", "MOVE BOTH-ARMS without JOINT-MOTION"),
     ],
 )
