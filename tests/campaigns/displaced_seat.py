@@ -15,13 +15,13 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pybullet
 
-from benchmarks.report import finish, percentile, question
+from benchmarks.report import percentile, question
 from rtc.protocol import primitive as p
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from sim_mcm.arms.detents import CATCHES_M, CATCHES_RAD
 from sim_mcm.control.executor import Executor
-from tests.campaigns import RESULTS
+from tests.campaigns import numbered_runs
 from tests.workers.conftest import CELL, Bench, Physical
 
 SEED = 7
@@ -107,18 +107,16 @@ class BeforeBay:
         self.subsystem.executors[ARM]._hand = self._hand
 
 
-def offsets(runs: int, seed: int = SEED) -> Iterator[Array]:
+def offsets(seed: int) -> Iterator[Array]:
     """The errors of the bay, x y z roll pitch yaw (m, rad): the same ones each time."""
     random = np.random.default_rng(seed)
-    for _ in range(runs):
+    while True:
         yield random.uniform(-1.0, 1.0, 6) * ([ERROR_M] * 3 + [ERROR_RAD] * 3)
 
 
 def arguments(doc: str | None) -> argparse.ArgumentParser:
-    words = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    words.add_argument("--runs", type=int, default=100)
+    words = numbered_runs.arguments(doc)
     words.add_argument("--rigid", action="store_true", help="position control instead, without results file")
-    words.add_argument("--only", type=int, nargs="+", help="these runs alone, without results file")
     words.add_argument("--seed", type=int, default=SEED, help="of other errors, without results file")
     words.add_argument("--processes", type=int, default=1, help="share the runs; each has a scene of its own")
     return words
@@ -144,11 +142,9 @@ def _shared(make: Callable[[], Inserter], errors: Iterable[Array], processes: in
 def campaign(name: str, text: str, make: Callable[[], Inserter], given: argparse.Namespace) -> None:
     """Make the runs, and report them. `make` is called once in each process."""
     question(name, text, seed=given.seed)
-    numbers = given.only or range(given.runs)
-    errors = list(offsets(max(numbers) + 1, given.seed))
+    wanted = list(numbered_runs.chosen(given, offsets(given.seed)))
     found: list[Run] = []
-    for n, run in zip(numbers, _shared(make, [errors[n] for n in numbers], given.processes), strict=True):
-        offset = errors[n]
+    for (n, offset), run in zip(wanted, _shared(make, [offset for _, offset in wanted], given.processes), strict=True):
         found.append(run)
         if not run.seated or not run.true or run.tries > 1 or n % 20 == 19 or given.only:
             figures = ", ".join(f"{1e3 * x:.1f}" for x in offset)
@@ -164,8 +160,9 @@ def campaign(name: str, text: str, make: Callable[[], Inserter], given: argparse
         ("distance from the seated place, of those seated", f"worst {worst_mm:.1f} mm"),
         ("true reports", f"{sum(run.true for run in found)} of {len(found)}"),
     ]
-    if given.rigid or given.only or given.seed != SEED:
-        print(rows)
-        return
-    metrics = {"runs": float(len(found)), "seated": float(len(seated)), "peak_n": max(peaks)}
-    finish(name, metrics, rows, RESULTS)
+    metrics: dict[str, float | None] = {
+        "runs": float(len(found)),
+        "seated": float(len(seated)),
+        "peak_n": max(peaks),
+    }
+    numbered_runs.report(name, metrics, rows, kept=not (given.rigid or given.only or given.seed != SEED))

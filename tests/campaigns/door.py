@@ -10,19 +10,19 @@ without the knowledge of the arm. The friction of the hinge is 0.5 to 1.5 N.m. A
 
 from __future__ import annotations
 
-import argparse
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 import pybullet
 
-from benchmarks.report import finish, percentile, question
+from benchmarks.report import percentile, question
 from rtc.cells.cell import Cell
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from sim_mcm.arms.bullet_world import HINGED
-from tests.campaigns import RESULTS
+from tests.campaigns import numbered_runs
 from tests.workers.conftest import Bench, Physical
 from workers.planning.robot_models import CellModel
 
@@ -75,20 +75,20 @@ def run(model: CellModel, offset: Array, friction_nm: float) -> Run:
     return Run(opened, math.degrees(bench.world.value(f"{DOOR}.angle")), max(felt_n), failed)
 
 
-def main() -> None:
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    words.add_argument("--runs", type=int, default=100)
-    words.add_argument("--only", type=int, nargs="+", help="these runs alone, without results file")
-    given = words.parse_args()
-    question("door", "does a compliant arm open a displaced door by 90 degrees?", seed=SEED)
+def conditions() -> Iterator[tuple[Array, float]]:
+    """(error of the satellite, x y z roll pitch yaw in m and rad; friction of the hinge in N.m) of each run."""
     random = np.random.default_rng(SEED)
+    while True:
+        offset = random.uniform(-1.0, 1.0, 6) * ([ERROR_M] * 3 + [ERROR_RAD] * 3)
+        yield offset, float(random.uniform(*FRICTION_NM))
+
+
+def main() -> None:
+    given = numbered_runs.arguments(__doc__).parse_args()
+    question("door", "does a compliant arm open a displaced door by 90 degrees?", seed=SEED)
     model = CellModel(Cell.load("servicing"))
     found: list[Run] = []
-    for n in range(max(given.only) + 1 if given.only else given.runs):
-        offset = random.uniform(-1.0, 1.0, 6) * ([ERROR_M] * 3 + [ERROR_RAD] * 3)
-        friction_nm = float(random.uniform(*FRICTION_NM))
-        if given.only and n not in given.only:
-            continue
+    for n, (offset, friction_nm) in numbered_runs.chosen(given, conditions()):
         found.append(run(model, offset, friction_nm))
         if not found[-1].good or n % 20 == 19 or given.only:
             shown = ", ".join(f"{1e3 * x:.1f}" for x in offset)
@@ -102,11 +102,13 @@ def main() -> None:
         ("angle", f"{min(angles):.1f} to {max(angles):.1f} deg; believed within {off_deg:.1f} deg"),
         ("peak of the wrist force", f"p50 {percentile(peaks, 50):.1f} N, worst {max(peaks):.1f} N"),
     ]
-    if given.only:
-        print(rows)
-        return
-    metrics = {"runs": float(len(found)), "opened": float(good), "peak_n": max(peaks), "believed_off_deg": off_deg}
-    finish("door", metrics, rows, RESULTS)
+    metrics: dict[str, float | None] = {
+        "runs": float(len(found)),
+        "opened": float(good),
+        "peak_n": max(peaks),
+        "believed_off_deg": off_deg,
+    }
+    numbered_runs.report("door", metrics, rows, kept=not given.only)
 
 
 if __name__ == "__main__":

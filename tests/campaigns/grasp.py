@@ -10,18 +10,17 @@ or by more than its spread, and the arm must rest. Without cameras (`--touch`) t
 
 from __future__ import annotations
 
-import argparse
 import math
 import random
 from collections.abc import Iterator
 from typing import NamedTuple
 
 from benchmarks.grasp import within
-from benchmarks.report import finish, question
+from benchmarks.report import question
 from rtc.protocol.messages import Validity
 from rtc.robot import geometry
 from rtc.robot.geometry import Floats
-from tests.campaigns import RESULTS
+from tests.campaigns import numbered_runs
 from tests.workers.conftest import Bench, Physical
 
 SEED = 1
@@ -47,10 +46,10 @@ class Run(NamedTuple):
         return self.validity == Validity.VALID and (self.off_m > WRONG_M or self.off_rad > WRONG_RAD)
 
 
-def offsets(runs: int, seed: int = SEED) -> Iterator[list[float]]:
+def offsets(seed: int) -> Iterator[list[float]]:
     """x y z roll pitch yaw (m, rad)."""
     rng = random.Random(seed)
-    for _ in range(runs):
+    while True:
         yield [
             *(rng.uniform(-ERROR_M, ERROR_M) for _ in range(3)),
             0.0,
@@ -98,19 +97,15 @@ def _rests(subsystem: Physical, arm: str) -> bool:
 
 
 def main() -> None:
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    words.add_argument("--runs", type=int, default=100)
+    words = numbered_runs.arguments(__doc__)
     words.add_argument("--touch", action="store_true", help="without cameras; without results file")
     words.add_argument("--seed", type=int, default=SEED, help="another than the default: without results file")
-    words.add_argument("--only", type=int, nargs="+", help="these runs alone, without results file")
     given = words.parse_args()
     question(
         "grasp", "does a grasp find a module up to 25 mm and 4 degrees off, and are the facts true?", seed=given.seed
     )
     found: list[Run] = []
-    for n, offset in enumerate(offsets(max(given.only) + 1 if given.only else given.runs, given.seed)):
-        if given.only and n not in given.only:
-            continue
+    for n, offset in numbered_runs.chosen(given, offsets(given.seed)):
         found.append(run(n, offset, given.touch))
         shown = ", ".join(f"{1e3 * x:.0f}" for x in offset[:3])
         print(f"  run {n}: {found[-1]}; displaced {shown} mm, {math.degrees(offset[5]):.1f} deg", flush=True)
@@ -123,12 +118,9 @@ def main() -> None:
         ("facts flagged valid that are off by more than their spread", f"{outside}"),
         ("arms that did not rest", f"{restless}"),
     ]
-    if given.only or given.touch or given.seed != SEED:
-        print(rows)
-        return
     counts = {"runs": len(found), "grasped": grasped, "wrong": wrong, "outside_spread": outside, "restless": restless}
     metrics: dict[str, float | None] = {name: float(count) for name, count in counts.items()}
-    finish("grasp", metrics, rows, RESULTS)
+    numbered_runs.report("grasp", metrics, rows, kept=not (given.only or given.touch or given.seed != SEED))
 
 
 if __name__ == "__main__":
