@@ -268,7 +268,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(prog="python -m benchmarks.halt", description=__doc__)
     arguments.add_argument("--halts", type=int, default=200, help="in each condition")
     arguments.add_argument("--mcm", default="bullet", choices=("bullet", "kinematic"))
-    arguments.add_argument("--only", choices=(*CONDITIONS, CARRYING), help="one condition")
+    arguments.add_argument("--only", choices=(*CONDITIONS, CARRYING), help="one condition; results in halt_NAME")
     given = arguments.parse_args()
     question("halt", "How long from the halt to the first decelerating tick of a moving arm?", seed=SEED)
     metrics: dict[str, float | None] = {}
@@ -297,7 +297,7 @@ def main() -> None:
     if given.only in (None, CARRYING) and given.mcm == "bullet":  # exact arms cannot comply
         halts = carried(given.halts, random.Random(SEED))
         measured(CARRYING, _latencies(halts), sorted(halts, reverse=True)[:SLOWEST])
-    finish("halt", metrics, rows)
+    finish("halt" if given.only is None else f"halt_{given.only}", metrics, rows)
 
 
 if __name__ == "__main__":
