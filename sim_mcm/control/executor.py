@@ -43,6 +43,9 @@ TOUCHED = frozenset(
 COMMAND_SLACK = 1.25
 SQUEEZE_N = 1.0  # a smaller finger force does not count as a grip
 SETTLE_LIMIT_S = 1.0  # maximum wait for measured rest; then the end is reported anyway
+# An arm that leans on something springy, such as its own fingers, moves on when its command yields; it yields again, at
+# most this often, while it is farther than this from its command. A new path must begin within 0.01 rad of it.
+MOST_YIELDS, LEANS_RAD = 6, 0.004
 RELEASE_LIMIT_S = 3.0
 # Reflex COMPLY: no spring, damping only. It ends at rest with a smaller force than this, or after this time.
 LIMP = p.Compliance(stiffness=[0.0] * 6)
@@ -76,7 +79,7 @@ class Executor:
         self._arrived: Arrived = lambda time_s: None
         self._report_every: int | None = None
         self._report_when: stop_functions.Reports = []  # not reported yet
-        self._yielded = self._releasing = False
+        self._yields, self._releasing = 0, False
         self._stopped_at_s = 0.0  # time along the trajectory, of the latest stop
         self._watch = stop_functions.RetreatWatch([])
         self._was_compliant = False  # up to the stop
@@ -245,7 +248,7 @@ class Executor:
         self._ticks = self._paused_ticks = 0
         self._stands = False
         self._compliant = self.primitive.control_law.compliance is not None
-        self._yielded = self._releasing = False
+        self._yields, self._releasing = 0, False
         every_s = self.primitive.reporting.every_s
         self._report_every = None if every_s is None else max(1, round(every_s / TICK_S))
         joints = self._command[0]
@@ -413,11 +416,14 @@ class Executor:
         assert self.trip is not None
         if self._profile_time_s < self._profile.duration_s:
             return []
-        leaning = (self.trip.reason in TOUCHED or self._compliant) and not self._yielded
+        touched = self.trip.reason in TOUCHED
+        leaning = (touched or self._compliant) and not self._yields
         if not self._still(leaning) and self._profile_time_s < self._profile.duration_s + SETTLE_LIMIT_S:
             return []
-        if not self._yielded and self._off_command() > (0.0 if leaning else GOAL_RAD):
-            self._yielded = True
+        off_rad = self._off_command()
+        again = touched and not self._compliant and 0 < self._yields < MOST_YIELDS and off_rad > LEANS_RAD
+        if again or (not self._yields and off_rad > (0.0 if leaning else GOAL_RAD)):
+            self._yields += 1
             self._use(profiles.Yield(self._command, self.sample.joints))
             return []
         report = self._end_report(now_s)

@@ -7,7 +7,7 @@ import math
 import msgspec
 import pytest
 
-from rtc.protocol.messages import EndReport
+from rtc.protocol.messages import EndReport, Validity
 from rtc.protocol.outcomes import StopReason
 from rtc.robot import geometry
 from rtc.world.spread import even
@@ -97,6 +97,22 @@ def test_without_a_twist_the_width_only_bounds_how_askew_it_may_be(bench, feel):
     turned = geometry.relative(bench.model.cell.object_pose("MACS-NEW"), believed(bench).value)
     assert geometry.angle(geometry.IDENTITY, turned) < 1e-6
     assert math.radians(2.0) < believed(bench).spread[5] < math.radians(3.0)
+
+
+def test_fingers_that_do_not_come_to_rest_on_the_bar_are_taken_back(feel):
+    """Something moved the module meanwhile: one finger presses, the other does not."""
+    made = feel("press", reason=StopReason.TIMEOUT, limit=5.4, hand_width_m=0.031, hand_force_n=0.3)
+    assert made.trim == 4
+    assert any(change.key == "MACS-NEW.frame" and change.validity is Validity.SUSPECT for change in made.changes)
+    assert not any(change.key == "RIGHT-ARM.holding" for change in made.changes)
+
+
+def test_fingers_halted_while_they_press_for_a_moment_do_hold(bench, feel):
+    """Otherwise the next motion would drag the module along."""
+    here = at_the_handle(bench, [0.0, 0.0, 0.0])
+    feel("press", reason=StopReason.HALT, tcp_pose=here, hand_width_m=0.02, hand_force_n=10.0)
+    assert bench.world.value("RIGHT-ARM.holding") == "MACS-NEW"
+    assert bench.world.get("MACS-NEW.grasp").validity is Validity.SUSPECT
 
 
 @pytest.mark.parametrize("side", [1, -1])

@@ -36,6 +36,7 @@ SOURCES = {"report.trip_pose", "report.pose", "report.hand_width"}
 UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE_LIMIT: "N.m", StopReason.TIMEOUT: "s"}
 
 
+CLOSING = ("taken", "pinched")  # effects of steps that close the hand on the object
 SEEN = "sighted"  # effect of steps that look
 THIN_M = 0.002  # fingers closer together than this hold nothing
 
@@ -355,12 +356,12 @@ def _pressed_on(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput
 
 
 def _interrupted_grasp(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -> Changes:
-    """A grasp stopped during closing: fingers that press at the expected width hold the object (suspect).
+    """Fingers that were stopped while they closed, and press at the expected width, hold the object (suspect).
 
     Without a report of the hand the fingers may press too.
     """
     evaluation, report = data.evaluation, data.report
-    if evaluation.step.args.get("effect") != "taken" or evaluation.width_m is None:
+    if evaluation.step.args.get("effect") not in CLOSING or evaluation.width_m is None:
         return []
     if not report.tcp_pose:
         begun = report.reason not in (StopReason.REFUSED, StopReason.BLOCKED)

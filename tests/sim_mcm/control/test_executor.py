@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -13,9 +14,11 @@ from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import PRIORITY, Reflex, StopReason
 from rtc.robot import geometry
-from sim_mcm.arms.arm import TICK_S, HandCommand
+from sim_mcm.arms.arm import TICK_S, HandCommand, Sample
 from sim_mcm.control import profiles
 from sim_mcm.control.modes import AFTER_STOP, MOVING, TRANSITIONS, Mode, Trigger
+
+from ..conftest import SteeredArm
 
 # --- the table -------------------------------------------------------------------------------------------
 
@@ -261,6 +264,35 @@ def test_the_tick_that_feels_the_contact_already_brakes(rig, make) -> None:
     assert report.trip_pose is not None
     assert report.peak_force_n == pytest.approx(6.0)
     assert report.joints != rig.away
+
+
+class PushedArm(SteeredArm):
+    """A spring pushes the first joint towards `free_rad`; the servo lets it go 0.6 of the way."""
+
+    free_rad: float | None = None
+
+    def read(self) -> Sample:
+        sample = super().read()
+        if self.free_rad is None:
+            return sample
+        first, *rest = sample.joints
+        return msgspec.structs.replace(sample, joints=[first + 0.6 * (self.free_rad - first), *rest])
+
+
+def test_an_arm_that_something_springy_pushes_away_can_begin_from_where_it_reports(rig, make, cell) -> None:
+    """Otherwise every next path would begin too far from the command, and be refused."""
+    pushed = PushedArm(cell)
+    rig.arm = rig.executor.arm = pushed
+    rig.accept(rig.swing(_feel(make)))
+    rig.tick(500)
+
+    pushed.wrench[0] = 6.0
+    pushed.free_rad = pushed.motion[0][0] - 0.05
+    report = rig.until_end()
+
+    assert report.reason is StopReason.CONTACT
+    begun = rig.accept(make.primitive(make.joint_path(report.joints, rig.home, 1.0), id="C-7.2"))
+    assert isinstance(begun, m.Started), begun
 
 
 @pytest.mark.parametrize("at_tick", [1, 40, 250, 500, 777, 960, 995])
