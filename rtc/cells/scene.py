@@ -12,8 +12,9 @@ from collections.abc import Mapping
 import msgspec
 
 from rtc.cells.cell import Cell
+from rtc.cells.parts import Object
 from rtc.protocol import messages as m
-from rtc.robot import geometry
+from rtc.robot import geometry, hinges
 
 VIEWS = ("overview", "behind", "left", "right", "top")  # --camera; or the name of a thing, for a close view of it
 
@@ -140,10 +141,10 @@ def believed(
     for thing in cell.objects:
         fact, holder = facts.get(f"{thing.name}.frame"), str(value(f"{thing.name}.held_by") or "")
         pose, grasp = value(f"{thing.name}.frame"), value(f"{thing.name}.grasp")
-        if holder in tcp and isinstance(grasp, list):
-            pose = geometry.compose(tcp[holder], grasp).tolist()
         if not isinstance(pose, list):
             pose = cell.object_pose(thing.name).tolist()
+        if holder in tcp and isinstance(grasp, list):
+            pose = _in_hand(thing, pose, value(f"{thing.name}.angle"), grasp, tcp[holder])
         true_pose = truth.poses.get(thing.name) if truth else None
         objects.append(
             ObjectRow(
@@ -165,6 +166,14 @@ def believed(
         seats={name: list(pose) for name, pose in seats.items() if isinstance(pose, list)},
     )
     return Believed(scene=scene, arms=arms, objects=objects)
+
+
+def _in_hand(thing: Object, pose: list[float], angle: object, grasp: list[float], tcp: list[float]) -> list[float]:
+    """The pose of a held object (world) when its hand is at `tcp`; `pose` and `angle` (rad) are the last known ones."""
+    if (hinge := thing.hinge) is None:
+        return geometry.compose(tcp, grasp).tolist()
+    angle_rad = angle if isinstance(angle, float) else math.radians(hinge.at_deg)
+    return hinges.in_hand(pose, angle_rad, hinge.axis, hinge.range_rad, grasp, tcp).tolist()
 
 
 def true_scene(truth: m.SimTruthReply) -> SceneView:

@@ -43,6 +43,17 @@ def at_hand(home: Floats, axis: Floats, range_rad: tuple[float, float], point: F
     return turned(home, axis, min(max(angle_at(home, axis, point, where), least), most))
 
 
+def in_hand(
+    pose: Floats, angle: float, axis: Floats, range_rad: tuple[float, float], grasp: Floats, tcp: Floats
+) -> Array:
+    """The pose of a held object when its hand is at `tcp`. The hand may keep its attitude, and the object turn in it.
+
+    `pose`: the object's frame at `angle`; `grasp`: its frame in that of the tcp, at any angle.
+    """
+    where = np.asarray(tcp[:3], dtype=float)
+    return at_hand(turned(pose, axis, -angle), axis, range_rad, geometry.inverse(grasp)[:3], where)
+
+
 def frame(home: Floats, axis: Floats) -> Array:
     """A pose at the hinge whose z axis is the axis of the hinge."""
     along = np.asarray(axis, dtype=float)

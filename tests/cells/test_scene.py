@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import msgspec
 import pytest
 
 from rtc.cells.cell import Cell
 from rtc.cells.scene import believed, centimetres, degrees
 from rtc.cli.look import differs, in_words, picture
 from rtc.protocol import messages as m
-from rtc.robot import geometry
+from rtc.robot import geometry, hinges
 from rtc.world.model import initial_facts
 
 HAND = geometry.from_rpy((0.5, -0.2, 0.9), (0, math.pi / 2, 0)).tolist()
@@ -54,6 +55,22 @@ def test_what_is_held_is_where_its_hand_is_measured(cell: Cell, facts: dict[str,
     assert module.off_m is None
     assert (arm.tcp, arm.moving, arm.hand_width_m) == (HAND, "C-7.2", 0.02)
     assert in_words(scene) == ["RIGHT-ARM moves (C-7.2), holds MACS-NEW"]
+
+
+def test_a_held_door_turns_about_its_hinge_whatever_the_attitude_of_the_hand() -> None:
+    cell = Cell.load("servicing")
+    door = cell.object("DOOR-2")
+    shut = cell.object_pose(door.name)
+    point = door.grasp_points[0].frame.pose[:3]
+    opened = hinges.turned(shut, door.hinge.axis, math.radians(40.0))
+    hand = [*geometry.transform_point(opened, point).tolist(), *shut[3:].tolist()]  # with its attitude at the shut door
+    known = {change.key: fact(change.key, change.value) for change in initial_facts(cell)}
+    known["DOOR-2.held_by"] = fact("DOOR-2.held_by", "LEFT-ARM")
+    known["DOOR-2.grasp"] = fact("DOOR-2.grasp", [*(-n for n in point), 0.0, 0.0, 0.0, 1.0])
+    arm = msgspec.structs.replace(sample("C-7.2"), tcp_pose=hand)
+    scene = believed(cell, known, {"LEFT-ARM": arm}, None)
+    pose = next(row.pose for row in scene.objects if row.name == "DOOR-2")
+    assert pose == pytest.approx(opened.tolist(), abs=1e-9)
 
 
 def test_a_difference_is_measured_printed_and_outlined(cell: Cell, facts: dict[str, m.Fact], tmp_path: Any) -> None:

@@ -51,6 +51,8 @@ def test_a_sentence_opens_the_held_door_along_a_circle(bench) -> None:
     frame = hinges.turned(CELL.object(DOOR).frame.pose, HINGE.axis, math.radians(angle_deg(bench)))
     assert geometry.distance(bench.world.value(f"{DOOR}.frame"), frame) < 1e-6
     assert geometry.angle(bench.world.value(f"{DOOR}.frame"), frame) < 1e-6
+    in_hand = geometry.compose(run.reports[-1].tcp_pose, bench.world.value(f"{DOOR}.grasp"))
+    assert geometry.angle(in_hand, frame) < 1e-6  # the hand has kept its attitude: the door has turned in it
     assert bench.do(f"CLOSE {DOOR}").succeeded
     assert angle_deg(bench) == pytest.approx(0.0, abs=3.0)
     assert bench.do(f"OPEN {DOOR} TO 45 DEG").succeeded

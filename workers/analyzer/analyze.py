@@ -285,14 +285,16 @@ def _held_object_changes(
     fact = query.world.get(f"{thing}.grasp")
     trusted = fact is None or fact.validity in TRUSTED
     first = query.held_by(thing) in ("", arm)  # else another hand leads, and this arm was at rest
-    held = query.in_hand(thing, data.report.tcp_pose if first else query.tcp(query.held_by(thing)))
+    tcp = data.report.tcp_pose if first else query.tcp(query.held_by(thing))
+    held = query.in_hand(thing, tcp)
     assert held is not None
     frame = geometry.normalise(held)
     validity = Validity.SUSPECT if suspect or drops or opened or not trusted else Validity.VALID
     moved = [WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity)]
     if drops or opened:
         return [*moved, *shared_hold.let_go(query, _loser(query, data), thing, Validity.SUSPECT)]
-    moved.append(WorldChange(key=f"{thing}.grasp", keep_value=True, validity=validity))
+    turned = query.grasp_after(thing, frame, tcp)
+    moved.append(WorldChange(key=f"{thing}.grasp", value=turned, keep_value=turned is None, validity=validity))
     seat = query.seat(thing)
     if seat and geometry.distance(frame, query.seated_pose(seat)) >= query.cell.seat(seat).depth_m:
         moved.append(WorldChange(key=f"{thing}.seat", value=""))

@@ -161,10 +161,11 @@ def verified(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Chan
     frame = query.in_hand(thing, data.report.tcp_pose)
     if frame is None:
         return []
+    turned = query.grasp_after(thing, frame, data.report.tcp_pose)
     return [
         WorldChange(key=f"{arm}.holding", value=thing, validity=validity),
         WorldChange(key=f"{thing}.held_by", value=arm, validity=validity),
-        WorldChange(key=f"{thing}.grasp", keep_value=True, validity=validity),
+        WorldChange(key=f"{thing}.grasp", value=turned, keep_value=turned is None, validity=validity),
         WorldChange(key=f"{thing}.frame", value=geometry.normalise(frame).tolist(), validity=validity),
     ]
 

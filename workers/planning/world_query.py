@@ -156,9 +156,13 @@ class WorldQuery:
         grasp = self.grasp(thing)
         if grasp is None:
             return None
-        if self.hinge(thing) is not None:
-            return self.hung(thing, geometry.inverse(grasp)[:3], np.asarray(tcp[:3], dtype=float))
+        if (hinge := self.hinge(thing)) is not None:
+            return hinges.in_hand(self.frame(thing), self.angle(thing), hinge.axis, hinge.range_rad, grasp, tcp)
         return geometry.compose(tcp, grasp)
+
+    def grasp_after(self, thing: str, frame: Floats, tcp: Floats) -> list[float] | None:
+        """The grasp of an object that has turned in the hand about its hinge; None: the grasp is the same as before."""
+        return None if self.hinge(thing) is None else geometry.normalise(geometry.relative(tcp, frame)).tolist()
 
     def spread(self, key: str) -> Spread:
         """Uncertainty of the pose of this fact; EXACT if the fact has none."""
