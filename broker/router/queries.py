@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from broker.decisions.command.nominal import read_primitive
-from broker.decisions.state import ArmMotion, State
-from broker.dispatch.worker_registry import WorkerRegistry
+from broker.decisions.state import ArmMotion, Command, State
+from broker.dispatch.worker_registry import Worker, WorkerRegistry
 from broker.persistence.journal import number
 from broker.router.hosts import hosts, requests_for_more
 from rtc.protocol import messages as m
@@ -45,9 +45,6 @@ class BrokerView:
 
 def status(view: BrokerView, now: float) -> dict[str, Any]:
     state, registry = view.state, view.registry
-    resources = state.resources
-    names = [*dict.fromkeys([*resources.holders, *resources.lines, *resources.quarantine])]
-    executing = [c for c in state.commands.values() if c.phase in (Phase.EXECUTING, Phase.HALTING)]
     return {
         "cluster": view.settings.run,
         "run_dir": view.settings.run_dir,
@@ -57,58 +54,17 @@ def status(view: BrokerView, now: float) -> dict[str, Any]:
         "seq": state.seq,
         "processes": list(view.processes),
         "supervisor_silent_s": now - view.processes_at_s,
-        "workers": [
-            {
-                "name": w.name,
-                "node": w.node,
-                "kind": w.kind.value,
-                "pid": w.pid,
-                "busy_with": next(iter(w.assigned), ""),
-                "queued": max(0, len(w.assigned) - 1),
-                "done": w.done,
-                "mean_ms": w.mean_s * 1e3 if w.done else None,
-            }
-            for w in sorted(registry.workers.values(), key=lambda w: w.node)
-        ],
+        "workers": [_worker(w) for w in sorted(registry.workers.values(), key=lambda w: w.node)],
         "hosts": hosts(registry, view.processes, view.peers, view.late_results, now),
         "asked_for": [requests_for_more(one, registry, view.processes, now) for one in view.asked],
         "gateway_silent_s": now - view.peers_at_s if view.settings.listen else 0.0,
         "queues": {kind.value: len(queue) for kind, queue in registry.queues.items()},
-        "resources": [
-            {
-                "name": name,
-                "owner": ", ".join(resources.holders.get(name, {}))
-                or (f"quarantine: {resources.quarantine[name].subsystem}" if name in resources.quarantine else ""),
-                "exclusive": any(resources.holders.get(name, {}).values()),
-                "waiting": list(resources.lines.get(name, {})),
-            }
-            for name in names
-        ],
-        "commands": [
-            {
-                "command": c.id,
-                "text": c.text[:TEXT_SHOWN],
-                "phase": c.shown_phase.value,
-                "step": c.shown_step,
-                "resources": sorted(name for name, alone in resources.held.get(c.id, {}).items() if alone),
-                "age_s": now - c.accepted_at_s,
-            }
-            for c in list(state.commands.values())[:COMMANDS_SHOWN]
-        ],
+        "resources": _resources(state),
+        "commands": [_command(c, state, now) for c in list(state.commands.values())[:COMMANDS_SHOWN]],
         "commands_live": len(state.commands),
         "motions": [_motion(arm, motion, now) for arm, motion in state.motions.items()],
         "commands_accepted": state.accepted,
-        "subsystems": [
-            {
-                "name": name,
-                "state": s.link.value,
-                "pid": s.pid,
-                "performers": s.performers,
-                "executing": [c.primitive for c in executing if c.subsystem == name],
-                "injected": list(view.injected.get(name, ())),
-            }
-            for name, s in state.subsystems.items()
-        ],
+        "subsystems": _subsystems(view),
         "halts": {"called": state.counts.get("halts", 0)},
         "counters": {**state.counts, **{f"dropped_{name}": n for name, n in view.dropped.items()}},
         "decision_ms": _spread_ms(view.loop_times_s),
@@ -120,6 +76,61 @@ def status(view: BrokerView, now: float) -> dict[str, Any]:
         },
         "rolled_back": {kind: rollout.why for kind, rollout in state.rollouts.items() if rollout.why},
     }
+
+
+def _worker(worker: Worker) -> dict[str, Any]:
+    return {
+        "name": worker.name,
+        "node": worker.node,
+        "kind": worker.kind.value,
+        "pid": worker.pid,
+        "busy_with": next(iter(worker.assigned), ""),
+        "queued": max(0, len(worker.assigned) - 1),
+        "done": worker.done,
+        "mean_ms": worker.mean_s * 1e3 if worker.done else None,
+    }
+
+
+def _resources(state: State) -> list[dict[str, Any]]:
+    resources = state.resources
+    names = dict.fromkeys([*resources.holders, *resources.lines, *resources.quarantine])
+    return [
+        {
+            "name": name,
+            "owner": ", ".join(resources.holders.get(name, {}))
+            or (f"quarantine: {resources.quarantine[name].subsystem}" if name in resources.quarantine else ""),
+            "exclusive": any(resources.holders.get(name, {}).values()),
+            "waiting": list(resources.lines.get(name, {})),
+        }
+        for name in names
+    ]
+
+
+def _command(command: Command, state: State, now: float) -> dict[str, Any]:
+    held = state.resources.held.get(command.id, {})
+    return {
+        "command": command.id,
+        "text": command.text[:TEXT_SHOWN],
+        "phase": command.shown_phase.value,
+        "step": command.shown_step,
+        "resources": sorted(name for name, alone in held.items() if alone),
+        "age_s": now - command.accepted_at_s,
+    }
+
+
+def _subsystems(view: BrokerView) -> list[dict[str, Any]]:
+    executing = [c for c in view.state.commands.values() if c.phase in (Phase.EXECUTING, Phase.HALTING)]
+    return [
+        {
+            "name": name,
+            "state": subsystem.link.value,
+            "pid": subsystem.pid,
+            "performers": subsystem.performers,
+            "executing": [c.primitive for c in executing if c.subsystem == name],
+            "injected": list(view.injected.get(name, ())),
+        }
+        for name, subsystem in view.state.subsystems.items()
+    ]
 
 
 def _motion(arm: str, motion: ArmMotion, now: float) -> dict[str, Any]:

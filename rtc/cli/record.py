@@ -56,10 +56,7 @@ def record(
     from rtc.observers.feed import Feed
 
     path = out or recorder.unused(Path(recorder.default_name()))
-    for folder in {file.parent for file in (path if mcap else None, raw) if file is not None}:
-        if not os.access(folder, os.W_OK | os.X_OK):
-            why = "is not writable" if folder.is_dir() else "is not a directory"
-            raise trouble(f"{folder} {why}; choose another place for the file", 2)
+    _check_writable({file.parent for file in (path if mcap else None, raw) if file is not None})
     sinks: list[recorder.Sink] = []
     process.log_to_stderr(logging.WARNING)
     with (
@@ -86,6 +83,13 @@ def record(
                     sink.close()
     lost = f"; {done.lost} events did not arrive" if done.lost else ""
     console.print(Text(f"{files}: {done.events} events{lost}"))
+
+
+def _check_writable(folders: set[Path]) -> None:
+    for folder in folders:
+        if not os.access(folder, os.W_OK | os.X_OK):
+            why = "is not writable" if folder.is_dir() else "is not a directory"
+            raise trouble(f"{folder} {why}; choose another place for the file", 2)
 
 
 def _sent_cell(key: Path | None) -> bytes:

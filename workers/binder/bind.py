@@ -23,6 +23,7 @@ from rtc.protocol.primitive import (
     HandMotion,
     HoldStill,
     JointTrajectory,
+    Load,
     Primitive,
     Reporting,
     StopFunction,
@@ -95,22 +96,10 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         return target
     values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data)
     held = query.holding(task.arm)
-    scene = query.scene(
-        task.arm,
-        context.limits,
-        touching=context.object if stop_class.touches and held != context.object else "",
-        seated=stop_class.seated,
-        ignore_suspect=stop_class.away,
-        exempt=[name for name in (context.object, context.target) if name],
-    )
     hit = impact.impact_of(task, target, values, held)
     expected = step.space != "move_joint" or stop_class.touches
     speed_m_s, slowed = impact.pace_of(task, values, hit, touches=expected, firmly=stop_class.slow_for_force)
-    pace = Pace(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
-    margin_rad = math.radians(values["joint_margin_deg"])
-    request = query.planning_request(task.arm, scene, context.limits, pace, margin_rad)
-    if context.partner:
-        request = replace(request, partner=query.model.arms[context.partner])
+    request = planning_request(task, stop_class, values, held, speed_m_s)
     motion = segments.plan_segment(request, step.space, target, step.way)
     if not isinstance(motion, Refusal) and "takes_s" in step.args:
         motion = plans.lasting(motion, float(step.args["takes_s"]))
@@ -140,6 +129,25 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         both = (bound, motion.partner, stop_class, values, line, kept)
         bound = together.with_partner(task.program, query, task.data, *both)
     return beside_others(task, request, bound)
+
+
+def planning_request(
+    task: BindTask, stop_class: StopClass, values: Values, held: str, speed_m_s: float
+) -> PlanningRequest:
+    """The planning problem of this motion, except its target. `held`: the object in the hand; empty: none."""
+    query, context = task.query, task.data.context
+    scene = query.scene(
+        task.arm,
+        context.limits,
+        touching=context.object if stop_class.touches and held != context.object else "",
+        seated=stop_class.seated,
+        ignore_suspect=stop_class.away,
+        exempt=[name for name in (context.object, context.target) if name],
+    )
+    pace = Pace(speed_m_s, values["laden_acceleration_m_s2" if held else "acceleration_m_s2"])
+    margin_rad = math.radians(values["joint_margin_deg"])
+    request = query.planning_request(task.arm, scene, context.limits, pace, margin_rad)
+    return replace(request, partner=query.model.arms[context.partner]) if context.partner else request
 
 
 def beside_others(task: BindTask, request: PlanningRequest, bound: BoundStep) -> BoundStep | Refusal:
@@ -295,17 +303,9 @@ def primitive(
     every_s = task.data.step.args.get("report_every_s")
     lets_go = isinstance(trajectory, HandMotion) and trajectory.width_m > task.query.hand_width(task.arm)
     load = None if lets_go else task.query.load(task.arm)
-    refusal = compliance.refuse(task, stop_class, values, load)
+    refusal = compliance.refuse(task, stop_class, values, load) or _refuse_weight(task, evaluation.held, load)
     if refusal is not None:
         return refusal
-    payload_kg = task.query.cell.arm(task.arm).payload_kg
-    if load is not None and load.mass_kg > payload_kg:
-        return Refusal(
-            reason=RefusalReason.INFEASIBLE,
-            message=f"{evaluation.held} weighs {load.mass_kg:g} kg; {task.arm} carries {payload_kg:g} kg at most",
-            clears=f"let go of {evaluation.held}; if it is lighter, correct its mass",
-            detail={"cause": "payload", "mass_kg": load.mass_kg, "limit_kg": payload_kg, "arm": task.arm},
-        )
     made = Primitive(
         id=task.data.primitive_id,
         performer=task.arm,
@@ -324,6 +324,18 @@ def primitive(
         predicted_s=evaluation.predicted_s,
         limit_s=values["report_factor"] * limit_s + values["report_margin_s"],
         note=note,
+    )
+
+
+def _refuse_weight(task: BindTask, held: str, load: Load | None) -> Refusal | None:
+    payload_kg = task.query.cell.arm(task.arm).payload_kg
+    if load is None or load.mass_kg <= payload_kg:
+        return None
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"{held} weighs {load.mass_kg:g} kg; {task.arm} carries {payload_kg:g} kg at most",
+        clears=f"let go of {held}; if it is lighter, correct its mass",
+        detail={"cause": "payload", "mass_kg": load.mass_kg, "limit_kg": payload_kg, "arm": task.arm},
     )
 
 

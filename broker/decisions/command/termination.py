@@ -61,9 +61,20 @@ def end(
         context.follow(waiting, Stimulus.RELEASE, False)
     context.grant(granted)  # last, so that commands that came AFTER it precede those given later
     context.count(kind.value)
-    state.seq += 1
+    ended = _report_end(context, command, outcome)
+    del state.commands[command.id]
+    state.live[command.client] -= 1
+    if not state.live[command.client]:
+        del state.live[command.client]
+    _remember(context, command, ended)
+    context.forget_motions()
+
+
+def _report_end(context: DecisionContext, command: Command, outcome: Outcome) -> CommandEnded:
+    """Send the outcome and the record of a command."""
+    context.state.seq += 1
     ended = CommandEnded(
-        seq=state.seq,
+        seq=context.state.seq,
         at_s=context.now,
         command=command.id,
         request=command.request,
@@ -83,12 +94,7 @@ def end(
         ended_at_s=context.now,
     )
     context.effects.append(ReportEnd(client=command.client, ended=ended, record=record))
-    del state.commands[command.id]
-    state.live[command.client] -= 1
-    if not state.live[command.client]:
-        del state.live[command.client]
-    _remember(context, command, ended)
-    context.forget_motions()
+    return ended
 
 
 def _in_doubt(command: Command, kind: OutcomeKind) -> bool:
