@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rtc.cells.cell import Cell
+from rtc.cells.parts import Camera
 from rtc.cells.scene import CameraPicture, believed, centimetres, degrees, true_scene
 from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
 from rtc.client.client import Client
@@ -71,11 +72,7 @@ def picture(
                 CameraPicture(out=str(file.absolute()), cell=rtc.settings.cell, camera=name, scene=scene, seed=seed)
             )
             pixels = renderer.photograph(rtc.settings.cell, name, scene, seed) if locate else None
-        tcp = None
-        if found.arm is not None:
-            if found.arm not in arms:
-                raise RtcError(f"{name} is on {found.arm}, whose position is not measured: no telemetry")
-            tcp = arms[found.arm].tcp_pose
+        tcp = _tcp_of(found, arms)
         rows = [] if pixels is None else _located(cell, optics.view(found, tcp), pixels, _believed(rtc, cell, arms))
     pose = found.pose if tcp is None else geometry.compose(tcp, found.pose)
     if json:
@@ -98,6 +95,15 @@ def picture(
     words = f"{name} at {centimetres(pose)} cm: {width} x {height} pixels, {found.field_of_view_deg:g} deg high"
     console.print(Text(words))
     console.print(Text(f"picture: {file}"))
+
+
+def _tcp_of(camera: Camera, arms: dict[str, m.ArmSample]) -> list[float] | None:
+    """Tcp pose of the arm that carries the camera; None for a fixed camera."""
+    if camera.arm is None:
+        return None
+    if camera.arm not in arms:
+        raise RtcError(f"{camera.name} is on {camera.arm}, whose position is not measured: no telemetry")
+    return arms[camera.arm].tcp_pose
 
 
 def _named(cell: Cell, wanted: str) -> str:
