@@ -20,10 +20,18 @@ import yaml
 from rtc.language.grammar import Grammar
 from rtc.programs import checks, expressions, extension_names
 from rtc.programs.compatibility import Problems, misfits
-from rtc.programs.schema import AnalyzerProgram, BinderProgram, ElaboratorProgram, Program, ScriptFile, ScriptStep
+from rtc.programs.schema import (
+    AnalyzerProgram,
+    BinderProgram,
+    ElaboratorProgram,
+    Program,
+    ScriptFile,
+    ScriptStep,
+    StopRow,
+)
 from rtc.programs.yaml_location import known_keys, line_of, line_of_key, path_of
 from rtc.protocol.messages import Limits, WorkerKind
-from rtc.protocol.outcomes import ProgramError, StopReason
+from rtc.protocol.outcomes import ProgramError, Reflex, StopReason
 
 PROGRAMS = Path(__file__).parent / "default"
 GRAMMAR = Path(__file__).parents[1] / "language" / "command.lark"
@@ -405,10 +413,7 @@ def _binder_problems(program: BinderProgram) -> Problems:
     for name, row in program.stop_classes.items():
         yield from _values(row.values, f"stop_classes.{name}.values")
         for n, stop in enumerate(row.stops):
-            yield from _known(
-                "predicate", stop.when, extension_names.PREDICATES, f"stop_classes.{name}.stops[{n}].when"
-            )
-            yield from _expression(stop.limit, f"stop_classes.{name}.stops[{n}].limit")
+            yield from _stop_row(stop, f"stop_classes.{name}.stops[{n}]")
         whens = {stop.when for stop in row.stops}
         for wanted in ("goal-reached", "time-above"):
             if wanted not in whens:
@@ -421,8 +426,14 @@ def _binder_problems(program: BinderProgram) -> Problems:
     for name, procedure in program.procedures.items():
         yield from _known("procedure", procedure, extension_names.PROCEDURES, f"procedures.{name}")
     for n, stop in enumerate(program.holding):
-        yield from _known("predicate", stop.when, extension_names.PREDICATES, f"holding[{n}].when")
-        yield from _expression(stop.limit, f"holding[{n}].limit")
+        yield from _stop_row(stop, f"holding[{n}]")
+
+
+def _stop_row(stop: StopRow, where: str) -> Problems:
+    yield from _known("predicate", stop.when, extension_names.PREDICATES, f"{where}.when")
+    yield from _expression(stop.limit, f"{where}.limit")
+    if (stop.reflex is Reflex.BACK_OFF) is not (stop.back_off_m > 0.0):
+        yield f"{where}.back_off_m", "a distance above 0 goes with the reflex back_off, and with no other"
 
 
 def _analyzer_problems(program: AnalyzerProgram) -> Problems:

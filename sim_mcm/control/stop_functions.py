@@ -489,8 +489,9 @@ CHECKS: dict[type, Callable[[Any, Traits], Check]] = {
 LENGTHS = {"centre": 7, "attitude": 4}  # of lists; all others have three numbers
 BALLS = "except_near"
 UNIT_SLACK = 1e-3  # of the length of an axis: rounding of its numbers
-# True below a limit: with the limit 0 they are never true.
-BELOW = (p.ForceBelow, p.TorqueBelow, p.GripForceBelow, p.HandWidthBelow, p.TcpNear, p.ClearanceBelow)
+# True below a limit: with the limit 0 they are never true. HandWidthBelow may be so: a closed hand that is believed to
+# hold something has to move too.
+BELOW = (p.ForceBelow, p.TorqueBelow, p.GripForceBelow, p.TcpNear, p.ClearanceBelow)
 
 
 def _problems(when: p.Predicate) -> Iterator[str]:

@@ -123,6 +123,14 @@ def test_a_bad_document_names_the_place(text, place):
         loader.merge("elaborator", loader.default("elaborator"), "t.yaml", text.encode())
 
 
+@pytest.mark.parametrize("how", ["reflex: back_off", "back_off_m: 0.02", "reflex: stop, back_off_m: 0.02"])
+def test_a_distance_to_back_off_goes_with_that_reflex(how):
+    text = f"holding: [{{reason: slip, when: grip-force-below, limit: 3, {how}}}]"
+
+    with pytest.raises(ProgramError, match=r"holding\[\d+\]\.back_off_m"):
+        loader.merge("binder", loader.default("binder"), "t.yaml", text.encode())
+
+
 def test_f_must_be_complete():
     text = b"stop_classes: {endless: {stops: [{reason: goal, when: goal-reached}]}}"
 

@@ -101,7 +101,8 @@ def _collision(_: Condition, state: StepState) -> list[Predicate]:
 
 
 def _lost(_: Condition, state: StepState) -> list[Predicate]:
-    return [HandWidthBelow(state.values["held_width_m"] - state.values["lost_m"])] if state.holding else []
+    width_m = state.values.get("held_width_m", 0.0)
+    return [HandWidthBelow(max(width_m - state.values["lost_m"], 0.5 * width_m))] if state.holding else []
 
 
 def _jam(_: Condition, state: StepState) -> list[Predicate]:

@@ -419,6 +419,16 @@ def test_what_is_held_is_watched(bench):
     assert bound.evaluation.held == "MACS-NEW"
 
 
+def test_what_is_held_is_watched_however_thin_it_is(bench):
+    bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+    bench.set_fact("RIGHT-ARM.hand_width", 0.004)
+
+    _, bound = bound_to(bench, "LIFT MACS-NEW BY 15 CM UNLESS OBJECT-LOST THEN RELEASE", "HERE")
+
+    lost = [stop.when for stop in bound.primitive.stop_functions if stop.reason is StopReason.OBJECT_LOST]
+    assert lost == [HandWidthBelow(pytest.approx(0.002))] * 2
+
+
 # --- refusals ----------------------------------------------------------------------------------------------
 
 
