@@ -241,6 +241,18 @@ def test_after_a_halt_while_carrying_the_next_command_works_at_once(bench):
     assert bench.do("STOW RIGHT-ARM").succeeded
 
 
+def test_a_force_in_a_carry_may_come_from_the_load(bench):
+    """A module of 1.5 times the stated mass was stopped so, with nothing in its way."""
+    bench.without_cameras()
+    bench.do(GRASP)
+    bench.do("LIFT MACS-NEW BY 15 CM")
+    bound, report = bound_and_done(bench, "MOVE RIGHT-ARM TO CLEAR-POINT-1")
+    assert "or MACS-NEW is heavier" in judged(bench, bound, ended(report, StopReason.FORCE_LIMIT)).message
+
+    bound, report = bound_and_done(bench, "MOVE LEFT-ARM TO CLEAR-POINT-1")
+    assert "heavier" not in judged(bench, bound, ended(report, StopReason.FORCE_LIMIT)).message
+
+
 @pytest.mark.parametrize(("peak_n", "suspect"), [(0.4, False), (7.0, True)])
 def test_a_halt_while_feeling_makes_suspect_what_was_touched(bench, peak_n, suspect):
     """R151. Nothing was touched when nothing was felt: the next grasp works at once."""
