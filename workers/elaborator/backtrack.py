@@ -21,7 +21,7 @@ import numpy as np
 from rtc.programs import expressions, extension_names
 from rtc.programs.schema import PlanLine, ScriptFile, ScriptStep
 from rtc.protocol.messages import Binding, Way
-from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.robot import geometry
 from rtc.world.model import location
 from workers.elaborator import anchors, two_hands
@@ -168,12 +168,19 @@ def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Ancho
         notes.append(f"generated {what}; tested: {tried.message}")
         if "samples" in tried.detail:
             searched += 1
-            first = tried if searched == 1 else first  # states more than the refusal of a direct way
-        first = first or tried
+        if first is None or _tells_more(tried, first):
+            first = tried
     assert first is not None
     clears, limits = candidate.program.clears, candidate.limits
     first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, clears, limits)
     return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))})
+
+
+def _tells_more(tried: Refusal, first: Refusal) -> bool:
+    """Whether a refusal is a better reason than an earlier one: an arm in the way may leave, so the command can wait
+    for it; and a search states more than a direct way."""
+    ranks = [(IN_THE_WAY in one.detail, "samples" in one.detail) for one in (tried, first)]
+    return ranks[0] > ranks[1]
 
 
 def _order(ways: list[dict[str, list[float]]]) -> Iterator[tuple[int, dict[str, list[float]], bool]]:

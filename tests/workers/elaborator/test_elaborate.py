@@ -13,8 +13,9 @@ from rtc.programs import loader
 from rtc.programs.loader import decode
 from rtc.programs.schema import ElaboratorProgram
 from rtc.protocol.messages import ElaboratorInput, Script, Validity
-from rtc.protocol.outcomes import ProgramError, Refusal, RefusalReason, StopReason
+from rtc.protocol.outcomes import IN_THE_WAY, ProgramError, Refusal, RefusalReason, StopReason
 from rtc.robot import geometry
+from tests.workers.conftest import CELL
 from workers.elaborator import elaborate, no_script
 
 WORKERS = Path(elaborate.__file__).parent
@@ -238,6 +239,20 @@ def test_what_another_hand_holds_is_lifted_by_that_hand(bench):
     assert refusal.reason is RefusalReason.STATE
     assert "RIGHT-ARM" in refusal.message
     assert refusal.clears == "name RIGHT-ARM, or RELEASE MACS-NEW"
+
+
+def test_an_arm_at_the_goal_is_the_reason_even_if_the_direct_way_meets_something_else(bench):
+    """It may leave, so the command can wait for it; the satellite on the direct way can be passed by another way."""
+    bench.set_fact("RIGHT-ARM.joints", [0.9595, 0.9093, -3.239, 0.7839, 1.6286, -0.6352])
+    bench.set_fact("LEFT-ARM.joints", [-0.2822, 1.3406, -3.2592, -0.8695, 0.9361, 0.722])
+    sentence = "MOVE LEFT-ARM TO JOINTS -0.84 0.0785 -1.782 -1.5615 0.5392 1.4611 RAD JOINT-MOTION"
+
+    there = refusal_of(bench, sentence)
+    assert there.detail[IN_THE_WAY] == "RIGHT-ARM"
+    assert "RIGHT-ARM" in there.message
+
+    bench.set_fact("RIGHT-ARM.joints", list(CELL.arm("RIGHT-ARM").stow_rad))
+    assert isinstance(bench.elaborate(sentence), Script)
 
 
 def test_the_refusal_of_a_verb_without_a_script_names_another_command(bench):
