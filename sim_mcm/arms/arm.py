@@ -132,6 +132,9 @@ class ArmInterface(Protocol):
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         """Pose of the tcp at these joint positions (rad), world frame."""
 
+    def untouched(self) -> bool:
+        """Whether `touches` and `arm_touches` are empty."""
+
     def touches(self) -> Mapping[str, float]:
         """Contacts of the arm's links (without palm and fingers): "LINK touches BODY" -> normal force (N)."""
 

@@ -33,7 +33,7 @@ from sim_mcm.arms.arm import (
 from sim_mcm.arms.bolts import Bolts
 from sim_mcm.arms.bullet_world import STEP_S, PhysicsWorld
 from sim_mcm.arms.detents import Detents
-from sim_mcm.arms.hand import Hand, pressed
+from sim_mcm.arms.hand import Hand
 from sim_mcm.arms.hand_weight import HandWeight, PadTwist
 from sim_mcm.arms.joint_torques import JointTorques
 from sim_mcm.arms.kinematic_arm import displaced
@@ -70,7 +70,7 @@ class BulletArm:
         self._all = [*self._arm, *self._finger_joints]
         self._dof = len(self._arm)
         sensor = None if spec.sensor_joint is None else joints[spec.sensor_joint]
-        self._read_from = self._all if sensor is None else [*self._all, sensor]
+        self._read_from = [*self._all, self._all[-1] if sensor is None else sensor]
         hand = {*self.fingers, links[spec.gripper.palm_link], links.get(spec.tcp_link, -1)}
         self.upstream = {n: link for link, n in links.items() if n not in hand}
         self._wrench = _no_wrench if sensor is None else _wrench_at_tcp(world.cell, name)
@@ -86,6 +86,7 @@ class BulletArm:
         self._points: Sequence[tuple[Any, ...]] | None = None  # contacts of the latest step
         self._servo = Servo(self._model, spec.home_rad)
         self._estimate = JointTorques(self._model) if sensor is None else None
+        self._weightless = self._hand_weight is None and self._estimate is None  # the sensor reads the wrench itself
         self._hand = Hand(
             HandCommand(spec.gripper.max_opening_m, spec.gripper.max_force_n, spec.gripper.speed_m_s),
             spec.gripper.max_opening_m,
@@ -98,20 +99,25 @@ class BulletArm:
     def read(self) -> Sample:
         states = pybullet.getJointStates(self.body, self._read_from, self._client)
         positions, velocities, reactions, _ = zip(*states)  # noqa: B905 - four fields each
-        count, forces = self._dof, self._pressed
-        joints, speeds = list(positions[:count]), list(velocities[:count])
+        *joints, left, right, _ = positions
+        *speeds, left_speed, right_speed, _ = velocities
         wrench = self._wrench(reactions[-1])
+        if not self._weightless:
+            wrench = self._without_weight(wrench, joints, speeds)
+        self._sample = sample = Sample(joints, speeds, wrench, (left, right), (left_speed, right_speed), self._pressed)
+        return sample
+
+    def _without_weight(self, wrench: list[float], joints: list[float], speeds: list[float]) -> list[float]:
+        """The wrench without the weight of hand and load, or the one estimated from the joint torques."""
         if self._hand_weight is not None:
-            if min(forces) > GRIPS_N and self._driven is not None and not self._stuck:
+            if min(self._pressed) > GRIPS_N and self._driven is not None and not self._stuck:
                 before, torques = self._driven
                 acceleration = (np.array(speeds) - before.velocities) / STEP_S
                 wrench = self._pad_twist.added(wrench, before.joints, before.velocities, acceleration, torques)
             wrench = self._hand_weight.removed(wrench, self._model.fk(joints), self._load)
         if self._estimate is not None:
             wrench = self._estimate.wrench(joints, speeds)
-        fingers = slice(count, count + 2)
-        self._sample = Sample(joints, speeds, wrench, positions[fingers], velocities[fingers], forces)
-        return self._sample
+        return wrench
 
     def follow(self, motion: Motion) -> None:
         self._servo.wanted = motion
@@ -136,6 +142,9 @@ class BulletArm:
 
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         return self._model.fk(joints)
+
+    def untouched(self) -> bool:
+        return not self._world.in_contact() or not (self.touches() or self.arm_touches())
 
     def touches(self) -> Mapping[str, float]:
         points = self._contacts()
@@ -188,14 +197,13 @@ class BulletArm:
         """Apply the motor torques of this tick; pybullet keeps them for one step."""
         sample, self._points = self._sample, None
         torques = self._servo.torque(sample.joints, sample.velocities)
-        if self._hand_weight is not None:
+        if not self._weightless:
             self._driven = sample, torques
-        if self._estimate is not None:
-            self._estimate.drive(torques)
-        forces = self._hand.forces(sample.fingers, sample.finger_speeds)
-        self._pressed = pressed(forces)
+            if self._estimate is not None:
+                self._estimate.drive(torques)
+        left, right, self._pressed = self._hand.forces(sample.fingers, sample.finger_speeds)
         pybullet.setJointMotorControlArray(
-            self.body, self._all, TORQUE_CONTROL, forces=[*torques, *forces], physicsClientId=self._client
+            self.body, self._all, TORQUE_CONTROL, forces=[*torques, left, right], physicsClientId=self._client
         )
 
     def pressed_on(self) -> set[int]:

@@ -73,8 +73,8 @@ class PhysicsWorld:
             physicsClientId=self.client,
         )
         self._steps = 0
-        self._asked_at = -1  # step of the latest list of all contacts
-        self._touched_at = -ASK_AGAIN  # latest step in which that list had one
+        self._free_at = -1  # latest step after which the list of all contacts was empty
+        self._touched_at = -ASK_AGAIN  # the same of a list that was not
         self.names: dict[int, str] = {}  # pybullet id -> name for messages
         self.seats = {seat.name: self._fixed(seat, seat.frame.pose) for seat in cell.seats}
         self.objects: dict[str, Body] = {}
@@ -94,13 +94,15 @@ class PhysicsWorld:
     def in_contact(self) -> bool:
         """Whether any bodies may touch each other since the latest step. One list of all contacts replaces one per arm,
         as long as it is empty."""
-        if self._steps - self._touched_at < ASK_AGAIN:
+        steps = self._steps
+        if steps == self._free_at:
+            return False
+        if steps - self._touched_at < ASK_AGAIN:
             return True
-        if self._asked_at != self._steps:
-            self._asked_at = self._steps
-            if pybullet.getContactPoints(physicsClientId=self.client):
-                self._touched_at = self._steps
-                return True
+        if pybullet.getContactPoints(physicsClientId=self.client):
+            self._touched_at = steps
+            return True
+        self._free_at = steps
         return False
 
     def load_arm(self, name: str) -> int:

@@ -20,17 +20,23 @@ class Hand:
         self.command = command
         self.wanted_m = width_m
 
-    def forces(self, fingers: tuple[float, float], speeds: tuple[float, float]) -> tuple[float, float]:
-        """Forces of the two finger motors in this tick (N, opening is positive)."""
-        width = fingers[0] + fingers[1]
-        limit = self.command.force_n
-        self._run(width, limit)
-        opening_speed = 0.5 * (speeds[0] + speeds[1])
-        pull = 0.5 * OPENING_N_M * (self.wanted_m - width) - OPENING_NS_M * opening_speed
+    def forces(
+        self, fingers: tuple[float, float], speeds: tuple[float, float]
+    ) -> tuple[float, float, tuple[float, float]]:
+        """Forces of the two finger motors in this tick (N, opening is positive), and with how much of them the fingers
+        press towards the middle (N, never negative)."""
+        left, right = fingers
+        left_speed, right_speed = speeds
+        width, command = left + right, self.command
+        limit, missing = command.force_n, command.width_m - width
+        if self.wanted_m != command.width_m or not -THERE_M <= missing <= THERE_M:
+            self._run(width, limit)
+        pull = 0.5 * (OPENING_N_M * (self.wanted_m - width) - OPENING_NS_M * (left_speed + right_speed))
         if not -limit < pull < limit:
             pull = max(-limit, min(limit, pull))
-        aside = 0.5 * CENTRE_N_M * (fingers[0] - fingers[1]) + 0.5 * CENTRE_NS_M * (speeds[0] - speeds[1])
-        return pull - aside, pull + aside
+        aside = 0.5 * (CENTRE_N_M * (left - right) + CENTRE_NS_M * (left_speed - right_speed))
+        left_n, right_n = pull - aside, pull + aside
+        return left_n, right_n, (-left_n if left_n < 0.0 else 0.0, -right_n if right_n < 0.0 else 0.0)
 
     def _run(self, width: float, limit_n: float) -> None:
         target = self.command.width_m
@@ -42,9 +48,3 @@ class Hand:
         if target != self.wanted_m:
             most = self.command.speed_m_s * TICK_S
             self.wanted_m += max(-most, min(most, target - self.wanted_m))
-
-
-def pressed(forces: tuple[float, float]) -> tuple[float, float]:
-    """Pressing force of each finger, derived from its motor force (N, never negative)."""
-    a, b = forces
-    return -a if a < 0.0 else 0.0, -b if b < 0.0 else 0.0

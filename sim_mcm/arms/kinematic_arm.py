@@ -262,6 +262,9 @@ class KinematicArm:
     def tcp_pose(self, joints: Sequence[float]) -> Array:
         return self._model.fk(joints)
 
+    def untouched(self) -> bool:
+        return not self.arm_touches()
+
     def touches(self) -> Mapping[str, float]:
         return {}  # left out, see the module docstring
 

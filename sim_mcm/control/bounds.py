@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from math import dist
 from typing import Any
 
 from rtc.protocol import primitive as p
@@ -35,21 +36,19 @@ class Bounds:
                 lower(self, stop.when, traits)
         self._hand = self.grip_n > -math.inf or self.width_m > -math.inf or self.grip_most_n < math.inf
 
-    def hold(self, seen: Observation, elapsed_s: float, command: Motion) -> bool:
-        """Whether no condition is true in this tick; False means unknown. The goal is not tested."""
+    def hold(self, seen: Observation, command: Motion) -> bool:
+        """Whether no condition is true in this tick; False means unknown. Goal and time are not tested."""
         sample = seen.sample
         joints = sample.joints
         return (
             self.exist
             and seen.force_n <= self.force_n
             and seen.torque_nm <= self.torque_nm
-            and elapsed_s <= self.time_s
-            and math.dist(sample.velocities, self._still) <= self.speed_rad_s
-            and math.dist(joints, command[0]) <= self.off_rad
-            and (math.dist(joints, self._safe) < self._safe_rad or self._is_far(joints))
+            and dist(sample.velocities, self._still) <= self.speed_rad_s
+            and dist(joints, command[0]) <= self.off_rad
+            and (dist(joints, self._safe) < self._safe_rad or self._is_far(joints))
             and (not self._hand or self._holds(sample))
-            and not seen.arm.touches()
-            and not seen.arm.arm_touches()
+            and seen.arm.untouched()
         )
 
     def _holds(self, sample: Sample) -> bool:

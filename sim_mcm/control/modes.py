@@ -46,4 +46,5 @@ AFTER_STOP: dict[Reflex, Mode] = {
     Reflex.RELEASE: Mode.RELEASING,
     Reflex.COMPLY: Mode.COMPLYING,
 }
+COUNTING = frozenset({Mode.EXECUTING, Mode.STOPPING, Mode.RETREATING})  # the wrench counts for the peaks of the report
 MOVING = frozenset({Mode.EXECUTING, Mode.STOPPING, Mode.RETREATING, Mode.RELEASING, Mode.COMPLYING})

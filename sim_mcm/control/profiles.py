@@ -7,10 +7,8 @@ only. This module must not know arms, samples or stop reasons.
 
 from __future__ import annotations
 
-import bisect
-import math
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 import ruckig
@@ -29,11 +27,14 @@ LADEN_JERK_RAD_S3 = 400.0
 # Limits while the command moves to the position where contact has stopped the arm, to relieve the pressure.
 YIELD_VELOCITY_RAD_S, YIELD_ACCELERATION_RAD_S2, YIELD_JERK_RAD_S3 = 0.2, 2.0, 200.0
 TICKS_PER_S = 1.0 / TICK_S
-BLOCK = 64  # number of ticks of a path computed at once
+BLOCK = 128  # number of ticks of a path computed at once
 SAME_S = 1e-7  # rounding of a time that counts ticks
 BLEND_S = 0.25  # time in which an initial offset between command and path fades out
 RETREAT_SPEED_M_S = 0.05  # maximum tcp speed in a reflex
 RETREAT_LEAST_S = 0.2
+
+
+Number = TypeVar("Number", float, Array)
 
 
 class Profile(Protocol):
@@ -57,7 +58,7 @@ class Stay:
 
 class Follow:
     """Quintic Hermite polynomials through the knots, from `start`, which may differ slightly from the first knot.
-    Computed for BLOCK ticks at once, which takes a tenth of the time of single ticks."""
+    Computed for BLOCK ticks at once: 0.8 us a tick instead of 30."""
 
     def __init__(
         self, trajectory: JointTrajectory, start: Sequence[float], most_rad_s: Sequence[float] | None = None
@@ -66,47 +67,41 @@ class Follow:
         self.within_limits = (
             False  # from the motion before to the latest one: neither step nor speed exceeds the limits
         )
-        self._block_fits = False
+        self.block_fits = False  # the same of all motions of the block, but for the step to the first
         self._length_s = trajectory.duration_s
-        self._knots = list(trajectory.time_s)
         self._knots_s = np.asarray(trajectory.time_s)
         self._pieces = _hermite(trajectory)
         self._offset = np.asarray(start) - np.asarray(trajectory.positions[0])
         self._blend = bool(np.abs(self._offset).max() > 1e-9)
         self.duration_s = max(self._length_s, BLEND_S) if self._blend else self._length_s
         self._end = Stay(trajectory.positions[-1]).at(0.0)
-        self._block: Array = np.empty((0, 3, 0))  # motions, one per tick
-        self._first_s, self._count = 0.0, 0  # time of its first motion; number of them
+        self.block: Array = np.empty((0, 3, 0))  # motions, one per tick
+        self._first_s = 0.0  # time of the first
+        self.latest = 0  # index of the latest
 
     def at(self, time_s: float) -> Motion:
         if time_s >= self.duration_s:
             self.within_limits = False
             return self._end
-        n = int((time_s - self._first_s) * TICKS_PER_S + 0.5)
-        if n < self._count and -SAME_S < time_s - self._first_s - n * TICK_S < SAME_S:
-            self.within_limits = self._block_fits
+        since_s = time_s - self._first_s
+        n = int(since_s * TICKS_PER_S + 0.5)
+        if 0 <= n < len(self.block) and -SAME_S < since_s - n * TICK_S < SAME_S:
+            self.within_limits = self.block_fits
         else:
             self._begin_block(time_s)
             self.within_limits, n = False, 0
-        motion: Motion = self._block[n].tolist()
+        self.latest = n
+        motion: Motion = self.block[n].tolist()
         return motion
 
     def _begin_block(self, time_s: float) -> None:
-        """Compute the ticks from this time on, at most to the next knot."""
-        end = min(bisect.bisect_right(self._knots, time_s), len(self._pieces))
-        count = min(BLOCK, int((self._knots[end] - time_s) * TICKS_PER_S) + 1)
-        blends = self._blend and time_s < BLEND_S
-        if blends or count < 1:  # beyond the last knot
-            times_s: Array = time_s + TICK_S * np.arange(BLOCK, dtype=np.float64)
-            block, count = self.path(times_s), BLOCK
-            if blends:
-                block += self._remaining_offset(times_s)
-        else:
-            since_s = time_s - self._knots[end - 1]
-            block = (TICK_BASIS[: 3 * count] @ (_shift(since_s) @ self._pieces[end - 1])).reshape(count, 3, -1)
-        self._block = block
-        self._first_s, self._count = time_s, count
-        self._block_fits = self._fits(block)
+        """Compute the ticks from this time on."""
+        times_s = time_s + BLOCK_S
+        block = self.path(times_s)
+        if self._blend and time_s < BLEND_S:
+            block += self._remaining_offset(times_s)
+        self.block, self._first_s = block, time_s
+        self.block_fits = self._fits(block)
 
     def _fits(self, block: Array) -> bool:
         if self._most_rad_s is None:
@@ -117,14 +112,14 @@ class Follow:
     def path(self, times_s: Array) -> Array:
         """k x 3 x n: joints, velocities, accelerations of the path itself at k times."""
         t = np.clip(times_s, 0.0, self._length_s)
-        piece = np.clip(np.searchsorted(self._knots_s, t, side="right") - 1, 0, len(self._pieces) - 1)
-        u = (t - self._knots_s[piece])[:, None] ** np.arange(6)  # powers of the time since the knot
-        coefficients = self._pieces[piece]  # k x 6 x n
-        motion = np.empty((len(t), 3, coefficients.shape[2]))
-        for order, derivative in enumerate(DERIVATIVES):
-            factors, powers = derivative
-            motion[:, order] = np.einsum("kp,kpn->kn", u[:, powers] * factors, coefficients[:, order:])
-        return motion
+        piece = np.searchsorted(self._knots_s[1:-1], t, side="right")
+        powers = np.empty((len(t), 6))  # of the time since the knot: 1, u .. u^5
+        powers[:, 0] = 1.0
+        powers[:, 1:] = (t - self._knots_s[piece])[:, None]
+        np.multiply.accumulate(powers, axis=1, out=powers)
+        basis = (powers[:, DERIVATIVE_POWERS] * DERIVATIVE_FACTORS).reshape(-1, 3, 6)
+        motions: Array = basis @ self._pieces[piece]
+        return motions
 
     def nearest_s(self, joints: Sequence[float], before_s: float, steps: int = 200) -> float:
         """The path time, at most `before_s`, at which the path is nearest to these joints (largest joint distance)."""
@@ -134,11 +129,9 @@ class Follow:
 
     def _remaining_offset(self, times_s: Array) -> Array:
         """The remaining part of the initial offset."""
-        rows = []
-        for t in times_s.tolist():
-            fade, slope, bend = smooth(t / BLEND_S)
-            rows.append((1.0 - fade, -slope / BLEND_S, -bend / BLEND_S**2))
-        return np.asarray(rows)[:, :, None] * self._offset
+        fade, slope, bend = _quintic_step(np.clip(times_s / BLEND_S, 0.0, 1.0))
+        rows = np.stack((1.0 - fade, -slope / BLEND_S, -bend / BLEND_S**2), axis=1)
+        return rows[:, :, None] * self._offset
 
 
 def _within(rows: Array, most: Array) -> bool:
@@ -146,33 +139,10 @@ def _within(rows: Array, most: Array) -> bool:
     return bool((np.abs(rows) <= most).all())
 
 
-# Factors and powers of u in the value, first and second derivative of a quintic polynomial.
-DERIVATIVES: tuple[tuple[Array, list[int]], ...] = (
-    (np.ones(6), [0, 1, 2, 3, 4, 5]),
-    (np.array((1.0, 2.0, 3.0, 4.0, 5.0)), [0, 1, 2, 3, 4]),
-    (np.array((2.0, 6.0, 12.0, 20.0)), [0, 1, 2, 3]),
-)
-
-
-def _tick_basis() -> Array:
-    """For each tick of a block three rows: value, first and second derivative of 1, u .. u^5."""
-    u = (TICK_S * np.arange(BLOCK))[:, None] ** np.arange(6)
-    basis = np.zeros((BLOCK, 3, 6))
-    for order, (factors, powers) in enumerate(DERIVATIVES):
-        basis[:, order, order:] = u[:, powers] * factors
-    return basis.reshape(-1, 6)
-
-
-TICK_BASIS = _tick_basis()
-BINOMIALS: Array = np.array([[float(math.comb(n, k)) for n in range(6)] for k in range(6)])
-POWERS = np.maximum(np.arange(6)[None, :] - np.arange(6)[:, None], 0)
-
-
-def _shift(by_s: float) -> Array:
-    """6 x 6: from the coefficients of a polynomial to those about a time later by this."""
-    powers = [1.0, by_s, by_s**2, by_s**3, by_s**4, by_s**5]
-    shift: Array = BINOMIALS * np.array(powers)[POWERS]
-    return shift
+BLOCK_S: Array = TICK_S * np.arange(BLOCK, dtype=np.float64)
+# Powers and factors of u in the value, the first and the second derivative of 1, u .. u^5.
+DERIVATIVE_POWERS = np.array([0, 1, 2, 3, 4, 5, 0, 0, 1, 2, 3, 4, 0, 0, 0, 1, 2, 3])
+DERIVATIVE_FACTORS = np.array([1, 1, 1, 1, 1, 1, 0, 1, 2, 3, 4, 5, 0, 0, 2, 6, 12, 20], dtype=np.float64)
 
 
 class Brake:
@@ -244,7 +214,10 @@ class Retrace:
 
 def smooth(x: float) -> tuple[float, float, float]:
     """Quintic step from 0 to 1 with rest at both ends: value, slope, second derivative."""
-    x = min(max(x, 0.0), 1.0)
+    return _quintic_step(min(max(x, 0.0), 1.0))
+
+
+def _quintic_step(x: Number) -> tuple[Number, Number, Number]:
     return x**3 * (10 + x * (6 * x - 15)), 30 * (x * (x - 1)) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
 
 

@@ -71,6 +71,9 @@ class SteeredArm:
     def near(self, within_m: float) -> list[Near]:
         return [(away, point, words) for away, point, words in self.around if away < within_m]
 
+    def untouched(self) -> bool:
+        return not (self.leaning or self.meeting)
+
     def touches(self) -> dict[str, float]:
         return dict(self.leaning)
 

@@ -169,6 +169,9 @@ class TinyArm:
     def tcp_pose(self, joints: Sequence[float]) -> Any:
         return POSE
 
+    def untouched(self) -> bool:
+        return True
+
     def arm_touches(self) -> dict[str, float]:
         return {}
 

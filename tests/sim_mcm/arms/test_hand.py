@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from sim_mcm.arms.arm import TICK_S, HandCommand
-from sim_mcm.arms.hand import Hand, pressed
+from sim_mcm.arms.hand import Hand
 
 FINGER_KG = 0.1
 WALL_N_M, WALL_NS_M = 100_000.0, 50.0
@@ -20,6 +20,7 @@ class Fingers:
         self.speed = [0.0, 0.0]
         self.walls = walls
         self.forces = (0.0, 0.0)
+        self.pressed = (0.0, 0.0)
 
     @property
     def width(self) -> float:
@@ -28,7 +29,8 @@ class Fingers:
     def run(self, command: HandCommand, ticks: int) -> None:
         self.hand.command = command
         for _ in range(ticks):
-            self.forces = self.hand.forces((self.at[0], self.at[1]), (self.speed[0], self.speed[1]))
+            *forces, self.pressed = self.hand.forces((self.at[0], self.at[1]), (self.speed[0], self.speed[1]))
+            self.forces = (forces[0], forces[1])
             for n, (force, wall) in enumerate(zip(self.forces, self.walls, strict=True)):
                 if wall is not None and self.at[n] < wall:
                     force += WALL_N_M * (wall - self.at[n]) - WALL_NS_M * self.speed[n]
@@ -42,7 +44,7 @@ def test_an_empty_hand_goes_to_its_width_at_its_speed() -> None:
     assert fingers.width == pytest.approx(0.08 - 0.05 * 0.5, abs=0.003)
     fingers.run(HandCommand(0.03, 30.0, 0.05), 1000)
     assert fingers.width == pytest.approx(0.03, abs=0.0005)
-    assert max(pressed(fingers.forces)) < 1.0
+    assert max(fingers.pressed) < 1.0
 
 
 @pytest.mark.parametrize("width_m", [0.0, 0.01, 0.018])
@@ -50,14 +52,14 @@ def test_an_empty_hand_goes_to_its_width_at_its_speed() -> None:
 def test_closing_on_a_thing_ends_with_the_commanded_force_on_both_sides(width_m: float, force_n: float) -> None:
     fingers = Fingers(0.08, walls=(0.01, 0.01))
     fingers.run(HandCommand(width_m, force_n, 0.05), 2500)
-    assert pressed(fingers.forces) == pytest.approx((force_n, force_n), rel=0.02)
+    assert fingers.pressed == pytest.approx((force_n, force_n), rel=0.02)
     assert fingers.width == pytest.approx(0.02, abs=0.0015)
 
 
 def test_a_thing_aside_is_pressed_towards_the_middle() -> None:
     fingers = Fingers(0.08, walls=(0.012, 0.008))
     fingers.run(HandCommand(0.0, 30.0, 0.05), 2500)
-    a, b = pressed(fingers.forces)
+    a, b = fingers.pressed
     assert a > 30.0 > b
     assert a + b == pytest.approx(60.0, rel=0.02)
 
@@ -75,4 +77,4 @@ def test_a_lost_thing_does_not_make_the_fingers_slam() -> None:
     fingers.walls = (None, None)
     fingers.run(HandCommand(0.0, 30.0, 0.05), 1500)
     assert fingers.width == pytest.approx(0.0, abs=0.001)
-    assert max(pressed(fingers.forces)) < 1.0  # which is how it is found out
+    assert max(fingers.pressed) < 1.0  # which is how it is found out

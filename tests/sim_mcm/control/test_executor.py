@@ -644,7 +644,7 @@ def test_a_command_beyond_the_limits_is_not_followed_and_ends_the_primitive(rig,
     rig.accept(rig.swing())
     rig.tick(300)
     leap = _Leap(rig.arm.motion[0] if value == "leap" else [float("nan")] * 6)
-    rig.executor._profile, rig.executor._profile_ticks = leap, 0
+    rig.executor._use(leap)
 
     report = rig.until_end()
 
