@@ -73,6 +73,7 @@ class Station:
         self._telemetry = process.Every(TELEMETRY_S)
         self._read_s = 0.0 if _in_real_time(settings) else READ_S
         self._read_at_s = 0.0  # when the sockets are read next
+        self._busy = True  # a primitive runs or waits
 
     def run(self) -> None:
         """Run until the process receives the order to stop."""
@@ -82,7 +83,7 @@ class Station:
         self._me.ready()
         while not self._me.stopping:
             now_s = process.now_s()
-            left_s = clock.left_s(now_s, busy=not subsystem.idle)
+            left_s = clock.left_s(now_s, self._busy)
             if left_s > 0.0:
                 time.sleep(left_s)
                 now_s = process.now_s()
@@ -125,6 +126,7 @@ class Station:
             answers = subsystem.handle(order, BROKER, now_s)
             sockets.send(answers)
             self._log_started(answers)
+        self._busy = not subsystem.idle  # between two looks at the sockets it can only become idle
 
     def _move(self, now_s: float) -> None:
         """One servo tick and one simulation step."""

@@ -85,6 +85,7 @@ class Subsystem(ABC, Generic[Performer]):
         self.name = name
         self.pid = pid
         self.performers = dict(performers)
+        self._all = list(self.performers.values())
         self._queues = queues
         self._kept: dict[
             str, tuple[m.EndReport, float]
@@ -159,9 +160,11 @@ class Subsystem(ABC, Generic[Performer]):
     def tick(self, now_s: float) -> Outgoing:
         """One tick of every performer."""
         out: Outgoing = []
-        for performer in self.performers.values():
-            out += self._tick(performer, now_s)
-        out += self._between(now_s)
+        for performer in self._all:
+            if messages := self._tick(performer, now_s):
+                out += messages
+        if messages := self._between(now_s):
+            out += messages
         if self._open_halts:
             out += self._follow_halts(now_s)
         if (merged := self._halt_limiter.due(now_s)) is not None:

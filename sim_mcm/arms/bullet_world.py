@@ -88,7 +88,7 @@ class PhysicsWorld:
         pybullet.disconnect(physicsClientId=self.client)
 
     def step(self) -> None:
-        pybullet.stepSimulation(physicsClientId=self.client)
+        pybullet.stepSimulation(self.client)
         self._steps += 1
 
     def in_contact(self) -> bool:
@@ -99,7 +99,7 @@ class PhysicsWorld:
             return False
         if steps - self._touched_at < ASK_AGAIN:
             return True
-        if pybullet.getContactPoints(physicsClientId=self.client):
+        if pybullet.getContactPoints(-1, -1, -2, -2, self.client):  # of any bodies and links; keywords take longer
             self._touched_at = steps
             return True
         self._free_at = steps

@@ -219,7 +219,7 @@ class Executor:
             return NOTHING
         n = self._profile_ticks + 1
         if n < self._quiet_to:  # in nearly every tick of a path; a third of the time of the whole tick below
-            seen.feel(counts=True)
+            seen.feel(True)
             if self._bounds.hold(seen, self._command):
                 self._ticks += 1
                 self._profile_ticks = n
@@ -238,7 +238,7 @@ class Executor:
         if self._ticks == 0:
             seen.begin()
         self._ticks += 1
-        seen.feel(counts=self.state in COUNTING)
+        seen.feel(self.state in COUNTING)
         reports = self._work_now(now_s)
         if self._pace.full:
             self._profile_ticks += 1

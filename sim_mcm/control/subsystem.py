@@ -30,7 +30,6 @@ class Pending(msgspec.Struct):
 class McmSubsystem(Subsystem[Executor]):
     def __init__(self, arms: Mapping[str, ArmInterface], name: str = "MCM", pid: int = 0) -> None:
         super().__init__({arm: Executor(part) for arm, part in arms.items()}, name, pid)
-        self._all = list(self.performers.values())
         self._pairs = Pairs(self.executors)
         self._reached_s: dict[str, float] = {}  # how far each ended primitive came along its trajectory
         self._pending: dict[str, Pending] = {}  # by performer
@@ -123,7 +122,8 @@ class McmSubsystem(Subsystem[Executor]):
         return self._follow_pending(now_s)
 
     def _between(self, now_s: float) -> Outgoing:
-        self._paced.clear()
+        if self._paced:
+            self._paced.clear()
         self._pairs.couple()
         return self._follow_pending(now_s) if self._pending else []
 
