@@ -310,8 +310,9 @@ class BulletCell:
         self.world = PhysicsWorld(cell)
         self.bolts = Bolts(self.world)
         self.arms = {arm.name: BulletArm(self.world, arm.name, self.bolts) for arm in cell.arms}
-        for arm in self.arms.values():
-            arm.others = [other for other in self.arms.values() if other is not arm]
+        self._all = tuple(self.arms.values())
+        for arm in self._all:
+            arm.others = [other for other in self._all if other is not arm]
         self._detents = Detents(self.world)
         self._settle()
 
@@ -323,7 +324,7 @@ class BulletCell:
             self.step()
 
     def step(self) -> None:
-        for arm in self.arms.values():
+        for arm in self._all:
             arm.drive()
         self.bolts.step()
         self.world.step()

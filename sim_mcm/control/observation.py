@@ -6,6 +6,7 @@ know states, trajectories or reports.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from math import dist
@@ -31,7 +32,7 @@ class Observation:
         # Magnitudes of the wrench minus the bias, of the latest tick of a primitive.
         self.force_n = self.torque_nm = 0.0
         self.peak_force_n = self.peak_torque_nm = 0.0  # of the primitive, in states that count them
-        # In the window. Whole samples would occupy more than the nearest cache of the processor: 2 us in every tick.
+        # In the window. Whole samples would take much of the nearest cache of the processor.
         self._joints = deque([self.sample.joints], WINDOW_TICKS)
         self._fingers = deque([self.sample.fingers], WINDOW_TICKS)
         self._bias = [0.0] * 6
@@ -43,9 +44,18 @@ class Observation:
 
     def read(self) -> None:
         """Take the sample of this tick."""
-        self.sample = sample = self.arm.read()
-        self._joints.append(sample.joints)
-        self._fingers.append(sample.fingers)
+        self.sample = self.arm.read()
+        self.watch()
+
+    def watch(self) -> None:
+        """Let the sample of this tick enter the window."""
+        self._joints.append(self.sample.joints)
+        self._fingers.append(self.sample.fingers)
+
+    def forget_window(self) -> None:
+        """Ticks pass that are not watched: there is no rest until a whole window has been watched after them."""
+        self._joints.append([math.inf] * len(self.sample.joints))
+        self._fingers.append((math.inf, math.inf))
 
     def begin(self) -> None:
         """The first tick of a primitive: the bias of the wrench, and contacts that exist already."""
