@@ -24,9 +24,8 @@ from tests.workers.conftest import MODEL
 GAINS = {"wn": 100.0}
 T = 0.010
 STIFFNESS_N_M = 400.0
-TURNING_NM_RAD = 15.0  # but about the way in:
-# Stiffness about the way in (N.m/rad), and rotation of the goal (rad, world y and z): at first, then after jams
-ATTEMPTS = ((5.0, 0.0, 0.0), (2.0, 0.0, 0.0), *((5.0, y, z) for y, z in ((T, 0.0), (-T, 0.0), (0.0, T), (0.0, -T))))
+# Stiffness in rotation (N.m/rad), and rotation of the goal (rad, world y and z): of the first attempt, then after jams
+ATTEMPTS = ((2.0, 0.0, 0.0), (5.0, 0.0, 0.0), *((2.0, y, z) for y, z in ((T, 0.0), (-T, 0.0), (0.0, T), (0.0, -T))))
 JAM_M, JAM_N, BACK_M = 0.060, 15.0, 0.070  # behind the command with this force: a jam; then back by this
 PULL_N, PULL_NM = 30.0, 6.0  # greatest pull of the spring
 SPEED_M_S = 0.03
@@ -66,8 +65,8 @@ class Inserter(BeforeBay):
         ]
         law = p.ControlLaw(load=self.load, gains=GAINS)
         if not self._rigid:
-            stiffness = [STIFFNESS_N_M] * 3 + [TURNING_NM_RAD] * 2 + [turning]
-            compliance = p.Compliance(stiffness=stiffness, centre=self.load.com_m, most_n=PULL_N, most_nm=PULL_NM)
+            stiffness = [STIFFNESS_N_M] * 3 + [turning] * 3
+            compliance = p.Compliance(stiffness=stiffness, most_n=PULL_N, most_nm=PULL_NM)
             law = p.ControlLaw(name="impedance", load=self.load, gains=GAINS, compliance=compliance)
             jam = p.NoProgress(behind_m=JAM_M, force_n=JAM_N)
             back = {"reflex": Reflex.BACK_OFF, "back_off_m": BACK_M}
