@@ -135,16 +135,24 @@ def test_each_of_two_hands_can_be_verified(holding, arm):
 
 
 @pytest.mark.parametrize("loser", [RIGHT, LEFT])
-def test_a_hand_that_loses_the_object_leaves_it_to_the_other(holding, loser):
+@pytest.mark.parametrize(
+    ("reason", "lost_m"),
+    [
+        (StopReason.OBJECT_LOST, 0.0),
+        (StopReason.SLIP, 0.08),  # the hand opens
+    ],
+)
+def test_a_hand_that_loses_the_object_leaves_it_to_the_other(holding, loser, reason, lost_m):
     script = holding.elaborate(UP)
     made = holding.bind(script, script.steps[0])
     at = {arm: holding.subsystem.joints[arm].tolist() for arm in (RIGHT, LEFT)}
-    widths = {arm: 0.0 if arm == loser else 0.02 for arm in at}
+    widths = {arm: lost_m if arm == loser else 0.02 for arm in at}
     reports = {
         arm: EndReport(
             primitive=made.primitive.id,
             performer=arm,
-            reason=StopReason.OBJECT_LOST,
+            reason=reason,
+            measured=2.9 if arm == loser else None,
             at_s=1.0,
             duration_s=1.0,
             joints=at[arm],
@@ -156,7 +164,9 @@ def test_a_hand_that_loses_the_object_leaves_it_to_the_other(holding, loser):
         for arm in at
     }
     report = msgspec.structs.replace(reports[RIGHT], partner=reports[LEFT])
-    holding.world = holding.world.overlay(holding.analyze(made, report).changes)
+    assessment = holding.analyze(made, report)
+    assert reason is not StopReason.SLIP or loser in assessment.message
+    holding.world = holding.world.overlay(assessment.changes)
     keeps = LEFT if loser == RIGHT else RIGHT
     assert hands(holding) == (*(MODULE if name == keeps else "" for name in (RIGHT, LEFT)), keeps)
     assert holding.world.get(f"{MODULE}.grasp").validity not in TRUSTED

@@ -281,7 +281,8 @@ def _held_object_changes(
     if not data.report.tcp_pose:  # hand position unknown, so the held object's too
         doubtful = ("frame", "grasp", "held_by", "seat") if suspect else ()  # the hand may have opened, in a seat
         return [WorldChange(key=f"{thing}.{name}", keep_value=True, validity=Validity.SUSPECT) for name in doubtful]
-    opened = data.report.hand_width_m > query.hand_width(arm) + program.values["opened_m"]
+    widened_m = _widened_m(query, data)
+    opened = max(widened_m.values()) > program.values["opened_m"]
     fact = query.world.get(f"{thing}.grasp")
     trusted = fact is None or fact.validity in TRUSTED
     first = query.held_by(thing) in ("", arm)  # else another hand leads, and this arm was at rest
@@ -292,7 +293,7 @@ def _held_object_changes(
     validity = Validity.SUSPECT if suspect or drops or opened or not trusted else Validity.VALID
     moved = [WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity)]
     if drops or opened:
-        return [*moved, *shared_hold.let_go(query, _loser(query, data), thing, Validity.SUSPECT)]
+        return [*moved, *shared_hold.let_go(query, _loser(widened_m, opened), thing, Validity.SUSPECT)]
     turned = query.grasp_after(thing, frame, tcp)
     moved.append(WorldChange(key=f"{thing}.grasp", value=turned, keep_value=turned is None, validity=validity))
     seat = query.seat(thing)
@@ -301,13 +302,18 @@ def _held_object_changes(
     return moved
 
 
-def _loser(query: WorldQuery, data: AnalyzerInput) -> str:
-    """The arm whose hand has lost the object: of two arms the one whose fingers have come closer."""
+def _widened_m(query: WorldQuery, data: AnalyzerInput) -> dict[str, float]:
+    """By how much each hand of the primitive is wider open than believed (m)."""
     arm, partner, second = data.evaluation.arm, data.evaluation.context.partner, data.report.partner
-    if second is None:
-        return arm
-    closer = query.hand_width(partner) - second.hand_width_m > query.hand_width(arm) - data.report.hand_width_m
-    return partner if closer else arm
+    found = {arm: data.report.hand_width_m - query.hand_width(arm)}
+    if second is not None and second.joints:
+        found[partner] = second.hand_width_m - query.hand_width(partner)
+    return found
+
+
+def _loser(widened_m: dict[str, float], opened: bool) -> str:
+    """The arm whose hand has lost the object: the one that is open, or else the one whose fingers have come closer."""
+    return max(widened_m, key=widened_m.__getitem__) if opened else min(widened_m, key=widened_m.__getitem__)
 
 
 def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput, changes: Changes) -> Changes:
@@ -420,6 +426,13 @@ def _stopped_as_requested(reflex: ReflexItem, data: AnalyzerInput) -> str:
     return f"stopped{measured} as asked: {reflexes.in_words(reflex)}"
 
 
+def _stopped_by(data: AnalyzerInput) -> str:
+    """The arm whose stop function has ended the primitive: of two arms the one with a measured value."""
+    second = data.report.partner
+    caused = second is not None and second.measured is not None and second.reason is data.report.reason
+    return data.evaluation.context.partner if caused else data.evaluation.arm
+
+
 def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:
     evaluation, report = data.evaluation, data.report
     least, most = evaluation.width_m or (0.0, 0.0)
@@ -429,7 +442,7 @@ def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:
         "limit": "the" if report.limit is None else f"{report.limit:.3g}",
         "unit": UNITS.get(report.reason, ""),
         "message": report.message or evaluation.arm or report.performer,
-        "arm": hand_in_words(evaluation.arm),
+        "arm": hand_in_words(_stopped_by(data)),
         "camera": report.performer,
         "object": evaluation.body or evaluation.context.object or evaluation.held or "the object",
         "target": evaluation.context.target or "the seat",
