@@ -44,7 +44,7 @@ THIN_M = 0.002  # fingers closer together than this hold nothing
 VALUES = (
     *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m", "told_m", "told_rad"),
     *("seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
-    *("struck_n", "struck_m", "struck_rad"),
+    *("struck_n", "struck_m", "struck_rad", "tilted_m"),
 )
 #: figures of the cell, which the elaborator and the binder use too; in this program they would have no effect there
 OF_CELL = {"creep_m_s", "creep_rad_s"}
@@ -283,6 +283,7 @@ def _held_object_changes(
         return [WorldChange(key=f"{thing}.{name}", keep_value=True, validity=Validity.SUSPECT) for name in doubtful]
     widened_m = _widened_m(query, data)
     opened = max(widened_m.values()) > program.values["opened_m"]
+    tilted = max(widened_m.values()) > program.values["tilted_m"]
     fact = query.world.get(f"{thing}.grasp")
     trusted = fact is None or fact.validity in TRUSTED
     first = query.held_by(thing) in ("", arm)  # else another hand leads, and this arm was at rest
@@ -290,7 +291,7 @@ def _held_object_changes(
     held = query.in_hand(thing, tcp)
     assert held is not None
     frame = geometry.normalise(held)
-    validity = Validity.SUSPECT if suspect or drops or opened or not trusted else Validity.VALID
+    validity = Validity.SUSPECT if suspect or drops or tilted or not trusted else Validity.VALID
     moved = [WorldChange(key=f"{thing}.frame", value=frame.tolist(), validity=validity)]
     if drops or opened:
         return [*moved, *shared_hold.let_go(query, _loser(widened_m, opened), thing, Validity.SUSPECT)]

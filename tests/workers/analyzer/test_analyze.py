@@ -322,6 +322,18 @@ def test_a_reflex_that_opened_the_hand_has_let_go(bench):
     assert "stopped at 9.4 N as asked: UNLESS FORCE EXCEEDS 9 N THEN RELEASE; opened the hand to 80 mm" in made.message
 
 
+def test_fingers_that_are_a_little_wider_may_hold_a_tilted_object(bench):
+    """Given a carried object that turns in the hand, then the arm is not believed to be empty."""
+    bench.do(GRASP)
+    bound, report = bound_and_done(bench, "LIFT MACS-NEW", 1)
+
+    made = judged(bench, bound, ended(report, StopReason.TIMEOUT, hand_width_m=report.hand_width_m + 0.007))
+
+    assert not any(one.key.endswith((".holding", ".held_by")) for one in made.changes)
+    assert change(made, "MACS-NEW.grasp").validity is Validity.SUSPECT
+    assert "VERIFY MACS-NEW AT RIGHT-ARM" in made.clears
+
+
 def _felt(bench, sentence: str, reason: StopReason, limit: float, back_m: float = 0.0) -> Assessment:
     bound, report = bound_and_done(bench, sentence)
     back = geometry.compose(report.tcp_pose, (0.0, 0.0, -back_m, 0.0, 0.0, 0.0, 1.0)).tolist()
