@@ -13,7 +13,7 @@ from lark.exceptions import UnexpectedInput
 from rtc.language.alike import nearest_words
 from rtc.language.grammar import END, Grammar
 from rtc.language.refuse import Wrong, quoted, refusal
-from rtc.language.units import UNITS
+from rtc.language.units import KINDS, UNITS
 from rtc.language.words import Word
 from rtc.protocol.outcomes import Refusal
 
@@ -26,6 +26,7 @@ READABLE = {
 #: directions, used for a hint only; the workers decide which directions exist
 AXES = frozenset({"X", "Y", "Z", "TOOL-X", "TOOL-Y", "TOOL-Z", "UP", "DOWN", "LEFT", "RIGHT", "FORWARD", "BACK"})
 ARMS = frozenset({"LEFT-ARM", "RIGHT-ARM"})
+HELD_BY = "HELD-BY"  # an attribute whose value is an arm, which SET cannot state; used for a hint only
 THE_END = "the end of the sentence"
 A_UNIT, A_TIME = "a unit such as CM", "a unit of time such as SEC"
 OF_TIME = frozenset({"FOR", "TIME_LIMIT", "EVERY"})  # words before a number of seconds
@@ -55,7 +56,7 @@ class Stop:
 
 def complaint(stop: Stop) -> Refusal:
     """The refusal with the most specific explanation that fits."""
-    return _unit_fault(stop) or _misspelt_before(stop) or _misplaced(stop)
+    return _unit_fault(stop) or _states_holder(stop) or _misspelt_before(stop) or _misplaced(stop)
 
 
 def allowed_after(grammar: Grammar, words: Sequence[Word]) -> set[str]:
@@ -66,11 +67,33 @@ def allowed_after(grammar: Grammar, words: Sequence[Word]) -> set[str]:
     return parser.accepts()
 
 
-def readable(grammar: Grammar, allowed: Collection[str]) -> list[str]:
-    """Terminals as text: token classes first, then sorted reserved words, the end of the sentence last."""
-    classes = [text for kind, text in READABLE.items() if kind in allowed]
+def readable(grammar: Grammar, allowed: Collection[str], before: Sequence[Word]) -> list[str]:
+    """Terminals that may follow as text: token classes, then sorted reserved words, the end of the sentence last."""
+    texts = {kind: [text] for kind, text in READABLE.items() if kind in allowed}
+    if "QUANTITY" in texts:
+        texts["QUANTITY"] = quantities(grammar, before)
+    classes = [text for several in texts.values() for text in several]
     words = sorted(grammar.reserved[t] for t in allowed if t in grammar.reserved)
     return classes + words + ([THE_END] if END in allowed else [])
+
+
+def quantities(grammar: Grammar, before: Sequence[Word]) -> list[str]:
+    """The quantities that may stand after these words, each with an example.
+
+    A mass fits no clause, so the refusal of a mass names what fits. Where a mass is accepted, any quantity is.
+    """
+    mass = Word("QUANTITY", KINDS["kg"].example, 0, 0)
+    parser = grammar.begin()
+    try:
+        for word in [*before, mass]:
+            parser.feed_token(word)
+        end = END if END in parser.accepts() else "THEN"  # the next word, at which the parser checks the quantity
+        parser.feed_token(Word(end, end, 0, 0))
+    except Wrong as wrong:
+        return wrong.refusal.expected
+    except UnexpectedInput:  # a grammar of other clauses
+        pass
+    return [READABLE["QUANTITY"]]
 
 
 def nearest(grammar: Grammar, written: str, allowed: Collection[str]) -> list[str]:
@@ -87,7 +110,8 @@ def _unit_fault(stop: Stop) -> Refusal | None:
     if word.type == "NUMBER" and "QUANTITY" in stop.allowed:
         if following is not None and following.type == "NAME":
             return _no_unit(stop, following)
-        return refusal(word.start_pos or 0, f"{stop.written(word)} has no unit.", [READABLE["QUANTITY"]])
+        expected = quantities(stop.grammar, stop.before)
+        return refusal(word.start_pos or 0, f"{stop.written(word)} has no unit.", expected)
     return None
 
 
@@ -110,7 +134,7 @@ def _misspelt_before(stop: Stop) -> Refusal | None:
             terminal, value = spellings[spelling]
             meant = Word(terminal, value, suspect.start_pos or 0, suspect.end_pos or 0)
             if _fits(grammar, [*before[:i], meant, *before[i + 1 :], stop.word]):
-                expected = readable(grammar, allowed_after(grammar, before[:i]))
+                expected = readable(grammar, allowed_after(grammar, before[:i]), before[:i])
                 written = stop.written(suspect)
                 message = f"{written} is read as a name here, and the rest does not fit. Did you mean {spelling}?"
                 return refusal(suspect.start_pos or 0, message, expected, [spelling])
@@ -141,6 +165,17 @@ def _meant(stop: Stop, word: Word) -> list[str]:
     return []
 
 
+def _states_holder(stop: Stop) -> Refusal | None:
+    """`SET object HELD-BY arm`, whose attribute is right and whose value cannot be stated."""
+    before = stop.before
+    if len(before) <= 2 or before[-3].type != "SET" or before[-1].value != HELD_BY or stop.word.type == END:
+        return None
+    thing, attribute = stop.written(before[-2]), stop.written(before[-1])
+    message = f"{attribute} is measured and cannot be stated."
+    does = [f"GRASP {thing}, to take it", f"VERIFY {thing} AT the arm that holds it"]
+    return refusal(before[-1].start_pos or 0, message, does)
+
+
 def _misplaced(stop: Stop) -> Refusal:
     word = stop.word
     near = []
@@ -165,4 +200,4 @@ def _misplaced(stop: Stop) -> Refusal:
                 message += f" Write THROUGH and its place before {stop.written(stop.before[-1])}."
             if word.type == "NAME" and "ARM" in stop.allowed and not near:
                 message += f" If it is an arm, write ARM {written}."
-    return refusal(word.start_pos or 0, message, readable(stop.grammar, stop.allowed), near)
+    return refusal(word.start_pos or 0, message, readable(stop.grammar, stop.allowed, stop.before), near)
