@@ -124,6 +124,25 @@ def test_what_a_door_cannot_do_is_refused(bench, held, sentence, reason, word) -
     assert not run.primitives
 
 
+@pytest.mark.parametrize(("sentence", "wanted_deg"), [("TO 300 DEG", 300.0), ("BY 120 DEG", 130.0)])
+def test_an_angle_beyond_the_stops_is_named_as_typed(bench, sentence, wanted_deg) -> None:
+    bench.do(GRASP)
+    bench.set_fact(f"{DOOR}.angle", math.radians(10.0))
+    refusal = bench.do(f"OPEN {DOOR} {sentence}").refusal
+    assert refusal is not None
+    assert math.degrees(refusal.detail["value_rad"]) == pytest.approx(wanted_deg)
+    assert f"not to {wanted_deg:g} deg" in refusal.message
+    assert "to 110 deg" in refusal.message
+
+
+@pytest.mark.parametrize("hand", ["", f" WITH {ARM}"])
+def test_a_door_without_an_angle_is_opened_as_the_refusal_advises(bench, hand) -> None:
+    bench.do(GRASP)
+    refusal = bench.do(f"OPEN {DOOR}{hand}").refusal
+    assert refusal is not None
+    assert refusal.clears == f"OPEN {DOOR} BY an angle in DEG; or OPEN {DOOR} TO an angle in DEG"
+
+
 def test_let_go_it_stays_at_its_angle(bench) -> None:
     bench.do(GRASP)
     bench.do(OPEN)

@@ -114,7 +114,8 @@ def run(compiled: Compiled, cell: CellModel | None, world: World | None, data: E
     if isinstance(options, Refusal):
         return options
     if not options:
-        return no_script.refuse_form(parsed, branches)
+        hinged = parsed.object is not None and query.hinge(parsed.object) is not None
+        return no_script.refuse_form(parsed, branches, hinged=hinged)
     return _first_feasible(compiled, options)
 
 

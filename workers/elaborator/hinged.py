@@ -60,6 +60,7 @@ def refuse_beyond_stops(script: ScriptFile, candidate: TaskCandidate) -> Refusal
             continue
         try:
             turn = expressions.number(step.args.get("by_rad", 0.0), candidate.figures)
+            ends = expressions.number(step.args.get("turn_rad", math.inf), candidate.figures)
         except expressions.ExpressionError:
             return Refusal(
                 reason=RefusalReason.SENTENCE,
@@ -74,14 +75,15 @@ def refuse_beyond_stops(script: ScriptFile, candidate: TaskCandidate) -> Refusal
                 message=f"{thing.name} is at {at}: nothing to turn",
                 clears=clears.replace("{at}", at).replace("{held}", thing.name),
             )
-        angle += turn
+        before, angle = angle, angle + turn
         if not least - SLACK_RAD <= angle <= most + SLACK_RAD:
             now = math.degrees(candidate.query.angle(thing.name))
+            wanted = before + math.copysign(min(abs(turn), ends), turn)  # without the lag of a compliant hand
             return Refusal(
                 reason=RefusalReason.INFEASIBLE,
-                message=f"{thing.name} turns from {math.degrees(least):g} to {math.degrees(most):g} deg, "
-                f"and not to {math.degrees(angle):.0f} deg; it is at {now:.0f} deg",
+                message=f"{thing.name} turns from {math.degrees(least):g} deg to {math.degrees(most):g} deg, "
+                f"and not to {math.degrees(wanted):.4g} deg; it is at {now:.4g} deg",
                 clears=f"an angle from {math.degrees(least):g} to {math.degrees(most):g} deg",
-                detail={"cause": "stop", "value_rad": angle, "least_rad": least, "most_rad": most},
+                detail={"cause": "stop", "value_rad": wanted, "least_rad": least, "most_rad": most},
             )
     return None

@@ -23,12 +23,12 @@ def refuse_verb(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal:
     )
 
 
-def refuse_form(parsed: ParsedCommand, branches: list[Branch]) -> Refusal:
-    """The refusal of a sentence that no branch takes. It names no more changes than necessary, with the same hand if
-    that is enough."""
-    begun = " ".join(filter(None, (parsed.verb, parsed.hand)))
-    changes = [_changes(branch, parsed) for branch in branches]
-    kept = [one for one in changes if not any(path == "hand" for path, _ in one)] or changes
+def refuse_form(parsed: ParsedCommand, branches: list[Branch], *, hinged: bool = False) -> Refusal:
+    """The refusal of a sentence that no branch takes. It names no more changes than necessary, with the same hand
+    and object if that is enough. `hinged`: the object of the sentence has a hinge."""
+    begun = " ".join(filter(None, (parsed.verb, parsed.object or parsed.hand)))
+    changes = [_changes(branch, parsed, "an angle in DEG" if hinged else "an amount") for branch in branches]
+    kept = [one for one in changes if not any(path in ("hand", "object") for path, _ in one)] or changes
     least = [one for one in kept if not any(set(other) < set(one) for other in kept)]
     wanted = [", ".join(words for _, words in one) or "with an object whose figures fit" for one in least]
     return Refusal(
@@ -39,12 +39,14 @@ def refuse_form(parsed: ParsedCommand, branches: list[Branch]) -> Refusal:
     )
 
 
-def _changes(branch: Branch, parsed: ParsedCommand) -> list[tuple[str, str]]:
+def _changes(branch: Branch, parsed: ParsedCommand, amount: str) -> list[tuple[str, str]]:
     """The conditions of a branch that the sentence does not meet: (field, what to change, in words)."""
+    follows = {"amount": amount, "to_value": amount, "duration_s": "a time in SEC"}
     found: list[tuple[str, str]] = []
     for check in branch.when:
         if check.given and command_fields.field(parsed, check.given) is None:
-            found.append((check.given, _with(command_fields.in_words(check.given))))
+            words = f"{command_fields.in_words(check.given)} {follows.get(check.given, '')}".rstrip()
+            found.append((check.given, _with(words)))
         if check.missing and command_fields.field(parsed, check.missing) is not None:
             found.append((check.missing, f"without {command_fields.in_words(check.missing)}"))
         for path, value in check.equals.items():

@@ -267,7 +267,7 @@ def test_the_refusal_of_a_sentence_without_a_script_names_the_forms_with_one(ben
     bench.load("elaborator", "decision_tree: [{verb: STOW, script: stow, when: [{given: duration_s}]}]")
     refusal = refusal_of(bench, "STOW LEFT-ARM")
 
-    assert refusal.clears == "STOW LEFT-ARM FOR"
+    assert refusal.clears == "STOW LEFT-ARM FOR a time in SEC"
 
 
 @pytest.mark.parametrize(
