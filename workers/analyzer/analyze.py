@@ -200,7 +200,7 @@ def _failure(
     if evaluation.slowed and reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT):
         words = f"{words}; {evaluation.slowed}"
     cures = _ways_to_clear(program, query, changes, failure.misplaced)
-    todo = (failure.clears, *cures, failure.again) if asked is None else tuple(cures)
+    todo = (failure.clears, *_higher_limit(data), *cures, failure.again) if asked is None else tuple(cures)
     trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
     return Assessment(
         verdict="trim" if trim else "abort",
@@ -209,6 +209,16 @@ def _failure(
         trim=trim,
         changes=changes,
         clears=_words("; ".join(word for word in todo if word), data, reason),
+    )
+
+
+def _higher_limit(data: AnalyzerInput) -> list[str]:
+    """The advice if the force that ended the step is the FORCE-LIMIT of the sentence."""
+    limit_n, report = data.evaluation.context.limits.force_n, data.report
+    if limit_n is None or report.reason is not StopReason.FORCE_LIMIT or report.limit is None:
+        return []
+    return (
+        [f"a FORCE-LIMIT above {limit_n:g} N, if nothing is in the way"] if math.isclose(report.limit, limit_n) else []
     )
 
 

@@ -172,7 +172,8 @@ def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Ancho
             first = tried
     assert first is not None
     clears, limits = candidate.program.clears, candidate.limits
-    first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, clears, limits)
+    goal = (candidate.parsed.place.name if candidate.parsed.place else None) or ""
+    first = advice.advise_on_collision(first, candidate.query, candidate.arm.name, clears, limits, goal)
     return msgspec.structs.replace(first, detail={**first.detail, "ways_tried": float(len(ways))})
 
 

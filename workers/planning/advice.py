@@ -15,10 +15,10 @@ UNLIMITED = Limits()
 
 
 def advise_on_collision(
-    refusal: Refusal, query: WorldQuery, arm: str, clears: Mapping[str, str], limits: Limits = UNLIMITED
+    refusal: Refusal, query: WorldQuery, arm: str, clears: Mapping[str, str], limits: Limits = UNLIMITED, goal: str = ""
 ) -> Refusal:
     """Add advice to the refusal of a colliding motion of this arm; other refusals are returned unchanged. `limits`: of
-    the command."""
+    the command. `goal`: the place that it names."""
     if refusal.detail.get("cause") != "collision":
         return refusal
     bodies = [str(refusal.detail[name]).split()[0] for name in ("body_a", "body_b")]
@@ -26,15 +26,16 @@ def advise_on_collision(
     seat = query.seat(held) or query.seat_around(held) if held else ""
     body = next((name for name in bodies if name not in (arm, held)), bodies[1])
     other = str(refusal.detail.get(IN_THE_WAY, ""))
-    row = "way_seated" if seat and held in bodies else "way_other" if other else ""
     row = (
-        row
+        ("way_seated" if seat and held in bodies else "")
         or _kept_out(refusal, body, limits)
+        or ("way_other" if other else "")
         or _hinged(query, arm, body)
         or _at_goal(refusal, query, body)
         or ("way_shared" if query.sharers(arm) else "way")
     )
-    places = [place.name for place in query.cell.places if arm in place.poses or arm in place.joints_deg]
+    known = [place for place in query.cell.places if arm in place.poses or arm in place.joints_deg]
+    places = [place.name for place in known if place.name != goal]
     texts = {
         "arm": hand_in_words(arm),
         "held": held,
@@ -42,8 +43,9 @@ def advise_on_collision(
         "body": body,
         "other": hand_in_words(other),
         "places": ", ".join(places),
+        "or_arm": "" if held else ", or another arm",
     }
-    words = clears.get(row, "")
+    words = clears.get(row, "") if places else clears.get(row, "").replace(" ({places})", "")
     for name, text in texts.items():
         words = words.replace("{" + name + "}", text)
     return msgspec.structs.replace(refusal, clears=words)

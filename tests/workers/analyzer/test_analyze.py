@@ -378,6 +378,13 @@ def test_the_reason_is_the_one_that_won_and_what_was_done_is_reported_beside_it(
     assert made.message.endswith("; backed off by 2.0 cm")
 
 
+@pytest.mark.parametrize(("limit", "advised"), [(3.0, True), (30.0, False)])
+def test_a_force_limit_of_the_sentence_is_named_if_it_ended_the_step(bench, limit, advised):
+    sentence = "MOVE RIGHT-ARM BY 5 CM ALONG TOOL-Z MAINTAIN FORCE-LIMIT 3 N"
+    made = _felt(bench, sentence, StopReason.FORCE_LIMIT, limit)
+    assert ("FORCE-LIMIT above 3 N" in made.clears) is advised
+
+
 def test_without_a_report_of_the_arm_its_joints_are_suspect(bench):
     bound, report = bound_and_done(bench, "STOW RIGHT-ARM")
 

@@ -6,7 +6,7 @@ import pytest
 
 from rtc.cells.cell import Cell
 from rtc.programs.loader import decode
-from rtc.programs.schema import BinderProgram
+from rtc.programs.schema import BinderProgram, ElaboratorProgram
 from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.robot import geometry
@@ -117,3 +117,21 @@ def test_an_arm_that_has_crept_is_looked_at_and_the_step_done_again(bench, sente
     assert run.trims == [1]
     assert run.succeeded, (run.refusal, run.assessments)
     assert geometry.distance(bench.world.value("MACS-NEW.frame"), [0, 0, 0]) > 0
+
+
+@pytest.mark.parametrize(("held", "other_arm"), [("", True), ("MACS-NEW", False)])
+def test_neither_the_goal_nor_an_arm_without_the_object_is_advised(bench, held, other_arm):
+    bench.set_fact("RIGHT-ARM.holding", held)
+    blocked = Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message="RIGHT-ARM link_2 collides with SATELLITE right-panel (40% along the way)",
+        detail={"cause": "collision", "body_a": "RIGHT-ARM link_2", "body_b": "SATELLITE right-panel", "fraction": 0.4},
+    )
+    clears = decode(bench.programs["elaborator"], ElaboratorProgram).clears
+
+    query = WorldQuery(bench.model, bench.world)
+    advised = advise_on_collision(blocked, query, "RIGHT-ARM", clears, goal="BAY-2-FRONT").clears
+
+    assert "BAY-2-FRONT" not in advised
+    assert "CLEAR-POINT-1" in advised
+    assert ("another arm" in advised) is other_arm
