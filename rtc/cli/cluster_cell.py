@@ -1,4 +1,4 @@
-"""A file of the cell that a broker has sent, for a command that reaches its cluster by a key."""
+"""The cell of a cluster: its name in a run directory, or the file that a broker has sent to the user of a key."""
 
 from __future__ import annotations
 
@@ -6,6 +6,20 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+import msgspec
+
+from rtc.runtime.settings import Settings, default_run_dir
+
+CELL = "swapout"  # default cell of a cluster
+
+
+def cell_of(run_dir: Path | None) -> str:
+    """Name or file of the cell of the cluster that runs, or ran last, in this directory; None: the user's own."""
+    try:
+        return Settings.load(run_dir or default_run_dir()).cell
+    except (OSError, msgspec.MsgspecError):
+        return CELL
 
 
 @contextmanager

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import typer
 
+from rtc.cli.cluster_cell import cell_of
+from rtc.cli.output import RunDir
 from rtc.language import dictionary as entries
 from rtc.language.caret import show
 from rtc.language.parse import default_grammar
@@ -27,7 +29,6 @@ if TYPE_CHECKING:
     from rtc.cells.cell import Cell
 
 REFUSED = 2  # exit status
-DEFAULT_CELL = "swapout"
 CONTROLS = {"HALT", "PAUSE", "RESUME", "ABORT"}  # performed by the broker, without a script
 
 
@@ -37,11 +38,15 @@ def parse(
     explain: Annotated[
         bool, typer.Option("--explain", help="Say what each MAINTAIN item means, and which camera looks.")
     ] = False,
-    cell: Annotated[str, typer.Option("--cell", help="Name or file of the cell for --explain.")] = DEFAULT_CELL,
+    cell: Annotated[
+        str, typer.Option("--cell", help="Name or file of the cell for --explain.", show_default="the cluster's")
+    ] = "",
+    run_dir: RunDir = None,
 ) -> None:
     """Parse a sentence and show the result, or the place of the error.
 
-    It needs no cluster and sends nothing. Exit status: 0 valid, 2 not valid.
+    It needs no cluster and sends nothing. Without a cluster, --explain is about the cell `swapout`. Exit status:
+    0 valid, 2 not valid.
 
     Example: rtc parse "grasp Macs_old with Right_arm maintain speed 10 cm/s."
     Example: rtc parse "STOW LEFT-ARM MAINTAIN SPEED AND AVOID-NEIGHBORS" --explain
@@ -52,7 +57,7 @@ def parse(
     elif isinstance(result, ParsedCommand):
         print(understood(result))
         if explain:
-            print("\n".join(explained(result, cell)))
+            print("\n".join(explained(result, cell or cell_of(run_dir))))
     else:
         print(show(sentence, result), file=sys.stderr)
     if isinstance(result, Refusal):

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from pathlib import Path
 from typing import Annotated, NamedTuple
 
-import msgspec
 import typer
 from rich.text import Text
 
 from rtc.cells.cell import Cell
 from rtc.cells.parts import Camera, Object, Place, Region, Seat
+from rtc.cli.cluster_cell import cell_of
 from rtc.cli.output import AsJson, RunDir, console, emit_json, table, trouble
 from rtc.language.alike import nearest_words
 from rtc.language.record import hand_in_words
 from rtc.robot.axis_names import AXES
-from rtc.runtime.settings import Settings, default_run_dir
 
-CELL = "swapout"  # default cell of a cluster
 NO_GRASP = "GRASP needs a row of command_object_table for it"  # of an object of a kind that the programs do not know
 OTHER_WORDS = {"axis": "axes", "hand": "arms", "hands": "arms", "end-effector": "arms", "end-effectors": "arms"}
 
@@ -50,7 +47,7 @@ def names(
     Example:  rtc names places
     """
     wanted = kind_of(kind)
-    what = cell or _cell_of(run_dir or default_run_dir())
+    what = cell or cell_of(run_dir)
     if json:
         found = _found(what, wanted)
         emit_json({"cell": what, "names": {kind: [row._asdict() for row in rows] for kind, rows in found.items()}})
@@ -88,14 +85,6 @@ def kind_of(word: str) -> str:
         hint = f" (did you mean {near[0]}?)" if near else ""
         raise trouble(f"names has no kind {word}{hint}; the kinds are: {', '.join(KINDS)}", 2)
     return match
-
-
-def _cell_of(run_dir: Path) -> str:
-    """The cell of the cluster that runs, or ran last, in this directory."""
-    try:
-        return Settings.load(run_dir).cell
-    except (OSError, msgspec.MsgspecError):
-        return CELL
 
 
 def _arms(cell: Cell) -> list[NameEntry]:

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from rtc.cells.cell import Cell
-from rtc.cli.names import KINDS, NO_GRASP, _cell_of
+from rtc.cli.cluster_cell import cell_of
+from rtc.cli.names import KINDS, NO_GRASP
 from rtc.language.parse import default_grammar, parse
 from rtc.language.record import ParsedCommand
 from rtc.runtime.settings import Settings
@@ -39,6 +40,6 @@ def test_what_no_program_can_grasp_is_marked() -> None:
 
 
 def test_the_cell_is_that_of_the_cluster(tmp_path: Path) -> None:
-    assert _cell_of(tmp_path) == "swapout"
+    assert cell_of(tmp_path) == "swapout"
     Settings(run_dir=str(tmp_path), cell="/somewhere/cell.yaml").save()
-    assert _cell_of(tmp_path) == "/somewhere/cell.yaml"
+    assert cell_of(tmp_path) == "/somewhere/cell.yaml"

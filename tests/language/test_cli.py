@@ -8,10 +8,16 @@ from typer.testing import CliRunner
 
 from rtc.cli import language
 from rtc.language import dictionary
+from rtc.runtime.settings import Settings
 
 APP = typer.Typer()
 for command in (language.parse, language.dictionary, language.grammar):
     APP.command()(command)
+
+
+@pytest.fixture(autouse=True)
+def no_cluster(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("RTC_RUN_DIR", str(tmp_path / "run"))
 
 
 def run(*arguments: str) -> tuple[int, str, str]:
@@ -42,6 +48,13 @@ def test_parse_explains_what_an_item_means_without_its_argument(tmp_path) -> Non
         "  MAINTAIN SHARED: refused today",
         "  MAINTAIN SPEED: 10 cm/s, the meaning in cell swapout; it acts on motions of the arm",
     ]
+
+
+def test_parse_explains_in_the_cell_of_the_cluster(tmp_path) -> None:
+    sentence, there = "STOW LEFT-ARM MAINTAIN SPEED", ("--run-dir", str(tmp_path))
+    Settings(run_dir=str(tmp_path), cell="servicing").save()
+    assert "in cell servicing" in run("parse", sentence, "--explain", *there)[1]
+    assert "in cell swapout" in run("parse", sentence, "--explain", *there, "--cell", "swapout")[1]
 
 
 @pytest.mark.parametrize(
