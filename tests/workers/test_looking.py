@@ -221,6 +221,15 @@ def holding(bench):
     return bench
 
 
+def test_an_object_that_is_not_seen_in_its_hand_is_felt_for_first(holding) -> None:
+    holding.subsystem.eyes.blind = True
+    advice = holding.do(f"LOCATE {MODULE}").failure.clears
+    felt = f"VERIFY {MODULE} AT RIGHT-ARM"
+    assert advice.startswith(f"{felt}; ")
+    assert holding.do(felt).succeeded
+    assert "VERIFY" not in holding.do(f"LOCATE {OTHER}").failure.clears
+
+
 def lifted(bench, slip=(0.0, 0.0, 0.004)):
     """Lifted, slipped in the hand, and in doubt."""
     assert bench.do(f"LIFT {MODULE} BY 15 CM").succeeded

@@ -200,7 +200,8 @@ def _failure(
     if evaluation.slowed and reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT):
         words = f"{words}; {evaluation.slowed}"
     cures = _ways_to_clear(program, query, changes, failure.misplaced)
-    todo = (failure.clears, *_higher_limit(data), *cures, failure.again) if asked is None else tuple(cures)
+    advice = (*_feel(query, data, reason), failure.clears, *_higher_limit(data))
+    todo = (*advice, *cures, failure.again) if asked is None else tuple(cures)
     trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
     return Assessment(
         verdict="trim" if trim else "abort",
@@ -212,14 +213,20 @@ def _failure(
     )
 
 
+def _feel(query: WorldQuery, data: AnalyzerInput, reason: StopReason) -> list[str]:
+    """The advice if a body that cameras do not see is believed in a hand: they looked only where that hand is."""
+    body = data.evaluation.body
+    holder = query.held_by(body) if body and reason is StopReason.NOT_SEEN else ""
+    return [f"VERIFY {body} AT {hand_in_words(holder)}"] if holder else []
+
+
 def _higher_limit(data: AnalyzerInput) -> list[str]:
     """The advice if the force that ended the step is the FORCE-LIMIT of the sentence."""
     limit_n, report = data.evaluation.context.limits.force_n, data.report
-    if limit_n is None or report.reason is not StopReason.FORCE_LIMIT or report.limit is None:
+    if limit_n is None or report.limit is None or report.reason is not StopReason.FORCE_LIMIT:
         return []
-    return (
-        [f"a FORCE-LIMIT above {limit_n:g} N, if nothing is in the way"] if math.isclose(report.limit, limit_n) else []
-    )
+    own = math.isclose(report.limit, limit_n)
+    return [f"a FORCE-LIMIT above {limit_n:g} N, if nothing is in the way"] if own else []
 
 
 def _ways_to_clear(program: AnalyzerProgram, query: WorldQuery, changes: Changes, misplaced: bool) -> list[str]:
