@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,15 +16,21 @@ import msgspec
 import pytest
 import zmq
 
+from rtc.cells.cell import Cell
 from rtc.client.halt import HaltLine
 from rtc.protocol import messages as m
 from rtc.protocol import primitive as p
-from rtc.protocol.outcomes import StopReason
+from rtc.protocol.outcomes import Reflex, StopReason
 from rtc.protocol.wire import PROTOCOL, frames, reader
+from rtc.robot import geometry
+from rtc.robot.kinematics import ArmModel
 from rtc.runtime.settings import Settings, prepare_run_dir
+from sim_mcm.arms.arm import CellState, HandCommand
+from sim_mcm.arms.kinematic_arm import KinematicCell
+from sim_mcm.state_file import StateFile
 
 pytestmark = pytest.mark.slow
-ARM, LIMIT_S = "RIGHT-ARM", 20.0
+ARM, OTHER, LIMIT_S = "RIGHT-ARM", "LEFT-ARM", 20.0
 
 _from_mcm = reader(m.SubsystemToBroker)
 
@@ -51,10 +58,13 @@ class Broker:
 
 
 @contextmanager
-def running(run_dir: Path, kind: str, speed: float) -> Iterator[SimpleNamespace]:
+def running(run_dir: Path, kind: str, speed: float, state: CellState | None = None) -> Iterator[SimpleNamespace]:
+    """A process that begins in this state of the cell, or in the initial one."""
     prepare_run_dir(run_dir)
     settings = Settings(run_dir=str(run_dir), mcm=kind, speed=speed)
     settings.save()
+    if state is not None:
+        StateFile(run_dir, settings.run).save(state)
     with (
         (run_dir / "MCM.log").open("wb") as log,
         subprocess.Popen(
@@ -69,6 +79,14 @@ def running(run_dir: Path, kind: str, speed: float) -> Iterator[SimpleNamespace]
         finally:
             process.kill()
             context.destroy(linger=0)
+
+
+@contextmanager
+def at_three_speeds(folder: Path, kind: str, state: CellState | None = None) -> Iterator[list[SimpleNamespace]]:
+    """Three processes, slower than real time, as fast, and faster."""
+    with ExitStack() as stack, ThreadPoolExecutor() as threads:
+        clusters = [running(folder / f"{speed}", kind, speed, state) for speed in (0.2, 1.0, 5.0)]
+        yield list(threads.map(stack.enter_context, clusters))
 
 
 @pytest.fixture(params=["kinematic", "bullet"])
@@ -157,9 +175,7 @@ def test_messages_are_the_same_at_any_speed(tmp_path_factory, cell, make) -> Non
         make.primitive(path, id="C-1.1", reporting=p.Reporting(every_s=0.05)),
         make.primitive(p.HoldStill(), far, id="C-2.1"),
     ]
-    with ExitStack() as stack:
-        folder = tmp_path_factory.mktemp("r")
-        made = [stack.enter_context(running(folder / f"{speed}", "kinematic", speed)) for speed in (0.2, 1.0, 5.0)]
+    with at_three_speeds(tmp_path_factory.mktemp("r"), "kinematic") as made:
         brokers = [Broker(one.context, one.settings) for one in made]
         for broker in brokers:
             broker.recv(m.SubsystemHello)
@@ -176,6 +192,57 @@ def test_messages_are_the_same_at_any_speed(tmp_path_factory, cell, make) -> Non
     assert reasons == [StopReason.GOAL, StopReason.OUT_OF_RANGE]
 
 
+def test_physics_has_the_same_events_at_any_speed(tmp_path_factory, cell, make) -> None:
+    """A touch with a back-off, reports on conditions, a grip, and a stop on a condition, by two arms at once (R13).
+
+    The physics goes on between two orders, for as long as they take. So the figures agree within a tolerance.
+    """
+    state, model = hand_about_a_handle(cell), ArmModel.of(cell, ARM)
+    start, home = state.arms[ARM].joints, cell.arm(OTHER).home_rad
+    aside = [home[0] + 0.02, *home[1:]]
+    here, there = model.fk(start), ArmModel.of(cell, OTHER).fk(aside)
+
+    def farther(than_m: float, point: geometry.Array) -> p.TcpFar:
+        return p.TcpFar(point=point[:3].tolist(), distance_m=than_m)
+
+    def reports(*when: p.Predicate) -> p.Reporting:
+        return p.Reporting(every_s=0.05, when=[p.ReportCondition(n=n, when=one) for n, one in enumerate(when)])
+
+    touch = make.stop(StopReason.CONTACT, p.ForceAbove(limit_n=6.0), Reflex.BACK_OFF, 0.004)
+    path = make.line_path(model, start, geometry.translate(here, (0.0, 0.012, 0.0)), 0.1)
+    swing = make.joint_path(home, aside, 0.2)
+    after = [p.StartAfter(primitive="C-1.1", path_s=0.05, within_s=10.0)]
+    far = make.stop(StopReason.OUT_OF_RANGE, farther(0.010, there))
+    back = make.joint_path(aside, [home[0] - 0.1, *home[1:]], 0.6)
+    wanted = {
+        ARM: [
+            make.primitive(
+                path, touch, id="C-1.1", reporting=reports(farther(0.002, here), p.ForceAbove(limit_n=50.0))
+            ),
+            make.primitive(p.HandMotion(width_m=0.0, force_n=20.0, speed_m_s=0.15), id="C-1.2"),
+        ],
+        OTHER: [
+            make.primitive(swing, id="C-2.1", performer=OTHER, reporting=reports(), start_after=after),
+            make.primitive(back, far, id="C-2.2", performer=OTHER, reporting=reports(farther(0.004, there))),
+        ],
+    }
+    with at_three_speeds(tmp_path_factory.mktemp("r"), "bullet", state) as made, ThreadPoolExecutor() as threads:
+        slow, real, fast = threads.map(lambda one: events(Broker(one.context, one.settings), wanted), made)
+    for arm in wanted:
+        assert [in_words(one) for one in slow[arm]] == [in_words(one) for one in real[arm]]
+        assert [in_words(one) for one in fast[arm]] == [in_words(one) for one in real[arm]]
+        for mine, reference in zip([*slow[arm], *fast[arm]], [*real[arm]] * 2, strict=True):
+            assert_same_figures(mine, reference)
+    ends = [message for messages in real.values() for message in messages if isinstance(message, m.EndReport)]
+    reasons = [StopReason.CONTACT, StopReason.GOAL, StopReason.GOAL, StopReason.OUT_OF_RANGE]
+    assert [message.reason for message in ends] == reasons
+    assert ends[1].hand_width_m == pytest.approx(0.02, abs=1e-3)  # it has the handle
+    for arm in wanted:  # one condition became true, the other did not
+        reported = [message.condition for message in real[arm] if isinstance(message, m.ProgressReport)]
+        assert set(reported) == {None, 0}
+        assert reported.count(0) == 1
+
+
 def about(broker: Broker, primitive: str) -> list[m.Message]:
     """All messages about a primitive up to its end report, without their times."""
     found: list[m.Message] = []
@@ -184,6 +251,59 @@ def about(broker: Broker, primitive: str) -> list[m.Message]:
         found.append(msgspec.structs.replace(message, at_s=0.0))
     broker.send(m.ReportAck(primitive=primitive))
     return found
+
+
+def hand_about_a_handle(cell: Cell) -> CellState:
+    """The right hand stands about a handle, with 4 mm on either side."""
+    state = KinematicCell(cell).state()
+    handle = geometry.compose(cell.object_pose("MACS-NEW"), cell.object("MACS-NEW").grasp_point("HANDLE-A").frame.pose)
+    arm = state.arms[ARM]
+    arm.joints = ArmModel.of(cell, ARM).ik(handle, near=arm.joints)[0].tolist()
+    arm.fingers, arm.opening_m, arm.hand = (0.014, 0.014), 0.028, HandCommand(0.028, 40.0, 0.15)
+    return state
+
+
+def events(broker: Broker, wanted: dict[str, list[p.Primitive]]) -> dict[str, list[m.Message]]:
+    """All messages about primitives of each arm. An arm gets the next one when it has ended the one before."""
+    broker.recv(m.SubsystemHello)
+    left = {arm: list(primitives) for arm, primitives in wanted.items()}
+    found: dict[str, list[m.Message]] = {arm: [] for arm in wanted}
+    present = {arm: primitives.pop(0) for arm, primitives in left.items()}
+    for primitive in present.values():
+        broker.send(m.Execute(primitive=primitive))
+    while present:
+        message = broker.recv(m.Started | m.ProgressReport | m.EndReport)
+        arm = next((arm for arm, primitive in present.items() if primitive.id == message.primitive), None)
+        if arm is None:  # an end report is repeated until it is acknowledged
+            continue
+        found[arm].append(message)
+        if isinstance(message, m.EndReport):
+            broker.send(m.ReportAck(primitive=message.primitive))
+            del present[arm]
+            if left[arm]:
+                present[arm] = left[arm].pop(0)
+                broker.send(m.Execute(primitive=present[arm]))
+    return found
+
+
+def in_words(message: m.Message) -> tuple[object, ...]:
+    match message:
+        case m.EndReport():
+            return message.primitive, message.reason, message.reflex, message.message
+        case m.ProgressReport():
+            return message.primitive, "progress", message.condition
+    return message.primitive, type(message).__name__
+
+
+def assert_same_figures(mine: m.Message, reference: m.Message) -> None:
+    if isinstance(mine, m.ProgressReport | m.EndReport):
+        assert mine.joints == pytest.approx(reference.joints, abs=1e-3)
+        assert mine.tcp_pose[:3] == pytest.approx(reference.tcp_pose[:3], abs=2e-4)
+    if isinstance(mine, m.EndReport):
+        assert mine.duration_s == pytest.approx(reference.duration_s, abs=0.003)
+        assert mine.measured == pytest.approx(reference.measured, rel=0.05, abs=1e-4)
+        assert mine.hand_width_m == pytest.approx(reference.hand_width_m, abs=1e-4)
+        assert mine.hand_force_n == pytest.approx(reference.hand_force_n, abs=0.5)
 
 
 def test_no_bytes_stop_it(mcm, swing) -> None:
