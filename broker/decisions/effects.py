@@ -104,20 +104,3 @@ class PublishHalt(Effect, frozen=True, kw_only=True, gc=False):
     """Publish a halt that is not a sentence."""
 
     halt: HaltRequested
-
-
-AnyEffect = (
-    DispatchJob
-    | CancelJob
-    | SendPrimitive
-    | SendPace
-    | SendHalt
-    | AcknowledgeReport
-    | StartTimer
-    | StopTimer
-    | TellClient
-    | PublishNote
-    | ReportEnd
-    | DeclineHalt
-    | PublishHalt
-)

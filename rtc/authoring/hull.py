@@ -20,7 +20,6 @@ CLOSE_M, MOST, AT_ONCE = 0.001, 220, 6  # then as many more until this close, or
 
 class Hull(NamedTuple):
     text: str  # OBJ
-    volume_m3: float
     left_out_m: float  # greatest distance of a vertex of the mesh outside of the hull
     vertices: Array
 
@@ -48,7 +47,7 @@ def hull_of(points: Array, name: str) -> Hull:
         outward = np.dot(np.cross(b - a, c - a), plane[:3]) > 0
         order = corners if outward else corners[::-1]
         lines.append("f " + " ".join(str(number[vertex] + 1) for vertex in order))
-    return Hull("\n".join(lines) + "\n", float(solid.volume), float(max(beyond.max(), 0.0)), few[solid.vertices])
+    return Hull("\n".join(lines) + "\n", float(max(beyond.max(), 0.0)), few[solid.vertices])
 
 
 def _directions() -> Array:

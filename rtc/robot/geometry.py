@@ -79,26 +79,16 @@ def translate(pose: Floats, by: Floats) -> Array:
 
 def interpolate(a: Floats, b: Floats, s: float) -> Array:
     """The pose at the fraction `s` (0..1) of the straight line from `a` to `b`; attitude by the shorter slerp."""
-    pa, pb = _floats(a), _floats(b)
-    qa, qb = pa[3:], pb[3:]
-    cosine = sum(m * n for m, n in zip(qa, qb, strict=True))
-    if cosine < 0:  # q and -q are the same attitude; take the nearer one
-        qb, cosine = [-n for n in qb], -cosine
-    if cosine > 0.99999:  # linear interpolation, because sin(angle) is nearly 0
-        wa, wb = 1.0 - s, s
-    else:
-        angle = math.acos(cosine)
-        wa, wb = math.sin((1.0 - s) * angle) / math.sin(angle), math.sin(s * angle) / math.sin(angle)
-    position = [m + s * (n - m) for m, n in zip(pa[:3], pb[:3], strict=True)]
-    return normalise((*position, *(wa * m + wb * n for m, n in zip(qa, qb, strict=True))))
+    pose: Array = interpolate_all(a, b, np.array([s]))[0]
+    return pose
 
 
 def interpolate_all(a: Floats, b: Floats, fractions: Array) -> Array:
     """`interpolate` at each of `fractions`, [fractions][7]."""
     pa, pb = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     cosine = float(pa[3:] @ pb[3:])
-    qb = -pb[3:] if cosine < 0 else pb[3:]
-    wa, wb = 1.0 - fractions, fractions
+    qb = -pb[3:] if cosine < 0 else pb[3:]  # q and -q are the same attitude; take the nearer one
+    wa, wb = 1.0 - fractions, fractions  # linear interpolation where sin(angle) is nearly 0
     poses = np.empty((len(fractions), 7))
     poses[:, :3] = pa[:3] + np.outer(fractions, pb[:3] - pa[:3])
     if abs(cosine) <= 0.99999:

@@ -204,12 +204,13 @@ class ArmModel:
         within = [q for raw in self._branches(target, reference) for q in self._turns_within(raw, margin_rad)]
         if len(within) < 2:
             return within
-        travels_s = (np.abs(np.array(within) - reference) / self.limits.velocity).max(axis=1)
-        return [within[n] for n in np.argsort(travels_s, kind="stable").tolist()]
+        order = np.argsort(self.travel_times_s(within, reference), kind="stable")
+        return [within[n] for n in order.tolist()]
 
-    def travel_time_s(self, a: Floats, b: Floats) -> float:
-        """Motion time (s) of the slowest joint from `a` to `b` at full speed; `ik` sorts by it."""
-        return float((np.abs(np.asarray(b) - np.asarray(a)) / self.limits.velocity).max())
+    def travel_times_s(self, postures: Sequence[Floats], reference: Floats) -> Array:
+        """Motion time (s) of the slowest joint from `reference` to each posture, at full speed; `ik` sorts by it."""
+        times_s: Array = (np.abs(np.asarray(postures) - reference) / self.limits.velocity).max(axis=1)
+        return times_s
 
     @property
     def middle(self) -> Array:

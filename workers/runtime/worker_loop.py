@@ -254,7 +254,6 @@ class Shell:
 
     def _do(self, job: Job, came_s: float) -> None:
         started_s = time.perf_counter()
-        self._view.version_read = 0
         try:
             product = self._work(job, came_s)
         except StopRequested:
@@ -268,11 +267,10 @@ class Shell:
             return
         took_s = time.perf_counter() - started_s
         self._slow_s = max(took_s, 0.9 * self._slow_s)
-        name, attempt, version = job.id, job.attempt, self._view.version_read
         self._answer(
-            JobRefused(id=name, attempt=attempt, refusal=product, took_s=took_s, world_version=version)
+            JobRefused(id=job.id, attempt=job.attempt, refusal=product, took_s=took_s)
             if isinstance(product, Refusal)
-            else JobDone(id=name, attempt=attempt, product=product, took_s=took_s, world_version=version)
+            else JobDone(id=job.id, attempt=job.attempt, product=product, took_s=took_s)
         )
 
     def _work(self, job: Job, came_s: float) -> msgspec.Raw | Refusal:
@@ -360,7 +358,6 @@ class WorldView:
         self._client = client
         self._world = World()
         self._read_at_s = -1.0
-        self.version_read = 0  # world version that the current job has read; 0 = none
 
     def at(self, came_s: float) -> World:
         """The current world, for a job that arrived at `came_s`.
@@ -372,7 +369,6 @@ class WorldView:
             read_at_s = now_s()
             self._world = self._world.updated(self._client.view(since=self._world.version))
             self._read_at_s = read_at_s
-        self.version_read = self._world.version
         return self._world
 
     def make_suspect(self, lease: Lease, why: str) -> None:

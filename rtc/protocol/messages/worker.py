@@ -70,7 +70,6 @@ class JobDone(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag
     attempt: int
     product: msgspec.Raw  # ParsedCommand | Script | BoundStep | Assessment
     took_s: float = 0.0
-    world_version: int = 0  # version of the world that the job has read; 0 = none
 
 
 class JobRefused(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="refused"):
@@ -78,7 +77,6 @@ class JobRefused(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, 
     attempt: int
     refusal: Refusal
     took_s: float = 0.0
-    world_version: int = 0
 
 
 class JobCrashed(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="crashed"):
