@@ -5,7 +5,6 @@ With --template it is the fork server of the next broker.
 
 from __future__ import annotations
 
-import argparse
 import secrets
 import time
 from collections.abc import Iterator
@@ -32,15 +31,7 @@ DOUBT_LIMIT_S = 2.0  # time limit for the world database to mark its facts
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(prog="python -m broker", description=__doc__)
-    arguments.add_argument("--run-dir", required=True, type=Path, help="of the cluster, as made by `rtc up`")
-    arguments.add_argument("--template", action="store_true", help="run as the fork server of the next broker")
-    handover.add_option(arguments)
-    given = arguments.parse_args()
-    if given.template:
-        fork_server.serve(lambda order: live(given.run_dir, given.handed))
-    else:
-        live(given.run_dir, given.handed)
+    fork_server.main("python -m broker", __doc__, live)
 
 
 def live(run_dir: Path, fd: int = -1) -> None:

@@ -263,10 +263,7 @@ def _be_detached(settings: Settings, show: Callable[[str], None], output: int) -
     except BaseException:
         traceback.print_exc()
     finally:
-        with contextlib.suppress(OSError):  # a full disk
-            sys.stdout.flush()
-            sys.stderr.flush()
-        os._exit(status)
+        process.leave(status)
 
 
 class _ProcessTableFile:

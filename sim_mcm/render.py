@@ -16,7 +16,7 @@ import sys
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -79,7 +79,7 @@ class Camera(NamedTuple):
 
 class Photograph(NamedTuple):
     pixels: Image  # height x width x 3
-    bodies: NDArray[np.int64]  # pybullet body id at each pixel; negative: background
+    bodies: NDArray[np.integer[Any]]  # pybullet body id at each pixel; negative: background
 
 
 class Studio:
@@ -178,27 +178,35 @@ class Studio:
         self._show_floor(True)
         times = SUPERSAMPLING if smooth else 1
         wide, high = width * times, height * times
-        _, _, pixels, _, segments = pybullet.getCameraImage(
+        image, bodies = self._drawn(
             wide,
             high,
             viewMatrix=camera.view,
             projectionMatrix=camera.lens,
-            lightDirection=LIGHT,
             lightColor=[1.0, 0.98, 0.95],
-            lightDistance=6.0,
             lightAmbientCoeff=0.62,
             lightDiffuseCoeff=0.48,
             lightSpecularCoeff=0.05,
             shadow=1,
-            renderer=pybullet.ER_TINY_RENDERER,
-            physicsClientId=self.world.client,
         )
-        image = np.asarray(pixels, dtype=np.uint8).reshape(high, wide, 4)[:, :, :3].copy()
-        bodies = np.asarray(segments, dtype=np.int64).reshape(high, wide)
         image[bodies < 0] = SKY
         blocks = image.reshape(height, times, width, times, 3)
         averaged: Image = blocks.mean(axis=(1, 3)).astype(np.uint8)
         return Photograph(averaged, bodies[::times, ::times])
+
+    def _drawn(self, width: int, height: int, **view_and_light: Any) -> tuple[Image, NDArray[np.integer[Any]]]:
+        """The colours [height][width][3] and the body of each pixel [height][width], -1 for none."""
+        _, _, pixels, _, bodies = pybullet.getCameraImage(
+            width,
+            height,
+            lightDirection=LIGHT,
+            lightDistance=6.0,
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=self.world.client,
+            **view_and_light,
+        )
+        image: Image = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[:, :, :3].copy()
+        return image, np.asarray(bodies).reshape(height, width)
 
     def mask(self, photograph: Photograph, name: str) -> sheet.Mask:
         """The pixels that show an object."""
@@ -222,23 +230,18 @@ class Studio:
         if name in scene.blind:
             return np.zeros((height, width, 3), dtype=np.uint8)
         matrices = lens.matrices(camera, pose, window)
-        _, _, pixels, _, bodies = pybullet.getCameraImage(
+        image, bodies = self._drawn(
             width,
             height,
             viewMatrix=matrices.view,
             projectionMatrix=matrices.lens,
-            lightDirection=LIGHT,
             lightColor=[1.0, 1.0, 1.0],
-            lightDistance=6.0,
             lightAmbientCoeff=0.85,
             lightDiffuseCoeff=0.15,
             lightSpecularCoeff=0.0,
             shadow=0,
-            renderer=pybullet.ER_TINY_RENDERER,
-            physicsClientId=self.world.client,
         )
-        image = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[:, :, :3].copy()
-        behind = np.asarray(bodies).reshape(height, width, 1) < 0
+        behind = bodies[:, :, None] < 0
         np.copyto(image, self._backdrop(camera, pose)[top : top + height, left : left + width], where=behind)
         return lens.exposed(image, camera, self._random if seed is None else np.random.default_rng(seed))
 

@@ -155,24 +155,26 @@ def on_client_gone(context: DecisionContext, event: ClientGone) -> None:
 # --- workers -----------------------------------------------------------------------------------------
 
 
-def _pending(context: DecisionContext, job: str, attempt: int) -> tuple[Command, PendingJob] | None:
-    """The command that waits for this attempt of the job; None if the answer is stale, which is counted."""
-    command = context.state.commands.get(job.partition("/")[0])
+def _pending(context: DecisionContext, event: JobFinished | JobDeclined | JobLost) -> tuple[Command, PendingJob] | None:
+    """The command that waits for this attempt of the job.
+
+    None if a deferred analysis waits for it, which is handled here, or if the answer is stale, which is counted.
+    """
+    if deferred_analysis.handle_answer(context, event):
+        return None
+    command = context.state.commands.get(event.job.partition("/")[0])
     pending = command.job if command is not None else None
-    if command is None or pending is None or pending.attempt != attempt or pending.id != job:
+    if command is None or pending is None or (pending.id, pending.attempt) != (event.job, event.attempt):
         context.count("stale")
         return None
+    context.node, context.took_s = event.node, event.at_s - pending.since_s
     return command, pending
 
 
 def on_job_finished(context: DecisionContext, event: JobFinished) -> None:
-    if (
-        deferred_analysis.handle_answer(context, event)
-        or (found := _pending(context, event.job, event.attempt)) is None
-    ):
+    if (found := _pending(context, event)) is None:
         return
     command, job = found
-    context.node, context.took_s = event.node, event.at_s - job.since_s
     command.job = None
     program_rollout.on_job_done(context, job)
     try:
@@ -183,13 +185,9 @@ def on_job_finished(context: DecisionContext, event: JobFinished) -> None:
 
 
 def on_job_declined(context: DecisionContext, event: JobDeclined) -> None:
-    if (
-        deferred_analysis.handle_answer(context, event)
-        or (found := _pending(context, event.job, event.attempt)) is None
-    ):
+    if (found := _pending(context, event)) is None:
         return
     command, job = found
-    context.node, context.took_s = event.node, event.at_s - job.since_s
     if event.refusal.reason is RefusalReason.TIMEOUT:
         stimulate(context, command, Stimulus.UNAVAILABLE, event.refusal)
         return
@@ -201,13 +199,9 @@ def on_job_declined(context: DecisionContext, event: JobDeclined) -> None:
 
 
 def on_job_lost(context: DecisionContext, event: JobLost) -> None:
-    if (
-        deferred_analysis.handle_answer(context, event)
-        or (found := _pending(context, event.job, event.attempt)) is None
-    ):
+    if (found := _pending(context, event)) is None:
         return
     command, job = found
-    context.node, context.took_s = event.node, event.at_s - job.since_s
     if event.blamed and program_rollout.repeat_with_another(context, command, job, event.evidence):
         return
     stimulate(context, command, Stimulus.WORKER_LOST, event)

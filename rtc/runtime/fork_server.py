@@ -14,20 +14,36 @@ The order STANDBY forks another fork server: two fork servers that fork each oth
 
 from __future__ import annotations
 
-import contextlib
+import argparse
 import os
 import signal
 import socket
-import sys
 import traceback
 from collections.abc import Callable
+from pathlib import Path
 from typing import NoReturn
 
-from rtc.runtime import process
+from rtc.runtime import handover, process
 
 STANDBY = b"standby"  # order: fork another fork server
 
 Become = Callable[[bytes], None]
+
+
+def main(prog: str, about: str, live: Callable[[Path, int], None]) -> None:
+    """The entry point of a process with one fork server: `live(run_dir, fd)`, or with --template its fork server.
+
+    `fd`: the descriptor handed over by the supervisor (rtc.runtime.handover).
+    """
+    parser = argparse.ArgumentParser(prog=prog, description=about)
+    parser.add_argument("--run-dir", required=True, type=Path, help="run directory of the cluster, made by `rtc up`")
+    parser.add_argument("--template", action="store_true", help="be the fork server of the next such process")
+    handover.add_option(parser)
+    given = parser.parse_args()
+    if given.template:
+        serve(lambda order: live(given.run_dir, given.handed))
+    else:
+        live(given.run_dir, given.handed)
 
 
 def serve(become: Become) -> None:
@@ -90,7 +106,4 @@ def _become(order: bytes, fds: list[int], orders: socket.socket, supervisor: int
     except BaseException:
         traceback.print_exc()
     finally:
-        with contextlib.suppress(OSError):  # a full disk
-            sys.stdout.flush()
-            sys.stderr.flush()
-        os._exit(status)  # without the fork server's own clean-up
+        process.leave(status)

@@ -6,7 +6,6 @@ it is the fork server of later world database processes.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -32,15 +31,7 @@ REPORT_DROPPED_S = 0.5  # period of reports to the broker about unreadable messa
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m rtc.world", description="The world database of one cluster.")
-    parser.add_argument("--run-dir", required=True, type=Path)
-    parser.add_argument("--template", action="store_true", help="be the fork server of world databases")
-    handover.add_option(parser)
-    given = parser.parse_args()
-    if given.template:
-        fork_server.serve(lambda order: live(given.run_dir, given.handed))
-    else:
-        live(given.run_dir, given.handed)
+    fork_server.main("python -m rtc.world", "The world database of one cluster.", live)
 
 
 def live(run_dir: Path, fd: int = -1) -> None:

@@ -395,11 +395,6 @@ def bind_stated_facts(task: BindTask) -> BoundStep | Refusal:
         reason=StopReason.GOAL,
         at_s=0.0,  # no motion, so there is no arm time
         duration_s=0.0,
-        joints=[],
-        tcp_pose=[],
-        wrench=[],
-        hand_width_m=0.0,
-        hand_force_n=0.0,
         facts=context.stated,
     )
     return BoundStep(report=report, evaluation=EvaluationContext(context=context, step=task.data.step), note="stated")

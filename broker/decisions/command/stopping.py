@@ -111,9 +111,4 @@ def missing_report(
         reason=reason,
         at_s=context.now,
         duration_s=0.0,
-        joints=[],
-        tcp_pose=[],
-        wrench=[],
-        hand_width_m=0.0,
-        hand_force_n=0.0,
     )
