@@ -60,7 +60,7 @@ PLACEHOLDERS = (
 #: placeholders in the failure texts of the analyzer
 FAILURE_PLACEHOLDERS = (
     *("reason", "measured", "limit", "unit", "message", "arm", "object", "point", "target"),
-    *("width", "wanted", "off", "or_load"),
+    *("width", "wanted", "off", "or_load", "short", "jam"),
     *("camera", "turned"),
 )
 #: keys of `words` of a step that have an effect

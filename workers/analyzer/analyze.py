@@ -38,6 +38,7 @@ UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE
 
 CLOSING = ("taken", "pinched")  # effects of steps that close the hand on the object
 SEEN = "sighted"  # effect of steps that look
+BLOCKED = "look what is in the way"  # advice for an arm that pressed until its time ended
 THIN_M = 0.002  # fingers closer together than this hold nothing
 
 #: figures that the program must define
@@ -192,7 +193,8 @@ def _failure(
     if failure.misplaced:
         changes = _misplaced(program, query, changes)
     asked = reflexes.find_requested(evaluation.context.reflexes, data.report)
-    words = _words(failure.message, data, reason) if asked is None else _stopped_as_requested(asked, data)
+    message = failure.message.replace("{short}", _short(program, data))
+    words = _words(message, data, reason) if asked is None else _stopped_as_requested(asked, data)
     if done := reflexes.describe_action(data.report):
         words = f"{words}; {done}"
     if reason is StopReason.OUT_OF_RANGE and _seen_as_believed(query, data):
@@ -200,7 +202,8 @@ def _failure(
     if evaluation.slowed and reason in (StopReason.FORCE_LIMIT, StopReason.CONTACT):
         words = f"{words}; {evaluation.slowed}"
     cures = _ways_to_clear(program, query, changes, failure.misplaced)
-    advice = (*_feel(query, data, reason), failure.clears, *_higher_limit(data))
+    blocked = BLOCKED if not failure.clears and _pressing_n(program, data) else ""
+    advice = (*_feel(query, data, reason), failure.clears or blocked, *_higher_limit(data))
     todo = (*advice, *cures, failure.again) if asked is None else tuple(cures)
     trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
     return Assessment(
@@ -220,9 +223,30 @@ def _feel(query: WorldQuery, data: AnalyzerInput, reason: StopReason) -> list[st
     return [f"VERIFY {body} AT {hand_in_words(holder)}"] if holder else []
 
 
+def _pressing_n(program: AnalyzerProgram, data: AnalyzerInput) -> float:
+    """The force (N) of an arm that pressed on something when its time was over; 0 if it did not press."""
+    report = data.report
+    if report.reason is not StopReason.TIMEOUT or not report.trip_wrench or data.evaluation.goal_pose is None:
+        return 0.0
+    force_n = math.hypot(*report.trip_wrench[:3])
+    return force_n if force_n >= program.values["touched_n"] else 0.0
+
+
+def _short(program: AnalyzerProgram, data: AnalyzerInput) -> str:
+    """How far from its goal a motion has ended, and with what force; empty without a goal or near it."""
+    off_m, force_n = _off_m(data), _pressing_n(program, data)
+    if off_m <= program.values["position_m"]:
+        return ""
+    pressing = f", and pressed with {force_n:.3g} N" if force_n else ""
+    return f": the hand was {off_m * 1000:.0f} mm from the end of its path{pressing}"
+
+
 def _higher_limit(data: AnalyzerInput) -> list[str]:
-    """The advice if the force that ended the step is the FORCE-LIMIT of the sentence."""
-    limit_n, report = data.evaluation.context.limits.force_n, data.report
+    """The advice if the force or the time that ended the step is the limit of the sentence."""
+    limits, report = data.evaluation.context.limits, data.report
+    if limits.time_s is not None and report.reason is StopReason.TIMEOUT:
+        return [f"a TIME-LIMIT above {limits.time_s:g} S, if it needs more time"]
+    limit_n = limits.force_n
     if limit_n is None or report.limit is None or report.reason is not StopReason.FORCE_LIMIT:
         return []
     own = math.isclose(report.limit, limit_n)
@@ -451,6 +475,14 @@ def _stopped_by(data: AnalyzerInput) -> str:
     return data.evaluation.context.partner if caused else data.evaluation.arm
 
 
+def _jam(report: EndReport) -> str:
+    """The figures of a jam: a force or torque above its limit, or the distance (m) of a hand behind its path."""
+    value, limit, force_n = report.measured or 0.0, report.limit or 0.0, math.hypot(*(report.trip_wrench or [])[:3])
+    if report.reason is StopReason.FORCE_LIMIT and not math.isclose(value, force_n, rel_tol=0.01):
+        return f"the hand was {value * 1000:.0f} mm behind its path, and pressed with {force_n:.3g} N"
+    return f"{value:.3g} {UNITS.get(report.reason, '')} where {limit:.3g} is the limit"
+
+
 def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:
     evaluation, report = data.evaluation, data.report
     least, most = evaluation.width_m or (0.0, 0.0)
@@ -470,6 +502,7 @@ def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:
         "wanted": f"{least * 1000:.0f} to {most * 1000:.0f}",
         "off": f"{_off_m(data) * 1000:.1f}",
         "turned": f"{math.degrees(_turned_rad(data)):.1f}",
+        "jam": _jam(report),
     }
     for name, text in figures.items():
         message = message.replace("{" + name + "}", text)

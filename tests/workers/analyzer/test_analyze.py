@@ -516,7 +516,44 @@ def test_advice_is_for_what_is_suspect_now_and_in_order(bench):
 
     first, again = made.clears.split("; ")
     assert first == "VERIFY MACS-NEW AT RIGHT-ARM"
-    assert "more time" in again
+    assert "again" in again
+
+
+@pytest.mark.parametrize(
+    ("reason", "measured", "limit", "figures"),
+    [
+        (StopReason.FORCE_LIMIT, 90.0, 80.0, "90 N where 80 is the limit"),
+        (StopReason.FORCE_LIMIT, 0.0604, 0.06, "60 mm behind its path"),
+        (StopReason.TORQUE_LIMIT, 17.0, 16.0, "17 N.m where 16 is the limit"),
+    ],
+)
+def test_a_jam_has_its_unit(bench, reason, measured, limit, figures):
+    """A force, a torque, or the distance of the hand behind its path ends the way into a seat."""
+    bound, report = bound_and_done(bench, "STOW RIGHT-ARM")
+    into = msgspec.structs.replace(bound.evaluation, step=msgspec.structs.replace(bound.evaluation.step, stop="insert"))
+    bound = msgspec.structs.replace(bound, evaluation=into)
+    wrench = [90.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+
+    made = judged(bench, bound, ended(report, reason, measured=measured, limit=limit, trip_wrench=wrench))
+
+    assert figures in made.message
+
+
+def test_a_motion_that_pressed_until_its_time_ended_reports_how_far_it_came_and_with_what_force(bench):
+    """More time would not help it: a jammed seat holds the module with any force."""
+    bench.do(GRASP)
+    bench.do("LIFT MACS-NEW BY 10 CM")
+    bound, report = bound_and_done(bench, "MOVE RIGHT-ARM TO CLEAR-POINT-1 MAINTAIN TIME-LIMIT 20 SEC")
+    short = geometry.translate(report.tcp_pose, [-0.04, 0.0, 0.0]).tolist()
+    late = ended(report, StopReason.TIMEOUT, tcp_pose=short, trip_wrench=[16.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+    pressed, free = judged(bench, bound, late), judged(bench, bound, ended(late, StopReason.TIMEOUT, trip_wrench=None))
+
+    assert "40 mm" in pressed.message
+    assert "16 N" in pressed.message
+    assert pressed.clears.startswith("look what is in the way")
+    assert "40 mm" in free.message
+    assert free.clears.startswith("a TIME-LIMIT above 20 S")
 
 
 def test_an_empty_hand_that_moves_freely_puts_nothing_in_doubt(bench):
