@@ -23,7 +23,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, get_args
 
 import zmq
 
@@ -32,22 +32,21 @@ from rtc.client.context import ClientContext
 from rtc.client.halt import HaltLine, HaltResult
 from rtc.client.heartbeat import HeartbeatSender
 from rtc.client.liveness import BrokerLiveness, Report, is_listening, supervised
+from rtc.client.requests import Answer, OnProgress, Requests, expect
+from rtc.client.subscription import subscribe
 from rtc.language.refuse import MAX_CHARACTERS
 from rtc.protocol import messages as m
 from rtc.protocol.faults import AnyFault
 from rtc.protocol.outcomes import (
     KeyTrouble,
     NoCluster,
-    Outcome,
-    OutcomeKind,
     Refusal,
     RefusalReason,
     RequestDeclined,
     TimedOut,
-    WireError,
 )
 from rtc.protocol.traceparent import with_traceparent
-from rtc.protocol.wire import MAX_BYTES, frames, reader
+from rtc.protocol.wire import frames, reader
 from rtc.runtime.keys import Endpoints, KeyFile
 from rtc.runtime.settings import Settings, default_run_dir, shell_command
 from rtc.world.client import WorldClient
@@ -57,15 +56,12 @@ ANSWER_S = 5.0  # longest wait for an answer that needs no motion
 LOADED_S = 40.0  # the same for a program, which the cluster checks first
 ASK_AGAIN_S = 0.2  # pause after the broker declined a query for overload
 WINDOW = 512  # maximum number of sentences in progress in `run_many`
-KEPT = 10_000  # maximum number of unfetched outcomes
 NO_TEXT = re.compile("[\ud800-\udfff]")  # lone surrogates, made by Python of undecodable bytes; not valid in UTF-8
 
 Source = Literal["operator", "aip"]
 SOURCES = get_args(Source)
 OnAccept = Callable[[int, str], None]
-OnProgress = Callable[[m.ProgressNote], None]
 OnEnd = Callable[[int, m.CommandEnded], None]
-Answer = TypeVar("Answer")
 
 
 def as_text(sentence: str) -> str:
@@ -113,14 +109,7 @@ class Client:
             raise ValueError(f"invalid client name: {length} bytes; the limit is {NAME_BYTES}, the first must not be 0")
         me = f"{self.name}~{self._life}"  # unique, although two clients may have one name
         self._ask_number = itertools.count(1)
-        self._command_of: dict[str, str] = {}  # request -> C-n
-        self._request_of: dict[str, str] = {}  # C-n -> request
-        self._listeners: dict[str, OnProgress] = {}  # request -> callback for its notes
-        self._accept_listeners: dict[str, Callable[[str], None]] = {}
-        self._ended: dict[str, m.CommandEnded] = {}  # request -> outcome, until it is fetched
-        self._fetched: dict[str, None] = {}  # latest fetched requests, to recognise a repeated outcome
-        self._queries: set[str] = set()  # requests that are queries, not sentences
-        self._answers: dict[str, m.BrokerToClient] = {}  # request -> answer to a query
+        self._requests = Requests()
         self._context = ClientContext()
         self._halt_line = HaltLine(self._context, self._endpoints)
         self._connection = BrokerConnection(
@@ -176,20 +165,22 @@ class Client:
         """
         request = self._submit(text, on_progress, traceparent=traceparent)
         self._until(
-            lambda: request in self._command_of or request in self._ended, ANSWER_S, "the sentence was not accepted"
+            lambda: request in self._requests.command_of or request in self._requests.ended,
+            ANSWER_S,
+            "the sentence was not accepted",
         )
-        if request not in self._command_of:
-            refusal = self._fetch(request).outcome.refusal
+        if request not in self._requests.command_of:
+            refusal = self._requests.fetch(request).outcome.refusal
             assert refusal is not None
             raise RequestDeclined(refusal)
-        return self._command_of[request]
+        return self._requests.command_of[request]
 
     def wait(self, command: str, timeout_s: float | None = None) -> m.CommandEnded:
         """The outcome of a command of this client. Raises TimedOut if it does not end in time; it then continues."""
-        request = self._request_of.get(command)
+        request = self._requests.request_of.get(command)
         assert request is not None, f"{command} was not submitted by this client, or its outcome was fetched already"
-        self._until(lambda: request in self._ended, timeout_s, f"{command} has not ended; it continues")
-        return self._fetch(request)
+        self._until(lambda: request in self._requests.ended, timeout_s, f"{command} has not ended; it continues")
+        return self._requests.fetch(request)
 
     def run(
         self,
@@ -233,13 +224,13 @@ class Client:
                 request = self._submit(text, on_progress, on_accept and partial(on_accept, n), traceparent)
                 waiting[request] = n
             self._until(
-                lambda: not waiting.keys().isdisjoint(self._ended),
+                lambda: not waiting.keys().isdisjoint(self._requests.ended),
                 None if limit_s is None else limit_s - time.monotonic(),
                 f"{len(waiting) + len(todo)} of {len(texts)} commands have not ended; those submitted continue",
             )
-            for request in waiting.keys() & self._ended.keys():
+            for request in waiting.keys() & self._requests.ended.keys():
                 n = waiting.pop(request)
-                ended[n] = self._fetch(request)
+                ended[n] = self._requests.fetch(request)
                 if on_end:
                     on_end(n, ended[n])
         return [ended[n] for n in range(len(texts))]
@@ -302,11 +293,11 @@ class Client:
 
         Endless, unless `silence_s` is given: then it ends after that time without a message.
         """
-        return self._subscribe("events", reader(m.ProgressNote | m.CommandEnded), silence_s)
+        return subscribe(self._context, self._endpoints, "events", reader(m.ProgressNote | m.CommandEnded), silence_s)
 
     def telemetry(self, silence_s: float | None = None) -> Iterator[m.Telemetry]:
         """Joints, wrench, tcp pose and hand width of every arm, as the MCM publishes them. Ends as `events` does."""
-        return self._subscribe("telemetry", reader(m.Telemetry), silence_s)
+        return subscribe(self._context, self._endpoints, "telemetry", reader(m.Telemetry), silence_s)
 
     @property
     def world(self) -> WorldClient:
@@ -320,7 +311,7 @@ class Client:
 
     def truth(self) -> m.SimTruthReply:
         """True poses in the simulator."""
-        return self._bench(m.SimTruth(request=self._next_request()), m.SimTruthReply)
+        return self._ask_simulator(m.SimTruth(request=self._next_request()), m.SimTruthReply)
 
     def displace(self, object: str, offset: Sequence[float]) -> None:
         """Move an object and its seat in the simulator only. `offset`: x y z (m) roll pitch yaw (rad), world axes."""
@@ -340,7 +331,7 @@ class Client:
         return self._tamper(m.SimUndo(request=self._next_request(), fault=name))
 
     def _tamper(self, message: m.SimDisplace | m.SimFactors | m.SimInject | m.SimUndo) -> m.SimDone:
-        done = self._bench(message, m.SimDone)
+        done = self._ask_simulator(message, m.SimDone)
         if done.error:
             raise RequestDeclined(Refusal(reason=RefusalReason.STATE, message=done.error))
         return done
@@ -364,10 +355,7 @@ class Client:
         request = self._next_request()
         if traceparent:
             request = with_traceparent(request, traceparent)
-        if on_progress is not None:
-            self._listeners[request] = on_progress
-        if on_accept is not None:
-            self._accept_listeners[request] = on_accept
+        self._requests.watch(request, on_progress, on_accept)
         sentence = m.CommandText(
             request=request,
             text=as_text(text)[: 2 * MAX_CHARACTERS],  # cut for the wire; still refused by the parser
@@ -387,73 +375,35 @@ class Client:
             if left_s <= 0:
                 raise TimedOut(f"{otherwise} (waited {timeout_s:.1f} s)")
             if (message := self._connection.recv(left_s)) is not None:
-                self._take(message)
+                self._requests.take(message)
             self._liveness.check(self._connection.unanswered, self._connection.replaced)
             if refused := self._connection.key_refused:
                 raise NoCluster(refused)
 
-    def _take(self, message: m.BrokerToClient) -> None:
-        match message:
-            case m.Accepted(request=request, command=command):
-                if request not in self._command_of:  # a second Accepted answers a repeated sentence
-                    self._command_of[request] = command
-                    self._request_of[command] = request
-                    if on_accept := self._accept_listeners.pop(request, None):
-                        on_accept(command)
-            case m.ProgressNote(command=command):
-                if listener := self._listeners.get(self._request_of.get(command, "")):
-                    listener(message)
-            case m.CommandEnded(request=request):
-                self._keep_outcome(request, message)
-            case m.Declined(request=request, refusal=refusal) if request in self._queries:
-                self._answers[request] = message
-            case m.Declined(request=request, refusal=refusal):
-                self._keep_outcome(request, _as_refused(request, refusal))
-            case m.StatusReply() | m.TraceReply() | m.ProgramLoaded() | m.ProgramReply():
-                if message.request in self._queries:
-                    self._answers[message.request] = message
-
-    def _keep_outcome(self, request: str, ended: m.CommandEnded) -> None:
-        if request in self._fetched:
-            return  # repeated, after a reconnect
-        self._ended[request] = ended
-        while len(self._ended) > KEPT:
-            self._fetch(next(iter(self._ended)))
-
-    def _fetch(self, request: str) -> m.CommandEnded:
-        """Return an outcome and forget its command."""
-        self._listeners.pop(request, None)
-        self._accept_listeners.pop(request, None)
-        self._request_of.pop(self._command_of.pop(request, ""), None)
-        self._fetched[request] = None
-        while len(self._fetched) > KEPT:
-            del self._fetched[next(iter(self._fetched))]
-        return self._ended.pop(request)
-
     def _query(self, message: Any, answer: type[Answer], within_s: float = ANSWER_S) -> Answer:
         """Send a query; repeat it for `within_s` while the broker declines it for overload."""
         request, limit_s = message.request, time.monotonic() + within_s
-        self._queries.add(request)
+        self._requests.queries.add(request)
         try:
             while True:
                 self._connection.send(request, message)
-                self._until(lambda: request in self._answers, within_s, "the broker did not answer")
-                found = self._answers.pop(request)
+                self._until(lambda: request in self._requests.answers, within_s, "the broker did not answer")
+                found = self._requests.answers.pop(request)
                 overload = isinstance(found, m.Declined) and found.refusal.reason is RefusalReason.OVERLOAD
                 if not overload or time.monotonic() > limit_s:
-                    return _expect(found, answer)
+                    return expect(found, answer)
                 self._receive_for(ASK_AGAIN_S)
         finally:
-            self._queries.discard(request)
+            self._requests.queries.discard(request)
             self._connection.forget(request)
 
     def _receive_for(self, seconds: float) -> None:
         end_s = time.monotonic() + seconds
         while (left_s := end_s - time.monotonic()) > 0:
             if (message := self._connection.recv(left_s)) is not None:
-                self._take(message)
+                self._requests.take(message)
 
-    def _bench(self, message: m.ToSim, answer: type[Answer]) -> Answer:
+    def _ask_simulator(self, message: m.ToSim, answer: type[Answer]) -> Answer:
         """Send a request to the simulator, over a socket of its own: such requests are rare."""
         read = reader(m.FromSim)
         with self._context.socket(zmq.DEALER) as bench:
@@ -462,29 +412,7 @@ class Client:
             bench.send_multipart(frames(message))
             if not bench.poll(int(ANSWER_S * 1000)):
                 raise TimedOut(f"the simulator did not answer within {ANSWER_S:.0f} s")
-            return _expect(read(bench.recv_multipart()), answer)
-
-    def _subscribe(
-        self, endpoint: str, read: Callable[[Sequence[bytes]], Answer], silence_s: float | None
-    ) -> Iterator[Answer]:
-        socket = self._context.socket(zmq.SUB)
-        socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)
-        socket.subscribe(b"")
-        self._endpoints.secure(socket)
-        socket.connect(self._endpoints.endpoint(endpoint))
-        return _each(socket, read, silence_s)
-
-
-def _each(
-    socket: zmq.Socket[bytes], read: Callable[[Sequence[bytes]], Answer], silence_s: float | None
-) -> Iterator[Answer]:
-    limit_ms = None if silence_s is None else int(silence_s * 1000)
-    with socket:
-        while socket.poll(limit_ms):
-            try:
-                yield read(socket.recv_multipart())
-            except WireError:
-                continue  # of a newer version
+            return expect(read(bench.recv_multipart()), answer)
 
 
 def running_settings(run_dir: Path) -> Settings:
@@ -500,16 +428,3 @@ def running_settings(run_dir: Path) -> Settings:
             f"the cluster in {run_dir} no longer runs; start one with: {shell_command('rtc up -d', run_dir)}"
         )
     return settings
-
-
-def _expect(message: object, kind: type[Answer]) -> Answer:
-    if isinstance(message, m.Declined):
-        raise RequestDeclined(message.refusal)
-    assert isinstance(message, kind), f"expected {kind.__name__}, got {message!r}"
-    return message
-
-
-def _as_refused(request: str, refusal: Refusal) -> m.CommandEnded:
-    """The outcome of a sentence that did not become a command: a refusal, so that callers handle one type."""
-    outcome = Outcome(kind=OutcomeKind.REFUSED, message=refusal.message, refusal=refusal)
-    return m.CommandEnded(seq=0, at_s=time.monotonic(), command="", request=request, text="", outcome=outcome, took_s=0)

@@ -12,7 +12,7 @@ from lark.exceptions import UnexpectedInput
 
 from rtc.language.complain import allowed_after
 from rtc.language.grammar import Grammar
-from rtc.language.meaning import AMOUNTS, CONSTRAINTS, JOINTS, LENGTH, MEASURES, PERIOD, STEP, TIME, Takes
+from rtc.language.quantities import AMOUNTS, CONSTRAINTS, JOINTS, LENGTH, MEASURES, PERIOD, STEP, TIME, Takes
 from rtc.language.refuse import Wrong
 from rtc.language.units import UNITS
 from rtc.language.words import TOKEN_CLASSES, Word, one_line

@@ -1,153 +1,55 @@
 """Semantic actions of the grammar: one small function per meaning, from the parts of a production to record fields.
 
 The grammar names these functions (`-> word`); it may name only those in the table `MEANING` at the end. They do not
-know the positions of words. Most clauses return a dict of record fields, and the enclosing clause merges them. The
-checks that a grammar cannot express are here: dimension and sign of each quantity, and repeated items. A fault raises
-`Wrong` at its column.
+know the positions of words. Most clauses return a dict of record fields, and the enclosing clause merges them. Checks
+that a grammar cannot express are here (repeated items) and in `quantities`. A fault raises `Wrong` at its column.
 
 The grammar is right-recursive, so lists are built last item first.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 from lark.lexer import Token
 
-from rtc.language.record import Condition, Constraint, Destination, Quantity, ReflexItem, Report
+from rtc.language.quantities import (
+    AMOUNTS,
+    ANYTHING,
+    CONSTRAINTS,
+    JOINTS,
+    LENGTH,
+    MEASURES,
+    PERIOD,
+    STEP,
+    TIME,
+    check_angles,
+    checked,
+    in_one_unit,
+    in_si,
+    si_numbers,
+)
+from rtc.language.record import Condition, Constraint, Destination, ReflexItem, Report
 from rtc.language.refuse import Wrong, quoted
-from rtc.language.units import KINDS, UNITS, such_as, to_si
+from rtc.language.units import UNITS
 from rtc.language.words import WrittenNumber, measured
 
 Fields = dict[str, Any]
 Parts = list[Any]
-Sense = Literal["any", "not negative", "more than nothing"]
 
 NOTHING: Fields = {}  # the fields of every empty clause; never modified
-
-
-class Takes(NamedTuple):
-    """The quantities that a word takes: SI units, the permitted sign, and the largest angle."""
-
-    units: tuple[str, ...]
-    sense: Sense = "more than nothing"
-    most_deg: float = math.inf
-
-
-LENGTH = Takes(("m",))
-TIME = Takes(("s",))
-
-ANYTHING = Takes(tuple(KINDS), "any")  # for words of a grammar that is loaded later
-
-#: verb -> quantities for BY. A negative MOVE or TURN reverses the direction; a negative LIFT is refused.
-AMOUNTS: dict[str, Takes] = {
-    "RETRACT": LENGTH,
-    "LIFT": LENGTH,
-    "PUSH": LENGTH,
-    "PULL": LENGTH,
-    "OPEN": Takes(("rad", "m")),  # a door, or a drawer
-    "CLOSE": Takes(("rad", "m")),
-    "LOOSEN": Takes(("turn", "rad")),
-    "TIGHTEN": Takes(("turn", "rad")),
-    "TURN": Takes(("rad", "turn"), "any"),
-}
-JOINTS = Takes(("rad", "m"), "any")  # m: a joint of a gantry slides
-PERIOD = Takes(("s", "Hz"))
-# MOVE ... BY: along an axis, or about it. A larger angle would be reached the other way round.
-STEP = Takes(("m", "rad"), "any", most_deg=180.0)
-ATTITUDE = Takes(("rad",), "any", most_deg=360.0)  # roll, pitch and yaw of a pose; bolts and cranks turn further
-
-CONSTRAINTS: dict[str, Takes] = {
-    "AVOID-NEIGHBORS": LENGTH,
-    "SPEED": Takes(("m/s", "rad/s", "ratio")),
-    "FORCE-LIMIT": Takes(("N",)),
-    "TORQUE-LIMIT": Takes(("N.m",)),
-    "GRIP-FORCE": Takes(("N",)),
-    "STIFFNESS": Takes(("N/m",)),
-    "TIME-LIMIT": TIME,
-}
-
-MEASURES: dict[str, Takes] = {
-    "FORCE": Takes(("N",), "not negative"),
-    "TORQUE": Takes(("N.m",), "not negative"),
-    "GRIP-FORCE": Takes(("N",), "not negative"),
-    "DISTANCE": Takes(("m",), "not negative"),
-    "CLEARANCE": Takes(("m",)),
-    "TURN": Takes(("rad", "turn")),
-}
 
 ARMS = {"LEFT-END-EFF": "LEFT-ARM", "RIGHT-END-EFF": "RIGHT-ARM"}
 ACTIONS = {"STOP": "stop", "BACK-OFF": "back_off", "COMPLY": "comply", "RELEASE": "release"}
 SHARED_PARTS = {"ORIENTATION": "WRIST"}  # synonyms for a part of a shared motion
 POSITION_NUMBERS = 3  # x y z
-ROUNDING_RAD = 1e-6  # 6.283185 RAD is a whole turn
 
 
 class HandFields(dict[str, Any]):
     """Fields of a hand, with their column: two hands of one sentence can contradict each other."""
 
     column: int = 0
-
-
-# --- quantities ---------------------------------------------------------------------------------------
-
-
-def checked(given: WrittenNumber, takes: Takes, by: str) -> Quantity:
-    """The quantity in SI. Raises `Wrong` unless the word `by` takes its unit and sign."""
-    if given.unit is None:
-        raise Wrong(given.column, f"{quoted(given.text)} has no unit.", map(such_as, takes.units))
-    si = UNITS[given.unit].si
-    if si not in takes.units:
-        kinds = " or ".join(KINDS[u].word for u in takes.units)
-        message = f"{by} takes {kinds}; {quoted(given.text)} is {KINDS[si].word}."
-        raise Wrong(given.column, message, map(such_as, takes.units))
-    value = to_si(given.number, given.unit)
-    if (value < 0 and takes.sense != "any") or (value == 0 and takes.sense == "more than nothing"):
-        message = f"{by} {quoted(given.text)} makes no sense: it must be {takes.sense}."
-        raise Wrong(given.column, message, [such_as(si)])
-    if si == "rad" and abs(value) > math.radians(takes.most_deg) + ROUNDING_RAD:
-        message = f"{by} {quoted(given.text)} makes no sense: from -{takes.most_deg:g} to {takes.most_deg:g} DEG."
-        raise Wrong(given.column, message, [such_as(si)])
-    if si == "ratio" and value > 1:
-        raise Wrong(given.column, f"{by} {quoted(given.text)} makes no sense: at most 100 PERCENT.", ["100 PERCENT"])
-    return Quantity(value, si)
-
-
-def in_one_unit(last_first: list[WrittenNumber]) -> list[tuple[WrittenNumber, str | None]]:
-    """Each number in order, with its own unit or that of the next number with a unit (`60 -20 35 CM`).
-
-    A list without any unit is in SI. Raises `Wrong` for a number without a unit after one with a unit.
-    """
-    unit: str | None = None
-    bare: WrittenNumber | None = None  # the leftmost number so far without a unit after it
-    result = []
-    for given in last_first:
-        if given.unit is None and unit is None:
-            bare = given
-        elif bare is not None and unit is None:
-            message = f"{quoted(bare.text)} has no unit, but the number before it has one."
-            raise Wrong(bare.column, message, [f"a quantity such as {bare.text[:20]} {given.unit}"])
-        unit = given.unit or unit
-        result.append((given, unit))
-    result.reverse()
-    return result
-
-
-def si_numbers(last_first: list[WrittenNumber], takes: tuple[str, ...], word: Token) -> list[float]:
-    """The numbers after JOINTS or POSITION, in SI."""
-    if not last_first:
-        raise Wrong(word.end_pos or 0, f"{word.value} needs numbers after it.", ["a number", such_as(takes[0])])
-    return in_si(in_one_unit(last_first), takes, word.value)
-
-
-def in_si(numbers: list[tuple[WrittenNumber, str | None]], units: tuple[str, ...], by: str) -> list[float]:
-    """The numbers in SI. Raises `Wrong`, at the number, for a unit that is not among `units`."""
-    for given, _ in numbers:
-        if given.unit is not None:
-            checked(given, Takes(units, "any"), by)
-    return [given.number + 0.0 if unit is None else to_si(given.number, unit) for given, unit in numbers]
 
 
 # --- what many clauses share --------------------------------------------------------------------------
@@ -462,13 +364,6 @@ class Datum(dict[str, Any]):
     """Fields of stated numbers, with the numbers as written: what they mean depends on the attribute."""
 
     numbers: tuple[tuple[WrittenNumber, str | None], ...] = ()
-
-
-def check_angles(numbers: Iterable[tuple[WrittenNumber, str | None]], by: str) -> None:
-    """Raises `Wrong`, at the number, for an angle that is not one of an attitude."""
-    for given, unit in numbers:
-        if unit is not None and UNITS[unit].si == "rad":
-            checked(given._replace(unit=unit), ATTITUDE, by)
 
 
 def number_datum(parts: Parts) -> Fields:

@@ -4,199 +4,45 @@ The real parts are the broker's loop (`broker.router.loop`) with its Decision Un
 every byte on its sockets, and replay after a crash. Real are also the MCM's subsystem and executors, and the world
 database's server and store. Simulated: clock, sockets and the other processes (tests/simulation/processes.py).
 
-The broker may be killed between two turns, before a turn is journalled, after that, and before any one of the messages
-of a turn leaves. What must hold is checked after each of its turns (`broker.decisions.invariants`) and at the end
-(`Ledger`).
+What must hold is checked after each batch of the broker (`broker.decisions.invariants`), in each message of the MCM
+(`ledger`) and at the end. `simulated_broker` can be killed at any point; `cluster_faults` has all faults.
 """
 
 from __future__ import annotations
 
-import logging
 import sqlite3
 from collections import Counter
 from collections.abc import Callable, Sequence
 from random import Random
-from types import SimpleNamespace
 from typing import Any
 
 import msgspec
 
-from broker.decisions.events import BrokerRestarted, Event, ProgramInstalled
+from broker.decisions.events import Event
 from broker.decisions.invariants import violations
 from broker.decisions.state import State
 from broker.persistence.journal import SCHEMA, Journal
-from broker.persistence.program_store import ProgramStore
 from broker.persistence.replay import replay
-from broker.router.loop import Router
 from rtc.language.fastpath import halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol import wire
-from rtc.protocol.outcomes import OutcomeKind, Refusal, StopReason
+from rtc.protocol.outcomes import OutcomeKind, Refusal
 from rtc.runtime.handover import Handed
-from rtc.runtime.settings import Settings
 from rtc.world.server import Server
 from rtc.world.store import Store
-from sim_mcm.control.modes import Mode
 from tests.simulation import network, skills
+from tests.simulation.cluster_faults import FAULTS
+from tests.simulation.ledger import Ledger
 from tests.simulation.processes import ARMS, Caller, Client, Mcm, Supervisor, Worker
+from tests.simulation.simulated_broker import SETTINGS, Broker
 
 FAULTS_S = 1.2  # duration of sentences and faults; then everything may end
 LIMIT_S = 150.0  # of simulated time until everything must have ended
 KEY = bytes(32)
-SETTINGS = Settings(run_dir="/nowhere", run="simulated")
-SILENT = logging.getLogger("simulated broker")
-SILENT.disabled = True
 
 
 class Wrong(AssertionError):
     """Something that must always hold does not."""
-
-
-class Crash(BaseException):
-    """The broker's process is killed just here."""
-
-
-class Broker:
-    """One broker process: the real shell on simulated sockets."""
-
-    def __init__(self, cluster: Cluster, db: sqlite3.Connection, pid: int) -> None:
-        self.cluster, self.pid, self.name = cluster, pid, "broker"
-        self.alive, self.stopped = True, False
-        self.sends_left: int | None = None  # it dies before it sends one more
-        self.dies_in_journal = ""  # "before" or "after" the next turn is written
-        self.sockets: dict[str, network.Router] = {}
-        journal = FragileJournal(db, self)
-        state, _ = replay(journal)
-        self.state = state
-        me = SimpleNamespace(socket=self._socket, log=SILENT, stopping=False)
-        self.router = Router(me, SETTINGS, journal, state, ProgramStore(journal), cluster.handed, cluster.clock)  # type: ignore[arg-type]
-        now_s = cluster.clock.now_s
-        if state.programs:
-            self.router.enqueue(BrokerRestarted(at_s=now_s))
-        else:
-            for kind in m.WorkerKind:
-                self.router.enqueue(ProgramInstalled(at_s=now_s, kind=kind, digest=kind.value))
-        cluster.broker_begins(self, journal)
-        self._wakes_at_s = 0.0
-
-    def _socket(self, kind: int, endpoint: str, *, handover: bool = True, **_: Any) -> network.Router:
-        name = endpoint.rpartition("/")[2].removesuffix(".sock")
-        self.sockets[name] = network.Router(self.cluster.clock, self.wake, self.sending, handover)
-        return self.sockets[name]
-
-    def sending(self) -> None:
-        if self.sends_left is not None:
-            self.sends_left -= 1
-            if self.sends_left < 0:
-                raise Crash
-
-    def wake(self) -> None:
-        """Something has come: a turn soon."""
-        self._turn_at(self.cluster.clock.now_s + 0.00005)
-
-    def _turn_at(self, at_s: float) -> None:
-        if self._wakes_at_s <= self.cluster.clock.now_s or at_s < self._wakes_at_s:
-            self._wakes_at_s = at_s
-            self.cluster.clock.at(at_s, self._turn, at_s)
-
-    def _turn(self, planned_s: float) -> None:
-        if self.alive and not self.stopped and planned_s == self._wakes_at_s:
-            self.turn()
-
-    def resume(self) -> None:
-        """After SIGSTOP."""
-        self.stopped = False
-        if self.alive:
-            self.turn()
-
-    def turn(self) -> None:
-        try:
-            self.router.run_once([socket for socket in self.sockets.values() if socket.readable])
-        except Crash:
-            self.cluster.kill(self, "in the middle of a turn")
-            return
-        self._wakes_at_s = 0.0
-        if any(socket.readable for socket in self.sockets.values()):  # a turn takes some, not all
-            self.wake()
-        else:
-            self._turn_at(self.cluster.clock.now_s + self.router.wait_s() + 1e-6)
-
-    def die(self) -> None:
-        self.alive = False
-        for socket in self.sockets.values():
-            socket.close()
-
-
-class FragileJournal(Journal):
-    """The real one; its process may be killed at it."""
-
-    def __init__(self, db: sqlite3.Connection, broker: Broker) -> None:
-        super().__init__(db)
-        self._broker = broker
-
-    def append(self, events: list[Event], records: list[m.CommandRecord]) -> None:
-        broker = self._broker
-        if broker.dies_in_journal == "before":
-            raise Crash
-        super().append(events, records)
-        broker.cluster.journalled(events, records)
-        if broker.dies_in_journal == "after":
-            raise Crash
-
-
-class Ledger:
-    """What really happened at the MCM, whatever the broker believes; and what it proves wrong."""
-
-    def __init__(self, cluster: Cluster) -> None:
-        self.cluster = cluster
-        self.begun: dict[str, float] = {}
-        self.ended: dict[str, StopReason] = {}
-        self.halts: list[tuple[Mcm, m.HaltOrder, float]] = []  # process that received it, order, time
-        self.last_halt_s: dict[str, float] = {}  # scope -> when the last called one was received by any process
-
-    def halted(self, mcm: Mcm, order: m.HaltOrder, now_s: float) -> None:
-        self.halts.append((mcm, order, now_s))
-        if not order.halt.startswith(("stop-", "orphan-", "rejoin-")):
-            self.last_halt_s[order.scope] = now_s
-
-    def obeyed(self, mcm: Mcm, order: m.HaltOrder) -> None:
-        """Called when the MCM has just received a halt: nothing in its scope may continue, whatever its name."""
-        for executor in mcm.subsystem.executors.values():
-            primitive = executor.primitive_id
-            in_scope = order.scope in ("ALL", executor.name, primitive.partition(".")[0])
-            if in_scope and executor.state is Mode.EXECUTING:
-                self.cluster.wrong(f"halt {order.halt} of {order.scope} was received, and {primitive} continues")
-
-    def sent(self, mcm: Mcm, message: m.Message) -> None:
-        if isinstance(message, m.Started):
-            if message.primitive in self.begun:
-                self.cluster.wrong(f"{message.primitive} was executed twice")
-            self.begun[message.primitive] = message.at_s
-            self._not_after_a_halt(mcm, message)
-        elif isinstance(message, m.HaltAtRest) and message.at_rest:
-            moving = [n for n in message.performers if mcm.subsystem.executors[n].primitive_id]
-            if moving:
-                self.cluster.wrong(f"halt {message.halt}: {moving} reported at rest, and executing")
-        elif isinstance(message, m.EndReport):
-            known = self.ended.setdefault(message.primitive, message.reason)
-            if known is not message.reason:
-                self.cluster.wrong(f"{message.primitive} ended {known.value}, and {message.reason.value}")
-
-    def _not_after_a_halt(self, mcm: Mcm, started: m.Started) -> None:
-        command = started.primitive.partition(".")[0]
-        sent_s, accepted_s = self.cluster.given(command)
-        executor = next(e for e in mcm.subsystem.executors.values() if e.primitive_id == started.primitive)
-        for mcm_then, order, at_s in self.halts:
-            if mcm_then is not mcm or at_s > started.at_s or order.scope not in ("ALL", executor.name, command):
-                continue
-            # A number means nothing before it is given out.
-            if (accepted_s if order.scope == command else sent_s) < order.called_at_s:
-                self.cluster.wrong(
-                    f"{started.primitive} began at {started.at_s:.4f}, after halt {order.halt} of {order.scope}"
-                )
-
-    def of(self, command: str) -> list[str]:
-        return [primitive for primitive in self.begun if primitive.partition(".")[0] == command]
 
 
 class Cluster:
@@ -503,85 +349,6 @@ class Cluster:
     def log(self, what: str) -> None:
         if self.log_line:
             self.log_line(f"{self.clock.now_s - network.START_S:9.4f}  {what}")
-
-
-# --- what can go wrong -----------------------------------------------------------------------------------
-
-
-def _kill_broker(cluster: Cluster) -> None:
-    broker, random = cluster.broker, cluster.random
-    if broker is None or not broker.alive:
-        return
-    cluster.faults["broker"] += 1
-    way = random.choice(("now", "before", "after", "sending", "sending"))
-    cluster.log(f"the broker is about to be killed: {way}")
-    if way == "now":
-        cluster.kill(broker, "between two turns")
-    elif way == "sending":
-        broker.sends_left = random.randint(0, 6)
-    else:
-        broker.dies_in_journal = way
-
-
-def _stop_broker(cluster: Cluster) -> None:
-    broker = cluster.broker
-    if broker is not None and broker.alive and not broker.stopped:
-        cluster.faults["broker stopped"] += 1
-        for_s = cluster.random.choice((0.3, 2.5, 6.0))
-        cluster.log(f"the broker stands still for {for_s} s")
-        broker.stopped = True
-        cluster.clock.after(for_s, broker.resume)
-
-
-def _kill_worker(cluster: Cluster) -> None:
-    worker = cluster.random.choice(list(cluster.workers.values()))
-    cluster.faults["worker"] += 1
-    cluster.kill(worker)
-
-
-def _hang_worker(cluster: Cluster) -> None:
-    """Only where the limit is short: the others are found the same way."""
-    workers = [w for w in cluster.workers.values() if w.kind in (m.WorkerKind.PARSER, m.WorkerKind.ANALYZER)]
-    worker = cluster.random.choice(workers)
-    cluster.faults["worker"] += 1
-    cluster.log(f"{worker.name} {worker.pid} hangs")
-    worker.hung = True
-
-
-def _kill_mcm(cluster: Cluster) -> None:
-    if cluster.mcm is not None and cluster.mcm.alive:
-        cluster.faults["MCM"] += 1
-        cluster.kill(cluster.mcm)
-
-
-def _stop_mcm(cluster: Cluster) -> None:
-    mcm = cluster.mcm
-    if mcm is not None and mcm.alive and not mcm.stopped:
-        cluster.faults["MCM"] += 1
-        for_s = cluster.random.choice((0.05, 0.3, 2.5, 4.0))
-        cluster.log(f"the MCM stands still for {for_s} s")
-        mcm.stopped = True
-        cluster.clock.after(for_s, mcm.resume)
-
-
-def _repeat(cluster: Cluster) -> None:
-    """A client repeats all its requests without need."""
-    client = cluster.random.choice(cluster.clients)
-    cluster.log(f"{client.name} repeats all its requests")
-    client.repeat()
-
-
-def _stop_world(cluster: Cluster) -> None:
-    away_s = cluster.random.choice((0.2, 2.0, 6.0, 20.0, 80.0))
-    cluster.faults["world"] += 1
-    cluster.log(f"the world database stands still for {away_s:g} s")
-    cluster.world_back_s = max(cluster.world_back_s, cluster.clock.now_s + away_s)
-
-
-FAULTS = (
-    *(_kill_broker, _kill_broker, _stop_broker, _kill_worker, _kill_worker),
-    *(_hang_worker, _kill_mcm, _stop_mcm, _repeat, _stop_world),
-)
 
 
 def _in_words(event: Event) -> str:

@@ -14,7 +14,8 @@ import msgspec
 
 from broker.decisions.decide import decide
 from broker.decisions.effects import AcknowledgeReport, TellClient
-from tests.simulation.environment import first, happen, late
+from tests.simulation.arrivals import late
+from tests.simulation.environment import first, happen
 from tests.simulation.model import Model, Move, Scenario, Violation, decode, encode
 from tests.simulation.moves import fair, moves
 from tests.simulation.state_key import key

@@ -23,8 +23,10 @@ from rtc.world.lease import DOUBT, sign
 from rtc.world.server import Server
 from rtc.world.store import Store
 from tests.simulation import network
-from tests.simulation.cluster import FAULTS, KEY, SETTINGS, Broker, Cluster
+from tests.simulation.cluster import KEY, Cluster
+from tests.simulation.cluster_faults import FAULTS
 from tests.simulation.processes import ARMS
+from tests.simulation.simulated_broker import SETTINGS, Broker
 
 server.MOVED |= {"done"}  # the attribute of the simulated arms
 

@@ -11,7 +11,7 @@ from broker.decisions.state import Command, LinkState
 from rtc.protocol.messages import Phase, WorkerKind
 from rtc.protocol.outcomes import IN_THE_WAY
 from rtc.protocol.primitive_id import command_of
-from tests.simulation.environment import event_of
+from tests.simulation.arrivals import event_of
 from tests.simulation.model import (
     NEVER_EXHAUSTED,
     Model,

@@ -1,0 +1,81 @@
+"""The primitive as a whole: its four parts, its start conditions, and the part of a second arm."""
+
+from __future__ import annotations
+
+import msgspec
+
+from rtc.protocol.primitive.control_law import ControlLaw
+from rtc.protocol.primitive.limits import LONGEST_S
+from rtc.protocol.primitive.reporting import Reporting
+from rtc.protocol.primitive.stop_functions import GoalReached, StopFunction, TimeAbove, in_priority
+from rtc.protocol.primitive.trajectory import JointTrajectory, Look, Trajectory
+
+
+class StartAfter(msgspec.Struct, frozen=True, kw_only=True):
+    """A start condition: a primitive of another arm has left the space that this one needs.
+
+    It is met when that primitive has executed its trajectory up to `path_s`, also if it was stopped later than that. It
+    cannot be met if that primitive ended earlier, or `within_s` has passed; then nothing starts.
+    """
+
+    primitive: str
+    path_s: float  # time along its trajectory
+    within_s: float  # maximum wait, in the time of the simulation
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.path_s <= LONGEST_S and 0.0 < self.within_s <= LONGEST_S):  # false for nan too
+            raise ValueError(f"a start condition has times of 0 to {LONGEST_S:g} s")
+
+
+class Partner(msgspec.Struct, frozen=True, kw_only=True):
+    """The part of a second arm in one primitive: both arms start in the same tick, and a stop of one stops the other.
+
+    Two arms that hold one object form a closed chain: one leads, the other complies (impedance)."""
+
+    performer: str
+    trajectory: JointTrajectory
+    control_law: ControlLaw
+    stop_functions: list[StopFunction]
+
+
+class Primitive(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="Primitive"):
+    """T = (P, M, F, R) for one performer. The constructor refuses F without a goal and a time limit (R82)."""
+
+    id: str  # unique; echoed by every report. "C-7.5@k7f2": see rtc.protocol.primitive_id
+    performer: str  # the arm or camera of the subsystem, e.g. RIGHT-ARM
+    trajectory: Trajectory
+    stop_functions: list[StopFunction]
+    control_law: ControlLaw = ControlLaw()
+    reporting: Reporting = Reporting()
+    start_after: list[StartAfter] = []  # all must be met before it starts; nothing moves until then
+    partner: Partner | None = None  # a second arm that moves with it
+
+    def __post_init__(self) -> None:
+        for stops in (self.stop_functions, *([self.partner.stop_functions] if self.partner else ())):
+            kinds = [type(stop.when) for stop in stops]
+            if TimeAbove not in kinds:
+                raise ValueError("F is not complete: no TimeAbove")
+            if GoalReached not in kinds:
+                raise ValueError("F is not complete: no GoalReached")
+        if self.partner is not None:
+            if self.partner.performer == self.performer:
+                raise ValueError(f"{self.performer} cannot be its own partner")
+            if not isinstance(self.trajectory, JointTrajectory):
+                raise ValueError("only a motion along a path has a partner")
+
+    @property
+    def performers(self) -> list[str]:
+        """All arms that it moves, the leading one first; or all cameras that look."""
+        further = self.trajectory.cameras if isinstance(self.trajectory, Look) else ()
+        return [self.performer, *([self.partner.performer] if self.partner else ()), *further]
+
+    @property
+    def paths(self) -> dict[str, JointTrajectory]:
+        """The paths of its arms; empty if no arm leaves its place."""
+        if not isinstance(self.trajectory, JointTrajectory):
+            return {}
+        partner = {self.partner.performer: self.partner.trajectory} if self.partner else {}
+        return {self.performer: self.trajectory, **partner}
+
+    def by_priority(self) -> list[StopFunction]:
+        return in_priority(self.stop_functions)

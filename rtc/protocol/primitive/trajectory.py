@@ -1,0 +1,110 @@
+"""P of a primitive: positions over time, a command of the hand, a turn of a spindle, or a look of a camera."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+import msgspec
+
+from rtc.protocol.primitive.limits import FARTHEST_M, LONGEST_S, Vector
+
+MOST_TURN_RAD = 1000.0  # maximum turn of a spindle
+
+
+class JointTrajectory(msgspec.Struct, frozen=True, kw_only=True, tag="joint-trajectory"):
+    """P for an arm: knots, joined by quintic Hermite polynomials. Starts and ends at rest.
+
+    `positions[k][j]` rad at `time_s[k]`; velocities rad/s, accelerations rad/s^2 of the same shape.
+    `space`: the space in which the path is a line; the knots are joint values in both cases.
+    """
+
+    space: Literal["joint", "task"]
+    time_s: Vector
+    positions: list[Vector]
+    velocities: list[Vector]
+    accelerations: list[Vector]
+
+    def __post_init__(self) -> None:
+        n = len(self.time_s)
+        if n < 2 or self.time_s[0] != 0.0:
+            raise ValueError("a trajectory needs two knots or more, the first at time 0")
+        if any(b <= a for a, b in zip(self.time_s, self.time_s[1:], strict=False)):
+            raise ValueError("time_s must rise from knot to knot")
+        dof = len(self.positions[0]) if self.positions else 0
+        for name in ("positions", "velocities", "accelerations"):
+            rows = getattr(self, name)
+            if len(rows) != n or set(map(len, rows)) != {dof}:
+                raise ValueError(f"{name} must hold {n} knots of {dof} joints")
+
+    @property
+    def duration_s(self) -> float:
+        return self.time_s[-1]
+
+
+class HandMotion(msgspec.Struct, frozen=True, kw_only=True, tag="hand-motion"):
+    """P for a parallel gripper: bring the opening to `width_m` at `speed_m_s`, pressing with at most `force_n`.
+
+    Closing on an object continues until both fingers press with `force_n`; this force is then kept.
+    """
+
+    width_m: float
+    force_n: float
+    speed_m_s: float = 0.05
+
+
+class HoldStill(msgspec.Struct, frozen=True, kw_only=True, tag="hold-still"):
+    """P for an arm: keep the position for `duration_s`; None = until it is stopped or its time limit passes."""
+
+    duration_s: float | None = None
+
+
+class TagGeometry(msgspec.Struct, frozen=True, kw_only=True):
+    """An AprilTag of the family 36h11 on a body."""
+
+    id: int
+    size_m: float  # edge of the black square
+    pose: Vector  # of its centre, in the axes of the body: x to the right and y upwards as one reads it
+
+    def __post_init__(self) -> None:
+        if self.id < 0 or not 0.0 < self.size_m <= FARTHEST_M or len(self.pose) != 7:  # false for nan too
+            raise ValueError("a tag has a number, a size and a pose of 7 numbers")
+
+
+class Look(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="look"):
+    """P for a camera: locate the body that has these tags. Its pose is in the reports, with its covariance.
+
+    Without a duration the body rests: its pose is fitted to `pictures` in which it is seen. With one it may move: each
+    picture gives a pose, until the duration has passed.
+    """
+
+    tags: Annotated[list[TagGeometry], msgspec.Meta(min_length=1, max_length=200)]
+    believed: Vector  # pose of the body, world frame: only to explain why it is not seen
+    pictures: Annotated[int, msgspec.Meta(ge=1, le=100)] = 1
+    duration_s: Annotated[float, msgspec.Meta(gt=0, le=LONGEST_S)] | None = None
+    every_s: Annotated[float, msgspec.Meta(ge=0.01, le=3600)] = 0.1  # shortest time between two of its pictures
+    # Further cameras: each takes as many pictures, and one pose is fitted to all. A camera that does not see the body
+    # is left out, if another does.
+    cameras: Annotated[list[str], msgspec.Meta(max_length=8)] = []
+
+
+class SpindleMotion(msgspec.Struct, frozen=True, kw_only=True, tag="spindle-motion"):
+    """P for an arm that holds a driver: turn its spindle by `turn_rad` with at most `torque_nm`; the arm keeps its
+    position, or presses as its control law says.
+
+    Positive is right-handed about the axis out of the tool: it tightens a right-handed bolt. The goal is the turn; a
+    spindle that stalls ends with the time limit, or with a torque above a limit.
+    """
+
+    turn_rad: float
+    speed_rad_s: float
+    torque_nm: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < abs(self.turn_rad) <= MOST_TURN_RAD:  # false for nan too
+            raise ValueError(f"a spindle turns by more than 0 and at most {MOST_TURN_RAD:g} rad, not {self.turn_rad}")
+        if not (0.0 < self.speed_rad_s < math.inf and 0.0 < self.torque_nm < math.inf):
+            raise ValueError("a spindle needs a speed and a torque above 0")
+
+
+Trajectory = JointTrajectory | HandMotion | HoldStill | SpindleMotion | Look
