@@ -238,6 +238,7 @@ def _stepped(world: BulletCell, subsystem: McmSubsystem, primitives: int) -> flo
         began_s = time.thread_time()
         world.world.step()
         took_s += time.thread_time() - began_s
+        world.world.look_for_contacts()
         steps += 1
     return steps * STEP_S / (took_s - steps * _clock_s())
 

@@ -31,6 +31,7 @@ NAME = "MCM"
 HEARTBEAT_S = 0.25
 TELEMETRY_S = 0.02
 READ_S = 0.001  # minimum time between two looks at the sockets, if the process runs faster than real time
+TICKS_AT_ONCE = 8  # between two readings of the clock, if it runs as fast as it can
 END_S = 1.0  # simulated: maximum time for the arms to come to rest before the process ends
 LAST_S = 1.0  # for the rest of that end
 RANK, NICENESS = 2, -5  # above the broker and the workers, if the system permits it
@@ -73,6 +74,7 @@ class Station:
         self._telemetry = process.Every(TELEMETRY_S)
         self._read_s = 0.0 if _in_real_time(settings) else READ_S
         self._read_at_s = 0.0  # when the sockets are read next
+        self._work_at_s = 0.0  # when the work between ticks is due
         self._busy = True  # a primitive runs or waits
 
     def run(self) -> None:
@@ -87,7 +89,12 @@ class Station:
             if left_s > 0.0:
                 time.sleep(left_s)
                 now_s = process.now_s()
-            self._tick(now_s)
+            if now_s < self._read_at_s:  # ticks faster than real time
+                for _ in range(TICKS_AT_ONCE if clock.free_running else 1):
+                    clock.begin(now_s)
+                    self._move(now_s)
+            else:
+                self._tick(now_s)
         self._come_to_rest()
         self._me.log.info("%d ticks, %d late", clock.ticks, clock.late_ticks)
 
@@ -108,25 +115,25 @@ class Station:
 
     def _tick(self, now_s: float) -> None:
         self._clock.begin(now_s)
-        if now_s < self._read_at_s:  # ticks faster than real time
-            self._move(now_s)
-            return
         self._read_at_s = now_s + self._read_s
-        self._receive(now_s)
+        found = self._sockets.poll()
+        if found:
+            self._receive(now_s)
+        self._busy = not self._subsystem.idle  # between two looks at the sockets it can only become idle
         self._move(now_s)
-        self._between_ticks(now_s)
+        if found or now_s >= self._work_at_s:
+            self._work_at_s = now_s + 5.0 * self._read_s
+            self._between_ticks(now_s)
 
     def _receive(self, now_s: float) -> None:
         """Obey halts, then the orders of the broker."""
         sockets, subsystem = self._sockets, self._subsystem
-        sockets.poll()
         for caller, halt in sockets.halts(now_s):
             sockets.send(subsystem.handle(halt, caller, now_s))
         for order in sockets.orders(now_s):
             answers = subsystem.handle(order, BROKER, now_s)
             sockets.send(answers)
             self._log_started(answers)
-        self._busy = not subsystem.idle  # between two looks at the sockets it can only become idle
 
     def _move(self, now_s: float) -> None:
         """One servo tick and one simulation step."""

@@ -18,7 +18,7 @@ class Clock:
         self.ticks = 0
         self.late_ticks = 0  # ticks that began more than one period after they were due
         self._due_s = now_s
-        self._free_running = False
+        self.free_running = False
 
     @property
     def sim_s(self) -> float:
@@ -26,13 +26,13 @@ class Clock:
 
     def left_s(self, now_s: float, busy: bool) -> float:
         """Time to sleep before the next tick (s); 0 means to begin it now."""
-        self._free_running = self.speed == 0.0 and busy
-        return 0.0 if self._free_running else max(0.0, self._due_s - now_s)
+        self.free_running = self.speed == 0.0 and busy
+        return 0.0 if self.free_running else max(0.0, self._due_s - now_s)
 
     def begin(self, now_s: float) -> None:
         """Begin a tick: count it and schedule the next."""
         self.ticks += 1
-        if self._free_running:
+        if self.free_running:
             self._due_s = now_s
             return
         period_s = TICK_S / (self.speed or 1.0)

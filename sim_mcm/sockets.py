@@ -62,10 +62,11 @@ class Sockets:
             self._poller.register(made, zmq.POLLIN)
             setattr(self, f"_{name}", made)
 
-    def poll(self) -> None:
+    def poll(self) -> bool:
         """Find the sockets that have messages. Call once, at the start of a tick."""
         found = self._poller.poll(0)
         self._ready = {socket for socket, _ in found} if found else NONE
+        return bool(found)
 
     def halts(self, now_s: float) -> Iterator[tuple[bytes, m.HaltOrder]]:
         """Halts at the estop socket: (caller, order). Any other message gets Declined."""

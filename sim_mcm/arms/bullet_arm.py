@@ -19,6 +19,7 @@ from rtc.protocol.primitive import ControlLaw, Load
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from rtc.robot.kinematics import ArmModel
+from sim_mcm.arms import unrolled
 from sim_mcm.arms.arm import (
     ArmState,
     CellState,
@@ -69,7 +70,9 @@ class BulletArm:
         self.others: list[BulletArm] = []  # the other arms of the world
         self._all = [*self._arm, *self._finger_joints]
         self._dof = len(self._arm)
+        self._none = [0.0] * len(self._all)
         sensor = None if spec.sensor_joint is None else joints[spec.sensor_joint]
+        self._split = unrolled.split_states(self._dof)
         self._read_from = [*self._all, self._all[-1] if sensor is None else sensor]
         hand = {*self.fingers, links[spec.gripper.palm_link], links.get(spec.tcp_link, -1)}
         self.upstream = {n: link for link, n in links.items() if n not in hand}
@@ -98,13 +101,11 @@ class BulletArm:
 
     def read(self) -> Sample:
         states = pybullet.getJointStates(self.body, self._read_from, self._client)
-        positions, velocities, reactions, _ = zip(*states)  # noqa: B905 - four fields each
-        *joints, left, right, _ = positions
-        *speeds, left_speed, right_speed, _ = velocities
-        wrench = self._wrench(reactions[-1])
+        joints, speeds, fingers, finger_speeds, reaction = self._split(states)
+        wrench = self._wrench(reaction)
         if not self._weightless:
             wrench = self._without_weight(wrench, joints, speeds)
-        self._sample = sample = Sample(joints, speeds, wrench, (left, right), (left_speed, right_speed), self._pressed)
+        self._sample = sample = Sample(joints, speeds, wrench, fingers, finger_speeds, self._pressed)
         return sample
 
     def _without_weight(self, wrench: list[float], joints: list[float], speeds: list[float]) -> list[float]:
@@ -144,7 +145,7 @@ class BulletArm:
         return self._model.fk(joints)
 
     def untouched(self) -> bool:
-        return not self._world.in_contact() or not (self.touches() or self.arm_touches())
+        return not self._world.in_contact or not (self.touches() or self.arm_touches())
 
     def touches(self) -> Mapping[str, float]:
         points = self._contacts()
@@ -173,7 +174,7 @@ class BulletArm:
     def _contacts(self) -> Sequence[tuple[Any, ...]]:
         """Contact points of the latest step; this arm is body A. Asked for several times in a tick, read once."""
         if self._points is None:
-            points = self._world.in_contact() and pybullet.getContactPoints(self.body, physicsClientId=self._client)
+            points = self._world.in_contact and pybullet.getContactPoints(self.body, physicsClientId=self._client)
             self._points = points or ()
         return self._points
 
@@ -202,8 +203,9 @@ class BulletArm:
             if self._estimate is not None:
                 self._estimate.drive(torques)
         left, right, self._pressed = self._hand.forces(sample.fingers, sample.finger_speeds)
-        pybullet.setJointMotorControlArray(
-            self.body, self._all, TORQUE_CONTROL, forces=[*torques, left, right], physicsClientId=self._client
+        none = self._none
+        pybullet.setJointMotorControlArray(  # keywords take longer
+            self.body, self._all, TORQUE_CONTROL, none, none, [*torques, left, right], none, none, self._client
         )
 
     def pressed_on(self) -> set[int]:
@@ -328,6 +330,7 @@ class BulletCell:
             arm.drive()
         self.bolts.step()
         self.world.step()
+        self.world.look_for_contacts()
         self._detents.step()
 
     def truth(self) -> dict[str, dict[str, list[float]]]:

@@ -73,8 +73,8 @@ class PhysicsWorld:
             physicsClientId=self.client,
         )
         self._steps = 0
-        self._free_at = -1  # latest step after which the list of all contacts was empty
-        self._touched_at = -ASK_AGAIN  # the same of a list that was not
+        self.in_contact = False  # whether any bodies may touch each other since the latest step
+        self._ask_at = 0  # the first step after which all contacts are asked for
         self.names: dict[int, str] = {}  # pybullet id -> name for messages
         self.seats = {seat.name: self._fixed(seat, seat.frame.pose) for seat in cell.seats}
         self.objects: dict[str, Body] = {}
@@ -89,21 +89,15 @@ class PhysicsWorld:
 
     def step(self) -> None:
         pybullet.stepSimulation(self.client)
-        self._steps += 1
 
-    def in_contact(self) -> bool:
-        """Whether any bodies may touch each other since the latest step. One list of all contacts replaces one per arm,
-        as long as it is empty."""
-        steps = self._steps
-        if steps == self._free_at:
-            return False
-        if steps - self._touched_at < ASK_AGAIN:
-            return True
-        if pybullet.getContactPoints(-1, -1, -2, -2, self.client):  # of any bodies and links; keywords take longer
-            self._touched_at = steps
-            return True
-        self._free_at = steps
-        return False
+    def look_for_contacts(self) -> None:
+        """After each step. One list of all contacts replaces one per arm, as long as it is empty."""
+        self._steps = steps = self._steps + 1
+        if steps >= self._ask_at:
+            found = pybullet.getContactPoints(-1, -1, -2, -2, self.client)  # of any bodies; keywords take longer
+            self.in_contact = bool(found)
+            if found:
+                self._ask_at = steps + ASK_AGAIN
 
     def load_arm(self, name: str) -> int:
         """Load an arm from its URDF text; returns the pybullet body id."""

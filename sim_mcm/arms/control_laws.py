@@ -22,6 +22,7 @@ import pinocchio as pin
 from rtc.protocol.primitive import ControlLaw
 from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
+from sim_mcm.arms import unrolled
 from sim_mcm.arms.arm import Motion
 from sim_mcm.arms.impedance import Impedance
 
@@ -58,15 +59,11 @@ class ComputedTorque:
         self._stiffness, self._damping = wn * wn, 2.0 * wn
         rows = np.zeros((3, model.nv))  # q, v, a
         self._rows, self._state = tuple(rows), rows.data
-        self._fill = struct.Struct(f"{rows.size}d").pack_into  # three times as fast as np.array
+        self._pack_into = struct.Struct(f"{rows.size}d").pack_into  # three times as fast as np.array
+        self._fill = unrolled.fill_computed_torque(model.nv)
 
     def torque(self, wanted: Motion, q: list[float], v: list[float]) -> list[float]:
-        stiffness, damping = self._stiffness, self._damping
-        a = [
-            aw + stiffness * (qw - qn) + damping * (vw - vn)
-            for qw, vw, aw, qn, vn in zip(*wanted, q, v)  # noqa: B905 - `_fill` checks the lengths
-        ]
-        self._fill(self._state, 0, *q, *v, *a)
+        self._fill(self._pack_into, self._state, wanted, q, v, self._stiffness, self._damping)
         torque: list[float] = pin.rnea(self._model, self._data, *self._rows).tolist()
         return torque
 

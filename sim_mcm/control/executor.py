@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
@@ -57,6 +58,22 @@ Reports = Sequence[m.Started | m.Paced | m.ProgressReport | m.EndReport]
 NOTHING: Reports = ()
 
 
+@dataclass(slots=True)
+class Course:
+    """What has happened to the present or latest primitive, beyond its state.
+
+    These are not attributes of the executor, because Python 3.11 finds attributes of an object with more than 30 of
+    them in a hash table: that took 1.5 us of each tick.
+    """
+
+    stands: bool = False  # on its path, in a pause
+    paused_ticks: int = 0
+    stopped_at_s: float = 0.0  # time along the trajectory, of the latest stop
+    was_compliant: bool = False  # up to the stop
+    yields: int = 0
+    releasing: bool = False
+
+
 class Executor:
     def __init__(self, arm: ArmInterface) -> None:
         self.name = arm.traits.name
@@ -71,8 +88,6 @@ class Executor:
         self._profile_ticks = 0
         self._shift_s = 0.0  # time of the profile minus that of its ticks: what passed at another rate
         self._pace = Pace()
-        self._stands = False  # on its path, in a pause
-        self._paused_ticks = 0  # of this primitive
         self._command: Motion = self._profile.at(0.0)
         self._follow: profiles.Follow | None = None  # the path, if the primitive has one
         # Its present motions, the tick of the profile of the first, and the tick that needs a whole tick again.
@@ -84,10 +99,8 @@ class Executor:
         self._arrived: Arrived = lambda time_s: None
         self._report_every: int | None = None
         self._report_when: stop_functions.Reports = []  # not reported yet
-        self._yields, self._releasing = 0, False
-        self._stopped_at_s = 0.0  # time along the trajectory, of the latest stop
         self._watch = stop_functions.RetreatWatch([])
-        self._was_compliant = False  # up to the stop
+        self._course = Course()
         self._spindle: SpindleTurn | None = None  # of the primitive, if it turns one
         # The present control law complies: in EXECUTING, COMPLYING, and until rest if the primitive asks for it.
         self._compliant = False
@@ -100,7 +113,6 @@ class Executor:
             Mode.COMPLYING: self._comply,
             Mode.SETTLING: self._settle,
         }
-        self._work_now = self._work[self.state]
         self._enter: dict[Mode, Callable[[], None]] = {
             Mode.HOLDING: self._begin_holding,
             Mode.EXECUTING: self._begin_executing,
@@ -161,7 +173,7 @@ class Executor:
     @property
     def path_s(self) -> float:
         """Time along its trajectory that the present or latest primitive has reached (s); infinite at its goal."""
-        return self._profile_time_s if self.state is Mode.EXECUTING else self._stopped_at_s
+        return self._profile_time_s if self.state is Mode.EXECUTING else self._course.stopped_at_s
 
     def halt(self, reason: StopReason = StopReason.HALT, words: str = "") -> bool:
         """Brake with the next tick, in any state. Returns True if the arm was in motion. `reason`: of the end report,
@@ -242,7 +254,7 @@ class Executor:
             seen.begin()
         self._ticks += 1
         seen.feel(self.state in COUNTING)
-        reports = self._work_now(now_s)
+        reports = self._work[self.state](now_s)
         if self._pace.full:
             self._profile_ticks += 1
             command = self._profile.at(self._profile_ticks * TICK_S + self._shift_s)
@@ -292,10 +304,8 @@ class Executor:
     def _begin_executing(self) -> None:
         assert self.primitive is not None
         trajectory = self.primitive.trajectory
-        self._ticks = self._paused_ticks = 0
-        self._stands = False
+        self._ticks, self._course = 0, Course()
         self._compliant = self.primitive.control_law.compliance is not None
-        self._yields, self._releasing = 0, False
         every_s = self.primitive.reporting.every_s
         self._report_every = None if every_s is None else max(1, round(every_s / TICK_S))
         joints = self._command[0]
@@ -335,7 +345,7 @@ class Executor:
             )
             self._trip(trip, Trigger.TRIPPED)
             return [*reports, *self._stop(now_s)]
-        if self._pace.paused or self._stands:
+        if self._pace.paused or self._course.stands:
             reports = [*reports, *self._paced(now_s)]
         if self._report_every is not None and self._ticks % self._report_every == 0:
             reports = [*reports, self._progress(now_s)]
@@ -355,11 +365,11 @@ class Executor:
 
     def _paced(self, now_s: float) -> Reports:
         """Count a tick of a pause, and report when the arm stands on its path or goes on."""
-        self._paused_ticks += self._pace.paused
+        self._course.paused_ticks += self._pace.paused
         stands = self._pace.rate == 0.0
-        if stands is self._stands:
+        if stands is self._course.stands:
             return []
-        self._stands = stands
+        self._course.stands = stands
         return [m.Paced(primitive=self.primitive_id, at_s=now_s, paused=stands, done=self._done())]
 
     def _done(self) -> float:
@@ -371,8 +381,8 @@ class Executor:
     def _begin_stopping(self) -> None:
         assert self.primitive is not None
         assert self.trip is not None
-        self._was_compliant = self._compliant
-        self._stopped_at_s = math.inf if self.trip.reason is StopReason.GOAL else self._profile_time_s
+        self._course.was_compliant = self._compliant
+        self._course.stopped_at_s = math.inf if self.trip.reason is StopReason.GOAL else self._profile_time_s
         if self._spindle is not None:
             self._spindle.stop()
         compliance = self.primitive.control_law.compliance
@@ -380,7 +390,7 @@ class Executor:
             self._stiffen(self.primitive.control_law)
         self._use(profiles.Brake(self._command, laden=self._seen.grip_n > SQUEEZE_N))
         hand_moves = isinstance(self.primitive.trajectory, p.HandMotion) and self.trip.reason is not StopReason.GOAL
-        if hand_moves or self._releasing:
+        if hand_moves or self._course.releasing:
             self._freeze_hand()
 
     def _stop(self, now_s: float) -> Reports:
@@ -399,7 +409,7 @@ class Executor:
             self._use(profiles.Stay(joints))  # no path to retrace
             return
         tripped_s = self.trip.at_path_s
-        if self._was_compliant:  # the arm may be far behind its command
+        if self._course.was_compliant:  # the arm may be far behind its command
             tripped_s = self._follow.nearest_s(joints, tripped_s)
         self._use(profiles.Retrace(self._follow, tripped_s, joints, self.trip.back_off_m, self.arm.tcp_pose))
 
@@ -424,7 +434,7 @@ class Executor:
         self._apply(Trigger.TRIPPED)
 
     def _begin_release(self) -> None:
-        self._releasing = True
+        self._course.releasing = True
         self._use(profiles.Stay(self._command[0]))
         traits = self.arm.traits
         self._use_hand(HandCommand(traits.max_opening_m, traits.max_grip_n, traits.hand_speed_m_s))
@@ -460,13 +470,13 @@ class Executor:
         if self._profile_time_s < self._profile.duration_s:
             return []
         touched = self.trip.reason in TOUCHED
-        leaning = (touched or self._compliant) and not self._yields
+        leaning = (touched or self._compliant) and not self._course.yields
         if not self._still(leaning) and self._profile_time_s < self._profile.duration_s + SETTLE_LIMIT_S:
             return []
         off_rad = self._off_command()
-        again = touched and not self._compliant and 0 < self._yields < MOST_YIELDS and off_rad > LEANS_RAD
-        if again or (not self._yields and off_rad > (0.0 if leaning else GOAL_RAD)):
-            self._yields += 1
+        again = touched and not self._compliant and 0 < self._course.yields < MOST_YIELDS and off_rad > LEANS_RAD
+        if again or (not self._course.yields and off_rad > (0.0 if leaning else GOAL_RAD)):
+            self._course.yields += 1
             self._use(profiles.Yield(self._command, self.sample.joints))
             return []
         report = self._end_report(now_s)
@@ -489,7 +499,6 @@ class Executor:
         row = TRANSITIONS[self.state]
         assert event in row, f"{self.name}: {event.value} cannot happen while {self.state.value} ({self.primitive_id})"
         before, self.state = self.state, following or row[event]
-        self._work_now = self._work[self.state]
         if self.state is not before or event is not Trigger.HALTED:
             self._enter[self.state]()
 
@@ -597,7 +606,7 @@ class Executor:
     @property
     def _elapsed_s(self) -> float:
         """Since the start of the primitive, without its pauses."""
-        return (self._ticks - self._paused_ticks) * TICK_S
+        return (self._ticks - self._course.paused_ticks) * TICK_S
 
     @property
     def _profile_time_s(self) -> float:

@@ -21,6 +21,10 @@ class Pairs:
         self._executors = executors
         self._ends: dict[str, dict[str, m.EndReport | None]] = {}  # primitive -> arm, the leading one first -> its end
 
+    @property
+    def exist(self) -> bool:
+        return bool(self._ends)
+
     def begin(self, primitive: Primitive, now_s: float) -> Reports:
         """Start both arms with the next tick, or neither. Both must exist and be free."""
         assert primitive.partner is not None

@@ -124,7 +124,8 @@ class McmSubsystem(Subsystem[Executor]):
     def _between(self, now_s: float) -> Outgoing:
         if self._paced:
             self._paced.clear()
-        self._pairs.couple()
+        if self._pairs.exist:
+            self._pairs.couple()
         return self._follow_pending(now_s) if self._pending else []
 
     def _follow_pending(self, now_s: float) -> Outgoing:
