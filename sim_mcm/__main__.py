@@ -30,7 +30,9 @@ from sim_mcm.state_file import StateFile
 NAME = "MCM"
 HEARTBEAT_S = 0.25
 TELEMETRY_S = 0.02
-READ_S = 0.001  # minimum time between two looks at the sockets, if the process runs faster than real time
+# If the process runs faster than real time: minimum time between two looks at the sockets, and between two times of
+# other work.
+READ_S, WORK_S = 0.001, 0.005
 TICKS_AT_ONCE = 8  # between two readings of the clock, if it runs as fast as it can
 END_S = 1.0  # simulated: maximum time for the arms to come to rest before the process ends
 LAST_S = 1.0  # for the rest of that end
@@ -72,7 +74,7 @@ class Station:
         self._clock = Clock(settings.speed, process.now_s())
         self._heartbeat = process.Every(HEARTBEAT_S)
         self._telemetry = process.Every(TELEMETRY_S)
-        self._read_s = 0.0 if _in_real_time(settings) else READ_S
+        self._read_s, self._work_s = (0.0, 0.0) if _in_real_time(settings) else (READ_S, WORK_S)
         self._read_at_s = 0.0  # when the sockets are read next
         self._work_at_s = 0.0  # when the work between ticks is due
         self._busy = True  # a primitive runs or waits
@@ -90,7 +92,8 @@ class Station:
                 time.sleep(left_s)
                 now_s = process.now_s()
             if now_s < self._read_at_s:  # ticks faster than real time
-                for _ in range(TICKS_AT_ONCE if clock.free_running else 1):
+                quick = clock.free_running and not self._faults.tick_s
+                for _ in range(TICKS_AT_ONCE if quick else 1):
                     clock.begin(now_s)
                     self._move(now_s)
             else:
@@ -122,7 +125,7 @@ class Station:
         self._busy = not self._subsystem.idle  # between two looks at the sockets it can only become idle
         self._move(now_s)
         if found or now_s >= self._work_at_s:
-            self._work_at_s = now_s + 5.0 * self._read_s
+            self._work_at_s = now_s + self._work_s
             self._between_ticks(now_s)
 
     def _receive(self, now_s: float) -> None:
