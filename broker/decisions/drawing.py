@@ -51,9 +51,9 @@ up to a minute; then the command ends *failed*. In *closing* the command ends wi
 at most. In both cases the analysis is deferred: the touched names stay quarantined (`rtc status`: quarantine: the world
 database) until the world database has the changes.
 
-If the analyzer refuses the analysis of a motion, or it kills three workers, it is given up (`give_up`, counter
-`analyses_given_up`), also before its command has ended. Its job then makes the facts about the touched names suspect,
-and is retried every second until the world database has done that. Then the names are opened.
+The analysis of a motion is given up (`give_up`, counter `analyses_given_up`) if the analyzer refuses it, or if it kills
+three workers. This holds also before its command has ended. Its job then makes the facts about the touched names
+suspect, and is retried every second until the world database has done that. Then the names are opened.
 """,
     "HALT request": """
 | stimulus | meaning |
