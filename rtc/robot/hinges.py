@@ -44,14 +44,15 @@ def at_hand(home: Floats, axis: Floats, range_rad: tuple[float, float], point: F
 
 
 def in_hand(
-    pose: Floats, angle: float, axis: Floats, range_rad: tuple[float, float], grasp: Floats, tcp: Floats
+    pose: Floats, angle: float, axis: Floats, range_rad: tuple[float, float], grasp: Floats, tcp: Floats, bar: Floats
 ) -> Array:
     """The pose of a held object when its hand is at `tcp`. The hand may keep its attitude, and the object turn in it.
 
-    `pose`: the object's frame at `angle`; `grasp`: its frame in that of the tcp, at any angle.
+    `pose`: the object's frame at `angle`; `grasp`: its frame in that of the tcp, at any angle; `bar`: its point between
+    the fingers (m, its axes), about which it turns in the hand.
     """
-    where = np.asarray(tcp[:3], dtype=float)
-    return at_hand(turned(pose, axis, -angle), axis, range_rad, geometry.inverse(grasp)[:3], where)
+    where = geometry.transform_point(tcp, geometry.transform_point(grasp, bar))
+    return at_hand(turned(pose, axis, -angle), axis, range_rad, bar, where)
 
 
 def frame(home: Floats, axis: Floats) -> Array:

@@ -54,7 +54,7 @@ class Broker:
                 message = _from_mcm(self.socket.recv_multipart()[1:])
                 if isinstance(message, kind) and wanted(message):
                     return message
-        raise AssertionError(f"no {kind.__name__} in {LIMIT_S} s")
+        raise AssertionError(f"no {kind} in {LIMIT_S} s")
 
 
 @contextmanager

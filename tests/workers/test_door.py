@@ -21,6 +21,7 @@ ARM, DOOR = "LEFT-ARM", "DOOR-2"
 GRASP, OPEN = f"GRASP LEFT-END-EFF {DOOR} LATCH-PULL", f"OPEN {DOOR} BY 90 DEG WITH {ARM}"
 HINGE = CELL.object(DOOR).hinge
 MOST_N = 15.0
+DEEP_M = 0.005  # `deep_m` of GRASP: from the middle of the bar to the tcp
 
 
 @pytest.fixture
@@ -60,6 +61,22 @@ def test_a_sentence_opens_the_held_door_along_a_circle(bench) -> None:
     assert angle_deg(bench) == pytest.approx(35.0, abs=4.0)  # the stop does not stop the reporter's arm
 
 
+def test_the_bar_stays_where_it_is_in_the_hand_while_the_door_turns(bench) -> None:
+    """It is 5 mm before the tcp, and the hand keeps its attitude: the tcp does not turn about the hinge itself."""
+    bench.do(GRASP)
+    run = bench.do(OPEN)
+    path, point = run.primitives[-1].trajectory, CELL.object(DOOR).grasp_points[0].frame.xyz
+    last, by_rad = len(path.positions) - 1, math.radians(90.0) + 0.05  # farther by the lag of a compliant arm
+    for angle, joints in ((0.0, path.positions[0]), (by_rad, path.positions[last])):
+        bar = geometry.transform_point(hinges.turned(CELL.object(DOOR).frame.pose, HINGE.axis, angle), point)
+        in_hand = geometry.transform_point(geometry.inverse(MODEL.arms[ARM].fk(joints)), bar)
+        assert in_hand == pytest.approx([0.0, 0.0, -DEEP_M], abs=2e-4)
+    (ends,) = [f.when for f in run.primitives[-1].stop_functions if isinstance(f.when, TurnAbove)]
+    centre = geometry.transform_point(CELL.object(DOOR).frame.pose, (DEEP_M, 0.0, 0.0))
+    assert ends.point == pytest.approx(centre, abs=1e-4)
+    assert ends.limit_rad == pytest.approx(math.radians(90.0))
+
+
 @pytest.mark.parametrize(
     ("verb", "to_deg", "off_deg"), [("OPEN", 20.0, 3.0), ("CLOSE", 60.0, 3.0), ("CLOSE", 0.0, 2.1)]
 )
@@ -93,7 +110,8 @@ def test_an_open_door_is_taken_where_it_is(bench) -> None:
     run = bench.do(GRASP)
     assert run.succeeded, (run.refusal, run.failure)
     away = geometry.transform_point(bench.world.value(f"{DOOR}.frame"), CELL.object(DOOR).grasp_points[0].frame.xyz)
-    assert geometry.distance(run.reports[-1].tcp_pose, [*away, 0, 0, 0, 1]) < 1e-3
+    between = geometry.compose(run.reports[-1].tcp_pose, (0.0, 0.0, -DEEP_M, 0.0, 0.0, 0.0, 1.0))
+    assert geometry.distance(between, [*away, 0, 0, 0, 1]) < 1e-3
     assert angle_deg(bench) == pytest.approx(80.0, abs=0.2)
 
 

@@ -35,7 +35,7 @@ def taken(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes
     frame, spread = touch.between_fingers(query, data)
     if query.hinge(thing) is not None:
         point = query.cell.object(thing).grasp_point(context.grasp_point).frame.pose[:3]
-        frame = query.hung(thing, point, data.report.tcp_pose[:3])
+        frame = query.hung(thing, point, geometry.transform_point(frame, point))
     grasp = geometry.normalise(geometry.relative(data.report.tcp_pose, frame))
     return [
         WorldChange(key=f"{arm}.holding", value=thing, validity=validity),

@@ -66,7 +66,7 @@ def _curve_of(task: BindTask, start: list[float], axis: str) -> Target | Refusal
         found = world_pose(task, task.data.bindings[name], name)
         if isinstance(found, Refusal):
             return found
-        about = found
+        about = task.query.hinge_of_tcp(task.arm, start, found, _hand_turn(task)).tolist()
     figures = {name: float(step.args[name]) for name in SPACE_ARGS[step.space] if name in step.args}
     poses = curves.curve(step.space, start, about, axis, figures)
     return poses if isinstance(poses, Refusal) else Target(poses=poses)
@@ -114,4 +114,10 @@ def turn_line(task: BindTask) -> stop_conditions.Line:
     if isinstance(found, Refusal):  # `target_of` has refused it
         return stop_conditions.Line(None, None)
     along = axes.direction(found, str(axis or "TOOL-Z"))
-    return stop_conditions.Line(along, found[:3] if name != "HERE" else None)
+    if name == "HERE":
+        return stop_conditions.Line(along, None)
+    return stop_conditions.Line(along, query.hinge_of_tcp(task.arm, here, found, _hand_turn(task))[:3].tolist())
+
+
+def _hand_turn(task: BindTask) -> float:
+    return float(task.data.step.args.get("hand_turn", 1.0))

@@ -370,6 +370,7 @@ def _curve(
         }
     except expressions.ExpressionError as error:
         return _program(str(error))
+    about = candidate.query.hinge_of_tcp(candidate.arm.name, here, about, figures.get("hand_turn", 1.0))
     poses = curves.curve(step.space, here, about, axis, figures)
     return poses if isinstance(poses, Refusal) else Target(poses=poses)
 

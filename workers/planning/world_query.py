@@ -157,8 +157,28 @@ class WorldQuery:
         if grasp is None:
             return None
         if (hinge := self.hinge(thing)) is not None:
-            return hinges.in_hand(self.frame(thing), self.angle(thing), hinge.axis, hinge.range_rad, grasp, tcp)
+            home, bar = (self.frame(thing), self.angle(thing)), self._bar(thing, grasp)
+            return hinges.in_hand(*home, hinge.axis, hinge.range_rad, grasp, tcp, bar)
         return geometry.compose(tcp, grasp)
+
+    def _bar(self, thing: str, grasp: Floats) -> Array:
+        """The point of a held object about which it turns in the hand (m, its axes): its grasp point; else the tcp."""
+        point = self.point_in_hand(thing)
+        bar: Array = (geometry.inverse(grasp) if point is None else point.frame.pose)[:3]
+        return bar
+
+    def hinge_of_tcp(self, arm: str, tcp: Floats, about: Floats, hand_turn: float) -> Array:
+        """The hinge about which the tcp turns, if the hand turns the object that it holds about the hinge `about`.
+
+        They differ if the bar is not at the tcp and the hand keeps its attitude (`hand_turn` 0; 1: as if fixed to the
+        object): then the centre of the tcp is as far from the hinge as the tcp is from the bar. All poses: world.
+        """
+        thing = self.holding(arm)
+        grasp = self.grasp(thing) if self.hinge(thing) is not None else None
+        if grasp is None:
+            return np.asarray(about, dtype=float)
+        bar = geometry.transform_point(tcp, geometry.transform_point(grasp, self._bar(thing, grasp)))
+        return geometry.translate(about, (1.0 - hand_turn) * (np.asarray(tcp[:3], dtype=float) - bar))
 
     def grasp_after(self, thing: str, frame: Floats, tcp: Floats) -> list[float] | None:
         """The grasp of an object that has turned in the hand about its hinge; None: the grasp is the same as before."""
