@@ -173,7 +173,8 @@ def _in_hand(thing: Object, pose: list[float], angle: object, grasp: list[float]
     if (hinge := thing.hinge) is None:
         return geometry.compose(tcp, grasp).tolist()
     angle_rad = angle if isinstance(angle, float) else math.radians(hinge.at_deg)
-    return hinges.in_hand(pose, angle_rad, hinge.axis, hinge.range_rad, grasp, tcp).tolist()
+    bar = hinges.bar((point.frame.xyz for point in thing.grasp_points), grasp)
+    return hinges.in_hand(pose, angle_rad, hinge.axis, hinge.range_rad, grasp, tcp, bar).tolist()
 
 
 def true_scene(truth: m.SimTruthReply) -> SceneView:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -43,16 +44,23 @@ def at_hand(home: Floats, axis: Floats, range_rad: tuple[float, float], point: F
     return turned(home, axis, min(max(angle_at(home, axis, point, where), least), most))
 
 
+def bar(points: Iterable[Floats], grasp: Floats) -> Array:
+    """The point of a held object about which it turns in the hand (m, its axes): the one of `points` that is nearest to
+    the tcp; without points that at the tcp. `grasp`: the object's frame in that of the tcp."""
+    nearest = min(points, key=lambda point: math.hypot(*geometry.transform_point(grasp, point)), default=None)
+    return geometry.inverse(grasp)[:3] if nearest is None else np.asarray(nearest, dtype=float)
+
+
 def in_hand(
-    pose: Floats, angle: float, axis: Floats, range_rad: tuple[float, float], grasp: Floats, tcp: Floats, bar: Floats
+    pose: Floats, angle: float, axis: Floats, range_rad: tuple[float, float], grasp: Floats, tcp: Floats, point: Floats
 ) -> Array:
     """The pose of a held object when its hand is at `tcp`. The hand may keep its attitude, and the object turn in it.
 
-    `pose`: the object's frame at `angle`; `grasp`: its frame in that of the tcp, at any angle; `bar`: its point between
-    the fingers (m, its axes), about which it turns in the hand.
+    `pose`: the object's frame at `angle`; `grasp`: its frame in that of the tcp, at any angle; `point`: about which it
+    turns in the hand (m, its axes), see `bar`.
     """
-    where = geometry.transform_point(tcp, geometry.transform_point(grasp, bar))
-    return at_hand(turned(pose, axis, -angle), axis, range_rad, bar, where)
+    where = geometry.transform_point(tcp, geometry.transform_point(grasp, point))
+    return at_hand(turned(pose, axis, -angle), axis, range_rad, point, where)
 
 
 def frame(home: Floats, axis: Floats) -> Array:

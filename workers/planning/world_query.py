@@ -162,10 +162,7 @@ class WorldQuery:
         return geometry.compose(tcp, grasp)
 
     def _bar(self, thing: str, grasp: Floats) -> Array:
-        """The point of a held object about which it turns in the hand (m, its axes): its grasp point; else the tcp."""
-        point = self.point_in_hand(thing)
-        bar: Array = (geometry.inverse(grasp) if point is None else point.frame.pose)[:3]
-        return bar
+        return hinges.bar((point.frame.xyz for point in self.cell.object(thing).grasp_points), grasp)
 
     def hinge_of_tcp(self, arm: str, tcp: Floats, about: Floats, hand_turn: float) -> Array:
         """The hinge about which the tcp turns, if the hand turns the object that it holds about the hinge `about`.
