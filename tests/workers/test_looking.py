@@ -166,6 +166,20 @@ def test_a_body_that_may_be_elsewhere_by_now_has_a_suspect_pose_and_the_outcome_
     assert words in judged.message
 
 
+def test_a_track_that_ends_before_any_picture_shows_the_body_is_a_failure(bench) -> None:
+    """A short TRACK by a dark camera: its time is over before `unseen_s`."""
+    script = bench.elaborate(f"TRACK {MODULE} FOR 0.3 SEC")
+    bound = bench.bind(script, script.steps[0])
+    report = bench.subsystem.perform(bound.primitive, bound)
+
+    judged = bench.analyze(bound, msgspec.structs.replace(report, sighting=None, message="the picture is too dark"))
+
+    assert report.reason is StopReason.GOAL
+    assert (judged.verdict, judged.reason) == ("abort", StopReason.NOT_SEEN)
+    assert "too dark" in judged.message
+    assert judged.changes == []
+
+
 # --- Figure 4 and doubtful facts ---------------------------------------------------------------------------
 
 

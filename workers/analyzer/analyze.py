@@ -96,6 +96,8 @@ def _wrong(program: AnalyzerProgram, data: AnalyzerInput) -> str:
         return "narrow" if report.hand_width_m < least else "wide" if report.hand_width_m > most else ""
     if evaluation.body_pose is not None:
         return "displaced" if _is_displaced(data) else ""
+    if evaluation.step.args.get("effect") == SEEN and report.reason is StopReason.GOAL and report.sighting is None:
+        return "unseen"
     within_m = evaluation.step.args.get("within_m")
     if isinstance(within_m, float):  # instead of the tolerance of the program
         return "elsewhere" if _off_m(data) > within_m else ""

@@ -21,6 +21,8 @@ STOP = "stop-"  # prefix of the halt that stops a command's primitive; the comma
 
 
 RETRY_ADVICE = "give the sentence again when the subsystem is back"
+AGAIN = "then give the sentence again"
+UNCONFIRMED_ADVICE = f"look whether the arm rests, and see in rtc status whether the subsystem is back; {AGAIN}"
 
 
 def stop_primitive(context: DecisionContext, command: Command, ending: PendingOutcome) -> None:
@@ -39,8 +41,9 @@ def order_halt(context: DecisionContext, command: Command) -> None:
 
 def stop_overdue(context: DecisionContext, command: Command, _: Any) -> None:
     """Stop a primitive without an end report in time. F always contains a time limit, so the subsystem is at fault."""
-    message = f"{command.subsystem} gave no end report within {command.limit_s:.1f} s"
-    stop_primitive(context, command, PendingOutcome(kind=OutcomeKind.FAILED, message=message, stop=StopReason.TIMEOUT))
+    message = f"{command.subsystem} gave no end report within {command.limit_s:.1f} s: it is too slow, or hangs"
+    advice = f"see in rtc status whether {command.subsystem} runs, and whether a fault is injected; {AGAIN}"
+    stop_primitive(context, command, _outcome(OutcomeKind.FAILED, StopReason.TIMEOUT, message, advice))
 
 
 def on_rested(context: DecisionContext, command: Command, report: EndReport) -> None:
@@ -63,7 +66,7 @@ def on_rest_confirmed(context: DecisionContext, command: Command, _: Any) -> Non
 def fail_unconfirmed(context: DecisionContext, command: Command, _: Any) -> None:
     limit_s = rest_limit_s(context.state)
     message = f"halted, but rest was not confirmed by {command.subsystem} within {limit_s:.0f} s"
-    command.pending_outcome = PendingOutcome(kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.HALT)
+    command.pending_outcome = _outcome(OutcomeKind.HALT_NOT_CONFIRMED, StopReason.HALT, message, UNCONFIRMED_ADVICE)
     close(context, command, missing_report(context, command), message)
 
 
@@ -77,12 +80,12 @@ def stop_lost_after_analysis(context: DecisionContext, command: Command, why: st
 
 
 def _lost(message: str) -> PendingOutcome:
-    return PendingOutcome(
-        kind=OutcomeKind.LOST_SUBSYSTEM,
-        message=message,
-        stop=StopReason.SUBSYSTEM_LOST,
-        refusal=Refusal(reason=RefusalReason.STATE, message=message, clears=RETRY_ADVICE),
-    )
+    return _outcome(OutcomeKind.LOST_SUBSYSTEM, StopReason.SUBSYSTEM_LOST, message, RETRY_ADVICE)
+
+
+def _outcome(kind: OutcomeKind, stop_reason: StopReason, message: str, advice: str) -> PendingOutcome:
+    refusal = Refusal(reason=RefusalReason.STATE, message=message, clears=advice)
+    return PendingOutcome(kind=kind, message=message, stop=stop_reason, refusal=refusal)
 
 
 def on_subsystem_lost(context: DecisionContext, command: Command, why: str) -> None:
@@ -94,9 +97,8 @@ def on_subsystem_lost(context: DecisionContext, command: Command, why: str) -> N
 
 def on_lost_while_halting(context: DecisionContext, command: Command, why: str) -> None:
     message = f"{command.subsystem} was lost before it confirmed rest: {why}"
-    command.pending_outcome = PendingOutcome(
-        kind=OutcomeKind.HALT_NOT_CONFIRMED, message=message, stop=StopReason.SUBSYSTEM_LOST
-    )
+    stop_reason = StopReason.SUBSYSTEM_LOST
+    command.pending_outcome = _outcome(OutcomeKind.HALT_NOT_CONFIRMED, stop_reason, message, UNCONFIRMED_ADVICE)
     command.at_rest = context.state.subsystems[command.subsystem].came_at_rest
     close(context, command, missing_report(context, command), message)
 

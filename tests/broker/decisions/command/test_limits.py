@@ -8,8 +8,8 @@ from broker.decisions.command.limits import CLOSING_LIMIT_S, REPORT_MARGIN_S
 from broker.decisions.events import (
     BrokerRestarted,
 )
-from rtc.protocol.outcomes import StopReason
-from tests.broker.harness import Harness
+from rtc.protocol.outcomes import OutcomeKind, StopReason
+from tests.broker.harness import Harness, give_up
 
 
 def time_left(s: Harness, command: str = "C-1") -> float:
@@ -44,3 +44,21 @@ def test_after_a_restart_the_last_analysis_has_its_whole_limit():
     assert s.phase("C-1") == "closing"
     s.handle(BrokerRestarted)
     assert time_left(s) == pytest.approx(CLOSING_LIMIT_S)
+
+
+def test_an_overdue_report_and_an_unconfirmed_halt_end_with_advice():
+    s = Harness()
+    s.executing()
+    s.rings("C-1")
+    assert s.phase("C-1") == "halting"
+    s.reports("C-1", StopReason.HALT)
+    s.answers("C-1", give_up(StopReason.HALT))
+    late = s.outcome("C-1")
+    s.executing()
+    s.halts("C-2")
+    s.rings("C-2")
+    s.answers("C-2", give_up(StopReason.HALT))
+    unconfirmed = s.outcome("C-2")
+    assert late.refusal.clears
+    assert unconfirmed.kind is OutcomeKind.HALT_NOT_CONFIRMED
+    assert unconfirmed.refusal.clears
