@@ -166,7 +166,6 @@ def up(settings: Settings, show: Callable[[str], None], detach_output: bool = Fa
                 specs(settings, given.fd),
                 logs,
                 settings.endpoint("supervisor"),
-                pid=os.getpid(),
                 new_worker=lambda address: new_worker(settings, address, given.fd),
                 identity=given.identity("supervisor"),
                 show=show,

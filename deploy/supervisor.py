@@ -84,7 +84,6 @@ class Supervisor:
         logs: Path,
         broker: str,
         *,
-        pid: int,
         new_worker: Callable[[int], Spec | None],
         show: Callable[[str], None] = lambda line: None,
         save: Callable[[Sequence[Mapping[str, object]]], None] = lambda table: None,
@@ -96,7 +95,6 @@ class Supervisor:
     ) -> None:
         self._me = me
         self._logs = logs
-        self._pid = pid
         self._new_worker, self._print, self._save = new_worker, show, save
         self._look = look
         self._halt = halt
@@ -121,7 +119,7 @@ class Supervisor:
 
         This phase does not restart processes.
         """
-        self._send(SupervisorHello(pid=self._pid))
+        self._send(SupervisorHello())
         adopt_orphans()  # workers are forked by their fork server
         self._start_waiting()
         report_due = Every(REPORT_WAITING_S, now_s() + REPORT_WAITING_S)
@@ -325,7 +323,7 @@ class Supervisor:
             self._show(f"{child.spec.name:<14} ready  {took_s:5.2f} s  pid {child.pid}")
             self._changes = True
             if child.spec.name == "broker" and self._up:
-                self._send(SupervisorHello(pid=self._pid))
+                self._send(SupervisorHello())
 
     def _exited(self, child: Child) -> None:
         """Reports the death to the broker first, because work of the process waits for it."""
@@ -336,7 +334,7 @@ class Supervisor:
         status = child.reap()
         if state == ProcessState.ENDING:
             child.become(ProcessState.ENDED)
-            self._send(ProcessExited(name=name, pid=pid, status=status, restarting=False))
+            self._send(ProcessExited(name=name, pid=pid, status=status))
             if self._up:  # a worker that has retired
                 del self._children[name]
                 self._show(f"{name} has retired")
@@ -344,7 +342,7 @@ class Supervisor:
             return
         child.deaths.append(Death(now_s(), was_ready=state == ProcessState.READY, lived_s=lived_s))
         delay = delay_s(self._policy, [*child.deaths], child.was_ready) if self._up else None
-        self._send(ProcessExited(name=name, pid=pid, status=status, restarting=delay is not None))
+        self._send(ProcessExited(name=name, pid=pid, status=status))
         if not self._up:
             raise ClusterError(f"{name} {in_words(status)} before the cluster was ready.\n{_log_of(child)}")
         self._schedule_restart(child, f"{name} {in_words(status)}", delay)

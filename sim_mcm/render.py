@@ -369,7 +369,7 @@ def serve() -> None:
             _draw_to_file(studio, wanted)
         except (OSError, RtcError) as trouble:
             error = str(trouble)
-        print(msgspec.json.encode(Drawn(out=wanted.out, error=error)).decode(), flush=True)
+        print(msgspec.json.encode(Drawn(error=error)).decode(), flush=True)
 
 
 def write_png(image: Image, file: Path) -> None:

@@ -36,7 +36,6 @@ class SendPrimitive(Effect, frozen=True, kw_only=True, gc=False):
     subsystem: str
     id: str
     primitive: msgspec.Raw
-    issued_at_s: float
     pid: int  # process id of the addressee: a restarted subsystem must not receive it
 
 

@@ -96,7 +96,6 @@ class Egress:
         message = {
             "type": "Execute",
             "primitive": effect.primitive,
-            "issued_at_s": effect.issued_at_s,
             "pid": effect.pid,
         }
         self.subsystems.put(self._core.subsystem_peer(effect.subsystem), message)

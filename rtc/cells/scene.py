@@ -78,7 +78,6 @@ class CameraPicture(msgspec.Struct, frozen=True, kw_only=True, tag=True):
 class Drawn(msgspec.Struct, frozen=True, kw_only=True):
     """A renderer's answer: the file is there, or why not."""
 
-    out: str
     error: str = ""
 
 

@@ -67,7 +67,7 @@ class Server:
         job = request.lease.job
         before = self.store.committed(job)
         if before is not None:
-            return Committed(request=request.request, version=before, again=True)
+            return Committed(request=request.request, version=before)
         version = self.store.write(job, request.changes, request.source, at_s)
         return Committed(request=request.request, version=version)
 

@@ -52,7 +52,6 @@ class SpindleCommand(msgspec.Struct, frozen=True):
 
 class SpindleState(msgspec.Struct, frozen=True):
     turned_rad: float = 0.0  # since its command
-    torque_nm: float = 0.0  # exerted on the bolt
 
 
 class ArmState(msgspec.Struct):

@@ -83,7 +83,7 @@ class Bolts:
 
     def state(self, arm: str) -> SpindleState:
         turning = self._turning.get(arm)
-        return SpindleState() if turning is None else SpindleState(turning.turned_rad, turning.torque_nm)
+        return SpindleState() if turning is None else SpindleState(turning.turned_rad)
 
     # --- for the simulation --------------------------------------------------------------------------------
 

@@ -402,7 +402,7 @@ class Supervisor:
         cluster.attach("supervisor", self.line)
 
     def died(self, name: str, pid: int) -> None:
-        self.line.send(wire.frames(m.ProcessExited(name=name, pid=pid, status=-9, restarting=True)))
+        self.line.send(wire.frames(m.ProcessExited(name=name, pid=pid, status=-9)))
         self.send_table()
 
     def send_table(self) -> None:

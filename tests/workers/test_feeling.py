@@ -30,13 +30,14 @@ def feel(bench):
         step = next(s for s in script.steps if s.label.startswith(label))
         bound = bench.bind(script, step)
         evaluation = bound.evaluation
+        path = getattr(bound.primitive.trajectory, "positions", [evaluation.start_joints])  # of a hand: none
         report = EndReport(
             primitive="C-1.1",
             performer="RIGHT-ARM",
             reason=StopReason.GOAL,
             at_s=0.0,
             duration_s=1.0,
-            joints=evaluation.goal_joints,
+            joints=path[-1],
             tcp_pose=evaluation.goal_pose,
             wrench=[0.0] * 6,
             hand_width_m=0.08,

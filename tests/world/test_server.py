@@ -51,7 +51,7 @@ def test_a_commit_is_a_new_version_that_a_delta_shows(server):
 def test_the_same_job_again_writes_nothing(server):
     server.answer(commit("C-1/4", {"A.seat": "RACK-1"}), 0.0)
     again = server.answer(commit("C-1/4", {"A.seat": "elsewhere"}), 0.0)
-    assert again == Committed(request="r", version=2, again=True)
+    assert again == Committed(request="r", version=2)
     assert (server.store.version, server.store.facts["A.seat"].value) == (2, "RACK-1")
 
 

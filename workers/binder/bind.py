@@ -110,7 +110,6 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         step=msgspec.structs.replace(step, way=None),
         arm=task.arm,
         goal_pose=motion.goal_pose.tolist(),
-        goal_joints=motion.goal_joints.tolist(),
         slowed=slowed[0] if speed_m_s < values["speed_m_s"] else "",
         held=held,
         predicted_s=motion.timed.duration_s,
@@ -199,7 +198,6 @@ def hand_motion(task: BindTask, op: str) -> BoundStep | Refusal:
         step=step,
         arm=task.arm,
         goal_pose=query.tcp(task.arm).tolist(),
-        goal_joints=list(query.joints(task.arm)),
         held=query.holding(task.arm),
         predicted_s=way_m / gripper.speed_m_s,
         width_m=[values.get("least_m", 0.0), values.get("most_m", gripper.max_opening_m + 0.001)],
@@ -235,15 +233,12 @@ def bind_still(task: BindTask) -> BoundStep | Refusal:
         if left_s <= 0.0:
             return _refuse_time(task, 0.0, left_s)
         duration_s = min(duration_s, left_s)
-    known = query.trusts(
-        f"{task.arm}.joints"
-    )  # otherwise the arm holds an unknown position, which the report will contain
+    known = query.trusts(f"{task.arm}.joints")  # otherwise only the report will contain the position that the arm holds
     evaluation = EvaluationContext(
         context=task.data.context,
         step=step,
         arm=task.arm,
         goal_pose=query.tcp(task.arm).tolist() if known and "press_n" not in values else None,
-        goal_joints=list(query.joints(task.arm)) if known else None,
         held=query.holding(task.arm),
         predicted_s=duration_s,
         start_joints=list(query.joints(task.arm)),

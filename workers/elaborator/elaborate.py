@@ -273,7 +273,6 @@ def _script(
         resources=list(dict.fromkeys([*_names(script.resources, candidate, held), *cameras])),
         writes=list(dict.fromkeys([*_names(script.writes, candidate, held), *_with_seats(candidate, doubtful)])),
         reads=[key.rpartition(".")[0] for key in planned.relies_on],
-        candidates=[option.name, *(c.name for c in options if c is not option)],
         notes=[*notes, *(f"{option.name}: {note}" for note in planned.notes), *left_out],
     )
 

@@ -57,7 +57,6 @@ def script(program: ElaboratorProgram, file: ScriptFile, parsed: ParsedCommand, 
         steps=[Step(do=step.do, label=_fill_in(step.label, texts), expect=step.expect) for step in file.steps],
         resources=_names(file.resources, [thing.name, *inside]),
         writes=_names(file.writes, [thing.name, *inside]),
-        candidates=[f"{file.script} {thing.name}"],
     )
 
 

@@ -156,7 +156,6 @@ def send(context: DecisionContext, command: Command) -> None:
                 subsystem=command.subsystem,
                 id=command.primitive,
                 primitive=command.primitive_body,
-                issued_at_s=context.now,
                 pid=subsystem.pid,
             )
         )

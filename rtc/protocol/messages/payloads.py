@@ -114,7 +114,6 @@ class Script(Message, frozen=True, kw_only=True):
     resources: list[str] = []  # non-sharable, all or none
     writes: list[str] = []  # locations of the world that analyzers of this command may write
     reads: list[str] = []  # further locations that its plan relies on
-    candidates: list[str] = []  # what was ranked, the chosen one first (R75)
     notes: list[str] = []  # log of the planning, for people: generated, tested, modified (R92)
 
 
@@ -126,7 +125,6 @@ class EvaluationContext(msgspec.Struct, frozen=True, kw_only=True, omit_defaults
     step: Step
     arm: str = ""
     goal_pose: list[float] | None = None  # of the tcp, predicted at the goal
-    goal_joints: list[float] | None = None
     held: str = ""  # the object in the hand before the primitive, if any
     predicted_s: float = 0.0
     width_m: list[float] | None = None  # for a grip: [least, most] that count as success

@@ -28,12 +28,11 @@ class WorkerKind(StrEnum):
 
 
 class Heartbeat(Message, frozen=True, kw_only=True):
-    """Sign of life, with the current job, if any. From a worker, a subsystem, or a client with `halt_if_lost`.
+    """Sign of life. From a worker, a subsystem, or a client with `halt_if_lost`.
 
     The broker returns that of a registered worker if it has a time."""
 
     name: Name
-    job: Name = ""
     at_s: float = 0.0  # clock of the worker; 0 = no answer wanted
     # From a worker: how long the answer to an earlier one took; None = not measured again.
     round_trip_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] | None = None

@@ -32,7 +32,6 @@ class Execute(Message, frozen=True, kw_only=True):
     begun after that halt."""
 
     primitive: Primitive
-    issued_at_s: float = 0.0
     pid: int = 0  # of the process it is for, as in its hello; another one ignores it; 0 = any
 
 

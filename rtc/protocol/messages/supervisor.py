@@ -10,7 +10,7 @@ from rtc.protocol.messages.shared import Dropped, Message, Name, Shutdown, Worke
 
 
 class SupervisorHello(Message, frozen=True, kw_only=True):
-    pid: int
+    """The supervisor is connected, and expects the broker's orders."""
 
 
 class ProcessExited(Message, frozen=True, kw_only=True):
@@ -19,7 +19,6 @@ class ProcessExited(Message, frozen=True, kw_only=True):
     name: Name  # "binder@2", "MCM", "world"
     pid: int
     status: int  # as from waitpid: negative = signal
-    restarting: bool
 
 
 class ProcessRow(TypedDict):

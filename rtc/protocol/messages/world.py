@@ -83,7 +83,6 @@ class Doubt(Message, frozen=True, kw_only=True):
 class Committed(Message, frozen=True, kw_only=True):
     request: str
     version: int
-    again: bool = False  # this job had been committed before
 
 
 class WorldHistory(Message, frozen=True, kw_only=True):

@@ -139,7 +139,7 @@ def test_an_answer_counts_only_from_whom_the_job_was_given_to(working: Bench) ->
         ("workers", PARSER),
         ("subsystems", MCM),
         ("subsystems", m.HaltAtRest(halt="H-1", subsystem="MCM", at_s=1.0, at_rest=True, performers=["LEFT-ARM"])),
-        ("supervisor", m.ProcessExited(name="parser@0", pid=7, status=-9, restarting=False)),
+        ("supervisor", m.ProcessExited(name="parser@0", pid=7, status=-9)),
         ("supervisor", m.ProcessTable(processes=[])),
         ("supervisor", m.Dropped(counts={"world": 1})),
     ],

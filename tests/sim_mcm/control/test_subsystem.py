@@ -300,10 +300,9 @@ def test_rest_that_does_not_come_is_reported(cell, make) -> None:
     assert not rest.at_rest
 
 
-@pytest.mark.parametrize("issued_s", [-0.001, 0.5])
-def test_what_was_sent_in_ignorance_of_a_halt_does_not_begin_after_it(bench, swing, issued_s: float) -> None:
+def test_what_was_sent_in_ignorance_of_a_halt_does_not_begin_after_it(bench, swing) -> None:
     bench.handle(m.HaltOrder(halt="H-1"), CALLER)
-    blind = m.Execute(primitive=swing("C-7.2"), issued_at_s=bench.now_s + issued_s)
+    blind = m.Execute(primitive=swing("C-7.2"))
     (report,) = kinds(bench.handle(blind), m.EndReport)
     assert report.reason is StopReason.HALT
     assert "not yet acknowledged halt H-1" in report.message
@@ -327,7 +326,7 @@ def test_once_the_broker_knows_of_a_halt_a_new_primitive_works_at_once(bench, sw
     hold = p.Primitive(
         id="C-9.1", performer=ARM, trajectory=p.HoldStill(duration_s=0.1), stop_functions=swing().stop_functions
     )
-    assert kinds(bench.handle(m.Execute(primitive=hold, issued_at_s=99.0)), m.Started)
+    assert kinds(bench.handle(m.Execute(primitive=hold)), m.Started)
     assert list(bench.simulation.arms[ARM].joints) == home
 
 
@@ -352,7 +351,7 @@ def test_a_primitive_meant_for_the_process_before_is_passed_over(bench, swing) -
 
 def test_a_halt_of_one_command_leaves_another_commands_orders_alone(bench, swing) -> None:
     bench.handle(m.HaltOrder(halt="H-1", scope="C-7"), CALLER)
-    other = m.Execute(primitive=swing("C-8.1"), issued_at_s=bench.now_s - 0.001)
+    other = m.Execute(primitive=swing("C-8.1"))
     assert kinds(bench.handle(other), m.Started)
 
 

@@ -252,11 +252,11 @@ def test_a_free_motion_stops_on_any_touch(bench):
 
 def test_a_feeling_motion_stops_on_what_opposes_it(bench):
     _, bound = bound_to(bench, "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A", "JAP")
-    bench.subsystem.joints["RIGHT-ARM"] = np.array(bound.evaluation.goal_joints)
-    bench.set_fact("RIGHT-ARM.joints", bound.evaluation.goal_joints)
+    bench.subsystem.joints["RIGHT-ARM"] = np.array(bound.primitive.trajectory.positions[-1])
+    bench.set_fact("RIGHT-ARM.joints", bound.primitive.trajectory.positions[-1])
     script = bench.elaborate("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A GUARDED")
     jcm = bench.bind(script, script.steps[3])
-    bench.set_fact("RIGHT-ARM.joints", jcm.evaluation.goal_joints)
+    bench.set_fact("RIGHT-ARM.joints", jcm.primitive.trajectory.positions[-1])
 
     one, other = (stops(bench.bind(script, script.steps[n])) for n in (4, 5))
 
