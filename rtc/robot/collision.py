@@ -112,8 +112,10 @@ class CollisionWorld:
         configurations: Sequence[Floats] | Array,
         others: Mapping[str, Floats],
         scene: Scene = AS_BUILT,
+        group: int = GROUP,
     ) -> PathCollision | None:
         """The first configuration of an arm in collision, or None. `others`: joints (rad) of the arms at rest.
+        `group`: configurations that one check may prove free.
 
         A pair that is too near at the start may separate: along the path its distance must not decrease by more than
         `DEEPER_M`. After separation it is checked like all others. So a world model with an error of millimetres can
@@ -132,12 +134,12 @@ class CollisionWorld:
         leaving: dict[int, float] = {}  # pair -> greatest distance so far
         grouped, free_until = len(configurations) >= LEAST_GROUPED, 0
         if grouped:
-            self._widen(slots, np.asarray(configurations))
+            self._widen(slots, np.asarray(configurations), group)
         try:
             for index, configuration in enumerate(configurations):
-                if grouped and index % GROUP == 1 and not leaving:
-                    group = configurations[index : index + GROUP]
-                    free_until = index + len(group) if self._all_free(slots, group) else index
+                if grouped and index % group == 1 and not leaving:
+                    some = configurations[index : index + group]
+                    free_until = index + len(some) if self._all_free(slots, some) else index
                 if index < free_until and not leaving:
                     continue
                 self._q[slots] = configuration
@@ -216,6 +218,15 @@ class CollisionWorld:
         found = [self._describe(pair) for pair in pairs]
         return min(found, key=lambda collision: collision.distance_m, default=None)
 
+    def load_levers(self, arm: str, scene: Scene) -> Array:
+        """How far a point of what this arm holds moves at most (m per rad of each joint); zeros for an empty hand."""
+        if scene is not self._scene:
+            self._arrange(scene)
+        slots = self._bodies.arms[arm].joints
+        rows = np.isin(self._table.owner, [self._table.number[name] for name, by in in_hands(scene) if by == arm])
+        found: Array = self._levers[rows][:, slots].max(axis=0, initial=0.0)
+        return found
+
     def near(self, arm: str, joints: Mapping[str, Floats], scene: Scene) -> list[Collision]:
         """All pairs of a link of this arm and another body that are nearer than the clearance of the scene. The link is
         first; what the arm holds is left out."""
@@ -262,10 +273,10 @@ class CollisionWorld:
     def _ask(self) -> Collision | None:
         return self._describe(self._callback.collisionPairIndex) if self._touches_any() else None
 
-    def _widen(self, slots: list[int], configurations: Array) -> None:
+    def _widen(self, slots: list[int], configurations: Array, group: int = GROUP) -> None:
         """Sets the wide margins: by as much as each pair can come nearer within half a group of a path."""
         pairs = self._pairs
-        steps = GROUP // 2 * np.abs(configurations[1:] - configurations[:-1]).max(axis=0)
+        steps = group // 2 * np.abs(configurations[1:] - configurations[:-1]).max(axis=0)
         nearer = self._levers_of_pairs(slots) @ steps
         if not np.array_equal(self._wide_active, pairs.active):
             self._wide_data.setActiveCollisionPairs(self._bodies.geometry, pairs.active_matrix)

@@ -13,20 +13,17 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import pybullet
 
 from benchmarks.report import percentile, question
-from rtc.protocol import primitive as p
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from sim_mcm.arms.detents import CATCHES_M, CATCHES_RAD
-from sim_mcm.control.executor import Executor
 from tests.campaigns import numbered_runs
-from tests.workers.conftest import CELL, Bench, Physical
+from tests.campaigns.held_module import HeldModule
+from tests.workers.conftest import CELL
 
 SEED = 7
 ARM, MODULE, BAY = "RIGHT-ARM", "MACS-NEW", "BAY-2"
-AT_REST_RAD_S = 0.02
 ERROR_M, ERROR_RAD = 0.002, np.radians(1.0)
 BEFORE = (
     f"GRASP RIGHT-END-EFF {MODULE} HANDLE-A",
@@ -51,27 +48,15 @@ class Inserter(Protocol):
         ...
 
 
-class BeforeBay:
+class BeforeBay(HeldModule):
     """The arm with the module in its hand before the bay, and this state to return to."""
 
     def __init__(self) -> None:
-        self.subsystem = Physical()
-        self.bench = Bench(self.subsystem)
-        self.sim = self.subsystem.sim
-        for sentence in BEFORE:
-            run = self.bench.do(sentence)
-            assert run.succeeded, (sentence, run.refusal, run.assessments)
-        law = run.primitives[-1].control_law
-        self.load = law.load
-        self._law = p.ControlLaw(load=law.load, gains=law.gains)
-        self._saved = pybullet.saveState(physicsClientId=self.sim.world.client)
-        self._world = self.bench.world
-        executor = self.subsystem.executors[ARM]
-        self.joints, self._hand = list(executor._command[0]), executor._hand
+        super().__init__(ARM, MODULE, BEFORE)
 
     def displace(self, offset: Array) -> None:
         """Back to the state before the first run, with the bay displaced."""
-        self._restore()
+        self.restore()
         seat = self.sim.world.seats[BAY]
         seat.home = geometry.compose(CELL.seat(BAY).frame.pose, geometry.from_rpy(offset[:3], offset[3:]))
         self.sim.world.place(seat, seat.home)
@@ -84,27 +69,6 @@ class BeforeBay:
         caught = off_m < CATCHES_M and off_rad < CATCHES_RAD
         held = self.sim.held()[ARM] == ([MODULE] if in_hand else [])
         return Run(caught and held and not failed, off_m, off_rad, peak_n, tries, failed)
-
-    def holds_still(self) -> bool:
-        """Whether the arm rests, with the module in its hand or in the catch of the seat."""
-        rests = max(map(abs, self.sim.arms[ARM].read().velocities)) < AT_REST_RAD_S
-        kept = self.sim.held()[ARM] == [MODULE] or MODULE in self.sim._detents._caught
-        return rests and kept and self.subsystem.executors[ARM].primitive is None
-
-    def _restore(self) -> None:
-        self.sim._detents.let_go_all()
-        pybullet.restoreState(self._saved, physicsClientId=self.sim.world.client)
-        self.bench.world = self._world
-        still = [0.0] * len(self.joints)
-        arm = self.sim.arms[ARM]
-        arm.use_law(self._law)
-        arm.follow((self.joints, still, still))
-        arm.command_hand(self._hand)
-        arm._hand.wanted_m = 0.0  # the spring of the grip is stretched
-        for name, other in self.sim.arms.items():
-            other.read()
-            self.subsystem.executors[name] = Executor(other)
-        self.subsystem.executors[ARM]._hand = self._hand
 
 
 def offsets(seed: int) -> Iterator[Array]:

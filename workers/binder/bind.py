@@ -35,7 +35,7 @@ from rtc.world.model import World
 from workers.binder import compliance, impact, look, replan, stop_conditions, targets, together
 from workers.binder.bind_task import BindTask, refused_program
 from workers.binder.stop_conditions import Values
-from workers.planning import advice, certainty, segments, suggestions
+from workers.planning import advice, certainty, in_seat, segments, suggestions
 from workers.planning.motion import beside
 from workers.planning.motion import plan as plans
 from workers.planning.motion.request import PlanningRequest
@@ -94,6 +94,11 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         return alone
     if isinstance(target, Refusal):
         return target
+    clears = task.program.clears
+    if (
+        kept := in_seat.refuse_other_way(query, task.arm, step.space, query.tcp(task.arm), target.pose, clears)
+    ) is not None:
+        return kept
     values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data)
     held = query.holding(task.arm)
     hit = impact.impact_of(task, target, values, held)
@@ -104,7 +109,7 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
     if not isinstance(motion, Refusal) and "takes_s" in step.args:
         motion = plans.lasting(motion, float(step.args["takes_s"]))
     if isinstance(motion, Refusal):
-        return advice.advise_on_collision(motion, query, task.arm, task.program.clears, context.limits)
+        return advice.advise_on_collision(motion, query, task.arm, clears, context.limits)
     evaluation = EvaluationContext(
         context=context,
         step=msgspec.structs.replace(step, way=None),

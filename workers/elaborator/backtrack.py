@@ -27,7 +27,7 @@ from rtc.world.model import location
 from workers.elaborator import anchors, two_hands
 from workers.elaborator.anchors import ANCHORS, Anchor
 from workers.elaborator.task_candidate import TaskCandidate
-from workers.planning import advice, axes, curves, segments, shared_hold, suggestions
+from workers.planning import advice, axes, curves, in_seat, segments, shared_hold, suggestions
 from workers.planning.motion.plan import PlanningRequest
 from workers.planning.motion.timing import Pace
 from workers.planning.segments import Target
@@ -207,10 +207,9 @@ def _request(script: ScriptFile, candidate: TaskCandidate) -> PlanningRequest:
         candidate.arm.name,
         candidate.limits,
         touching=candidate.thing.name if candidate.thing and not holds else "",
-        seated=bool(holds),
         ignore_suspect=script.despite_grasp,
         opening_m=None if holds else candidate.figures.get("pre_grasp_m"),
-        exempt=[candidate.target.name] if candidate.target else [],
+        exempt=[body.name for body in (candidate.thing if holds else None, candidate.target) if body],
     )
     margin_rad = math.radians(candidate.figures["joint_margin_deg"])
     request = query.planning_request(candidate.arm.name, scene, candidate.limits, Pace(), margin_rad)
@@ -279,17 +278,23 @@ def _try(
     """Test the segments in order; returns the refusal of the first blocked one, or the way of the first segment by
     index of its step. The later segments start where the arm will come to rest, which is not known yet."""
     here = start = request.start
+    entering = _entering(candidate, request)
     ways: dict[int, Way] = {}
     last: _Test | None = None
     for n, step in enumerate(script.steps, 1):
         if not step.to:
             continue
-        now = replace(request, joints={**request.joints, candidate.arm.name: here})
+        asked = request if step.space == "move_joint" else entering
+        now = replace(asked, joints={**request.joints, candidate.arm.name: here})
         target = _target(step, candidate, lines, joints, now)
         if isinstance(target, Refusal):
             return _where(target, f"step {n} ({step.to})")
         if step.space not in segments.SPACES:
             return _program(f"step {n}: no space {step.space}; there are {', '.join(segments.SPACES)}")
+        tcp, clears = now.arm.fk(here), candidate.program.clears
+        kept = in_seat.refuse_other_way(candidate.query, candidate.arm.name, step.space, tcp, target.pose, clears)
+        if kept is not None:
+            return kept
         test = _Test(n, step, now, target, detours, first=here is start)
         if detours and test.first and step.space == "move_joint" and target.joints is not None:
             last, here = test, np.asarray(target.joints, dtype=float)  # a search is expensive: after the other segments
@@ -301,6 +306,15 @@ def _try(
     if last is not None and isinstance(blocked := last.run(ways), Refusal):
         return blocked
     return ways
+
+
+def _entering(candidate: TaskCandidate, request: PlanningRequest) -> PlanningRequest:
+    """The request for lines and curves of a script about a held object: they may be in its seat or in the target."""
+    held = candidate.query.holding(candidate.arm.name)
+    if not held or (candidate.thing is None and candidate.partner is None):
+        return request
+    pairs = candidate.query.seat_contacts(held, [candidate.target.name] if candidate.target else [])
+    return replace(request, scene=replace(request.scene, ignore=[*request.scene.ignore, *pairs]))
 
 
 class _Test(NamedTuple):

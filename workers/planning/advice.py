@@ -9,6 +9,7 @@ import msgspec
 from rtc.language.record import hand_in_words
 from rtc.protocol.messages import Limits
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal
+from workers.planning import in_seat
 from workers.planning.world_query import WorldQuery
 
 UNLIMITED = Limits()
@@ -40,6 +41,7 @@ def advise_on_collision(
         "arm": hand_in_words(arm),
         "held": held,
         "seat": seat,
+        "lift": in_seat.way_out_in_words(query, arm, seat) if seat else "",
         "body": body,
         "other": hand_in_words(other),
         "places": ", ".join(places),

@@ -99,9 +99,13 @@ class WorldQuery:
 
         This is the case when a motion into or out of the seat was stopped.
         """
+        return self.slot_at(self.frame(thing))
+
+    def slot_at(self, frame: Floats) -> str:
+        """The seat in whose slot an object with this frame is; empty if there is none."""
         for seat in self.cell.seats:
             out = geometry.rotate(self.seat_frame(seat.name), seat.way_out)
-            off = self.frame(thing)[:3] - self.seated_pose(seat.name)[:3]
+            off = np.asarray(frame[:3]) - self.seated_pose(seat.name)[:3]
             along = float(off @ out)
             if -BESIDE_M < along < seat.depth_m and float(np.linalg.norm(off - along * out)) < BESIDE_M:
                 return seat.name
@@ -279,7 +283,8 @@ class WorldQuery:
     ) -> Scene:
         """The collision scene from the current facts.
 
-        `touching`: the object that this arm's hand may touch. `seated`: the held object may be in, or enter, a seat.
+        `touching`: the object that this arm's hand may touch. `seated`: the held object may be in the seat that it is
+        in now, or enter a seat of `exempt`.
         `ignore_suspect`: objects with suspect frames are not obstacles. `opening_m`: opening of this arm's hand, if it
         differs from the current one. `exempt`: bodies exempt from the clearance.
         """
@@ -312,8 +317,10 @@ class WorldQuery:
             name for name in poses if ignore_suspect and name not in moved_seats and not self.trusts(f"{name}.frame")
         ]
         ignore += [pair for name in doubtful for pair in ((arm, name), *([(carried, name)] if carried else []))]
-        if carried and (seated or (ignore_suspect and not self.trusts(f"{carried}.grasp"))):
+        if carried and ignore_suspect and not self.trusts(f"{carried}.grasp"):
             ignore += [(carried, seat.name) for seat in self.cell.seats]
+        elif carried and seated:
+            ignore += self.seat_contacts(carried, exempt)
         return Scene(
             poses=poses,
             held=held,
@@ -327,6 +334,11 @@ class WorldQuery:
             arms_apart_m=ARMS_APART_M,
             moving=arm,
         )
+
+    def seat_contacts(self, carried: str, entered: Iterable[str] = ()) -> list[tuple[str, str]]:
+        """The pairs of a held object and a seat that may touch: the seat that it is in, and these ones."""
+        seats = {self.seat(carried), self.seat_around(carried), *entered}
+        return [(carried, seat.name) for seat in self.cell.seats if seat.name in seats]
 
     def _unsure_m(self, names: Iterable[str]) -> dict[str, float]:
         """How far objects, and the seats that hold them, may be from their believed places."""

@@ -447,8 +447,8 @@ def test_a_collision_names_both_bodies(bench):
 
 def test_a_module_in_its_rack_cannot_be_carried_off_sideways(bench):
     bench.do("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
-    script = bench.elaborate("STOW RIGHT-ARM")
-    step = msgspec.structs.replace(script.steps[0], to="HERE", space="move_task", args={"by_m": 0.1, "axis": "Y"})
+    script = bench.elaborate("MOVE RIGHT-ARM BY 10 CM ALONG UP")
+    step = msgspec.structs.replace(script.steps[0], args={"by_m": 0.1, "axis": "Y"})
 
     refusal = bench.bind(script, step)
 

@@ -412,7 +412,7 @@ def test_nothing_is_carried_while_it_is_in_doubt_how_it_is_held(bench, sentence,
         "command_object_table: [{verb: EXTRACT, kind: module, values: {}}]",
     )
     assert bench.do("GRASP MACS-NEW HANDLE-A").succeeded
-    assert bench.do("LIFT MACS-NEW BY 5 CM").succeeded
+    assert bench.do("LIFT MACS-NEW BY 15 CM").succeeded
     bench.set_fact("MACS-NEW.grasp", bench.world.value("MACS-NEW.grasp"), Validity.SUSPECT)
 
     made = bench.elaborate(sentence)

@@ -120,6 +120,7 @@ def test_what_a_grasp_could_not_feel_is_too_little_for_a_seat(bench):
     bench.load("elaborator", "decision_tree: [{verb: GRASP, script: grasp-feeling, enabled: false}]")
     bench.unsurveyed()
     assert bench.do(GRASP).succeeded
+    assert bench.do("LIFT MACS-NEW BY 15 CM").succeeded
     refused = bench.elaborate("PLACE MACS-NEW ON RACK-1")
     assert refused.reason is RefusalReason.SUSPECT
     assert "x 3" in refused.message

@@ -106,7 +106,7 @@ def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> 
     occupied = free_posture(request)(goal)
     if occupied is None and fault(replace(request, scene=roomy_scene(request, goal)), line) is None:
         return FreeWay(line, [DIRECT])
-    return fault(request, line) or occupied
+    return occupied or fault(request, line)  # a goal that is taken tells more than the line to it
 
 
 def _generate_and_test(request: PlanningRequest, goal: Array) -> FreeWay | Refusal:
@@ -146,8 +146,12 @@ def roomy_scene(request: PlanningRequest, goal: Array) -> Scene:
     """
     if request.scene.clearance_m > 0.0:
         return request.scene
-    ours = {request.arm.name, *(name for name, held in request.scene.held.items() if held.arm == request.arm.name)}
-    near = list(request.scene.near)
+    carried = {name for name, held in request.scene.held.items() if held.arm == request.arm.name}
+    ours = {request.arm.name, *carried}
+    # A seat need not be approached before the motion into it begins. The walls that are close at either end follow.
+    seats = {seat.name for seat in request.world.cell.seats} if carried else set()
+    near = [name for name in request.scene.near if name not in seats]
+    allowed = len(near) + NEAR_AT_MOST
     scene = replace(request.scene, clearance_m=CLEARANCE_M, near=near, keeps_unsure=True)
     start = request.start
     for end in (start, goal):
@@ -159,7 +163,7 @@ def roomy_scene(request: PlanningRequest, goal: Array) -> Scene:
                 continue
             if name in near and end is start:
                 break  # in contact, not only close: `check_path` decides how to leave it
-            if len(near) >= len(list(request.scene.near)) + NEAR_AT_MOST:
+            if len(near) >= allowed:
                 return request.scene
             near.append(name)
             scene = replace(scene, near=list(near))

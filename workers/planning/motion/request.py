@@ -11,13 +11,15 @@ import numpy as np
 
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal
 from rtc.protocol.primitive import Load
-from rtc.robot.collision import Collision, CollisionWorld
+from rtc.robot.collision import GROUP, Collision, CollisionWorld
 from rtc.robot.collision_scene import AS_BUILT, Scene
 from rtc.robot.geometry import Array, Floats
 from rtc.robot.kinematics import ArmModel
 from workers.planning.motion.constraints import FREE, Rules
 from workers.planning.motion.path import CHECK_RAD, Path
 from workers.planning.motion.timing import FREE_PACE, Pace
+
+LADEN_GROUP = 9  # configurations that one check may prove free, where a load makes their spacing narrow
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +77,10 @@ def blocked(request: PlanningRequest, hit: Collision) -> Refusal:
 
 def fault(request: PlanningRequest, way: Path, step_rad: float = CHECK_RAD) -> Refusal | None:
     """The first problem along a path, with its position; None if the path is free. `step_rad`: as of `Path.dense`."""
-    s, configurations = way.dense(step_rad, request.arm.step_weights)
-    hit = request.world.check_path(request.arm.name, configurations, request.joints, request.scene)
+    levers = request.world.load_levers(request.arm.name, request.scene) if request.scene.held else None
+    s, configurations = way.dense(step_rad, request.arm.step_weights, levers)
+    group = GROUP if levers is None else LADEN_GROUP
+    hit = request.world.check_path(request.arm.name, configurations, request.joints, request.scene, group)
     free = configurations if hit is None else configurations[: hit.index]
     margin = request.way_margin_rad - 1e-9
     within = len(free) == 0 or request.arm.limit_margin_rad(free) >= margin  # one vectorized check; usually true

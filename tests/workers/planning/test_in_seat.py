@@ -1,0 +1,113 @@
+"""A held module that is still in its seat leaves it straight, with one arm and with two."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rtc.protocol.messages import Limits
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
+from tests.workers.conftest import CELL, MODEL, Bench
+from workers.planning.motion.plan import roomy_scene
+from workers.planning.motion.timing import Pace
+from workers.planning.world_query import WorldQuery
+
+RIGHT, LEFT, MODULE = "RIGHT-ARM", "LEFT-ARM", "MACS-NEW"
+
+
+@pytest.fixture
+def both_in_the_bay(bench: Bench) -> Bench:
+    """Both hands hold a module in the bay."""
+    module = CELL.seated_pose("BAY-2")
+    hands = {}
+    for arm, name in ((RIGHT, "HANDLE-A"), (LEFT, "HANDLE-B")):
+        hands[arm] = geometry.compose(module, CELL.object(MODULE).grasp_point(name).frame.pose)
+        joints = MODEL.arms[arm].ik(hands[arm].tolist(), CELL.arm(arm).home_rad, 0.06)[0]
+        bench.subsystem.joints[arm] = np.array(joints)
+        bench.subsystem.widths[arm] = 0.02
+        bench.set_fact(f"{arm}.joints", joints.tolist())
+        bench.set_fact(f"{arm}.hand_width", 0.02)
+        bench.set_fact(f"{arm}.holding", MODULE)
+    bench.set_fact(f"{MODULE}.held_by", RIGHT)
+    bench.set_fact(f"{MODULE}.grasp", geometry.normalise(geometry.relative(hands[RIGHT], module)).tolist())
+    bench.set_fact(f"{MODULE}.frame", geometry.normalise(module).tolist())
+    bench.set_fact(f"{MODULE}.seat", "BAY-2")
+    bench.subsystem.poses[MODULE] = module
+    return bench
+
+
+@pytest.mark.parametrize("sentence", ["MOVE BOTH-ARMS BY 5 CM ALONG LEFT", "MOVE BOTH-ARMS TO POSITION 48 -8 80 CM"])
+def test_two_arms_draw_a_module_out_before_they_move_it_elsewhere(both_in_the_bay, sentence):
+    refused = both_in_the_bay.elaborate(sentence)
+
+    assert isinstance(refused, Refusal)
+    assert refused.reason is RefusalReason.STATE
+    advised = refused.clears.partition(" first")[0]
+    assert advised == "MOVE BOTH-ARMS BY 25 CM ALONG BACK"
+    assert both_in_the_bay.do(advised).succeeded
+    assert getattr(both_in_the_bay.elaborate(sentence), "where", "") != MODULE  # another reason, if any
+
+
+def test_two_arms_do_not_turn_a_module_in_its_seat(both_in_the_bay):
+    script = both_in_the_bay.elaborate("MOVE BOTH-ARMS BY 5 CM ALONG BACK")
+    step = script.steps[0]
+    step.args["by_rad"] = 0.1
+
+    refused = both_in_the_bay.bind(script, step)
+
+    assert isinstance(refused, Refusal)
+    assert MODULE in refused.message
+
+
+def test_the_binder_refuses_what_has_been_elaborated_before_the_grasp(bench):
+    script = bench.elaborate("STOW RIGHT-ARM")
+    assert bench.do(f"GRASP RIGHT-END-EFF {MODULE} HANDLE-A").succeeded
+
+    refused = bench.bind(script, script.steps[0])
+
+    assert refused.clears.startswith(f"LIFT {MODULE} BY 15 CM WITH {RIGHT}")
+
+
+@pytest.mark.parametrize(("by_cm", "left_cm"), [(5, 10), (11, 4)])
+def test_the_advice_counts_how_far_it_is_out_already(bench, by_cm, left_cm):
+    for sentence in (f"GRASP RIGHT-END-EFF {MODULE} HANDLE-B", f"LIFT {MODULE} BY {by_cm} CM"):
+        assert bench.do(sentence).succeeded
+
+    refused = bench.elaborate("MOVE RIGHT-ARM TO BAY-2-FRONT")
+
+    assert f"LIFT {MODULE} BY {left_cm} CM" in refused.clears
+    assert bench.do(refused.clears.partition(" first")[0]).succeeded
+    assert bench.do("MOVE RIGHT-ARM TO BAY-2-FRONT").succeeded
+
+
+def test_a_carry_keeps_clear_of_the_seat_that_it_leads_to(bench):
+    """The straight part of PLACE enters the seat; before it, the walls are obstacles like others."""
+    for sentence in (f"GRASP RIGHT-END-EFF {MODULE} HANDLE-A", f"LIFT {MODULE} BY 15 CM"):
+        assert bench.do(sentence).succeeded
+    query = WorldQuery(MODEL, bench.world)
+    scene = query.scene(RIGHT, Limits(), exempt=[MODULE, "RACK-1"])
+    request = query.planning_request(RIGHT, scene, Limits(), Pace(), 0.06)
+
+    assert "RACK-1" in scene.near
+    assert "RACK-1" not in roomy_scene(request, request.start).near
+
+
+def test_a_carried_body_is_checked_in_steps_of_its_own(bench):
+    """Its corners reach farther than the hand."""
+    for sentence in (f"GRASP RIGHT-END-EFF {MODULE} HANDLE-A", f"LIFT {MODULE} BY 15 CM"):
+        assert bench.do(sentence).succeeded
+    query = WorldQuery(MODEL, bench.world)
+    world = MODEL.collision
+
+    levers = world.load_levers(RIGHT, query.scene(RIGHT, Limits()))
+
+    assert not world.load_levers(LEFT, query.scene(RIGHT, Limits())).any()
+    corners = geometry.compose(query.grasp(MODULE), (0.10, 0.12, 0.08, 0.0, 0.0, 0.0, 1.0))[:3]
+    last = MODEL.arms[RIGHT]
+    here, there = query.joints(RIGHT), list(query.joints(RIGHT))
+    for joint in range(6):
+        turned = list(there)
+        turned[joint] += 0.01
+        at = [geometry.compose(last.fk(q), (*corners, 0.0, 0.0, 0.0, 1.0))[:3] for q in (here, turned)]
+        assert np.linalg.norm(at[1] - at[0]) <= 0.01 * levers[joint]

@@ -1,0 +1,65 @@
+"""A held object that is still in the slot of a seat leaves it straight along the way out, or not at all. Pure.
+
+The play in a seat is smaller than the uncertainty of a pose in the hand. So a collision check cannot show that another
+path out is free.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.robot import geometry
+from rtc.robot.geometry import Floats
+from workers.planning.world_query import WorldQuery
+
+SPARE_M = 0.03  # of the advised way beyond the depth of the seat
+ASIDE_M, TURNED_RAD = 0.003, math.radians(1.0)  # maximum deviation of a line from the way out
+
+
+def refuse_other_way(
+    query: WorldQuery, arm: str, space: str, tcp: Floats, goal: Floats | None, clears: Mapping[str, str]
+) -> Refusal | None:
+    """Refuse a motion that starts with the held object in a slot, and that does not follow the way out.
+
+    `space`: of the motion; `goal`: the tcp pose at its end, if it is a line. Straight lines of one arm are left to the
+    collision check and to their stop class. `tcp`, `goal`: world frame.
+    """
+    held = query.holding(arm)
+    frame = query.in_hand(held, tcp) if held and space in ("move_joint", "move_both") else None
+    seat = query.slot_at(frame) if frame is not None and query.hinge(held) is None else ""
+    if not seat or (goal is not None and space == "move_both" and _follows(query, seat, tcp, goal)):
+        return None
+    return Refusal(
+        reason=RefusalReason.STATE,
+        message=f"{held} is in {seat}, and leaves it only in a straight line",
+        where=held,
+        clears=clears.get("way_seated", "{lift} first: {held} is in {seat}")
+        .replace("{lift}", way_out_in_words(query, arm, seat, frame))
+        .replace("{held}", held)
+        .replace("{seat}", seat),
+        detail={"cause": "seat", "arm": arm, "seat": seat},
+    )
+
+
+def way_out_in_words(query: WorldQuery, arm: str, seat: str, frame: Floats | None = None) -> str:
+    """The sentence that takes the held object out of this seat. `frame`: of the object; None: as believed."""
+    held = query.holding(arm)
+    out = geometry.rotate(query.seat_frame(seat), query.cell.seat(seat).way_out)
+    where = query.frame(held) if frame is None else np.asarray(frame)
+    left_m = query.cell.seat(seat).depth_m + SPARE_M - float((where[:3] - query.seated_pose(seat)[:3]) @ out)
+    by = f"BY {max(1, math.ceil(100 * left_m - 1e-6))} CM"
+    if query.sharers(arm):
+        return f"MOVE BOTH-ARMS {by} ALONG {query.way_out_of(seat)}"
+    return f"LIFT {held} {by} WITH {arm}"
+
+
+def _follows(query: WorldQuery, seat: str, tcp: Floats, goal: Floats) -> bool:
+    """Whether a line of the hand is parallel to the way out."""
+    out = geometry.rotate(query.seat_frame(seat), query.cell.seat(seat).way_out)
+    way = np.asarray(goal[:3]) - np.asarray(tcp[:3])
+    aside_m = float(np.linalg.norm(way - float(way @ out) * out))
+    return aside_m <= ASIDE_M and geometry.angle(tcp, goal) <= TURNED_RAD
