@@ -94,11 +94,9 @@ def bind_motion(task: BindTask) -> BoundStep | Refusal:
         return alone
     if isinstance(target, Refusal):
         return target
-    clears = task.program.clears
-    if (
-        kept := in_seat.refuse_other_way(query, task.arm, step.space, query.tcp(task.arm), target.pose, clears)
-    ) is not None:
-        return kept
+    tcp, clears = query.tcp(task.arm), task.program.clears
+    if (sideways := in_seat.refuse_other_way(query, task.arm, step.space, tcp, target.pose, clears)) is not None:
+        return sideways
     values = stop_conditions.figures_in_force(task.program, stop_class, query, task.data)
     held = query.holding(task.arm)
     hit = impact.impact_of(task, target, values, held)
