@@ -92,7 +92,7 @@ def shots(views: Sequence[Geometry], cameras: int = 2, seed: int = SEED) -> list
         places = (view, beside)[:cameras]
         pairs.append([_camera(f"CAMERA-{n}-{side}", middle, at) for side, at in enumerate(places)])
     every = [camera for pair in pairs for camera in pair]
-    studio, detector = render.Studio(msgspec.structs.replace(cell, cameras=every, tags=TAGS)), TagDetector()
+    studio, detector = render.SceneRenderer(msgspec.structs.replace(cell, cameras=every, tags=TAGS)), TagDetector()
     done = []
     for n, pair in enumerate(pairs):
         turn = geometry.from_rpy(random.uniform(-0.03, 0.03, 3), random.uniform(-0.1, 0.1, 3))

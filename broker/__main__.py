@@ -41,7 +41,7 @@ def live(run_dir: Path, fd: int = -1) -> None:
     given = handover.begin("broker", run_dir, fd)
     settings = given.settings
     with process.start("broker", run_dir) as me:
-        priority = process.come_first(RANK, NICENESS)
+        priority = process.raise_priority(RANK, NICENESS)
         first = State(timeout_scale=settings.timeout_scale, life=secrets.token_hex(2))
         path = run_dir / "journal.db"
         journal, state, ended = damaged_database.open_or_set_aside(
@@ -58,7 +58,7 @@ def _opened(path: Path, run: str, first: State) -> tuple[Journal, State, dict[st
 
 def _serve(
     me: process.Process,
-    given: handover.Handed,
+    given: handover.Handover,
     journal: Journal,
     state: State,
     ended: dict[str, CommandRecord],
@@ -94,7 +94,7 @@ def _serve(
     journal.close()
 
 
-def lost_batches(journal: Journal, state: State, given: handover.Handed, now: float, life: str) -> JournalLost | None:
+def lost_batches(journal: Journal, state: State, given: handover.Handover, now: float, life: str) -> JournalLost | None:
     """The event of a journal that lacks decisions of this run; None if it is complete. `life`: its new id."""
     kept = given.remembered("broker")
     if kept is None:
@@ -108,7 +108,7 @@ def lost_batches(journal: Journal, state: State, given: handover.Handed, now: fl
     return JournalLost(at_s=now, why=why, life=life, accepted=accepted)
 
 
-def _doubt_the_world(me: process.Process, given: handover.Handed, lost: JournalLost) -> None:
+def _doubt_the_world(me: process.Process, given: handover.Handover, lost: JournalLost) -> None:
     """Mark world facts as suspect before a plan uses them: lost decisions may have changed them."""
     world = WorldClient(given.settings.endpoint("world"), me.context, limit_s=DOUBT_LIMIT_S)
     try:

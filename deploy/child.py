@@ -55,7 +55,7 @@ class ProcessState(StrEnum):
     ENDED = "ended"
 
 
-class Line:
+class ForkConnection:
     """The supervisor's end of the socket to a fork server: an order, its answer, and a start byte for the child."""
 
     def __init__(self) -> None:
@@ -108,7 +108,7 @@ class Child:
         self.start_at_s = 0.0  # start time while WAITING or LOOPING
         self.kill_at_s = 0.0  # time of SIGKILL while ENDING
         self.exited_fd = self.output_fd = -1
-        self.line: Line | None = None  # of a fork server
+        self.line: ForkConnection | None = None  # of a fork server
         self.pid = 0  # 0 = none
         self._popen: subprocess.Popen[bytes] | None = None  # None if it was forked by a fork server
         self.output_over = False  # its stdout is closed
@@ -123,11 +123,11 @@ class Child:
     def become(self, state: ProcessState) -> None:
         self.state, self.since_s = state, now_s()
 
-    def start(self, fork_server: Line | None = None) -> None:
+    def start(self, fork_server: ForkConnection | None = None) -> None:
         """Starts it by its command or by `fork_server`; stderr goes to the log. Raises OSError."""
         limit_log(self.log)
         self.output_fd, output = os.pipe()
-        self.line = Line() if self.spec.is_fork_server else None
+        self.line = ForkConnection() if self.spec.is_fork_server else None
         stdin = (self.line.theirs.fileno(),) if self.line else ()
         try:
             with open_log(self.log) as log:

@@ -152,7 +152,7 @@ def up(settings: Settings, show: Callable[[str], None], detach_output: bool = Fa
             report.save([])
         except OSError as error:  # a full disk, most often
             raise ClusterError(f"no cluster can be started in {run_dir}: {error}") from error
-        given = handover.Handed.make(settings, key, secrets.token_hex(8))
+        given = handover.Handover.make(settings, key, secrets.token_hex(8))
         files: dict[str, Callable[[], object]] = {
             "settings.json": settings.save,
             lease.KEY_FILE: lambda: write_key(run_dir, key),

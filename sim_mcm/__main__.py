@@ -60,7 +60,7 @@ SIMULATIONS: dict[str, Callable[[Cell], Simulation]] = {"bullet": _bullet, "kine
 class Station:
     """The loop around a simulation: sockets, subsystem, clock."""
 
-    def __init__(self, me: process.Process, given: handover.Handed, simulation: Simulation) -> None:
+    def __init__(self, me: process.Process, given: handover.Handover, simulation: Simulation) -> None:
         settings = given.settings
         self._me, self._settings = me, settings
         self._guard = MemoryGuard()
@@ -242,10 +242,10 @@ def _in_real_time(settings: Settings) -> bool:
     return 0.0 < settings.speed <= 1.0
 
 
-def _come_first(settings: Settings) -> str:
+def _raise_priority(settings: Settings) -> str:
     """Request real-time priority, because a servo tick is short and cannot wait; otherwise only a lower niceness."""
     if _in_real_time(settings):
-        return process.come_first(RANK, NICENESS)
+        return process.raise_priority(RANK, NICENESS)
     return f"niceness {NICENESS}" if process.nice(NICENESS) else "no permission for a higher priority"
 
 
@@ -274,7 +274,7 @@ def live(run_dir: str, fd: int = -1, simulation: Simulation | None = None) -> No
         if _in_real_time(settings):
             process.real_time_io(me.context, IO_RANK)
         station = Station(me, given, simulation or SIMULATIONS[settings.mcm](Cell.load(settings.cell)))
-        me.log.info("scheduling: %s", _come_first(settings))
+        me.log.info("scheduling: %s", _raise_priority(settings))
         station.run()
 
 

@@ -21,7 +21,7 @@ from rtc.cells.cell import Cell
 from rtc.cells.scene import FilmFrame
 from rtc.protocol.outcomes import RtcError
 from sim_mcm import picture as sheet
-from sim_mcm.render import FAR_M, NEAR_M, Camera, Studio
+from sim_mcm.render import FAR_M, NEAR_M, Camera, SceneRenderer
 
 SIZE = (480, 360)
 FRAMES_PER_S = 8.0
@@ -37,7 +37,7 @@ def drawn(
     cell: Cell, wanted: Sequence[FilmFrame], eye: Sequence[float], target: Sequence[float]
 ) -> Iterator[sheet.Image.Image]:
     """Each frame with its caption below."""
-    studio = Studio(cell)
+    studio = SceneRenderer(cell)
     camera = Camera(
         pybullet.computeViewMatrix(list(eye), list(target), [0, 0, 1]),
         pybullet.computeProjectionMatrixFOV(FIELD_OF_VIEW_DEG, SIZE[0] / SIZE[1], NEAR_M, FAR_M),

@@ -82,7 +82,7 @@ class Photograph(NamedTuple):
     bodies: NDArray[np.integer[Any]]  # pybullet body id at each pixel; negative: background
 
 
-class Studio:
+class SceneRenderer:
     """The cell in a client without physics; it can be posed and rendered repeatedly."""
 
     def __init__(self, cell: Cell) -> None:
@@ -285,7 +285,7 @@ def backdrop(camera: CellCamera, pose: geometry.Floats) -> Image:
 
 def draw(cell: Cell, scene: SceneView, width: int = 960, height: int = 720) -> Image:
     """One scene without text, height x width x 3."""
-    studio = Studio(cell)
+    studio = SceneRenderer(cell)
     try:
         studio.pose(scene)
         return studio.photograph(studio.camera("overview", scene, width / height), width, height).pixels
@@ -293,7 +293,7 @@ def draw(cell: Cell, scene: SceneView, width: int = 960, height: int = 720) -> I
         studio.close()
 
 
-def compose(studio: Studio, wanted: Picture) -> sheet.Image.Image:
+def compose(studio: SceneRenderer, wanted: Picture) -> sheet.Image.Image:
     """The panels of a picture with their text, all from the same camera."""
     size = ALONE if len(wanted.panels) == 1 else PANEL
     camera, first = None, None
@@ -309,7 +309,7 @@ def compose(studio: Studio, wanted: Picture) -> sheet.Image.Image:
     return sheet.composed(done, wanted.caption)
 
 
-def _draw_to_file(studio: Studio, wanted: Picture | CameraPicture) -> None:
+def _draw_to_file(studio: SceneRenderer, wanted: Picture | CameraPicture) -> None:
     file = Path(wanted.out)
     if isinstance(wanted, Picture):
         return sheet.save(compose(studio, wanted), file)
@@ -326,7 +326,7 @@ def _draw_to_file(studio: Studio, wanted: Picture | CameraPicture) -> None:
     return None
 
 
-def _anchors(studio: Studio, panel: Panel) -> list[tuple[str, str, Array]]:
+def _anchors(studio: SceneRenderer, panel: Panel) -> list[tuple[str, str, Array]]:
     """(name, text, point (m, world frame)) of each label of a panel."""
     return [
         (name, words, studio.hand(name) if name in studio.arms else np.array(panel.scene.poses[name][:3]))
@@ -365,7 +365,7 @@ def serve() -> None:
         error = ""
         try:
             if studio is None or built != wanted.cell:
-                studio, built = Studio(Cell.load(wanted.cell)), wanted.cell
+                studio, built = SceneRenderer(Cell.load(wanted.cell)), wanted.cell
             _draw_to_file(studio, wanted)
         except (OSError, RtcError) as trouble:
             error = str(trouble)

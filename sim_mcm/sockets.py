@@ -58,7 +58,7 @@ class Sockets:
         for name in ("estop", "bench"):
             old = getattr(self, f"_{name}")
             self._poller.unregister(old)
-            made = self._me.open_anew(old, settings.endpoint(name), BOUNDS[name], handover=name not in NO_HANDOVER)
+            made = self._me.reopen(old, settings.endpoint(name), BOUNDS[name], handover=name not in NO_HANDOVER)
             self._poller.register(made, zmq.POLLIN)
             setattr(self, f"_{name}", made)
 

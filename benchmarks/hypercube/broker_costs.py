@@ -37,7 +37,7 @@ from broker.router.loop import SNAPSHOT_EVENTS, Router
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.messages import WorkerKind
-from rtc.runtime.handover import Handed
+from rtc.runtime.handover import Handover
 from rtc.runtime.process import Every, Process, freeze_heap, open_socket, real_time
 from rtc.runtime.settings import Settings, prepare_run_dir
 from rtc.world.lease import KEY_BYTES
@@ -78,7 +78,7 @@ class BrokerBench:
         state = State(life=secrets.token_hex(2))
         self.journal = Journal.open(run_dir / "journal.db", settings.run, state)
         store = ProgramStore(self.journal, state.programs)
-        began_s, handed = time.monotonic(), Handed(settings, secrets.token_bytes(KEY_BYTES))
+        began_s, handed = time.monotonic(), Handover(settings, secrets.token_bytes(KEY_BYTES))
         self.router = Router(  # its clock is slow, so that commands in progress do not reach their limit
             self.me,
             settings,

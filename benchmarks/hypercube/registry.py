@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Any
 
-from broker.dispatch.worker_registry import HANDFUL_MAX, HANDFUL_S, SLOW_S
+from broker.dispatch.worker_registry import BATCH_MAX, BATCH_S, SLOW_S
 
 KINDS = 4
 
@@ -27,12 +27,12 @@ class Slot:
         self.mean_s = 1.0
 
     @property
-    def handful(self) -> int:
-        return max(1, min(HANDFUL_MAX, int(HANDFUL_S / max(self.mean_s, 1e-6))))
+    def batch_size(self) -> int:
+        return max(1, min(BATCH_MAX, int(BATCH_S / max(self.mean_s, 1e-6))))
 
     @property
-    def room(self) -> int:
-        return (1 if self.mean_s > SLOW_S else 2 * self.handful) - self.assigned
+    def free_slots(self) -> int:
+        return (1 if self.mean_s > SLOW_S else 2 * self.batch_size) - self.assigned
 
 
 class Registry:
@@ -57,10 +57,10 @@ class Registry:
             while queue and free:
                 assigned, index = free[0]
                 slot = slots[index]
-                if slot.assigned != assigned or slot.room <= 0:
+                if slot.assigned != assigned or slot.free_slots <= 0:
                     heapq.heappop(free)
                     continue
-                jobs = [queue.popleft() for _ in range(min(slot.handful, slot.room, len(queue)))]
+                jobs = [queue.popleft() for _ in range(min(slot.batch_size, slot.free_slots, len(queue)))]
                 slot.assigned += len(jobs)
                 heapq.heapreplace(free, (slot.assigned, index))
                 yield kind, slot, jobs

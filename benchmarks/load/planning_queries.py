@@ -18,7 +18,7 @@ from rtc.robot import geometry
 from rtc.robot.collision_scene import Held, Scene
 from rtc.robot.geometry import Array
 from workers.planning.motion import path as paths
-from workers.planning.motion.constraints import FREE, Rules
+from workers.planning.motion.constraints import FREE, PathConstraints
 from workers.planning.motion.request import PlanningRequest, fault, free_posture
 from workers.planning.robot_models import CellModel
 
@@ -68,7 +68,7 @@ class Queries:
         """A scene in which all arms are free, and what this arm holds."""
         holds = self._things[self._rng.integers(len(self._things))] if self._rng.random() < 0.5 else None
         scene = Scene(moving=self._arm.name)
-        rules = FREE if self._attitude is None else Rules(attitude=self._attitude, attitude_name="kept")
+        rules = FREE if self._attitude is None else PathConstraints(attitude=self._attitude, attitude_name="kept")
         if holds is not None:
             point = holds.grasp_points[self._rng.integers(len(holds.grasp_points))]
             grasp = geometry.inverse(point.frame.pose)
@@ -86,7 +86,7 @@ class Queries:
     def _at_rest(self, request: PlanningRequest) -> Array:
         """Where another arm may rest (rad): at home, stowed, at one of its places, or anywhere free."""
         arm = self._cell.arm(request.arm.name)
-        request = replace(request, scene=replace(request.scene, moving=arm.name), rules=FREE)
+        request = replace(request, scene=replace(request.scene, moving=arm.name), path_constraints=FREE)
         drawn, test = self._rng.random(), free_posture(request)
         places = [place.poses[arm.name].pose for place in self._cell.places if arm.name in place.poses]
         usual = [np.array(arm.home_rad), np.array(arm.stow_rad)]

@@ -18,7 +18,7 @@ from rtc.protocol.messages import WorkerHello, WorkerKind
 from rtc.runtime import process
 from rtc.runtime.settings import Settings
 from rtc.world.client import WorldClient
-from workers.runtime.worker_loop import Shell
+from workers.runtime.worker_loop import WorkerLoop
 
 NICENESS = 5  # as the real workers
 
@@ -49,7 +49,7 @@ def work(run_dir: Path, kind: WorkerKind, node: int, *, busy_s: float = 0.0, asl
         socket = me.socket(zmq.DEALER, settings.endpoint("workers"), identity=name)
         world = WorldClient(settings.endpoint("world"), me.context)
         hello = WorkerHello(name=name, node=node, kind=kind, pid=os.getpid())
-        shell = Shell(me, hello, function, socket, world, lambda cell: cell)
+        shell = WorkerLoop(me, hello, function, socket, world, lambda cell: cell)
         process.freeze_heap()
         gc.set_threshold(50_000, 20, 20)
         me.ready()

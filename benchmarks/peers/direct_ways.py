@@ -41,7 +41,7 @@ def _ways(request: PlanningRequest, goal: Array) -> Iterator[Path]:
             moved = [
                 geometry.translate(geometry.compose(pose, (0, 0, -back, 0, 0, 0, 1)), (0, 0, up)) for pose, _ in ends
             ]
-            first, second = (request.arm.follow(pose, q) for pose, (_, q) in zip(moved, ends, strict=True))
+            first, second = (request.arm.nearest_ik(pose, q) for pose, (_, q) in zip(moved, ends, strict=True))
             if back == up == 0.0 or first is None or second is None:
                 continue
             yield _spline([request.start, first, second, goal])

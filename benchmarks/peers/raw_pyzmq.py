@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 import zmq
 
 from benchmarks.peers import chain
-from rtc.runtime.process import come_first, nice, open_socket
+from rtc.runtime.process import nice, open_socket, raise_priority
 
 WINDOW = 1000  # commands in progress
 START_MS = 10_000
@@ -40,7 +40,7 @@ def measure(sizes: Sequence[int], start: Callable[[], chain.Meter]) -> None:
 
 
 def broker(folder: str, stages: int) -> None:
-    come_first(1, -5)  # as for our broker
+    raise_priority(1, -5)  # as for our broker
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     front = open_socket(context, zmq.ROUTER, _front(folder), bind=True, queue_length=100_000)
     back = open_socket(context, zmq.ROUTER, _back(folder), bind=True, queue_length=100_000)

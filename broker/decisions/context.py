@@ -34,7 +34,7 @@ class DecisionContext:
         self.node = ""  # worker or subsystem that caused the event
         self.took_s = 0.0  # duration of its work
 
-    def follow(self, command: str, stimulus: Stimulus, payload: Any = None) -> None:
+    def enqueue_stimulus(self, command: str, stimulus: Stimulus, payload: Any = None) -> None:
         """Stimulate another command after this action."""
         self.followups.append((command, stimulus, payload))
 
@@ -50,7 +50,7 @@ class DecisionContext:
         if not line:
             del self.state.intake_order[command.client]
         elif was_next and line[following := next(iter(line))]:
-            self.follow(following, Stimulus.RELEASE)
+            self.enqueue_stimulus(following, Stimulus.RELEASE)
 
     def grant(self, commands: list[str]) -> None:
         for command in commands:
@@ -107,7 +107,7 @@ class DecisionContext:
 
     def _recheck_space(self, arm: str) -> None:
         for waiting in self.state.space_lines.get(arm, ()):
-            self.follow(waiting, Stimulus.SPACE)
+            self.enqueue_stimulus(waiting, Stimulus.SPACE)
 
     def owner_of(self, arm: str) -> Command | None:
         """The live command that holds this arm."""

@@ -149,7 +149,7 @@ def on_client_gone(context: DecisionContext, event: ClientGone) -> None:
     gone = PendingOutcome(kind=OutcomeKind.HALTED, message="its client disconnected", stop=StopReason.HALT)
     for command in context.state.commands.values():
         if command.client == event.client and command.halt_if_lost:
-            context.follow(command.id, Stimulus.STOP, gone)
+            context.enqueue_stimulus(command.id, Stimulus.STOP, gone)
 
 
 # --- workers -----------------------------------------------------------------------------------------

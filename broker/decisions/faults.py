@@ -20,4 +20,4 @@ def stop_others(context: DecisionContext, command: Command, report: EndReport) -
     over = PendingOutcome(kind=OutcomeKind.FAILED, message=message, stop=report.reason)
     for other in context.state.commands.values():
         if other is not command and other.head is not None and other.head.kind == "task":
-            context.follow(other.id, Stimulus.STOP, over)
+            context.enqueue_stimulus(other.id, Stimulus.STOP, over)

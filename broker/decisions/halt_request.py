@@ -134,7 +134,7 @@ def order(
             )
     for command in targets:
         if command.id != spare and not _was_sent_after(command, received_at_s):
-            context.follow(command.id, Stimulus.STOP, halted(scope))
+            context.enqueue_stimulus(command.id, Stimulus.STOP, halted(scope))
     return True
 
 
@@ -200,7 +200,7 @@ def _settle(context: DecisionContext, name: str, outcome: PendingOutcome) -> Non
     """Let the command end. Its request is removed with it."""
     context.state.halt_sentences[name].settled = True
     context.stop_timer(context.state.commands[name])
-    context.follow(name, Stimulus.HALT_SETTLED, Settled(outcome, context.node))
+    context.enqueue_stimulus(name, Stimulus.HALT_SETTLED, Settled(outcome, context.node))
 
 
 # --- table -------------------------------------------------------------------------------------------

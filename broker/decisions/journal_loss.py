@@ -28,7 +28,7 @@ def on_journal_lost(context: DecisionContext, event: JournalLost) -> None:
     over = PendingOutcome(kind=OutcomeKind.FAILED, message=f"{event.why}; {CLEARS}", stop=StopReason.SUBSYSTEM_LOST)
     for command in state.commands.values():
         command.jobs += JOBS_APART
-        context.follow(command.id, Stimulus.STOP, over)
+        context.enqueue_stimulus(command.id, Stimulus.STOP, over)
 
 
 def is_lost(state: State, event: CommandReceived) -> bool:

@@ -119,7 +119,7 @@ def _stop_users(context: DecisionContext, name: str, why: str) -> None:
     """Stop every command that has used this subsystem: a global error (A30). Its rest is not confirmed either."""
     for command in context.state.commands.values():
         if command.subsystem == name:
-            context.follow(command.id, Stimulus.SUBSYSTEM_LOST, why)
+            context.enqueue_stimulus(command.id, Stimulus.SUBSYSTEM_LOST, why)
     halt_request.on_subsystem_lost(context, why)
 
 

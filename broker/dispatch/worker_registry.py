@@ -15,8 +15,8 @@ from typing import NamedTuple
 from broker.decisions.effects import DispatchJob
 from rtc.protocol.messages import WorkerKind
 
-HANDFUL_S = 0.002  # maximum duration of the jobs in one message
-HANDFUL_MAX = 64  # maximum number of jobs in one message
+BATCH_S = 0.002  # maximum duration of the jobs in one message
+BATCH_MAX = 64  # maximum number of jobs in one message
 SLOW_S = 0.005  # workers with longer jobs get one at a time
 # Time limit per job. An analyzer waits for the world database for up to half of it.
 DEADLINE_S = {WorkerKind.PARSER: 3.0, WorkerKind.ELABORATOR: 15.0, WorkerKind.BINDER: 15.0, WorkerKind.ANALYZER: 10.0}
@@ -104,14 +104,14 @@ class Worker:
         self.retiring = False  # ordered to end: it gets no further jobs
 
     @property
-    def handful(self) -> int:
-        return max(1, min(HANDFUL_MAX, int(HANDFUL_S / max(self.mean_s, 1e-6))))
+    def batch_size(self) -> int:
+        return max(1, min(BATCH_MAX, int(BATCH_S / max(self.mean_s, 1e-6))))
 
     @property
-    def room(self) -> int:
+    def free_slots(self) -> int:
         if self.retiring:
             return 0
-        most = 1 if self.mean_s > SLOW_S else 2 * self.handful
+        most = 1 if self.mean_s > SLOW_S else 2 * self.batch_size
         return most - len(self.assigned)
 
 
@@ -172,11 +172,11 @@ class WorkerRegistry:
         """Assign queued jobs. Yields (worker, jobs) pairs, the least loaded worker first."""
         for kind, queue in self.queues.items():
             while queue:
-                free = [w for w in self.workers.values() if w.kind is kind and w.room > 0]
+                free = [w for w in self.workers.values() if w.kind is kind and w.free_slots > 0]
                 if not free:
                     break
                 worker = min(free, key=lambda w: len(w.assigned))
-                jobs = queue.take(min(worker.handful, worker.room))
+                jobs = queue.take(min(worker.batch_size, worker.free_slots))
                 if not worker.assigned:
                     worker.since_s = now
                 worker.assigned.update((job.job, job) for job in jobs)

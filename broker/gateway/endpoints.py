@@ -18,7 +18,7 @@ from rtc.protocol import wire
 from rtc.protocol.outcomes import ClusterError, Refusal, RefusalReason
 from rtc.protocol.roles import TCP_ENDPOINTS
 from rtc.runtime import process
-from rtc.runtime.keys import Pair, endpoint_address, secure_server
+from rtc.runtime.keys import KeyPair, endpoint_address, secure_server
 from rtc.runtime.process import AT_ONCE, MORE, Disconnections, Process, inbox, now_s
 from rtc.runtime.settings import BOUNDS, Settings
 
@@ -43,7 +43,7 @@ class ServerSockets:
     Raises ClusterError if a port is not available.
     """
 
-    def __init__(self, me: Process, settings: Settings, pair: Pair) -> None:
+    def __init__(self, me: Process, settings: Settings, pair: KeyPair) -> None:
         self._me, self._settings, self._pair = me, settings, pair
         self.counts: Counter[str] = Counter()  # events for `rtc status`
         self.records = PeerRecords()
@@ -111,7 +111,7 @@ class ServerSockets:
         """Yield the sender and the frames of queued messages, those of an array separately: each of them is allowed or
         refused alone."""
         for peer, parts in _received(self.outside[endpoint]):
-            for one in wire.apart(parts):
+            for one in wire.split(parts):
                 yield peer, one
 
     def send(self, endpoint: str, session: bytes, parts: Sequence[bytes]) -> bool:

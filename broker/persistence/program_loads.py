@@ -9,8 +9,8 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import NamedTuple, Protocol
 
-from broker.persistence.program_store import Loaded, ProgramStore
-from rtc.programs.sandbox import Asked, Checked, check
+from broker.persistence.program_store import ProgramStore, StoredProgram
+from rtc.programs.sandbox import CheckRequest, CheckResult, check
 from rtc.protocol.messages import ProgramText
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
@@ -20,30 +20,30 @@ MOST_WAITING = 8  # maximum number of queued loads
 class Check(Protocol):
     """A running check."""
 
-    def result(self, now: float) -> Checked | None:
+    def result(self, now: float) -> CheckResult | None:
         """The result; None while the check runs."""
 
 
 class InProcessCheck:
     """A check in the calling process, for tests and simulations."""
 
-    def __init__(self, asked: Asked) -> None:
+    def __init__(self, asked: CheckRequest) -> None:
         self._checked = check(asked)
 
-    def result(self, now: float) -> Checked | None:
+    def result(self, now: float) -> CheckResult | None:
         return self._checked
 
 
-class Done(NamedTuple):
+class FinishedLoad(NamedTuple):
     peer: bytes
     text: ProgramText
-    loaded: Loaded | Refusal
+    loaded: StoredProgram | Refusal
 
 
 class ProgramLoads:
     """`start` starts a check; it may raise OSError."""
 
-    def __init__(self, store: ProgramStore, start: Callable[[Asked], Check] = InProcessCheck) -> None:
+    def __init__(self, store: ProgramStore, start: Callable[[CheckRequest], Check] = InProcessCheck) -> None:
         self._store, self._start = store, start
         self._waiting: deque[tuple[bytes, ProgramText]] = deque()
         self._running: Check | None = None  # check of the first one
@@ -62,7 +62,7 @@ class ProgramLoads:
         self._waiting.append((peer, text))
         return None
 
-    def poll(self, now: float) -> Iterator[Done]:
+    def poll(self, now: float) -> Iterator[FinishedLoad]:
         """Yield finished loads. The caller must install each before it takes the next."""
         while self._waiting:
             peer, text = self._waiting[0]
@@ -72,10 +72,10 @@ class ProgramLoads:
                 except OSError as error:
                     self._waiting.popleft()
                     words = f"no process can be started to check it: {error}"
-                    yield Done(peer, text, Refusal(reason=RefusalReason.OVERLOAD, message=words))
+                    yield FinishedLoad(peer, text, Refusal(reason=RefusalReason.OVERLOAD, message=words))
                     continue
             if (checked := self._running.result(now)) is None:
                 return
             self._running = None
             self._waiting.popleft()
-            yield Done(peer, text, self._store.take(text, checked))
+            yield FinishedLoad(peer, text, self._store.take(text, checked))

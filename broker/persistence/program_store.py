@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 from broker.persistence.journal import Journal
 from rtc.programs.digest import digest
-from rtc.programs.sandbox import Asked, Checked
+from rtc.programs.sandbox import CheckRequest, CheckResult
 from rtc.protocol.messages import ProgramText, WorkerKind
 from rtc.protocol.outcomes import Refusal, RefusalReason
 
 
-class Loaded(NamedTuple):
+class StoredProgram(NamedTuple):
     """A checked and stored program."""
 
     digest: str  # of the merged program
@@ -38,10 +38,10 @@ class ProgramStore:
     def body(self, digest: str) -> bytes | None:
         return self._bodies.get(digest)
 
-    def asked(self, text: ProgramText) -> Asked:
+    def asked(self, text: ProgramText) -> CheckRequest:
         """The input of the check that merges a file into a program (LOAD) or resets the program."""
         others = {kind: self._bodies[self._in_use[kind]] for kind in WorkerKind if kind in self._in_use}
-        return Asked(
+        return CheckRequest(
             kind=text.kind,
             name=text.name,
             body=text.body,
@@ -50,8 +50,8 @@ class ProgramStore:
             others=others,
         )
 
-    def take(self, text: ProgramText, checked: Checked) -> Loaded | Refusal:
+    def take(self, text: ProgramText, checked: CheckResult) -> StoredProgram | Refusal:
         """Store a program that passed its check; otherwise return the refusal."""
         if checked.error:
             return Refusal(reason=RefusalReason.PROGRAM, message=checked.error, where=text.name)
-        return Loaded(self.keep(checked.merged), checked.changes)
+        return StoredProgram(self.keep(checked.merged), checked.changes)

@@ -21,7 +21,7 @@ from broker.persistence.program_store import ProgramStore
 from broker.router.recent_reports import RecentReports
 from rtc.programs import sandbox
 from rtc.protocol.messages import Asked, PeerRow
-from rtc.runtime.handover import Handed
+from rtc.runtime.handover import Handover
 from rtc.runtime.process import Process
 from rtc.runtime.settings import BOUNDS, NO_HANDOVER, Settings
 
@@ -39,9 +39,9 @@ class Core:
         journal: Journal,
         state: State,
         store: ProgramStore,
-        given: Handed,
+        given: Handover,
         clock: Callable[[], float],
-        start_check: Callable[[sandbox.Asked], Check] = InProcessCheck,
+        start_check: Callable[[sandbox.CheckRequest], Check] = InProcessCheck,
     ) -> None:
         self.me, self.settings, self.journal, self.state = me, settings, journal, state
         self.store, self.given, self.clock = store, given, clock

@@ -115,7 +115,7 @@ class Health:
         names = ("front", "halt") if stage == 1 else ("events", "supervisor", "workers", "subsystems")
         core.me.log.warning("more than %.0f MB: opening %s anew", self._guard.limit_mb, ", ".join(names))
         for name in names:
-            core.sockets[name] = core.me.open_anew(
+            core.sockets[name] = core.me.reopen(
                 core.sockets[name], core.settings.endpoint(name), BOUNDS[name], handover=name not in NO_HANDOVER
             )
         if "events" in names:

@@ -87,7 +87,7 @@ class Ingress:
         try:
             messages = source.read(parts)
         except WireError as error:
-            alone = wire.apart(parts)
+            alone = wire.split(parts)
             if len(alone) < 2:
                 self._drop(name, peer, parts, error)
                 return

@@ -24,10 +24,10 @@ from broker.router.halts import Halts
 from broker.router.health import Health
 from broker.router.ingress import Ingress
 from broker.router.shutdown import Shutdown
-from rtc.programs.sandbox import Asked
+from rtc.programs.sandbox import CheckRequest
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Refusal, RefusalReason
-from rtc.runtime.handover import Handed
+from rtc.runtime.handover import Handover
 from rtc.runtime.memory_guard import MemoryGuard
 from rtc.runtime.process import Every, Process
 from rtc.runtime.settings import Settings
@@ -47,10 +47,10 @@ class Router:
         journal: Journal,
         state: State,
         store: ProgramStore,
-        given: Handed,
+        given: Handover,
         clock: Callable[[], float] = time.monotonic,
         *,
-        start_check: Callable[[Asked], Check] = InProcessCheck,
+        start_check: Callable[[CheckRequest], Check] = InProcessCheck,
         guard: MemoryGuard | None = None,
     ) -> None:
         self.core = Core(me, settings, journal, state, store, given, clock, start_check)

@@ -328,7 +328,7 @@ def _can_work(cell: Cell) -> bool:
 def _line_is_free(
     model: ArmModel, world: CollisionWorld, scene: Scene, line: list[Array], start: Array, margin: float
 ) -> bool:
-    rows = model.follow_all(line, start)
+    rows = model.ik_along(line, start)
     return len(rows) == len(line) and all(
         model.limit_margin_rad(q) >= margin and world.check({model.name: q}, scene) is None for q in rows
     )

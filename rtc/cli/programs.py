@@ -13,7 +13,7 @@ from rtc.client.client import Client
 from rtc.programs.loader import changes, default, merge
 from rtc.programs.outcome_table import explained
 from rtc.programs.outcome_table import outcomes as rows_of
-from rtc.programs.sandbox import Asked, in_a_process
+from rtc.programs.sandbox import CheckRequest, in_a_process
 from rtc.protocol.messages import ProgramLoaded, WorkerKind
 from rtc.protocol.outcomes import NoCluster, ProgramError
 
@@ -98,7 +98,7 @@ def _programs(run_dir: Path | None, key: Path | None) -> tuple[dict[WorkerKind, 
 
 def _check(file: Path, kind: WorkerKind, json: bool, run_dir: Path | None, key: Path | None) -> None:
     programs, whose = _programs(run_dir, key)
-    asked = Asked(
+    asked = CheckRequest(
         kind=kind, name=file.name, body=file.read_bytes(), reset=False, program=programs[kind], others=programs
     )
     checked = in_a_process(asked)

@@ -12,7 +12,7 @@ from lark.exceptions import UnexpectedInput
 
 from rtc.language.alike import nearest_words
 from rtc.language.grammar import END, Grammar
-from rtc.language.refuse import Wrong, quoted, refusal
+from rtc.language.refuse import SentenceError, quoted, refusal
 from rtc.language.units import KINDS, UNITS
 from rtc.language.words import Word
 from rtc.protocol.outcomes import Refusal
@@ -89,7 +89,7 @@ def quantities(grammar: Grammar, before: Sequence[Word]) -> list[str]:
             parser.feed_token(word)
         end = END if END in parser.accepts() else "THEN"  # the next word, at which the parser checks the quantity
         parser.feed_token(Word(end, end, 0, 0))
-    except Wrong as wrong:
+    except SentenceError as wrong:
         return wrong.refusal.expected
     except UnexpectedInput:  # a grammar of other clauses
         pass
@@ -146,7 +146,7 @@ def _fits(grammar: Grammar, words: Sequence[Word]) -> bool:
     try:
         for word in words:
             parser.feed_token(word)
-    except (UnexpectedInput, Wrong):
+    except (UnexpectedInput, SentenceError):
         return False
     return True
 

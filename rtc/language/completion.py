@@ -12,8 +12,8 @@ from lark.exceptions import UnexpectedInput
 
 from rtc.language.complain import allowed_after
 from rtc.language.grammar import Grammar
-from rtc.language.quantities import AMOUNTS, CONSTRAINTS, JOINTS, LENGTH, MEASURES, PERIOD, STEP, TIME, Takes
-from rtc.language.refuse import Wrong
+from rtc.language.quantities import AMOUNTS, CONSTRAINTS, JOINTS, LENGTH, MEASURES, PERIOD, STEP, TIME, QuantityRule
+from rtc.language.refuse import SentenceError
 from rtc.language.units import UNITS
 from rtc.language.words import TOKEN_CLASSES, Word, one_line
 from rtc.protocol.outcomes import Refusal
@@ -25,7 +25,7 @@ LAST = "LAST"  # refers to the previous command
 COMMAND_FOLLOWS = ("AFTER", "TOGETHER_WITH")
 _UNFINISHED = re.compile(r"[A-Za-z0-9_%/-]*$")
 #: the word before a number -> the quantities it takes; for BY the verb decides
-_TAKES: dict[str, Takes] = {
+_TAKES: dict[str, QuantityRule] = {
     **CONSTRAINTS,
     **MEASURES,
     "FOR": TIME,
@@ -33,7 +33,7 @@ _TAKES: dict[str, Takes] = {
     "JOINTS": JOINTS,
     "POSITION": LENGTH,
 }
-_BY: dict[str, Takes] = {**AMOUNTS, "MOVE": STEP}
+_BY: dict[str, QuantityRule] = {**AMOUNTS, "MOVE": STEP}
 
 
 def complete(grammar: Grammar, text_so_far: str, names: Names = ()) -> list[str]:
@@ -63,7 +63,7 @@ def complete(grammar: Grammar, text_so_far: str, names: Names = ()) -> list[str]
 def _allowed(grammar: Grammar, words: list[Word]) -> set[str]:
     try:
         return allowed_after(grammar, words)
-    except (UnexpectedInput, Wrong):
+    except (UnexpectedInput, SentenceError):
         return set()
 
 
@@ -78,7 +78,7 @@ def _whole_words(grammar: Grammar, text: str) -> list[Word] | None:
         return None
     try:
         return list(grammar.vocabulary.words(line))
-    except Wrong:
+    except SentenceError:
         return None
 
 

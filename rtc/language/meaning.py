@@ -2,7 +2,8 @@
 
 The grammar names these functions (`-> word`); it may name only those in the table `MEANING` at the end. They do not
 know the positions of words. Most clauses return a dict of record fields, and the enclosing clause merges them. Checks
-that a grammar cannot express are here (repeated items) and in `quantities`. A fault raises `Wrong` at its column.
+that a grammar cannot express are here (repeated items) and in `quantities`. A fault raises `SentenceError` at its
+column.
 
 The grammar is right-recursive, so lists are built last item first.
 """
@@ -31,7 +32,7 @@ from rtc.language.quantities import (
     si_numbers,
 )
 from rtc.language.record import Condition, Constraint, Destination, ReflexItem, Report
-from rtc.language.refuse import Wrong, quoted
+from rtc.language.refuse import SentenceError, quoted
 from rtc.language.units import UNITS
 from rtc.language.words import WrittenNumber, measured
 
@@ -91,7 +92,7 @@ def command(parts: Parts) -> Fields:
         if isinstance(part, dict):
             if "hand" in fields and part.__class__ is HandFields and part["hand"] != fields["hand"]:
                 message = f"{fields['hand']} is named first, then {part['hand']}: {verb} takes one of them."
-                raise Wrong(part.column, message, [fields["hand"]])
+                raise SentenceError(part.column, message, [fields["hand"]])
             fields.update(part)
         elif part.__class__ is str:
             fields["target" if "object" in fields else "object"] = part
@@ -160,7 +161,9 @@ def position_place(parts: Parts) -> Destination:
     if len(position) != POSITION_NUMBERS:
         first_too_many = parts[1][::-1][POSITION_NUMBERS:]
         column = first_too_many[0].column if first_too_many else parts[1][0].column + len(parts[1][0].text)
-        raise Wrong(column, f"POSITION takes three numbers, not {len(position)}.", ["x y z such as 60 -20 35 CM"])
+        raise SentenceError(
+            column, f"POSITION takes three numbers, not {len(position)}.", ["x y z such as 60 -20 35 CM"]
+        )
     return Destination(position=position)
 
 
@@ -194,7 +197,7 @@ def duration(parts: Parts) -> Fields:
 def handoff(parts: Parts) -> Fields:
     verb, name, _from, giver, _to, taker, *rest = parts
     if giver == taker:
-        raise Wrong(taker.column, f"A hand cannot hand {name} to itself.", ["another hand"])
+        raise SentenceError(taker.column, f"A hand cannot hand {name} to itself.", ["another hand"])
     return command([verb, name, giver, {"to_hand": taker["hand"]}, *rest])
 
 
@@ -212,7 +215,7 @@ def maintain(parts: Parts) -> Fields:
     seen = set()
     for word, constraint in given:
         if constraint.slot in seen:
-            raise Wrong(word.start_pos or 0, f"{word.value} is repeated.", ["each constraint once"])
+            raise SentenceError(word.start_pos or 0, f"{word.value} is repeated.", ["each constraint once"])
         seen.add(constraint.slot)
     return {"constraints": sorted((c for _, c in given), key=lambda c: c.slot)}
 
@@ -312,7 +315,7 @@ def report_items(parts: Parts) -> Fields:
     for part in parts:
         if isinstance(part, dict):
             if "every_s" in part and "every_s" in fields:
-                raise Wrong(parts[0].start_pos or 0, "EVERY is given twice.")
+                raise SentenceError(parts[0].start_pos or 0, "EVERY is given twice.")
             fields = {**fields, **part, "when": [*fields.get("when", []), *part.get("when", [])]}
     return fields
 

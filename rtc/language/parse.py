@@ -15,7 +15,7 @@ from lark.exceptions import UnexpectedToken
 from rtc.language.complain import Stop, complaint
 from rtc.language.grammar import END, Grammar
 from rtc.language.record import ParsedCommand
-from rtc.language.refuse import Wrong
+from rtc.language.refuse import SentenceError
 from rtc.language.words import Word, one_line
 from rtc.protocol.outcomes import Refusal
 
@@ -37,7 +37,7 @@ def parse(grammar: Grammar, sentence: str | bytes) -> ParsedCommand | Refusal:
             taken.append(word)
         word = _end(taken)
         fields = feed(word)
-    except Wrong as wrong:
+    except SentenceError as wrong:
         return wrong.refusal
     except UnexpectedToken:
         return complaint(Stop(grammar, text, taken, word, _next(words)))
@@ -59,5 +59,5 @@ def _end(taken: list[Word]) -> Word:
 def _next(words: Iterator[Word]) -> Word | None:
     try:
         return next(words, None)
-    except Wrong:
+    except SentenceError:
         return None

@@ -1,6 +1,6 @@
 """Which quantities a word takes, and their conversion to SI: dimension, sign and largest angle are checked.
 
-A fault raises `Wrong` at the column of the number.
+A fault raises `SentenceError` at the column of the number.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from typing import Literal, NamedTuple
 from lark.lexer import Token
 
 from rtc.language.record import Quantity
-from rtc.language.refuse import Wrong, quoted
+from rtc.language.refuse import SentenceError, quoted
 from rtc.language.units import KINDS, UNITS, such_as, to_si
 from rtc.language.words import WrittenNumber
 
 Sense = Literal["any", "not negative", "more than nothing"]
 
 
-class Takes(NamedTuple):
+class QuantityRule(NamedTuple):
     """The quantities that a word takes: SI units, the permitted sign, and the largest angle."""
 
     units: tuple[str, ...]
@@ -27,76 +27,78 @@ class Takes(NamedTuple):
     most_deg: float = math.inf
 
 
-LENGTH = Takes(("m",))
-TIME = Takes(("s",))
-ANYTHING = Takes(tuple(KINDS), "any")  # for words of a grammar that is loaded later
+LENGTH = QuantityRule(("m",))
+TIME = QuantityRule(("s",))
+ANYTHING = QuantityRule(tuple(KINDS), "any")  # for words of a grammar that is loaded later
 
 #: verb -> quantities for BY. A negative MOVE or TURN reverses the direction; a negative LIFT is refused.
-AMOUNTS: dict[str, Takes] = {
+AMOUNTS: dict[str, QuantityRule] = {
     "RETRACT": LENGTH,
     "LIFT": LENGTH,
     "PUSH": LENGTH,
     "PULL": LENGTH,
-    "OPEN": Takes(("rad", "m")),  # a door, or a drawer
-    "CLOSE": Takes(("rad", "m")),
-    "LOOSEN": Takes(("turn", "rad")),
-    "TIGHTEN": Takes(("turn", "rad")),
-    "TURN": Takes(("rad", "turn"), "any"),
+    "OPEN": QuantityRule(("rad", "m")),  # a door, or a drawer
+    "CLOSE": QuantityRule(("rad", "m")),
+    "LOOSEN": QuantityRule(("turn", "rad")),
+    "TIGHTEN": QuantityRule(("turn", "rad")),
+    "TURN": QuantityRule(("rad", "turn"), "any"),
 }
 
-JOINTS = Takes(("rad", "m"), "any")  # m: a joint of a gantry slides
-PERIOD = Takes(("s", "Hz"))
+JOINTS = QuantityRule(("rad", "m"), "any")  # m: a joint of a gantry slides
+PERIOD = QuantityRule(("s", "Hz"))
 # MOVE ... BY: along an axis, or about it. A larger angle would be reached the other way round.
-STEP = Takes(("m", "rad"), "any", most_deg=180.0)
-ATTITUDE = Takes(("rad",), "any", most_deg=360.0)  # roll, pitch and yaw of a pose; bolts and cranks turn further
+STEP = QuantityRule(("m", "rad"), "any", most_deg=180.0)
+ATTITUDE = QuantityRule(("rad",), "any", most_deg=360.0)  # roll, pitch and yaw of a pose; bolts and cranks turn further
 
-CONSTRAINTS: dict[str, Takes] = {
+CONSTRAINTS: dict[str, QuantityRule] = {
     "AVOID-NEIGHBORS": LENGTH,
-    "SPEED": Takes(("m/s", "rad/s", "ratio")),
-    "FORCE-LIMIT": Takes(("N",)),
-    "TORQUE-LIMIT": Takes(("N.m",)),
-    "GRIP-FORCE": Takes(("N",)),
-    "STIFFNESS": Takes(("N/m",)),
+    "SPEED": QuantityRule(("m/s", "rad/s", "ratio")),
+    "FORCE-LIMIT": QuantityRule(("N",)),
+    "TORQUE-LIMIT": QuantityRule(("N.m",)),
+    "GRIP-FORCE": QuantityRule(("N",)),
+    "STIFFNESS": QuantityRule(("N/m",)),
     "TIME-LIMIT": TIME,
 }
 
-MEASURES: dict[str, Takes] = {
-    "FORCE": Takes(("N",), "not negative"),
-    "TORQUE": Takes(("N.m",), "not negative"),
-    "GRIP-FORCE": Takes(("N",), "not negative"),
-    "DISTANCE": Takes(("m",), "not negative"),
-    "CLEARANCE": Takes(("m",)),
-    "TURN": Takes(("rad", "turn")),
+MEASURES: dict[str, QuantityRule] = {
+    "FORCE": QuantityRule(("N",), "not negative"),
+    "TORQUE": QuantityRule(("N.m",), "not negative"),
+    "GRIP-FORCE": QuantityRule(("N",), "not negative"),
+    "DISTANCE": QuantityRule(("m",), "not negative"),
+    "CLEARANCE": QuantityRule(("m",)),
+    "TURN": QuantityRule(("rad", "turn")),
 }
 
 ROUNDING_RAD = 1e-6  # 6.283185 RAD is a whole turn
 
 
-def checked(given: WrittenNumber, takes: Takes, by: str) -> Quantity:
-    """The quantity in SI. Raises `Wrong` unless the word `by` takes its unit and sign."""
+def checked(given: WrittenNumber, takes: QuantityRule, by: str) -> Quantity:
+    """The quantity in SI. Raises `SentenceError` unless the word `by` takes its unit and sign."""
     if given.unit is None:
-        raise Wrong(given.column, f"{quoted(given.text)} has no unit.", map(such_as, takes.units))
+        raise SentenceError(given.column, f"{quoted(given.text)} has no unit.", map(such_as, takes.units))
     si = UNITS[given.unit].si
     if si not in takes.units:
         kinds = " or ".join(KINDS[u].word for u in takes.units)
         message = f"{by} takes {kinds}; {quoted(given.text)} is {KINDS[si].word}."
-        raise Wrong(given.column, message, map(such_as, takes.units))
+        raise SentenceError(given.column, message, map(such_as, takes.units))
     value = to_si(given.number, given.unit)
     if (value < 0 and takes.sense != "any") or (value == 0 and takes.sense == "more than nothing"):
         message = f"{by} {quoted(given.text)} makes no sense: it must be {takes.sense}."
-        raise Wrong(given.column, message, [such_as(si)])
+        raise SentenceError(given.column, message, [such_as(si)])
     if si == "rad" and abs(value) > math.radians(takes.most_deg) + ROUNDING_RAD:
         message = f"{by} {quoted(given.text)} makes no sense: from -{takes.most_deg:g} to {takes.most_deg:g} DEG."
-        raise Wrong(given.column, message, [such_as(si)])
+        raise SentenceError(given.column, message, [such_as(si)])
     if si == "ratio" and value > 1:
-        raise Wrong(given.column, f"{by} {quoted(given.text)} makes no sense: at most 100 PERCENT.", ["100 PERCENT"])
+        raise SentenceError(
+            given.column, f"{by} {quoted(given.text)} makes no sense: at most 100 PERCENT.", ["100 PERCENT"]
+        )
     return Quantity(value, si)
 
 
 def in_one_unit(last_first: list[WrittenNumber]) -> list[tuple[WrittenNumber, str | None]]:
     """Each number in order, with its own unit or that of the next number with a unit (`60 -20 35 CM`).
 
-    A list without any unit is in SI. Raises `Wrong` for a number without a unit after one with a unit.
+    A list without any unit is in SI. Raises `SentenceError` for a number without a unit after one with a unit.
     """
     unit: str | None = None
     bare: WrittenNumber | None = None  # the leftmost number so far without a unit after it
@@ -106,7 +108,7 @@ def in_one_unit(last_first: list[WrittenNumber]) -> list[tuple[WrittenNumber, st
             bare = given
         elif bare is not None and unit is None:
             message = f"{quoted(bare.text)} has no unit, but the number before it has one."
-            raise Wrong(bare.column, message, [f"a quantity such as {bare.text[:20]} {given.unit}"])
+            raise SentenceError(bare.column, message, [f"a quantity such as {bare.text[:20]} {given.unit}"])
         unit = given.unit or unit
         result.append((given, unit))
     result.reverse()
@@ -116,20 +118,20 @@ def in_one_unit(last_first: list[WrittenNumber]) -> list[tuple[WrittenNumber, st
 def si_numbers(last_first: list[WrittenNumber], takes: tuple[str, ...], word: Token) -> list[float]:
     """The numbers after JOINTS or POSITION, in SI."""
     if not last_first:
-        raise Wrong(word.end_pos or 0, f"{word.value} needs numbers after it.", ["a number", such_as(takes[0])])
+        raise SentenceError(word.end_pos or 0, f"{word.value} needs numbers after it.", ["a number", such_as(takes[0])])
     return in_si(in_one_unit(last_first), takes, word.value)
 
 
 def in_si(numbers: list[tuple[WrittenNumber, str | None]], units: tuple[str, ...], by: str) -> list[float]:
-    """The numbers in SI. Raises `Wrong`, at the number, for a unit that is not among `units`."""
+    """The numbers in SI. Raises `SentenceError`, at the number, for a unit that is not among `units`."""
     for given, _ in numbers:
         if given.unit is not None:
-            checked(given, Takes(units, "any"), by)
+            checked(given, QuantityRule(units, "any"), by)
     return [given.number + 0.0 if unit is None else to_si(given.number, unit) for given, unit in numbers]
 
 
 def check_angles(numbers: Iterable[tuple[WrittenNumber, str | None]], by: str) -> None:
-    """Raises `Wrong`, at the number, for an angle that is not one of an attitude."""
+    """Raises `SentenceError`, at the number, for an angle that is not one of an attitude."""
     for given, unit in numbers:
         if unit is not None and UNITS[unit].si == "rad":
             checked(given._replace(unit=unit), ATTITUDE, by)

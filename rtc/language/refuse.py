@@ -14,7 +14,7 @@ MAX_CHARACTERS = 2000  # maximum length of a sentence
 MAX_QUOTED = 40  # maximum number of characters that a message quotes
 
 
-class Wrong(Exception):
+class SentenceError(Exception):
     """Leaves the parse at a fault; `parse` returns its `refusal`.
 
     Never leaves this package. It is an exception because callbacks of the parser cannot return a refusal.

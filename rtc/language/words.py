@@ -15,7 +15,7 @@ from typing import NamedTuple
 from lark.lexer import PatternStr, TerminalDef, Token
 
 from rtc.language.alike import nearest_words
-from rtc.language.refuse import MAX_CHARACTERS, Wrong, quoted, refusal
+from rtc.language.refuse import MAX_CHARACTERS, SentenceError, quoted, refusal
 from rtc.language.units import UNITS
 from rtc.protocol.outcomes import ProgramError, Refusal
 
@@ -65,7 +65,7 @@ class Vocabulary:
         )
 
     def words(self, text: str) -> Iterator[Word]:
-        """The words from left to right. Raises `Wrong` at the first character that cannot begin a word."""
+        """The words from left to right. Raises `SentenceError` at the first character that cannot begin a word."""
         reserved = self.reserved
         plain = text.isascii()
         opening = True  # at the verb: only TEST came before. Here STOP means HALT
@@ -117,13 +117,13 @@ def one_line(sentence: str | bytes) -> str | Refusal:
 
 
 def measured(word: Token) -> WrittenNumber:
-    """Reads a number or quantity. Raises `Wrong` when it is too large for a float."""
+    """Reads a number or quantity. Raises `SentenceError` when it is too large for a float."""
     figure = word.value.rstrip(_UNIT_LETTERS)
     unit = word.value[len(figure) :].upper() or None
     number = float(figure)
     column = word.start_pos or 0
     if not math.isfinite(number):
-        raise Wrong(column, f"{quoted(word.value)} is too large a number.", ["a smaller number"])
+        raise SentenceError(column, f"{quoted(word.value)} is too large a number.", ["a smaller number"])
     return WrittenNumber(number, unit, column, word.value)
 
 
@@ -144,28 +144,28 @@ def _invisible(column: int, character: str) -> Refusal:
     return refusal(column, f"The invisible character U+{ord(character):04X} is not printable text.", ["readable text"])
 
 
-def _malformed(text: str, column: int) -> Wrong:
+def _malformed(text: str, column: int) -> SentenceError:
     number = _MALFORMED_NUMBER.match(text, column)
     if number:
-        return Wrong(
+        return SentenceError(
             column,
             f"{quoted(number[0])} is neither a number nor a number with a known unit.",
             ["a number", "a quantity such as 10 CM"],
             nearest_words(number[0].upper().lstrip("+-.0123456789"), UNITS),
         )
     if text[column] == '"':
-        return Wrong(column, "The quotation that begins here is not closed.", ['a closing "'])
+        return SentenceError(column, "The quotation that begins here is not closed.", ['a closing "'])
     meant = " Did you mean -?" if _like_a_dash(text[column]) else ""
-    return Wrong(
+    return SentenceError(
         column,
         f"The character {quoted(text[column])} cannot stand here.{meant}",
         ["words of letters, digits and '-'"],
     )
 
 
-def _decimal_comma(column: int) -> Wrong:
+def _decimal_comma(column: int) -> SentenceError:
     """The comma of 60,5: 60.5 in half of the world, and two numbers in a list."""
-    return Wrong(
+    return SentenceError(
         column,
         "A comma between two digits can mean one number or two.",
         ["a decimal point for one number, such as 60.5", "a blank after the comma for two, such as 60, 5"],

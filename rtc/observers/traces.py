@@ -77,7 +77,7 @@ class Segment(NamedTuple):
 
 
 @dataclass
-class Followed:
+class TracedCommand:
     """A command in progress: its notes, and the commands to link to."""
 
     notes: list[m.ProgressNote] = field(default_factory=list)
@@ -100,7 +100,7 @@ class Traces:
         to = exporter or ReportingExporter(OTLPSpanExporter(endpoint=endpoint, timeout=EXPORT_S), url)
         self._ended = BatchSpanProcessor(to, schedule_delay_millis=1e3 * DELAY_S)
         self._offset_s = time.time() - time.monotonic()
-        self._commands: dict[str, Followed] = {}
+        self._commands: dict[str, TracedCommand] = {}
         self._parents: dict[str, TraceParent] = {}
         self._last_halt: dict[str, str] = {}  # scope -> the HALT sentence that was the last with it
 
@@ -123,7 +123,7 @@ class Traces:
         self._ended.shutdown()
 
     def _take_note(self, note: m.ProgressNote) -> None:
-        command = self._commands.setdefault(note.command, Followed())
+        command = self._commands.setdefault(note.command, TracedCommand())
         if not command.notes and note.phase is Phase.HALTING and (scope := HALT.fullmatch(note.note)):
             command.halts = scope[1]
             self._last_halt[scope[1]] = note.command
@@ -158,7 +158,7 @@ class Traces:
         parent = self._parents.get(command)
         return parent and SpanContext(parent.trace, parent.span, is_remote=True, trace_flags=TraceFlags(parent.flags))
 
-    def _export(self, ended: m.CommandEnded, followed: Followed) -> None:
+    def _export(self, ended: m.CommandEnded, followed: TracedCommand) -> None:
         root, outcome = self._root(ended.command), ended.outcome
         for step, group in groupby(segments(followed.notes, ended.at_s), key=lambda segment: segment.step):
             self._export_step(root, step, list(group))

@@ -29,7 +29,7 @@ TICK_S = 0.02  # period of time limits while something is looked for
 class Station:
     """The loop: orders of the broker, results of the eye, time."""
 
-    def __init__(self, me: Process, given: handover.Handed) -> None:
+    def __init__(self, me: Process, given: handover.Handover) -> None:
         self._me, settings = me, given.settings
         cell = Cell.load(settings.cell)
         scale = settings.timeout_scale

@@ -26,7 +26,7 @@ WALL_S = 25.0  # limit of wall-clock time, generous for a loaded machine
 MEMORY_BYTES = 1 << 30
 
 
-class Asked(msgspec.Struct, frozen=True, kw_only=True):
+class CheckRequest(msgspec.Struct, frozen=True, kw_only=True):
     """A request: merge a file into a program, or return to the default program (`reset`)."""
 
     kind: WorkerKind
@@ -37,7 +37,7 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True):
     others: dict[WorkerKind, bytes]  # the programs of the other kinds in use
 
 
-class Checked(msgspec.Struct, frozen=True, kw_only=True):
+class CheckResult(msgspec.Struct, frozen=True, kw_only=True):
     """The result: the merged program and its changes as text, or the error."""
 
     merged: bytes = b""
@@ -45,10 +45,10 @@ class Checked(msgspec.Struct, frozen=True, kw_only=True):
     error: str = ""
 
 
-_read_asked, _read_checked = wire.decoder(Asked), wire.decoder(Checked)
+_read_asked, _read_checked = wire.decoder(CheckRequest), wire.decoder(CheckResult)
 
 
-def check(asked: Asked) -> Checked:
+def check(asked: CheckRequest) -> CheckResult:
     """Checks in this process."""
     from rtc.programs import loader
 
@@ -57,15 +57,15 @@ def check(asked: Asked) -> Checked:
             merged = loader.original(asked.kind, asked.others)
         else:
             merged = loader.merge(asked.kind, asked.program, asked.name, asked.body, asked.others)
-        return Checked(merged=merged, changes=loader.changes(asked.kind, asked.program, merged))
+        return CheckResult(merged=merged, changes=loader.changes(asked.kind, asked.program, merged))
     except ProgramError as error:
-        return Checked(error=str(error))
+        return CheckResult(error=str(error))
 
 
 class CheckProcess:
     """One check in a child process."""
 
-    def __init__(self, asked: Asked, cpu_s: int = CPU_S) -> None:
+    def __init__(self, asked: CheckRequest, cpu_s: int = CPU_S) -> None:
         """Raises OSError when no process can be started."""
         self._cpu_s = cpu_s
         self._name, self._limit_s = asked.name, now_s() + WALL_S
@@ -81,7 +81,7 @@ class CheckProcess:
         finally:
             os.close(question)
 
-    def result(self, now: float) -> Checked | None:
+    def result(self, now: float) -> CheckResult | None:
         """The result; None while the child runs. Never blocks longer than it takes to kill the child."""
         status = self._child.poll()
         if status is None:
@@ -93,7 +93,7 @@ class CheckProcess:
         os.close(self._answer)
         with contextlib.suppress(WireError):
             return _read_checked(answer)
-        return Checked(error=f"{self._name}: {_why(status, self._cpu_s)}")
+        return CheckResult(error=f"{self._name}: {_why(status, self._cpu_s)}")
 
 
 def _why(status: int | None, cpu_s: int) -> str:
@@ -104,7 +104,7 @@ def _why(status: int | None, cpu_s: int) -> str:
     return f"its check died (status {status}): it takes too much memory or is nested too deeply"
 
 
-def in_a_process(asked: Asked, cpu_s: int = CPU_S) -> Checked:
+def in_a_process(asked: CheckRequest, cpu_s: int = CPU_S) -> CheckResult:
     """Checks in a child process and waits for the result. Raises OSError when the child cannot start."""
     running = CheckProcess(asked, cpu_s)
     while (checked := running.result(now_s())) is None:

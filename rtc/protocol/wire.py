@@ -71,7 +71,7 @@ def reader(union: Any) -> Callable[[Sequence[bytes]], Any]:
 def reader_of_many(union: Any) -> Callable[[Sequence[bytes]], Sequence[Any]]:
     """As `reader`, but for a peer that may send arrays: the messages, in order.
 
-    One invalid map makes its whole array invalid; `apart` separates them.
+    One invalid map makes its whole array invalid; `split` separates them.
     """
     read = reader(union | Annotated[list[union], msgspec.Meta(max_length=MOST_TOGETHER)])
 
@@ -82,7 +82,7 @@ def reader_of_many(union: Any) -> Callable[[Sequence[bytes]], Sequence[Any]]:
     return read_many
 
 
-def apart(parts: Sequence[bytes]) -> list[Sequence[bytes]]:
+def split(parts: Sequence[bytes]) -> list[Sequence[bytes]]:
     """The maps of an array as separate messages, each to be decoded alone; any other message unchanged."""
     try:
         body = _body(parts)

@@ -19,11 +19,11 @@ import pinocchio as pin
 from rtc.cells import cell as cells
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot import bodies, hinges
-from rtc.robot.apart import ApartCheck
 from rtc.robot.collision_pairs import Pairs, PairTable
 from rtc.robot.collision_scene import AS_BUILT, Scene, in_hands
 from rtc.robot.geometry import Array, Floats
 from rtc.robot.levers import ball, levers, of_pairs
+from rtc.robot.separation import SeparationCheck
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class CollisionWorld:
         self._placed: dict[str, tuple[str, tuple[float, ...]]] = {}  # body -> the arm that holds it, and its pose there
         self._pairs_of_scene: dict[tuple[object, ...], Pairs] = {}  # by all that `PairTable.of_scene` reads
         self._pair_levers: dict[int, Array] = {}  # by the first joint of an arm
-        self._apart: ApartCheck | None = None  # made when it is first needed
+        self._apart: SeparationCheck | None = None  # made when it is first needed
         self._table = PairTable(self._bodies)
         self._measure_bodies()
         self._put_in_force(self._table.of_scene(AS_BUILT))
@@ -199,14 +199,14 @@ class CollisionWorld:
                 return n
         return None
 
-    def compare_arms(self, arm: str, other: str, scene: Scene) -> ApartCheck:
+    def compare_arms(self, arm: str, other: str, scene: Scene) -> SeparationCheck:
         """Checks of the distance between two arms, each with what it holds in this scene. Both hands count as open."""
         if scene is not self._scene:
             self._arrange(scene)
         carrier = self._table.carriers(scene)
         one, two = carrier == self._table.number[arm], carrier == self._table.number[other]
         openings_m = {name: self.cell.arm(name).gripper.max_opening_m for name in self._bodies.arms}
-        self._apart = self._apart or ApartCheck(self._bodies)
+        self._apart = self._apart or SeparationCheck(self._bodies)
         self._apart.compare(arm, other, (one, two), self._levers, openings_m)
         return self._apart
 

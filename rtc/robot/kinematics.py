@@ -216,15 +216,15 @@ class ArmModel:
     def middle(self) -> Array:
         return 0.5 * (self.limits.lower + self.limits.upper)
 
-    def follow(self, target: Floats, near: Floats) -> Array | None:
+    def nearest_ik(self, target: Floats, near: Floats) -> Array | None:
         """The branch nearest to `near`, each joint shifted by whole turns to be nearest, *regardless of limits*.
 
         None: out of reach. For small steps along a line, where another branch would cause a jump.
         """
-        found = self.follow_all([target], near)
+        found = self.ik_along([target], near)
         return found[0] if len(found) else None
 
-    def follow_all(self, targets: Sequence[Floats] | Array, near: Floats) -> Array:
+    def ik_along(self, targets: Sequence[Floats] | Array, near: Floats) -> Array:
         """As `follow` for one target after the other, each near the one before, [targets][joints].
 
         Ends before the first target that is out of reach.
@@ -320,7 +320,7 @@ class ArmModel:
         """As `follow_all`, without a closed form."""
         found: list[Array] = []
         for target in targets:
-            q = self._chain.follow(self._goal(target), near)
+            q = self._chain.nearest_ik(self._goal(target), near)
             if q is None:
                 break
             found.append(q)

@@ -135,7 +135,7 @@ class Chain:
         The best have a short motion time from `reference`, and are far from limits and singularities.
         """
         found = self._search(goal, reference, self.lower + margin, self.upper - margin)
-        beside = self.follow(goal, reference)
+        beside = self.nearest_ik(goal, reference)
         if beside is not None and (beside >= self.lower + margin).all() and (beside <= self.upper - margin).all():
             found = np.vstack((beside, found))
         if not len(found):
@@ -163,7 +163,7 @@ class Chain:
         best = int(np.argmin(metres + METRES_PER_RAD * radians))
         return Approach(q[best], float(metres[best]), float(radians[best]))
 
-    def follow(self, goal: pin.SE3, near: Array) -> Array | None:
+    def nearest_ik(self, goal: pin.SE3, near: Array) -> Array | None:
         """Joint values near `near` that bring the tcp to the goal, regardless of limits; None: not found.
 
         For small steps along a line. Redundant joints move away from their limits.

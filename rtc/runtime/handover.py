@@ -41,7 +41,7 @@ class _Body(msgspec.Struct, frozen=True):
     token: str
 
 
-class Handed:
+class Handover:
     """Settings, lease key, token (empty: started by hand), and the memory of each role."""
 
     def __init__(self, settings: Settings, lease_key: bytes = b"", token: str = "", fd: int = -1) -> None:
@@ -49,17 +49,17 @@ class Handed:
         self._lock = -1
 
     @staticmethod
-    def make(settings: Settings, lease_key: bytes, token: str) -> Handed:
+    def make(settings: Settings, lease_key: bytes, token: str) -> Handover:
         """Make the file, in the supervisor. The children inherit its `fd`."""
         fd = os.memfd_create("rtc-handed", os.MFD_CLOEXEC)
         os.pwrite(fd, msgspec.msgpack.encode(_Body(settings, lease_key, token)), MEMORY_BYTES)
-        return Handed(settings, lease_key, token, fd)
+        return Handover(settings, lease_key, token, fd)
 
     @staticmethod
-    def read(fd: int) -> Handed:
+    def read(fd: int) -> Handover:
         """Read the file, in a child."""
         body = msgspec.msgpack.decode(os.pread(fd, os.fstat(fd).st_size - MEMORY_BYTES, MEMORY_BYTES), type=_Body)
-        return Handed(body.settings, body.lease_key, body.token, fd)
+        return Handover(body.settings, body.lease_key, body.token, fd)
 
     def identity(self, name: str) -> str:
         """ZeroMQ identity of the process `name` at the broker."""
@@ -110,10 +110,10 @@ def add_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(OPTION, type=int, default=-1, help=argparse.SUPPRESS)
 
 
-def load(run_dir: Path, fd: int) -> Handed:
+def load(run_dir: Path, fd: int) -> Handover:
     """The handed data; for a process started by hand, those of the run directory. Raises SystemExit."""
     if fd >= 0:
-        return Handed.read(fd)
+        return Handover.read(fd)
     try:
         settings = Settings.load(run_dir)
     except FileNotFoundError:
@@ -123,10 +123,10 @@ def load(run_dir: Path, fd: int) -> Handed:
     key = b""
     with contextlib.suppress(OSError):
         key = (run_dir / LEASE_KEY).read_bytes()
-    return Handed(settings, key)
+    return Handover(settings, key)
 
 
-def begin(name: str, run_dir: Path, fd: int) -> Handed:
+def begin(name: str, run_dir: Path, fd: int) -> Handover:
     """Load the handed data and lock `name`. Raises SystemExit if another process has it, before a socket opens."""
     handed = load(run_dir, fd)
     if fd < 0 and supervised(run_dir, by_hand=False):

@@ -54,7 +54,7 @@ class Endpoints(Protocol):
     def far(self) -> bool: ...
 
 
-class Pair(msgspec.Struct, frozen=True, kw_only=True):
+class KeyPair(msgspec.Struct, frozen=True, kw_only=True):
     """A CURVE key pair (Z85 text)."""
 
     public: str
@@ -129,13 +129,13 @@ class KeyRing:
     def __init__(self, run_dir: str | Path) -> None:
         self.path = Path(run_dir) / KEYS
 
-    def cluster(self) -> Pair:
+    def cluster(self) -> KeyPair:
         """The cluster's own pair; the first call makes it."""
         path = self.path / CLUSTER
         if not path.exists():
             self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
             _write(path, _new_pair())
-        return _read(path, Pair)
+        return _read(path, KeyPair)
 
     def new(self, name: str, role: Role, address: str, out: Path, count: int = 0) -> KeyFile:
         """Make a key: its public half becomes known here, the whole goes to `out`. Never replaces a file.
@@ -246,7 +246,7 @@ def endpoint_address(address: str, endpoint: str) -> str:
     return f"tcp://{host}:{(parts.port or 0) + TCP_ENDPOINTS.index(endpoint)}"
 
 
-def secure_server(socket: zmq.Socket[Any], pair: Pair, endpoint: str, address: str) -> None:
+def secure_server(socket: zmq.Socket[Any], pair: KeyPair, endpoint: str, address: str) -> None:
     """Set up a listening socket; call it before `bind`. The ZAP handler receives the endpoint's name as domain."""
     socket.curve_server = True
     socket.curve_secretkey = pair.secret.encode()
@@ -299,12 +299,12 @@ def _sync(folder: Path) -> None:
             os.close(fd)
 
 
-def _new_pair() -> Pair:
+def _new_pair() -> KeyPair:
     try:
         public, secret = zmq.curve_keypair()
     except zmq.ZMQError:
         raise ClusterError("this libzmq was built without CURVE, which clusters need over tcp") from None
-    return Pair(public=public.decode(), secret=secret.decode())
+    return KeyPair(public=public.decode(), secret=secret.decode())
 
 
 def _read(path: Path, kind: type[Document]) -> Document:

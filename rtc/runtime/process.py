@@ -130,7 +130,7 @@ class Process:
                 self._bound[socket] = (endpoint, _inode(endpoint), directory)
                 self.log.warning("the file of %s was deleted or replaced: bound again", endpoint)
 
-    def open_anew(
+    def reopen(
         self, old: zmq.Socket[bytes], endpoint: str, bounds: Bounds | None = None, handover: bool = True
     ) -> zmq.Socket[bytes]:
         """A new, empty bound socket of the same kind in place of `old`; its peers reconnect by themselves.
@@ -412,7 +412,7 @@ def nice_session(by: int) -> bool:
     return True
 
 
-def come_first(rank: int, niceness: int) -> str:
+def raise_priority(rank: int, niceness: int) -> str:
     """Raise the priority of this process: real-time with priority `rank`, or else `niceness`, if permitted.
 
     Children start without it. Returns the result as text.

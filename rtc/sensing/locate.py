@@ -14,7 +14,7 @@ from rtc.robot import geometry
 from rtc.robot.geometry import Array
 from rtc.sensing.detector import Mark
 from rtc.sensing.optics import CORNERS, View
-from rtc.sensing.pose_fit import Fit, Sighting, fit
+from rtc.sensing.pose_fit import Fit, TagObservation, fit
 
 
 class HasPose(Protocol):
@@ -49,14 +49,14 @@ def corners(tag: TagOnBody) -> Array:
     return found
 
 
-def sightings(tags: Iterable[TagOnBody], pictures: Iterable[Seen]) -> dict[str, list[Sighting]]:
+def sightings(tags: Iterable[TagOnBody], pictures: Iterable[Seen]) -> dict[str, list[TagObservation]]:
     """Sightings by body. Tags that the cell does not know are ignored."""
     known = {tag.id: tag for tag in tags}
-    found: dict[str, list[Sighting]] = {}
+    found: dict[str, list[TagObservation]] = {}
     for picture in pictures:
         for mark in picture.marks:
             if (tag := known.get(mark.tag)) is not None:
-                sighting = Sighting(tag.id, picture.view, np.asarray(mark.corners), corners(tag))
+                sighting = TagObservation(tag.id, picture.view, np.asarray(mark.corners), corners(tag))
                 found.setdefault(tag.body, []).append(sighting)
     return found
 

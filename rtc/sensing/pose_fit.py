@@ -24,7 +24,7 @@ APART_RAD, APART_M = 0.035, 0.005  # poses further apart are two solutions
 CONFUSED = 2.0  # a second solution whose error is below this multiple of the first cannot be ruled out
 
 
-class Sighting(NamedTuple):
+class TagObservation(NamedTuple):
     """One tag of a body in one picture. `points`: its corners in the axes of the body, 4 x 3, m."""
 
     tag: int
@@ -47,7 +47,7 @@ class Fit(NamedTuple):
     best: Solution
     second: Solution | None
     covariance: Array
-    used: list[Sighting]
+    used: list[TagObservation]
 
     @property
     def pose(self) -> Array:
@@ -58,7 +58,7 @@ class Fit(NamedTuple):
         return self.second is not None and self.second.error_px < CONFUSED * max(self.best.error_px, NOISE_PX)
 
 
-def fit(sightings: Sequence[Sighting], near: Array | None = None) -> Fit | None:
+def fit(sightings: Sequence[TagObservation], near: Array | None = None) -> Fit | None:
     """The pose that explains all sightings of a body. None if there is not one, or none leads to a pose in front of
     the cameras. `near`: 4 x 4, an expected pose; it is used as the start if it leads to one that fits."""
     used, solutions = list(sightings), _from_expected(sightings, near)
@@ -74,7 +74,7 @@ def fit(sightings: Sequence[Sighting], near: Array | None = None) -> Fit | None:
     return made._replace(covariance=made.covariance + _spread(best.matrix, second.matrix))
 
 
-def planar(sighting: Sighting) -> list[Solution]:
+def planar(sighting: TagObservation) -> list[Solution]:
     """The one or two poses of a body that explain the picture of one of its tags, the better one first."""
     first = _from_homography(sighting)
     if first is None:
@@ -87,7 +87,7 @@ def planar(sighting: Sighting) -> list[Solution]:
     return found
 
 
-def _solutions(sightings: Sequence[Sighting]) -> list[Solution]:
+def _solutions(sightings: Sequence[TagObservation]) -> list[Solution]:
     """Local minima over all sightings, best first, from the poses that the largest tags alone allow."""
     largest = sorted(sightings, key=lambda sighting: -area_px(sighting.pixels))[:STARTS]
     starts = [solution for sighting in largest for solution in planar(sighting)]
@@ -101,7 +101,7 @@ def _solutions(sightings: Sequence[Sighting]) -> list[Solution]:
     return sorted(found, key=lambda solution: solution.error_px)
 
 
-def _from_expected(sightings: Sequence[Sighting], near: Array | None) -> list[Solution]:
+def _from_expected(sightings: Sequence[TagObservation], near: Array | None) -> list[Solution]:
     """The solutions from an expected pose, and from that with the largest tag tilted to the other side; best first.
     Empty if neither fits."""
     if near is None or not sightings:
@@ -114,7 +114,7 @@ def _from_expected(sightings: Sequence[Sighting], near: Array | None) -> list[So
     return sorted([first, *([other] if other is not None else [])], key=lambda solution: solution.error_px)
 
 
-def _consistent(sightings: list[Sighting]) -> tuple[list[Sighting], list[Solution]]:
+def _consistent(sightings: list[TagObservation]) -> tuple[list[TagObservation], list[Solution]]:
     """The sightings without those that contradict the others, and the solutions over the rest."""
     solutions = _solutions(sightings)
     while solutions and solutions[0].error_px > BAD_PX and len(sightings) >= 3:
@@ -148,7 +148,7 @@ def _plane(points: Array) -> Array:
     return matrix
 
 
-def _from_homography(sighting: Sighting) -> Array | None:
+def _from_homography(sighting: TagObservation) -> Array | None:
     """Body to world by the homography of the tag's four corners. None if the corners do not allow one."""
     view = sighting.view
     half = 0.5 * float(np.linalg.norm(sighting.points[1] - sighting.points[0]))
@@ -169,7 +169,7 @@ def _from_homography(sighting: Sighting) -> Array | None:
     return _to_world(view, tag) @ np.linalg.inv(_plane(sighting.points))
 
 
-def _mirrored(sighting: Sighting, matrix: Array) -> Array:
+def _mirrored(sighting: TagObservation, matrix: Array) -> Array:
     """The body turned so that the tag is tilted to the other side of the line of sight."""
     plane = _plane(sighting.points)
     tag = matrix @ plane
@@ -231,7 +231,7 @@ class _Corners(NamedTuple):
         return slopes
 
 
-def _corners(sightings: Sequence[Sighting]) -> _Corners:
+def _corners(sightings: Sequence[TagObservation]) -> _Corners:
     views = [sighting.view for sighting in sightings]
     return _Corners(
         np.concatenate([sighting.points for sighting in sightings]),
@@ -242,7 +242,7 @@ def _corners(sightings: Sequence[Sighting]) -> _Corners:
     )
 
 
-def _refined(sightings: Sequence[Sighting], matrix: Array) -> Solution | None:
+def _refined(sightings: Sequence[TagObservation], matrix: Array) -> Solution | None:
     """Levenberg-Marquardt from `matrix`. None if a corner is behind its camera."""
     corners = _corners(sightings)
     seen = corners.seen(matrix)
@@ -302,7 +302,7 @@ def _rms(residuals: Array) -> float:
     return float(np.sqrt(np.mean(np.square(residuals))))
 
 
-def _covariance(sightings: Sequence[Sighting], solution: Solution) -> Array:
+def _covariance(sightings: Sequence[TagObservation], solution: Solution) -> Array:
     corners = _corners(sightings)
     slopes = corners.slopes(solution.matrix, corners.seen(solution.matrix))
     freedom = max(1, len(slopes) - 6)

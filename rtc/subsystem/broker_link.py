@@ -15,7 +15,7 @@ import zmq
 
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import WireError
-from rtc.protocol.wire import apart, reader
+from rtc.protocol.wire import reader, split
 from rtc.runtime.process import Every, Process, inbox, send
 from rtc.runtime.settings import Settings
 from rtc.subsystem.subsystem import InvalidOrder, Outgoing
@@ -41,7 +41,7 @@ class BrokerLink:
 
     def orders(self, now_s: float) -> Iterator[m.Execute | m.Pace | m.HaltOrder | m.ReportAck | InvalidOrder]:
         """The messages of the broker."""
-        for parts in chain.from_iterable(map(apart, inbox(self.socket, PER_TURN))):
+        for parts in chain.from_iterable(map(split, inbox(self.socket, PER_TURN))):
             try:
                 order = _read_broker(parts)
             except WireError as error:

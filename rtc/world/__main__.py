@@ -46,7 +46,7 @@ def live(run_dir: Path, fd: int = -1) -> None:
             _live(me, given, store)
 
 
-def _live(me: Process, given: handover.Handed, store: Store) -> None:
+def _live(me: Process, given: handover.Handover, store: Store) -> None:
     settings = given.settings
     _begin(me, given, store)
     socket = me.socket(zmq.ROUTER, settings.endpoint("world"), bind=True, bounds=BOUNDS["world"])
@@ -59,7 +59,7 @@ def _live(me: Process, given: handover.Handed, store: Store) -> None:
     store.close()
 
 
-def _begin(me: Process, given: handover.Handed, store: Store) -> None:
+def _begin(me: Process, given: handover.Handover, store: Store) -> None:
     """Fill a new database from the cell; mark facts suspect if changes were lost.
 
     Changes were lost if the database is new although this run had one, or older than its last saved version. Then all
@@ -110,7 +110,7 @@ def serve(
             report_dropped(dropped)
         if guard is not None and guard.alarm(now_s()):
             me.log.warning("more than %.0f MB: the socket is closed and opened again", guard.limit_mb)
-            socket = me.open_anew(socket, socket.getsockopt_string(zmq.LAST_ENDPOINT), BOUNDS["world"])
+            socket = me.reopen(socket, socket.getsockopt_string(zmq.LAST_ENDPOINT), BOUNDS["world"])
         answers: list[tuple[bytes, Any]] = []
         for sender, *parts in inbox(socket, PER_TURN):
             try:

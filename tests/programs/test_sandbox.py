@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from rtc.programs import loader
-from rtc.programs.sandbox import Asked, in_a_process
+from rtc.programs.sandbox import CheckRequest, in_a_process
 from rtc.protocol.messages import WorkerKind
 
 GRAMMAR = loader.default(WorkerKind.PARSER)
 
 
-def asked(body: bytes) -> Asked:
-    return Asked(kind=WorkerKind.PARSER, name="mine.lark", body=body, reset=False, program=GRAMMAR, others={})
+def asked(body: bytes) -> CheckRequest:
+    return CheckRequest(kind=WorkerKind.PARSER, name="mine.lark", body=body, reset=False, program=GRAMMAR, others={})
 
 
 def test_a_grammar_that_compiles_is_taken():

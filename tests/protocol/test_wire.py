@@ -48,7 +48,7 @@ def test_the_maps_of_a_spoilt_array_can_be_read_apart():
     spoilt = [wire.PROTOCOL, msgspec.msgpack.encode([BEATS[0], {"type": "Nonsense"}, BEATS[2]])]
     with pytest.raises(WireError):
         read(spoilt)
-    first, second, third = wire.apart(spoilt)
+    first, second, third = wire.split(spoilt)
     assert (list(read(first)), list(read(third))) == ([BEATS[0]], [BEATS[2]])
     with pytest.raises(WireError):
         read(second)
@@ -59,7 +59,7 @@ def test_the_maps_of_a_spoilt_array_can_be_read_apart():
 )
 def test_what_is_no_array_stays_as_it_is(body):
     parts = [wire.PROTOCOL, body]
-    assert wire.apart(parts) == [parts]
+    assert wire.split(parts) == [parts]
 
 
 def test_arrays_in_arrays_are_none():

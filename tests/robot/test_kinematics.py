@@ -90,7 +90,7 @@ def test_the_nearest_branch_is_that_of_all_branches(right):
         table = np.array(right._branches(target, near))
         table -= 2 * math.pi * np.round((table - near) / (2 * math.pi))
         nearest_s = right.travel_times_s(table, near).min()
-        found = right.follow(target, near)
+        found = right.nearest_ik(target, near)
         assert any(np.allclose(found, q, atol=1e-9) for q in table)
         assert right.travel_times_s([found], near)[0] == pytest.approx(nearest_s, abs=1e-9)
 
@@ -101,11 +101,11 @@ def test_a_line_is_followed_as_each_of_its_poses(right):
     poses = geometry.interpolate_all(begin, end, fractions)
     now, rows = [0.2, 0.9, -2.4, 0.7, 0.4, 0.4], []
     for pose in poses:
-        now = right.follow(pose, now)
+        now = right.nearest_ik(pose, now)
         rows.append(now)
-    assert np.allclose(right.follow_all(poses, [0.2, 0.9, -2.4, 0.7, 0.4, 0.4]), rows, atol=1e-9)
+    assert np.allclose(right.ik_along(poses, [0.2, 0.9, -2.4, 0.7, 0.4, 0.4]), rows, atol=1e-9)
     far = geometry.make_pose((3.0, 0.0, 0.6), geometry.LEVEL)
-    assert len(right.follow_all([poses[0], far, poses[1]], [0.2, 0.9, -2.4, 0.7, 0.4, 0.4])) == 1
+    assert len(right.ik_along([poses[0], far, poses[1]], [0.2, 0.9, -2.4, 0.7, 0.4, 0.4])) == 1
 
 
 def test_a_straight_wrist_keeps_the_roll_of_the_reference(right):

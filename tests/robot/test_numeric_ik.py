@@ -93,7 +93,7 @@ def test_a_short_motion_of_the_hand_is_a_short_motion_of_the_arm(gantry, panda):
     for arm in (gantry, panda):
         for joints in random_joints(arm, 20, 5):
             back = geometry.compose(arm.fk(joints), (0.0, 0.0, -0.05, 0.0, 0.0, 0.0, 1.0))
-            reachable = arm.follow(back, joints)
+            reachable = arm.nearest_ik(back, joints)
             if arm.sigma_min(joints) > 0.1 and reachable is not None and arm.limit_margin_rad(reachable) > MARGIN:
                 first = arm.ik(back, joints, MARGIN)[0]
                 assert arm.travel_times_s([first], joints)[0] < 0.6
@@ -103,7 +103,7 @@ def test_a_line_is_followed_without_leaps(arm):
     start = arm.middle + np.linspace(0.3, 0.5, len(arm.joints)) * np.where(arm.slides, 0.2, 1.0)
     begin = arm.fk(start)
     end = geometry.translate(begin, (-0.05, 0.10, 0.05))
-    rows = arm.follow_all([geometry.interpolate(begin, end, s) for s in np.linspace(0.1, 1.0, 10)], start)
+    rows = arm.ik_along([geometry.interpolate(begin, end, s) for s in np.linspace(0.1, 1.0, 10)], start)
     assert len(rows) == 10
     assert geometry.distance(arm.fk(rows[-1]), end) < 1e-8
     assert np.abs(np.diff(np.vstack((start, rows)), axis=0)).max() < 0.25

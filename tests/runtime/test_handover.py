@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from deploy.cluster import _lock
-from rtc.runtime.handover import Handed, begin, load
+from rtc.runtime.handover import Handover, begin, load
 from rtc.runtime.settings import Settings
 
 HOLDER = """
@@ -63,7 +63,7 @@ def test_without_settings_a_process_ends_with_a_sentence(tmp_path: Path) -> None
 
 
 def test_what_was_handed_over_does_not_need_the_directory(settings: Settings) -> None:
-    given = Handed.make(settings, b"k" * 32, "token")
+    given = Handover.make(settings, b"k" * 32, "token")
     (settings.path / "settings.json").unlink()
     taken = load(settings.path, given.fd)
     assert (taken.settings, taken.lease_key, taken.token) == (settings, b"k" * 32, "token")
@@ -72,7 +72,7 @@ def test_what_was_handed_over_does_not_need_the_directory(settings: Settings) ->
 
 
 def test_a_role_remembers_across_its_lives(settings: Settings) -> None:
-    given = Handed.make(settings, b"k" * 32, "token")
+    given = Handover.make(settings, b"k" * 32, "token")
     first = load(settings.path, given.fd)
     assert first.remembered("broker") is None
     first.remember("broker", b"k7f2", 12, 3)

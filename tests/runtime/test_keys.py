@@ -15,8 +15,8 @@ from rtc.runtime.keys import (
     PEERS_OF_KEY,
     REVOKED_KEPT,
     KeyFile,
+    KeyPair,
     KeyRing,
-    Pair,
     _forbidden,
     check_address,
     endpoint_address,
@@ -185,7 +185,7 @@ def test_without_a_handler_of_handshakes_every_key_is_refused() -> None:
     public, secret = zmq.curve_keypair()
     with zmq.Context() as context, context.socket(zmq.ROUTER) as server, context.socket(zmq.DEALER) as peer:
         server.linger = peer.linger = 0
-        secure_server(server, Pair(public=public.decode(), secret=secret.decode()), "front", "tcp://127.0.0.1:*")
+        secure_server(server, KeyPair(public=public.decode(), secret=secret.decode()), "front", "tcp://127.0.0.1:*")
         server.bind("tcp://127.0.0.1:*")
         peer.curve_serverkey = public
         peer.curve_publickey, peer.curve_secretkey = zmq.curve_keypair()

@@ -35,7 +35,7 @@ def test_a_reopened_endpoint_is_empty_and_its_peers_come_back(tmp_path) -> None:
         send(peer, Heartbeat(name="before"))
     assert me.wait(5) == [old]
 
-    opened = me.open_anew(old, endpoint)
+    opened = me.reopen(old, endpoint)
     received = []
     while not received:
         send(peer, Heartbeat(name="after"))

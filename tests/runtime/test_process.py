@@ -234,22 +234,22 @@ def test_nice_never_raises(monkeypatch):
     assert process.nice(-5) is False
 
 
-def test_who_may_not_come_first_goes_on_all_the_same(monkeypatch):
+def test_who_may_not_raise_its_priority_goes_on_all_the_same(monkeypatch):
     def refuse(*_: object) -> None:
         raise PermissionError
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     monkeypatch.setattr(os, "nice", lambda by: by)
-    assert process.come_first(1, -5) == "niceness -5"
+    assert process.raise_priority(1, -5) == "niceness -5"
     monkeypatch.setattr(os, "nice", refuse)
-    assert process.come_first(1, -5) == "a better priority is not permitted"
+    assert process.raise_priority(1, -5) == "a better priority is not permitted"
 
 
 def test_a_child_of_one_that_comes_first_does_not():
     code = textwrap.dedent("""
         import os
-        from rtc.runtime.process import come_first
-        words = come_first(1, -5)
+        from rtc.runtime.process import raise_priority
+        words = raise_priority(1, -5)
         child = os.fork()
         if not child:
             os._exit(os.sched_getscheduler(0) != os.SCHED_OTHER)

@@ -30,7 +30,7 @@ def test_four_tags_are_within_the_budget() -> None:
 @pytest.mark.physics
 def test_the_cameras_of_the_cell_see_a_module_that_has_moved() -> None:
     cell = Cell.load("swapout")
-    studio = render.Studio(cell)
+    studio = render.SceneRenderer(cell)
     moved = {
         name: geometry.compose(
             geometry.translate(cell.object_pose(name), by), geometry.from_rpy((0, 0, 0), (0, 0, math.radians(5)))
@@ -58,7 +58,7 @@ def test_the_cameras_of_the_cell_see_a_module_that_has_moved() -> None:
 def test_a_camera_without_light_sees_nothing() -> None:
     cell = Cell.load("swapout")
     dark = [msgspec.structs.replace(camera, exposure=0.01) for camera in cell.cameras]
-    studio = render.Studio(msgspec.structs.replace(cell, cameras=dark))
+    studio = render.SceneRenderer(msgspec.structs.replace(cell, cameras=dark))
     studio.pose(SceneView())
     assert TagDetector().find(studio.camera_picture("CAMERA-1", SceneView(), seed=1)) == []
     studio.close()

@@ -75,7 +75,7 @@ def test_a_picture_of_two_scenes_outlines_what_is_elsewhere(tmp_path, cell) -> N
         Panel(title="believed", scene=SceneView(poses=begun), labels={"MACS-OLD": "MACS-OLD"}),
         Panel(title="true", scene=SceneView(poses=moved), labels={"RIGHT-ARM": "RIGHT-ARM"}, outlined=["MACS-OLD"]),
     ]
-    studio = render.Studio(cell)
+    studio = render.SceneRenderer(cell)
     for camera in (*VIEWS, "RIGHT-END-EFF", "RACK-2", "MACS-OLD", "BAY-2-FRONT"):
         wanted = Picture(out="", cell="swapout", panels=panels, camera=camera, caption=["words"], smooth=False)
         made = np.asarray(render.compose(studio, wanted))
@@ -117,7 +117,7 @@ CAMERAS = (
 
 @pytest.mark.physics
 def test_the_sensor_of_a_camera_has_noise_and_an_exposure(cell) -> None:
-    studio = render.Studio(msgspec.structs.replace(cell, cameras=[*CAMERAS]))
+    studio = render.SceneRenderer(msgspec.structs.replace(cell, cameras=[*CAMERAS]))
     scene = SceneView()
     studio.pose(scene)
     clear, dark = studio.camera_picture("CLEAR", scene).astype(int), studio.camera_picture("DARK", scene)
@@ -142,7 +142,7 @@ def test_the_sensor_of_a_camera_has_noise_and_an_exposure(cell) -> None:
 @pytest.mark.physics
 def test_a_window_has_the_pixels_of_the_whole_picture(cell) -> None:
     camera = Camera(name="CLEAR", xyz=(-0.1, 0.0, 1.1), looks_at=(0.8, 0.0, 0.72), size_px=(320, 240))
-    studio, scene = render.Studio(msgspec.structs.replace(cell, cameras=[camera])), SceneView()
+    studio, scene = render.SceneRenderer(msgspec.structs.replace(cell, cameras=[camera])), SceneView()
     studio.pose(scene)
     whole = studio.camera_picture("CLEAR", scene)
     for window in (Window(50, 46, 47, 44), Window(0, 0, 20, 30), Window(280, 200, 40, 40)):
@@ -156,7 +156,7 @@ def test_a_window_has_the_pixels_of_the_whole_picture(cell) -> None:
 def test_the_computed_floor_of_a_camera_is_where_the_drawn_one_is(cell) -> None:
     """Tile by tile, up to their edges and the horizon."""
     camera = Camera(name="FLOOR", xyz=(0.5, -1.3, 0.8), looks_at=(0.9, 0.3, 0.4), size_px=(160, 120))
-    studio = render.Studio(msgspec.structs.replace(cell, cameras=[camera]))
+    studio = render.SceneRenderer(msgspec.structs.replace(cell, cameras=[camera]))
     matrices = render.lens.matrices(camera, camera.pose)
     seen = studio.photograph(render.Camera(matrices.view, matrices.lens), *camera.size_px, smooth=False).bodies
     tiles = {tile: n for n, (tile, _) in enumerate(studio._floor)}

@@ -27,7 +27,7 @@ from rtc.language.fastpath import halt_scope
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import OutcomeKind, Refusal
-from rtc.runtime.handover import Handed
+from rtc.runtime.handover import Handover
 from rtc.world.server import Server
 from rtc.world.store import Store
 from tests.simulation import network, skills
@@ -77,9 +77,9 @@ class Cluster:
         self.clients = [Client(self, f"client-{n}") for n in range(self.random.choice((1, 2)))]
         self.callers: list[Caller] = []
 
-    def hand_over(self) -> Handed:
+    def hand_over(self) -> Handover:
         """What the supervisor gives to the processes."""
-        return Handed(SETTINGS, KEY)
+        return Handover(SETTINGS, KEY)
 
     def broker_begins(self, broker: Broker, journal: Journal) -> None:
         """A broker has replayed its journal and has not made a turn yet."""

@@ -17,7 +17,7 @@ from broker.persistence.journal import SCHEMA, Journal
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.protocol.outcomes import OutcomeKind
-from rtc.runtime.handover import Handed
+from rtc.runtime.handover import Handover
 from rtc.world import server
 from rtc.world.lease import DOUBT, sign
 from rtc.world.server import Server
@@ -38,8 +38,8 @@ class LossyCluster(Cluster):
         super().__init__(seed, log_line)
         _write_cell(self.world.store)
 
-    def hand_over(self) -> Handed:
-        return Handed.make(SETTINGS, KEY, "token")
+    def hand_over(self) -> Handover:
+        return Handover.make(SETTINGS, KEY, "token")
 
     @property
     def faults_there_are(self) -> Sequence[Callable[[Any], None]]:

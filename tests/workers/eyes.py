@@ -62,10 +62,10 @@ class Ideal:
 class Drawn(Ideal):
     def __init__(self, cell: Cell) -> None:
         from rtc.sensing.detector import TagDetector
-        from sim_mcm.render import Studio
+        from sim_mcm.render import SceneRenderer
 
         super().__init__(cell)
-        self.studio, self._detector = Studio(cell), TagDetector()
+        self.studio, self._detector = SceneRenderer(cell), TagDetector()
 
     def picture(self, name: str, scene: SceneView) -> Evaluated:
         self.studio.pose(scene)

@@ -17,7 +17,7 @@ from rtc.protocol.messages import (
     WorldRefused,
 )
 from rtc.protocol.outcomes import RefusalReason
-from rtc.runtime.handover import Handed
+from rtc.runtime.handover import Handover
 from rtc.runtime.settings import Settings
 from rtc.world.__main__ import BORN, _begin
 from rtc.world.lease import sign
@@ -172,7 +172,7 @@ class Notes:
 
 @pytest.fixture
 def given(tmp_path):
-    return Handed.make(Settings(run_dir=str(tmp_path), cell="swapout", run="r"), KEY, "t")
+    return Handover.make(Settings(run_dir=str(tmp_path), cell="swapout", run="r"), KEY, "t")
 
 
 def begun(given):

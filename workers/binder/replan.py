@@ -16,7 +16,7 @@ MOVED_M = 0.0005  # smaller displacements need no replanning
 MOVED_RAD = math.radians(0.2)
 
 
-def restated(query: WorldQuery, arm: str, binding: Binding) -> Array | Refusal:
+def current_pose(query: WorldQuery, arm: str, binding: Binding) -> Array | Refusal:
     """The tcp pose of a pose binding now, world frame. With an object that lies otherwise in the hand than planned, the
     tcp goes where the object comes to the planned place."""
     assert binding.pose is not None
@@ -42,7 +42,7 @@ def replan(query: WorldQuery, arm: str, bindings: dict[str, Binding]) -> dict[st
         old = bindings.get(name.removesuffix(PLAN))
         if not name.endswith(PLAN) or planned.pose is None or old is None or old.joints is None:
             continue
-        wanted = restated(query, arm, planned)
+        wanted = current_pose(query, arm, planned)
         if isinstance(wanted, Refusal):
             return wanted
         was = model.fk(old.joints)

@@ -85,7 +85,7 @@ def world_pose(task: BindTask, binding: Binding, name: str) -> list[float] | Ref
         distrusted = query.distrusted(f"{binding.frame}.frame", task.program.clears, own=command)
         if distrusted is not None:
             return distrusted
-    pose = replan.restated(query, task.arm, binding)
+    pose = replan.current_pose(query, task.arm, binding)
     return pose if isinstance(pose, Refusal) else pose.tolist()
 
 

@@ -18,7 +18,7 @@ IN_HAND_M = 0.06  # maximum distance of a held object's grasp point from the mid
 WIDER_M = 0.006  # fingers wider than the object by more than this do not hold it
 
 
-class Lack(NamedTuple):
+class UnmetPrecondition(NamedTuple):
     """An unmet precondition, the object or arm that causes it, and the row of `needs` that clears it (else its own)."""
 
     message: str
@@ -34,20 +34,20 @@ def seat_of(query: WorldQuery, thing: str) -> str:
     return next((name for name in seats if geometry.distance(frame, query.seated_pose(name)) < IN_SEAT_M), "")
 
 
-def _hand_empty(candidate: TaskCandidate) -> Lack | None:
+def _hand_empty(candidate: TaskCandidate) -> UnmetPrecondition | None:
     held = candidate.query.holding(candidate.arm.name)
-    return Lack(f"{candidate.arm.name} holds {held}", held) if held else None
+    return UnmetPrecondition(f"{candidate.arm.name} holds {held}", held) if held else None
 
 
-def _object_free(candidate: TaskCandidate) -> Lack | None:
+def _object_free(candidate: TaskCandidate) -> UnmetPrecondition | None:
     assert candidate.thing is not None
     if candidate.thing.fixed:
-        return Lack(f"{candidate.thing.name} is fixed", candidate.thing.name, "object_fixed")
+        return UnmetPrecondition(f"{candidate.thing.name} is fixed", candidate.thing.name, "object_fixed")
     name = candidate.thing.name
     if holder := candidate.query.held_by(name):
-        return Lack(f"{name} is held by {holder}", holder, thing=name)
+        return UnmetPrecondition(f"{name} is held by {holder}", holder, thing=name)
     perhaps = next((arm.name for arm in candidate.query.cell.arms if _may_hold(candidate, arm.name)), "")
-    return Lack(f"{perhaps} may hold {name}", perhaps, "object_perhaps_held", name) if perhaps else None
+    return UnmetPrecondition(f"{perhaps} may hold {name}", perhaps, "object_perhaps_held", name) if perhaps else None
 
 
 def _may_hold(candidate: TaskCandidate, arm: str) -> bool:
@@ -69,22 +69,22 @@ def _may_hold(candidate: TaskCandidate, arm: str) -> bool:
     )
 
 
-def _other_handle(candidate: TaskCandidate) -> Lack | None:
+def _other_handle(candidate: TaskCandidate) -> UnmetPrecondition | None:
     """Another hand holds the object, at another grasp point."""
     assert candidate.thing is not None
     name, query = candidate.thing.name, candidate.query
     used = shared_hold.points_in_use(query, name)
     if not used:
-        return Lack(f"{name} is not held", name, "object_held")
+        return UnmetPrecondition(f"{name} is not held", name, "object_held")
     free = shared_hold.free_points(query, name)
     if not free:
         holder = next(iter(used))
-        return Lack(f"{holder} holds {name} at its only handle", holder, "object_free", name)
+        return UnmetPrecondition(f"{holder} holds {name} at its only handle", holder, "object_free", name)
     there = next((arm for arm, point in used.items() if candidate.point and point == candidate.point.name), "")
-    return Lack(f"{there} holds {name} at {used[there]}", " or ".join(free), thing=name) if there else None
+    return UnmetPrecondition(f"{there} holds {name} at {used[there]}", " or ".join(free), thing=name) if there else None
 
 
-def _object_held(candidate: TaskCandidate) -> Lack | None:
+def _object_held(candidate: TaskCandidate) -> UnmetPrecondition | None:
     assert candidate.thing is not None
     holder = candidate.query.held_by(candidate.thing.name)
     second = bool(holder) and candidate.query.holding(candidate.arm.name) == candidate.thing.name
@@ -92,44 +92,50 @@ def _object_held(candidate: TaskCandidate) -> Lack | None:
         return None
     if holder:
         message = f"{candidate.thing.name} is held by {holder}, not by {candidate.arm.name}"
-        return Lack(message, holder, "held_by_another", candidate.thing.name)
+        return UnmetPrecondition(message, holder, "held_by_another", candidate.thing.name)
     other = candidate.query.holding(candidate.arm.name) if candidate.parsed.hand else ""
     if other:
-        return Lack(f"{candidate.thing.name} is not held, and {candidate.arm.name} holds {other}", other, "hand_full")
-    return Lack(f"{candidate.thing.name} is not held", candidate.thing.name)
+        return UnmetPrecondition(
+            f"{candidate.thing.name} is not held, and {candidate.arm.name} holds {other}", other, "hand_full"
+        )
+    return UnmetPrecondition(f"{candidate.thing.name} is not held", candidate.thing.name)
 
 
-def _object_seated(candidate: TaskCandidate) -> Lack | None:
+def _object_seated(candidate: TaskCandidate) -> UnmetPrecondition | None:
     assert candidate.thing is not None
     name = candidate.thing.name
     if candidate.thing.hinge is not None or candidate.query.sharers(candidate.arm.name):
         return None
-    return None if seat_of(candidate.query, name) else Lack(f"{name} is not in a seat, and would drift away", name)
+    return (
+        None
+        if seat_of(candidate.query, name)
+        else UnmetPrecondition(f"{name} is not in a seat, and would drift away", name)
+    )
 
 
-def _object_hinged(candidate: TaskCandidate) -> Lack | None:
+def _object_hinged(candidate: TaskCandidate) -> UnmetPrecondition | None:
     assert candidate.thing is not None
     name = candidate.thing.name
-    return None if candidate.thing.hinge is not None else Lack(f"{name} has no hinge", name)
+    return None if candidate.thing.hinge is not None else UnmetPrecondition(f"{name} has no hinge", name)
 
 
-def _seat_free(candidate: TaskCandidate) -> Lack | None:
+def _seat_free(candidate: TaskCandidate) -> UnmetPrecondition | None:
     assert candidate.target is not None
     inside = [t.name for t in candidate.query.cell.objects if candidate.query.seat(t.name) == candidate.target.name]
     others = [name for name in inside if candidate.thing is None or name != candidate.thing.name]
-    return Lack(f"{candidate.target.name} holds {others[0]}", others[0]) if others else None
+    return UnmetPrecondition(f"{candidate.target.name} holds {others[0]}", others[0]) if others else None
 
 
-def _width_known(candidate: TaskCandidate) -> Lack | None:
+def _width_known(candidate: TaskCandidate) -> UnmetPrecondition | None:
     known = candidate.query.trusts(f"{candidate.arm.name}.hand_width")
     return (
         None
         if known
-        else Lack(f"it is not known how wide the hand of {candidate.arm.name} is open", candidate.arm.name)
+        else UnmetPrecondition(f"it is not known how wide the hand of {candidate.arm.name} is open", candidate.arm.name)
     )
 
 
-NEEDS: dict[str, Callable[[TaskCandidate], Lack | None]] = {
+NEEDS: dict[str, Callable[[TaskCandidate], UnmetPrecondition | None]] = {
     "hand_empty": _hand_empty,
     "object_free": _object_free,
     "other_handle": _other_handle,

@@ -17,7 +17,7 @@ from rtc.protocol.messages import Way
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.robot.geometry import Array, Floats
 from workers.planning import curves
-from workers.planning.motion import handed, ik
+from workers.planning.motion import ik, path_reuse
 from workers.planning.motion.carry import plan_carry
 from workers.planning.motion.path import poses_through
 from workers.planning.motion.plan import (
@@ -60,7 +60,7 @@ class Segment(NamedTuple):
         """The way as it is sent to the binder; None: not known."""
         if self.found is None:
             return None
-        return handed.to_message(handed.request_digest(request, space, self.goal), self.found)
+        return path_reuse.to_message(path_reuse.request_digest(request, space, self.goal), self.found)
 
 
 def check_segment(
@@ -96,8 +96,8 @@ def _timed_joint(request: PlanningRequest, target: Target, known: Way | None) ->
     if target.via:
         spline = _through(request, target, goal)
         return spline if isinstance(spline, Refusal) else in_time(request, spline)
-    if known is not None and known.asked == handed.request_digest(request, "move_joint", goal):
-        return in_time(request, handed.from_message(known))
+    if known is not None and known.asked == path_reuse.request_digest(request, "move_joint", goal):
+        return in_time(request, path_reuse.from_message(known))
     return plan_joint_motion(request, goal)
 
 
@@ -149,8 +149,8 @@ def _timed_task(request: PlanningRequest, target: Target, known: Way | None) -> 
     if target.via:
         motion = _timed_curve(request, _smooth(request, target, pose), known)
         return motion if isinstance(motion, Refusal) else _other_end(request, target, motion.goal_joints) or motion
-    if known is not None and known.asked == handed.request_digest(request, "move_task", pose):
-        motion = in_time(request, handed.from_message(known))
+    if known is not None and known.asked == path_reuse.request_digest(request, "move_task", pose):
+        motion = in_time(request, path_reuse.from_message(known))
     else:
         motion = plan_task_motion(request, pose)
     return motion if isinstance(motion, Refusal) else _other_end(request, target, motion.goal_joints) or motion

@@ -25,7 +25,7 @@ from rtc.robot.geometry import Array, Floats
 from rtc.world.model import World
 from rtc.world.spread import EXACT, Spread
 from workers.planning import axes, pose_spread, sight
-from workers.planning.motion.constraints import Rules
+from workers.planning.motion.constraints import PathConstraints
 from workers.planning.motion.request import PlanningRequest
 from workers.planning.motion.timing import Pace
 from workers.planning.robot_models import CellModel
@@ -351,8 +351,8 @@ class WorldQuery:
                     found[seat] = max(unsure_m, found.get(seat, 0.0))
         return found
 
-    def rules(self, limits: Limits) -> Rules:
-        return Rules(
+    def path_constraints(self, limits: Limits) -> PathConstraints:
+        return PathConstraints(
             work_range=self.cell.region(limits.work_range) if limits.work_range else None,
             attitude=self.cell.attitudes[limits.attitude] if limits.attitude else None,
             attitude_name=limits.attitude or "",
@@ -366,7 +366,7 @@ class WorldQuery:
             world=self.model.collision,
             joints={a.name: self.joints(a.name) for a in self.cell.arms},
             scene=scene,
-            rules=self.rules(limits),
+            path_constraints=self.path_constraints(limits),
             pace=pace,
             margin_rad=margin_rad,
             load=self.load(arm) if arm in {held.arm for held in scene.held.values()} else None,

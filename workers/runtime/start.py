@@ -24,7 +24,7 @@ from rtc.world.client import WorldClient
 from workers.runtime import lazy_import
 from workers.runtime.contact import BrokerContact
 from workers.runtime.preload import Preloaded, preload
-from workers.runtime.worker_loop import Shell
+from workers.runtime.worker_loop import WorkerLoop
 
 NICENESS = 5  # lower priority than the broker and the MCM
 
@@ -80,7 +80,7 @@ def run(
     socket = me.socket(zmq.DEALER, endpoints.endpoint("workers"), identity=identity, secure=prepare)
     world = WorldClient(endpoints.endpoint("world"), me.context, secure=secure)
     programs = prepared.programs.get(hello.kind, {})
-    shell = Shell(me, hello, function, socket, world, _models_of, programs, prepared.cells, contact, links[0])
+    shell = WorkerLoop(me, hello, function, socket, world, _models_of, programs, prepared.cells, contact, links[0])
     process.freeze_heap()
     gc.set_threshold(50_000, 20, 20)  # jobs leave little garbage; a collection would delay a job
     if contact is None:

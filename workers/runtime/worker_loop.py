@@ -80,7 +80,7 @@ class StopRequested(Exception):
     """A stop was requested during a job. The job is not answered; the broker assigns it to another worker."""
 
 
-class Shell:
+class WorkerLoop:
     """One worker. `socket` is its DEALER to the broker; `build_cell` builds the models of a cell; `programs` and
     `cells` are preloaded, keyed by digest. A remote worker has a `contact`: nothing else ends it if its broker is
     lost. `link`: the monitor of a socket that may be connected already."""
@@ -108,8 +108,8 @@ class Shell:
         self._slow_s = 1.0  # slowly decaying maximum of recent job durations
         self._wanted = ""  # the digest being fetched; `_bodies` collects its bodies
         self._bodies: list[bytes | None] = []
-        self._programs = Kept(function.compile, programs)
-        self._cells = Kept(lambda body: build_cell(Cell.from_bytes(body)), cells)
+        self._programs = CompiledCache(function.compile, programs)
+        self._cells = CompiledCache(lambda body: build_cell(Cell.from_bytes(body)), cells)
         self._view = WorldView(world)
         self._contact = contact
         self._retiring = False
@@ -304,7 +304,7 @@ class Shell:
             self._first_result_s = now_s()
         self._results.append(result)
 
-    def _made(self, kept: Kept, digest: str) -> Any:
+    def _made(self, kept: CompiledCache, digest: str) -> Any:
         """The compiled program or cell of this digest, from the cache or the broker; or a Refusal with the cause."""
         if digest not in kept:
             self._flush(late=True)
@@ -335,7 +335,7 @@ class Shell:
         return body
 
 
-class Kept(dict[str, Any]):
+class CompiledCache(dict[str, Any]):
     """Cache of compiled bodies by digest, at most KEPT entries. A body that fails to compile is kept as a Refusal."""
 
     def __init__(self, maker: Callable[[bytes], Any], made: Mapping[str, Any]) -> None:

@@ -52,7 +52,7 @@ def control(context: DecisionContext, command: Command, head: ParsedHead) -> Non
             return
     ending = PendingOutcome(kind=OutcomeKind.ABORTED, message=f"aborted by {command.id}")
     for target in targets:
-        context.follow(target, stimulus, ending if stimulus is Stimulus.STOP else None)
+        context.enqueue_stimulus(target, stimulus, ending if stimulus is Stimulus.STOP else None)
     end(context, command, OutcomeKind.SUCCEEDED, message=words)
 
 
@@ -66,7 +66,7 @@ def halt_sentence(context: DecisionContext, command: Command, scope: str) -> Non
         return
     target = context.state.commands.get(scope)
     if target is not None and not target.subsystem:
-        context.follow(scope, Stimulus.STOP, halted(scope))
+        context.enqueue_stimulus(scope, Stimulus.STOP, halted(scope))
         end(context, command, OutcomeKind.SUCCEEDED, message=f"{scope} had moved nothing yet")
         return
     on_sentence(context, command, scope)

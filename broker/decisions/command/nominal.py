@@ -141,7 +141,7 @@ def on_bound(context: DecisionContext, command: Command, product: msgspec.Raw) -
     context.enter(command, Phase.EXECUTING, result.note, expected_s=result.predicted_s * context.state.timeout_scale)
     if command.primitives == 1:
         for waiting in context.state.joining.pop(command.id, ()):
-            context.follow(waiting, Stimulus.RELEASE, True)
+            context.enqueue_stimulus(waiting, Stimulus.RELEASE, True)
 
 
 def send(context: DecisionContext, command: Command) -> None:

@@ -56,9 +56,9 @@ def end(
     context.leave_space_line(command)
     context.check_space_lines()
     for waiting in state.awaiting.pop(command.id, ()):
-        context.follow(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
+        context.enqueue_stimulus(waiting, Stimulus.RELEASE, kind is OutcomeKind.SUCCEEDED)
     for waiting in state.joining.pop(command.id, ()):
-        context.follow(waiting, Stimulus.RELEASE, False)
+        context.enqueue_stimulus(waiting, Stimulus.RELEASE, False)
     context.grant(granted)  # last, so that commands that came AFTER it precede those given later
     context.count(kind.value)
     ended = _report_end(context, command, outcome)

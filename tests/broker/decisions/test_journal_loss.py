@@ -11,7 +11,7 @@ from broker.decisions.state import State
 from broker.persistence.journal import Journal
 from rtc.protocol.messages import Accepted
 from rtc.protocol.outcomes import OutcomeKind
-from rtc.runtime.handover import Handed
+from rtc.runtime.handover import Handover
 from rtc.runtime.settings import Settings
 from tests.broker.harness import Harness, go_on
 
@@ -128,7 +128,7 @@ def test_listeners_of_the_events_are_informed():
 
 @pytest.fixture
 def given(tmp_path):
-    return Handed.make(Settings(run_dir=str(tmp_path), run="r"), b"k", "t")
+    return Handover.make(Settings(run_dir=str(tmp_path), run="r"), b"k", "t")
 
 
 class Life:

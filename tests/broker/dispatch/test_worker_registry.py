@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from broker.decisions.effects import DispatchJob
-from broker.dispatch.worker_registry import DEADLINE_S, HANDFUL_MAX, QUEUE_LIMIT_S, SILENCE_S, WorkerRegistry
+from broker.dispatch.worker_registry import BATCH_MAX, DEADLINE_S, QUEUE_LIMIT_S, SILENCE_S, WorkerRegistry
 from rtc.protocol.messages import WorkerKind
 
 BINDER = WorkerKind.BINDER
@@ -40,12 +40,12 @@ def test_slow_jobs_go_one_to_a_worker_and_the_rest_wait():
     assert given_out(r) == {"b": ["C-2/1"]}
 
 
-def test_quick_jobs_go_in_handfuls_and_one_handful_ahead():
+def test_quick_jobs_go_in_batches_and_one_batch_ahead():
     r = registry("a", mean_s=0.0001)
     for n in range(100):
         r.submit(job(n), 0.0)
     assert len(given_out(r)["a"]) == 40  # twice 2 ms of work
-    assert r.workers["a"].handful <= HANDFUL_MAX
+    assert r.workers["a"].batch_size <= BATCH_MAX
 
 
 def test_a_job_goes_only_to_its_kind():

@@ -6,14 +6,14 @@ import pytest
 
 from broker.decisions.state import State
 from broker.persistence.journal import Journal
-from broker.persistence.program_store import Loaded, ProgramStore
+from broker.persistence.program_store import ProgramStore, StoredProgram
 from rtc.programs import loader
 from rtc.programs.sandbox import check
 from rtc.protocol.messages import ProgramText, WorkerKind
 from rtc.protocol.outcomes import Refusal
 
 
-def load(store: ProgramStore, text: ProgramText) -> Loaded | Refusal:
+def load(store: ProgramStore, text: ProgramText) -> StoredProgram | Refusal:
     return store.take(text, check(store.asked(text)))
 
 
@@ -31,7 +31,7 @@ def test_a_script_must_fit_the_binder_in_use(tmp_path, stop, fits):
     loaded = load(store, text)
 
     if fits:
-        assert isinstance(loaded, Loaded), loaded
+        assert isinstance(loaded, StoredProgram), loaded
         assert b"mine" in (store.body(loaded.digest) or b"")
         assert loaded.changes[0] == "scripts: mine is new"
     else:

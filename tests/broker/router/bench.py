@@ -19,7 +19,7 @@ from broker.router.loop import Router
 from rtc.programs import loader
 from rtc.protocol import messages as m
 from rtc.protocol import wire
-from rtc.runtime.handover import Handed
+from rtc.runtime.handover import Handover
 from rtc.runtime.settings import Settings
 
 ENDPOINTS = ("front", "halt", "workers", "subsystems", "supervisor", "events")
@@ -61,7 +61,7 @@ class Socket:
 
 
 class Bench:
-    def __init__(self, given: Handed | None = None) -> None:
+    def __init__(self, given: Handover | None = None) -> None:
         self.now = 100.0
         self.sockets: dict[str, Socket] = {}
         db = sqlite3.connect(":memory:", isolation_level=None)
@@ -72,7 +72,7 @@ class Bench:
         state = State()
         store = ProgramStore(journal, state.programs)
         self.router = Router(
-            me, SETTINGS, journal, state, store, given or Handed(SETTINGS, b"k" * 32), lambda: self.now
+            me, SETTINGS, journal, state, store, given or Handover(SETTINGS, b"k" * 32), lambda: self.now
         )  # type: ignore[arg-type]
         for kind in m.WorkerKind:
             digest = store.keep(loader.default(kind))

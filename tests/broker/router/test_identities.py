@@ -7,7 +7,7 @@ import pytest
 from broker.decisions.events import HaltCalled
 from rtc.protocol import messages as m
 from rtc.protocol import wire
-from rtc.runtime.handover import Handed
+from rtc.runtime.handover import Handover
 from tests.broker.router.bench import SETTINGS, Bench
 
 TOKEN = "0123456789abcdef"
@@ -21,7 +21,7 @@ HELLO = m.SubsystemHello(name="MCM", pid=7, performers=["LEFT-ARM"])
 
 @pytest.fixture
 def supervised() -> Bench:
-    bench = Bench(Handed(SETTINGS, b"k" * 32, TOKEN))
+    bench = Bench(Handover(SETTINGS, b"k" * 32, TOKEN))
     row = {"name": "MCM", "pid": 7, "state": "ready", "since_s": 0.0}
     bench.send("supervisor", SUPERVISOR, {"type": "ProcessTable", "processes": [row]})
     bench.send("subsystems", OURS, HELLO)

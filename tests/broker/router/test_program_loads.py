@@ -8,7 +8,7 @@ import pytest
 
 from broker.persistence.program_loads import MOST_WAITING, ProgramLoads
 from rtc.programs.digest import digest
-from rtc.programs.sandbox import Asked, Checked
+from rtc.programs.sandbox import CheckRequest, CheckResult
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RefusalReason
 from tests.broker.router.bench import Bench
@@ -19,11 +19,11 @@ class Slow:
 
     started: ClassVar[list[Slow]] = []
 
-    def __init__(self, asked: Asked) -> None:
+    def __init__(self, asked: CheckRequest) -> None:
         self.asked, self.checked = asked, None
         self.started.append(self)
 
-    def result(self, now: float) -> Checked | None:
+    def result(self, now: float) -> CheckResult | None:
         return self.checked
 
 
@@ -42,7 +42,7 @@ def test_no_one_waits_for_a_program_that_is_checked(slow: Bench) -> None:
     assert slow.send("front", b"ann", program_text("1")) == []
     (reply,) = slow.send("front", b"bob", m.StatusQuery(request="q"))
     assert isinstance(reply, m.StatusReply)
-    Slow.started[0].checked = Checked(error="mine.lark: it takes more than 3 s")
+    Slow.started[0].checked = CheckResult(error="mine.lark: it takes more than 3 s")
     (declined,) = slow.send("front", b"ann", m.ClientHello(client="ann"))[1:]
     assert declined.refusal.message == "mine.lark: it takes more than 3 s"
 
@@ -50,7 +50,7 @@ def test_no_one_waits_for_a_program_that_is_checked(slow: Bench) -> None:
 def test_programs_are_checked_one_after_the_other_each_upon_the_one_before(slow: Bench) -> None:
     slow.send("front", b"ann", program_text("1"), program_text("1"), program_text("2"))
     (first,) = Slow.started
-    first.checked = Checked(merged=b"first", changes=["a change"])
+    first.checked = CheckResult(merged=b"first", changes=["a change"])
     loaded = [a for a in slow.send("front", b"ann", m.Heartbeat(name="ann")) if isinstance(a, m.ProgramLoaded)]
     assert [answer.changes for answer in loaded] == [["a change"]]
     assert Slow.started[1].asked.program == b"first"

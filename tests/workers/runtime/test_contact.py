@@ -22,7 +22,7 @@ from rtc.runtime.process import Process, now_s, send
 from rtc.world.client import WorldClient
 from workers.runtime import health
 from workers.runtime.contact import BrokerContact, Systemd
-from workers.runtime.worker_loop import Shell
+from workers.runtime.worker_loop import WorkerLoop
 
 HELLO = m.WorkerHello(name="parser", node=None, kind=m.WorkerKind.PARSER, pid=1, instance="a")
 LONG_S, SHORT_S = 1000.0, 0.2
@@ -64,7 +64,7 @@ class Broker:
         world = WorldClient(f"ipc://{self.path}/world.sock", self.worker.context)
         self.contact = BrokerContact(now_s(), limit_s, **options)
         programs = {"p": b""}
-        shell = Shell(
+        shell = WorkerLoop(
             self.worker, HELLO, self.function, connected, world, lambda cell: None, programs, {}, self.contact
         )
 

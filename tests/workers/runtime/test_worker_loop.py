@@ -38,7 +38,7 @@ from rtc.world.lease import sign
 from rtc.world.server import Server
 from rtc.world.store import Store
 from workers.runtime import worker_loop as shells
-from workers.runtime.worker_loop import Shell
+from workers.runtime.worker_loop import WorkerLoop
 
 KEY = b"k" * 32
 HELLO = WorkerHello(name="parser@0", node=0, kind=WorkerKind.PARSER, pid=1)
@@ -166,7 +166,7 @@ def at(tmp_path, world, monkeypatch):
     client = WorldClient(world, process.context)
     function = Function()
     function.socket = socket
-    shell = Shell(process, HELLO, function, socket, client, lambda cell: None, {"made": "v0"})
+    shell = WorkerLoop(process, HELLO, function, socket, client, lambda cell: None, {"made": "v0"})
     thread = threading.Thread(target=shell.run)
     thread.start()
     assert broker.recv() == HELLO

@@ -6,7 +6,7 @@ left behind is free. A motion therefore starts at once, or when the other arm ha
 The subsystem moves both arms, so it knows when that is.
 
 The search divides both paths into intervals and proves with one check that two intervals cannot meet, or divides them
-further (`rtc.robot.apart`). It is conservative: it never calls two motions free that may meet.
+further (`rtc.robot.separation`). It is conservative: it never calls two motions free that may meet.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import numpy as np
 from rtc.protocol.outcomes import IN_THE_WAY, Refusal, RefusalReason
 from rtc.protocol.primitive import LONGEST_S, JointTrajectory, Primitive, StartAfter
 from rtc.protocol.primitive_id import command_of
-from rtc.robot.apart import ApartCheck
 from rtc.robot.geometry import Array
+from rtc.robot.separation import SeparationCheck
 from rtc.robot.swept import Boxes, Swept
 from workers.planning.motion.request import PlanningRequest
 
@@ -116,7 +116,7 @@ def _in_the_way(arm: str, other: Primitive, their: str) -> Refusal:
     )
 
 
-def clear_from(check: ApartCheck, mine: Course, theirs: Course, clearance_m: float) -> float | None:
+def clear_from(check: SeparationCheck, mine: Course, theirs: Course, clearance_m: float) -> float | None:
     """The time on their course (s) from which on the rest of it is clear of all of mine: 0 if all of it is.
 
     None: their end is not clear of my path.
@@ -193,7 +193,7 @@ class Parts:
 
 
 def course(path: JointTrajectory, reach: Array) -> Course:
-    """The trajectory in intervals of at most STEP_M. `reach`: of each joint, as in `ApartCheck.reaches`.
+    """The trajectory in intervals of at most STEP_M. `reach`: of each joint, as in `SeparationCheck.reaches`.
 
     Between two knots the line is used: the difference is small against SPACE_M."""
     knots, time_s = np.asarray(path.positions), np.asarray(path.time_s)

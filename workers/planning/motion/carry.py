@@ -48,12 +48,12 @@ def _fault(request: PlanningRequest, partner: ArmModel, leads: Timed, follows: T
     hand = request.world.cell.arm(partner.name).gripper
     held = [name for name, by in scene.held.items() if by.arm == request.arm.name]
     touched = [(f"{partner.name} {link}", thing) for link in (hand.palm_link, *hand.finger_links) for thing in held]
-    within = replace(request.rules, attitude=None)  # an attitude is that of the first hand
+    within = replace(request.path_constraints, attitude=None)  # an attitude is that of the first hand
     scene = replace(scene, moving="", ignore=[*scene.ignore, *touched])
     for n, (q, theirs) in enumerate(zip(leads.positions, follows.positions, strict=True)):
         hit = request.world.check({**request.joints, request.arm.name: q, partner.name: theirs}, scene)
-        problem = hit.refusal() if hit is not None else request.rules.broken_by(request.arm, q)
-        problem = problem or within.broken_by(partner, theirs)
+        problem = hit.refusal() if hit is not None else request.path_constraints.violation(request.arm, q)
+        problem = problem or within.violation(partner, theirs)
         if problem is not None:
             share = n / max(1, len(leads.positions) - 1)
             return msgspec.structs.replace(
@@ -91,7 +91,7 @@ def carry_along(
 
 def _follow(partner: ArmModel, poses: Sequence[Array], start: Array, margin_rad: float) -> Array | Refusal:
     margin_rad = max(0.0, min(margin_rad, partner.limit_margin_rad(start)))
-    rows = np.vstack((start, partner.follow_all(np.asarray(poses[1:]), start)))
+    rows = np.vstack((start, partner.ik_along(np.asarray(poses[1:]), start)))
     if len(rows) < len(poses):
         return partner.why_no_ik(poses[len(rows)], margin_rad) or partner.why_not_within(rows[-1], math.pi)  # type: ignore[return-value]
     for row in rows:

@@ -16,7 +16,7 @@ from rtc.robot.kinematics import ArmModel
 
 
 @dataclass(frozen=True, eq=False)
-class Rules:
+class PathConstraints:
     """Path constraints; None = not constrained."""
 
     work_range: parts.Region | None = None
@@ -24,7 +24,7 @@ class Rules:
     attitude_name: str = ""
     attitude_tolerance_rad: float = math.radians(5.0)
 
-    def broken_by(self, arm: ArmModel, joints: Array) -> Refusal | None:
+    def violation(self, arm: ArmModel, joints: Array) -> Refusal | None:
         """The refusal for the first constraint that this posture (rad) violates; None if it violates none."""
         if self.work_range is None and self.attitude is None:
             return None
@@ -47,7 +47,7 @@ class Rules:
         return None
 
 
-FREE = Rules()
+FREE = PathConstraints()
 
 
 def _refusal(message: str, detail: dict[str, float | str], pose: Array) -> Refusal:

@@ -138,7 +138,7 @@ def task_line(arm: ArmModel, start: Floats, goal_pose: Floats, margin_rad: float
     count = max(4, math.ceil(metres / KNOT_M), math.ceil(turn / KNOT_RAD)) + 1
     fractions = even(0.0, 1.0, count - 1)
     poses = geometry.interpolate_all(start_pose, goal_pose, fractions[1:])
-    table = np.vstack((np.asarray(start, dtype=float), arm.follow_all(poses, start)))
+    table = np.vstack((np.asarray(start, dtype=float), arm.ik_along(poses, start)))
     n = _first_problem(arm, table, margin_rad)
     if n < count:
         problem = _problem(arm, poses[n - 1], table[n] if n < len(table) else None, table[n - 1], margin_rad)
@@ -153,7 +153,7 @@ def task_curve(arm: ArmModel, start: Floats, poses: Array, margin_rad: float = 0
     metres = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
     turns = np.array([geometry.angle(a, b) for a, b in pairwise(poses)])
     s = np.concatenate(((0.0,), np.cumsum(np.maximum(metres, METRES_PER_RAD * turns))))
-    table = np.vstack((np.asarray(start, dtype=float), arm.follow_all(poses[1:], start)))
+    table = np.vstack((np.asarray(start, dtype=float), arm.ik_along(poses[1:], start)))
     n = _first_problem(arm, table, margin_rad)
     if n < len(poses):
         problem = _problem(arm, poses[n], table[n] if n < len(table) else None, table[n - 1], margin_rad)

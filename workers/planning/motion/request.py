@@ -15,7 +15,7 @@ from rtc.robot.collision import GROUP, Collision, CollisionWorld
 from rtc.robot.collision_scene import AS_BUILT, Scene
 from rtc.robot.geometry import Array, Floats
 from rtc.robot.kinematics import ArmModel
-from workers.planning.motion.constraints import FREE, Rules
+from workers.planning.motion.constraints import FREE, PathConstraints
 from workers.planning.motion.path import CHECK_RAD, Path
 from workers.planning.motion.timing import FREE_PACE, Pace
 
@@ -30,7 +30,7 @@ class PlanningRequest:
     world: CollisionWorld
     joints: Mapping[str, Floats]  # current values (rad) of every arm; the planned arm starts there
     scene: Scene = AS_BUILT
-    rules: Rules = FREE
+    path_constraints: PathConstraints = FREE
     pace: Pace = FREE_PACE
     margin_rad: float = 0.0  # minimum distance from every joint limit
     load: Load | None = None  # in the hand
@@ -59,7 +59,7 @@ def free_posture(request: PlanningRequest) -> Callable[[Array], Refusal | None]:
 
     def test(joints: Array) -> Refusal | None:
         hit = request.world.check({**request.joints, request.arm.name: joints}, request.scene)
-        return blocked(request, hit) if hit is not None else request.rules.broken_by(request.arm, joints)
+        return blocked(request, hit) if hit is not None else request.path_constraints.violation(request.arm, joints)
 
     return test
 
@@ -85,9 +85,8 @@ def fault(request: PlanningRequest, way: Path, step_rad: float = CHECK_RAD) -> R
     margin = request.way_margin_rad - 1e-9
     within = len(free) == 0 or request.arm.limit_margin_rad(free) >= margin  # one vectorized check; usually true
     for n, joints in enumerate(free):
-        problem = (None if within else request.arm.why_not_within(joints, margin)) or request.rules.broken_by(
-            request.arm, joints
-        )
+        problem = None if within else request.arm.why_not_within(joints, margin)
+        problem = problem or request.path_constraints.violation(request.arm, joints)
         if problem is not None:
             return _at(problem, float(s[n]) / way.length)
     return None if hit is None else _at(blocked(request, hit.collision), float(s[hit.index]) / way.length)

@@ -72,7 +72,7 @@ def find_sampled_way(request: PlanningRequest, goals: Sequence[Floats]) -> FreeW
 
 def _aside(request: PlanningRequest, goal: Array, guides: list[Array]) -> Iterator[tuple[Floats, Path]]:
     """Ways by both ends moved aside, which often suffice; they keep no attitude."""
-    if request.rules.attitude is None:
+    if request.path_constraints.attitude is None:
         for by_m, first, second in zip(RAISED_AND_BACK_M, guides[::2], guides[1::2], strict=True):
             yield by_m, paths.through([request.start, first, second, goal])
 
@@ -101,7 +101,7 @@ class _Space:
         self._per_rad = steps / CHECK_RAD  # as `Path.dense`
         self._start = request.start
         self._touches_at_start = free_posture(request)(self._start) is not None
-        self._attitude = None if request.rules.attitude is None else request.rules.attitude.pose
+        self._attitude = None if request.path_constraints.attitude is None else request.path_constraints.attitude.pose
         self.steer = self._straight if self._attitude is None else self._projected
         self.join = self._joined if self._attitude is None else self._projected
 
@@ -171,9 +171,9 @@ class _Space:
         """The number of rows before the first that leaves the work range. An attitude holds between two near postures
         that keep it."""
         request = self._request
-        if request.rules.work_range is None:
+        if request.path_constraints.work_range is None:
             return len(rows)
-        broken = (n for n, q in enumerate(rows) if request.rules.broken_by(request.arm, q) is not None)
+        broken = (n for n, q in enumerate(rows) if request.path_constraints.violation(request.arm, q) is not None)
         return next(broken, len(rows))
 
     def _projected(self, here: Array, there: Array) -> tuple[list[Array], bool]:

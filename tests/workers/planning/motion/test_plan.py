@@ -16,7 +16,7 @@ from rtc.robot import geometry
 from rtc.robot.collision import CollisionWorld
 from rtc.robot.collision_scene import Held, Scene
 from workers.planning.motion import sampled_way
-from workers.planning.motion.constraints import Rules
+from workers.planning.motion.constraints import PathConstraints
 from workers.planning.motion.ik import choose
 from workers.planning.motion.plan import CLEARANCE_M, PlanningRequest, free_posture, plan_joint_motion, plan_task_motion
 from workers.planning.motion.timing import Pace
@@ -160,12 +160,12 @@ def test_a_goal_beyond_a_limit_names_the_joint(setting):
 
 
 def test_work_range_and_attitude_are_maintained(setting, cell, right, world, home):
-    inside = Rules(work_range=cell.region("BAY-2-RANGE"))
+    inside = PathConstraints(work_range=cell.region("BAY-2-RANGE"))
     goal = goal_at(setting, *FRONT)
-    refusal = plan_joint_motion(PlanningRequest(right, world, home, rules=inside), goal)
+    refusal = plan_joint_motion(PlanningRequest(right, world, home, path_constraints=inside), goal)
     assert refusal.detail["cause"] == "work_range"
-    upright = Rules(attitude=cell.attitudes["LEVEL"], attitude_name="LEVEL")
-    motion = plan_joint_motion(PlanningRequest(right, world, home, rules=upright), goal)
+    upright = PathConstraints(attitude=cell.attitudes["LEVEL"], attitude_name="LEVEL")
+    motion = plan_joint_motion(PlanningRequest(right, world, home, path_constraints=upright), goal)
     assert "off LEVEL" in motion.notes[0]  # the line in joint space tips the hand over
     assert motion.path.space == "task"
     assert max(geometry.angle(right.fk(q), level(0, 0, 0)) for q in motion.timed.positions) < math.radians(5)
@@ -173,8 +173,8 @@ def test_work_range_and_attitude_are_maintained(setting, cell, right, world, hom
 
 def test_an_attitude_is_kept_on_a_way_round(setting, cell, right, world, home):
     """Neither line to the front of the bay is free; each step of the search is projected onto the attitude."""
-    upright = Rules(attitude=cell.attitudes["LEVEL"], attitude_name="LEVEL")
-    at = PlanningRequest(right, world, with_joints(setting, *FRONT), rules=upright)
+    upright = PathConstraints(attitude=cell.attitudes["LEVEL"], attitude_name="LEVEL")
+    at = PlanningRequest(right, world, with_joints(setting, *FRONT), path_constraints=upright)
     motion = plan_joint_motion(at, goal_at(at, 0.48, -0.085, 0.70))
     assert "samples" in motion.notes[-1]
     assert max(geometry.angle(right.fk(q), level(0, 0, 0)) for q in motion.path.dense(0.005)[1]) < math.radians(5)

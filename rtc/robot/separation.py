@@ -32,7 +32,7 @@ class _Pair(NamedTuple):
     margins: Array  # [pieces][pieces], m
 
 
-class ApartCheck:
+class SeparationCheck:
     """Checks of the distance between two arms, each with what it holds. Not thread-safe: it keeps what it compares."""
 
     def __init__(self, bodies: Bodies) -> None:

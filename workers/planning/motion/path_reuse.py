@@ -36,7 +36,7 @@ def request_digest(request: PlanningRequest, space: str, goal: Floats) -> bytes:
         {arm: np.asarray(joints, dtype=float) for arm, joints in request.joints.items()},
         request.margin_rad,
         request.scene,
-        request.rules,
+        request.path_constraints,
     )
     return hashlib.blake2b(_encoder.encode(asked), digest_size=DIGEST_BYTES).digest()
 

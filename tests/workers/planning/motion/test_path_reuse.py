@@ -12,8 +12,8 @@ from rtc.protocol.messages import Way
 from rtc.robot import geometry
 from rtc.robot.collision_scene import Scene
 from workers.planning import segments
-from workers.planning.motion import handed, plan
-from workers.planning.motion.constraints import Rules
+from workers.planning.motion import path_reuse, plan
+from workers.planning.motion.constraints import PathConstraints
 from workers.planning.motion.path import through
 from workers.planning.motion.plan import PlanningRequest
 from workers.planning.motion.request import FreeWay
@@ -81,7 +81,7 @@ def test_a_way_with_detours_is_handed_on_too(asked, goal, monkeypatch, untested)
 
 def test_rounded_corners_are_handed_on_as_they_are(asked, goal):
     path = through([asked.start, (asked.start + goal) / 2 + 0.2, asked.start - 0.1, goal], np.array([0.05, 0.02]))
-    sent_on = handed.from_message(sent(handed.to_message(b"", FreeWay(path, ["found"]))))
+    sent_on = path_reuse.from_message(sent(path_reuse.to_message(b"", FreeWay(path, ["found"]))))
     s = np.linspace(0.0, path.length, 50)
     assert all(np.array_equal(a, b) for a, b in zip(sent_on.path.at(s), path.at(s), strict=True))
     assert sent_on.notes == ["found"]
@@ -96,7 +96,7 @@ def changes(asked):
     other = {**joints, "LEFT-ARM": [joints["LEFT-ARM"][0] + 1e-9, *joints["LEFT-ARM"][1:]]}
     yield replace(asked, joints=other)
     yield replace(asked, margin_rad=asked.margin_rad + 1e-6)
-    yield replace(asked, rules=Rules(attitude_name="LEVEL"))
+    yield replace(asked, path_constraints=PathConstraints(attitude_name="LEVEL"))
     scene = asked.scene
     yield replace(asked, scene=replace(scene, clearance_m=0.001))
     yield replace(asked, scene=replace(scene, poses={"MACS-NEW": geometry.IDENTITY}))
@@ -107,14 +107,14 @@ def changes(asked):
 
 
 def test_everything_the_way_depends_on_changes_the_digest(asked, goal):
-    same = handed.request_digest(asked, "move_joint", goal)
-    assert same == handed.request_digest(
+    same = path_reuse.request_digest(asked, "move_joint", goal)
+    assert same == path_reuse.request_digest(
         replace(asked, scene=replace(asked.scene), pace=Pace(0.1)), "move_joint", np.array(goal)
     )
-    others = [handed.request_digest(changed, "move_joint", goal) for changed in changes(asked)]
+    others = [path_reuse.request_digest(changed, "move_joint", goal) for changed in changes(asked)]
     others += [
-        handed.request_digest(asked, "move_task", goal),
-        handed.request_digest(asked, "move_joint", [*goal[:5], goal[5] + 1e-9]),
+        path_reuse.request_digest(asked, "move_task", goal),
+        path_reuse.request_digest(asked, "move_joint", [*goal[:5], goal[5] + 1e-9]),
     ]
     assert len({same, *others}) == 1 + len(others) == 12
 
@@ -134,6 +134,8 @@ def test_a_way_to_the_pose_is_not_used_for_joints_of_another_turn(asked):
         asked, "move_task"
     )
     turned = asked.arm.ik(pose, asked.start)[0] + [0, 0, 0, 0, 0, 2 * np.pi]
-    way = msgspec.structs.replace(way, asked=handed.request_digest(asked, "move_task", asked.arm.fk(turned).tolist()))
+    way = msgspec.structs.replace(
+        way, asked=path_reuse.request_digest(asked, "move_task", asked.arm.fk(turned).tolist())
+    )
     refusal = segments.plan_segment(asked, "move_task", Target(joints=turned.tolist()), way)
     assert refusal.detail["cause"] == "branch"
