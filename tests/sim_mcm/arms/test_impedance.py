@@ -99,6 +99,39 @@ def test_a_soft_axis_gives_way_and_a_stiff_one_does_not(world, bench, make, mode
     assert moved[1] == pytest.approx(0.0008, rel=0.1)
 
 
+@pytest.mark.parametrize(("ratio", "least", "most"), [(0.2, 1.15, 1.7), (1.0, 0.9, 1.05)])
+def test_the_damping_decides_how_far_a_sudden_push_overshoots(world, bench, make, model, ratio, least, most) -> None:
+    law = impedance(1000.0, 30.0, damping=[ratio] * 6)
+    bench.handle(m.Execute(primitive=hold(make, law, 4.0)))
+    bench.tick(2)
+    executor = bench.subsystem.executors[ARM]
+    start, farthest_m = model.fk(executor.sample.joints), 0.0
+    for _ in range(60):
+        pushed(world, bench, [0.0, 5.0, 0.0, 0.0, 0.0, 0.0], 10)
+        farthest_m = max(farthest_m, geometry.distance(start, model.fk(executor.sample.joints)))
+    assert least < farthest_m / (5.0 / 1000.0) < most
+
+
+@pytest.mark.parametrize(
+    ("limits", "push", "yields_m", "yields_rad"),
+    [
+        ({"most_n": 3.0}, [0.0, 10.0, 0.0, 0.0, 0.0, 0.0], 0.014, 0.0),  # an unlimited spring yields by 10 mm
+        ({"most_nm": 0.5}, [0.0, 0.0, 0.0, 0.0, 0.0, 1.0], 0.0, 0.06),  # and by 0.033 rad
+    ],
+)
+def test_a_spring_pulls_with_its_greatest_force_and_gives_way_to_more(
+    world, bench, make, model, limits, push, yields_m, yields_rad
+) -> None:
+    bench.handle(m.Execute(primitive=hold(make, impedance(1000.0, 30.0, **limits), 4.0)))
+    bench.tick(2)
+    executor = bench.subsystem.executors[ARM]
+    start = model.fk(executor.sample.joints)
+    pushed(world, bench, push, 500)
+    now = model.fk(executor.sample.joints)
+    assert geometry.distance(start, now) >= yields_m
+    assert geometry.angle(start, now) >= yields_rad
+
+
 @pytest.mark.parametrize("frame", ["tool", "world"])
 def test_a_push_at_the_centre_of_compliance_does_not_turn_the_tool(world, bench, make, model, frame) -> None:
     """The centre is 150 mm before the palm and 85 mm aside; the tool points along world x, and its y is that of the
@@ -184,6 +217,20 @@ def test_a_stretched_spring_does_not_jump_at_the_end_of_its_primitive(world, ben
     bench.tick(300)
     assert executor.primitive is None
     assert geometry.distance(at, model.fk(executor.sample.joints)) < 0.0005
+
+
+def test_an_arm_that_is_to_comply_until_it_rests_is_pulled_back_by_its_spring(world, bench, make, model) -> None:
+    """As the second arm at an object does, which must not hold against the first."""
+    executor = bench.subsystem.executors[ARM]
+    start = model.fk(executor.sample.joints)
+    bench.handle(m.Execute(primitive=hold(make, impedance(200.0, 10.0, until_rest=True), 30.0)))
+    pushed(world, bench, [0.0, 5.0, 0.0, 0.0, 0.0, 0.0], 1000)
+    at = model.fk(executor.sample.joints)
+    bench.handle(m.HaltOrder(halt="H-1", scope="ALL"))
+    bench.tick(2000)
+    assert executor.primitive is None
+    assert geometry.distance(start, at) > 0.02
+    assert geometry.distance(start, model.fk(executor.sample.joints)) < 0.005
 
 
 def test_backing_off_is_counted_from_where_the_arm_is_and_not_from_its_command(world, bench, make, model) -> None:

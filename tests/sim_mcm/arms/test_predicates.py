@@ -12,10 +12,11 @@ from rtc.protocol import primitive as p
 from rtc.protocol.messages import EndReport
 from rtc.protocol.outcomes import StopReason
 from rtc.robot import geometry
+from sim_mcm.arms.arm import HandCommand
 from sim_mcm.arms.bullet_arm import BulletCell
 
 pytestmark = pytest.mark.physics
-ARM, MODULE = "RIGHT-ARM", "MACS-NEW"
+ARM, MODULE, OTHER = "RIGHT-ARM", "MACS-NEW", "MACS-OLD"
 FOREARM = 3  # link of the URDF
 
 
@@ -71,6 +72,23 @@ def test_a_hand_that_closes_on_nothing(perform) -> None:
     report = perform(p.HandMotion(width_m=0.0, force_n=20.0), StopReason.OBJECT_LOST, p.HandWidthBelow(0.05))
     assert report.reason is StopReason.OBJECT_LOST
     assert report.hand_width_m == pytest.approx(0.05, abs=0.002)
+    assert report.duration_s == pytest.approx(0.6, abs=0.1)  # 3 cm with the default speed of 5 cm/s
+
+
+def test_a_grip_that_becomes_weaker(cell, world, perform) -> None:
+    arm, point = world.arms[ARM], cell.object(OTHER).grasp_point("HANDLE-A").frame.pose
+    assert not world.displace("SATELLITE", [0.5, 0.0, 0.0, 0.0, 0.0, 0.0])  # it would be in the way of the module
+    world._detents.let_go(OTHER)
+    between_fingers = geometry.compose(arm.tcp_pose(arm.read().joints), geometry.inverse(point))
+    world.world.place(world.world.objects[OTHER], between_fingers)
+    slip = (StopReason.SLIP, p.GripForceBelow(10.0))
+    closed = perform(p.HandMotion(width_m=0.0, force_n=20.0), StopReason.OBJECT_LOST, p.HandWidthBelow(0.01))
+    assert closed.reason is StopReason.GOAL
+    assert perform(p.HoldStill(duration_s=0.1), *slip).reason is StopReason.GOAL
+    arm.command_hand(HandCommand(0.0, 5.0, 0.05))
+    report = perform(p.HoldStill(duration_s=1.0), *slip)
+    assert report.reason is StopReason.SLIP
+    assert report.measured == pytest.approx(5.0, abs=0.5)
 
 
 def test_a_body_that_touches_a_link(world, perform) -> None:
