@@ -1,7 +1,7 @@
 """Tick schedule: when the next tick is due, and how many ticks were late. Pure: the caller reads the clock and sleeps.
 
 Simulated time runs `speed` times as fast as wall time. Speed 0 means as fast as possible while a primitive runs, and
-speed 1 otherwise, so that an idle simulator leaves the cores to other processes.
+speed 1 otherwise. So an idle simulator leaves the cores to other processes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The link of a subsystem to the broker: connected, awaited after a restart of the broker, or lost. Pure.
 
-A subsystem executes its primitives without the broker. On each connection it lists those it still has, and the broker
-sends again what never arrived, or halts what no command waits for any more.
+A subsystem executes its primitives without the broker. On each connection it lists those it still has. The broker sends
+again what never arrived, or halts what no command waits for any more.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The gateway: the only process that other machines can reach, started by `rtc up --listen`.
 
-It binds one tcp port per endpoint, with CURVE (`endpoints`), accepts known keys by role (`admission`), and keeps one
+It binds one tcp port per endpoint, with CURVE (`endpoints`), and accepts known keys by role (`admission`). It keeps one
 DEALER into the cluster per remote peer (`sessions`). It forwards what `rtc.protocol.roles` allows. Broker, world
 database and MCM see remote peers like local ones and do not know tcp. Handshakes, floods, unreadable bytes and
 oversized frames end here. If the gateway dies, its peers reconnect; local processes are not affected.

@@ -62,10 +62,10 @@ class Picture(msgspec.Struct, frozen=True, kw_only=True, tag=True):
 
 
 class CameraPicture(msgspec.Struct, frozen=True, kw_only=True, tag=True):
-    """What a renderer is asked for: the picture of a camera of the cell, without any text; a file .npy gets the pixels
-    as an array. `scene` needs the tcp of the arm that carries the camera. `seed`: of the noise; none: a new one for
-    each picture. `windows`: only these parts, each x, y, width and height in pixels of the whole picture; the file,
-    which must be a .npy, gets their pixels one after another."""
+    """A request to a renderer: the picture of a camera of the cell, without any text. A file .npy gets the pixels as an
+    array. `scene` needs the tcp of the arm that carries the camera. `seed`: of the noise; none: a new one for each
+    picture. `windows`: only these parts, each x, y, width and height in pixels of the whole picture. The file must be a
+    .npy; it gets their pixels one after another."""
 
     out: str
     cell: str

@@ -1,7 +1,7 @@
 """OpenTelemetry traces: one trace per command, with a span per step and per phase; halts as events and links.
 
 A command's spans are made when it ends, from its notes. The identifiers of its root span follow from the run and the
-command's number, so that another command can link to it before it has ended.
+command's number. So another command can link to it before it has ended.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The schemas of worker programs: the types of their documents, for elaborator, binder and analyzer.
 
-A program is data. A name in it (script, stop class, resource, parameter) refers to another row of the same program, or
-to an algorithm that the worker registers (`rtc.programs.extension_names`). `rtc.programs.loader` checks both. Units are
-SI and stand last in the name (`approach_m`). This module knows no skill.
+A program is data. A name in it (script, stop class, resource, parameter) refers to another row of the same program. Or
+it refers to an algorithm that the worker registers (`rtc.programs.extension_names`). `rtc.programs.loader` checks both.
+Units are SI and stand last in the name (`approach_m`). This module knows no skill.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ A message has two frames, `PROTOCOL` and a MessagePack map (after the routing fr
 A reader is made for a union of message types. Anything else raises a `WireError` with the reason, never an exception
 of the codec.
 
-In place of the map there may be an array of up to `MOST_TOGETHER` maps: all messages of one loop iteration for one
-peer, in order. A process sends arrays only to a peer that has announced that it reads them.
+In place of the map there may be an array of up to `MOST_TOGETHER` maps. It has all messages of one loop iteration for
+one peer, in order. A process sends arrays only to a peer that has announced that it reads them.
 """
 
 from __future__ import annotations

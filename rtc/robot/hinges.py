@@ -45,8 +45,8 @@ def at_hand(home: Floats, axis: Floats, range_rad: tuple[float, float], point: F
 
 
 def bar(points: Iterable[Floats], grasp: Floats) -> Array:
-    """The point of a held object about which it turns in the hand (m, its axes): the one of `points` that is nearest to
-    the tcp; without points that at the tcp. `grasp`: the object's frame in that of the tcp."""
+    """The point of a held object about which it turns in the hand (m, its axes). It is the one of `points` that is
+    nearest to the tcp; without points it is at the tcp. `grasp`: the object's frame in that of the tcp."""
     nearest = min(points, key=lambda point: math.hypot(*geometry.transform_point(grasp, point)), default=None)
     return geometry.inverse(grasp)[:3] if nearest is None else np.asarray(nearest, dtype=float)
 
@@ -56,7 +56,7 @@ def in_hand(
 ) -> Array:
     """The pose of a held object when its hand is at `tcp`. The hand may keep its attitude, and the object turn in it.
 
-    `pose`: the object's frame at `angle`; `grasp`: its frame in that of the tcp, at any angle; `point`: about which it
+    `pose`: the object's frame at `angle`. `grasp`: its frame in that of the tcp, at any angle. `point`: about which it
     turns in the hand (m, its axes), see `bar`.
     """
     where = geometry.transform_point(tcp, geometry.transform_point(grasp, point))

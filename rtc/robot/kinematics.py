@@ -225,7 +225,7 @@ class ArmModel:
         return found[0] if len(found) else None
 
     def ik_along(self, targets: Sequence[Floats] | Array, near: Floats) -> Array:
-        """As `follow` for one target after the other, each near the one before, [targets][joints].
+        """As `nearest_ik` for one target after the other, each near the one before, [targets][joints].
 
         Ends before the first target that is out of reach.
         """
@@ -317,7 +317,7 @@ class ArmModel:
         return [q.tolist() for q in self._chain.without_limits(self._goal(target), reference)]
 
     def _followed(self, targets: Sequence[Floats] | Array, near: Array) -> Array:
-        """As `follow_all`, without a closed form."""
+        """As `ik_along`, without a closed form."""
         found: list[Array] = []
         for target in targets:
             q = self._chain.nearest_ik(self._goal(target), near)

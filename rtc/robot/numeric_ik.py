@@ -38,7 +38,7 @@ APART = 0.1  # the same for an arm with redundant joints, whose results are not 
 NEAR_LIMIT = 0.06  # share of a joint's range; a joint that is nearer to its limit is penalised
 NEAR_SINGULAR = 0.25  # share of the arm's typical manipulability; a smaller one is penalised
 PENALTY, PENALTY_S = 2.0, 0.15  # the second is small, so that a short motion of the hand is one of the arm, too
-FOLLOW_STEPS = 12  # maximum number of iterations of `follow`
+FOLLOW_STEPS = 12  # maximum number of iterations of `nearest_ik`
 FOLLOW_GAIN = 0.05
 HELD, MOST_HELD = 0.15, 0.06  # share of its range, and distance (rad, m), of a limit at which a redundant joint stays
 

@@ -61,7 +61,7 @@ class Chain:
         self._slides = np.array([_slides(model, data, n) for n in ids])
 
     def carried(self, joint: int, placement: pin.SE3) -> tuple[int, pin.SE3]:
-        """For a joint of the model: the number of the chain's joint that moves it (0: none), and its place in the axes
+        """For a joint of the model: the number of the chain's joint that moves it (0: none), and its pose in the axes
         of that joint."""
         number, place = self._carried[joint]
         return number, place * placement

@@ -117,8 +117,8 @@ class Process:
     def _rebind_lost(self) -> None:
         """Bind an endpoint again if its file was deleted or replaced. Existing connections stay.
 
-        Not if the directory was replaced: the new one belongs to another cluster, and a socket of ours in it would
-        keep `rtc up` from using it.
+        Not if the directory was replaced. The new one belongs to another cluster, and a socket of ours in it would keep
+        `rtc up` from using it.
         """
         if self.stopping:  # the endpoints may already belong to the successor
             return
@@ -230,7 +230,7 @@ def start(name: str, run_dir: Path | str) -> Iterator[Process]:
     """Make this operating system process the cluster's process `name`, until the block ends.
 
     In a thread other than the main one the process belongs to another program, and keeps its signal handlers and its
-    umask; `Process.stop` ends the loop.
+    umask. `Process.stop` ends the loop.
     """
     log_to_stderr()
     me = Process(name, Path(run_dir))

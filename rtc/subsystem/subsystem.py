@@ -315,8 +315,8 @@ class Subsystem(ABC, Generic[Performer]):
         return [] if moving else self._follow_halts(now_s)  # nothing moves, so the answer needs no tick
 
     def _is_still_true(self, halt: Halt, reached: list[str]) -> bool:
-        """Whether the answers to an earlier halt still hold: no performer in `reached` has started a primitive since,
-        and those reported at rest are at rest."""
+        """True while the answers to an earlier halt still hold. No performer in `reached` has started a primitive
+        since, and those reported at rest are at rest."""
         if len(halt.callers) >= CALLERS_OF_A_HALT or not set(reached) <= set(halt.performers):
             return False
         if halt.begun != self._begun_by(halt.performers):

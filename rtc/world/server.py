@@ -1,7 +1,7 @@
 """The server of the world database: from request to answer, over a `Store`. Sockets are in `__main__`.
 
 A read returns many facts, optionally only those newer than a version. A commit is written only under a lease of this
-cluster's broker, only in the leased locations, only with valid values, and only once per job.
+cluster's broker, and only in the leased locations. Its values must be valid, and each job writes once.
 """
 
 from __future__ import annotations

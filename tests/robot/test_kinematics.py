@@ -82,7 +82,7 @@ def test_solutions_differ_and_are_sorted(right):
 
 
 def test_the_nearest_branch_is_that_of_all_branches(right):
-    """`follow` completes only branches that can be the nearest; with steps as long as those of a detour."""
+    """`nearest_ik` completes only branches that can be the nearest; with steps as long as those of a detour."""
     rng = np.random.default_rng(8)
     for joints in random_joints(right, 200, 6):
         near = joints + rng.uniform(-1.5, 1.5, 6)

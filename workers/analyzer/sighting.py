@@ -1,7 +1,7 @@
 """World changes of what a camera has seen: the pose of a body with its uncertainty, and what follows from it. Pure.
 
-Figures are args of the step: `seen_m` and `seen_rad`, the accuracy of cameras and of their places in the cell file;
-`play_m`, of an object in its seat; `seated_m`, the distance from a seat at which an object is still in it.
+Figures are args of the step: `seen_m` and `seen_rad` are the accuracy of cameras and of their places in the cell file;
+`play_m` is the play of an object in its seat. `seated_m` is the distance from a seat at which an object is still in it.
 """
 
 from __future__ import annotations

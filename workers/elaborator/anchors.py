@@ -1,7 +1,7 @@
 """Plan anchors by registered name: grasp point, destination, stowed posture, seat. Pure.
 
-An anchor is joint values or a tcp pose. The pose is in an object's frame if it depends on that object, so that it can
-be bound again after the object was found elsewhere. An anchor that does not exist is a Refusal.
+An anchor is joint values or a tcp pose. The pose is in an object's frame if it depends on that object. So it can be
+bound again after the object was found elsewhere. An anchor that does not exist is a Refusal.
 """
 
 from __future__ import annotations

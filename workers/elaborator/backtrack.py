@@ -178,8 +178,8 @@ def _search(script: ScriptFile, candidate: TaskCandidate, lines: dict[str, Ancho
 
 
 def _tells_more(tried: Refusal, first: Refusal) -> bool:
-    """Whether a refusal is a better reason than an earlier one: an arm in the way may leave, so the command can wait
-    for it; and a search states more than a direct way."""
+    """True if a refusal is a better reason than an earlier one. An arm in the way may leave, so the command can wait
+    for it. A search states more than a direct way."""
     ranks = [(IN_THE_WAY in one.detail, "samples" in one.detail) for one in (tried, first)]
     return ranks[0] > ranks[1]
 

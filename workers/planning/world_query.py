@@ -172,7 +172,7 @@ class WorldQuery:
         """The hinge about which the tcp turns, if the hand turns the object that it holds about the hinge `about`.
 
         They differ if the bar is not at the tcp and the hand keeps its attitude (`hand_turn` 0; 1: as if fixed to the
-        object): then the centre of the tcp is as far from the hinge as the tcp is from the bar. All poses: world.
+        object). Then the centre of the tcp is as far from the hinge as the tcp is from the bar. All poses: world.
         """
         thing = self.holding(arm)
         grasp = self.grasp(thing) if self.hinge(thing) is not None else None

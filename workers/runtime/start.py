@@ -80,12 +80,12 @@ def run(
     socket = me.socket(zmq.DEALER, endpoints.endpoint("workers"), identity=identity, secure=prepare)
     world = WorldClient(endpoints.endpoint("world"), me.context, secure=secure)
     programs = prepared.programs.get(hello.kind, {})
-    shell = WorkerLoop(me, hello, function, socket, world, _models_of, programs, prepared.cells, contact, links[0])
+    loop = WorkerLoop(me, hello, function, socket, world, _models_of, programs, prepared.cells, contact, links[0])
     process.freeze_heap()
     gc.set_threshold(50_000, 20, 20)  # jobs leave little garbage; a collection would delay a job
     if contact is None:
         me.ready()
-    why = shell.run()
+    why = loop.run()
     world.close()
     return why
 

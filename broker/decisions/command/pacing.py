@@ -1,7 +1,7 @@
 """PAUSE and RESUME of a command in motion: its subsystem pauses the primitive on its path. Pure.
 
 The order is sent again when the subsystem connects without having received it. A subsystem that cannot pause finishes
-its primitive; then the command pauses before its next step, as it does when the primitive ends before it stands.
+its primitive; then the command pauses before its next step. It does the same when the primitive ends before it stands.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A command that waits until another arm leaves the space that it needs. Pure.
 
-A planner refuses a motion and names the arm in its way, or the subsystem has not started a motion because another arm
+A planner refuses a motion and names the arm in its way. Or the subsystem has not started a motion, because another arm
 did not leave in time. If another live command owns that arm, the command keeps what it holds and waits. When that arm
 has rested, or its owner has ended, it plans again. A wait that would close a circle is refused. So a chain of such
 waits always ends in a command that can go on. There is no deadlock, although a command holds its claims while it waits.

@@ -8,10 +8,10 @@ Every message is a frozen struct. On the wire it is a MessagePack map whose key 
 `rtc.protocol.wire` encodes. Unknown keys are ignored and missing keys take their defaults, so that different versions
 can communicate (R42).
 
-Times that end in `_at_s` are CLOCK_MONOTONIC seconds of the machine they were taken on, comparable between
-the processes of one host; `_s` is a duration. Poses are [x y z qx qy qz qw] (m, unit quaternion), in world
-axes unless a `frame` states another. A wrench is [Fx Fy Fz Tx Ty Tz] (N, N.m) that the environment exerts on
-the hand, in tool axes at the tcp. Names are upper case.
+Times that end in `_at_s` are CLOCK_MONOTONIC seconds of the machine they were taken on, comparable between the
+processes of one host. `_s` is a duration. Poses are [x y z qx qy qz qw] (m, unit quaternion), in world axes unless a
+`frame` states another. A wrench is [Fx Fy Fz Tx Ty Tz] (N, N.m) that the environment exerts on the hand, in tool axes
+at the tcp. Names are upper case.
 """
 
 from rtc.protocol.messages.client import *

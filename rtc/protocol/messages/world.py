@@ -20,8 +20,8 @@ class Validity(StrEnum):
     INVALID = "invalid"
 
 
-# The uncertainty of a pose: half-widths of its error along and about the axes of its own frame, [x y z roll pitch yaw]
-# (m, rad). The truth is believed to lie within these bounds.
+# The uncertainty of a pose: half-widths of its error along and about the axes of its own frame. They are
+# [x y z roll pitch yaw] (m, rad). The truth is believed to lie within these bounds.
 Spread = Annotated[list[float], msgspec.Meta(min_length=6, max_length=6)]
 
 

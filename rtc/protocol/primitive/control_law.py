@@ -89,7 +89,7 @@ class Compliance(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """M: the registered name of a control law and its gains.
 
-    `position`: computed torque. `impedance`: a spring and damper at the tcp; its figures are in `compliance`, and its
+    `position`: computed torque. `impedance`: a spring and damper at the tcp, with the figures in `compliance`. Its
     gains are those of `position`, which holds the arm before and after. `load`: the body in the hand; without it the
     control law would let the arm swing.
     """

@@ -1,7 +1,7 @@
 """F of a primitive: predicates over the current sample, each with its stop reason and its reflex (R66).
 
 A predicate has no filter unless it states one. One that is true for a value below a limit counts only after the value
-has been above it in the same primitive, because every motion begins without force.
+has been above it in the same primitive. The reason: every motion begins without force.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from rtc.protocol.primitive.limits import LONGEST_S, Vector
 
 
 class GoalReached(msgspec.Struct, frozen=True, tag="goal-reached"):
-    """The trajectory is complete and the arm has settled; or the hand has its width, or presses with its force; or the
-    camera has its pose, or has followed the body for the duration."""
+    """The trajectory is complete and the arm has settled. Of a hand: it has its width, or presses with its force. Of a
+    camera: it has its pose, or has followed the body for the duration."""
 
 
 class TimeAbove(msgspec.Struct, frozen=True, tag="time-above"):

@@ -89,8 +89,8 @@ class Look(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag="l
 
 
 class SpindleMotion(msgspec.Struct, frozen=True, kw_only=True, tag="spindle-motion"):
-    """P for an arm that holds a driver: turn its spindle by `turn_rad` with at most `torque_nm`; the arm keeps its
-    position, or presses as its control law says.
+    """P for an arm that holds a driver: turn its spindle by `turn_rad` with at most `torque_nm`. The arm keeps its
+    position, or presses as its control law requires.
 
     Positive is right-handed about the axis out of the tool: it tightens a right-handed bolt. The goal is the turn; a
     spindle that stalls ends with the time limit, or with a torque above a limit.

@@ -64,12 +64,12 @@ class Broker:
         world = WorldClient(f"ipc://{self.path}/world.sock", self.worker.context)
         self.contact = BrokerContact(now_s(), limit_s, **options)
         programs = {"p": b""}
-        shell = WorkerLoop(
+        loop = WorkerLoop(
             self.worker, HELLO, self.function, connected, world, lambda cell: None, programs, {}, self.contact
         )
 
         def run() -> None:
-            self.why.append(shell.run())
+            self.why.append(loop.run())
             world.close()
 
         self.thread = threading.Thread(target=run)

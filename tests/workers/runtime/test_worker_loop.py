@@ -1,4 +1,4 @@
-"""One worker's shell between a real broker's socket and a real world database, with a tiny function inside."""
+"""One worker's loop between a real broker's socket and a real world database, with a tiny function inside."""
 
 from __future__ import annotations
 
@@ -166,8 +166,8 @@ def at(tmp_path, world, monkeypatch):
     client = WorldClient(world, process.context)
     function = Function()
     function.socket = socket
-    shell = WorkerLoop(process, HELLO, function, socket, client, lambda cell: None, {"made": "v0"})
-    thread = threading.Thread(target=shell.run)
+    loop = WorkerLoop(process, HELLO, function, socket, client, lambda cell: None, {"made": "v0"})
+    thread = threading.Thread(target=loop.run)
     thread.start()
     assert broker.recv() == HELLO
     yield SimpleNamespace(

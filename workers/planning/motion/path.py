@@ -1,7 +1,7 @@
 """Geometric paths without timing: lines in joint space, with rounded corners between them, and task-space lines. Pure.
 
 A `Path` maps a parameter s from 0 to `length` to joint values. Along a task line s is in metres of the tcp, or
-`METRES_PER_RAD` per radian if rotation dominates; along a joint path it has no unit. A line that cannot be followed is
+`METRES_PER_RAD` per radian if rotation dominates. Along a joint path it has no unit. A line that cannot be followed is
 a Refusal with the place and the cause.
 """
 

@@ -112,7 +112,7 @@ class _Space:
         return np.minimum(limits.lower + margin, self._start), np.maximum(limits.upper - margin, self._start)
 
     def guides(self, goal: Array) -> list[Array]:
-        """Postures with the hand raised, drawn back, or both, from the start and from the goal in turn: in a cell with
+        """Postures with the hand raised, drawn back, or both, from the start and from the goal in turn. In a cell with
         racks and bays they often suffice."""
         lower, upper = self.limits
         found = []

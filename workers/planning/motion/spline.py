@@ -53,8 +53,8 @@ class Spline:
 
 
 def _speeds(width: Array, slope: Array) -> Array:
-    """The first derivative at each knot, [knots][joints]: the second one is continuous at every inner knot, and the
-    third one at the knots next to the ends."""
+    """The first derivative at each knot, [knots][joints]. The second one is continuous at every inner knot, the third
+    one at the knots next to the ends."""
     wanted = np.empty((len(width) + 1, slope.shape[1]))
     wanted[1:-1] = 3 * (width[1:, None] * slope[:-1] + width[:-1, None] * slope[1:])
     both = width[0] + width[1]

@@ -1,7 +1,7 @@
 """Time parametrization: converts a path to timed knots, at rest at both ends, within all limits.
 
 A line gets a closed-form jerk-limited profile along its parameter. A curve through way-points gets the time-optimal
-profile within the joint limits (toppra, some 10 ms): a single pace would be limited by the sharpest bend. Joint limits
+profile within the joint limits (toppra, some 10 ms). A single pace would be limited by the sharpest bend. Joint limits
 of speed, acceleration and torque and the tcp's speed limit hold everywhere.
 """
 
