@@ -30,14 +30,20 @@ def test_out_of_a_handle_that_is_in_doubt(in_the_handle):
     assert in_the_handle.do("STOW RIGHT-ARM").succeeded
 
 
-@pytest.mark.parametrize(
-    "sentence", ["RETRACT RIGHT-ARM BY 20 CM", "STOW RIGHT-ARM", "MOVE RIGHT-ARM BY -5 CM ALONG Y", GRASP]
-)
+@pytest.mark.parametrize("sentence", ["RETRACT RIGHT-ARM BY 20 CM", "MOVE RIGHT-ARM BY -5 CM ALONG Y", GRASP])
 def test_out_of_a_handle_that_is_stated_to_be_there_after_all(in_the_handle, sentence):
     assert in_the_handle.do(SAME_PLACE).succeeded
     run = in_the_handle.do(sentence)
     assert run.refusal is None, run.refusal
     assert run.succeeded or run.failure.reason == "no_contact"
+
+
+def test_out_of_a_handle_that_is_known_within_millimetres_straight_back_first(in_the_handle):
+    assert in_the_handle.do(SAME_PLACE).succeeded
+    refusal = in_the_handle.do("STOW RIGHT-ARM").refusal
+    assert refusal.clears.startswith("RETRACT RIGHT-ARM first")
+    for sentence in ("RETRACT RIGHT-ARM", "STOW RIGHT-ARM"):
+        assert in_the_handle.do(sentence).succeeded
 
 
 def test_deeper_into_a_handle_stays_refused(in_the_handle):

@@ -29,6 +29,7 @@ def advise_on_collision(
     other = str(refusal.detail.get(IN_THE_WAY, ""))
     row = (
         ("way_seated" if seat and held in bodies else "")
+        or ("way_unsure" if not other and _far(refusal, limits) else "")
         or _kept_out(refusal, body, limits)
         or ("way_other" if other else "")
         or _hinged(query, arm, body)
@@ -51,6 +52,11 @@ def advise_on_collision(
     for name, text in texts.items():
         words = words.replace("{" + name + "}", text)
     return msgspec.structs.replace(refusal, clears=words)
+
+
+def _far(refusal: Refusal, limits: Limits) -> bool:
+    """Whether the bodies are farther apart than any clearance: the place of one is not known well."""
+    return float(refusal.detail.get("distance_m", 0.0)) > (limits.clearance_m or 0.0)
 
 
 def _kept_out(refusal: Refusal, body: str, limits: Limits) -> str:

@@ -134,3 +134,44 @@ def test_neither_the_goal_nor_an_arm_without_the_object_is_advised(bench, held, 
     assert "BAY-2-FRONT" not in advised
     assert "CLEAR-POINT-1" in advised
     assert ("another arm" in advised) is other_arm
+
+
+def inside_the_handle(bench):
+    """A GRASP of a module that may be 35 mm off is halted while the fingers are around the handle."""
+    bench.unsurveyed()
+    bench.without_cameras()
+    script = bench.elaborate(GRASP)
+    bindings = dict(script.bindings)
+    for n, step in enumerate(script.steps, 1):
+        bound = bench.bind(script, step, bindings, n)
+        bindings |= bound.bindings
+        if bound.primitive is not None:
+            report = bench.subsystem.perform(bound.primitive, bound)
+            bench.world = bench.world.overlay(bench.analyze(bound, report).changes)
+        if step.label.startswith("straddle"):
+            return
+
+
+@pytest.mark.parametrize(
+    "sentence", ["STOW RIGHT-ARM", "MOVE RIGHT-ARM TO CLEAR-POINT-1 MAINTAIN AVOID-NEIGHBORS BY 1 CM"]
+)
+def test_a_hand_at_a_handle_that_may_be_elsewhere_backs_off_before_it_leaves(bench, sentence):
+    """On a free path the fingers could meet the bar, which is up to 35 mm from its believed place."""
+    inside_the_handle(bench)
+    refusal = bench.elaborate(sentence)
+    assert refusal.clears == "RETRACT RIGHT-ARM first: MACS-NEW may be nearer to its hand than believed"
+    assert bench.do(refusal.clears.partition(" first")[0]).succeeded
+    assert bench.do(sentence).succeeded
+
+
+def test_a_hand_at_a_handle_may_grasp_again(bench):
+    inside_the_handle(bench)
+    run = bench.do(GRASP)
+    assert "straddle HANDLE-A" in run.labels
+
+
+def test_a_hand_at_a_handle_whose_place_is_known_leaves_on_any_free_path(bench):
+    inside_the_handle(bench)
+    fact = bench.world.get("MACS-NEW.frame")
+    bench.set_fact("MACS-NEW.frame", fact.value)  # without a spread
+    assert bench.do("STOW RIGHT-ARM").succeeded

@@ -7,8 +7,9 @@ The first that passes is taken; `notes` record the attempts. Deterministic: the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import msgspec
 import numpy as np
@@ -26,6 +27,7 @@ from workers.planning.motion.timing import Timed, slower, time_path
 # millimetre, and the pose of a held object is known to a few millimetres: a path without clearance may collide.
 CLEARANCE_M = 0.005
 NEAR_AT_MOST = 12  # maximum number of bodies closer than the clearance at either end of a path
+NOTHING: Mapping[str, float] = MappingProxyType({})
 SAME_RAD = 1e-6  # tolerance of the joint values at the end of a straight line
 DIRECT = "generated a line in joint space; tested: free"
 
@@ -83,10 +85,11 @@ def find_joint_way(request: PlanningRequest, goal: Floats) -> FreeWay | Refusal:
     problem = request.arm.why_not_within(goal, request.margin_rad) or free_posture(request)(goal)
     if problem is not None:
         return problem
-    roomy = replace(request, scene=roomy_scene(request, goal))
-    found = _generate_and_test(roomy, goal)
+    around = _around_hand(request, goal)
+    roomy = replace(request, scene=roomy_scene(request, goal, around))
+    found = _generate_and_test(roomy, goal, sample=not around)
     if isinstance(found, Refusal) and roomy.scene is not request.scene:
-        found = _generate_and_test(request, goal)
+        found = _generate_and_test(_leaving(request, around), goal, sample=not around)
     return found
 
 
@@ -104,12 +107,43 @@ def find_direct_way(request: PlanningRequest, goal: Floats, with_room: bool) -> 
     if not with_room:
         return fault(request, line)
     occupied = free_posture(request)(goal)
-    if occupied is None and fault(replace(request, scene=roomy_scene(request, goal)), line) is None:
+    around = _around_hand(request, goal)
+    if occupied is None and fault(replace(request, scene=roomy_scene(request, goal, around)), line) is None:
         return FreeWay(line, [DIRECT])
-    return occupied or fault(request, line)  # a goal that is taken tells more than the line to it
+    return occupied or fault(_leaving(request, around), line)  # a goal that is taken tells more than the line to it
 
 
-def _generate_and_test(request: PlanningRequest, goal: Array) -> FreeWay | Refusal:
+def _around_hand(request: PlanningRequest, goal: Array) -> dict[str, float]:
+    """The bodies that the hand may touch where it is, because their place is not known well, with that uncertainty (m).
+
+    The hand is at a handle, for example. Bodies that it may touch at the goal too are left out: it stays there."""
+    scene = request.scene
+    if not scene.unsure_m:
+        return {}
+    unsure = replace(scene, keeps_unsure=True, clearance_m=0.0)
+    here, there = (_within_hand(request, joints, unsure) for joints in (request.start, goal))
+    return {name: scene.unsure_m[name] for name in sorted(here - there)}
+
+
+def _within_hand(request: PlanningRequest, joints: Array, scene: Scene) -> set[str]:
+    """The uncertain bodies that links of the hand may touch at these joint values (rad)."""
+    arm = request.arm.name
+    gripper = request.world.cell.arm(arm).gripper
+    links = {f"{arm} {link}" for link in (gripper.palm_link, *gripper.finger_links)}
+    near = request.world.near(arm, {**request.joints, arm: joints}, scene)
+    return {hit.body_b.split()[0] for hit in near if hit.body_a in links} & scene.unsure_m.keys()
+
+
+def _leaving(request: PlanningRequest, around: dict[str, float]) -> PlanningRequest:
+    """The request for a motion that may only move away from these bodies, until it is farther than their uncertainty.
+
+    `CollisionWorld.check_path` has the rule for pairs that are too near at the start."""
+    if not around:
+        return request
+    return replace(request, scene=replace(request.scene, unsure_m=around, keeps_unsure=True))
+
+
+def _generate_and_test(request: PlanningRequest, goal: Array, sample: bool = True) -> FreeWay | Refusal:
     direct = paths.joint_line(request.start, goal)
     first = fault(request, direct)
     if first is None:
@@ -120,6 +154,8 @@ def _generate_and_test(request: PlanningRequest, goal: Array) -> FreeWay | Refus
     notes.append(f"modified: a straight line of the hand; tested: {problem.message if problem else 'free'}")
     if isinstance(straight, Path) and problem is None:
         return FreeWay(straight, notes)
+    if not sample:
+        return first
     sampled = find_sampled_way(request, [goal])
     if isinstance(sampled, FreeWay):
         return FreeWay(sampled.path, [*notes, *sampled.notes])
@@ -138,14 +174,16 @@ def _straight(request: PlanningRequest, goal: Array) -> Path | Refusal:
     return Refusal(reason=RefusalReason.INFEASIBLE, message=f"{request.arm.name} would end with other joint values")
 
 
-def roomy_scene(request: PlanningRequest, goal: Array) -> Scene:
+def roomy_scene(request: PlanningRequest, goal: Array, around: Mapping[str, float] = NOTHING) -> Scene:
     """The scene with `CLEARANCE_M`, except for bodies that are closer at either end of the path. A body whose place is
-    not known well needs that much more.
+    not known well needs that much more; also at the start if it is `around` the hand.
 
-    Returns the scene unchanged if the command states a clearance, or if more than NEAR_AT_MOST bodies are close.
+    Returns the scene unchanged (but for `around`) if the command states a clearance, or if more than NEAR_AT_MOST
+    bodies are close.
     """
+    unchanged = _leaving(request, dict(around)).scene
     if request.scene.clearance_m > 0.0:
-        return request.scene
+        return unchanged
     carried = {name for name, held in request.scene.held.items() if held.arm == request.arm.name}
     ours = {request.arm.name, *carried}
     # A seat need not be approached before the motion into it begins. The walls that are close at either end follow.
@@ -164,10 +202,10 @@ def roomy_scene(request: PlanningRequest, goal: Array) -> Scene:
             if name in near and end is start:
                 break  # in contact, not only close: `check_path` decides how to leave it
             if len(near) >= allowed:
-                return request.scene
+                return unchanged
             near.append(name)
             scene = replace(scene, near=list(near))
-    return scene
+    return replace(scene, unsure_m={**scene.unsure_m, **around}) if around else scene
 
 
 def lasting(motion: Motion, takes_s: float) -> Motion | Refusal:
