@@ -1,8 +1,6 @@
-"""One arm, one primitive, one reason: the executor's table, its refusals, its stops, and what it reports."""
+"""One arm, one primitive, one reason: how it ends, and what it reports."""
 
 from __future__ import annotations
-
-import re
 
 import msgspec
 import numpy as np
@@ -16,39 +14,9 @@ from rtc.protocol.outcomes import PRIORITY, Reflex, StopReason
 from rtc.robot import geometry
 from sim_mcm.arms.arm import TICK_S, HandCommand, Sample
 from sim_mcm.control import profiles
-from sim_mcm.control.modes import AFTER_STOP, MOVING, TRANSITIONS, Mode, Trigger
+from sim_mcm.control.modes import MOVING, Mode
 
 from ..conftest import SteeredArm
-
-# --- the table -------------------------------------------------------------------------------------------
-
-
-def test_every_state_has_its_row_and_obeys_a_halt() -> None:
-    assert set(TRANSITIONS) == set(Mode)
-    assert all(Trigger.HALTED in row for row in TRANSITIONS.values())
-    assert all(row[Trigger.HALTED] in (Mode.STOPPING, state) for state, row in TRANSITIONS.items())
-
-
-def test_every_reflex_leads_somewhere() -> None:
-    assert set(AFTER_STOP) == set(Reflex)
-
-
-def test_from_every_state_the_arm_comes_to_hold_again() -> None:
-    def following(state: Mode) -> set[Mode]:
-        row = TRANSITIONS[state]
-        return set(row.values()) | (set(AFTER_STOP.values()) if state is Mode.STOPPING else set())
-
-    for start in Mode:
-        reached, fresh = {start}, {start}
-        while fresh := {after for state in fresh for after in following(state)} - reached:
-            reached |= fresh
-        assert Mode.HOLDING in reached
-
-
-def test_an_impossible_event_is_a_bug_that_names_itself(rig) -> None:
-    with pytest.raises(AssertionError, match="RIGHT-ARM: tripped cannot happen while holding"):
-        rig.executor._apply(Trigger.TRIPPED)
-
 
 # --- to the goal -----------------------------------------------------------------------------------------
 
@@ -149,91 +117,6 @@ def test_what_stops_a_motion_is_reported_before_its_end(rig, make) -> None:
     rig.arm.wrench[0] = 6.0
     rig.until_end()
     assert [type(sent) for sent in rig.sent] == [m.Started, m.ProgressReport, m.EndReport]
-
-
-# --- refusals --------------------------------------------------------------------------------------------
-
-
-def test_a_second_primitive_is_refused_while_one_is_executed(rig) -> None:
-    rig.accept(rig.swing())
-    rig.tick(100)
-
-    answer = rig.accept(rig.swing(id="C-8.1"))
-
-    assert isinstance(answer, m.EndReport)
-    assert (answer.primitive, answer.reason) == ("C-8.1", StopReason.REFUSED)
-    assert "RIGHT-ARM is busy with C-7.1" in answer.message
-    assert rig.until_end().primitive == "C-7.1"
-
-
-def _bad(rig, make, kind: str) -> p.Primitive:
-    home, away = rig.home, rig.away
-    path = make.joint_path
-    beyond = [home[0], home[1], home[2], home[3], 2.0, home[5]]
-    moving = p.JointTrajectory(
-        space="joint", time_s=[0.0, 1.0], positions=[home, away], velocities=[[0.0] * 6, [0.3] * 6],
-        accelerations=[[0.0] * 6] * 2,
-    )  # fmt: skip
-    quick = p.JointTrajectory(
-        space="joint", time_s=[0.0, 1.0, 2.0], positions=[home, away, away],
-        velocities=[[0.0] * 6, [9.0, 0, 0, 0, 0, 0], [0.0] * 6], accelerations=[[0.0] * 6] * 3,
-    )  # fmt: skip
-    swing = path(home, away, 1.0)
-    contact = StopReason.CONTACT
-    return {
-        "elsewhere": lambda: make.primitive(path([home[0] + 0.2, *home[1:]], away, 1.0)),
-        "beyond": lambda: make.primitive(path(home, beyond, 1.0)),
-        "joints": lambda: make.primitive(path(home[:5], away[:5], 1.0)),
-        "nan": lambda: make.primitive(path(home, [float("nan"), *away[1:]], 1.0)),
-        "moving": lambda: make.primitive(moving),
-        "quick": lambda: make.primitive(quick),
-        "law": lambda: make.primitive(swing, control_law=p.ControlLaw(name="magic")),
-        "gain": lambda: make.primitive(swing, control_law=p.ControlLaw(gains={"wn": 500.0})),
-        "box": lambda: make.primitive(swing, make.stop(contact, p.TcpInside(centre=[0.0] * 3, size_m=[1.0] * 3))),
-        "attitude": lambda: make.primitive(swing, make.stop(contact, p.TcpTurned(attitude=[0.0] * 4, limit_rad=1.0))),
-        "axis": lambda: make.primitive(swing, make.stop(contact, p.ForceAbove(limit_n=5.0, axis=[1.0, 0.0]))),
-        "limit": lambda: make.primitive(swing, make.stop(contact, p.ForceAbove(limit_n=float("nan")))),
-        "wide": lambda: make.primitive(p.HandMotion(width_m=0.2, force_n=10.0)),
-        "strong": lambda: make.primitive(p.HandMotion(width_m=0.0, force_n=500.0)),
-        "period": lambda: make.primitive(swing, reporting=p.Reporting(every_s=0.0)),
-        "no way": lambda: make.primitive(swing, make.stop(contact, p.ForceAbove(limit_n=5.0), Reflex.BACK_OFF)),
-        "no reflex": lambda: make.primitive(swing, make.stop(contact, p.ForceAbove(limit_n=5.0), Reflex.STOP, 0.02)),
-        "not finite": lambda: make.primitive(swing, reporting=conditions(p.ForceAbove(limit_n=float("nan")))),
-    }[kind]()
-
-
-@pytest.mark.parametrize(
-    ("kind", "words"),
-    [
-        ("elsewhere", r"joint_1 is at 0\.\d+ rad, the trajectory starts at 0\.\d+, \+0\.2000 away"),
-        ("beyond", r"position of joint_5 reaches 2 rad; its limits are -1\.7453 and 1\.7453"),
-        ("joints", "5 joints, RIGHT-ARM has 6"),
-        ("nan", "not finite"),
-        ("moving", "does not end at rest"),
-        ("quick", r"velocity of joint_1 reaches 9 rad/s"),
-        ("law", "unknown control law magic; known are impedance, position"),
-        ("gain", "wn 500.0 rad/s is outside 10 to 300"),
-        ("axis", "3 numbers are needed"),
-        ("box", "centre: 7 numbers are needed"),
-        ("attitude", "four zeros"),
-        ("limit", "not a finite number"),
-        ("wide", "width_m 0.2 is outside 0.0 to 0.08"),
-        ("strong", "force_n 500.0 is outside"),
-        ("period", "every 0.0 s"),
-        ("no way", "back_off_m of contact is 0 m with the reflex back_off"),
-        ("no reflex", "back_off_m of contact is 0.02 m with the reflex stop"),
-        ("not finite", "not a finite number"),
-    ],
-)
-def test_what_cannot_be_done_is_refused_in_words_and_moves_nothing(rig, make, kind: str, words: str) -> None:
-    answer = rig.accept(_bad(rig, make, kind))
-
-    assert isinstance(answer, m.EndReport)
-    assert answer.reason is StopReason.REFUSED
-    assert re.search(words, answer.message)
-    rig.tick(10)
-    assert rig.arm.commands == []
-    assert rig.executor.state is Mode.HOLDING
 
 
 # --- stopping --------------------------------------------------------------------------------------------
@@ -569,128 +452,7 @@ def test_a_halt_brakes_with_the_next_tick(rig) -> None:
     assert _speed(rig) < before
 
 
-# --- the hand --------------------------------------------------------------------------------------------
-
-
-def test_a_hand_goes_to_its_width(rig, make) -> None:
-    rig.accept(make.primitive(p.HandMotion(width_m=0.03, force_n=20.0)))
-    report = rig.until_end()
-    assert report.reason is StopReason.GOAL
-    assert report.hand_width_m == pytest.approx(0.03, abs=0.0006)
-
-
-def test_a_hand_that_presses_with_all_its_force_has_reached_its_goal_and_keeps_it(rig, make) -> None:
-    rig.accept(make.primitive(p.HandMotion(width_m=0.0, force_n=30.0)))
-    rig.tick(100)
-    rig.arm.forces = (30.0, 29.0)
-    report = rig.until_end()
-    assert report.reason is StopReason.GOAL
-    assert report.hand_force_n == 29.0
-
-    rig.accept(rig.swing(id="C-7.2"))
-    rig.until_end()
-    assert rig.arm.hand.force_n == 30.0  # all the way
-    assert rig.arm.hand.width_m == 0.0
-
-
-def test_opening_a_hand_that_still_presses_is_not_yet_the_goal(rig, make) -> None:
-    rig.arm.width, rig.arm.forces = 0.02, (30.0, 30.0)
-    rig.arm.hand = HandCommand(0.02, 30.0, 0.05)
-    rig.accept(make.primitive(p.HandMotion(width_m=0.08, force_n=30.0)))
-    report = rig.until_end()
-    assert report.hand_width_m == pytest.approx(0.08, abs=0.0006)
-
-
-def test_halting_a_hand_stops_it_where_it_is(rig, make) -> None:
-    rig.accept(make.primitive(p.HandMotion(width_m=0.0, force_n=30.0)))
-    rig.tick(400)
-    rig.executor.halt()
-    report = rig.until_end()
-    assert report.reason is StopReason.HALT
-    width = report.hand_width_m
-    rig.tick(500)
-    assert rig.arm.width == pytest.approx(width, abs=0.0005)
-    assert 0.05 < width < 0.07
-
-
-def test_what_is_squeezed_stays_squeezed_through_a_halt_and_no_harder(rig, make) -> None:
-    rig.accept(make.primitive(p.HandMotion(width_m=0.0, force_n=30.0)))
-    rig.tick(400)
-    rig.arm.forces = (12.0, 12.0)
-    rig.tick(1)
-    rig.executor.halt()
-    rig.until_end()
-    assert rig.arm.hand == HandCommand(0.0, 12.0, 0.05)
-
-
-# --- the last guard, and what is watched always ----------------------------------------------------------
-
-
-class _Leap:
-    """A profile with an error in it: it is a radian away from one tick to the next."""
-
-    duration_s = 1.0
-
-    def __init__(self, joints) -> None:
-        self._joints = joints
-
-    def at(self, time_s: float):
-        far = 1.0 if time_s > 0.1 else 0.0
-        return [self._joints[0] + far, *self._joints[1:]], [0.0] * 6, [0.0] * 6
-
-
-@pytest.mark.parametrize("value", ["leap", "nan"])
-def test_a_command_beyond_the_limits_is_not_followed_and_ends_the_primitive(rig, value: str) -> None:
-    rig.accept(rig.swing())
-    rig.tick(300)
-    leap = _Leap(rig.arm.motion[0] if value == "leap" else [float("nan")] * 6)
-    rig.executor._use(leap)
-
-    report = rig.until_end()
-
-    assert report.reason is StopReason.COMMAND_LIMIT
-    assert report.limit == pytest.approx(1.25 * rig.arm.traits.velocity[0])
-    steps = np.abs(np.diff([motion[0] for motion in rig.arm.commands], axis=0))
-    assert np.all(steps <= 1.25 * np.array(rig.arm.traits.velocity) * TICK_S)
-    assert rig.executor.state is Mode.HOLDING
-
-
-def test_a_leap_while_it_stops_is_braked_and_the_reason_stands(rig, make) -> None:
-    rig.accept(rig.swing(_feel(make)))
-    rig.tick(500)
-    rig.arm.wrench = [6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-    rig.tick(2)
-    assert rig.executor.state is Mode.STOPPING
-    rig.executor._profile, rig.executor._profile_ticks = _Leap(rig.arm.motion[0]), 200
-    rig.arm.wrench = [0.0] * 6
-    assert rig.until_end().reason is StopReason.CONTACT
-    steps = np.abs(np.diff([motion[0] for motion in rig.arm.commands], axis=0))
-    assert np.all(steps <= 1.25 * np.array(rig.arm.traits.velocity) * TICK_S)
-
-
-def test_an_arm_that_does_not_follow_is_stopped_for_that(rig) -> None:
-    rig.accept(rig.swing())
-    rig.tick(300)
-    rig.arm.lag = 0.25
-    report = rig.until_end()
-    assert report.reason is StopReason.FOLLOWING_ERROR
-    assert report.measured == pytest.approx(0.25)
-    assert "joint_1 is -14.3 deg from where it is commanded to be" in report.message
-
-
-def test_an_arm_that_runs_away_is_stopped_for_that(rig, make) -> None:
-    read = rig.arm.read
-    rig.accept(make.primitive(p.HoldStill(duration_s=5.0)))
-    rig.tick(10)
-    rig.arm.read = lambda: m_replace(read(), [0.0, 0.0, 0.0, 0.0, 0.0, 7.0])
-    report = rig.until_end()
-    assert report.reason is StopReason.OVERSPEED
-    assert "joint_6 turns at 7.00 rad/s" in report.message
-
-
-def m_replace(sample, velocities):
-    sample.velocities = velocities
-    return sample
+# --- a reflex beside a limit -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("trips", [{"force": 20.0, "reason": "force_limit"}, {"force": 50.0, "reason": "force_limit"}])
@@ -715,54 +477,3 @@ def test_a_limit_without_the_condition_of_the_reflex_only_stops(rig, make) -> No
     rig.arm.wrench = [0.0, 0.0, 0.0, 3.0, 0.0, 0.0]
     report = rig.until_end()
     assert (report.reason, report.reflex) == (StopReason.TORQUE_LIMIT, Reflex.STOP)
-
-
-@pytest.mark.parametrize("swing_rad_s", [0.0075, 0.06])
-def test_chatter_of_the_wrist_is_rest(rig, swing_rad_s: float) -> None:
-    """A speed that alternates from tick to tick, with which nothing goes anywhere."""
-    ticks = [0]
-    read = rig.arm.read
-
-    def chattering():
-        ticks[0] += 1
-        sample, way = read(), (-1) ** ticks[0]
-        sample.velocities = [*sample.velocities[:5], sample.velocities[5] + way * swing_rad_s]
-        sample.joints = [*sample.joints[:5], sample.joints[5] + 0.5 * way * swing_rad_s * TICK_S]
-        return sample
-
-    rig.arm.read = chattering
-    rig.accept(rig.swing(limit_s=2.0))
-    report = rig.until_end()
-    assert report.reason is StopReason.GOAL
-    assert report.duration_s < 1.1
-    assert rig.executor.at_rest
-
-
-def test_a_swing_is_no_rest(rig) -> None:
-    """Two Hz, 20 mrad: the arm is where it was commanded to be twice in every swing."""
-    ticks = [0]
-    read = rig.arm.read
-
-    def swinging():
-        ticks[0] += 1
-        sample = read()
-        sample.joints = [*sample.joints[:5], sample.joints[5] + 0.02 * np.sin(4.0 * np.pi * ticks[0] * TICK_S)]
-        return sample
-
-    rig.arm.read = swinging
-    rig.accept(rig.swing(limit_s=2.0))
-    assert rig.until_end().reason is StopReason.TIMEOUT
-    assert not rig.executor.at_rest
-
-
-@pytest.mark.parametrize("error", [ZeroDivisionError("1/0"), OverflowError("too much"), TypeError("no")])
-def test_whatever_a_control_law_raises_is_an_objection(rig, error: Exception) -> None:
-    def use_law(law: p.ControlLaw) -> None:
-        raise error
-
-    rig.arm.use_law = use_law
-    answer = rig.accept(rig.swing())
-    assert isinstance(answer, m.EndReport)
-    assert answer.reason is StopReason.REFUSED
-    assert type(error).__name__ in answer.message
-    assert rig.executor.state is Mode.HOLDING
