@@ -20,7 +20,8 @@ class BindTask:
 
     @property
     def arm(self) -> str:
-        return self.data.context.arm
+        """The arm that performs the step: that of the command, or another one whose joints it reads first."""
+        return str(self.data.step.args.get("arm", "")) or self.data.context.arm
 
     def stop_class(self, name: str) -> StopClass | Refusal:
         known = self.program.stop_classes

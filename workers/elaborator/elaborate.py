@@ -9,7 +9,7 @@ scripts.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 
@@ -258,7 +258,8 @@ def _script(
         held = candidate.query.holding(candidate.arm.name) if candidate.hand else ""
         in_hand = [held] if lacks is not None or unsure is not None else []
         doubtful = list(dict.fromkeys([*in_hand, *planned.doubtful]))
-        steps = [*_sensed_first(compiled, candidate, doubtful), *nominal]
+        others = _lost_arms(script, candidate)
+        steps = [*_sensed_first(compiled, candidate, doubtful, others), *nominal]
     except expressions.ExpressionError as error:
         return Refusal(reason=RefusalReason.PROGRAM, message=f"{script.script}: {error}", where=script.script)
     looking = [*steps, *(step for entry in entries for step in entry.steps)]
@@ -270,8 +271,10 @@ def _script(
         steps=steps,
         trims=entries,
         bindings=planned.bindings,
-        resources=list(dict.fromkeys([*_names(script.resources, candidate, held), *cameras])),
-        writes=list(dict.fromkeys([*_names(script.writes, candidate, held), *_with_seats(candidate, doubtful)])),
+        resources=list(dict.fromkeys([*_names(script.resources, candidate, held), *others, *cameras])),
+        writes=list(
+            dict.fromkeys([*_names(script.writes, candidate, held), *others, *_with_seats(candidate, doubtful)])
+        ),
         reads=[key.rpartition(".")[0] for key in planned.relies_on],
         notes=[*notes, *(f"{option.name}: {note}" for note in planned.notes), *left_out],
     )
@@ -363,19 +366,42 @@ def _step(step: ScriptStep, candidate: TaskCandidate, entries: list[Trim], nomin
     )
 
 
-def _sensed_first(compiled: Compiled, candidate: TaskCandidate, doubtful: list[str]) -> list[Step]:
-    """Steps that sense untrusted facts of the arm, and what the plan relies on; they precede the steps of the script.
-    `doubtful`: bodies that a camera can see."""
+def _lost_arms(script: ScriptFile, candidate: TaskCandidate) -> list[str]:
+    """The other arms whose joints are not trusted, with what they hold: a motion cannot be planned beside them."""
+    query = candidate.query
+    if candidate.hand is None or not any(step.do == "move" for step in script.steps):
+        return []
+    moving = {arm for primitive in query.moving for arm in primitive.paths}
+    others = [arm.name for arm in query.cell.arms if arm.name not in {candidate.arm.name, *moving}]
+    lost = [arm for arm in others if not query.trusts(f"{arm}.joints")]
+    return [name for arm in lost for name in (arm, query.holding(arm)) if name]
+
+
+def _sensed_first(compiled: Compiled, candidate: TaskCandidate, doubtful: list[str], others: list[str]) -> list[Step]:
+    """Steps that sense untrusted facts of the arms, and what the plan relies on; they precede the steps of the script.
+    `doubtful`: bodies that a camera can see. `others`: names of `_lost_arms`."""
     if candidate.hand is None:
         return []
     senses, pieces, trusts = compiled.program.senses, compiled.pieces, candidate.query.trusts
     of_arm = [name for name in senses if name not in (FRAME, GRASP)]
-    unknown = [name for name in of_arm if not trusts(f"{candidate.arm.name}.{name}")]
-    steps = [_step(step, candidate, [], nominal=False) for name in unknown for step in pieces[senses[name]].steps]
+    steps = []
+    for arm in (candidate.arm, *(arm for arm in candidate.query.cell.arms if arm.name in others)):
+        unknown = [name for name in of_arm if not trusts(f"{arm.name}.{name}")]
+        of_it = replace(candidate, hand=arm)
+        steps += [
+            _performed_by(arm.name, candidate, _step(step, of_it, [], nominal=False))
+            for name in unknown
+            for step in pieces[senses[name]].steps
+        ]
     for body in doubtful:
         piece = pieces[senses[GRASP if candidate.query.held_by(body) else FRAME]]
         steps += [_step(step, candidate, [], nominal=False, body=body) for step in piece.steps]
     return steps
+
+
+def _performed_by(arm: str, candidate: TaskCandidate, step: Step) -> Step:
+    """The step, with the arm that performs it if it is not that of the command."""
+    return step if arm == candidate.arm.name else msgspec.structs.replace(step, args={**step.args, "arm": arm})
 
 
 MOST_ENTRIES = 100  # maximum size of a trimming stack; trims of the sentence (AND TRY) have higher numbers

@@ -562,6 +562,27 @@ def test_an_arm_that_may_be_elsewhere_first_reads_where_it_stands(either):
     assert script_of(either, "STOW LEFT-ARM").steps[0].label == "stow LEFT-ARM"
 
 
+def test_the_joints_of_another_arm_that_was_lost_are_read_before_a_motion_beside_it(either):
+    """Its controller was lost in a motion: it stands elsewhere than where the world has it."""
+    joints = either.world.value("LEFT-ARM.joints")
+    either.set_fact("LEFT-ARM.joints", [joints[0] + 0.3, *joints[1:]], Validity.SUSPECT)
+
+    run = either.do("STOW RIGHT-ARM")
+
+    assert run.succeeded
+    assert run.labels == ["read the joints of LEFT-ARM", "stow RIGHT-ARM"]
+    assert either.world.value("LEFT-ARM.joints") == pytest.approx(joints, abs=1e-3)
+    assert "LEFT-ARM" in run.script.resources
+
+
+def test_a_command_that_moves_no_arm_reads_no_joints_of_another(bench):
+    bench.set_fact("LEFT-ARM.joints", bench.world.value("LEFT-ARM.joints"), Validity.SUSPECT)
+
+    script = bench.elaborate("OPEN RIGHT-END-EFF")
+
+    assert "LEFT-ARM" not in script.resources
+
+
 def test_a_program_that_senses_by_a_piece_there_is_not_does_not_check(bench):
     with pytest.raises(ProgramError, match=r"\$\.senses\.joints: no piece crystal-ball; there are "):
         bench.load("elaborator", "senses: {joints: crystal-ball}")
