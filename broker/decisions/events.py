@@ -14,7 +14,7 @@ from rtc.protocol.outcomes import Refusal
 
 
 class Stimulus(StrEnum):
-    """What an event means to one command: a column of the transition table (`broker.decisions.transitions`)."""
+    """What an event means to one command: a column of the transition table (`broker.decisions.command.table`)."""
 
     PRODUCT = "product"  # the worker returned the product of the job
     REFUSAL = "refusal"  # the worker refused the job
