@@ -3,11 +3,11 @@
     python -m benchmarks.grasp [--runs 200] [--clusters 2] [--minutes 60] [--touch] [--short]
 
 Each cluster makes two runs at a time, one with each arm. The modules are displaced with their seats, unknown to the
-cluster: along one axis by up to 31 mm to either side, by up to 4 deg of yaw, or along all axes at once (each up to
-25 mm) with up to 4 deg of yaw. `--touch`: without cameras. Every second cluster has loads of 1.5 times the mass and
-pads with half the friction. A run grasps and lifts the module, and puts it back; every third run of the right arm
-carries it to BAY-2. `--short`: the grasp alone. `--minutes`: no cluster is started after that time. After a failure the
-advised sentences are submitted, with the true position; then the arm must stow.
+cluster. They move along one axis by up to 31 mm to either side, or by up to 4 deg of yaw. Or they move along all axes
+at once (each up to 25 mm) with up to 4 deg of yaw. `--touch`: without cameras. Every second cluster has loads of 1.5
+times the mass and pads with half the friction. A run grasps and lifts the module, and puts it back; every third run of
+the right arm carries it to BAY-2. `--short`: the grasp alone. `--minutes`: no cluster is started after that time. After
+a failure the advised sentences are submitted, with the true position; then the arm must stow.
 
     within_25_mm_rate     share of grasps in runs with x, y, z within 25 mm and yaw within 4 deg
     within_straddle_rate  the same, with x, y, z within 14 mm

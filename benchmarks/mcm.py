@@ -1,11 +1,11 @@
 """Does the simulated MCM keep 1 kHz beside busy workers, and how much faster than real time can it run?
 
 The MCM process is the real one; one socket stands for the broker. A tick is late if it begins more than a period (1 ms)
-after it was due, at `--speed 1`, while one busy process per core runs at the workers' niceness. The real-time factor is
-the simulated seconds per second at `--speed max`, with both arms moving, and with one of them gripping. The limit of
-both is the speed of the physics library's step alone, measured in the same run and in the same motion, and for
-comparison also with both arms at rest. Ratios to that limit are of processor times of the main thread, so that other
-work on the machine has no part in them.
+after it was due. It is measured at `--speed 1`, while one busy process per core runs at the workers' niceness. The
+real-time factor is the simulated seconds per second at `--speed max`, with both arms moving, and with one of them
+gripping. The limit of both is the speed of the physics library's step alone, in the same run and motion. For comparison
+it is also measured with both arms at rest. Ratios to that limit are of processor times of the main thread, so that
+other work on the machine has no part in them.
 
     python -m benchmarks.mcm [--seconds 20] [--mcm bullet|kinematic]
 """

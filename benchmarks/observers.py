@@ -3,12 +3,12 @@
     python -m benchmarks.observers [--rounds 4] [--seconds 2] [--halts 10]
 
 Each round measures the same twice, without and with `rtc record` and `rtc observe` (metrics and traces; the collector
-of the traces is absent); every other round begins with the observers. Each round gives a ratio, so that a slow minute
-of the machine is in both of its parts. A difference is within the noise if the rounds do not agree on its sign, or if
-it is smaller than the spread of the rounds without observers. Takes about three minutes. Throughput is that of
+of the traces is absent). Every other round begins with the observers. Each round gives a ratio, so that a slow minute
+of the machine is in both of its parts. A difference is within the noise if the rounds do not agree on its sign. So is
+one that is smaller than the spread of the rounds without observers. Takes about three minutes. Throughput is that of
 trivial commands and of real sentences as far as bound, as in `benchmarks.throughput`; the halts are those of
-`benchmarks.halt`, idle. On few cores the observers take processor time from a cluster that could use all of it; so
-the broker's own time per command is shown too.
+`benchmarks.halt`, idle. On few cores the observers take processor time from a cluster that could use all of it. So the
+broker's own time per command is shown too.
 """
 
 from __future__ import annotations

@@ -8,9 +8,9 @@ Goals are random free poses of each arm, half of them near a seat, half of them 
 starts at the goal before, or where a halt left the arm. Times are processor time of one process, so that other
 processes do not count; wall time is stated beside them. Each path found is tested again with a step of a third.
 
-Peers, on evenly drawn queries of the same run: the direct ways alone (lines and detours, without sampling), and OMPL's
-RRT-Connect with pybullet as its collision checker (`pip install -e ".[bench]"`; left out if missing). What can be
-reached is what our planner finds, or OMPL over our own checks finds in 5 s.
+Peers get evenly drawn queries of the same run. They are the direct ways alone (lines and detours, without sampling),
+and OMPL's RRT-Connect with pybullet as its collision checker (`pip install -e ".[bench]"`; left out if missing). What
+can be reached is what our planner finds, or OMPL over our own checks finds in 5 s.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     python -m benchmarks.recovery [--kills 100]
     python -m benchmarks.recovery --namespaces [--delay-ms 0]      # needs root
 
-A real cluster (exact arms in real time, two workers of each kind) runs short commands on both arms all the time, and a
+A real cluster (exact arms in real time, two workers of each kind) runs short commands on both arms all the time. A
 client sends invalid sentences. One process after the other is killed with SIGKILL at a random moment. Measured is:
 
     worker   that has a job: until the job runs on another worker
@@ -11,7 +11,7 @@ client sends invalid sentences. One process after the other is killed with SIGKI
     world    until a read of the world is answered
     mcm      until the broker is connected to the new one and knows that it is at rest
 
-With --namespaces the killed workers are on another host, in a network namespace behind a link with this delay; the
+With --namespaces the killed workers are on another host, in a network namespace behind a link with this delay. The
 cluster has elaborators and binders only there. A worker there has no supervisor: its closed connection is the sign.
 
 Then all reported outcomes are compared with the journal and the MCM's log (`benchmarks.load.verdict`).

@@ -1,8 +1,8 @@
 """Other work on the cores, as in a cluster: `python -m benchmarks.hypercube.neighbour`, until it is ended.
 
 A core that sleeps between two messages is slow to wake up, and a process that is alone finds its data in the caches.
-Neither is so in a cluster. So `--measure` runs one neighbour per core. Each is busy for half of the time, or always:
-a saturated broker works while the workers keep all other cores busy, which often share caches and units with its own.
+Neither is so in a cluster. So `--measure` runs one neighbour per core. Each is busy for half of the time, or always. A
+saturated broker works while the workers keep all other cores busy. These often share caches and units with its own.
 """
 
 from __future__ import annotations

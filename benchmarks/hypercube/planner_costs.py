@@ -1,9 +1,9 @@
 """Times the real parser, elaborator and binder alone, one process each, in the conditions of a cell with two arms.
 
-A binder needs more time beside a motion of the other arm, and more if the way of the elaborator cannot be used because
-the other arm did something else then. Each worker always has one job ahead, as with a busy broker. A job's cost is
-processor time: of the worker, and of the world database for it. The model (`benchmarks.hypercube.model`) finds out how
-often each condition occurs.
+A binder needs more time beside a motion of the other arm. It needs still more if it cannot use the way of the
+elaborator, because the other arm did something else then. Each worker always has one job ahead, as with a busy broker.
+A job's cost is processor time: of the worker, and of the world database for it. The model
+(`benchmarks.hypercube.model`) finds out how often each condition occurs.
 """
 
 from __future__ import annotations

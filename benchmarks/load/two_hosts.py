@@ -5,7 +5,7 @@
             ...a process that is started here listens at hosts.address...
         hosts.cut()
 
-The link is a pair of tun devices; the process of this module passes packets from one to the other, so TCP runs from end
+The link is a pair of tun devices. The process of this module passes packets from one to the other, so TCP runs from end
 to end. Namespaces have no names: they and the link disappear with the processes that use them.
 """
 
@@ -105,8 +105,8 @@ class TwoHosts:
     def kill(self, name: str) -> float:
         """Kill a worker of the far host; returns the time (CLOCK_MONOTONIC).
 
-        Its threads get real-time priority for their end, if permitted: another host has cores of its own, and here a
-        dying process would wait for one before the kernel closes its connections.
+        Its threads get real-time priority for their end, if permitted. Another host has cores of its own; here a dying
+        process would wait for one before the kernel closes its connections.
         """
         pid = self.workers.pop(name)
         with contextlib.suppress(OSError):

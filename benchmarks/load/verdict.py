@@ -1,7 +1,7 @@
 """Check that each command ran once and that its reported outcome is true, by the journal and the MCM's log.
 
-The outcomes that clients received are compared with three independent records: the broker's journal (all its events),
-the MCM's log (all primitives that it started, over all its processes), and the list of killed processes.
+The outcomes that clients received are compared with three independent records. These are the broker's journal (all its
+events), the MCM's log (all primitives that its processes started), and the list of killed processes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Peer of `benchmarks.planning`: the direct ways alone, as before the sampling planner.
 
-A line in joint space, a straight line of the hand, and up to 24 splines with the hand raised or drawn back, first with
-the clearance of freely chosen ways and then without.
+A line in joint space, a straight line of the hand, and up to 24 splines with the hand raised or drawn back. All are
+tried with the clearance of freely chosen ways, then without.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ sentence (GRASP). One command, MOVE BOTH-ARMS, lifts the module by 0.5 m: the ri
 the left arm complies (impedance). Halfway they are halted. Then the grasp is verified, a further command carries the
 module on from where it rests, and the right hand lets go of it (RELEASE). Decision Unit, workers and MCM run in one
 process. The module is not exactly where both hands expect it: up to 3 mm and 1 degree off in each axis. The force
-between the arms is half the difference of the two wrist forces in world axes: what accelerates the module and the hands
+between the arms is half the difference of the two wrist forces in world axes. What accelerates the module and the hands
 does not count. It includes what was there before the motion.
 
     python -m tests.campaigns.carry [--runs 20]

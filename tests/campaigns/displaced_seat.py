@@ -1,8 +1,8 @@
 """The scene and the report of two campaigns: a held module before a bay that is not where it is believed to be.
 
-The right arm of the simulated cell holds a module by friction alone. The bay is displaced by up to 2 mm along each
-axis and turned by up to 1 degree about each, without the knowledge of the arm. A run succeeds if the module then rests
-in the seat: within 4 mm and 0.05 rad of its seated place, where the catch holds it.
+The right arm of the simulated cell holds a module by friction alone. The bay is displaced by up to 2 mm along each axis
+and turned by up to 1 degree about each. The arm does not know it. A run succeeds if the module then rests in the seat.
+It must be within 4 mm and 0.05 rad of its seated place, where the catch holds it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Does a compliant arm open a door whose hinge is not where it is believed to be?
 
 The left arm of the cell `servicing` takes the bar of the door and opens it by 90 degrees, by two sentences. The
-satellite with its door and hinge is displaced by up to 5 mm along each axis and turned by up to 1 degree about each,
-without the knowledge of the arm. The friction of the hinge is 0.5 to 1.5 N.m. A run succeeds if the door stands within
-5 degrees of 90 and the wrist force never exceeded 15 N while it was opened.
+satellite with its door and hinge is displaced by up to 5 mm along each axis and turned by up to 1 degree about each.
+The arm does not know it. The friction of the hinge is 0.5 to 1.5 N.m. A run succeeds if the door stands within 5
+degrees of 90 and the wrist force never exceeded 15 N while it was opened.
 
     python -m tests.campaigns.door [--runs 100]
 """

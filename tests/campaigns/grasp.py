@@ -3,7 +3,7 @@
 Sentence by sentence in one process, in physics, without a broker: `benchmarks.grasp` does the same with clusters. Half
 of the runs have 1.5 times the mass and half the friction. Every second run is of the left arm. A run succeeds if GRASP
 does, and both fingers then hold the module. After it no fact flagged valid may be off by more than 5 mm or 2 degrees,
-or by more than its spread, and the arm must rest. Without cameras (`--touch`) the hand finds the module by touch alone.
+or by more than its spread. The arm must rest. Without cameras (`--touch`) the hand finds the module by touch alone.
 
     python -m tests.campaigns.grasp [--runs 100] [--touch] [--seed 1]
 """

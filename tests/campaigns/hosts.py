@@ -4,8 +4,8 @@
 
 A real cluster (exact arms) in one network namespace, one worker of each kind in another, and a slow link. While
 commands run on both arms, the link is cut and later restored. An arm is halted once with the link cut and once with it
-up. At the end the link is cut for good and the workers behind it are killed. Measured is, per worker, the time from the
-cut until `rtc status` does not list it any more, and from the restoration until it is registered again. Then all
+up. At the end the link is cut for good and the workers behind it are killed. Two times are measured per worker: from
+the cut until `rtc status` does not list it any more, and from the restoration until it is registered again. Then all
 reported outcomes are compared with the journal and the MCM's log.
 """
 

@@ -1,8 +1,8 @@
 """Is there any order of events in which two commands break a rule of the Decision Unit, or never end?
 
 Explores all interleavings of small scenarios (tests/simulation/scenarios.py), with every way to place N faults. Faults
-are halts, dead workers, late and repeated answers, timeouts, a subsystem that dies or is silent and returns, and a
-broker killed at any point of a turn. On a violation it prints the shortest path to it and exits with status 1.
+are halts, dead workers, late and repeated answers, and timeouts. A subsystem dies, or is silent, and returns. The
+broker is killed at any point of a batch. On a violation it prints the shortest path to it and exits with status 1.
 
     python -m tests.campaigns.model_check [--depth N] [--seconds S] [--faults N] [--scenario WORDS]
 """

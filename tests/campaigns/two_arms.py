@@ -1,10 +1,10 @@
 """Do two arms with crossing motions, commanded separately at the same time, ever touch?
 
 Pairs of random motions of the two arms of the simulated cell, in physics. Each arm starts and ends at a random free
-posture before the bay, and somewhere the line of one arm in joint space meets that of the other. One after the other
-in at least one order, both motions are possible. Both commands are given at once.
-The whole cluster runs in one process: the real Decision Unit, workers and MCM. Contacts between the arms are looked for
-in every tick, whatever the commands report. Two motions overlap if both arms are on their paths in the same tick.
+posture before the bay. Somewhere the line of one arm in joint space meets that of the other. One after the other in at
+least one order, both motions are possible. Both commands are given at once. The whole cluster runs in one process: the
+real Decision Unit, workers and MCM. Contacts between the arms are looked for in every tick, whatever the commands
+report. Two motions overlap if both arms are on their paths in the same tick.
 
     python -m tests.campaigns.two_arms [--pairs 200]
 """

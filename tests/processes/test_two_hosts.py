@@ -1,6 +1,6 @@
 """Workers on another host, behind a slow link: they do the work, the link is cut, the host dies, and nothing is lost.
 
-Two network namespaces on this machine. The cluster starts without workers of its own: it starts one of a kind only when
+Two network namespaces on this machine. The cluster starts without workers of its own. It starts one of a kind only when
 a job waits and no worker of that kind is there. Needs root; about half a minute in all.
 """
 

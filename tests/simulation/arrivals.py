@@ -172,8 +172,9 @@ EVENTS: dict[str, Callable[..., events.Event]] = {
 
 
 def late(model: Model) -> Iterator[events.Event]:
-    """What may still arrive, or arrive once more, and must change nothing: answers of workers thought dead, answers
-    and repeated reports, requests repeated, a timer that was set anew. (A halt that is repeated is obeyed again.)"""
+    """Events that may still arrive, or arrive once more, and must change nothing. They are answers of workers thought
+    dead, repeated answers, reports and requests, and a timer that was set anew. (A halt that is repeated is obeyed
+    again.)"""
     now, body = model.now, wire.raw(go_on())
     old = [(f"{command}/1", 1) for command in model.outcomes]
     old += [(left.job.id, left.job.attempt - 1) for left in model.du.deferred_analyses.values()]

@@ -3,7 +3,7 @@
 The real `decide` runs on a real `State`. The model around it is adverse but within the rules. Workers answer, refuse or
 die. A subsystem executes, brakes, rests, dies, is silent and returns. Timers expire. A halt takes either of its two
 ways. The broker is killed before an event is journalled, or after that and before any one of its effects has left.
-Messages of the subsystem arrive in order, with any delay. Messages to it arrive with the turn: whether it acts before
+Messages of the subsystem arrive in order, with any delay. Messages to it arrive with the batch. Whether it acts before
 or after is a move of its own, so the Decision Unit sees every order. Times never matter: any timer may fire.
 
 `happen` carries out one move and checks the rules (`oracle`). `moves` lists the moves, `arrivals` has the events of

@@ -1,7 +1,7 @@
 """A simulated cluster that loses its journal or its world database, and in which a stranger wants to be the MCM.
 
-The broker's notice of a loss, the Decision Unit's answer to it, the doubt of the world database and the identity that
-bears a token are the real ones.
+These are the real ones: the broker's notice of a loss, the Decision Unit's answer to it, the doubt of the world
+database, and the identity that bears a token.
 """
 
 from __future__ import annotations

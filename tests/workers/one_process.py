@@ -1,7 +1,7 @@
 """Decision Unit, workers and MCM in one process and one time, without sockets: commands on several arms at once.
 
 The parts are the real ones. Time passes in ticks of the MCM. Each job takes some ticks, so the planners of two commands
-overlap: a product is computed from the world at the start of its job and delivered at its end.
+overlap. A product is computed from the world at the start of its job and delivered at its end.
 """
 
 from __future__ import annotations
