@@ -14,6 +14,7 @@ from rtc.protocol import primitive as p
 from rtc.protocol.outcomes import StopReason
 from rtc.robot import geometry
 from rtc.robot.kinematics import ArmModel
+from sim_mcm.arms.arm import TICK_S
 from sim_mcm.arms.bullet_arm import BulletCell
 from sim_mcm.control import profiles
 from sim_mcm.control.modes import Mode
@@ -181,6 +182,41 @@ def test_figure_4_feel_both_sides_centre_close_and_lift(world, bench, make, hand
     bench.perform(make.primitive(p.HandMotion(width_m=0.08, force_n=30.0), id="C-2.2"))
     assert world.held()[ARM] == []
     assert np.linalg.norm(world.truth()["velocities"][MODULE][:3]) < 0.005
+
+
+def test_pads_stay_on_the_bar_while_the_hand_turns(world, make, cell, model, handle) -> None:
+    """A contact point that keeps its old normal would hold a pad away from the bar as the hand turns. When pybullet
+    drops the point, the pad falls onto the bar, and the wrist feels up to 46 N."""
+    # Given a module in the right hand, in front of its rack
+    tcp = geometry.translate(handle, (0.0, 0.0, 0.15))
+    start = model.ik(tcp, near=cell.arm(ARM).home_rad)[0].tolist()
+    state = world.state()
+    point = cell.object(MODULE).grasp_point("HANDLE-A").frame.pose
+    state.poses[MODULE] = geometry.compose(tcp, geometry.inverse(point)).tolist()
+    state.arms[ARM].joints = start
+    world.restore(state)
+    bench = make.Bench(world)
+    bench.perform(make.primitive(p.HandMotion(width_m=0.0, force_n=45.0), id="C-1.1"))
+    assert world.held()[ARM] == [MODULE]
+
+    # When the hand turns by 70 degrees
+    arm, body = world.arms[ARM], world.world.objects[MODULE].id
+    turned = geometry.compose(tcp, geometry.from_rpy((0.0, 0.0, 0.0), (1.2, 0.0, 0.0)))
+    goal = model.ik(geometry.translate(turned, (-0.2, 0.3, 0.2)), near=start)[0].tolist()
+    gaps_m: list[float] = []
+
+    def watch() -> None:
+        if round(bench.now_s / TICK_S) % 50 == 0:
+            for finger in arm.fingers:
+                points = pybullet.getClosestPoints(arm.body, body, 0.01, finger, physicsClientId=world.world.client)
+                gaps_m.append(min(point[8] for point in points))
+
+    report = bench.perform(make.primitive(make.joint_path(start, goal, 2.5), id="C-1.2"), watch=watch)
+
+    # Then the pads touch the bar all the time, and the wrist feels nothing but inertia
+    assert report.reason is StopReason.GOAL, report.message
+    assert max(gaps_m) < 5e-5
+    assert report.peak_force_n < 12.0
 
 
 def test_a_stop_at_full_speed_does_not_saturate_the_motors(world, bench, make, cell, model) -> None:

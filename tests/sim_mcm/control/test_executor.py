@@ -126,6 +126,20 @@ def _feel(make, reflex: Reflex = Reflex.STOP, back_off_m: float = 0.0) -> p.Stop
     return make.stop(StopReason.CONTACT, p.ForceAbove(limit_n=5.0), reflex, back_off_m)
 
 
+@pytest.mark.parametrize("quiet_ticks", [1, 500], ids=["at the start", "in the middle"])
+def test_a_force_of_one_tick_ends_the_primitive_and_the_report_has_its_value(rig, make, quiet_ticks) -> None:
+    """A rigid body is often felt for one tick alone."""
+    rig.accept(rig.swing(make.stop(StopReason.FORCE_LIMIT, p.ForceAbove(limit_n=30.0))))
+    rig.tick(quiet_ticks)
+    rig.arm.wrench = [0.0, 0.0, -30.5, 0.0, 0.0, 0.0]
+    rig.tick(1)
+    rig.arm.wrench = [0.0] * 6
+    report = rig.until_end()
+    assert report.reason is StopReason.FORCE_LIMIT
+    assert (report.measured, report.limit) == (pytest.approx(30.5), 30.0)
+    assert report.peak_force_n == pytest.approx(30.5)
+
+
 def _speed(rig) -> float:
     return abs(rig.arm.commands[-1][1][0])
 
