@@ -286,6 +286,25 @@ def test_an_end_without_the_second_arm_leaves_its_position_in_doubt(holding):
     assert changes[f"{RIGHT}.joints"].validity is Validity.VALID
 
 
+def test_the_joints_of_both_arms_are_read_after_a_loss(holding):
+    for arm in (RIGHT, LEFT):
+        holding.set_fact(f"{arm}.joints", holding.world.value(f"{arm}.joints"), Validity.SUSPECT)
+    run = holding.do(UP.replace("40", "10"))
+    assert run.succeeded, run
+    assert [label for label in run.labels if label.startswith("read")] == [
+        f"read the joints of {RIGHT}",
+        f"read the joints of {LEFT}",
+    ]
+
+
+def test_a_step_that_moves_one_arm_leaves_the_joints_of_the_second_trusted(holding):
+    holding.set_fact(f"{RIGHT}.joints", holding.world.value(f"{RIGHT}.joints"), Validity.SUSPECT)
+    script = holding.elaborate(UP)
+    made = holding.bind(script, script.steps[0])
+    report = holding.subsystem.perform(made.primitive, made)
+    assert f"{LEFT}.joints" not in {change.key for change in holding.analyze(made, report).changes}
+
+
 @pytest.mark.physics
 def test_a_second_hand_takes_a_module_which_is_carried_halted_carried_on_and_let_go_in_physics():
     carrier = Carrier()

@@ -39,6 +39,7 @@ UNITS = {StopReason.FORCE_LIMIT: "N", StopReason.CONTACT: "N", StopReason.TORQUE
 CLOSING = ("taken", "pinched")  # effects of steps that close the hand on the object
 SEEN = "sighted"  # effect of steps that look
 BLOCKED = "look what is in the way"  # advice for an arm that pressed until its time ended
+BOTH = "move_both"  # space of the steps that move both arms
 THIN_M = 0.002  # fingers closer together than this hold nothing
 
 #: figures that the program must define
@@ -301,7 +302,9 @@ def _arm_changes(report: EndReport, query: WorldQuery, arm: str) -> Changes:
 def _partner_changes(query: WorldQuery, data: AnalyzerInput) -> Changes:
     """The same for the second arm of a primitive; unchanged if nothing was started."""
     partner, report = data.evaluation.context.partner, data.report
-    if not partner or (report.partner is None and report.reason in (StopReason.REFUSED, StopReason.BLOCKED)):
+    if not partner or data.evaluation.step.space != BOTH:
+        return []  # only one arm moves in this step, or a camera looks
+    if report.partner is None and report.reason in (StopReason.REFUSED, StopReason.BLOCKED):
         return []
     return _arm_changes(report.partner or msgspec.structs.replace(report, joints=[]), query, partner)
 

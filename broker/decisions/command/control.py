@@ -47,7 +47,7 @@ def control(context: DecisionContext, command: Command, head: ParsedHead) -> Non
         targets = [name for name, (will, _) in answers.items() if will]
         words = "; ".join(f"{name} {what}" for name, (_, what) in answers.items()) or words
         if not targets:
-            clears = _instead(context, scope, list(answers)) if stimulus is Stimulus.PAUSE else ""
+            clears = _instead(context, scope, list(answers)) if stimulus is Stimulus.PAUSE else RESUME_ADVICE
             refuse(context, command, Refusal(reason=RefusalReason.STATE, message=words, clears=clears))
             return
     ending = PendingOutcome(kind=OutcomeKind.ABORTED, message=f"aborted by {command.id}")
@@ -118,10 +118,13 @@ def _instead(context: DecisionContext, scope: str, targets: list[str]) -> str:
 
 
 def _will_resume(context: DecisionContext, command: Command) -> Answer:
+    if command.phase in (Phase.HALTING, Phase.CLOSING):
+        return False, "is ending"
     going = command.phase is not Phase.PAUSED and not command.pause_wanted
     return (False, "was not paused") if going else (True, "goes on")
 
 
+RESUME_ADVICE = "RESUME a command that is paused: rtc status lists the commands in progress"
 PAUSE_ANSWERS = {Stimulus.PAUSE: _will_pause, Stimulus.RESUME: _will_resume}
 
 

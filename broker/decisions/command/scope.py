@@ -48,4 +48,5 @@ def no_target(context: DecisionContext, scope: str, asker: str = "") -> Refusal:
     live = [command for command in context.state.commands if command != asker]
     known = [*(p for s in context.state.subsystems.values() for p in s.performers), *live]
     message = f"no live command or performer is named {scope}"
-    return Refusal(reason=RefusalReason.NAME, message=message, expected=["ALL", *known[:20]])
+    clears = "name ALL, an arm or a command in progress: rtc status lists them"
+    return Refusal(reason=RefusalReason.NAME, message=message, expected=["ALL", *known[:20]], clears=clears)

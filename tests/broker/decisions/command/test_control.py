@@ -151,6 +151,17 @@ def test_a_motion_that_pauses_can_be_halted():
     assert s.answers("C-1", go_on())[-1] == "end C-1 halted"
 
 
+def test_a_command_that_is_being_halted_is_not_resumed():
+    """It would be accepted and without effect."""
+    s = moving()
+    s.parsed(kind="control", verb="PAUSE", object="C-1")
+    s.halts()
+    resume = s.parsed(kind="control", verb="RESUME", object="C-1")
+    assert s.outcome(resume).kind is OutcomeKind.REFUSED
+    assert "is ending" in s.outcome(resume).message
+    assert s.outcome(resume).refusal.clears
+
+
 def test_a_paused_command_can_be_halted():
     s = Harness()
     s.executing(script(steps=2))
