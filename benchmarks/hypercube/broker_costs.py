@@ -213,7 +213,7 @@ class BrokerBench:
     def snapshot_s(self) -> float:
         """Processor time (s) of a snapshot of the state."""
         began_s = time.thread_time()
-        self.journal.snapshot(self.router.state)
+        self.journal.snapshot(self.router.core.state)
         return time.thread_time() - began_s
 
     def answer(self, out: Sent, stage: str, took_s: float) -> tuple[int, int]:

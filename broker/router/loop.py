@@ -62,10 +62,6 @@ class Router:
         self._iteration_s = self.core.began_s  # start of the latest iteration
         self._checks = Every(CHECK_S)
 
-    @property
-    def state(self) -> State:
-        return self.core.state
-
     def enqueue(self, event: Event) -> None:
         """Add an event that does not come from a socket."""
         self.core.enqueue(event)
