@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
+import multiprocessing
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -163,19 +164,33 @@ def cases(seed: int) -> Iterator[Case]:
             yield Case(verb, bay, arm, handle, seed * 100_000 + 16 * n + m)
 
 
+_hands: dict[tuple[str, str], Hand] = {}  # of a process, by arm and handle
+
+
+def _run(case: Case) -> Run:
+    key = case.arm, case.handle
+    if key not in _hands:
+        _hands[key] = Hand(*key)
+    return _hands[key].run(case)
+
+
+def _shared(asked: list[Case], processes: int) -> Iterator[Run]:
+    """The runs in their order."""
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        yield from pool.imap(_run, asked)
+
+
 def main() -> None:
     words = numbered_runs.arguments(__doc__, runs=64)
     words.add_argument("--seed", type=int, default=SEED, help="of other postures, without results file")
+    words.add_argument("--processes", type=int, default=1, help="share the runs; each has scenes of its own")
     given = words.parse_args()
     question("from_anywhere", "do PLACE and INSERT seat a module from wherever the arm is?", seed=given.seed)
-    hands: dict[tuple[str, str], Hand] = {}
     found: list[Run] = []
-    for n, case in numbered_runs.chosen(given, cases(given.seed)):
-        key = case.arm, case.handle
-        hand = hands.get(key) or hands.setdefault(key, Hand(*key))
-        run = hand.run(case)
+    wanted = list(numbered_runs.chosen(given, cases(given.seed)))
+    for (n, case), run in zip(wanted, _shared([case for _, case in wanted], given.processes), strict=True):
         found.append(run)
-        where = BAY if case.bay else hand.rack
+        where = BAY if case.bay else RACKS[case.arm][1]
         end = (
             "seated" if run.seated else f"NOT seated, off {1e3 * run.off_m:.1f} mm, {math.degrees(run.off_rad):.1f} deg"
         )
