@@ -6,6 +6,7 @@ import pytest
 
 from rtc.protocol.messages import Validity
 from rtc.protocol.outcomes import RefusalReason, StopReason
+from rtc.robot import geometry
 
 GRASP = "GRASP RIGHT-END-EFF MACS-NEW HANDLE-A"
 SAME_PLACE = "SET MACS-NEW FRAME 80 -80 60 CM"
@@ -44,6 +45,30 @@ def test_out_of_a_handle_that_is_known_within_millimetres_straight_back_first(in
     assert refusal.clears.startswith("RETRACT RIGHT-ARM first")
     for sentence in ("RETRACT RIGHT-ARM", "STOW RIGHT-ARM"):
         assert in_the_handle.do(sentence).succeeded
+
+
+@pytest.mark.physics
+def test_on_physics_out_of_a_handle_that_is_not_where_it_is_believed_to_be(physical):
+    """A GRASP is halted while the fingers are around a handle that may be 35 mm off, and is 20 mm off."""
+    physical.unsurveyed()
+    physical.without_cameras()
+    physical.subsystem.displace("MACS-NEW", [0.0, 0.020, 0.0])
+    script = physical.elaborate(GRASP)
+    straddle = next(n for n, step in enumerate(script.steps) if step.label.startswith("straddle"))
+    for n, step in enumerate(script.steps[: straddle + 1], 1):
+        bound = physical.bind(script, step, n=n)
+        if bound.primitive is not None:
+            made = physical.analyze(bound, physical.subsystem.perform(bound.primitive, bound))
+            physical.world = physical.world.overlay(made.changes)
+    before = physical.subsystem.sim.truth()["poses"]["MACS-NEW"]
+
+    refused = physical.do("STOW RIGHT-ARM")
+    assert not refused.primitives
+    for sentence in (refused.refusal.clears.partition(" first")[0], "STOW RIGHT-ARM"):
+        run = physical.do(sentence)
+        assert run.succeeded, (sentence, run.refusal, run.assessments)
+        assert run.reports[-1].peak_force_n < 3.0
+    assert geometry.distance(physical.subsystem.sim.truth()["poses"]["MACS-NEW"], before) < 1e-4
 
 
 def test_deeper_into_a_handle_stays_refused(in_the_handle):

@@ -67,3 +67,24 @@ def test_what_was_located_is_grasped_without_a_trim(physical) -> None:
     assert run.script.context.script == "grasp-centering"
     assert run.trims == []
     assert physical.subsystem.sim.held()["LEFT-ARM"] == [OTHER]
+
+
+def test_a_module_moved_from_outside_is_met_then_doubted_then_looked_for(physical) -> None:
+    """A fact does not age: what nobody has seen or touched since is believed. The touch ends the motion safely, and a
+    camera looks before the next step that needs the module."""
+    assert physical.do(f"LOCATE {OTHER}").succeeded
+    physical.subsystem.displace(OTHER, [-0.05, -0.10, 0.0])
+    assert physical.world.get(f"{OTHER}.frame").validity is Validity.VALID
+
+    run = physical.do("MOVE LEFT-ARM BY 40 CM ALONG DOWN MAINTAIN SPEED 5 CM/S")
+    assert run.failure.reason in (StopReason.COLLISION, StopReason.FORCE_LIMIT)
+    assert "in the way" in run.failure.message + run.failure.clears
+    assert physical.world.get(f"{OTHER}.frame").validity is Validity.SUSPECT
+    assert physical.subsystem.executors["LEFT-ARM"].at_rest
+
+    for sentence in ("RETRACT LEFT-ARM BY 10 CM", "GRASP LEFT-END-EFF MACS-OLD HANDLE-B"):
+        run = physical.do(sentence)
+        assert run.succeeded, (sentence, run.refusal, [a.message for a in run.assessments])
+    assert run.labels[0].startswith(f"look for {OTHER}")
+    assert physical.subsystem.sim.held()["LEFT-ARM"] == [OTHER]
+    assert_known(physical, OTHER)
