@@ -70,8 +70,10 @@ def test_what_was_located_is_grasped_without_a_trim(physical) -> None:
 
 
 def test_a_module_moved_from_outside_is_met_then_doubted_then_looked_for(physical) -> None:
-    """A fact does not age: it is believed until a camera or a touch contradicts it. The touch ends the motion safely, and a
-    camera looks before the next step that needs the module."""
+    """A fact does not age: it is believed until a camera or a touch contradicts it.
+
+    The touch ends the motion safely, and a camera looks before the next step that needs the module.
+    """
     assert physical.do(f"LOCATE {OTHER}").succeeded
     physical.subsystem.displace(OTHER, [-0.05, -0.10, 0.0])
     assert physical.world.get(f"{OTHER}.frame").validity is Validity.VALID
