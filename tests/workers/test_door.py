@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from rtc.cells.cell import Cell
-from rtc.protocol.outcomes import RefusalReason, StopReason
+from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import TurnAbove
 from rtc.robot import geometry, hinges
 from tests.workers.conftest import Bench, Physical, Reporter
@@ -254,6 +254,8 @@ def test_the_door_opens_by_90_degrees_with_a_small_force(physical) -> None:
     assert math.degrees(world.angle(DOOR)) == pytest.approx(90.0, abs=2.0)
     assert angle_deg(physical) == pytest.approx(math.degrees(world.angle(DOOR)), abs=0.5)
     assert max(report.peak_force_n for report in run.reports) <= MOST_N
+    release = physical.elaborate(f"RELEASE {DOOR}")
+    assert not isinstance(release, Refusal), release  # the wrist is near the elbow's dead zone
 
     def halt_in_motion(tick: int) -> None:
         if tick == 800:
