@@ -33,7 +33,7 @@ from rtc.protocol.primitive import (
 from rtc.protocol.primitive_id import command_of, seed_of
 from rtc.world.model import World
 from workers.binder import compliance, impact, look, replan, stop_conditions, targets, together
-from workers.binder.bind_task import BindTask, refused_program
+from workers.binder.bind_task import BindTask, refuse_if_endless, refused_program
 from workers.binder.stop_conditions import Values
 from workers.planning import advice, certainty, in_seat, segments, suggestions
 from workers.planning.motion import beside
@@ -285,6 +285,8 @@ def primitive(
         if evaluation.predicted_s > left_s:
             return _refuse_time(task, evaluation.predicted_s, left_s)
         limit_s = min(limit_s, left_s)
+    if (endless := refuse_if_endless(limit_s)) is not None:
+        return endless
     values = {**values, "time_limit_s": limit_s}
     rows = [*stop_class.stops, *(task.program.holding if moves and evaluation.held else [])]
     stops: list[StopFunction] = stop_conditions.stop_functions(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from rtc.programs.schema import BinderProgram, StopClass
 from rtc.protocol.messages import BinderInput
 from rtc.protocol.outcomes import Refusal, RefusalReason
+from rtc.protocol.primitive import LONGEST_S
 from workers.planning.world_query import WorldQuery
 
 
@@ -30,3 +31,15 @@ class BindTask:
 
 def refused_program(message: str, clears: str) -> Refusal:
     return Refusal(reason=RefusalReason.PROGRAM, message=message, clears=clears)
+
+
+def refuse_if_endless(limit_s: float) -> Refusal | None:
+    """Refuse a step whose time limit (s) no primitive can have: a speed near zero, or a time of years."""
+    if limit_s <= LONGEST_S:
+        return None
+    return Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message=f"this step would need a time limit of {limit_s:.3g} s; {LONGEST_S:g} s is the longest possible",
+        clears="more speed or a greater force, if the sentence limits them; a shorter way or time",
+        detail={"cause": "time", "limit_s": LONGEST_S, "value_s": limit_s},
+    )

@@ -10,6 +10,7 @@ from rtc.protocol.messages import BinderInput, BoundStep, EvaluationContext, Ste
 from rtc.protocol.outcomes import Refusal, RefusalReason
 from rtc.protocol.primitive import Look, Primitive, Reporting, TagGeometry
 from workers.binder import stop_conditions
+from workers.binder.bind_task import refuse_if_endless
 from workers.binder.stop_conditions import Values
 from workers.planning import sight, suggestions
 from workers.planning.world_query import WorldQuery
@@ -53,6 +54,8 @@ def bind(query: WorldQuery, data: BinderInput, stop_class: StopClass, values: Va
         every_s=values["every_s"],
         cameras=cameras[1:],
     )
+    if (endless := refuse_if_endless(limit_s)) is not None:
+        return endless
     every_s = args.get("report_every_s")
     made = Primitive(
         id=data.primitive_id,

@@ -534,3 +534,23 @@ def test_a_way_is_not_used_once_a_module_stands_in_it(bench):
     refusal = bench.bind(script, script.steps[0])
     assert isinstance(refusal, Refusal)
     assert "MACS-NEW" in refusal.message
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "MOVE RIGHT-ARM TO BAY-2-FRONT MAINTAIN SPEED 0.0001 MM/S",
+        "HOLD RIGHT-ARM FOR 1000000000 SEC",
+        "TRACK SATELLITE FOR 1000000000 SEC",
+    ],
+)
+def test_a_step_that_would_last_for_weeks_is_refused(bench, sentence):
+    """No primitive can have its time limit; the job must not fail in its worker."""
+    script = bench.elaborate(sentence)
+
+    refusal = bench.bind(script, script.steps[0])
+
+    assert isinstance(refusal, Refusal)
+    assert refusal.reason is RefusalReason.INFEASIBLE
+    assert "time limit" in refusal.message
+    assert refusal.clears
