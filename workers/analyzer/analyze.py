@@ -196,8 +196,8 @@ def _failure(
     if failure.misplaced:
         changes = _misplaced(program, query, changes)
     asked = reflexes.find_requested(evaluation.context.reflexes, data.report)
-    message = failure.message.replace("{short}", _short(program, data))
-    words = _words(message, data, reason) if asked is None else _stopped_as_requested(asked, data)
+    short = _short(program, data)
+    words = _words(failure.message, data, reason, short) if asked is None else _stopped_as_requested(asked, data)
     if done := reflexes.describe_action(data.report):
         words = f"{words}; {done}"
     if reason is StopReason.OUT_OF_RANGE and _seen_as_believed(query, data):
@@ -215,7 +215,7 @@ def _failure(
         message=f"{evaluation.step.label}: {words}",
         trim=trim,
         changes=changes,
-        clears=_words("; ".join(word for word in todo if word), data, reason),
+        clears=_words("; ".join(word for word in todo if word), data, reason, short),
     )
 
 
@@ -488,7 +488,7 @@ def _jam(report: EndReport) -> str:
     return f"{value:.3g} {UNITS.get(report.reason, '')} where {limit:.3g} is the limit"
 
 
-def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:
+def _words(message: str, data: AnalyzerInput, reason: StopReason, short: str = "") -> str:
     evaluation, report = data.evaluation, data.report
     least, most = evaluation.width_m or (0.0, 0.0)
     figures = {
@@ -508,6 +508,7 @@ def _words(message: str, data: AnalyzerInput, reason: StopReason) -> str:
         "off": f"{_off_m(data) * 1000:.1f}",
         "turned": f"{math.degrees(_turned_rad(data)):.1f}",
         "jam": _jam(report),
+        "short": short,
     }
     for name, text in figures.items():
         message = message.replace("{" + name + "}", text)
