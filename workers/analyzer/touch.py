@@ -13,7 +13,7 @@ import numpy as np
 from rtc.protocol.messages import AnalyzerInput
 from rtc.robot import geometry
 from rtc.robot.geometry import Array
-from rtc.world.spread import even, widened
+from rtc.world.spread import EXACT, Spread, even, widened
 from workers.planning import pose_spread
 from workers.planning.world_query import WorldQuery
 
@@ -26,6 +26,7 @@ ASKEW_RAD = 0.012  # uncertainty of a bar's tilt derived from the hand width
 STRAIGHT_RAD = 0.005  # the sign of a smaller tilt cannot be measured
 TWIST = 0.25  # minimum fraction of a tilted bar's torque that determines the sign
 NO_TORQUE_NM = 0.02
+FREE_M, FREE_RAD = 0.04, 0.25  # how far a closing hand moves and turns a free module: up to 34 mm and 12 deg in physics
 
 
 def touched(query: WorldQuery, data: AnalyzerInput) -> Found:
@@ -47,13 +48,15 @@ def touched(query: WorldQuery, data: AnalyzerInput) -> Found:
     return after, pose_spread.spread_after_measurement(before, after, spread, point, {axis: half_width})
 
 
-def between_fingers(query: WorldQuery, data: AnalyzerInput) -> Found:
+def between_fingers(query: WorldQuery, data: AnalyzerInput, moved: Spread = EXACT) -> Found:
     """The fingers press on the bar of the grasp point.
 
     The bar is centred between the fingers, displaced by its lateral force divided by the stiffness `centre_n_m`. A
-    tilted bar widens the opening over the pad length `pad_m` and twists the hand to one side.
+    tilted bar widens the opening over the pad length `pad_m` and twists the hand to one side. `moved`: how far the
+    closing hand may have moved the object, which remains uncertain along the axes that are not measured.
     """
     before, spread = _current(query, data)
+    spread = widened(spread, moved)
     point, tcp = _point(query, data), data.report.tcp_pose
     offset = geometry.relative(tcp, geometry.compose(before, point))
     rpy = geometry.to_rpy(offset)
@@ -68,6 +71,13 @@ def between_fingers(query: WorldQuery, data: AnalyzerInput) -> Found:
     after = geometry.normalise(geometry.compose(stands, geometry.inverse(point)))
     spread = pose_spread.spread_after_measurement(before, after, spread, point, measured)
     return after, spread
+
+
+def moved_by_closing(query: WorldQuery, thing: str) -> Spread:
+    """How far a closing hand may move the object along and about each axis: an object in a seat hardly moves."""
+    seated = bool(query.seat(thing)) and query.trusts(f"{thing}.seat")
+    rests = seated or query.held_by(thing) or query.hinge(thing) or query.cell.object(thing).fixed
+    return EXACT if rests else even(FREE_M, FREE_RAD)
 
 
 def seat_of(query: WorldQuery, data: AnalyzerInput, frame: Array, spread: list[float]) -> Found | None:

@@ -12,6 +12,7 @@ import msgspec
 
 from rtc.protocol.messages import AnalyzerInput, Validity, WorldChange
 from rtc.robot import geometry, hinges
+from rtc.world.spread import widened
 from workers.analyzer import touch
 from workers.analyzer.sighting import sighted
 from workers.planning import shared_hold
@@ -26,13 +27,14 @@ CATCHES_M = 0.005  # maximum distance from the seated pose at which a catch hold
 def taken(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
     """The hand holds the object; the finger measurement corrects its frame.
 
-    Along the closing axis the grasp point is centred between the fingers (R149). The other axes keep their uncertainty.
+    Along the closing axis the grasp point is centred between the fingers (R149). The other axes keep their uncertainty;
+    those of a free object become more uncertain.
     """
     context = data.evaluation.context
     thing, arm = context.object, context.arm
     if query.held_by(thing) not in ("", arm):  # the second hand: the facts of the object refer to the first one
         return [WorldChange(key=f"{arm}.holding", value=thing, validity=validity)]
-    frame, spread = touch.between_fingers(query, data)
+    frame, spread = touch.between_fingers(query, data, touch.moved_by_closing(query, thing))
     if query.hinge(thing) is not None:
         point = query.cell.object(thing).grasp_point(context.grasp_point).frame.pose[:3]
         frame = query.hung(thing, point, geometry.transform_point(frame, point))
@@ -53,7 +55,7 @@ def perhaps_taken(query: WorldQuery, data: AnalyzerInput) -> Changes:
         return [WorldChange(key=f"{arm}.holding", value=thing, validity=doubt)]
     frame = query.frame(thing)
     grasp = geometry.normalise(geometry.relative(query.tcp(arm), frame))
-    spread = list(query.spread(f"{thing}.frame"))
+    spread = widened(query.spread(f"{thing}.frame"), touch.moved_by_closing(query, thing))
     return [
         WorldChange(key=f"{arm}.holding", value=thing, validity=doubt),
         WorldChange(key=f"{thing}.held_by", value=arm, validity=doubt),

@@ -108,3 +108,48 @@ def test_an_object_that_a_hand_may_hold_is_not_taken_as_free(bench) -> None:
 def test_a_hand_far_away_cannot_hold_it(bench) -> None:
     doubt(bench, "RIGHT-ARM.holding", "RIGHT-ARM.hand_width", "MACS-NEW.held_by")
     assert bench.do(GRASP).succeeded
+
+
+# --- the pose of what a hand has taken ---------------------------------------------------------------------
+
+AFLOAT = {"MACS-NEW.seat": "", "MACS-NEW.grasp": None, "MACS-NEW.held_by": ""}
+
+
+def spread_when_taken(bench, afloat: bool) -> list[float]:
+    if afloat:
+        for key, value in AFLOAT.items():
+            bench.set_fact(key, value)
+    assert bench.do(GRASP).succeeded
+    assert bench.world.get("MACS-NEW.grasp").spread == bench.world.get("MACS-NEW.frame").spread
+    return list(bench.world.get("MACS-NEW.grasp").spread)
+
+
+def test_closing_fingers_move_a_free_object_in_ways_that_they_do_not_measure(bench) -> None:
+    bench.without_cameras()
+    moved_m, turned_rad = 0.034, 0.2  # in physics
+    spread = spread_when_taken(bench, afloat=True)
+    assert sum(n > moved_m for n in spread[:3]) == 2  # all but the closing axis
+    assert max(spread[3:]) > turned_rad
+    assert bench.do("LIFT MACS-NEW BY 15 CM").succeeded
+    refusal = bench.elaborate("PLACE MACS-NEW ON BAY-2")
+    assert (refusal.reason, refusal.where) == (RefusalReason.SUSPECT, "MACS-NEW.grasp")
+    assert "SET MACS-NEW FRAME" in refusal.clears
+
+
+def test_closing_fingers_hardly_move_an_object_in_its_seat(bench) -> None:
+    bench.without_cameras()
+    assert max(spread_when_taken(bench, afloat=False)[:3]) < 0.005
+
+
+def test_a_camera_measures_first_how_a_free_object_lies_in_the_hand(bench) -> None:
+    spread_when_taken(bench, afloat=True)
+    assert bench.do("LIFT MACS-NEW BY 15 CM").succeeded
+    run = bench.do("PLACE MACS-NEW ON BAY-2")
+    assert run.succeeded
+    assert run.labels[0].startswith("look for MACS-NEW")
+
+
+def test_a_look_measures_how_a_free_object_lies_in_the_hand(bench) -> None:
+    spread_when_taken(bench, afloat=True)
+    assert bench.do("LOCATE MACS-NEW").succeeded
+    assert max(bench.world.get("MACS-NEW.grasp").spread[:3]) < 0.005
