@@ -40,6 +40,13 @@ CLOSING = ("taken", "pinched")  # effects of steps that close the hand on the ob
 SEEN = "sighted"  # effect of steps that look
 BLOCKED = "look what is in the way"  # advice for an arm that pressed until its time ended
 BOTH = "move_both"  # space of the steps that move both arms
+#: stop reasons of a hand that pressed on something: this may turn a held object between the fingers
+PRESSED = frozenset(
+    {
+        *(StopReason.CONTACT, StopReason.COLLISION, StopReason.ARM_CONTACT, StopReason.FORCE_LIMIT),
+        *(StopReason.TORQUE_LIMIT, StopReason.FOLLOWING_ERROR, StopReason.SLIP),
+    }
+)
 THIN_M = 0.002  # fingers closer together than this hold nothing
 
 #: figures that the program must define
@@ -193,8 +200,8 @@ def _failure(
     if isinstance(missed, str) and missed in EFFECTS and failure.retriable and not data.closing and not data.trims_used:
         changes += EFFECTS[missed](query, data, Validity.SUSPECT)
     changes = angles(query, _with_spread(program, query, data, _merged(changes)))
-    if failure.misplaced:
-        changes = _misplaced(program, query, changes)
+    trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
+    changes = _moved_in_hand(program, query, data, changes, failure, pressed=not trim and reason in PRESSED)
     asked = reflexes.find_requested(evaluation.context.reflexes, data.report)
     short = _short(program, data)
     words = _words(failure.message, data, reason, short) if asked is None else _stopped_as_requested(asked, data)
@@ -208,7 +215,6 @@ def _failure(
     blocked = BLOCKED if not failure.clears and _pressing_n(program, data) else ""
     advice = (*_feel(query, data, reason), failure.clears or blocked, *_higher_limit(data))
     todo = (*advice, *cures, failure.again) if asked is None else tuple(cures)
-    trim = 0 if data.closing or not failure.retriable else _trim(data, reason)
     return Assessment(
         verdict="trim" if trim else "abort",
         reason=reason,
@@ -381,12 +387,33 @@ def _with_spread(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInpu
     ]
 
 
-def _misplaced(program: AnalyzerProgram, query: WorldQuery, changes: Changes) -> Changes:
-    """The changes, with increased uncertainty of a held object that is misplaced in the hand."""
-    more = even(program.values["misplaced_m"], program.values["misplaced_rad"])
+def _moved_in_hand(
+    program: AnalyzerProgram,
+    query: WorldQuery,
+    data: AnalyzerInput,
+    changes: Changes,
+    failure: OutcomeClass,
+    *,
+    pressed: bool,
+) -> Changes:
+    """The changes, with increased uncertainty of a held object that the failure may have moved in the hand.
+
+    `pressed`: the hand or the object pressed on something. A blow (`struck_n`) is in the spread already. A hinge
+    keeps its object in place.
+    """
+    values, held = program.values, data.evaluation.held
+    if query.hinge(held) is not None:
+        return changes
+    if failure.misplaced:
+        more = even(values["misplaced_m"], values["misplaced_rad"])
+    elif pressed and data.report.peak_force_n <= values["struck_n"]:
+        more = even(values["struck_m"], values["struck_rad"])
+    else:
+        return changes
+    keys = {f"{held}.{attribute}" for attribute in ("frame", "grasp")}
     return [
         msgspec.structs.replace(change, spread=widened(change.spread or query.spread(change.key), more))
-        if change.key.rpartition(".")[2] in ("frame", "grasp") and change.validity is Validity.SUSPECT
+        if change.key in keys and change.validity is Validity.SUSPECT
         else change
         for change in changes
     ]

@@ -156,7 +156,10 @@ def still_held(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Ch
 
 
 def verified(query: WorldQuery, data: AnalyzerInput, validity: Validity) -> Changes:
-    """The fingers press at the object's width: the previous grasp is confirmed."""
+    """The fingers press at the object's width: the hand still holds the object.
+
+    Its pose in the hand is not measured: it keeps its uncertainty, which a failure by contact has increased.
+    """
     thing, arm = data.evaluation.context.object, data.evaluation.context.arm
     if query.held_by(thing) not in ("", arm):  # the second of two hands
         return [WorldChange(key=f"{arm}.holding", value=thing, validity=validity)]

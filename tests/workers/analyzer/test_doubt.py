@@ -153,3 +153,49 @@ def test_a_look_measures_how_a_free_object_lies_in_the_hand(bench) -> None:
     spread_when_taken(bench, afloat=True)
     assert bench.do("LOCATE MACS-NEW").succeeded
     assert max(bench.world.get("MACS-NEW.grasp").spread[:3]) < 0.005
+
+
+VERIFY = "VERIFY MACS-NEW AT RIGHT-ARM"
+PLACE = "PLACE MACS-NEW ON BAY-2"
+
+
+@pytest.fixture
+def carried(bench):
+    bench.without_cameras()
+    for sentence in (GRASP, "LIFT MACS-NEW BY 15 CM"):
+        assert bench.do(sentence).succeeded
+    return bench
+
+
+@pytest.mark.parametrize("reason", [*TOUCHED, StopReason.SLIP])
+def test_fingers_do_not_measure_how_a_contact_has_turned_what_they_hold(carried, reason) -> None:
+    turned_m, turned_rad = 0.010, 0.087  # in physics
+    ended(carried, PLACE, reason, peak_force_n=22.0)
+    assert validity(carried, "MACS-NEW.grasp") is Validity.SUSPECT
+
+    assert carried.do(VERIFY).succeeded
+
+    assert validity(carried, "MACS-NEW.held_by") is Validity.VALID
+    for key in ("MACS-NEW.grasp", "MACS-NEW.frame"):
+        spread = carried.world.get(key).spread
+        assert min(spread[:3]) >= turned_m, key
+        assert min(spread[3:]) >= turned_rad, key
+    refusal = carried.elaborate(PLACE)
+    assert (refusal.reason, refusal.where) == (RefusalReason.SUSPECT, "MACS-NEW.grasp")
+    assert "SET MACS-NEW FRAME" in refusal.clears
+    assert carried.do("LIFT MACS-NEW BY 5 CM").succeeded
+
+
+@pytest.mark.parametrize("reason", [StopReason.HALT, StopReason.TIMEOUT])
+def test_fingers_clear_the_doubt_of_an_end_without_a_contact(carried, reason) -> None:
+    ended(carried, PLACE, reason)
+    assert validity(carried, "MACS-NEW.grasp") is Validity.SUSPECT
+    for sentence in (VERIFY, PLACE):
+        assert carried.do(sentence).succeeded
+
+
+def test_a_blow_counts_once(carried) -> None:
+    before = carried.world.get("MACS-NEW.grasp").spread
+    ended(carried, PLACE, StopReason.FORCE_LIMIT, peak_force_n=90.0)
+    more = carried.world.get("MACS-NEW.grasp").spread[0] - before[0]
+    assert more == pytest.approx(0.010, abs=1e-3)
