@@ -155,7 +155,7 @@ def test_a_broker_that_acts_before_it_remembers_is_found(monkeypatch):
 
     def hasty(self, now):
         events, self.core.events = self.core.events, []
-        effects = [effect for event in events for effect in decide.decide(self.state, event)]
+        effects = [effect for event in events for effect in decide.decide(self.core.state, event)]
         self.egress.perform(effects)
         self.core.journal.append(events, [e.record for e in effects if type(e).__name__ == "ReportEnd"])
         self.egress.assign_jobs(now)
