@@ -175,7 +175,7 @@ class KinematicCell:
             arm.forget_clearance()
 
     def strip(self, bolt: str, stripped: bool = True) -> str:
-        return "exact arms turn no bolts; a simulation with physics does"
+        return "exact arms turn no bolts; arms with physics do (rtc up --mcm bullet)"
 
     def change_physics(self, mass: float, friction: float) -> str:
         return "kinematic arms have neither mass nor friction"
@@ -237,7 +237,8 @@ class KinematicArm:
 
     def use_law(self, law: ControlLaw) -> None:
         if law.compliance is not None:
-            raise ValueError(f"control law {law.name}: an exact arm cannot comply; a simulation with physics can")
+            why = "an exact arm cannot comply; arms with physics can (rtc up --mcm bullet)"
+            raise ValueError(f"control law {law.name}: {why}")
         control_laws.make(law, self._model, self._laws)  # only checked: this arm is exact
 
     def stick(self, joint: int, stuck: bool) -> None:
@@ -254,7 +255,7 @@ class KinematicArm:
 
     def drive_spindle(self, command: SpindleCommand | None) -> None:
         if command is not None:
-            raise ValueError("exact arms turn no bolts; a simulation with physics does")
+            raise ValueError("exact arms turn no bolts; arms with physics do (rtc up --mcm bullet)")
 
     def spindle(self) -> SpindleState:
         return SpindleState()

@@ -11,6 +11,7 @@ from rtc.language.parse import default_grammar, parse
 from rtc.protocol.outcomes import Reflex, Refusal, StopReason
 from rtc.robot import geometry
 from sim_mcm.arms.arm import HandCommand
+from tests.workers.conftest import Bench, Kinematic
 
 ARM = "RIGHT-ARM"
 PALM = 7  # link of the URDF
@@ -319,3 +320,17 @@ def test_an_arm_that_stays_cannot_back_off(bench, verb) -> None:
     refusal = bench.elaborate(f"{verb} UNLESS FORCE EXCEEDS 6 N THEN BACK-OFF BY 1 CM")
     assert isinstance(refusal, Refusal), refusal
     assert "path of the arm" in refusal.message
+
+
+@pytest.mark.parametrize("clause", ["UNLESS CONTACT THEN COMPLY", "MAINTAIN STIFFNESS 600 N/M"])
+def test_an_exact_arm_that_is_to_comply_does_not_begin_and_the_cure_is_named(clause) -> None:
+    exact = Bench(Kinematic())
+    before = list(exact.subsystem.sim.arms[ARM].read().joints)
+
+    run = exact.do(f"MOVE {ARM} BY 5 CM ALONG UP {clause}")
+
+    assert [report.reason for report in run.reports] == [StopReason.REFUSED]
+    assert run.failure is not None
+    assert "--mcm bullet" in run.failure.message
+    assert "message names" in run.failure.clears  # to repeat it alone is of no use
+    assert list(exact.subsystem.sim.arms[ARM].read().joints) == before

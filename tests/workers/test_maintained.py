@@ -229,7 +229,7 @@ def test_an_attitude_is_kept_all_the_way(bench, words) -> None:
         (f"{TO} MAINTAIN TORQUE-LIMIT 3 N", "TORQUE-LIMIT"),
         (f"HOLD {ARM} MAINTAIN TORQUE-LIMIT 3 NM", "motions of the arm"),
         (f"CLOSE {ARM} MAINTAIN GRIP-FORCE 90 N", "60 N"),
-        ("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A MAINTAIN GRIP-FORCE 0.2 N", "1 to"),
+        ("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A MAINTAIN GRIP-FORCE 0.2 N", "1 to 60 N"),
         ("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A MAINTAIN GRIP-FORCE 90 N", "60 N"),
         (f"{TO} MAINTAIN GRIP-FORCE 20 N", "closing of the hand"),
         (f"{TO} MAINTAIN STIFFNESS 50 N/M", "100 to 5000"),

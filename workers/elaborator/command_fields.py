@@ -125,9 +125,14 @@ def _impossible(
     """Refusal for a name that the cell lacks, or for a value that no arm can keep."""
     if isinstance(value, str):
         return _name(limit, value, cell)
-    if slot in program.ranges:
-        return _range(slot, Quantity(value, unit), *program.ranges[slot])
-    return None
+    if slot not in program.ranges:
+        return None
+    least, most = program.ranges[slot]
+    if least <= value <= most:
+        return None
+    if limit == "grip_force_n":  # the hand of the command is not known yet
+        most = min(most, max(arm.gripper.max_force_n for arm in cell.arms))
+    return _outside(slot, Quantity(value, unit), least, most)
 
 
 def refuse_without_effect(program: ElaboratorProgram, parsed: ParsedCommand, script: ScriptFile) -> Refusal | None:
@@ -188,10 +193,8 @@ def _needs(slot: str, kept: dict[str, str], unit: str, cell: Cell) -> Refusal:
     return _refused(f"{slot} needs {needed}{given}{here}", slot, f"give {slot} {needed}, or leave it out")
 
 
-def _range(slot: str, value: Quantity, least: float, most: float) -> Refusal | None:
+def _outside(slot: str, value: Quantity, least: float, most: float) -> Refusal:
     """Refusal for a value that no arm can keep."""
-    if least <= value.value <= most:
-        return None
     unit = value.unit.upper()
     message = f"{slot} {value.value:g} {unit} is outside {least:g} to {most:g} {unit}"
     return _refused(message, slot, f"{slot} of {least:g} to {most:g} {unit}")
