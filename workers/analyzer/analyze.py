@@ -53,7 +53,7 @@ THIN_M = 0.002  # fingers closer together than this hold nothing
 VALUES = (
     *("position_m", "angle_rad", "opened_m", "touched_n", "pressing_n", "reach_m", "seated_m", "told_m", "told_rad"),
     *("seated_rad", "in_hand_m", "misplaced_m", "misplaced_rad"),
-    *("struck_n", "struck_m", "struck_rad", "tilted_m"),
+    *("struck_n", "struck_m", "struck_rad", "pressed_m", "pressed_rad", "tilted_m"),
 )
 #: figures of the cell, which the elaborator and the binder use too; in this program they would have no effect there
 OF_CELL = {"creep_m_s", "creep_rad_s"}
@@ -398,16 +398,15 @@ def _moved_in_hand(
 ) -> Changes:
     """The changes, with increased uncertainty of a held object that the failure may have moved in the hand.
 
-    `pressed`: the hand or the object pressed on something. A blow (`struck_n`) is in the spread already. A hinge
-    keeps its object in place.
+    `pressed`: the hand or the object pressed on something. A hinge keeps its object in place.
     """
     values, held = program.values, data.evaluation.held
     if query.hinge(held) is not None:
         return changes
     if failure.misplaced:
         more = even(values["misplaced_m"], values["misplaced_rad"])
-    elif pressed and data.report.peak_force_n <= values["struck_n"]:
-        more = even(values["struck_m"], values["struck_rad"])
+    elif pressed:
+        more = even(values["pressed_m"], values["pressed_rad"])
     else:
         return changes
     keys = {f"{held}.{attribute}" for attribute in ("frame", "grasp")}

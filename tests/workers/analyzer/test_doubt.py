@@ -169,7 +169,7 @@ def carried(bench):
 
 @pytest.mark.parametrize("reason", [*TOUCHED, StopReason.SLIP])
 def test_fingers_do_not_measure_how_a_contact_has_turned_what_they_hold(carried, reason) -> None:
-    turned_m, turned_rad = 0.010, 0.087  # in physics
+    turned_m, turned_rad = 0.026, 0.187  # in physics
     ended(carried, PLACE, reason, peak_force_n=22.0)
     assert validity(carried, "MACS-NEW.grasp") is Validity.SUSPECT
 
@@ -192,10 +192,3 @@ def test_fingers_clear_the_doubt_of_an_end_without_a_contact(carried, reason) ->
     assert validity(carried, "MACS-NEW.grasp") is Validity.SUSPECT
     for sentence in (VERIFY, PLACE):
         assert carried.do(sentence).succeeded
-
-
-def test_a_blow_counts_once(carried) -> None:
-    before = carried.world.get("MACS-NEW.grasp").spread
-    ended(carried, PLACE, StopReason.FORCE_LIMIT, peak_force_n=90.0)
-    more = carried.world.get("MACS-NEW.grasp").spread[0] - before[0]
-    assert more == pytest.approx(0.010, abs=1e-3)
