@@ -70,7 +70,7 @@ class BulletArm:
         self.others: list[BulletArm] = []  # the other arms of the world
         self._all = [*self._arm, *self._finger_joints]
         self._dof = len(self._arm)
-        self._none = [0.0] * len(self._all)
+        self._zeros = [0.0] * len(self._all)
         sensor = None if spec.sensor_joint is None else joints[spec.sensor_joint]
         self._split = unrolled.split_states(self._dof)
         self._read_from = [*self._all, self._all[-1] if sensor is None else sensor]
@@ -203,9 +203,9 @@ class BulletArm:
             if self._estimate is not None:
                 self._estimate.drive(torques)
         left, right, self._pressed = self._hand.forces(sample.fingers, sample.finger_speeds)
-        none = self._none
+        zeros = self._zeros
         pybullet.setJointMotorControlArray(  # keywords take longer
-            self.body, self._all, TORQUE_CONTROL, none, none, [*torques, left, right], none, none, self._client
+            self.body, self._all, TORQUE_CONTROL, zeros, zeros, [*torques, left, right], zeros, zeros, self._client
         )
 
     def pressed_on(self) -> set[int]:
