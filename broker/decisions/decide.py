@@ -91,9 +91,14 @@ def on_command(context: DecisionContext, event: CommandReceived) -> None:
         if known in state.ended:
             context.effects.append(TellClient(client=event.client, message=state.ended[known].message))
         return
-    if journal_loss.is_lost(state, event) and not halt_scope(event.text):
-        journal_loss.end_lost(context, event)
-        return
+    if not halt_scope(event.text):
+        if journal_loss.is_lost(state, event):
+            journal_loss.end_lost(context, event)
+            return
+        if refusal := journal_loss.unknown_number(state, event):
+            declined = Declined(request=event.request, refusal=refusal)
+            context.effects.append(TellClient(client=event.client, message=declined))
+            return
     live = state.live.get(event.client, 0)
     if live >= LIVE_PER_CLIENT or len(state.commands) >= MAX_COMMANDS:
         _decline(context, event, live)

@@ -13,7 +13,7 @@ from broker.decisions.effects import PublishNote, TellClient
 from broker.decisions.events import CommandReceived, JournalLost, Stimulus
 from broker.decisions.state import Command, PendingOutcome, State, request_key
 from rtc.protocol.messages import Accepted, Phase, ProgressNote
-from rtc.protocol.outcomes import OutcomeKind, StopReason
+from rtc.protocol.outcomes import OutcomeKind, Refusal, RefusalReason, StopReason
 
 JOBS_APART = 10_000  # offset of job numbers after the loss, so that they differ from lost ones
 FURTHEST = 1_000_000  # a client's number is accepted up to this far above the known ones
@@ -34,15 +34,35 @@ def on_journal_lost(context: DecisionContext, event: JournalLost) -> None:
 def is_lost(state: State, event: CommandReceived) -> bool:
     """True if an unknown request belongs to the lost decisions: its client has a number for it, or sent it before the
     loss."""
-    return bool(event.known_as) or 0 < event.sent_at_s <= state.lost_at_s
+    return bool(state.lost) and (bool(event.known_as) or 0 < event.sent_at_s <= state.lost_at_s)
+
+
+def unknown_number(state: State, event: CommandReceived) -> Refusal | None:
+    """Refuse an unknown request that has a number although no decision was lost: the number cannot be its own, or its
+    outcome is no longer kept. The record of the command with that number must not be replaced."""
+    if not event.known_as or state.lost:
+        return None
+    if 0 < _digits(event.known_as) <= state.accepted:
+        message = f"{event.known_as} is another request, or its outcome is no longer kept; nothing is begun"
+        clears = f"`rtc trace {event.known_as}` shows that command; without known_as the sentence is a new one"
+    else:
+        message = f"no command was accepted as {event.known_as[:40]}; nothing is begun"
+        clears = "leave known_as out: the sentence is then a new command"
+    return Refusal(reason=RefusalReason.STATE, message=message, where="known_as", clears=clears)
+
+
+def _digits(name: str) -> int:
+    """n of the command number C-n; 0 if it is none."""
+    digits = name.removeprefix("C-")
+    number = int(digits[:18]) if digits.isascii() and digits.isdigit() else 0
+    return number if name == f"C-{number}" else 0
 
 
 def new_number(state: State, event: CommandReceived) -> str:
-    """The command number known to the client if it is free, otherwise the next one."""
-    name, digits = event.known_as, event.known_as.removeprefix("C-")
-    number = int(digits[:18]) if digits.isascii() and digits.isdigit() else 0
+    """The next command number; after a loss the one known to the client, if it is free."""
+    name, number = event.known_as, _digits(event.known_as) if state.lost else 0
     taken = name in state.commands or name in state.ended
-    free = name == f"C-{number}" and 0 < number <= state.accepted + FURTHEST and not taken
+    free = 0 < number <= state.accepted + FURTHEST and not taken
     if not free:
         number = state.accepted + 1
     state.accepted = max(state.accepted, number)
@@ -67,8 +87,7 @@ def end_lost(context: DecisionContext, event: CommandReceived) -> None:
     state.live[event.client] = state.live.get(event.client, 0) + 1
     state.requests[request_key(event.client, event.request)] = command.id
     context.effects.append(TellClient(client=event.client, message=Accepted(request=event.request, command=command.id)))
-    why = state.lost or "its outcome is no longer kept"
-    end(context, command, OutcomeKind.FAILED, message=f"{why}: how far it came is not known; {CLEARS}")
+    end(context, command, OutcomeKind.FAILED, message=f"{state.lost}: how far it came is not known; {CLEARS}")
 
 
 def publish(context: DecisionContext) -> None:

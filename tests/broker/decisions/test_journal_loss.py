@@ -9,7 +9,7 @@ from broker.decisions import events as received
 from broker.decisions.effects import PublishNote, ReportEnd, SendPrimitive, TellClient
 from broker.decisions.state import State
 from broker.persistence.journal import Journal
-from rtc.protocol.messages import Accepted
+from rtc.protocol.messages import Accepted, Declined
 from rtc.protocol.outcomes import OutcomeKind
 from rtc.runtime.handover import Handover
 from rtc.runtime.settings import Settings
@@ -96,6 +96,7 @@ def test_what_was_sent_before_the_loss_is_not_begun():
 def test_a_halt_sent_before_the_loss_is_obeyed():
     s = Harness()
     command = s.executing()
+    loses(s)
     asks(s, "h", text="HALT", known_as="C-7")
     assert s.phase(command) == "halting"
     assert s.phase("C-7") == "halting"  # it keeps its number
@@ -106,6 +107,26 @@ def test_a_number_far_out_is_not_believed():
     loses(s)
     asks(s, "r", known_as="C-999999999999")
     assert s.outcome("C-1").kind is OutcomeKind.FAILED
+
+
+@pytest.mark.parametrize("known_as", ["C-1", "C-2", "C-1000000", "C-0", "C-x", "C-" + "9" * 40])
+def test_without_a_loss_the_number_of_another_request_is_declined(known_as):
+    """Neither a foreign command nor the counter of commands is changed; nothing is ended that was never begun."""
+    s = Harness()
+    live = s.executing()
+    s.handle(received.CommandReceived, client="eve", request="r", text="X", known_as=known_as)
+    (answer,) = [e.message for e in s.log if isinstance(e, TellClient) and e.client == "eve"]
+    assert isinstance(answer, Declined)
+    assert answer.refusal.clears
+    assert (live, s.phase(live)) == ("C-1", "executing")
+    assert s.parsed() == "C-2"
+
+
+def test_a_halt_under_a_foreign_number_is_obeyed_under_the_next():
+    s = Harness()
+    command = s.executing()
+    asks(s, "h", text="HALT", known_as="C-1000000")
+    assert s.phase(command) == s.phase("C-2") == "halting"
 
 
 def test_the_mcm_knows_numbers_too():
