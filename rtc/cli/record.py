@@ -13,7 +13,7 @@ import typer
 from rich.text import Text
 
 from rtc.cli.cluster_cell import cell_file
-from rtc.cli.output import AsJson, RunDir, With, console, duration_s, emit_json, trouble
+from rtc.cli.output import AsJson, RunDir, With, console, duration_s, emit_json, errors, trouble
 from rtc.client.client import Client, running_settings
 from rtc.observers.extras import missing
 from rtc.runtime import process
@@ -116,7 +116,7 @@ def play(
 
     try:
         found = playback.read(file)
-        written = playback.extract(found, extract) if extract else []
+        written, left_out = playback.extract(found, extract) if extract else ([], [])
     except OSError as error:
         raise trouble(f"{error.filename or file}: {error.strerror or error}", 2) from None
     except playback.NotARecording as error:
@@ -128,3 +128,5 @@ def play(
         console.print(Text(line))
     for path in written:
         console.print(Text(f"written: {path}"))
+    for name in left_out:
+        errors.print(Text(f"rtc: not written: {name[:80]!r} is not the name of a file"))

@@ -9,14 +9,14 @@ import math
 from collections import Counter as Counts
 from collections.abc import Callable, Iterator
 from typing import Any
-from wsgiref.simple_server import WSGIServer
 
-from prometheus_client import CollectorRegistry, Counter, Histogram, start_http_server
+from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
 from rtc.observers.feed import STATUS_S, Received
+from rtc.observers.scrapes import ScrapeServer
 from rtc.protocol import messages as m
 from rtc.protocol.messages import Phase
 
@@ -44,7 +44,7 @@ class Metrics:
         self._open: dict[str, m.ProgressNote] = {}  # command -> its last note
         self._since: dict[str, float] = {}  # command -> when it entered its phase
         self._last = _Last(lost, now)
-        self._server: WSGIServer | None = None
+        self._server: ScrapeServer | None = None
         self.registry.register(self._last)
 
     def take(self, received: Received) -> None:
@@ -93,14 +93,13 @@ class Metrics:
 
         Raises OSError for a used port.
         """
-        self._server, _ = start_http_server(port, host, self.registry)
+        self._server = ScrapeServer(self.registry, host, port)
         return self._server.server_port
 
     def close(self) -> None:
         """Stop answering scrapes."""
         if self._server is not None:
-            self._server.shutdown()
-            self._server.server_close()
+            self._server.close()
 
 
 class _Last(Collector):

@@ -7,18 +7,25 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import msgspec
+import zstandard
 from mcap.exceptions import EndOfFile, McapError
-from mcap.records import Attachment, Channel, DataEnd, McapRecord, Message, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
 
 from rtc.observers.recording import HEADER
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import RtcError
 
 ARM_TOPIC = "/rtc/arms/"
+RECORD_BYTES = 64 << 20  # maximum length of one record
+CHUNK_BYTES = 16 << 20  # maximum length of an unpacked chunk; those of `rtc record` are far shorter
+STORY_BYTES = 256 << 20  # maximum length of all messages of the story, which are in memory together
+#: what the libraries raise for damaged records; the last two for a length of many digits
+DAMAGE = (McapError, zstandard.ZstdError, msgspec.MsgspecError, ValueError, RecursionError, OverflowError, MemoryError)
+NAME_CHARACTERS = 100  # maximum length of an attachment's name
 Event = m.CommandRecord | m.Event
 _read: dict[str, Callable[[bytes], Event]] = {
     "/rtc/commands": msgspec.json.Decoder(m.CommandRecord).decode,
@@ -56,33 +63,57 @@ def read(path: Path) -> RecordedRun:
     """Read a recording up to its end, or up to where a killed recorder left it. Raises OSError, NotARecording."""
     run = RecordedRun()
     channels: dict[int, Channel] = {}
+    room = STORY_BYTES
     with open(path, "rb") as file:
         try:
-            for record in StreamReader(file).records:
+            for record in _records(file):
                 if isinstance(record, Channel):
                     channels[record.id] = record
                 elif isinstance(record, Message):
-                    _take(run, channels[record.channel_id].topic, record)
+                    if (channel := channels.get(record.channel_id)) is None:
+                        raise NotARecording(f"{path} is damaged: a message belongs to no channel of the file")
+                    room -= _take(run, channel.topic, record)
+                    if room < 0:
+                        words = f"the story in {path} has more than {STORY_BYTES >> 20} MB"
+                        raise NotARecording(f"{words}; open it in Foxglove, Lichtblick or Rerun")
                 else:
                     _take_other(run, record)
         except (EndOfFile, struct.error):
             pass  # cut off: all complete chunks have been read; the second is raised for a cut length
-        except (McapError, msgspec.MsgspecError, ValueError) as error:
-            raise NotARecording(f"{path} is not a recording of rtc: {error}") from None
+        except DAMAGE as error:
+            raise NotARecording(f"{path} is damaged, or not a recording of rtc: {error}") from None
     if not run.about:
         raise NotARecording(f"{path} is not a recording of rtc: it has no metadata {HEADER!r}")
     run.events.sort(key=lambda pair: (pair[0], not isinstance(pair[1], m.CommandRecord)))
     return run
 
 
-def _take(run: RecordedRun, topic: str, record: Message) -> None:
+def _records(file: IO[bytes]) -> Iterator[McapRecord]:
+    """The records of a file, those in chunks too. Raises McapError or ValueError for one that is too long."""
+    for record in StreamReader(file, emit_chunks=True, record_size_limit=RECORD_BYTES).records:
+        if not isinstance(record, Chunk):
+            yield record
+        elif record.compression not in ("", "zstd"):
+            raise ValueError(f"a chunk is compressed by {record.compression[:20]!r}, which rtc record does not use")
+        else:
+            packed = record.compression == "zstd"
+            length = max(record.uncompressed_size, zstandard.frame_content_size(record.data) if packed else 0)
+            if length > CHUNK_BYTES:
+                raise ValueError(f"a chunk of {length:,} bytes; the limit is {CHUNK_BYTES:,}")
+            yield from breakup_chunk(record)
+
+
+def _take(run: RecordedRun, topic: str, record: Message) -> int:
+    """Take a message; returns the bytes that the story keeps of it."""
     at_s = record.publish_time / 1e9
     run.first_s = min(run.first_s or at_s, at_s)
     run.last_s = max(run.last_s, at_s)
     if (decode := _read.get(topic)) is not None:
         run.events.append((at_s, decode(record.data)))
-    elif topic.startswith(ARM_TOPIC):
+        return len(record.data)
+    if topic.startswith(ARM_TOPIC):
         run.arms[topic.removeprefix(ARM_TOPIC)] = _read_arm(record.data)
+    return 0
 
 
 def _take_other(run: RecordedRun, record: McapRecord) -> None:
@@ -95,14 +126,19 @@ def _take_other(run: RecordedRun, record: McapRecord) -> None:
             run.complete = True
 
 
-def extract(run: RecordedRun, folder: Path) -> list[Path]:
-    """Write the attachments into a directory; returns the files. Raises OSError."""
+def extract(run: RecordedRun, folder: Path) -> tuple[list[Path], list[str]]:
+    """Write the attachments into a directory. Returns the files, and the names that are not names of a file there.
+
+    Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
-    paths = []
+    paths, left_out = [], []
     for name, data in run.attachments.items():
-        paths.append(folder / Path(name).name)
-        paths[-1].write_bytes(data)
-    return paths
+        if name in ("", ".", "..") or "/" in name or not name.isprintable() or len(name) > NAME_CHARACTERS:
+            left_out.append(name)
+        else:
+            paths.append(folder / name)
+            paths[-1].write_bytes(data)
+    return paths, left_out
 
 
 def in_words(run: RecordedRun) -> Iterator[str]:

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import json
 import re
+import socket
+import threading
+from contextlib import ExitStack
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
+from rtc.observers import scrapes
 from rtc.observers.feed import Received
 from rtc.observers.metrics import STALE_S, Metrics
 from rtc.protocol import messages as m
+from tests.observers.conftest import until
 from tests.observers.samples import DECLINED, STOWED, T0, note, received, telemetry
 
 BOARD = Path(__file__).parents[2] / "docs" / "grafana.json"
@@ -121,3 +127,30 @@ def test_every_metric_of_the_board_exists(metrics):
     used = {name for panel in board["panels"] for t in panel["targets"] for name in re.findall(r"rtc_\w+", t["expr"])}
     assert len(used) > 15
     assert used - exported == set()
+
+
+def test_half_open_requests_hold_a_limited_number_of_threads_and_scrapes_are_answered():
+    metrics = Metrics(lost=lambda: 0, now=lambda: 0.0)
+    port, threads = metrics.serve(0), threading.active_count()
+    with ExitStack() as opened:
+        try:
+            for _ in range(4 * scrapes.MOST):
+                half = opened.enter_context(socket.create_connection(("127.0.0.1", port), 5))
+                half.sendall(b"GET /metrics HTTP/1.1\r\nX: ")
+            with urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5) as answer:
+                assert b"rtc_broker_up" in answer.read()
+            until(lambda: threading.active_count() <= threads + scrapes.MOST)
+        finally:
+            metrics.close()
+
+
+def test_a_silent_connection_is_closed(monkeypatch):
+    monkeypatch.setattr(scrapes._Handler, "timeout", 0.05)
+    metrics = Metrics(lost=lambda: 0, now=lambda: 0.0)
+    try:
+        with socket.create_connection(("127.0.0.1", metrics.serve(0)), 5) as half:
+            half.sendall(b"GET /metrics HTTP/1.1\r\nX: ")
+            while half.recv(4096):
+                pass
+    finally:
+        metrics.close()

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import io
 import json
+import random
 import struct
+from contextlib import suppress
 
 import pytest
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from rtc.observers import playback
 from rtc.observers.feed import Received
-from rtc.observers.recording import STILL_S, Recording
+from rtc.observers.recording import HEADER, STILL_S, Recording
 from rtc.protocol import messages as m
 from tests.observers.samples import DECLINED, HALTED, STEP, STOWED, T0, received, telemetry
 
@@ -193,7 +196,8 @@ def test_the_story_has_commands_phases_and_ends_in_order(written, tmp_path):
     times = [at_s for at_s, _ in found.events]
     assert times == sorted(times)
     assert times[-1] - times[0] == pytest.approx(1.21, abs=1e-3)
-    paths = playback.extract(found, tmp_path / "models")
+    paths, left_out = playback.extract(found, tmp_path / "models")
+    assert not left_out
     assert {path.name for path in paths} == {"LEFT-ARM.urdf", "RIGHT-ARM.urdf", "cell.json"}
 
 
@@ -209,3 +213,61 @@ def test_a_file_is_never_overwritten(written, cell):
     with pytest.raises(FileExistsError):
         recording(written, cell)
     assert written.read_bytes() == before
+
+
+def foreign(path, write_records) -> None:
+    """A file of another writer, with the header of a recording."""
+    with open(path, "wb") as file:
+        writer = Writer(file, chunk_size=1 << 30, compression=CompressionType.ZSTD)
+        writer.start()
+        writer.add_metadata(HEADER, ABOUT)
+        write_records(writer)
+        writer.finish()
+
+
+def test_attachments_that_are_not_names_of_files_are_left_out(path, tmp_path):
+    odd = ["..", ".", "", "../out.txt", "/tmp/x", "a\0b", "x" * 300]
+    foreign(path, lambda writer: [writer.add_attachment(0, 0, name, "", b"x") for name in [*odd, "arm.urdf"]])
+    paths, left_out = playback.extract(playback.read(path), tmp_path / "models")
+    assert [file.name for file in paths] == ["arm.urdf"]
+    assert left_out == odd
+    assert [file.name for file in (tmp_path / "models").iterdir()] == ["arm.urdf"]
+
+
+def test_a_chunk_that_unpacks_to_much_is_not_unpacked(path):
+    def write_zeros(writer: Writer) -> None:
+        channel = writer.register_channel("/zeros", "json", writer.register_schema("x", "jsonschema", b"{}"))
+        writer.add_message(channel, 0, b"\0" * (playback.CHUNK_BYTES + 1), 0)
+
+    foreign(path, write_zeros)
+    with pytest.raises(playback.NotARecording, match="limit"):
+        playback.read(path)
+
+
+def test_a_story_that_does_not_fit_into_memory_is_refused(written, monkeypatch):
+    monkeypatch.setattr(playback, "STORY_BYTES", 100)
+    with pytest.raises(playback.NotARecording, match="Foxglove"):
+        playback.read(written)
+
+
+def test_a_damaged_file_is_refused_or_read_never_a_traceback(written):
+    """Bytes are changed at places all over the file; lengths, channel numbers and packed chunks among them."""
+    whole, dice = written.read_bytes(), random.Random(1)
+    for _ in range(400):
+        damaged = bytearray(whole)
+        for _ in range(dice.choice((1, 8))):
+            damaged[dice.randrange(len(whole))] = dice.randrange(256)
+        written.write_bytes(damaged)
+        with suppress(playback.NotARecording):
+            playback.read(written)
+
+
+@pytest.mark.parametrize("body", [b'{"x":' + b"[" * 200_000, b"\xff\xfe{"])
+def test_a_message_that_is_no_json_is_refused(path, body):
+    def write_outcome(writer: Writer) -> None:
+        schema = writer.register_schema("x", "jsonschema", b"{}")
+        writer.add_message(writer.register_channel("/rtc/outcomes", "json", schema), 0, body, 0)
+
+    foreign(path, write_outcome)
+    with pytest.raises(playback.NotARecording):
+        playback.read(path)
