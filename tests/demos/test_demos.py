@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+from rich.console import Console
 
-from rtc.demos import faults
+from rtc.demos import door, faults
 
 
 def test_an_arm_is_judged_over_several_samples_however_quickly_the_broker_is_back():
@@ -26,3 +28,22 @@ def test_the_grasp_demo_passes_all_its_checks_and_leaves_its_pictures(tmp_path):
     failed = [line for line in done.stdout.splitlines() if "FAIL" in line]
     assert (done.returncode, failed) == (0, []), done.stdout[-3000:]
     assert len(list((tmp_path / "out").glob("*.png"))) == 3
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_the_door_demo_opens_takes_out_inserts_and_closes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(door, "FRAME_S", 20.0)  # a film of a few frames: drawing them all takes a minute
+    with Console(record=True, width=200) as console:
+        passed = door.run(console, "max", tmp_path)
+    assert passed, console.export_text()[-3000:]
+    assert (tmp_path / "door.gif").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_the_faults_demo_passes_all_its_checks():
+    """At real speed: it strikes in the middle of motions."""
+    with Console(record=True, width=200) as console:
+        passed = faults.run(console)
+    assert passed, console.export_text()[-3000:]
