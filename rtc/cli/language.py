@@ -71,14 +71,15 @@ def dictionary(
 ) -> None:
     """Print the dictionary entry of a verb in the paper's Figure 2 notation, or the list of verbs.
 
-    A verb marked (no script yet) is understood and refused until a script for it is loaded (docs/scripts.md).
+    A verb marked (no script yet) is understood and refused until a script for it is loaded (docs/scripts.md). One
+    marked (refused today) is understood, but no script can perform it.
 
     Example: rtc dictionary GRASP
     """
     if verb is None:
         for word in entries.verbs():
-            mark = "  (no script yet)" if _unscripted(word) else ""
-            print(f"{word:<10} {entries.meanings().words[word]}{mark}")
+            mark = "refused today" if word in _elaborator().cannot else "no script yet"
+            print(f"{word:<10} {entries.meanings().words[word]}" + (f"  ({mark})" if _unscripted(word) else ""))
         return
     result = entries.entry(verb)
     if isinstance(result, Refusal):
@@ -87,8 +88,9 @@ def dictionary(
     print(result, end="")
     verb = verb.upper()
     if _unscripted(verb):
-        instead = _elaborator().instead.get(verb, "")
-        print(f"\n{verb} has no script yet" + (f"; instead: {instead}" if instead else ""), file=sys.stderr)
+        cannot, instead = _elaborator().cannot.get(verb), _elaborator().instead.get(verb, "")
+        state = f"cannot be performed: {cannot}" if cannot else "has no script yet"
+        print(f"\n{verb} {state}" + (f"; instead: {instead}" if instead else ""), file=sys.stderr)
 
 
 def _unscripted(verb: str) -> bool:

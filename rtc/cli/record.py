@@ -36,7 +36,7 @@ def record(
     run_dir: RunDir = None,
     key: With = None,
 ) -> None:
-    """Record what a cluster does, until Ctrl-C or its end. The file opens in Foxglove, Lichtblick and Rerun.
+    """Record what a cluster does, until Ctrl-C or its end. The file is MCAP with the schemas of Foxglove.
 
     It contains commands, progress and outcomes, joints and frames of the arms, and their URDFs. The recorder is a
     process of its own: the cluster does not wait for it.

@@ -150,6 +150,7 @@ class ElaboratorProgram(ProgramPart, frozen=True, kw_only=True):
     ranges: dict[str, tuple[float, float]] = {}  # MAINTAIN slot -> least and greatest value, SI
     not_yet: dict[str, str] = {}  # field of the command -> reason for its refusal
     instead: dict[str, str] = {}  # verb without a script -> a command with the same or a similar effect
+    cannot: dict[str, str] = {}  # verb that no script can perform -> the reason
     needs: dict[str, str] = {}  # registered condition of the world -> a command that makes it true
     told: dict[str, SettableAttribute] = {}  # attribute that SET may change -> form of its value
     told_of_seats: list[str] = []  # those of `told` that SET may change for a seat

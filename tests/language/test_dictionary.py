@@ -1,5 +1,7 @@
 """The dictionary: complete, counted, and in the notation of the paper's Figure 2."""
 
+import re
+
 import pytest
 
 from rtc.language import dictionary
@@ -113,3 +115,10 @@ def test_an_unknown_verb_is_refused_with_the_nearest() -> None:
     assert refusal.reason is RefusalReason.NAME
     assert refusal.nearest == ["GRASP"]
     assert refusal.expected == dictionary.verbs()
+
+
+def test_the_parts_that_can_be_shared_can_be_written():
+    parts = re.findall(r"\b[A-Z][A-Z-]+\b", dictionary.meanings().clauses["shared"])
+    assert parts
+    for part in parts:
+        assert isinstance(parse(default_grammar(), f"STOW LEFT-ARM MAINTAIN SHARED {part}"), ParsedCommand)

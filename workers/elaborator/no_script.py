@@ -12,11 +12,13 @@ from workers.elaborator import command_fields
 
 def refuse_verb(program: ElaboratorProgram, parsed: ParsedCommand) -> Refusal:
     scripted = sorted(verbs(program))
-    instead = program.instead.get(parsed.verb, "")
-    load = "" if "rtc load" in instead else f"load a script for {parsed.verb}: rtc load FILE INTO elaborator"
+    instead, cannot = program.instead.get(parsed.verb, ""), program.cannot.get(parsed.verb)
+    load = "" if "rtc load" in instead or cannot else f"load a script for {parsed.verb}: rtc load FILE INTO elaborator"
     return Refusal(
         reason=RefusalReason.NO_SCRIPT,
-        message=f"there is no script for {parsed.verb} yet",
+        message=f"{parsed.verb} cannot be performed: {cannot}"
+        if cannot
+        else f"there is no script for {parsed.verb} yet",
         where=parsed.verb,
         expected=scripted,
         clears="; or ".join(filter(None, (instead, load))),

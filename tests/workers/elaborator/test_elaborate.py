@@ -256,11 +256,31 @@ def test_an_arm_at_the_goal_is_the_reason_even_if_the_direct_way_meets_something
 
 
 def test_the_refusal_of_a_verb_without_a_script_names_another_command(bench):
-    extract, turn = refusal_of(bench, "EXTRACT MACS-NEW FROM RACK-1"), refusal_of(bench, "TURN CRANK-1 BY 90 DEG")
+    extract, push = refusal_of(bench, "EXTRACT MACS-NEW FROM RACK-1"), refusal_of(bench, "PUSH MACS-NEW BY 3 CM")
 
     assert (extract.reason, extract.where) == (RefusalReason.NO_SCRIPT, "EXTRACT")
     assert extract.clears.startswith("GRASP the module")
-    assert all("rtc load FILE INTO elaborator" in refusal.clears for refusal in (extract, turn))
+    assert all("rtc load FILE INTO elaborator" in refusal.clears for refusal in (extract, push))
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "GIVE RIGHT-ARM TO OPERATOR",
+        "TAKE RIGHT-ARM FROM OPERATOR",
+        "DONE",
+        'CANNOT "bolt head is stripped"',
+        "LOOSEN BOLT-1 BY 6 TURNS",
+        "TIGHTEN BOLT-1",
+        "TURN CRANK-1 BY 90 DEG",
+    ],
+)
+def test_no_script_is_advised_for_what_no_script_can_do(bench, sentence):
+    refusal = refusal_of(bench, sentence)
+
+    assert refusal.reason is RefusalReason.NO_SCRIPT
+    assert refusal.clears
+    assert "load" not in refusal.clears
 
 
 def test_the_refusal_of_a_sentence_without_a_script_names_the_forms_with_one(bench):
