@@ -46,6 +46,7 @@ class Spec:
 class ProcessState(StrEnum):
     """The state of a process, as `rtc status` shows it."""
 
+    PENDING = "pending"  # for its first start
     STARTING = "starting"
     READY = "ready"
     WAITING = "restarting"  # for its next start
@@ -95,7 +96,7 @@ class Child:
     def __init__(self, spec: Spec, log: Path) -> None:
         self.spec = spec
         self.log = log
-        self.state = ProcessState.WAITING
+        self.state = ProcessState.PENDING
         self.since_s = now_s()
         self.last_output_s = 0.0  # time of its last output
         self.busy_s = 0.0  # time of its last observed use of the processor
@@ -105,7 +106,7 @@ class Child:
         self._news: list[str] = []  # notes not yet returned by take_news
         self.was_ready = False  # before any of its restarts
         self.deaths: deque[Death] = deque(maxlen=REMEMBERED_DEATHS)
-        self.start_at_s = 0.0  # start time while WAITING or LOOPING
+        self.start_at_s = 0.0  # start time while it `waits`
         self.kill_at_s = 0.0  # time of SIGKILL while ENDING
         self.exited_fd = self.output_fd = -1
         self.line: ForkConnection | None = None  # of a fork server
@@ -118,7 +119,7 @@ class Child:
     @property
     def waits(self) -> bool:
         """True while it waits for its next start."""
-        return self.state in (ProcessState.WAITING, ProcessState.LOOPING)
+        return self.state in (ProcessState.PENDING, ProcessState.WAITING, ProcessState.LOOPING)
 
     def become(self, state: ProcessState) -> None:
         self.state, self.since_s = state, now_s()

@@ -9,9 +9,11 @@ This package must not import broker, workers, sim_mcm or deploy.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # as in `typing`, whose import takes as long as Python itself: Ctrl-C would meet it in `rtc`
 if TYPE_CHECKING:
+    from typing import Any
+
     from rtc.client.client import Client
     from rtc.client.halt import HaltResult
     from rtc.protocol.outcomes import (

@@ -16,7 +16,7 @@ from rtc.protocol.messages import RetireWorker, SpawnWorker, WorkerKind
 WAIT_S = 0.25  # waiting time of a job that shows a shortage of workers
 COMING_S = 5.0  # time limit for the start of a worker; then it is ordered again
 IDLE_S = 20.0  # time without a job after which a worker may retire
-COMING = ("starting", "restarting")  # states of a process that is about to be ready
+COMING = ("pending", "starting", "restarting")  # states of a process that is about to be ready
 
 Processes = Sequence[dict[str, Any]]
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 import signal
 from importlib import import_module
-from typing import NoReturn
+
+TYPE_CHECKING = False  # see rtc/__init__.py
+if TYPE_CHECKING:
+    from typing import NoReturn
 
 INTERRUPTED = 130  # exit status, as in shells
 

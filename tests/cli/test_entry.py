@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+ROOT = Path(__file__).parents[2]
 #: `rtc`, announced on stderr as soon as its first function can be called
 RTC = """
 import os, signal, sys
@@ -44,3 +45,10 @@ def test_interrupted_early(words: list[str], after_s: float, tmp_path: Path) -> 
     assert not any("Traceback" in line for line in lines), errors
     assert lines[-1] in ("rtc: interrupted", "rtc: stopped before the cluster was ready")
     assert rtc.returncode in (130, 1)
+
+
+def test_nothing_slow_is_imported_before_ctrl_c_is_handled() -> None:
+    """Before that, Ctrl-C meets Python's own traceback."""
+    code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import rtc.cli.entry; print(*sys.modules)"
+    bare = subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, check=True)
+    assert not {"typing", "re", "pathlib", "msgspec", "typer"} & set(bare.stdout.split())

@@ -408,6 +408,9 @@ def test_a_template_for_later_is_not_waited_for_and_forks_what_is_killed(cluster
     it = cluster(forked("broker@0", awaits_fork_server=False), template(later=True)).go()
     first = it.recv_table(lambda t: t["template"]["state"] == "ready")["broker@0"]
     assert b"signal.pause()" in command_line(first["pid"])  # it has started by itself
+    states = [row["state"] for table in it.saved for row in table if row["name"] == "template"]
+    assert (states[0], states[-1]) == ("pending", "ready")  # its first start is no restart
+    assert "restarting" not in states
     os.kill(first["pid"], signal.SIGKILL)
     again = it.recv_table(lambda t: t["broker@0"]["state"] == "ready" and t["broker@0"]["restarts"] == 1)
     assert b"rtc.runtime.fork_server" in command_line(again["broker@0"]["pid"])

@@ -51,7 +51,7 @@ def test_a_kind_without_workers_gets_one_as_soon_as_a_job_waits():
     assert it.look(1.0) == [SpawnWorker(kind=BINDER)]
 
 
-@pytest.mark.parametrize("state", ["starting", "restarting"])
+@pytest.mark.parametrize("state", ["pending", "starting", "restarting"])
 def test_one_that_is_coming_back_is_waited_for(state):
     it = Cluster()
     it.processes = [row("binder@2", state), row("parser@0", "ready")]
