@@ -34,7 +34,7 @@ from deploy.supervisor import END_LIMIT_S, OUTCOMES_S, Supervisor
 from rtc.client.halt import HaltLine
 from rtc.protocol.outcomes import ClusterError, NoCluster, RtcError
 from rtc.runtime import fork_server, handover, process, process_table
-from rtc.runtime.settings import ENDPOINTS, LOCK, Settings, prepare_run_dir, shell_command
+from rtc.runtime.settings import ENDPOINTS, LAST_WORDS, LOCK, Settings, prepare_run_dir, shell_command
 from rtc.world import lease
 
 LOGS = "logs"
@@ -42,7 +42,6 @@ TEMPLATE = "template"  # process name of the fork server of workers; NAME-templa
 STANDBY = "twin-template"  # standby fork server: a start takes seconds, so each of the two is forked from the other
 PREVIOUS = "previous"
 RUNS_KEPT = 3  # in previous, previous-2, previous-3
-LAST_WORDS = "ended.txt"  # commands and arms that were stopped at the end of the cluster
 REST_S = 1.5  # limit for the arms to come to rest when the cluster ends
 NICENESS = -10  # of the supervisor: it needs little time, and work of a dead process waits for it
 
@@ -375,7 +374,6 @@ def _owner(run_dir: Path) -> str:
 def _clean(run_dir: Path) -> None:
     """Moves the files of the last cluster to previous/ and removes the oldest."""
     _remove_traces(run_dir)
-    (run_dir / LAST_WORDS).unlink(missing_ok=True)
     previous = run_dir / PREVIOUS
     older = [run_dir / f"{PREVIOUS}-{n}" for n in range(2, RUNS_KEPT + 1)]
     shutil.rmtree(older[-1], ignore_errors=True)
@@ -384,7 +382,7 @@ def _clean(run_dir: Path) -> None:
             newer.rename(path)
     previous.mkdir(mode=0o700)
     databases = [path for end in ("", "-wal", "-shm", ".damaged-*") for path in run_dir.glob(f"*.db{end}")]
-    for left in (*databases, run_dir / LOGS):
+    for left in (*databases, run_dir / LOGS, run_dir / LAST_WORDS):
         if left.exists():
             left.rename(previous / left.name)
 

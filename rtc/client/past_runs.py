@@ -17,6 +17,7 @@ from pathlib import Path
 from rtc.protocol import wire
 from rtc.protocol.messages import CommandRecord
 from rtc.protocol.outcomes import RtcError, WireError
+from rtc.runtime.settings import LAST_WORDS
 
 JOURNAL = "journal.db"  # in the run directory of a cluster
 PREVIOUS = "previous"  # a directory in it: the same of the run before
@@ -29,7 +30,7 @@ _read = wire.decoder(CommandRecord)
 
 @dataclass(frozen=True)
 class Past:
-    """The commands of one ended run. `ended_at`: Unix time of the last change of the journal (s)."""
+    """The commands of one ended run. `ended_at`: Unix time of its end (s)."""
 
     journal: Path
     ended_at: float
@@ -63,15 +64,18 @@ def runs(run_dir: Path) -> Iterator[Past]:
     """The journals in a run directory, newest first; the first may belong to a running cluster."""
     for name in (".", PREVIOUS, *OLDER):
         with contextlib.suppress(OSError):
-            journal = run_dir / name / JOURNAL
-            changed = journal.stat().st_mtime
-            log = _log_of(journal)
-            yield Past(journal, max(changed, log.stat().st_mtime) if log.exists() else changed)
+            yield Past(run_dir / name / JOURNAL, _ended_at(run_dir / name))
 
 
-def _log_of(journal: Path) -> Path:
-    """The write-ahead log, which holds the last changes if the broker was killed."""
-    return journal.with_name(f"{journal.name}-wal")
+def _ended_at(directory: Path) -> float:
+    """The Unix time at which the supervisor wrote its last file; without one the last change of the journal. The
+    write-ahead log has the last changes of a killed broker. An empty one was made by a reader, after the end."""
+    journal, last_words = directory / JOURNAL, directory / LAST_WORDS
+    changed = journal.stat().st_mtime
+    if last_words.exists():
+        return last_words.stat().st_mtime
+    log = journal.with_name(f"{journal.name}-wal")
+    return max(changed, log.stat().st_mtime) if log.exists() and log.stat().st_size else changed
 
 
 def clock_time(at: float) -> str:

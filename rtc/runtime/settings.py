@@ -89,6 +89,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 # In the run directory:
+LAST_WORDS = "ended.txt"  # in a run directory: commands and arms that were stopped at the end of the cluster
 LOCK = "supervisor.lock"  # locked while the supervisor lives; the kernel releases it when the process ends
 KEYS = "keys"  # a directory: keys of other machines
 # socket -> file in the run directory; comment: process that binds it, kind, peers

@@ -88,9 +88,20 @@ def test_a_run_ended_when_its_journal_was_written_last(tmp_path: Path) -> None:
     left_behind(tmp_path, [record(1)])
     os.utime(tmp_path / "journal.db", (1000.0, 1000.0))
     assert next(runs(tmp_path)).ended_at == 1000.0
-    (tmp_path / "journal.db-wal").touch()
+    (tmp_path / "journal.db-wal").write_bytes(b"frames")
     os.utime(tmp_path / "journal.db-wal", (1005.0, 1005.0))
     assert next(runs(tmp_path)).ended_at == 1005.0
+
+
+def test_a_run_ended_when_its_supervisor_did_however_often_it_is_read(tmp_path: Path) -> None:
+    left_behind(tmp_path, [record(1)])
+    os.utime(tmp_path / "journal.db", (1000.0, 1000.0))
+    next(runs(tmp_path)).last(1)
+    assert next(runs(tmp_path)).ended_at == 1000.0
+    (tmp_path / "ended.txt").write_text("")
+    os.utime(tmp_path / "ended.txt", (1007.0, 1007.0))
+    next(runs(tmp_path)).last(1)
+    assert next(runs(tmp_path)).ended_at == 1007.0
 
 
 def test_a_damaged_journal_is_named(tmp_path: Path) -> None:

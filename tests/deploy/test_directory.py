@@ -84,8 +84,11 @@ def test_the_journals_of_the_last_three_runs_are_kept(run_dir: Path) -> None:
     for run in "abcde":
         _clean(run_dir)
         (run_dir / "journal.db").write_text(run)
+        (run_dir / "ended.txt").write_text(run)
         (run_dir / "journal.db.damaged-20260101-000000").write_text(run)
     _clean(run_dir)
     kept = {path.parent.name: path.read_text() for path in run_dir.glob("previous*/journal.db")}
     assert kept == {"previous": "e", "previous-2": "d", "previous-3": "c"}
+    assert (run_dir / "previous" / "ended.txt").read_text() == "e"
+    assert not (run_dir / "ended.txt").exists()
     assert not list(run_dir.glob("*.db*"))
