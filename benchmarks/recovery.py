@@ -56,6 +56,7 @@ class Bench:
         self.hosts = hosts
         self.chaos = Chaos(run_dir, rng)
         self.journal = JournalReader(run_dir)
+        self.journal.follow()
         self.loss_known_s: list[float] = []
         self._marked = 0
 
@@ -278,21 +279,23 @@ def run(stack: ExitStack, kills: int, kinds: list[str], hosts: TwoHosts | None) 
                 }
                 rows.append(("  of which until the broker knows", spread(bench.loss_known_s, 1e3, "ms")))
     bench.journal.read()
-    verdict = judge(errands.done, bench.journal.events, run_dir, bench.chaos.strikes)
+    verdict = judge(errands.done, bench.journal, run_dir, bench.chaos.strikes)
     verdict.print_faults()
     metrics |= {
         "commands_lost": len(verdict.lost),
         "commands_repeated": len(verdict.repeated),
         "wrong_outcomes": len(verdict.wrong),
+        "outcomes_not_seen": len(verdict.not_seen),
         "commands": len(errands.done),
         "kills": len(bench.chaos.strikes),
     }
     rows += [
         ("commands", f"{len(errands.done)}: {', '.join(f'{n} {kind}' for kind, n in verdict.outcomes.most_common())}"),
         ("lost, repeated, reported wrongly", f"{len(verdict.lost)}, {len(verdict.repeated)}, {len(verdict.wrong)}"),
+        ("not seen; missed batches of the journal", f"{len(verdict.not_seen)}; {verdict.missed}"),
     ]
     finish(name, metrics, rows)
-    sys.exit(1 if verdict.lost or verdict.repeated or verdict.wrong else 0)
+    sys.exit(0 if verdict.faultless else 1)
 
 
 if __name__ == "__main__":

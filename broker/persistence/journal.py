@@ -75,9 +75,10 @@ class Journal:
         return journal
 
     @staticmethod
-    def read_only(path: Path) -> Journal:
-        """For reading a journal, also while its broker writes it."""
-        return Journal(sqlite3.connect(f"file:{path}?mode=ro", uri=True, isolation_level=None))
+    def read_only(path: Path, *, one_thread: bool = True) -> Journal:
+        """For reading a journal, also while its broker writes it. `one_thread`: SQLite refuses other threads."""
+        file = f"file:{path}?mode=ro"
+        return Journal(sqlite3.connect(file, uri=True, isolation_level=None, check_same_thread=one_thread))
 
     def transaction(self) -> sqlite3.Connection:
         self.db.execute("BEGIN")

@@ -42,6 +42,7 @@ class Campaign:
     def __init__(self, hosts: TwoHosts, run_dir: Path, rtc: Client, rng: random.Random) -> None:
         self._hosts, self._run_dir, self._rtc, self._rng = hosts, run_dir, rtc, rng
         self.journal = JournalReader(run_dir)
+        self.journal.follow()
         self.errands: list[Errand] = []
         self.noticed_s: list[float] = []
         self.back_s: list[float] = []
@@ -76,7 +77,7 @@ class Campaign:
 
     def verdict(self) -> Verdict:
         self.journal.read()
-        return judge(self.errands, self.journal.events, self._run_dir, [])
+        return judge(self.errands, self.journal, self._run_dir, [])
 
     def stale(self) -> int:
         """Late results that gateway and broker have refused."""
@@ -126,7 +127,6 @@ class Campaign:
         while not condition():
             if time.monotonic() > end_s:
                 raise SystemExit(f"waited for {GIVE_UP_S:g} s in vain; workers: {sorted(self._workers())}")
-            self.journal.read()
             time.sleep(LOOK_S)
 
 
@@ -180,6 +180,7 @@ def _report(campaign: Campaign, cuts: int, verdict: Verdict, stale: int) -> None
         "commands_lost": len(verdict.lost),
         "commands_repeated": len(verdict.repeated),
         "wrong_outcomes": len(verdict.wrong),
+        "outcomes_not_seen": len(verdict.not_seen),
     }
     rows = [
         ("cut until noticed, per worker", f"{spread(campaign.noticed_s)}; {late} later than {LINK_LIMIT_S:g} s"),
@@ -190,9 +191,10 @@ def _report(campaign: Campaign, cuts: int, verdict: Verdict, stale: int) -> None
         ("stale results refused", str(stale)),
         ("commands", f"{len(campaign.errands)}: {', '.join(f'{n} {k}' for k, n in verdict.outcomes.most_common())}"),
         ("lost, repeated, untrue", f"{len(verdict.lost)}, {len(verdict.repeated)}, {len(verdict.wrong)}"),
+        ("not seen; missed batches of the journal", f"{len(verdict.not_seen)}; {verdict.missed}"),
     ]
     finish("hosts", metrics, rows, RESULTS)
-    sys.exit(1 if late or campaign.unconfirmed or verdict.lost or verdict.repeated or verdict.wrong else 0)
+    sys.exit(0 if verdict.faultless and not late and not campaign.unconfirmed else 1)
 
 
 if __name__ == "__main__":
