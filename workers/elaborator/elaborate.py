@@ -175,23 +175,15 @@ def _holds(check: BranchCondition, candidate: TaskCandidate) -> bool:
 
 def _first_feasible(compiled: Compiled, options: list[ScriptOption]) -> Script | Refusal:
     """The script of the first feasible option; else the most informative refusal with the number of options."""
-    first: Refusal | None = None
-    its = options[0]
+    refused: list[tuple[Refusal, ScriptOption]] = []
     notes: list[str] = []
     for option in options:
         made = _script(compiled, option, options, notes)
         if isinstance(made, Script):
             return made
         notes.append(f"generated {option.name}; tested: {made.message}")
-        if first is None or _rank(made) < _rank(first):
-            first, its = made, option
-    assert first is not None
-    if isinstance(other := first.detail.get(IN_THE_WAY), str):
-
-        def can_be_planned(candidate: TaskCandidate) -> bool:
-            return isinstance(_script(compiled, ScriptOption(its.branch, candidate), options, []), Script)
-
-        first = make_way.advise(first, its.candidate, other, can_be_planned)
+        refused.append((made, option))
+    first = _most_informative(compiled, refused, options)
     if len(options) == 1 or _PRECEDENCE[first.reason] == 0 or first.reason is RefusalReason.NO_SCRIPT:
         return first
     others = "; ".join(notes[1:4]) if len(notes) > 1 else ""
@@ -200,6 +192,26 @@ def _first_feasible(compiled: Compiled, options: list[ScriptOption]) -> Script |
         message=f"{first.message} ({len(options)} candidates tried)",
         detail={**first.detail, "candidates": float(len(options)), "others": others[:600]},
     )
+
+
+def _most_informative(
+    compiled: Compiled, refused: list[tuple[Refusal, ScriptOption]], options: list[ScriptOption]
+) -> Refusal:
+    """The refusal of the lowest rank. An arm in the way that could leave is only named if a sentence for it was found
+    that clears the command; else the refusal names the obstacle that remains."""
+    first, its = min(refused, key=lambda each: _rank(each[0]))
+    other = first.detail.get(IN_THE_WAY)
+    if not isinstance(other, str) or not make_way.may_leave(its.candidate.query, other):
+        return first
+
+    def can_be_planned(candidate: TaskCandidate) -> bool:
+        return isinstance(_script(compiled, ScriptOption(its.branch, candidate), options, []), Script)
+
+    advised = make_way.advise(first, its.candidate, other, can_be_planned)
+    if advised is not None:
+        return advised
+    same_rank = [one for one, _ in refused if _PRECEDENCE[one.reason] == _PRECEDENCE[first.reason]]
+    return next((one for one in same_rank if IN_THE_WAY not in one.detail), first)
 
 
 #: If several options fail, the refusal with the lowest rank is returned.

@@ -24,21 +24,20 @@ from workers.planning.world_query import WorldQuery
 
 def advise(
     refusal: Refusal, candidate: TaskCandidate, other: str, can_be_planned: Callable[[TaskCandidate], bool]
-) -> Refusal:
-    """The refusal, with the sentence that clears it if one was found. `other`: the arm in the way."""
+) -> Refusal | None:
+    """The refusal with the sentence that clears it; None if none was found. `other`: the arm in the way, which may
+    leave."""
     query, clears = candidate.query, candidate.program.clears
-    if not _may_leave(query, other):
-        return refusal
     for row, place, joints in _leaves(query, other):
         there = WorldChange(key=f"{other}.joints", value=[float(q) for q in joints])
         after = replace(candidate, query=replace(query, world=query.world.overlay([there])))
         if can_be_planned(after) and _can_go(query, other, joints):
             words = clears.get(row, "").replace("{other}", hand_in_words(other)).replace("{place}", place)
             return msgspec.structs.replace(refusal, clears=words)
-    return refusal
+    return None
 
 
-def _may_leave(query: WorldQuery, arm: str) -> bool:
+def may_leave(query: WorldQuery, arm: str) -> bool:
     """Whether a sentence may move this arm alone, as far as what it does and holds is concerned."""
     held = query.holding(arm)
     moves = any(arm in primitive.paths for primitive in query.moving)

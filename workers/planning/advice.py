@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import msgspec
@@ -13,6 +14,7 @@ from workers.planning import in_seat
 from workers.planning.world_query import WorldQuery
 
 UNLIMITED = Limits()
+SHARE_OF_RANGE = 0.9  # of a hinge, that advised sentences use
 
 
 def advise_on_collision(
@@ -32,7 +34,7 @@ def advise_on_collision(
         or ("way_unsure" if not other and _far(refusal, limits) else "")
         or _kept_out(refusal, body, limits)
         or ("way_other" if other else "")
-        or _hinged(query, arm, body)
+        or _hinged(refusal, query, arm, body)
         or _at_goal(refusal, query, body)
         or ("way_shared" if query.sharers(arm) else "way")
     )
@@ -47,6 +49,7 @@ def advise_on_collision(
         "other": hand_in_words(other),
         "places": ", ".join(places),
         "or_arm": "" if held else ", or another arm",
+        "turn": _turn_in_words(query, body),
     }
     words = clears.get(row, "") if places else clears.get(row, "").replace(" ({places})", "")
     for name, text in texts.items():
@@ -67,11 +70,25 @@ def _kept_out(refusal: Refusal, body: str, limits: Limits) -> str:
     return "way_neighbors" if near and limits.clearance_m else ""
 
 
-def _hinged(query: WorldQuery, arm: str, body: str) -> str:
-    """The row for a door that is in the way, or that this arm turns; empty for other bodies."""
+def _hinged(refusal: Refusal, query: WorldQuery, arm: str, body: str) -> str:
+    """The row for a door that is at the goal or beside the arm, or that this arm turns; empty for other bodies."""
     if query.hinge(body) is None:
         return ""
-    return "way_turned" if query.held_by(body) == arm else "way_hinged"
+    if query.held_by(body) == arm:
+        return "way_turned"
+    beside = float(refusal.detail.get("fraction", 1.0)) < 0.5 and not query.holding(arm)
+    return "way_beside_hinged" if beside else "way_hinged"
+
+
+def _turn_in_words(query: WorldQuery, body: str) -> str:
+    """The sentence that turns a door to its other side, short of the stop; empty for other bodies."""
+    hinge = query.hinge(body)
+    if hinge is None:
+        return ""
+    closed_deg, open_deg = hinge.range_deg
+    if math.degrees(query.angle(body)) > 0.5 * (closed_deg + open_deg):
+        return f"CLOSE {body}"
+    return f"OPEN {body} TO {SHARE_OF_RANGE * open_deg:.0f} DEG"
 
 
 def _at_goal(refusal: Refusal, query: WorldQuery, body: str) -> str:
