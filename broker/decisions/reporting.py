@@ -28,6 +28,7 @@ def at_end(command: Command, report: EndReport) -> Measured | None:
         wrench=report.wrench if asked.forces else None,
         peak_force_n=report.peak_force_n if asked.forces else None,
         peak_torque_nm=report.peak_torque_nm if asked.forces else None,
+        partner=at_end(command, report.partner) if report.partner else None,
     )
 
 

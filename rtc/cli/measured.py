@@ -33,14 +33,15 @@ def in_words(measured: Measured) -> list[str]:
         force, torque = measured.wrench[:3], measured.wrench[3:]
         peaks = ""
         if measured.peak_force_n is not None:
-            peaks = f"; peak on the way {measured.peak_force_n:.1f} N, {measured.peak_torque_nm or 0.0:.2f} Nm"
+            of = " of both arms" if measured.partner else ""
+            peaks = f"; peak{of} on the way {measured.peak_force_n:.1f} N, {measured.peak_torque_nm or 0.0:.2f} Nm"
         felt = f"forces: {_numbers(force, '.1f')} N, torques: {_numbers(torque, '.2f')} Nm (tool axes)"
         lines.append(f"{measured.arm} {felt}{peaks}")
     if measured.sighting is not None:
         lines += _sighting(measured.arm, measured.sighting)
     if measured.joints is not None:
         lines.append(f"{measured.arm} joints: {_numbers(map(math.degrees, measured.joints), '.1f')} deg")
-    return lines
+    return lines + (in_words(measured.partner) if measured.partner else [])
 
 
 def _sighting(camera: str, seen: Sighting) -> list[str]:

@@ -45,6 +45,7 @@ ARMS = {"LEFT-END-EFF": "LEFT-ARM", "RIGHT-END-EFF": "RIGHT-ARM"}
 ACTIONS = {"STOP": "stop", "BACK-OFF": "back_off", "COMPLY": "comply", "RELEASE": "release"}
 SHARED_PARTS = {"ORIENTATION": "WRIST"}  # synonyms for a part of a shared motion
 POSITION_NUMBERS = 3  # x y z
+ONCE_PER_NAME = {"AVOID-TASK-REGION"}  # constraints that may be given for several names
 
 
 class HandFields(dict[str, Any]):
@@ -214,10 +215,11 @@ def maintain(parts: Parts) -> Fields:
     given: list[tuple[Token, Constraint]] = items(parts)[::-1]
     seen = set()
     for word, constraint in given:
-        if constraint.slot in seen:
+        item = (constraint.slot, constraint.name if constraint.slot in ONCE_PER_NAME else None)
+        if item in seen:
             raise SentenceError(word.start_pos or 0, f"{word.value} is repeated.", ["each constraint once"])
-        seen.add(constraint.slot)
-    return {"constraints": sorted((c for _, c in given), key=lambda c: c.slot)}
+        seen.add(item)
+    return {"constraints": sorted((c for _, c in given), key=lambda c: (c.slot, c.name or ""))}
 
 
 def named_constraint(parts: Parts) -> tuple[Token, Constraint]:

@@ -145,6 +145,12 @@ WRONG = [
     ("MOVE LEFT-ARM BY ¦181 DEG ALONG TOOL-Z", [AN_ANGLE], [], "from -180 to 180 DEG"),
     # repeated, or contradictory
     ("GRASP X MAINTAIN SPEED 10 CM/S AND ¦SPEED 5 CM/S", ["each constraint once"], [], "SPEED is repeated"),
+    (
+        "GRASP X MAINTAIN AVOID-TASK-REGION A AND ¦AVOID-TASK-REGION A",
+        ["each constraint once"],
+        [],
+        "AVOID-TASK-REGION is repeated",
+    ),
     ("GRASP X MAINTAIN SPEED, SHARED, ¦SHARED WRIST", ["each constraint once"], [], "SHARED is repeated"),
     ("OPEN RIGHT-END-EFF WITH ¦LEFT-ARM", ["RIGHT-ARM"], [], "RIGHT-ARM is named first, then LEFT-ARM"),
     ("HANDOFF X FROM LEFT-ARM TO ¦LEFT-END-EFF", ["another hand"], [], "cannot hand X to itself"),

@@ -9,7 +9,7 @@ import numpy as np
 import pybullet
 import pytest
 
-from rtc.cells.parts import MAINTAINED, Maintained
+from rtc.cells.parts import MAINTAINED, Frame, Maintained, Region
 from rtc.language.parse import default_grammar, parse
 from rtc.protocol.outcomes import Refusal, RefusalReason, StopReason
 from rtc.protocol.primitive import (
@@ -191,6 +191,18 @@ def test_a_way_leads_round_a_region_that_must_be_avoided(bench) -> None:
     assert around.trajectory.positions != free.trajectory.positions
     assert not any(region.contains(pose[:3]) for pose in poses(bench, around))
     assert len(conditions(around, TcpInside)) == 1
+
+
+def test_two_regions_are_avoided(bench) -> None:
+    panel = Region(name="PANEL", frame=Frame(xyz=(0.7, 0.9, 0.7)), size_m=(0.2, 0.2, 0.2))
+    cell = bench.model.cell
+    bench.model = CellModel(msgspec.structs.replace(cell, regions=[*cell.regions, panel]))
+    both = "MAINTAIN AVOID-TASK-REGION SOLAR-ARRAY AND AVOID-TASK-REGION PANEL"
+    assert len(conditions(bound(bench, f"{TO} {both}"), TcpInside)) == 2
+    for sentence, region in (("72 30 115", "SOLAR-ARRAY"), ("65 85 70", "PANEL")):
+        refusal = bench.elaborate(f"MOVE LEFT-ARM TO POSITION {sentence} CM {both}")
+        assert isinstance(refusal, Refusal)
+        assert region in refusal.message
 
 
 @pytest.mark.parametrize(("words", "least_m"), [(" BY 3 CM", 0.025), ("", 0.005)])

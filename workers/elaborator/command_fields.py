@@ -103,7 +103,10 @@ def limits(program: ElaboratorProgram, parsed: ParsedCommand, cell: Cell) -> Lim
         problem = _impossible(program, constraint.slot, kept[unit], unit, value, cell)
         if problem is not None:
             return problem
-        figures[kept[unit]] = [value] if kept[unit] == "keep_out" else value
+        if kept[unit] == "keep_out":
+            figures.setdefault("keep_out", []).append(value)
+        else:
+            figures[kept[unit]] = value
     return msgspec.convert({limit: value for limit, value in figures.items() if limit}, Limits)
 
 

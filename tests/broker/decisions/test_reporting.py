@@ -5,9 +5,11 @@ from __future__ import annotations
 import msgspec
 
 from broker.decisions import effects as do
+from broker.decisions.events import PrimitiveEnded
+from rtc.cli.measured import in_words
 from rtc.language.record import Report
 from rtc.protocol.outcomes import StopReason
-from tests.broker.harness import Harness, bound, go_on, record
+from tests.broker.harness import Harness, bound, go_on, record, report
 
 
 def test_what_was_measured_is_in_the_outcome_and_in_the_note_as_far_as_it_was_asked_for():
@@ -29,6 +31,18 @@ def test_a_halted_command_reports_what_was_measured_too():
     s.reports("C-1", StopReason.HALT)
     s.answers("C-1", go_on())
     assert s.outcome("C-1").measured.joints == [0.0] * 6
+
+
+def test_of_two_arms_both_are_reported():
+    s = Harness()
+    s.executing(report=Report(joints=True, pose=True))
+    both = msgspec.structs.replace(report("C-1.1"), partner=report("C-1.1", performer="LEFT-ARM"))
+    s.handle(PrimitiveEnded, subsystem="MCM", report=both)
+    s.answers("C-1", go_on())
+
+    second = s.outcome("C-1").measured.partner
+    assert (second.arm, second.joints, second.tcp_pose) == ("LEFT-ARM", [0.0] * 6, [0, 0, 0, 0, 0, 0, 1])
+    assert [line.split()[0] for line in in_words(s.outcome("C-1").measured)] == ["RIGHT-ARM"] * 2 + ["LEFT-ARM"] * 2
 
 
 def test_without_report_nothing_is_added():
