@@ -43,7 +43,8 @@ STANDBY = "twin-template"  # standby fork server: a start takes seconds, so each
 PREVIOUS = "previous"
 RUNS_KEPT = 3  # in previous, previous-2, previous-3
 REST_S = 1.5  # limit for the arms to come to rest when the cluster ends
-NICENESS = -10  # of the supervisor: it needs little time, and work of a dead process waits for it
+# Of the supervisor: it needs little time, and work of a dead process waits for it. Real-time if permitted.
+RANK, NICENESS = 1, -10
 
 
 def specs(settings: Settings, fd: int = -1) -> list[Spec]:
@@ -159,7 +160,8 @@ def up(settings: Settings, show: Callable[[str], None], detach_output: bool = Fa
         }
         directory = Directory(run_dir, lock, files)
         with process.start("supervisor", run_dir) as me:
-            process.nice(NICENESS)
+            process.real_time_io(me.context, RANK)
+            process.raise_priority(RANK, NICENESS)
             supervisor = Supervisor(
                 me,
                 specs(settings, given.fd),

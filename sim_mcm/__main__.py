@@ -158,7 +158,7 @@ class Station:
         if sockets.newly_connected():
             sockets.send([*self._subsystem.hello(), self._injected])
         if self._heartbeat.due(now_s):
-            sockets.send([(BROKER, m.Heartbeat(name=NAME))])
+            sockets.send([(BROKER, m.Heartbeat(name=NAME, own_s=self._clock.sim_s))])
             if sockets.dropped:
                 sockets.send([(BROKER, m.Dropped(counts=dict(sockets.dropped)))])
             if self._guard.alarm(now_s):
@@ -246,7 +246,10 @@ def _raise_priority(settings: Settings) -> str:
     """Request real-time priority, because a servo tick is short and cannot wait; otherwise only a lower niceness."""
     if _in_real_time(settings):
         return process.raise_priority(RANK, NICENESS)
-    return f"niceness {NICENESS}" if process.nice(NICENESS) else "no permission for a higher priority"
+    if not process.nice(NICENESS):
+        return "no permission for a higher priority"
+    process.nice_session(NICENESS)
+    return f"niceness {NICENESS}"
 
 
 def main() -> None:

@@ -1,7 +1,8 @@
 """Tick schedule: when the next tick is due, and how many ticks were late. Pure: the caller reads the clock and sleeps.
 
 Simulated time runs `speed` times as fast as wall time. Speed 0 means as fast as possible while a primitive runs, and
-speed 1 otherwise. So an idle simulator leaves the cores to other processes.
+speed 1 otherwise. So an idle simulator leaves the cores to other processes. A simulator that cannot keep its speed
+pauses after each delay: with real-time priority, several of them would leave no core to those who command them.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ from __future__ import annotations
 from sim_mcm.arms.arm import TICK_S
 
 CATCH_UP_S = 0.05  # a longer delay (stopped process, stalled machine) is not caught up
+PAUSE = 0.25  # pause after such a delay, as a part of it, ...
+LONGEST_PAUSE_S = 0.025  # ... up to this: halts wait as long
 
 
 class Clock:
@@ -40,5 +43,5 @@ class Clock:
         if late_s > period_s:
             self.late_ticks += 1
         if late_s > max(CATCH_UP_S, 2 * period_s):
-            self._due_s = now_s
+            self._due_s = now_s + min(PAUSE * late_s, LONGEST_PAUSE_S)
         self._due_s += period_s

@@ -5,6 +5,7 @@ It also has the operations that every action needs, such as creating a job or wr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -217,9 +218,10 @@ class DecisionContext:
             )
         )
 
-    def start_timer(self, command: Command, limit_s: float) -> None:
+    def start_timer(self, command: Command, limit_s: float, subsystems: Sequence[str] = ()) -> None:
+        """`subsystems`: the limit counts their own time (`StartTimer`)."""
         command.due_s = self.now + limit_s
-        self.effects.append(StartTimer(timer=command.id, at_s=command.due_s))
+        self.effects.append(StartTimer(timer=command.id, at_s=command.due_s, subsystems=subsystems))
 
     def stop_timer(self, command: Command) -> None:
         command.due_s = 0.0

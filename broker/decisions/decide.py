@@ -299,9 +299,10 @@ def on_restart(context: DecisionContext, event: BrokerRestarted) -> None:
         if command.phase is Phase.ANALYZING:
             command.due_s = 0.0  # its retry was dispatched above
         if command.phase is Phase.EXECUTING:
-            context.start_timer(command, limits.report_limit_s(context.state, command))
+            limits.await_report(context, command)
         elif command.phase is Phase.HALTING:
-            context.start_timer(command, limits.rest_limit_s(context.state, reconnecting=True))
+            subsystems = [command.subsystem] if command.subsystem else list(context.state.subsystems)
+            limits.await_rest(context, command, subsystems, reconnecting=True)
         elif command.phase is Phase.CLOSING:
             context.start_timer(command, limits.CLOSING_LIMIT_S)
 

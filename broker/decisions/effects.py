@@ -5,6 +5,8 @@ They are executed in order.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 
 from rtc.protocol.messages import BrokerToClient, CommandEnded, CommandRecord, HaltRequested, ProgressNote, WorkerKind
@@ -61,10 +63,12 @@ class AcknowledgeReport(Effect, frozen=True, kw_only=True, gc=False):
 
 
 class StartTimer(Effect, frozen=True, kw_only=True, gc=False):
-    """Send TimerFired(timer) at this time; a timer of the same name is replaced."""
+    """Send TimerFired(timer) at this time; a timer of the same name is replaced. It fires later if one of `subsystems`
+    is slower than our clock: their own time counts too."""
 
     timer: str
     at_s: float
+    subsystems: Sequence[str] = ()
 
 
 class StopTimer(Effect, frozen=True, kw_only=True, gc=False):

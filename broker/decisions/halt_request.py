@@ -9,7 +9,7 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import NamedTuple
 
-from broker.decisions.command.limits import rest_limit_s
+from broker.decisions.command.limits import await_rest, rest_limit_s
 from broker.decisions.command.scope import has_ended, in_scope, no_target, subsystem_of
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import DeclineHalt, PublishHalt, SendHalt
@@ -162,7 +162,7 @@ def order_sentence(context: DecisionContext, name: str, scope: str) -> None:
     """Halt what is in scope, except the HALT sentence itself, and wait for rest."""
     command = context.state.commands[name]
     context.enter(command, Phase.HALTING, f"halt {scope}")
-    context.start_timer(command, rest_limit_s(context.state))
+    await_rest(context, command, list(context.state.subsystems))
     order(context, name, scope, context.now, spare=name)
     ordered = [e.subsystem for e in context.effects if type(e) is SendHalt and e.halt == name]
     context.state.halt_sentences[name] = HaltSentence(scope=scope, unconfirmed=ordered)

@@ -4,6 +4,9 @@ Pure: the time is an argument; it does not know commands or sockets. Workers of 
 answers in microseconds gets a batch of jobs per message and one batch ahead, so that it never waits for the broker. A
 slow worker gets one job at a time, so that no job waits at a busy worker while another worker is idle. Workers process
 jobs in order, so the first job assigned to a worker is in progress.
+
+A worker reports during a job how much processor time the job has used. The limits of a job count this time, because on
+a busy machine a healthy job may take any time on the clock.
 """
 
 from __future__ import annotations
@@ -18,10 +21,14 @@ from rtc.protocol.messages import WorkerKind
 BATCH_S = 0.002  # maximum duration of the jobs in one message
 BATCH_MAX = 64  # maximum number of jobs in one message
 SLOW_S = 0.005  # workers with longer jobs get one at a time
-# Time limit per job. An analyzer waits for the world database for up to half of it.
+# Limit of the processor time of a job, and of the time in which its worker reports that it has not used any. An
+# analyzer waits for the world database for up to half of it.
 DEADLINE_S = {WorkerKind.PARSER: 3.0, WorkerKind.ELABORATOR: 15.0, WorkerKind.BINDER: 15.0, WorkerKind.ANALYZER: 10.0}
+PROGRESS_S = 0.001  # least processor time that counts as progress of a job
 SILENCE_S = 3.0  # time limit for a sign of life of an idle worker, which sends one every 0.5 s
-QUEUE_LIMIT_S = 60.0  # maximum wait of a job while no worker of its kind answers
+BUSY_SILENCE_S = 30.0  # the same during a job: on a busy machine its signs of life are late
+LONGEST_JOB_S = 600.0  # of any job, by the clock: one that only looks busy
+QUEUE_LIMIT_S = 60.0  # maximum wait of a job while no worker of its kind answers or makes progress
 
 
 Lane = OrderedDict[str, tuple[float, DispatchJob]]  # job -> (time when it was queued, job); the oldest first
@@ -92,16 +99,26 @@ class LostJob(NamedTuple):
 
 
 class Worker:
-    __slots__ = ("assigned", "done", "kind", "last_seen_s", "mean_s", "name", "node", "pid", "retiring", "since_s")
+    __slots__ = (
+        *("assigned", "done", "kind", "last_seen_s", "mean_s", "name", "node", "pid"),
+        *("progress_at_s", "retiring", "since_s", "worked_s"),
+    )
 
     def __init__(self, name: str, node: int, kind: WorkerKind, pid: int, now: float) -> None:
         self.name, self.node, self.kind, self.pid = name, node, kind, pid
         self.assigned: dict[str, DispatchJob] = {}  # jobs in order; the first is in progress
         self.since_s = now  # time when the first job began
+        self.worked_s = 0.0  # processor time that it has reported for the first job
+        self.progress_at_s = now  # time when `worked_s` last rose, or of `since_s`
         self.last_seen_s = now
         self.done = 0
         self.mean_s = 1.0  # mean duration of a job; an unknown worker counts as slow
         self.retiring = False  # ordered to end: it gets no further jobs
+
+    def begin_job(self, now: float) -> None:
+        """The first of its assigned jobs is in progress from now on."""
+        self.since_s = self.progress_at_s = now
+        self.worked_s = 0.0
 
     @property
     def batch_size(self) -> int:
@@ -119,7 +136,7 @@ class WorkerRegistry:
     def __init__(self) -> None:
         self.workers: dict[str, Worker] = {}
         self.queues: dict[WorkerKind, Queue] = {kind: Queue() for kind in WorkerKind}
-        self.answered_at_s: dict[WorkerKind, float] = {}  # worker kind -> time of the latest result
+        self.active_at_s: dict[WorkerKind, float] = {}  # worker kind -> time of the latest result or progress
 
     # --- workers come and go --------------------------------------------------------------------------
 
@@ -135,19 +152,25 @@ class WorkerRegistry:
             return []
         return [LostJob(job, in_hand=first == 0) for first, job in enumerate(worker.assigned.values())]
 
-    def mark_alive(self, name: str, now: float) -> bool:
-        """Record a sign of life. False: the worker is not registered and must send its hello."""
+    def mark_alive(self, name: str, now: float, worked_s: float = 0.0) -> bool:
+        """Record a sign of life. `worked_s`: processor time of the job in progress. False: the worker is not registered
+        and must send its hello."""
         worker = self.workers.get(name)
-        if worker is not None:
-            worker.last_seen_s = now
-        return worker is not None
+        if worker is None:
+            return False
+        worker.last_seen_s = now
+        if worker.assigned and worked_s - worker.worked_s >= PROGRESS_S:
+            worker.worked_s = worked_s
+            worker.progress_at_s = self.active_at_s[worker.kind] = now
+        return True
 
     def answered(self, name: str, job: str, attempt: int, took_s: float, now: float) -> bool:
         """Record a result. False: this attempt is not assigned to this worker, or was declared lost."""
         worker = self.workers.get(name)
         if worker is None:
             return False
-        worker.last_seen_s = worker.since_s = self.answered_at_s[worker.kind] = now
+        worker.last_seen_s = self.active_at_s[worker.kind] = now
+        worker.begin_job(now)
         assigned = worker.assigned.get(job)
         if assigned is None or assigned.attempt != attempt:  # a late result of an earlier attempt
             return False
@@ -178,7 +201,7 @@ class WorkerRegistry:
                 worker = min(free, key=lambda w: len(w.assigned))
                 jobs = queue.take(min(worker.batch_size, worker.free_slots))
                 if not worker.assigned:
-                    worker.since_s = now
+                    worker.begin_job(now)
                 worker.assigned.update((job.job, job) for job in jobs)
                 yield worker.name, jobs
 
@@ -191,35 +214,45 @@ class WorkerRegistry:
 
     def hung(self, now: float) -> list[tuple[Worker, str]]:
         """Workers without progress or without a sign of life, each with the evidence."""
-        found = []
-        for worker in self.workers.values():
-            in_hand_s = now - max(worker.since_s, 0.0)
-            if worker.assigned and in_hand_s > DEADLINE_S[worker.kind]:
-                job = next(iter(worker.assigned))
-                found.append((worker, f"hung: job {job} in hand for {in_hand_s:.1f} s"))
-            elif not worker.assigned and now - worker.last_seen_s > SILENCE_S:
-                found.append((worker, f"hung: silent for {now - worker.last_seen_s:.1f} s"))
-        return found
+        found = ((worker, _why_hung(worker, now)) for worker in self.workers.values())
+        return [(worker, f"hung: {why}") for worker, why in found if why]
 
     def never_registered(self, name: str, ready_since_s: float, now: float) -> bool:
         """True if a ready worker process has not registered in time: it hung before this broker started.
 
-        A worker that is busy for an earlier broker may be silent for the length of one job."""
+        A worker that is busy for an earlier broker registers after its job."""
         kind = name.partition("@")[0]
-        if name in self.workers or kind not in DEADLINE_S:
-            return False
-        return now - ready_since_s > DEADLINE_S[WorkerKind(kind)]
+        return name not in self.workers and kind in DEADLINE_S and now - ready_since_s > BUSY_SILENCE_S
 
     def waited_too_long(self, now: float) -> list[DispatchJob]:
-        """Remove and return the jobs that waited longer than the limit while no worker of their kind answered.
+        """Remove and return the jobs that waited longer than the limit while no worker of their kind made progress.
 
-        As long as workers answer, the queue is only long, and its jobs stay."""
+        As long as workers answer or work, the queue is only long, and its jobs stay."""
         expired = []
         for kind, queue in self.queues.items():
-            if now - self.answered_at_s.get(kind, -QUEUE_LIMIT_S) < QUEUE_LIMIT_S:
+            if now - self.active_at_s.get(kind, -QUEUE_LIMIT_S) < QUEUE_LIMIT_S:
                 continue
             late = queue.waiting_since(now - QUEUE_LIMIT_S)
             for job in late:
                 queue.drop(job.job)
             expired += late
         return expired
+
+
+def _why_hung(worker: Worker, now: float) -> str:
+    """The evidence that a worker hangs; empty if it does not."""
+    silent_s, limit_s = now - worker.last_seen_s, DEADLINE_S[worker.kind]
+    if not worker.assigned:
+        return f"silent for {silent_s:.1f} s" if silent_s > SILENCE_S else ""
+    job, in_hand_s, idle_s = (
+        next(iter(worker.assigned)),
+        now - worker.since_s,
+        worker.last_seen_s - worker.progress_at_s,
+    )
+    if worker.worked_s > limit_s:
+        return f"job {job} has used {worker.worked_s:.1f} s of processor time"
+    if idle_s > limit_s:
+        return f"job {job} has not used the processor for {idle_s:.1f} s"
+    if silent_s > BUSY_SILENCE_S:
+        return f"silent for {silent_s:.1f} s, with job {job} in hand for {in_hand_s:.1f} s"
+    return f"job {job} in hand for {in_hand_s:.1f} s" if in_hand_s > LONGEST_JOB_S else ""

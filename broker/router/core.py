@@ -47,7 +47,7 @@ class Core:
         self.store, self.given, self.clock = store, given, clock
         self.loads = ProgramLoads(store, start_check)
         self.registry = WorkerRegistry()
-        self.timers = Timers()
+        self.timers = Timers(state.timeout_scale)
         self.events: list[Event] = []  # received in this iteration, not decided yet
         self.began_s = clock()
         self.loop_times_s: deque[float] = deque(maxlen=LOOP_TIMES_KEPT)

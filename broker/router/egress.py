@@ -112,7 +112,7 @@ class Egress:
         self.subsystems.put(self._core.subsystem_peer(effect.subsystem), m.ReportAck(primitive=effect.primitive))
 
     def _start_timer(self, effect: do.StartTimer) -> None:
-        self._core.timers.start(effect.timer, effect.at_s)
+        self._core.timers.start(effect.timer, effect.at_s, self._now, effect.subsystems)
 
     def _stop_timer(self, effect: do.StopTimer) -> None:
         self._core.timers.stop(effect.timer)

@@ -41,7 +41,7 @@ OPEN_HALTS = 8
 OPEN_HALTS_OF_BROKER = 64
 CALLERS_OF_A_HALT = 16  # maximum number that share one set of figures; a further caller gets its own
 MAX_FENCES = 64  # maximum number of fenced scopes; above it one fence covers ALL
-REST_LIMIT_S = 2.0  # a performer not at rest this long after a halt is reported as not at rest
+REST_LIMIT_S = 2.0  # a performer not at rest this long after a halt, by own time, is reported as not at rest
 
 COMMAND = re.compile(r"C-\d+", re.ASCII)
 
@@ -64,6 +64,7 @@ class Halt(msgspec.Struct):
 
     order: m.HaltOrder
     received_at_s: float
+    late_at_s: float  # by the subsystem's own time
     performers: list[str]
     moving: list[str]
     begun: list[int]  # number of primitives that each performer had started at the time of the call
@@ -299,7 +300,7 @@ class Subsystem(ABC, Generic[Performer]):
                 halt.callers.append(caller)
             known = [message for message in (halt.started, halt.ended) if message is not None]
             return [(sender, msgspec.structs.replace(message, call=order.call)) for message in known]
-        halt = Halt(order, now_s, reached, moving, self._begun_by(reached), [caller])
+        halt = Halt(order, now_s, self._own_s(now_s) + REST_LIMIT_S, reached, moving, self._begun_by(reached), [caller])
         open_halts = sum(other.callers[0][0] == sender for other in self._open_halts)
         if open_halts >= (OPEN_HALTS_OF_BROKER if sender == BROKER else OPEN_HALTS):
             return (
@@ -354,7 +355,7 @@ class Subsystem(ABC, Generic[Performer]):
                 )
                 out += halt.to_callers(halt.started)
             at_rest = self._all_rest(halt)
-            if at_rest or now_s - halt.received_at_s > REST_LIMIT_S:
+            if at_rest or self._own_s(now_s) > halt.late_at_s:
                 halt.ended = m.HaltAtRest(
                     halt=halt.order.halt,
                     subsystem=self.name,
@@ -365,6 +366,10 @@ class Subsystem(ABC, Generic[Performer]):
                 out += halt.to_callers(halt.ended)
                 self._open_halts.remove(halt)
         return out
+
+    def _own_s(self, now_s: float) -> float:
+        """The time that limits what performers do: of a simulator its own, which a busy machine slows down."""
+        return now_s
 
     # --- of one performer --------------------------------------------------------------------------------
 

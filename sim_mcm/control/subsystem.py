@@ -34,6 +34,7 @@ class McmSubsystem(Subsystem[Executor]):
         self._reached_s: dict[str, float] = {}  # how far each ended primitive came along its trajectory
         self._pending: dict[str, Pending] = {}  # by performer
         self._paced: list[m.Paced] = []  # reported in this tick
+        self._ticks = 0
 
     @property
     def executors(self) -> dict[str, Executor]:
@@ -121,7 +122,11 @@ class McmSubsystem(Subsystem[Executor]):
         self._pending[performer.name] = Pending(order)
         return self._follow_pending(now_s)
 
+    def _own_s(self, now_s: float) -> float:
+        return self._ticks * TICK_S
+
     def _between(self, now_s: float) -> Outgoing:
+        self._ticks += 1
         if self._paced:
             self._paced.clear()
         if self._pairs.exist:

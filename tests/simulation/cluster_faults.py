@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rtc.protocol import messages as m
+from tests.simulation.processes import LEAST_SHARE
 
 if TYPE_CHECKING:
     from tests.simulation.cluster import Cluster
@@ -42,12 +43,18 @@ def _kill_worker(cluster: Cluster) -> None:
 
 
 def _hang_worker(cluster: Cluster) -> None:
-    """Only where the limit is short: the others are found the same way."""
+    """It waits without end, or gives no sign of life. Only where the limit is short: the others are found the same
+    way."""
     workers = [w for w in cluster.workers.values() if w.kind in (m.WorkerKind.PARSER, m.WorkerKind.ANALYZER)]
     worker = cluster.random.choice(workers)
     cluster.faults["worker"] += 1
-    cluster.log(f"{worker.name} {worker.pid} hangs")
-    worker.hung = True
+    worker.hung, worker.stopped = True, cluster.random.random() < 0.3
+    cluster.log(f"{worker.name} {worker.pid} {'is stopped' if worker.stopped else 'hangs'}")
+
+
+def _slow_worker(cluster: Cluster) -> None:
+    """A busy machine."""
+    cluster.random.choice(list(cluster.workers.values())).slowed = True
 
 
 def _kill_mcm(cluster: Cluster) -> None:
@@ -62,8 +69,17 @@ def _stop_mcm(cluster: Cluster) -> None:
         cluster.faults["MCM"] += 1
         for_s = cluster.random.choice((0.05, 0.3, 2.5, 4.0))
         cluster.log(f"the MCM stands still for {for_s} s")
-        mcm.stopped = True
+        mcm.stop()
         cluster.clock.after(for_s, mcm.resume)
+
+
+def _slow_mcm(cluster: Cluster) -> None:
+    """A busy machine: it ticks, and late."""
+    mcm = cluster.mcm
+    if mcm is not None and mcm.alive and not mcm.stopped:
+        cluster.log("the MCM gets little of a processor")
+        mcm.run_at(LEAST_SHARE)
+        cluster.clock.after(cluster.random.uniform(1.0, 20.0), lambda: None if mcm.stopped else mcm.run_at(1.0))
 
 
 def _repeat(cluster: Cluster) -> None:
@@ -82,5 +98,5 @@ def _stop_world(cluster: Cluster) -> None:
 
 FAULTS = (
     *(_kill_broker, _kill_broker, _stop_broker, _kill_worker, _kill_worker),
-    *(_hang_worker, _kill_mcm, _stop_mcm, _repeat, _stop_world),
+    *(_hang_worker, _slow_worker, _kill_mcm, _stop_mcm, _slow_mcm, _repeat, _stop_world),
 )

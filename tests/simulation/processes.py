@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tests.simulation.cluster import Cluster
 
 ARMS = ("LEFT-ARM", "RIGHT-ARM")
+LEAST_SHARE = 0.05  # of a processor, that a process gets on a busy machine
 read_worker = wire.reader(m.BrokerToWorker)
 read_mcm = wire.reader_of_many(m.BrokerToSubsystem)
 read_client = wire.reader_of_many(m.BrokerToClient)
@@ -36,17 +37,20 @@ read_supervisor = wire.reader(m.BrokerToSupervisor)
 
 class Worker:
     """workers/runtime/worker_loop.py: jobs in order, an empty batch begins anew, what was dropped is answered unless
-    begun."""
+    begun. Heartbeats carry the processor time of a job; a blocked worker uses none, and a stopped one gives no sign."""
 
     HEARTBEAT_S = 0.5
     HELLO_AGAIN_S = 0.3
 
     def __init__(self, cluster: Cluster, name: str, node: int, kind: m.WorkerKind, pid: int) -> None:
         self.cluster, self.name, self.node, self.kind, self.pid = cluster, name, node, kind, pid
-        self.alive, self.hung = True, False
+        self.alive, self.hung, self.stopped = True, False, False
+        self.slowed = False  # its next job gets little of a processor
         self.since_s = cluster.clock.now_s
         self.queue: deque[m.Job] = deque()
         self.busy = False
+        self._share = 1.0  # of a processor, while a job runs
+        self._began_s = self._worked_s = 0.0
         self._hello_sent_s = -1.0
         self.line = Dealer(cluster.clock, name.encode(), self._receive)
         cluster.attach("workers", self.line)
@@ -68,7 +72,11 @@ class Worker:
     def _beat(self) -> None:
         if not self.alive or self.cluster.over:
             return
-        if not self.hung and not self.busy:
+        if self.busy and not self.stopped:
+            if not self.hung:
+                self._worked_s = self._share * (self.cluster.clock.now_s - self._began_s)
+            self._send(m.Heartbeat(name=self.name, own_s=self._worked_s))
+        elif not self.hung:
             self._send(m.Heartbeat(name=self.name))
         self.cluster.clock.after(self.HEARTBEAT_S, self._beat)
 
@@ -95,9 +103,15 @@ class Worker:
             job = self.queue.popleft()
             random = self.cluster.random
             took_s = random.uniform(0.0002, 0.004) if random.random() < 0.95 else random.uniform(0.01, 0.1)
+            self._share, self._began_s, self._worked_s = 1.0, self.cluster.clock.now_s, 0.0
+            if self.slowed:
+                self.slowed = False
+                took_s, self._share = random.uniform(1.0, 25.0), LEAST_SHARE
+                self.cluster.log(f"{self.name} does {job.id} on a busy machine, in {took_s:.1f} s")
             self.cluster.clock.after(took_s, self._done, job, took_s)
 
-    def _done(self, job: m.Job, took_s: float) -> None:
+    def _done(self, job: m.Job, took_s: float, waited_s: float = 0.0) -> None:
+        """`waited_s`: for the world database."""
         if not self.alive or self.hung:
             return
         product: Any = None
@@ -109,11 +123,11 @@ class Worker:
             return
         writes = bool(job.doubt) or isinstance(product, m.Assessment)
         if writes and job.lease is not None and self.cluster.world_away_s > 0.0:
-            if took_s >= LIMIT_S:
+            if waited_s >= LIMIT_S:
                 product = Refusal(reason=RefusalReason.TIMEOUT, message="the world database did not answer")
             else:
-                left_s = min(self.cluster.world_away_s, LIMIT_S - took_s) + 1e-6
-                self.cluster.clock.after(left_s, self._done, job, took_s + left_s)
+                left_s = min(self.cluster.world_away_s, LIMIT_S - waited_s) + 1e-6
+                self.cluster.clock.after(left_s, self._done, job, took_s + left_s, waited_s + left_s)
                 return
         elif writes and job.lease is not None:
             changes = None if job.doubt else product.changes
@@ -202,6 +216,7 @@ class Mcm:
     def __init__(self, cluster: Cluster, pid: int) -> None:
         self.cluster, self.name, self.pid = cluster, "MCM", pid
         self.alive, self.stopped = True, False
+        self._own_s, self._own_at_s, self._share = 0.0, cluster.clock.now_s, 1.0
         self.subsystem = McmSubsystem({name: TinyArm(name) for name in ARMS}, pid=pid)
         self._callers: dict[bytes, Callable[[Frames], None]] = {}
         self._waiting: deque[tuple[bytes, Any]] = deque()  # read in the next tick
@@ -219,9 +234,21 @@ class Mcm:
         self._callers[caller] = answer
         self._wait(caller, order)
 
+    def run_at(self, share: float) -> None:
+        """How fast its own time passes from now on: below 1 on a busy machine."""
+        now_s = self.cluster.clock.now_s
+        self._own_s += self._share * (now_s - self._own_at_s)
+        self._own_at_s, self._share = now_s, share
+
+    def stop(self) -> None:
+        """SIGSTOP."""
+        self.stopped = True
+        self.run_at(0.0)
+
     def resume(self) -> None:
         """After SIGSTOP: everything that came meanwhile is read at once."""
         self.stopped = False
+        self.run_at(1.0)
         self._tick_soon()
 
     # --- inside ---
@@ -259,7 +286,7 @@ class Mcm:
         self._send(subsystem.tick(now_s))
         if not subsystem.idle or subsystem._open_halts:
             self._ticking = True
-            self.cluster.clock.after(self.TICK_S, self._tick)
+            self.cluster.clock.after(self.TICK_S / max(self._share, LEAST_SHARE), self._tick)
 
     def _look_again(self) -> None:
         """Idle, it ticks for nothing but reports that are due to be repeated."""
@@ -271,7 +298,8 @@ class Mcm:
     def _beat(self) -> None:
         if self.alive and not self.cluster.over:
             if not self.stopped:
-                self._send([(BROKER, m.Heartbeat(name="MCM"))])
+                self.run_at(self._share)
+                self._send([(BROKER, m.Heartbeat(name="MCM", own_s=self._own_s))])
             self.cluster.clock.after(self.HEARTBEAT_S, self._beat)
 
     def _send(self, sent: list[tuple[bytes, m.Message]]) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from rtc.protocol.outcomes import ClusterError
 
 LIMIT_S = 15.0  # default time limit; longer than a restart of the broker and than a short failure of the network
+LONGEST_JOB_S = 15.0  # processor time; the broker's own limit of a job is not longer
 SHOWN_S = 0.4  # minimum interval between two updates of the health file and of systemd
 
 
@@ -44,6 +45,7 @@ class BrokerContact:
         self.worker = ""  # "binder@18"; empty until the broker has answered
         self._health, self._systemd = health, systemd
         self._last_s = now
+        self._worked_s = 0.0  # processor time of the job in progress, when it was last shown
         self._shown_s = 0.0
         if health is not None:
             try:
@@ -58,6 +60,13 @@ class BrokerContact:
         if first or now - self._shown_s > SHOWN_S:
             self._shown_s = now
             self._show(first, now)
+
+    def working(self, worked_s: float, now: float) -> None:
+        """A job is in progress and has used the processor for `worked_s`. On a busy machine that takes any time by the
+        clock, so the engine sees that it works, until the job has used more than any job may."""
+        if self.worker and self._worked_s < worked_s <= LONGEST_JOB_S:
+            self._show(False, now)
+        self._worked_s = worked_s
 
     def worked(self, now: float) -> None:
         """A job has ended. During a job no answer is read, so the time limit begins again."""

@@ -1,7 +1,8 @@
 """Probe for engines: is a remote worker in contact with its broker? `python -m workers.runtime.health FILE`.
 
 Exit status 0 or 1, with one line that states the reason. FILE is the worker's `--health` file: its name and the time
-of the broker's last answer (CLOCK_MONOTONIC). A probe starts often, so this module imports only the standard library.
+of the broker's last answer, or of the last progress of a job (CLOCK_MONOTONIC). A probe starts often, so this module
+imports only the standard library.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import sys
 import time
 from pathlib import Path
 
-WITHIN_S = 30.0  # default limit of the age; longer than the longest job (15 s), during which a worker reads no answers
+WITHIN_S = 30.0  # default limit of the age; longer than a job that shows no progress may last (15 s)
 
 
 def main() -> None:

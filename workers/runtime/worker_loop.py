@@ -49,6 +49,7 @@ from rtc.runtime.process import Every, Process, inbox, now_s, send, show_name
 from rtc.world.client import WorldClient
 from rtc.world.model import World
 from workers.runtime.contact import BrokerContact
+from workers.runtime.pulse import Pulse
 
 HEARTBEAT_S = 0.5
 HELLO_AGAIN_S = 0.3  # one hello answers several empty JobBatches; shorter than a heartbeat, which repeats them
@@ -127,6 +128,7 @@ class WorkerLoop:
         Returns the reason if a remote worker was rejected or has lost its broker; otherwise an empty text."""
         if self._contact is not None:
             self._contact.worked(now_s())  # the preparation of the worker does not count
+        self._pulse = Pulse(self._beat)
         self._send_hello()
         while not self._me.stopping and not (self._retiring and not self._queue):
             if not self._queue:
@@ -160,6 +162,7 @@ class WorkerLoop:
 
     def _end(self) -> None:
         """Send the results that are left. A remote worker takes leave: its other jobs need not wait for a limit."""
+        self._pulse.close()
         self._flush(late=True)
         if self._contact is not None and not self._why:
             self._send(WorkerGone(name=self._hello.name, in_order=True))
@@ -178,6 +181,12 @@ class WorkerLoop:
         else:
             self._send(Heartbeat(name=self._hello.name, at_s=now, round_trip_s=self._round_trip_s))
             self._round_trip_s = None
+
+    def _beat(self, worked_s: float) -> None:
+        """A heartbeat during a job that has used the processor for `worked_s`."""
+        self._send(Heartbeat(name=self._hello.name, own_s=worked_s))
+        if self._contact is not None:
+            self._contact.working(worked_s, now_s())
 
     def _listen(self) -> None:
         self._socket_read_s = now_s()
@@ -287,7 +296,9 @@ class WorkerLoop:
         if isinstance(cell, Refusal):
             return cell
         world = self._view.at(came_s) if function.NEEDS_WORLD else None
-        product = function.run(program, cell, world, self._read_input(job.input))
+        data = self._read_input(job.input)
+        with self._pulse:
+            product = function.run(program, cell, world, data)
         if isinstance(product, Refusal):
             return product
         if isinstance(product, Assessment) and product.changes:

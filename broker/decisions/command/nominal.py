@@ -10,7 +10,7 @@ import msgspec
 from broker.decisions import action_stack, reporting
 from broker.decisions.command.claims import claim_or_wait
 from broker.decisions.command.closing import close
-from broker.decisions.command.limits import report_limit_s
+from broker.decisions.command.limits import await_report
 from broker.decisions.command.pacing import send_pace
 from broker.decisions.command.termination import end, end_given_up, refuse
 from broker.decisions.context import DecisionContext, step_in_words
@@ -161,7 +161,7 @@ def send(context: DecisionContext, command: Command) -> None:
         )
         if command.pause_wanted:
             send_pace(context, command)
-    context.start_timer(command, report_limit_s(context.state, command))
+    await_report(context, command)
 
 
 def on_reported(context: DecisionContext, command: Command, report: EndReport) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from broker.decisions.command.limits import report_limit_s
+from broker.decisions.command.limits import await_report
 from broker.decisions.command.stopping import stop_overdue
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import SendPace
@@ -44,7 +44,7 @@ def pause_motion(context: DecisionContext, command: Command, _: Any) -> None:
 def resume_motion(context: DecisionContext, command: Command, _: Any) -> None:
     """Let it go on. The time limit of the end report begins anew, because the subsystem's own does not count pauses."""
     if command.pause_wanted and can_pause(context, command):
-        context.start_timer(command, report_limit_s(context.state, command))
+        await_report(context, command)
     command.pause_wanted = False
     send_pace(context, command)
 
@@ -52,7 +52,7 @@ def resume_motion(context: DecisionContext, command: Command, _: Any) -> None:
 def on_overdue(context: DecisionContext, command: Command, _: Any) -> None:
     """A pause may be longer than the time limit of the end report. A hung subsystem is noticed by its heartbeat."""
     if command.pause_wanted and can_pause(context, command):
-        context.start_timer(command, report_limit_s(context.state, command))
+        await_report(context, command)
     else:
         stop_overdue(context, command, _)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from broker.decisions import reporting
 from broker.decisions.command.closing import close, stop_after_analysis
-from broker.decisions.command.limits import rest_limit_s
+from broker.decisions.command.limits import await_rest, rest_limit_s
 from broker.decisions.command.termination import stop
 from broker.decisions.context import DecisionContext
 from broker.decisions.effects import AcknowledgeReport, SendHalt
@@ -36,7 +36,7 @@ def order_halt(context: DecisionContext, command: Command) -> None:
     context.effects.append(
         SendHalt(subsystem=command.subsystem, halt=f"{STOP}{command.id}", scope=command.id, called_at_s=context.now)
     )
-    context.start_timer(command, rest_limit_s(context.state))
+    await_rest(context, command, [command.subsystem])
 
 
 def stop_overdue(context: DecisionContext, command: Command, _: Any) -> None:

@@ -36,6 +36,9 @@ class Heartbeat(Message, frozen=True, kw_only=True):
     at_s: float = 0.0  # clock of the worker; 0 = no answer wanted
     # From a worker: how long the answer to an earlier one took; None = not measured again.
     round_trip_s: Annotated[float, msgspec.Meta(ge=0, le=3600)] | None = None
+    # How far it has come, by its own time: of a worker, the processor time of the job in progress (s); of a simulator,
+    # the simulated time since its start. Time limits count this time, because a busy machine only makes it pass slower.
+    own_s: Annotated[float, msgspec.Meta(ge=0)] = 0.0
 
 
 class Shutdown(Message, frozen=True, kw_only=True):

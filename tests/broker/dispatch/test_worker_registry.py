@@ -5,7 +5,15 @@ from __future__ import annotations
 import msgspec
 
 from broker.decisions.effects import DispatchJob
-from broker.dispatch.worker_registry import BATCH_MAX, DEADLINE_S, QUEUE_LIMIT_S, SILENCE_S, WorkerRegistry
+from broker.dispatch.worker_registry import (
+    BATCH_MAX,
+    BUSY_SILENCE_S,
+    DEADLINE_S,
+    LONGEST_JOB_S,
+    QUEUE_LIMIT_S,
+    SILENCE_S,
+    WorkerRegistry,
+)
 from rtc.protocol.messages import WorkerKind
 
 BINDER = WorkerKind.BINDER
@@ -91,15 +99,72 @@ def test_a_job_cancelled_and_given_out_anew_is_wanted():
     assert "C-1/1" in given_out(r)["a"]
 
 
-def test_hung_is_a_job_beyond_its_deadline_or_an_idle_worker_that_is_silent():
-    r = registry("a", "b")
+def beats(r: WorkerRegistry, name: str, until_s: float, share: float) -> float:
+    """Heartbeats every half second, during a job that gets this share of a processor. Returns its processor time."""
+    now = r.workers[name].since_s
+    while now < until_s:
+        now += 0.5
+        r.mark_alive(name, now, share * (now - r.workers[name].since_s))
+        assert r.hung(now) == []
+    return share * (now - r.workers[name].since_s)
+
+
+def in_hand(*names: str) -> WorkerRegistry:
+    r = registry(*names)
     r.submit(job(1), 0.0)
     given_out(r)
-    assert [w.name for w, _ in r.hung(SILENCE_S + 0.1)] == ["b"]
-    r.mark_alive("b", DEADLINE_S[BINDER])
-    assert [(w.name, why) for w, why in r.hung(DEADLINE_S[BINDER] + 0.1)] == [
-        ("a", "hung: job C-1/1 in hand for 15.1 s")
-    ]
+    return r
+
+
+def test_an_idle_worker_that_is_silent_hangs():
+    r = in_hand("a", "b")
+    assert [(w.name, why) for w, why in r.hung(SILENCE_S + 0.1)] == [("b", "hung: silent for 3.1 s")]
+
+
+def test_a_job_on_a_busy_machine_does_not_hang_by_the_clock():
+    r = in_hand("a")
+    until_s = 8 * DEADLINE_S[BINDER]
+    assert beats(r, "a", until_s, share=0.05) < DEADLINE_S[BINDER]
+    assert r.answered("a", "C-1/1", 1, until_s, until_s)
+
+
+def test_a_job_hangs_by_its_processor_time():
+    r = in_hand("a")
+    beats(r, "a", DEADLINE_S[BINDER] - 1.0, share=1.0)
+    r.mark_alive("a", DEADLINE_S[BINDER] + 1.0, DEADLINE_S[BINDER] + 0.5)
+    assert [why for _, why in r.hung(DEADLINE_S[BINDER] + 1.0)] == ["hung: job C-1/1 has used 15.5 s of processor time"]
+
+
+def test_a_job_that_waits_for_nothing_hangs_as_soon_by_the_clock():
+    """Its worker still reports, so the machine is not too busy for it."""
+    r = in_hand("a")
+    beats(r, "a", 2.0, share=0.05)
+    for tenth in range(1, 154):
+        r.mark_alive("a", 2.0 + 0.1 * tenth, 0.1)
+    assert [why for _, why in r.hung(17.4)] == ["hung: job C-1/1 has not used the processor for 15.3 s"]
+
+
+def test_a_worker_that_is_silent_with_a_job_hangs():
+    r = in_hand("a")
+    assert r.hung(BUSY_SILENCE_S - 0.1) == []
+    assert [w.name for w, _ in r.hung(BUSY_SILENCE_S + 0.1)] == ["a"]
+
+
+def test_no_job_takes_for_ever_however_busy_it_looks():
+    r = in_hand("a")
+    beats(r, "a", LONGEST_JOB_S, share=0.01)
+    r.mark_alive("a", LONGEST_JOB_S + 0.1, 6.1)
+    assert [w.name for w, _ in r.hung(LONGEST_JOB_S + 0.2)] == ["a"]
+
+
+def test_the_processor_time_of_a_job_is_not_that_of_the_next():
+    r = in_hand("a")
+    end_s = 10.0
+    beats(r, "a", end_s, share=1.0)
+    r.answered("a", "C-1/1", 1, end_s, end_s)
+    r.submit(job(2), end_s)
+    assert list(r.assign(end_s))
+    assert beats(r, "a", 2 * end_s, share=1.0) == end_s
 
 
 def test_a_late_answer_to_an_earlier_attempt_frees_nothing():
@@ -124,11 +189,18 @@ def test_a_job_cancelled_after_its_answer_leaves_no_trace():
 
 def test_a_worker_that_hung_before_this_broker_came_is_found_by_its_silence():
     r = registry("a")
-    limit_s = DEADLINE_S[BINDER]
-    assert not r.never_registered("a", 0.0, limit_s + 1)
-    assert not r.never_registered("binder@6", 0.0, limit_s - 1)
-    assert r.never_registered("binder@6", 0.0, limit_s + 1)
+    assert not r.never_registered("a", 0.0, BUSY_SILENCE_S + 1)
+    assert not r.never_registered("binder@6", 0.0, BUSY_SILENCE_S - 1)
+    assert r.never_registered("binder@6", 0.0, BUSY_SILENCE_S + 1)
     assert not r.never_registered("MCM", 0.0, 1000.0)
+
+
+def test_a_job_waits_for_a_worker_that_makes_progress():
+    r = in_hand("a")
+    r.submit(job(2), 0.0)
+    beats(r, "a", 2 * QUEUE_LIMIT_S, share=0.05)
+    assert r.waited_too_long(2 * QUEUE_LIMIT_S) == []
+    assert [j.job for j in r.waited_too_long(3 * QUEUE_LIMIT_S + 1)] == ["C-2/1"]
 
 
 def test_a_job_without_a_worker_is_returned_at_the_limit():

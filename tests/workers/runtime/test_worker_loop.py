@@ -76,8 +76,14 @@ class Function:
             case ["wait"]:
                 self.began.set()
                 assert self.go_on.wait(10)
-                self.socket.poll(1000)  # messages of the broker have arrived
+                with self.loop._pulse._lock:
+                    self.socket.poll(1000)  # messages of the broker have arrived
                 return "waited"
+            case ["compute"]:
+                self.began.set()
+                while not self.go_on.is_set():
+                    pass
+                return "computed"
         return data.text
 
 
@@ -105,7 +111,9 @@ class Broker:
     def recv_heartbeat(self):
         assert self.process.wait(10), "the worker sent nothing"
         _, *parts = self.socket.recv_multipart()
-        assert isinstance(self.read(parts), Heartbeat)
+        message = self.read(parts)
+        assert isinstance(message, Heartbeat)
+        return message
 
     def send(self, message):
         assert send(self.socket, message, to=b"parser@0")
@@ -165,8 +173,8 @@ def at(tmp_path, world, monkeypatch):
     socket = process.socket(zmq.DEALER, f"ipc://{tmp_path}/workers.sock", identity="parser@0")
     client = WorldClient(world, process.context)
     function = Function()
-    function.socket = socket
     loop = WorkerLoop(process, HELLO, function, socket, client, lambda cell: None, {"made": "v0"})
+    function.socket, function.loop = socket, loop
     thread = threading.Thread(target=loop.run)
     thread.start()
     assert broker.recv() == HELLO
@@ -287,6 +295,22 @@ def test_without_a_lease_nothing_is_written_and_the_job_is_refused(at):
     refused, after = at.broker.results(2)
     assert "write A.seat" in refused.refusal.message
     assert value(after)[1:] == ["BAY-1", 1]
+
+
+@pytest.mark.parametrize("work", ["compute", "wait"])
+def test_a_job_in_progress_reports_its_processor_time(at, monkeypatch, work):
+    monkeypatch.setattr("workers.runtime.pulse.BEAT_S", 0.05)
+    at.broker.recv_heartbeat()  # the next one comes after the new period
+    at.broker.give(work, program="made")
+    assert at.function.began.wait(10)
+    beats = [at.broker.recv_heartbeat().own_s for _ in range(6)][2:]  # without those before the job
+    if work == "compute":
+        assert beats[-1] - beats[0] > 0.01
+    else:
+        assert 0.0 <= beats[-1] - beats[0] < 0.001  # it waits: no processor time passes
+    at.function.go_on.set()
+    (done,) = at.broker.results(1)
+    assert isinstance(done, JobDone)
 
 
 def test_a_dropped_job_that_has_not_begun_is_not_done(at):
