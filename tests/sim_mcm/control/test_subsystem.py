@@ -300,6 +300,17 @@ def test_rest_that_does_not_come_is_reported(cell, make) -> None:
     assert not rest.at_rest
 
 
+def test_an_arm_that_a_busy_machine_slows_down_is_awaited_until_it_rests(bench, swing) -> None:
+    bench.tick_s = 0.05
+    bench.handle(m.Execute(primitive=swing()))
+    bench.tick(500)
+    called_s = bench.now_s
+    bench.handle(m.HaltOrder(halt="H-1"), CALLER)
+    (rest,) = kinds(bench.tick(int(REST_LIMIT_S * 1000)), m.HaltAtRest)
+    assert rest.at_rest
+    assert rest.at_s - called_s > REST_LIMIT_S
+
+
 def test_what_was_sent_in_ignorance_of_a_halt_does_not_begin_after_it(bench, swing) -> None:
     bench.handle(m.HaltOrder(halt="H-1"), CALLER)
     blind = m.Execute(primitive=swing("C-7.2"))
