@@ -170,7 +170,6 @@ class StopRow(ProgramPart, frozen=True, kw_only=True):
     when: str
     limit: Expression | None = None
     against_motion: bool = False  # of a force, use only the component against the motion
-    if_known: bool = False  # omit the row when a value in its limit is not set
     reflex: Reflex = Reflex.STOP
     back_off_m: float = 0.0
 

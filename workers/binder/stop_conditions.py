@@ -112,20 +112,14 @@ def stop_functions(
     """
     made = list(requested)
     for row in rows:
-        limit = _limit(row, values)
-        if limit is not None:
-            when = MAKERS[row.when](limit, against if row.against_motion else None, line, values)
-            made.append(StopFunction(reason=row.reason, when=when, reflex=row.reflex, back_off_m=row.back_off_m))
+        when = MAKERS[row.when](_limit(row, values), against if row.against_motion else None, line, values)
+        made.append(StopFunction(reason=row.reason, when=when, reflex=row.reflex, back_off_m=row.back_off_m))
     return made
 
 
-def _limit(row: StopRow, values: Values) -> float | None:
-    """The limit of a row; 0 if its predicate has none; None to omit the row."""
-    if row.limit is None:
-        return 0.0
-    if row.if_known and expressions.names(row.limit) - values.keys():
-        return None
-    return expressions.number(row.limit, values)
+def _limit(row: StopRow, values: Values) -> float:
+    """The limit of a row; 0 if its predicate has none."""
+    return 0.0 if row.limit is None else expressions.number(row.limit, values)
 
 
 def maintained(data: BinderInput, query: WorldQuery, values: Values) -> list[StopFunction]:
@@ -194,9 +188,8 @@ def _overloads(rows: list[StopRow], values: Values) -> list[reflexes.Overload]:
     """The force and torque limits among the rows: those of the program, not the force of an expected touch."""
     made = []
     for row in rows:
-        limit = _limit(row, values)
-        if limit is not None and OVERLOADS.get(row.when) is row.reason:
-            made.append(MAKERS[row.when](limit, None, Line(None, None), values))
+        if OVERLOADS.get(row.when) is row.reason:
+            made.append(MAKERS[row.when](_limit(row, values), None, Line(None, None), values))
     return [when for when in made if isinstance(when, reflexes.Overload)]
 
 
