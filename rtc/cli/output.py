@@ -112,14 +112,14 @@ def exits_with(code: int) -> Iterator[None]:
         raise typer.Exit(code) from None
 
 
-def refusal_lines(refusal: Refusal, text: str = "") -> list[str]:
-    """A refusal for people: place, reason, what is allowed, what would clear it."""
+def refusal_lines(refusal: Refusal, text: str = "", *, details: bool = False) -> list[str]:
+    """A refusal for people: reason, what is allowed, what would clear it. `details`: also the place and the figures."""
     lines = show(text, _without_repetition(refusal, located=bool(text))).splitlines()
-    if refusal.where and refusal.column is None:
+    if details and refusal.where and refusal.column is None:
         lines.append(f"where: {refusal.where}")
     if refusal.owner:
         lines.append(f"owner: {refusal.owner}")
-    if figures := _figures(refusal):
+    if details and (figures := _figures(refusal)):
         lines.append(f"figures: {', '.join(figures)}")
     if refusal.clears:
         lines.append(f"to clear it: {refusal.clears}")
@@ -164,7 +164,8 @@ def with_unit(key: str, value: float | str) -> str:
     if not ending or isinstance(value, str):
         return f"{key} {figure(value)}"
     number, unit = in_words(value, UNITS[ending]).split(" ", 1)
-    return f"{key.removesuffix(ending)} {float(number):.4g} {unit}"
+    shown = float(number)
+    return f"{key.removesuffix(ending)} {shown:{'.4g' if abs(shown) < 1e4 else '.0f'}} {unit}"
 
 
 def figure(value: float | str) -> str:

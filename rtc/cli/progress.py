@@ -118,8 +118,8 @@ class Board:
             self.reports_older[note.command] += 1
         kept.append(note)
         if not self.quiet:
-            for line in ([note.note] if note.note else []) + in_words(note.measured):
-                self._out.print(Text(f"{time.monotonic() - self._begun_s:7.2f} s  {note.command}  {line}"))
+            words = "; ".join(line.strip() for line in [note.note, *in_words(note.measured)] if line)
+            self._out.print(Text(f"{time.monotonic() - self._begun_s:7.2f} s  {note.command}  {words}"))
 
     def ended(self, n: int, ended: m.CommandEnded) -> None:
         """Print the result line permanently, above the board."""
@@ -161,17 +161,18 @@ def print_result(ended: m.CommandEnded, text: str, out: Console = console) -> No
 
 
 def explain(ended: m.CommandEnded, text: str) -> list[str]:
-    """The cause, as lines; empty for a plain success."""
-    outcome = ended.outcome
-    lines = []
-    if outcome.kind != OutcomeKind.SUCCEEDED and outcome.step:
-        lines.append(f"in step {outcome.step}" + (f", stopped by {outcome.stop.value}" if outcome.stop else ""))
-    if outcome.refusal is not None:
-        if outcome.message and outcome.refusal.message not in outcome.message:
-            lines.append(outcome.message)
-        lines += refusal_lines(outcome.refusal, text)
-    elif outcome.message:
-        lines.append(outcome.message)
+    """The cause first, then the step, then what would clear it; empty for a plain success."""
+    outcome, refusal = ended.outcome, ended.outcome.refusal
+    lines = [outcome.message] if outcome.message else []
+    step = outcome.step if outcome.kind != OutcomeKind.SUCCEEDED else ""
+    if refusal is not None and (refusal.column is not None or refusal.message not in outcome.message):
+        lines = [line for line in lines if line != refusal.message]
+        lines += refusal_lines(refusal, text)
+        refusal = None
+    if step:
+        lines.append(f"in step {step}" + (f", stopped by {outcome.stop.value}" if outcome.stop else ""))
+    if refusal is not None:
+        lines += [line for line in refusal_lines(refusal, text) if line != refusal.message]
     if outcome.trims:
         lines.append(mended(outcome) + ", ".join(outcome.trims))
     return lines + (in_words(outcome.measured) if outcome.measured else [])

@@ -297,6 +297,6 @@ def _print_decision(record: m.CommandRecord) -> None:
     if outcome.trims:
         console.print(Text("    " + mended(outcome) + ", ".join(outcome.trims)))
     if outcome.refusal is not None:
-        for text in refusal_lines(outcome.refusal, record.text):
+        for text in refusal_lines(outcome.refusal, record.text, details=True):
             if text != outcome.message:
                 console.print(Text("    " + text))

@@ -57,7 +57,7 @@ def test_a_refusal_names_the_owner_and_what_would_clear_it() -> None:
         clears="wait for C-3",
         detail={"limit_rad": 2.7925268},
     )
-    assert refusal_lines(refusal) == [
+    assert refusal_lines(refusal, details=True) == [
         "RIGHT-ARM is taken",
         "owner: C-3",
         "figures: limit 160 deg",
@@ -68,7 +68,7 @@ def test_a_refusal_names_the_owner_and_what_would_clear_it() -> None:
 def test_figures_do_not_repeat_the_message() -> None:
     detail = {"arm": "RIGHT-ARM", "along_m": 0.375, "limit_m": 0.37, "branch": "ARM", "candidates": 2.0}
     refusal = Refusal(reason=RefusalReason.STATE, message="RIGHT-ARM: 2 of them, after 375 mm", detail=detail)
-    assert refusal_lines(refusal)[1:] == ["figures: limit 370 mm, branch ARM, candidates 2"]
+    assert refusal_lines(refusal, details=True)[1:] == ["figures: limit 370 mm, branch ARM, candidates 2"]
 
 
 def test_a_sentence_is_repeated_in_one_short_line_that_does_nothing_to_the_screen() -> None:

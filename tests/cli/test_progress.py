@@ -6,6 +6,7 @@ import io
 
 from rich.console import Console
 
+from rtc.cli.output import refusal_lines
 from rtc.cli.progress import REPORTS_KEPT, Board, print_result
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import Measured, Outcome, OutcomeKind, Refusal, RefusalReason, StopReason
@@ -69,8 +70,7 @@ def test_a_condition_that_was_met_is_a_line_and_old_reports_are_counted() -> Non
             board.progress(note)
 
     assert [line.split(" s  ", 1)[-1] for line in text.getvalue().splitlines()[1:]] == [
-        "C-7  FORCE EXCEEDS 5 N: 6 N",
-        "C-7  LEFT-ARM joints: 0.0 deg",
+        "C-7  FORCE EXCEEDS 5 N: 6 N; LEFT-ARM joints: 0.0 deg",
     ]
     assert (len(board.reports["C-7"]), board.reports_older["C-7"]) == (REPORTS_KEPT, 1)
 
@@ -110,10 +110,31 @@ def test_a_failure_says_the_step_the_reason_and_the_trims() -> None:
     print_result(ended(outcome), "GRASP X", out)
     assert text.getvalue().splitlines() == [
         "C-7 FAILED  GRASP X  (2.00 s)",
-        "    in step 4 of 9: straddle, stopped by force_limit",
         "    a finger landed on the handle",
+        "    in step 4 of 9: straddle, stopped by force_limit",
         "    tried on the way: look again",
     ]
+
+
+def test_the_cause_precedes_the_step_and_the_advice_and_names_and_figures_of_planning_are_left_out() -> None:
+    out, text = plain()
+    refusal = Refusal(
+        reason=RefusalReason.INFEASIBLE,
+        message="GOAL: too far by 104627 mm",
+        where="move.plan[0] (GOAL)",
+        detail={"cause": "reach", "ways_tried": 5.0, "by_m": 104.627},
+        clears="another goal",
+    )
+    outcome = Outcome(
+        kind=OutcomeKind.FAILED, message=refusal.message, refusal=refusal, step="1 of 1: move", stop=StopReason.TIMEOUT
+    )
+    print_result(ended(outcome), "MOVE X", out)
+    assert text.getvalue().splitlines()[1:] == [
+        "    GOAL: too far by 104627 mm",
+        "    in step 1 of 1: move, stopped by timeout",
+        "    to clear it: another goal",
+    ]
+    assert "figures: cause reach, ways_tried 5" in refusal_lines(refusal, details=True)
 
 
 def test_a_sentence_with_markup_in_it_is_shown_as_it_is() -> None:

@@ -65,9 +65,17 @@ def on_rest_confirmed(context: DecisionContext, command: Command, _: Any) -> Non
 
 def fail_unconfirmed(context: DecisionContext, command: Command, _: Any) -> None:
     limit_s = rest_limit_s(context.state)
-    message = f"halted, but rest was not confirmed by {command.subsystem} within {limit_s:.0f} s"
-    command.pending_outcome = _outcome(OutcomeKind.HALT_NOT_CONFIRMED, StopReason.HALT, message, UNCONFIRMED_ADVICE)
+    stop_reason = command.pending_outcome.stop if command.pending_outcome else None
+    message = _after_cause(command, f"rest was not confirmed by {command.subsystem} within {limit_s:.0f} s")
+    over = _outcome(OutcomeKind.HALT_NOT_CONFIRMED, stop_reason or StopReason.HALT, message, UNCONFIRMED_ADVICE)
+    command.pending_outcome = over
     close(context, command, missing_report(context, command), message)
+
+
+def _after_cause(command: Command, message: str) -> str:
+    """The message after the reason for which the primitive is being halted."""
+    before = command.pending_outcome
+    return f"{before.message}; {message}" if before else message
 
 
 def stop_lost(context: DecisionContext, command: Command, why: str) -> None:
@@ -96,7 +104,7 @@ def on_subsystem_lost(context: DecisionContext, command: Command, why: str) -> N
 
 
 def on_lost_while_halting(context: DecisionContext, command: Command, why: str) -> None:
-    message = f"{command.subsystem} was lost before it confirmed rest: {why}"
+    message = _after_cause(command, f"{command.subsystem} was lost before it confirmed rest: {why}")
     stop_reason = StopReason.SUBSYSTEM_LOST
     command.pending_outcome = _outcome(OutcomeKind.HALT_NOT_CONFIRMED, stop_reason, message, UNCONFIRMED_ADVICE)
     command.at_rest = context.state.subsystems[command.subsystem].came_at_rest

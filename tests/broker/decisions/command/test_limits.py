@@ -62,3 +62,14 @@ def test_an_overdue_report_and_an_unconfirmed_halt_end_with_advice():
     assert late.refusal.clears
     assert unconfirmed.kind is OutcomeKind.HALT_NOT_CONFIRMED
     assert unconfirmed.refusal.clears
+
+
+def test_of_an_overdue_report_and_then_no_rest_the_cause_comes_first():
+    s = Harness()
+    s.executing()
+    s.rings("C-1")
+    s.rings("C-1")
+    s.answers("C-1", give_up(StopReason.HALT))
+    outcome = s.outcome("C-1")
+    assert (outcome.kind, outcome.stop) == (OutcomeKind.HALT_NOT_CONFIRMED, StopReason.TIMEOUT)
+    assert outcome.message.startswith("MCM gave no end report within")
