@@ -25,8 +25,8 @@ from sim_mcm.render import FAR_M, NEAR_M, Camera, SceneRenderer
 
 SIZE = (480, 360)
 FRAMES_PER_S = 8.0
-FIELD_OF_VIEW_DEG = 37.0
-EYE, TARGET = (-0.50, 0.0, 2.05), (0.60, 0.0, 0.74)  # from above, between the arms
+FIELD_OF_VIEW_DEG = 38.0
+EYE, TARGET = (-1.25, 0.0, 2.2), (0.42, 0.0, 0.63)  # from behind and above: both arms in full
 
 
 def frames(file: Path) -> list[FilmFrame]:

@@ -54,7 +54,7 @@ LEAST_RADIUS_M = 0.75  # of a cell with little in it, so that its arm fits
 CLOSE_M = 1.0  # distance from the eye to the target of a close view
 #: view -> (direction from the cell's centre to the eye, distance in radii of the cell)
 DIRECTIONS = {
-    "overview": ((-2.0, -0.95, 1.6), 2.6),  # from above and behind the arms, a little to the right
+    "overview": ((-2.0, -0.95, 1.6), 2.8),  # from above and behind the arms, a little to the right
     "behind": ((-2.6, 0.0, 0.9), 2.45),
     "left": ((-0.3, 2.6, 0.7), 2.6),
     "right": ((-0.3, -2.6, 0.7), 2.6),
@@ -283,12 +283,12 @@ def backdrop(camera: CellCamera, pose: geometry.Floats) -> Image:
     return found
 
 
-def draw(cell: Cell, scene: SceneView, width: int = 960, height: int = 720) -> Image:
-    """One scene without text, height x width x 3."""
+def draw(cell: Cell, scene: SceneView, width: int = 960, height: int = 720, camera: str = "overview") -> Image:
+    """One scene without text, height x width x 3. `camera`: as for `SceneRenderer.camera`."""
     studio = SceneRenderer(cell)
     try:
         studio.pose(scene)
-        return studio.photograph(studio.camera("overview", scene, width / height), width, height).pixels
+        return studio.photograph(studio.camera(camera, scene, width / height), width, height).pixels
     finally:
         studio.close()
 
@@ -397,6 +397,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     words.add_argument("--truth", type=Path, help="SimTruthReply as JSON; default: the initial state of the cell")
     words.add_argument("--out", type=Path, help="the PNG to write")
     words.add_argument("--cell", default="swapout", help="name or file of the cell")
+    words.add_argument("--camera", default="overview", help="a view, or the name of a thing of the cell")
     words.add_argument("--size", type=_size, default=(960, 720), help="WIDTHxHEIGHT")
     words.add_argument("--serve", action="store_true", help="render the pictures requested on stdin")
     given = words.parse_args(arguments)
@@ -406,7 +407,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         words.error("--out or --serve is needed")
     try:
         scene = msgspec.json.decode(given.truth.read_bytes(), type=SceneView) if given.truth else SceneView()
-        write_png(draw(Cell.load(given.cell), scene, *given.size), given.out)
+        width, height = given.size
+        write_png(draw(Cell.load(given.cell), scene, width, height, given.camera), given.out)
     except (OSError, msgspec.MsgspecError, RtcError) as error:
         words.exit(1, f"{words.prog}: {error}\n")
 

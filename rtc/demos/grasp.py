@@ -85,7 +85,7 @@ def _run(narrator: Narrator, rtc: Client, pictures: Pictures) -> None:
         return
     _check_followed(narrator, gripped, lifted := rtc.truth())
     _check_world(narrator, rtc, lifted)
-    pictures.take("2-lifted", lifted)
+    pictures.take("2-lifted", lifted, camera="RACK-1")
 
     narrator.chapter(f"{MOVE}, and a halt in the middle of it")
     _check_halt(narrator, rtc)
@@ -186,13 +186,14 @@ class Pictures:
         self._under_way: list[tuple[Path, subprocess.Popen[bytes]]] = []
         out.mkdir(parents=True, exist_ok=True)
 
-    def take(self, name: str, truth: m.SimTruthReply) -> None:
+    def take(self, name: str, truth: m.SimTruthReply, camera: str = "overview") -> None:
         file = self._out / f"{name}.png"
         file.unlink(missing_ok=True)
         data = file.with_suffix(".json")
         data.write_bytes(msgspec.json.encode(truth))
         # nice: the simulator's ticks have priority.
         command = ["nice", "-n", "15", sys.executable, "-P", "-m", "sim_mcm.render", "--truth", str(data)]
+        command += ["--camera", camera]
         self._under_way.append((file, subprocess.Popen([*command, "--out", str(file)], stderr=subprocess.DEVNULL)))
 
     def check(self, narrator: Narrator) -> None:
