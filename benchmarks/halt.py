@@ -38,6 +38,7 @@ from benchmarks.mcm import busy_cores
 from benchmarks.report import finish, percentile, question, spread
 from rtc.cells.cell import Cell
 from rtc.client.client import Client
+from rtc.client.handle import CommandHandle
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol.messages import WorkerKind
@@ -91,7 +92,7 @@ class Bench:
         samples = self._rtc.telemetry(silence_s=10.0)
         command = self._rtc.submit(f"MOVE RIGHT-ARM TO {PLACES[self._place]}{self.law}")
         if not self._wait_for_motion(samples, command):
-            self._rtc.wait(command, timeout_s=60.0)
+            command.wait(timeout_s=60.0)
             return []
         with disturbance(self._rtc) as holds:
             time.sleep(self._rng.uniform(0.0, LATER_S))
@@ -99,7 +100,7 @@ class Bench:
             called_at_s = time.monotonic()
             result = self._rtc.halt("RIGHT-ARM")
             held = held and holds()
-        self._rtc.wait(command, timeout_s=60.0)
+        command.wait(timeout_s=60.0)
         if result.latency_s is None or not result.confirmed:
             self.missed += 1
             print(f"  missed: {result.message}", flush=True)
@@ -109,7 +110,7 @@ class Bench:
         self.slowest = sorted([*self.slowest, (result.latency_s, receipt_s, called_at_s)], reverse=True)[:SLOWEST]
         return [result.latency_s] if result.moving and held else []
 
-    def _wait_for_motion(self, samples: Iterator[m.Telemetry], command: str) -> bool:
+    def _wait_for_motion(self, samples: Iterator[m.Telemetry], command: CommandHandle) -> bool:
         """False: no motion was seen, because the goal was near or the command failed."""
         limit_s = time.monotonic() + MOTION_S
         begun = False
@@ -161,7 +162,7 @@ def hung_worker(rtc: Client) -> Iterator[Holds]:
         while not (hung := _who_has(rtc, command, hang)) and time.monotonic() < limit_s:
             time.sleep(LOOK_S)
         yield lambda: bool(hung) and hang[hung]()
-    rtc.wait(command, timeout_s=60.0)
+    command.wait(timeout_s=60.0)
 
 
 @contextmanager
@@ -178,13 +179,13 @@ def compliant(rtc: Client) -> Iterator[Holds]:
         while not (begun := _executes(rtc, command)) and time.monotonic() < limit_s:
             time.sleep(LOOK_S)
         if not begun:
-            raise SystemExit(f"{command} does not hold the arm: {rtc.wait(command, timeout_s=1.0).outcome.message}")
+            raise SystemExit(f"{command} does not hold the arm: {command.wait(timeout_s=1.0).outcome.message}")
         yield lambda: busy() and _executes(rtc, command)
         rtc.halt("LEFT-ARM")
-        rtc.wait(command, timeout_s=60.0)
+        command.wait(timeout_s=60.0)
 
 
-def _executes(rtc: Client, command: str) -> bool:
+def _executes(rtc: Client, command: CommandHandle) -> bool:
     return any(name.startswith(f"{command}.") for row in rtc.status()["subsystems"] for name in row["executing"])
 
 
@@ -208,7 +209,7 @@ def _is_stopped(pid: int) -> bool:
     return False
 
 
-def _who_has(rtc: Client, command: str, names: Iterable[str]) -> str:
+def _who_has(rtc: Client, command: CommandHandle, names: Iterable[str]) -> str:
     """The worker among these that has a job of this command; empty if there is none."""
     busy = {worker["name"]: str(worker["busy_with"]) for worker in rtc.status()["workers"]}
     return next((name for name in names if busy.get(name, "").startswith(f"{command}/")), "")

@@ -16,10 +16,12 @@ if TYPE_CHECKING:
 
     from rtc.client.client import Client
     from rtc.client.halt import HaltResult
+    from rtc.client.handle import CommandHandle
     from rtc.protocol.outcomes import (
         ClusterError,
         KeyTrouble,
         NoCluster,
+        NotSucceeded,
         Outcome,
         OutcomeKind,
         ProgramError,
@@ -35,9 +37,11 @@ if TYPE_CHECKING:
 __all__ = [
     "Client",
     "ClusterError",
+    "CommandHandle",
     "HaltResult",
     "KeyTrouble",
     "NoCluster",
+    "NotSucceeded",
     "Outcome",
     "OutcomeKind",
     "ProgramError",
@@ -49,16 +53,12 @@ __all__ = [
     "TimedOut",
     "WireError",
 ]
+PLACES = {"Client": "rtc.client.client", "CommandHandle": "rtc.client.handle", "HaltResult": "rtc.client.halt"}
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    if name == "Client":
-        value = import_module("rtc.client.client").Client
-    elif name == "HaltResult":
-        value = import_module("rtc.client.halt").HaltResult
-    else:
-        value = getattr(import_module("rtc.protocol.outcomes"), name)
+    value = getattr(import_module(PLACES.get(name, "rtc.protocol.outcomes")), name)
     globals()[name] = value
     return value

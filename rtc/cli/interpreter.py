@@ -134,7 +134,7 @@ def _obey(rtc: Client, background: Background, line: str) -> None:
         elif scope := halt_scope(line):
             print_halt(rtc.halt(scope))
         elif line.endswith("&"):
-            command = rtc.submit(line[:-1].strip())
+            command = rtc.submit(line[:-1].strip(), progress=False).number
             console.print(Text(f"{command} accepted"))
             background.watch(command)
         else:

@@ -183,7 +183,7 @@ def _hand_in(rtc: Client, texts: list[str]) -> tuple[int, list[dict[str, Any]]]:
             results.append({"text": text, "kind": "halted", "halt": msgspec.to_builtins(halted)})
             continue
         try:
-            command = rtc.submit(text)
+            command = rtc.submit(text, progress=False).number
         except RequestDeclined as declined:
             for line in refusal_lines(declined.refusal, text):
                 errors.print(Text(line))

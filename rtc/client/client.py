@@ -2,14 +2,17 @@
 
     from rtc import Client
 
-    with Client() as rtc:                                   # the cluster that `rtc up -d` started
-        ended = rtc.run("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
+    with Client() as client:                                # the cluster that `rtc up -d` started
+        ended = client.run("GRASP RIGHT-END-EFF MACS-NEW HANDLE-A")
         print(ended.command, ended.outcome.kind, ended.outcome.message)
+        lift = client.submit("LIFT MACS-NEW BY 15 CM WITH RIGHT-ARM")  # its handle: wait, halt, pause, progress
+        lift.raise_for_outcome()
 
 Threads: only one thread may use a Client. The exception is `halt`: it has its own sockets, and any thread may call it
 at any time, also while another waits in `run`. A lost broker is not an error. Open requests are sent again to the new
 one under the same request name, so none is lost or done twice. A failed sentence does not raise: see its
-`CommandEnded.outcome`. Exceptions (see `rtc.protocol.outcomes`) mean that the cluster does not answer.
+`CommandEnded.outcome`, or call its `raise_for_outcome`. Other exceptions (see `rtc.protocol.outcomes`) mean that the
+cluster does not answer.
 """
 
 from __future__ import annotations
@@ -30,9 +33,10 @@ import zmq
 from rtc.client.connection import LAST_WORDS_MS, BrokerConnection
 from rtc.client.context import ClientContext
 from rtc.client.halt import HaltLine, HaltResult
+from rtc.client.handle import CommandHandle
 from rtc.client.heartbeat import HeartbeatSender
 from rtc.client.liveness import BrokerLiveness, Report, is_listening, supervised
-from rtc.client.requests import Answer, OnProgress, Requests, expect
+from rtc.client.requests import Answer, OnEnded, OnProgress, Requests, expect
 from rtc.client.subscription import subscribe
 from rtc.language.refuse import MAX_CHARACTERS
 from rtc.protocol import messages as m
@@ -156,31 +160,31 @@ class Client:
 
     # --- sentences ------------------------------------------------------------------------------------
 
-    def submit(self, text: str, *, on_progress: OnProgress | None = None, traceparent: str = "") -> str:
-        """Submit one sentence; its number C-n, after the cluster has journalled it. Fetch the outcome with `wait`.
+    def submit(
+        self,
+        text: str,
+        *,
+        on_progress: OnProgress | None = None,
+        progress: bool = True,
+        traceparent: str = "",
+    ) -> CommandHandle:
+        """Submit one sentence; its handle, after the cluster has journalled it.
 
-        `traceparent`: a W3C trace context, below which `rtc observe --otlp` puts the trace of the command.
+        `on_progress` receives each ProgressNote, as in `run`. `progress=False`: the cluster sends none, and REPORT
+        EVERY and WHEN are refused; for a client that does not wait. `traceparent`: a W3C trace context, below which
+        `rtc observe --otlp` puts the trace of the command.
 
         Raises RequestDeclined if the cluster does not accept it.
         """
-        request = self._submit(text, on_progress, traceparent=traceparent)
-        self._until(
-            lambda: request in self._requests.command_of or request in self._requests.ended,
-            ANSWER_S,
-            "the sentence was not accepted",
-        )
-        if request not in self._requests.command_of:
-            refusal = self._requests.fetch(request).outcome.refusal
+        handle = CommandHandle(self, text, on_progress)
+        noted = handle.take_note if progress or on_progress is not None else None
+        self._submit(text, noted, handle.take_number, traceparent, handle.take_end)
+        self.receive_until(lambda: handle.answered, ANSWER_S, "the sentence was not accepted")
+        if not handle.number:
+            refusal = handle.wait().outcome.refusal
             assert refusal is not None
             raise RequestDeclined(refusal)
-        return self._requests.command_of[request]
-
-    def wait(self, command: str, timeout_s: float | None = None) -> m.CommandEnded:
-        """The outcome of a command of this client. Raises TimedOut if it does not end in time; it then continues."""
-        request = self._requests.request_of.get(command)
-        assert request is not None, f"{command} was not submitted by this client, or its outcome was fetched already"
-        self._until(lambda: request in self._requests.ended, timeout_s, f"{command} has not ended; it continues")
-        return self._requests.fetch(request)
+        return handle
 
     def run(
         self,
@@ -223,7 +227,7 @@ class Client:
                 n, text = todo.popleft()
                 request = self._submit(text, on_progress, on_accept and partial(on_accept, n), traceparent)
                 waiting[request] = n
-            self._until(
+            self.receive_until(
                 lambda: not waiting.keys().isdisjoint(self._requests.ended),
                 None if limit_s is None else limit_s - time.monotonic(),
                 f"{len(waiting) + len(todo)} of {len(texts)} commands have not ended; those submitted continue",
@@ -350,12 +354,13 @@ class Client:
         on_progress: OnProgress | None,
         on_accept: Callable[[str], None] | None = None,
         traceparent: str = "",
+        on_ended: OnEnded | None = None,
     ) -> str:
         """Send one sentence; returns the name of the request. Raises ValueError for an invalid trace context."""
         request = self._next_request()
         if traceparent:
             request = with_traceparent(request, traceparent)
-        self._requests.watch(request, on_progress, on_accept)
+        self._requests.watch(request, on_progress, on_accept, on_ended)
         sentence = m.CommandText(
             request=request,
             text=as_text(text)[: 2 * MAX_CHARACTERS],  # cut for the wire; still refused by the parser
@@ -367,7 +372,12 @@ class Client:
         self._connection.send(request, sentence)
         return request
 
-    def _until(self, done: Callable[[], bool], timeout_s: float | None, otherwise: str) -> None:
+    def receive(self) -> None:
+        """Take the messages that have arrived, without waiting; callbacks are called."""
+        while (message := self._connection.recv(0.0)) is not None:
+            self._requests.take(message)
+
+    def receive_until(self, done: Callable[[], object], timeout_s: float | None, otherwise: str) -> None:
         """Receive messages until `done`. Raises TimedOut with the text `otherwise`."""
         limit_s = None if timeout_s is None else time.monotonic() + timeout_s
         while not done():
@@ -387,7 +397,7 @@ class Client:
         try:
             while True:
                 self._connection.send(request, message)
-                self._until(lambda: request in self._requests.answers, within_s, "the broker did not answer")
+                self.receive_until(lambda: request in self._requests.answers, within_s, "the broker did not answer")
                 found = self._requests.answers.pop(request)
                 overload = isinstance(found, m.Declined) and found.refusal.reason is RefusalReason.OVERLOAD
                 if not overload or time.monotonic() > limit_s:

@@ -12,6 +12,7 @@ from rtc.protocol.outcomes import Outcome, OutcomeKind, Refusal, RequestDeclined
 KEPT = 10_000  # maximum number of unfetched outcomes
 
 OnProgress = Callable[[m.ProgressNote], None]
+OnEnded = Callable[[m.CommandEnded], None]
 Answer = TypeVar("Answer")
 
 
@@ -26,14 +27,24 @@ class Requests:
         self.answers: dict[str, m.BrokerToClient] = {}  # request -> answer to a query
         self._on_progress: dict[str, OnProgress] = {}  # request -> callback for its notes
         self._on_accept: dict[str, Callable[[str], None]] = {}
+        self._on_ended: dict[str, OnEnded] = {}  # request -> the receiver of its outcome
         self._fetched: dict[str, None] = {}  # latest fetched requests, to recognise a repeated outcome
 
-    def watch(self, request: str, on_progress: OnProgress | None, on_accept: Callable[[str], None] | None) -> None:
-        """Call these for the notes of a sentence, and with its number C-n when it is accepted."""
+    def watch(
+        self,
+        request: str,
+        on_progress: OnProgress | None,
+        on_accept: Callable[[str], None] | None,
+        on_ended: OnEnded | None = None,
+    ) -> None:
+        """Call these for the notes of a sentence, with its number C-n when it is accepted, and with its outcome, which
+        is then fetched."""
         if on_progress is not None:
             self._on_progress[request] = on_progress
         if on_accept is not None:
             self._on_accept[request] = on_accept
+        if on_ended is not None:
+            self._on_ended[request] = on_ended
 
     def take(self, message: m.BrokerToClient) -> None:
         match message:
@@ -60,6 +71,8 @@ class Requests:
         if request in self._fetched:
             return  # repeated, after a reconnect
         self.ended[request] = ended
+        if on_ended := self._on_ended.pop(request, None):
+            on_ended(self.fetch(request))
         while len(self.ended) > KEPT:
             self.fetch(next(iter(self.ended)))
 

@@ -125,13 +125,13 @@ class _Faults:
             strike = self.chaos.strike("broker")
             assert strike is not None
             self.narrator.line(f"broker (pid {strike.pid}) killed while {command} moves {arm}")
-            end = self.rtc.wait(command, COMMAND_S)
+            end = command.wait(COMMAND_S)
         self._check_back(strike, BROKER_S)
         slowest = judged_speed_rad_s(speeds.samples, strike.at_s, strike.back_s or 0.0)
         self.narrator.check(f"the arm moved on meanwhile, at {slowest:.2f} rad/s or more", slowest > MOVING_RAD_S)
         self.narrator.check(f"the result still arrived: {end.command} {end.outcome.kind.value}",
                          end.outcome.kind is OutcomeKind.SUCCEEDED)  # fmt: skip
-        notes = [note.note for note in self.asking.trace(command).notes]
+        notes = [note.note for note in self.asking.trace(command.number).notes]
         self.narrator.check("it was sent to the arm once", sum(note == "started" for note in notes) == 1)
 
     def mcm_killed(self) -> None:
@@ -143,7 +143,7 @@ class _Faults:
             time.sleep(0.5)  # let it leave its last known position
             strike = self.chaos.strike("mcm")
             assert strike is not None
-            end = self.rtc.wait(command, COMMAND_S)
+            end = command.wait(COMMAND_S)
         self.narrator.line(f"MCM (pid {strike.pid}) killed; {command}: {end.outcome.message}")
         self.narrator.check(
             f"{command} is reported as {end.outcome.kind.value}", end.outcome.kind is OutcomeKind.LOST_SUBSYSTEM
@@ -167,7 +167,7 @@ class _Faults:
             speeds.await_motion()
             time.sleep(0.3)
             halted = self.rtc.halt("ALL")
-            ends = [self.rtc.wait(command, COMMAND_S) for command in commands]
+            ends = [command.wait(COMMAND_S) for command in commands]
         latency_s = halted.latency_s if halted.latency_s is not None else float("inf")
         moving = ", ".join(halted.moving) or "nothing"
         self.narrator.check(

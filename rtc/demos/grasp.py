@@ -140,7 +140,7 @@ def _check_halt(narrator: Narrator, rtc: Client) -> None:
         f"halt called in motion: {moving} began to decelerate after {latency}", result.moving == ["RIGHT-ARM"]
     )
     narrator.check("rest is confirmed", result.confirmed)
-    ended = rtc.wait(command, timeout_s=COMMAND_S)
+    ended = command.wait(COMMAND_S)
     narrator.check(f"{command} ended as {ended.outcome.kind.value}", ended.outcome.kind is OutcomeKind.HALTED)
 
 

@@ -12,6 +12,7 @@ Three kinds of failure are kept apart:
     │   ├── NoCluster      no process answers in that run directory
     │   └── TimedOut       no answer, or no outcome, in time
     ├── RequestDeclined    the cluster did not accept a request; carries the refusal
+    ├── NotSucceeded       raised on request, by `raise_for_outcome`: a command ended otherwise; carries the outcome
     ├── KeyTrouble         a key file or a tcp address is invalid
     └── ProgramError       a program, script or cell file is invalid
 """
@@ -49,6 +50,15 @@ class RequestDeclined(RtcError):
     def __init__(self, refusal: Refusal) -> None:
         super().__init__(refusal.message)
         self.refusal = refusal
+
+
+class NotSucceeded(RtcError):
+    """A command has ended, but not as succeeded; `command` is its number, `outcome` has the cause."""
+
+    def __init__(self, command: str, text: str, outcome: Outcome) -> None:
+        why = f": {outcome.message}" if outcome.message else ""
+        super().__init__(f"{command} {outcome.kind.value.replace('_', ' ')}: {text}{why}".lstrip())
+        self.command, self.outcome = command, outcome
 
 
 class KeyTrouble(RtcError):
@@ -196,3 +206,6 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=
     trims: list[str] = []  # the trims used, in order
     steps_done: int = 0
     measured: Measured | None = None  # at the end of the last primitive, as far as REPORT requested it
+
+    def __repr__(self) -> str:
+        return f"<Outcome {self.kind.value}{': ' if self.message else ''}{self.message}>"

@@ -110,7 +110,7 @@ class Campaign:
             if max(map(abs, sample.arms["RIGHT-ARM"].velocities)) > MOVING_RAD_S:
                 break
         result = self._rtc.halt("RIGHT-ARM")
-        self._rtc.wait(command, timeout_s=GIVE_UP_S)
+        command.wait(timeout_s=GIVE_UP_S)
         if result.latency_s is None or not result.confirmed:
             self.unconfirmed += 1
         else:

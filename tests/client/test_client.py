@@ -10,13 +10,23 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 import zmq
 
 from rtc.client import connection, halt
 from rtc.client.client import Client
 from rtc.protocol import messages as m
-from rtc.protocol.outcomes import NoCluster, Outcome, OutcomeKind, Refusal, RefusalReason, RequestDeclined, TimedOut
+from rtc.protocol.outcomes import (
+    NoCluster,
+    NotSucceeded,
+    Outcome,
+    OutcomeKind,
+    Refusal,
+    RefusalReason,
+    RequestDeclined,
+    TimedOut,
+)
 from rtc.protocol.wire import frames, reader, reader_of_many, together
 from rtc.runtime.settings import Settings
 
@@ -189,9 +199,9 @@ def test_bytes_that_are_no_text_travel_as_a_mark(broker: SmallBroker, run_dir: P
 def test_submit_then_wait(broker: SmallBroker, run_dir: Path) -> None:
     with Client(run_dir, source="aip") as rtc:
         command = rtc.submit("STOW LEFT-ARM 7")
-        outcome = rtc.wait(command, timeout_s=5)
+        outcome = command.wait(timeout_s=5)
 
-    assert (command, outcome.command) == ("C-7", "C-7")
+    assert (command.number, outcome.command) == ("C-7", "C-7")
     assert broker.sentences()[0].source == "aip"
 
 
@@ -276,7 +286,7 @@ def test_a_command_that_does_not_end_in_time_is_reported_and_goes_on(run_dir: Pa
     with Client(run_dir) as rtc:
         command = rtc.submit("STOW LEFT-ARM 1")
         with pytest.raises(TimedOut, match="C-1 has not ended; it continues"):
-            rtc.wait(command, timeout_s=0.05)
+            command.wait(timeout_s=0.05)
     broker.stop()
 
 
@@ -287,7 +297,7 @@ def test_a_new_broker_receives_the_same_requests_again(run_dir: Path) -> None:
         command = rtc.submit("STOW LEFT-ARM 1")
         first.stop()
         second = SmallBroker(run_dir, obliging)
-        outcome = rtc.wait(command, timeout_s=5)
+        outcome = command.wait(timeout_s=5)
         assert rtc.status() == {"cluster": "test"}
 
     assert outcome.outcome.kind == OutcomeKind.SUCCEEDED
@@ -312,7 +322,7 @@ def test_another_cluster_in_its_place_receives_nothing_of_what_was_sent_to_the_o
         second = SmallBroker(run_dir, of_cluster("new", lambda _: []))
         for command in commands:
             with pytest.raises(NoCluster, match="is gone, and another one is in its place"):
-                rtc.wait(command, timeout_s=5)
+                command.wait(timeout_s=5)
         with pytest.raises(NoCluster, match="another one"):
             rtc.run("STOW LEFT-ARM 3", timeout_s=5)
     second.stop()
@@ -359,7 +369,7 @@ def test_a_wait_ends_in_time_although_the_broker_is_long_away(run_dir: Path, mon
 
     def wait() -> None:
         with pytest.raises(TimedOut):
-            rtc.wait(first, timeout_s=0.1)  # it learns that the broker is away
+            first.wait(timeout_s=0.1)  # it learns that the broker is away
         with pytest.raises(TimedOut):
             rtc.run_many(["STOW LEFT-ARM"] * 500, parallel=True, timeout_s=1.0)
         over.set()
@@ -392,7 +402,7 @@ def test_a_client_closes_although_its_broker_is_gone_for_good(run_dir: Path) -> 
     command = rtc.submit("STOW LEFT-ARM 1")
     broker.stop()
     with pytest.raises(TimedOut):
-        rtc.wait(command, timeout_s=2.5)  # longer than the silence after which it is repeated
+        command.wait(timeout_s=2.5)  # longer than the silence after which it is repeated
     closing = threading.Thread(target=rtc.close, daemon=True)
     closing.start()
     closing.join(3)
@@ -498,11 +508,98 @@ def test_a_halt_works_from_another_thread_while_a_command_runs(run_dir: Path) ->
         other = threading.Thread(target=lambda: results.append(rtc.halt()))
         other.start()
         with pytest.raises(TimedOut):
-            rtc.wait(command, timeout_s=0.1)
+            command.wait(timeout_s=0.1)
         other.join(5)
 
     assert [result.confirmed for result in results] == [True]
     broker.stop()
+
+
+def ending_on_request(ends: dict[str, OutcomeKind]) -> Answer:
+    """A broker whose commands end when their request is in `ends`, at the next message of the client."""
+    begun: dict[str, str] = {}
+
+    def answer(message: m.ClientToBroker) -> list[m.BrokerToClient]:
+        match message:
+            case m.CommandText(request=request, text=text) if text.startswith(("PAUSE", "RESUME", "ABORT")):
+                number = f"C-{len(begun) + 100}"
+                begun[request] = number
+                done = [ended(r, begun[r], kind=kind) for r, kind in ends.items() if r in begun]
+                return [m.Accepted(request=request, command=number), *done, ended(request, number, text)]
+            case m.CommandText(request=request):
+                number = begun.setdefault(request, f"C-{len(begun) + 1}")
+                note = m.ProgressNote(seq=1, at_s=0.0, command=number, phase=m.Phase.EXECUTING, step="1 of 2: go")
+                report = m.ProgressNote(seq=0, at_s=0.0, command=number, phase=m.Phase.EXECUTING, note="force")
+                return [m.Accepted(request=request, command=number), note, report]
+        return obliging(message)
+
+    return answer
+
+
+def test_a_handle_waits_shows_progress_and_raises_for_another_outcome_than_success(run_dir: Path) -> None:
+    ends: dict[str, OutcomeKind] = {}
+    broker = SmallBroker(run_dir, ending_on_request(ends))
+    notes: list[int] = []
+    with Client(run_dir) as client:
+        handle = client.submit("STOW LEFT-ARM", on_progress=lambda note: notes.append(note.seq))
+        client.receive_until(lambda: len(notes) == 2, 5, "no notes")
+        assert (str(handle), handle.number, handle.outcome) == ("C-1", "C-1", None)
+        assert handle.progress is not None
+        assert (handle.progress.seq, handle.progress.step) == (1, "1 of 2: go")  # not the report
+        assert "executing" in repr(handle)
+        ends[broker.sentences()[0].request] = OutcomeKind.FAILED
+        handle.pause(5)
+        with pytest.raises(NotSucceeded, match="C-1 failed") as raised:
+            handle.raise_for_outcome(5)
+        assert (raised.value.command, raised.value.outcome) == ("C-1", handle.outcome)
+        assert handle.wait() is handle.wait()  # as often as called
+        handle.resume(5)
+        handle.abort(5)
+    assert [sentence.text for sentence in broker.sentences()[1:]] == ["PAUSE C-1", "RESUME C-1", "ABORT C-1"]
+    broker.stop()
+
+
+def test_a_handle_halts_its_own_command(run_dir: Path) -> None:
+    broker = SmallBroker(run_dir, accepting)
+    with Client(run_dir) as client:
+        assert client.submit("STOW LEFT-ARM 1").halt().scope == "C-1"
+    broker.stop()
+
+
+def test_control_of_a_command_that_is_refused_raises(run_dir: Path) -> None:
+    def refusing(message: m.ClientToBroker) -> list[m.BrokerToClient]:
+        match message:
+            case m.CommandText(request=request, text=text) if text.startswith("PAUSE"):
+                refused = ended(request, "C-9", text, OutcomeKind.REFUSED)
+                return [m.Accepted(request=request, command="C-9"), refused]
+        return accepting(message)
+
+    broker = SmallBroker(run_dir, refusing)
+    with Client(run_dir) as client:
+        handle = client.submit("STOW LEFT-ARM 1")
+        with pytest.raises(NotSucceeded):
+            handle.pause(5)
+        assert handle.outcome is None
+    broker.stop()
+
+
+def test_a_command_without_readers_asks_for_no_notes(run_dir: Path) -> None:
+    broker = SmallBroker(run_dir, accepting)
+    with Client(run_dir) as client:
+        client.submit("STOW LEFT-ARM 1", progress=False)
+    assert [sentence.progress for sentence in broker.sentences()] == [False]
+    broker.stop()
+
+
+def test_what_people_print_is_short(broker: SmallBroker, run_dir: Path) -> None:
+    with Client(run_dir) as client:
+        handle = client.submit("STOW LEFT-ARM 1 " + "X" * 2000 + " 1")
+        end = handle.wait(5)
+    fact = m.Fact(key="A.frame", value=[0.1] * 7, validity=m.Validity.VALID, version=3, source="C-1/4", at_s=0.0)
+    long = msgspec.structs.replace(fact, value={"covariance": [0.1] * 500})
+    for shown in map(repr, (handle, end, end.outcome, fact, long)):
+        assert len(shown) < 200, shown
+    assert "A.frame" in repr(long)
 
 
 def test_what_a_user_drops_without_closing_it_does_not_stop_the_garbage_collector(tmp_path):

@@ -56,7 +56,7 @@ def test_a_broker_that_is_restarted_is_waited_for(run_dir: Path) -> None:
         fcntl.flock(lock, fcntl.LOCK_EX)
         command = rtc.submit("STOW LEFT-ARM 7")
         first.stop()
-        ended = rtc.wait(command, 10)
+        ended = command.wait(10)
 
     assert silent.is_set()
     assert ended.outcome.kind is OutcomeKind.SUCCEEDED
@@ -96,4 +96,4 @@ def test_a_cluster_that_is_gone_is_not_waited_for(run_dir: Path) -> None:
         broker.stop()
         lock.close()  # as the kernel does it when the supervisor dies
         with pytest.raises(NoCluster, match="its supervisor has ended"):
-            rtc.wait(command, 10)
+            command.wait(10)

@@ -192,7 +192,7 @@ def test_a_new_cluster_in_the_directory_does_nothing_of_what_was_sent_to_the_old
             rtc.submit("STOW LEFT-ARM")
         assert deploy("up", "-d", "--mcm", "kinematic", run_dir=run_dir).returncode == 0
         with pytest.raises(NoCluster, match="another one is in its place"):
-            rtc.wait(moving, LIMIT_S)
+            moving.wait(LIMIT_S)
 
     with Client(run_dir) as anew:
         status = anew.status()
@@ -200,7 +200,7 @@ def test_a_new_cluster_in_the_directory_does_nothing_of_what_was_sent_to_the_old
         # And: when its supervisor is stopped by a signal, then it still ends in order
         moving = anew.submit("MOVE RIGHT-ARM TO RACK-1-FRONT MAINTAIN SPEED 5 CM/S")
         os.kill(report(run_dir)["pid"], signal.SIGSTOP)
-        assert moving in deploy("down", run_dir=run_dir).stdout  # the supervisor has named what it stopped
+        assert moving.number in deploy("down", run_dir=run_dir).stdout  # the supervisor has named what it stopped
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ import pytest
 import zmq
 
 from rtc.client.client import Client
+from rtc.client.handle import CommandHandle
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol.outcomes import OutcomeKind
@@ -61,8 +62,8 @@ def back(chaos: Chaos, strike: Strike | None) -> Strike:
     return strike
 
 
-def submit_and_move(rtc: Client, text: str) -> str:
-    """Its number, once the arm moves."""
+def submit_and_move(rtc: Client, text: str) -> CommandHandle:
+    """Its handle, once the arm moves."""
     samples = rtc.telemetry(silence_s=LIMIT_S)
     next(samples)
     command = rtc.submit(text)
@@ -72,7 +73,7 @@ def submit_and_move(rtc: Client, text: str) -> str:
     raise AssertionError("no telemetry")
 
 
-def begun(run_dir: Path, command: str) -> int:
+def begun(run_dir: Path, command: CommandHandle | str) -> int:
     """How often the MCM began the first primitive of this command, in all its lives."""
     return len(re.findall(rf"begins {command}\.1(?:@\w+)?$", (run_dir / "logs" / "MCM.log").read_text(), re.MULTILINE))
 
@@ -115,7 +116,7 @@ def test_a_motion_goes_on_while_the_broker_is_dead_and_its_result_arrives(
 ) -> None:
     command = submit_and_move(rtc, AWAY)
     strike = chaos.strike("broker")
-    end = rtc.wait(command, LIMIT_S)
+    end = command.wait(LIMIT_S)
     assert end.outcome.kind is OutcomeKind.SUCCEEDED
     assert begun(run_dir, command) == 1
     assert back(chaos, strike).new_pid != strike.pid if strike else False
@@ -123,7 +124,7 @@ def test_a_motion_goes_on_while_the_broker_is_dead_and_its_result_arrives(
         status = asking.status()
         assert status["counters"]["broker_restarts"] >= 1
         assert 0 < status["broker_uptime_s"] < status["uptime_s"]  # the cluster is older than its broker
-        assert asking.trace(command).outcome == end.outcome
+        assert asking.trace(command.number).outcome == end.outcome
 
 
 def test_a_command_keeps_its_programs_when_one_is_loaded_and_the_broker_restarts(
@@ -139,17 +140,17 @@ def test_a_command_keeps_its_programs_when_one_is_loaded_and_the_broker_restarts
     rtc.load("elaborator", script)
     try:
         with Client(run_dir) as asking:
-            assert first in {row["command"] for row in asking.status()["commands"]}  # so the other still waits
+            assert first.number in {row["command"] for row in asking.status()["commands"]}  # so the other still waits
         back(chaos, chaos.strike("broker"))
         later = rtc.submit(f"{STOW} AFTER {waiting}")
         labels = {}
         for command in (waiting, later):
-            assert rtc.wait(command, LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
+            assert command.wait(LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
             with Client(run_dir) as asking:
-                labels[command] = {note.step for note in asking.trace(command).notes if note.step}
+                labels[command.number] = {note.step for note in asking.trace(command.number).notes if note.step}
     finally:
         rtc.reset("elaborator")
-    assert labels == {waiting: {"1 of 1: stow RIGHT-ARM"}, later: {"1 of 1: newly stow RIGHT-ARM"}}
+    assert labels == {waiting.number: {"1 of 1: stow RIGHT-ARM"}, later.number: {"1 of 1: newly stow RIGHT-ARM"}}
 
 
 def test_the_world_comes_back_with_all_that_was_believed(rtc: Client, chaos: Chaos) -> None:
@@ -166,7 +167,7 @@ def test_what_a_killed_mcm_was_doing_is_lost_and_the_arm_stays_where_it_was(
 ) -> None:
     command = submit_and_move(rtc, AWAY)
     strike = chaos.strike("mcm")
-    end = rtc.wait(command, LIMIT_S)
+    end = command.wait(LIMIT_S)
     assert end.outcome.kind is OutcomeKind.LOST_SUBSYSTEM
     fact = rtc.world.view(keys=[f"{ARM}.joints"]).facts[0]
     assert fact.validity is m.Validity.SUSPECT
@@ -184,8 +185,8 @@ def test_what_was_queued_when_the_mcm_died_is_planned_from_where_the_arm_really_
     moving = submit_and_move(rtc, AWAY)
     queued = [rtc.submit(text) for text in (f"MOVE {ARM} BY 1 CM ALONG UP", STOW, AWAY)]
     strike = chaos.strike("mcm")
-    assert rtc.wait(moving, LIMIT_S).outcome.kind is OutcomeKind.LOST_SUBSYSTEM
-    outcomes = [rtc.wait(command, LIMIT_S).outcome for command in queued]
+    assert moving.wait(LIMIT_S).outcome.kind is OutcomeKind.LOST_SUBSYSTEM
+    outcomes = [command.wait(LIMIT_S).outcome for command in queued]
     assert [outcome.kind for outcome in outcomes] == [OutcomeKind.SUCCEEDED] * 3, outcomes
     assert outcomes[0].steps_done == 2  # it looked first where the arm stands
     back(chaos, strike)
@@ -199,8 +200,10 @@ def test_what_is_given_at_once_is_begun_in_the_order_given_while_workers_die(
         commands.append(rtc.submit(f"HOLD {ARM} FOR 0.1 SEC"))
         if n % 4 == 0:
             chaos.strike("worker")
-    assert {rtc.wait(command, LIMIT_S).outcome.kind for command in commands} == {OutcomeKind.SUCCEEDED}
-    begun_at_s = [note.at_s for command in commands for note in rtc.trace(command).notes if note.note == "started"]
+    assert {command.wait(LIMIT_S).outcome.kind for command in commands} == {OutcomeKind.SUCCEEDED}
+    begun_at_s = [
+        note.at_s for command in commands for note in rtc.trace(command.number).notes if note.note == "started"
+    ]
     assert len(begun_at_s) == len(commands)
     assert begun_at_s == sorted(begun_at_s)
 
@@ -210,7 +213,7 @@ import sys
 from rtc.client.client import Client
 rtc = Client(sys.argv[1], halt_if_lost=True)
 print(rtc.submit(sys.argv[2]), flush=True)
-rtc.wait(rtc.submit(sys.argv[2]))
+rtc.submit(sys.argv[2]).wait()
 """
 
 
@@ -230,9 +233,9 @@ def test_the_commands_of_a_dead_client_are_halted_if_it_wanted_that(rtc: Client,
     assert record.outcome is not None
     assert record.outcome.kind is OutcomeKind.HALTED
     assert any("its client disconnected" in note.note for note in record.notes)
-    assert rtc.trace(free).phase is m.Phase.EXECUTING  # no other command was halted
-    rtc.halt(free)
-    assert rtc.wait(free, LIMIT_S).outcome.kind is OutcomeKind.HALTED
+    assert rtc.trace(free.number).phase is m.Phase.EXECUTING  # no other command was halted
+    free.halt()
+    assert free.wait(LIMIT_S).outcome.kind is OutcomeKind.HALTED
 
 
 def test_all_at_once(rtc: Client, chaos: Chaos, run_dir: Path) -> None:
@@ -240,7 +243,7 @@ def test_all_at_once(rtc: Client, chaos: Chaos, run_dir: Path) -> None:
     command = submit_and_move(rtc, AWAY)
     for name in [row.name for row in processes(run_dir).values() if row.name != "MCM"]:
         chaos.strike("any", name)
-    assert rtc.wait(command, LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
+    assert command.wait(LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
     assert begun(run_dir, command) == 1
     assert rtc.run(STOW, timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
     for strike in chaos.strikes:

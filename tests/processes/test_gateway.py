@@ -157,10 +157,10 @@ def test_a_planner_controls_its_own_commands_only(new_key: Callable[[str], Path]
         assert refusal_of(rtc, f"ABORT {theirs}") is RefusalReason.NOT_ALLOWED
         assert refusal_of(rtc, "RESUME ALL") is RefusalReason.NOT_ALLOWED
         assert rtc.run(f"ABORT {own}", timeout_s=LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
-        assert rtc.wait(own, LIMIT_S).outcome.kind is OutcomeKind.ABORTED
-        assert here.trace(own).source == "aip"
-        assert rtc.halt(theirs, timeout_s=LIMIT_S).confirmed
-        assert here.wait(theirs, LIMIT_S).outcome.kind is OutcomeKind.HALTED
+        assert own.wait(LIMIT_S).outcome.kind is OutcomeKind.ABORTED
+        assert here.trace(own.number).source == "aip"
+        assert rtc.halt(theirs.number, timeout_s=LIMIT_S).confirmed
+        assert theirs.wait(LIMIT_S).outcome.kind is OutcomeKind.HALTED
 
 
 def test_a_halt_over_tcp_stops_a_moving_arm(new_key: Callable[[str], Path], run_dir: Path) -> None:
@@ -172,7 +172,7 @@ def test_a_halt_over_tcp_stops_a_moving_arm(new_key: Callable[[str], Path], run_
         halted = rtc.halt(timeout_s=LIMIT_S)
 
         assert (halted.confirmed, halted.moving, halted.sent_to) == (True, ["RIGHT-ARM"], ["estop", "halt"])
-        assert rtc.wait(command, LIMIT_S).outcome.kind is OutcomeKind.HALTED
+        assert command.wait(LIMIT_S).outcome.kind is OutcomeKind.HALTED
 
 
 def test_a_worker_key_serves_and_does_nothing_else(new_key: Callable[[str], Path], run_dir: Path) -> None:
@@ -216,7 +216,7 @@ def test_a_late_result_of_an_earlier_connection_is_refused_and_counted(
             job = first.job()
         first.close()
         for command in commands:
-            assert here.wait(command, LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
+            assert command.wait(LIMIT_S).outcome.kind is OutcomeKind.SUCCEEDED
         lost = [n.note for n in here.trace(job.id.partition("/")[0]).notes if "binder@18 lost" in n.note]
         assert len(lost) == 1
 
@@ -433,13 +433,13 @@ def test_a_revoked_key_is_cut_off_in_the_middle_of_its_work(new_key: Callable[[s
             next(samples)
             KeyRing(run_dir).revoke("operator-1")
             with pytest.raises(NoCluster, match="does not know this key"):
-                rtc.wait(command, LIMIT_S)
+                command.wait(LIMIT_S)
             assert len(list(samples)) < 10_000  # it ends
             halts = here.status()["halts"]["called"]
             with contextlib.suppress(ClusterError):
                 assert not rtc.halt(timeout_s=0.5).confirmed
             assert here.status()["halts"]["called"] == halts
-        assert here.trace(command).phase is m.Phase.EXECUTING  # any client may halt what it began
+        assert here.trace(command.number).phase is m.Phase.EXECUTING  # any client may halt what it began
         assert here.halt(timeout_s=LIMIT_S).confirmed
         wait_for(lambda: other.status()["commands_live"] == 0)  # the others are there again
 
@@ -500,6 +500,6 @@ def test_a_killed_gateway_is_back_and_what_was_open_is_answered(new_key: Callabl
     with Client(run_dir) as here, Client(key=new_key("operator")) as rtc:
         command = rtc.submit("HOLD LEFT-ARM")
         os.kill(pids(run_dir)["gate"], signal.SIGKILL)
-        assert here.halt(command, timeout_s=LIMIT_S).confirmed
-        assert rtc.wait(command, LIMIT_S).outcome.kind is OutcomeKind.HALTED
+        assert here.halt(command.number, timeout_s=LIMIT_S).confirmed
+        assert command.wait(LIMIT_S).outcome.kind is OutcomeKind.HALTED
         assert rtc.halt(timeout_s=LIMIT_S).confirmed

@@ -24,6 +24,7 @@ import zmq
 
 from deploy import cluster
 from rtc.client.client import Client
+from rtc.client.handle import CommandHandle
 from rtc.protocol.outcomes import NoCluster, OutcomeKind
 from rtc.runtime import process_table
 from rtc.runtime.settings import ENDPOINTS
@@ -82,7 +83,7 @@ class Running:
         """A pidfd of each that the supervisor has started."""
         return [os.pidfd_open(row.pid) for row in process_table.processes(self.run_dir).values() if row.pid]
 
-    def moving(self) -> str:
+    def moving(self) -> CommandHandle:
         """Begin a motion that takes seconds; the command, once a joint moves."""
         self._way = -self._way
         command = self.client.submit(f"MOVE RIGHT-ARM BY {9 * self._way} CM ALONG X MAINTAIN SPEED 2 CM/S")
@@ -141,7 +142,7 @@ def stops(running: Running, press: Callable[[], None]) -> None:
     command = running.moving()
     press()
     until(lambda: running.speed() < REST_RAD_S, limit_s=1.0)
-    assert running.client.wait(command, 20).outcome.kind is OutcomeKind.HALTED
+    assert command.wait(20).outcome.kind is OutcomeKind.HALTED
 
 
 @pytest.mark.parametrize("endpoints", [["estop"], ["halt"], ["halt", "estop"]], ids="+".join)
@@ -174,7 +175,7 @@ def test_a_paused_motion_stands_on_its_path_and_goes_on(running: Running) -> Non
     assert running.client.run(f"PAUSE {command}", timeout_s=20).outcome.kind is OutcomeKind.SUCCEEDED
     until(lambda: running.speed() < REST_RAD_S)
     running.client.halt()
-    assert running.client.wait(command, 20).outcome.kind is OutcomeKind.HALTED
+    assert command.wait(20).outcome.kind is OutcomeKind.HALTED
 
 
 def test_two_clients_of_one_name_are_each_served_and_answered(running: Running) -> None:
@@ -255,8 +256,8 @@ def test_a_cluster_that_ends_brakes_its_arms_and_tells_its_clients(how: str, tmp
     ended: list[OutcomeKind] = []
 
     def wait() -> None:
-        for name in (command, waiting):
-            ended.append(running.client.wait(name, 20).outcome.kind)
+        for one in (command, waiting):
+            ended.append(one.wait(20).outcome.kind)
 
     client = threading.Thread(target=wait, daemon=True)
     client.start()

@@ -83,10 +83,10 @@ def _stop_a_new_elaborator(rtc: Client, run_dir: Path) -> None:
 
 def _stow_both(first: Client, second: Client) -> set[str]:
     """Two commands at a time; the processes that took part."""
-    commands = [(first, first.submit("STOW LEFT-ARM")), (second, second.submit("STOW RIGHT-ARM"))]
-    ended = [client.wait(command, LIMIT_S) for client, command in commands]
+    commands = [first.submit("STOW LEFT-ARM"), second.submit("STOW RIGHT-ARM")]
+    ended = [command.wait(LIMIT_S) for command in commands]
     assert {one.outcome.kind for one in ended} == {OutcomeKind.SUCCEEDED}
-    return {note.node for _, command in commands for note in first.trace(command).notes}
+    return {note.node for command in commands for note in first.trace(command.number).notes}
 
 
 def _request(rtc: Client) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import zmq
 
 from benchmarks.track import at, turning
 from rtc.client.client import Client
+from rtc.client.handle import CommandHandle
 from rtc.demos.own_cluster import own_cluster
 from rtc.protocol import messages as m
 from rtc.protocol.faults import BlindCamera
@@ -39,7 +40,7 @@ def rtc(run_dir: Path) -> Iterator[Client]:
         yield client
 
 
-def follow(rtc: Client, until: int) -> str:
+def follow(rtc: Client, until: int) -> CommandHandle:
     """A TRACK without an end, once it has sent some poses."""
     seen: list[m.ProgressNote] = []
 
@@ -52,7 +53,7 @@ def follow(rtc: Client, until: int) -> str:
         if len(seen) >= until:
             return command
         with pytest.raises(TimeoutError):
-            rtc.wait(command, 0.1)
+            command.wait(0.1)
     raise AssertionError(f"{len(seen)} poses within {LIMIT_S:.0f} s")
 
 
@@ -113,7 +114,7 @@ def test_a_halt_stops_a_look(rtc: Client) -> None:
     result = rtc.halt("CAMERA-3")
     assert result.confirmed, result.message
     assert result.moving == ["CAMERA-3"]
-    outcome = rtc.wait(command, LIMIT_S).outcome
+    outcome = command.wait(LIMIT_S).outcome
     assert outcome.kind is OutcomeKind.HALTED
     assert outcome.stop is StopReason.HALT
 
@@ -121,7 +122,7 @@ def test_a_halt_stops_a_look(rtc: Client) -> None:
 def test_the_death_of_perception_is_a_true_outcome_and_cameras_are_soon_back(rtc: Client, run_dir: Path) -> None:
     command = follow(rtc, until=1)
     assert Chaos(run_dir, random.Random(1)).strike("any", "S&P") is not None
-    outcome = rtc.wait(command, LIMIT_S).outcome
+    outcome = command.wait(LIMIT_S).outcome
     assert outcome.kind is OutcomeKind.LOST_SUBSYSTEM
     await_connected(rtc)
     ended = rtc.run(f"LOCATE {MODULE}", timeout_s=LIMIT_S).outcome
@@ -133,4 +134,4 @@ def test_a_stopped_process_is_found_and_replaced(rtc: Client, run_dir: Path) -> 
     (row,) = [row for row in rtc.status()["processes"] if row["name"] == "S&P"]
     command = follow(rtc, until=1)
     os.kill(row["pid"], signal.SIGSTOP)
-    assert rtc.wait(command, LIMIT_S).outcome.kind is OutcomeKind.LOST_SUBSYSTEM
+    assert command.wait(LIMIT_S).outcome.kind is OutcomeKind.LOST_SUBSYSTEM

@@ -50,7 +50,7 @@ def test_a_guarded_move_stops_at_the_contact_without_the_broker(run_dir: Path) -
         finally:
             with suppress(ProcessLookupError):  # a slow machine: the supervisor has replaced it meanwhile
                 os.kill(broker, signal.SIGCONT)
-        end = rtc.wait(command, LIMIT_S)
+        end = command.wait(LIMIT_S)
         after = rtc.truth()
 
         assert stopped.tcp[ARM][0] - before[0] == pytest.approx(GAP_M, abs=0.001)

@@ -123,7 +123,7 @@ def test_a_cut_link_delays_jobs_and_loses_nothing(hosts: TwoHosts, far: set[str]
     moving(rtc)
     halted = rtc.halt(timeout_s=LIMIT_S)
     assert (halted.confirmed, halted.moving) == (True, ["RIGHT-ARM"])
-    assert rtc.wait(command, LIMIT_S).outcome.kind is OutcomeKind.HALTED
+    assert command.wait(LIMIT_S).outcome.kind is OutcomeKind.HALTED
     assert noticed_s < CUT_S  # the campaign compares it with the declared limit; here other tests use the processor
     verdict = judged(errands, journal, run_dir)
     assert (verdict.lost, verdict.repeated, verdict.wrong, verdict.not_seen) == ([], [], [], [])

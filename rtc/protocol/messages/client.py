@@ -8,7 +8,9 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from rtc.protocol.messages.shared import PROGRAM_BYTES, Heartbeat, Message, Name, Shutdown, WorkerKind
-from rtc.protocol.outcomes import Measured, Outcome, Refusal
+from rtc.protocol.outcomes import Measured, NotSucceeded, Outcome, OutcomeKind, Refusal
+
+SHOWN = 60  # characters of a sentence in `repr`
 
 # --- client -> broker ---
 
@@ -123,6 +125,16 @@ class CommandEnded(Message, frozen=True, kw_only=True):
     text: str
     outcome: Outcome
     took_s: float
+
+    def raise_for_outcome(self) -> CommandEnded:
+        """This end, if the command succeeded. Raises NotSucceeded otherwise."""
+        if self.outcome.kind is not OutcomeKind.SUCCEEDED:
+            raise NotSucceeded(self.command, self.text, self.outcome)
+        return self
+
+    def __repr__(self) -> str:
+        text = self.text if len(self.text) <= SHOWN else f"{self.text[: SHOWN - 3]}..."
+        return f"<CommandEnded {self.command} after {self.took_s:.3g} s, {self.outcome!r}: {text}>"
 
 
 class RequestRefused(Message, frozen=True, kw_only=True):

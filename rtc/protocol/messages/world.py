@@ -11,6 +11,8 @@ from rtc.protocol.messages.shared import Message, Name
 from rtc.protocol.messages.worker import Lease
 from rtc.protocol.outcomes import Refusal
 
+SHOWN = 80  # characters of a value in `repr`
+
 
 class Validity(StrEnum):
     UNKNOWN = "unknown"
@@ -44,6 +46,11 @@ class Fact(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     source: str  # origin: "cell", "C-7/12", ...
     at_s: float
     spread: Spread | None = None  # of a pose; None = not stated
+
+    def __repr__(self) -> str:
+        value = repr(self.value)
+        shown = value if len(value) <= SHOWN else f"{value[: SHOWN - 3]}..."
+        return f"<Fact {self.key} = {shown}, {self.validity.value}, version {self.version} by {self.source}>"
 
 
 class ReadView(Message, frozen=True, kw_only=True):
