@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 import zmq
@@ -16,11 +16,13 @@ from rtc.cli.output import AsJson, RunDir, With, console, emit_json, errors, exi
 from rtc.cli.stdio import OutputClosed
 from rtc.client.halt import HALT_ENDPOINTS, HaltLine, HaltResult
 from rtc.client.liveness import is_listening
-from rtc.protocol.outcomes import NoCluster
+from rtc.protocol.messages import CommandRecord, Phase
+from rtc.protocol.outcomes import NoCluster, RtcError
 from rtc.runtime.keys import Endpoints, KeyFile
 from rtc.runtime.settings import Settings, default_run_dir, shell_command
 
 NOT_CONFIRMED = 3
+MOVES = (Phase.EXECUTING, Phase.HALTING)
 SETTLED_S, SETTLED = 0.05, " (but a hand still pressed, or a touch still gave way)"
 LATE_S = 0.2  # an MCM that answers later may have been restarted and have lost a motion
 
@@ -48,6 +50,8 @@ def halt(
             emit_json(result)
     else:
         print_halt(result)
+        if not result.reached and not result.declined and "halt" in result.sent_to and scope.upper().startswith("C-"):
+            _print_not_reached(scope.upper(), run_dir, key)
     raise typer.Exit(code)
 
 
@@ -81,6 +85,25 @@ def print_halt(result: HaltResult, out: Console = console) -> None:
         _print(result, out)
     except OutputClosed:
         _print(result, errors)
+
+
+def _print_not_reached(command: str, run_dir: Path | None, key: Path | None) -> None:
+    """Ask the broker about a command that the halt did not reach; print nothing if it does not answer."""
+    from rtc.client.client import Client  # its import is slow, and the halt itself does not need it
+
+    with suppress(RtcError, OutputClosed), Client(run_dir, key=key) as rtc:
+        console.print(Text(not_reached(rtc.trace(command), rtc.status()["commands"])))
+
+
+def not_reached(record: CommandRecord, commands: list[dict[str, Any]]) -> str:
+    """The state of a command that moves nothing, and what moves instead. `commands`: rows of the status."""
+    if record.outcome is None:
+        state = f"{record.command} is {record.phase.value} and moves nothing"
+    else:
+        state = f"{record.command} has ended: {record.outcome.kind.value.replace('_', ' ')}"
+    others = [row for row in commands if row["phase"] in MOVES and row["command"] != record.command]
+    moving = [f"{row['command']} ({', '.join(row['resources'])}): rtc halt {row['command']}" for row in others]
+    return f"{state}; " + (f"in motion: {'; '.join(moving)}" if moving else "no command is in motion")
 
 
 def _print(result: HaltResult, out: Console) -> None:

@@ -49,8 +49,9 @@ def _broker_refusal(command: Command, head: ParsedHead) -> Refusal | None:
     """Refuse what only the broker can check: LAST without a previous command, REPORT EVERY without a reader."""
     if LAST in (head.after, head.together_with):
         word = "AFTER" if head.after else "TOGETHER-WITH"
-        message = f"{word} {LAST}: this client has given no command before this one"
-        clears = f"give the number: {word} C-n (`rtc log` lists the commands), or leave it out"
+        own = "each `rtc do` is a client of its own"
+        message = f"{word} {LAST}: this client has given no command before this one; {own}"
+        clears = f"both sentences in one `rtc do`; or the number: {word} C-n (`rtc log` lists the commands)"
         return Refusal(reason=RefusalReason.NAME, message=message, where=LAST, clears=clears)
     if head.report is not None and (word := head.report.in_motion) and not command.progress:
         message = f"REPORT {word}: this client does not take progress notes, so the reports would not be delivered"
