@@ -25,6 +25,7 @@ COMMANDS = {
     "up": "cluster",
     "down": "cluster",
     "status": "cluster",
+    "doctor": "doctor",
     "do": "sentences",
     "halt": "halt",
     "look": "look",
