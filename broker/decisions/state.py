@@ -101,6 +101,7 @@ class AssessmentHead(msgspec.Struct, frozen=True, kw_only=True, tag="Assessment"
     trim: int = 0
     keep: dict[str, msgspec.Raw] = {}
     clears: str = ""
+    remark: str = ""
 
 
 class PendingJob(msgspec.Struct, kw_only=True, gc=False):

@@ -64,7 +64,7 @@ FAILURE_PLACEHOLDERS = (
     *("camera", "turned"),
 )
 #: keys of `words` of a step that have an effect
-WORDS = ("about", "axis", "effect", "missed", "needs", "seat", "through")
+WORDS = ("about", "axis", "effect", "leaves", "missed", "needs", "seat", "through")
 #: args of a step that are not values of the binder's program
 ARGS = (
     *("by_m", "by_rad", "hand_turn", "radius_m", "pitch_m"),  # shape of a path, see SPACE_ARGS

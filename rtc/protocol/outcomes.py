@@ -199,7 +199,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=
     """How one command ended; sent to the client that submitted it."""
 
     kind: OutcomeKind
-    message: str = ""  # the cause in words; empty on a plain success
+    message: str = ""  # the cause in words; on a success empty, or what is left to do
     stop: StopReason | None = None  # the stop reason, if the end of a primitive ended it
     refusal: Refusal | None = None  # the refusal, if one ended it
     step: str = ""  # the step it ended in, e.g. "5 of 9: feel GP1"

@@ -23,7 +23,7 @@ from rtc.world.spread import even, widened
 from workers.analyzer import nearby, reported_facts, sighting
 from workers.analyzer.world_changes import EFFECTS, Changes, angles, perhaps_taken
 from workers.binder import reflexes
-from workers.planning import pose_spread, shared_hold
+from workers.planning import in_seat, pose_spread, shared_hold
 from workers.planning.robot_models import CellModel
 from workers.planning.world_query import TRUSTED, WorldQuery
 
@@ -170,8 +170,15 @@ def _success(program: AnalyzerProgram, query: WorldQuery, data: AnalyzerInput) -
             )
         ),
         keep={name: _kept(source, data.report) for name, source in step.keep.items()},
+        remark=_remark(query, data),
         changes=angles(query, _with_spread(program, query, data, _merged(changes))),
     )
+
+
+def _remark(query: WorldQuery, data: AnalyzerInput) -> str:
+    """What the outcome of a command states after this step: how far the object is from free of the seat it leaves."""
+    leaves = data.evaluation.step.args.get("leaves") == "seat"
+    return in_seat.remark_on_slot(query, data.evaluation.arm, data.report.tcp_pose) if leaves else ""
 
 
 def _kept(source: str, report: EndReport) -> Binding:

@@ -57,6 +57,17 @@ def way_out_in_words(query: WorldQuery, arm: str, seat: str, frame: Floats | Non
     return f"LIFT {held} {by} WITH {arm}"
 
 
+def remark_on_slot(query: WorldQuery, arm: str, tcp: Floats) -> str:
+    """How the held object gets free of the slot that it is still in when the hand is at `tcp` (world frame); empty if
+    it is in none."""
+    held = query.holding(arm)
+    frame = query.in_hand(held, tcp) if held else None
+    seat = query.slot_at(frame) if frame is not None and query.hinge(held) is None else ""
+    if not seat:
+        return ""
+    return f"{held} is still in the slot of {seat}; free of it after: {way_out_in_words(query, arm, seat, frame)}"
+
+
 def _follows(query: WorldQuery, seat: str, tcp: Floats, goal: Floats) -> bool:
     """Whether a line of the hand is parallel to the way out."""
     out = geometry.rotate(query.seat_frame(seat), query.cell.seat(seat).way_out)

@@ -58,14 +58,15 @@ def on_elaborated(context: DecisionContext, command: Command, product: msgspec.R
     next_step(context, command)
 
 
-def next_step(context: DecisionContext, command: Command) -> None:
-    """Bind the top of the Action_Stack, or end the command if the stack is empty (paper, main loop)."""
+def next_step(context: DecisionContext, command: Command, remark: str = "") -> None:
+    """Bind the top of the Action_Stack, or end the command if the stack is empty (paper, main loop). `remark`: of the
+    step before, for the outcome."""
     actions = command.actions
     assert actions is not None
     if not actions.refs and command.given_up is not None:
         end_given_up(context, command)
     elif not actions.refs:
-        end(context, command, OutcomeKind.SUCCEEDED)
+        end(context, command, OutcomeKind.SUCCEEDED, message=remark)
     elif command.pause_wanted:
         context.enter(command, Phase.PAUSED, "paused between two steps")
     else:
@@ -202,7 +203,7 @@ def on_assessed(context: DecisionContext, command: Command, product: msgspec.Raw
     if assessment.verdict == "continue":
         command.steps_done += 1
         context.note(command, assessment.message or f"{assessment.reason}: as expected")
-        next_step(context, command)
+        next_step(context, command, assessment.remark)
     elif assessment.verdict == "trim" and push_trim(context, command, assessment):
         next_step(context, command)
     elif command.given_up is not None:

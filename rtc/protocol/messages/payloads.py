@@ -195,3 +195,4 @@ class Assessment(Message, frozen=True, kw_only=True):
     keep: dict[str, Binding] = {}  # measured values for later steps
     changes: list[WorldChange] = []
     clears: str = ""  # what would clear the failure
+    remark: str = ""  # on a success: what the result of the command states if this is its last step

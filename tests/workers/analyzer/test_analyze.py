@@ -50,6 +50,15 @@ def test_the_rate_of_creep_is_refused_in_a_program(bench):
 # --- whole commands ----------------------------------------------------------------------------------------
 
 
+def test_a_lift_that_leaves_the_module_in_its_slot_states_the_sentence_that_frees_it(bench):
+    bench.do(GRASP)
+    short = bench.do("LIFT MACS-NEW BY 10 CM WITH RIGHT-ARM").assessments[-1].remark
+    advice = short.partition("free of it after: ")[2]
+    assert advice == "LIFT MACS-NEW BY 5 CM WITH RIGHT-ARM"
+    assert bench.do(advice).assessments[-1].remark == ""
+    assert bench.do("MOVE RIGHT-ARM TO CLEAR-POINT-1").succeeded
+
+
 def test_the_centring_grasp_from_first_line_to_last(either):
     run = either.do(GRASP)
 

@@ -8,7 +8,7 @@ import pytest
 from broker.decisions.resources import WORLD
 from rtc.protocol import wire
 from rtc.protocol.messages import AnalyzerInput, BinderInput, BoundStep, ElaboratorInput
-from rtc.protocol.outcomes import RefusalReason
+from rtc.protocol.outcomes import OutcomeKind, RefusalReason
 from tests.broker.harness import Harness, bound, go_on, record, script, stated
 
 # --- the nominal journey ------------------------------------------------------------------------------
@@ -179,3 +179,10 @@ def test_the_test_of_a_control_stops_nothing(verb):
     s.says(f"TEST {verb}")
     assert s.answers("C-2", record(test=True, kind="control", verb=verb)) == ["note C-2 ended", "end C-2 refused"]
     assert s.phase("C-1") == "executing"
+
+
+def test_the_remark_of_the_last_step_is_in_the_outcome():
+    s = Harness()
+    s.analyzing()
+    s.answers("C-1", msgspec.structs.replace(go_on(), remark="5 cm more"))
+    assert (s.outcome("C-1").kind, s.outcome("C-1").message) == (OutcomeKind.SUCCEEDED, "5 cm more")
