@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict, deque
+from dataclasses import dataclass
 
 import msgspec
 
@@ -14,6 +15,17 @@ from rtc.runtime.process import send
 
 CALLERS_KEPT = 200  # maximum number of callers that get answers
 HALTS_OF_CALLER = 8  # latest halts of one caller that are answered
+AGAIN_S = 10.0  # age up to which an unanswered halt is sent to a new process of the subsystem; its start takes 0.1 s
+
+
+@dataclass
+class Called:
+    """A halt of one caller. `call`: our number for it; `order`: as it came."""
+
+    call: str
+    order: m.HaltOrder
+    at_s: float
+    answered: bool = False  # a subsystem has reported whether all in its scope is at rest
 
 
 class Halts:
@@ -23,8 +35,7 @@ class Halts:
         self._life = f"{core.began_s * 1e6:.0f}"  # of this broker process: its successor counts from one again
         self.end_halt = f"end-{self._life}"  # name of the halt when the cluster ends
         self._count = 0
-        # caller -> (number of the order, the order as it came)
-        self.callers: OrderedDict[bytes, deque[tuple[str, m.HaltOrder]]] = OrderedDict()
+        self.callers: OrderedDict[bytes, deque[Called]] = OrderedDict()
 
     def receive(self, peer: bytes, order: m.HaltOrder, now: float) -> None:
         """Admit one order. It gets a number of its own, because callers may repeat names."""
@@ -34,7 +45,7 @@ class Halts:
             self._limiter.merge(numbered)
             self._core.dropped["halts_folded"] += 1
             return
-        self.callers.setdefault(peer, deque(maxlen=HALTS_OF_CALLER)).append((numbered.call, order))
+        self.callers.setdefault(peer, deque(maxlen=HALTS_OF_CALLER)).append(Called(numbered.call, order, now))
         self.callers.move_to_end(peer)
         if len(self.callers) > CALLERS_KEPT:
             self.callers.popitem(last=False)
@@ -71,8 +82,26 @@ class Halts:
         reached = message.moving if isinstance(message, m.HaltStarted) else message.performers
         still = not self.moves(message.subsystem)
         for peer, called in self.callers.items():
-            for call, order in called:
-                if still and (order.scope == "ALL" or not reached):
+            for one in called:
+                if still and (one.order.scope == "ALL" or not reached):
                     continue
-                if message.call == call or (not message.call and message.halt == order.halt):
-                    send(self._core.sockets["halt"], msgspec.structs.replace(message, call=order.call), peer)
+                if message.call == one.call or (not message.call and message.halt == one.order.halt):
+                    send(self._core.sockets["halt"], msgspec.structs.replace(message, call=one.order.call), peer)
+                    one.answered |= isinstance(message, m.HaltAtRest)
+
+    def unanswered(self, hello: m.SubsystemHello, now: float) -> list[m.HaltOrder]:
+        """The halts that the former process of a subsystem took with it: its successor is at rest and can confirm that.
+
+        They stop nothing of later commands: a new process has not begun anything before they arrive."""
+        known = self._core.state.subsystems.get(hello.name)
+        if known is not None and known.pid == hello.pid:
+            return []  # it has received them, and answers
+        scopes = {"ALL", *hello.performers}
+        return [
+            msgspec.structs.replace(one.order, call=one.call)
+            for called in self.callers.values()
+            for one in called
+            if not one.answered
+            and now - one.at_s <= AGAIN_S
+            and (one.order.scope in scopes or one.order.scope.startswith("C-"))
+        ]

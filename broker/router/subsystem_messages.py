@@ -55,6 +55,8 @@ class SubsystemMessages:
         _check_name(name, message.name)
         self._egress.subsystems.set_arrays(peer, message.arrays)
         self._core.me.log.info("%.80r is connected, pid %d, %.200s", name, message.pid, message.performers)
+        for order in self._halts.unanswered(message, now):
+            self._egress.subsystems.send_now(peer, order)
         self._core.enqueue(
             SubsystemConnected(
                 at_s=now,

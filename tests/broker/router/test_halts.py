@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import msgspec
+import pytest
 
-from broker.router.halts import CALLERS_KEPT, HALTS_OF_CALLER
+from broker.router.halts import AGAIN_S, CALLERS_KEPT, HALTS_OF_CALLER
 from rtc.protocol import messages as m
 from rtc.protocol import wire
 from rtc.runtime.halt_admission import PER_S
-from tests.broker.router.bench import Bench
+from tests.broker.router.bench import MCM, Bench
 
 
 def test_who_calls_halts_without_end_is_obeyed_and_folded(working: Bench) -> None:
@@ -39,6 +40,41 @@ def test_two_callers_of_one_name_each_get_the_answer_to_their_own_halt(working: 
     rest = m.HaltAtRest(halt="1", subsystem="MCM", at_s=1.0, at_rest=True, performers=[], call=of_bob.call)
     working.send("subsystems", b"MCM", rest)
     assert working.sockets["halt"].sent == [[b"bob", *wire.frames(msgspec.structs.replace(rest, call=""))]]
+
+
+def orders(bench: Bench) -> list[m.HaltOrder]:
+    """The halts sent to the MCM, without those of the broker itself."""
+    sent = [wire.reader(m.BrokerToSubsystem)(parts[1:]) for parts in bench.sockets["subsystems"].sent]
+    return [one for one in sent if isinstance(one, m.HaltOrder) and one.halt.startswith("H-")]
+
+
+@pytest.mark.parametrize("scope", ["ALL", "LEFT-ARM", "C-1"])
+@pytest.mark.parametrize("noticed", [False, True])
+def test_a_halt_that_the_mcm_took_with_it_is_answered_by_the_next(working: Bench, scope: str, *, noticed: bool) -> None:
+    """Given a halt in the moments of the MCM's death, before or after the broker knows of it."""
+    if noticed:
+        working.send("supervisor", b"supervisor", m.ProcessExited(name="MCM", pid=1, status=-9))
+    working.send("halt", b"ann", m.HaltOrder(halt="H-1", scope=scope, call="7"))
+    working.send("subsystems", b"MCM", msgspec.structs.replace(MCM, pid=2, at_rest=True))
+    (order,) = orders(working)
+    assert (order.halt, order.scope) == ("H-1", scope)
+    rest = m.HaltAtRest(halt="H-1", subsystem="MCM", at_s=1.0, at_rest=True, performers=[], call=order.call)
+    working.send("subsystems", b"MCM", rest)
+    assert working.sockets["halt"].sent == [[b"ann", *wire.frames(msgspec.structs.replace(rest, call="7"))]]
+
+
+@pytest.mark.parametrize("why", ["answered", "the same process", "old", "of a camera"])
+def test_other_halts_are_not_sent_to_a_process_that_connects(working: Bench, why: str) -> None:
+    """They could stop commands that were given after them."""
+    working.send("halt", b"ann", m.HaltOrder(halt="H-1", scope="CAMERA-1" if why == "of a camera" else "ALL"))
+    if why == "answered":
+        (order,) = orders(working)
+        rest = m.HaltAtRest(halt="H-1", subsystem="MCM", at_s=1.0, at_rest=True, performers=[], call=order.call)
+        working.send("subsystems", b"MCM", rest)
+    if why == "old":
+        working.now += AGAIN_S
+    working.send("subsystems", b"MCM", msgspec.structs.replace(MCM, pid=1 if why == "the same process" else 2))
+    assert orders(working) == []
 
 
 def test_callers_are_forgotten_some_time(bench: Bench) -> None:
