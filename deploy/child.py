@@ -19,12 +19,13 @@ from pathlib import Path
 from typing import BinaryIO
 
 from deploy.restarts import Death
-from rtc.runtime.process import ALIVE, NOTE, READY, die_with_parent, now_s
+from rtc.runtime.process import ALIVE, NOTE, READY, die_with_parent, now_s, usage
 
 LOG_LIMIT = 10 << 20  # bytes; a longer log is copied to NAME.log.1 and truncated
 REMEMBERED_DEATHS = 100  # maximum number of recorded deaths
 NOTES_KEPT = 5  # maximum number of kept notes
-FORK_LIMIT_S = 1.0  # limit for the answer of a fork server, which takes milliseconds
+FORK_LIMIT_S = 1.0  # limit for the answer of a fork server, which takes milliseconds; it begins anew ...
+FORK_TRIES = 10  # ... so often, if the fork server uses the processor: the machine is busy
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,7 @@ class ForkConnection:
     """The supervisor's end of the socket to a fork server: an order, its answer, and a start byte for the child."""
 
     def __init__(self) -> None:
+        self.pid = 0  # of the fork server
         self._ours, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)  # whole messages
         self._ours.settimeout(FORK_LIMIT_S)
 
@@ -72,7 +74,7 @@ class ForkConnection:
         begin, start = os.pipe()
         try:
             socket.send_fds(self._ours, [order], [begin, *fds])
-            answer = self._ours.recv(32)
+            answer = self._answer()
             if not answer:
                 raise ConnectionError("the fork server has ended")
             pid = int(answer)
@@ -85,6 +87,15 @@ class ForkConnection:
         finally:
             os.close(begin)
             os.close(start)
+
+    def _answer(self) -> bytes:
+        for _ in range(FORK_TRIES):
+            before = usage(self.pid)
+            with contextlib.suppress(TimeoutError):
+                return self._ours.recv(32)
+            if usage(self.pid) == before:
+                break
+        raise TimeoutError("no answer in time")
 
     def close(self) -> None:
         self._ours.close()
@@ -100,6 +111,7 @@ class Child:
         self.since_s = now_s()
         self.last_output_s = 0.0  # time of its last output
         self.busy_s = 0.0  # time of its last observed use of the processor
+        self.worked_s = 0.0  # processor time since its last output or change of state
         self.stopped_since_s = 0.0  # stopped by a signal since then; 0 = not stopped
         self.restarts = 0
         self.notes: deque[str] = deque(maxlen=NOTES_KEPT)  # its last notes for people, over all restarts
@@ -114,7 +126,7 @@ class Child:
         self._popen: subprocess.Popen[bytes] | None = None  # None if it was forked by a fork server
         self.output_over = False  # its stdout is closed
         self._line = b""
-        self._worked = 0  # processor time at the last look, in clock ticks
+        self._total_s = 0.0  # processor time at the last look
 
     @property
     def waits(self) -> bool:
@@ -122,7 +134,7 @@ class Child:
         return self.state in (ProcessState.PENDING, ProcessState.WAITING, ProcessState.LOOPING)
 
     def become(self, state: ProcessState) -> None:
-        self.state, self.since_s = state, now_s()
+        self.state, self.since_s, self.worked_s = state, now_s(), 0.0
 
     def start(self, fork_server: ForkConnection | None = None) -> None:
         """Starts it by its command or by `fork_server`; stderr goes to the log. Raises OSError."""
@@ -151,7 +163,9 @@ class Child:
             if self.line:
                 self.line.theirs.close()  # so that its death closes the connection
         os.set_blocking(self.output_fd, False)
-        self._line, self.output_over = b"", False
+        if self.line:
+            self.line.pid = self.pid
+        self._line, self.output_over, self._total_s = b"", False, 0.0
         self.become(ProcessState.STARTING)
 
     def _run(self, output: int, log: int, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
@@ -170,7 +184,7 @@ class Child:
     def read_output(self) -> bool:
         """Reads its output; True if it contains `ready`. Lines other than `ready`, `alive` and notes go to its log."""
         output = self._read()
-        self.last_output_s = now_s()
+        self.last_output_s, self.worked_s = now_s(), 0.0
         *lines, self._line = (self._line + output).split(b"\n")
         noted = [line for line in lines if line.startswith(NOTE)]
         self._news += [line.removeprefix(NOTE).decode(errors="replace") for line in noted]
@@ -195,16 +209,16 @@ class Child:
         return output
 
     def look(self, now: float) -> None:
-        """Updates `stopped_since_s` and `busy_s` from /proc; `now` in s (rtc.runtime.process.now_s)."""
+        """Updates `stopped_since_s`, `busy_s` and `worked_s`; `now` in s (rtc.runtime.process.now_s)."""
         try:
-            fields = Path(f"/proc/{self.pid}/stat").read_bytes().rpartition(b") ")[2].split()
+            state, total_s = usage(self.pid)
         except OSError:
             return
         # State T: stopped by a signal such as SIGSTOP.
-        self.stopped_since_s = (self.stopped_since_s or now) if fields[0] == b"T" else 0.0
-        worked = int(fields[11]) + int(fields[12])  # utime and stime, 10 ms each; proc(5)
-        if worked != self._worked:
-            self._worked, self.busy_s = worked, now
+        self.stopped_since_s = (self.stopped_since_s or now) if state == "T" else 0.0
+        if (worked_s := total_s - self._total_s) > 0.0:
+            self.worked_s += worked_s
+            self._total_s, self.busy_s = total_s, now
 
     def signal(self, number: signal.Signals) -> None:
         if self.exited_fd >= 0:

@@ -42,6 +42,7 @@ TEMPLATE = "template"  # process name of the fork server of workers; NAME-templa
 STANDBY = "twin-template"  # standby fork server: a start takes seconds, so each of the two is forked from the other
 PREVIOUS = "previous"
 RUNS_KEPT = 3  # in previous, previous-2, previous-3
+LONGEST_DOWN_S = 120.0  # for a supervisor to end all, on a busy machine
 REST_S = 1.5  # limit for the arms to come to rest when the cluster ends
 # Of the supervisor: it needs little time, and work of a dead process waits for it. Real-time if permitted.
 RANK, NICENESS = 1, -10
@@ -315,7 +316,7 @@ def down(run_dir: Path, limit_s: float = REST_S + OUTCOMES_S + END_LIMIT_S + 3.0
             with contextlib.suppress(ProcessLookupError):
                 signal.pidfd_send_signal(gone, number)
                 signal.pidfd_send_signal(gone, signal.SIGCONT)
-            if _ended(gone, wait_s):
+            if _ended(pid, gone, wait_s):
                 break
     finally:
         os.close(gone)
@@ -345,10 +346,18 @@ def _running(run_dir: Path) -> tuple[int, int] | None:
         return pid, gone
 
 
-def _ended(pidfd: int, wait_s: float) -> bool:
+def _ended(pid: int, pidfd: int, wait_s: float) -> bool:
+    """Wait for the end of a process; again for `wait_s` if it has used the processor, at most LONGEST_DOWN_S."""
     poller = zmq.Poller()
     poller.register(pidfd, zmq.POLLIN)
-    return bool(poller.poll(int(1000 * wait_s)))
+    until_s = process.now_s() + LONGEST_DOWN_S
+    while process.now_s() < until_s:
+        with contextlib.suppress(OSError):
+            before = process.usage(pid)
+            if not poller.poll(int(1000 * wait_s)) and process.usage(pid) != before:
+                continue
+        break
+    return bool(poller.poll(0))
 
 
 # --- the directory -------------------------------------------------------------------------------------

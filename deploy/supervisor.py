@@ -41,10 +41,14 @@ from rtc.runtime.process_table import in_words
 START_LIMIT_S = 600.0  # limit for a process to become ready; normally some seconds, more on a slow machine
 IDLE_S = 20.0  # a starting process without use of the processor for this time is hung
 REPORT_WAITING_S = 10.0  # period of messages about processes that are not ready
-END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL
+END_LIMIT_S = 2.0  # between SIGTERM and SIGKILL, of processor time or of time without any
+END_AGAIN_S = 1.0  # period of checks after the first limit
+LONGEST_END_S = 60.0  # the same by the clock
 TABLE_S = 1.0  # period of the process table for the broker and of the health checks
 STOOD_STILL_S = 3.0  # longer gap between health checks: the supervisor itself, or the machine, was stopped
-SILENT_S = 4.0  # a process with `beats` and without output for this time is hung
+# A process with `beats` and without output is hung after this processor time, or this time without any, ...
+SILENT_S = 4.0
+LONGEST_SILENT_S = 60.0  # ... or this time by the clock
 STOPPED_S = 2.0  # a process stopped by a signal for this time is hung
 OUTCOMES_S, OUTCOMES_AGAIN_S = 3.0, 0.2  # limit for the outcomes of all commands at the end; period of requests
 SHOWN = 10  # maximum number of stopped commands in a message
@@ -242,9 +246,11 @@ class Supervisor:
 
     def _kill_overdue(self) -> None:
         for child in self._children.values():
-            if child.state == ProcessState.ENDING and now_s() >= child.kill_at_s:
-                child.signal(signal.SIGKILL)
-                child.kill_at_s = now_s() + 1.0
+            if child.state == ProcessState.ENDING and (now := now_s()) >= child.kill_at_s:
+                child.look(now)
+                child.kill_at_s = now + END_AGAIN_S
+                if _ended_too_late(child, now):
+                    child.signal(signal.SIGKILL)
 
     def _look_after_all(self, now: float) -> None:
         """Once a second: sends the table, checks directory and logs, reaps orphans, kills hung processes."""
@@ -363,6 +369,7 @@ class Supervisor:
             self._me.poller.unregister(fd)
 
     def _end(self, child: Child, limit_s: float) -> None:
+        child.look(now_s())
         child.become(ProcessState.ENDING)
         child.kill_at_s = now_s() + limit_s
         child.signal(signal.SIGTERM)
@@ -482,9 +489,14 @@ def _hung(child: Child, now: float) -> str:
         return ""
     if child.stopped_since_s and (stopped_s := now - child.stopped_since_s) >= STOPPED_S:
         return f"hung, stopped for {stopped_s:.1f} s"
-    if child.spec.beats and silent_s > SILENT_S:
-        return f"hung, silent for {silent_s:.1f} s"
-    return ""
+    hangs = child.worked_s >= SILENT_S or idle_s > SILENT_S or silent_s > LONGEST_SILENT_S
+    return f"hung, silent for {silent_s:.1f} s" if child.spec.beats and silent_s > SILENT_S and hangs else ""
+
+
+def _ended_too_late(child: Child, now: float) -> bool:
+    """Whether a process that is to end hangs. On a busy machine one that does not hang needs longer too."""
+    idle_s, passed_s = now - max(child.since_s, child.busy_s), now - child.since_s
+    return child.worked_s > END_LIMIT_S or idle_s >= END_LIMIT_S or passed_s > LONGEST_END_S
 
 
 def _last_words(child: Child) -> list[str]:

@@ -37,9 +37,10 @@ LIFTED_M = 0.14  # minimum of the commanded 0.15
 SEATED_M = 0.005  # maximum distance of a module from its seat at the end
 STOWED_RAD = 0.01
 UNDER_WAY_M = 0.08  # distance that the tool has moved at the call of the halt
-COMMAND_S = 90.0  # time limit of a command
-RENDER_S = 60.0
-REST_S = 5.0  # limit until the arm reports rest
+# Limits for a machine with many busy processes.
+COMMAND_S = 1800.0
+RENDER_S = 600.0
+REST_S = 60.0  # until the arm reports rest
 
 
 @dataclass

@@ -13,8 +13,7 @@ from pathlib import Path
 
 from rtc.protocol.outcomes import ClusterError
 
-READY_S = 90.0  # a cold start on a slow machine
-DOWN_S = 20.0
+READY_S, DOWN_S = 700.0, 300.0  # longer than the limits of `rtc up` and `rtc down` themselves, on a busy machine
 
 
 @contextmanager

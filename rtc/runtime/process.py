@@ -53,6 +53,7 @@ AT_ONCE, MORE = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE)
 OPEN_LIMIT_S = 0.2
 ORPHANED = signal.SIGCONT  # it continues a stopped process, which could not end otherwise
 PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
+CLOCK_TICKS_HZ = os.sysconf("SC_CLK_TCK")
 Secure = Callable[[zmq.Socket[Any]], None] | None  # sets the keys of a socket before it binds or connects
 _libc = ctypes.CDLL(None)  # opened at import: between fork and exec little may be done
 
@@ -389,6 +390,15 @@ class Every:
 def now_s() -> float:
     """Time of CLOCK_MONOTONIC (s), used for all `_at_s` fields of messages."""
     return time.monotonic()
+
+
+def usage(pid: int) -> tuple[str, float]:
+    """State of a process (proc(5): R, S, T ...) and processor time of its main thread (s, in steps of 10 ms).
+
+    Its I/O threads may work although it hangs. Raises OSError if it has ended.
+    """
+    fields = Path(f"/proc/{pid}/task/{pid}/stat").read_text().rpartition(") ")[2].split()
+    return fields[0], (int(fields[11]) + int(fields[12])) / CLOCK_TICKS_HZ
 
 
 def nice(by: int) -> bool:
