@@ -37,6 +37,8 @@ TICKS_AT_ONCE = 8  # between two readings of the clock, if it runs as fast as it
 END_S = 1.0  # simulated: maximum time for the arms to come to rest before the process ends
 LAST_S = 1.0  # for the rest of that end
 RANK, NICENESS = 2, -5  # above the broker and the workers, if the system permits it
+# With real-time priority and too little time for its ticks it would leave none to others: it does without for so long.
+MODEST_S = 30.0
 IO_RANK = 1  # of its I/O threads: below the servo tick, so that a flood of messages does not delay it
 
 
@@ -78,6 +80,7 @@ class Station:
         self._read_at_s = 0.0  # when the sockets are read next
         self._work_at_s = 0.0  # when the work between ticks is due
         self._busy = True  # a primitive runs or waits
+        self._modest_until_s = 0.0  # without real-time priority; 0: with it
 
     def run(self) -> None:
         """Run until the process receives the order to stop."""
@@ -154,6 +157,8 @@ class Station:
     def _between_ticks(self, now_s: float) -> None:
         """Work that is not urgent."""
         sockets = self._sockets
+        if self._clock.overloaded() or self._modest_until_s:
+            self._share_processor(now_s)
         self._me.beat(now_s)
         if sockets.newly_connected():
             sockets.send([*self._subsystem.hello(), self._injected])
@@ -172,6 +177,17 @@ class Station:
             if isinstance(question, m.SimInject | m.SimUndo):
                 self._me.log.info("injected faults: %s", "; ".join(self._faults.active) or "none")
                 sockets.send([self._injected])
+
+    def _share_processor(self, now_s: float) -> None:
+        """Give up real-time priority while the processors do not suffice for all who have it, and request it again."""
+        if not self._modest_until_s:
+            if not process.lower_priority():
+                return
+            self._modest_until_s = now_s + MODEST_S
+            self._me.log.warning("too slow for real time: for %g s without real-time priority", MODEST_S)
+        elif now_s >= self._modest_until_s:
+            self._modest_until_s = 0.0
+            self._me.log.info("scheduling: %s", _raise_priority(self._settings))
 
     @property
     def _injected(self) -> tuple[bytes, m.Injected]:

@@ -1,8 +1,7 @@
 """Tick schedule: when the next tick is due, and how many ticks were late. Pure: the caller reads the clock and sleeps.
 
 Simulated time runs `speed` times as fast as wall time. Speed 0 means as fast as possible while a primitive runs, and
-speed 1 otherwise. So an idle simulator leaves the cores to other processes. A simulator that cannot keep its speed
-pauses after each delay: with real-time priority, several of them would leave no core to those who command them.
+speed 1 otherwise. So an idle simulator leaves the cores to other processes.
 """
 
 from __future__ import annotations
@@ -10,8 +9,8 @@ from __future__ import annotations
 from sim_mcm.arms.arm import TICK_S
 
 CATCH_UP_S = 0.05  # a longer delay (stopped process, stalled machine) is not caught up
-PAUSE = 0.25  # pause after such a delay, as a part of it, ...
-LONGEST_PAUSE_S = 0.025  # ... up to this: halts wait as long
+# An overload: so much more time than the forgiven part of it was not caught up. One long delay alone is none.
+OVERLOAD_S, FORGIVEN, MOST_COUNTED_S = 0.3, 0.01, 0.1
 
 
 class Clock:
@@ -22,6 +21,7 @@ class Clock:
         self.late_ticks = 0  # ticks that began more than one period after they were due
         self._due_s = now_s
         self.free_running = False
+        self._lost_s, self._lost_at_s = 0.0, now_s  # not caught up and not forgiven; when it was counted last
 
     @property
     def sim_s(self) -> float:
@@ -43,5 +43,17 @@ class Clock:
         if late_s > period_s:
             self.late_ticks += 1
         if late_s > max(CATCH_UP_S, 2 * period_s):
-            self._due_s = now_s + min(PAUSE * late_s, LONGEST_PAUSE_S)
+            self._due_s = now_s
+            self._lose(late_s, now_s)
         self._due_s += period_s
+
+    def overloaded(self) -> bool:
+        """True once after the speed has not been kept for some time."""
+        found = self._lost_s > OVERLOAD_S
+        if found:
+            self._lost_s = 0.0
+        return found
+
+    def _lose(self, late_s: float, now_s: float) -> None:
+        self._lost_s = max(0.0, self._lost_s - FORGIVEN * (now_s - self._lost_at_s)) + min(late_s, MOST_COUNTED_S)
+        self._lost_at_s = now_s

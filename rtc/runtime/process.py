@@ -433,6 +433,14 @@ def raise_priority(rank: int, niceness: int) -> str:
     return f"niceness {niceness}" if nice(niceness) else "a better priority is not permitted"
 
 
+def lower_priority() -> bool:
+    """Give up the real-time priority of `raise_priority`, which may be requested again. False: there was none."""
+    if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_RR:
+        return False
+    os.sched_setscheduler(0, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
+    return True
+
+
 def real_time_io(context: zmq.Context[Any], rank: int) -> bool:
     """Give the I/O threads of a ZeroMQ context, which has no socket yet, real-time priority `rank`.
 

@@ -259,6 +259,16 @@ def test_a_child_of_one_that_comes_first_does_not():
     assert words.endswith(" 0\n"), words
 
 
+def test_real_time_priority_may_be_given_up_and_requested_again():
+    code = textwrap.dedent("""
+        from rtc.runtime.process import lower_priority, raise_priority
+        print([(raise_priority(1, 0)[:9], lower_priority(), lower_priority()) for _ in range(2)])
+    """)
+    words = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30).stdout
+    permitted, refused = ("real-time", True, False), ("niceness ", False, False)
+    assert words.strip() in (str([permitted] * 2), str([refused] * 2)), words
+
+
 def test_io_threads_run_in_real_time_where_that_is_permitted():
     """Each thread is scheduled by itself: the priority of the process does not reach them."""
     code = textwrap.dedent("""
