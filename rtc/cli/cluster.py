@@ -65,7 +65,7 @@ def up(
         str, typer.Option(help="tcp://HOST:PORT: admit holders of a key (rtc keys) from other machines.")
     ] = DEFAULT.listen,
     more: Annotated[
-        str, typer.Option(help="Command line that starts {count} workers of a {kind} elsewhere (docs/security.md).")
+        str, typer.Option(help="Command line that starts {count} workers of a {kind} elsewhere (rtc docs security).")
     ] = DEFAULT.more,
     more_most: Annotated[
         int, typer.Option(min=1, max=MOST_FAR, help="With --more: workers of each kind elsewhere.")

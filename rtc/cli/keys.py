@@ -22,7 +22,7 @@ from rtc.runtime.settings import Settings, default_run_dir, prepare_run_dir
 ROLES = ", ".join(Role)
 
 app = typer.Typer(
-    help="Keys for other machines: make, list, revoke. See docs/security.md.",
+    help="Keys for other machines: make, list, revoke. See: rtc docs security.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

@@ -71,7 +71,7 @@ def dictionary(
 ) -> None:
     """Print the dictionary entry of a verb in the paper's Figure 2 notation, or the list of verbs.
 
-    A verb marked (no script yet) is understood and refused until a script for it is loaded (docs/scripts.md). One
+    A verb marked (no script yet) is understood and refused until a script for it is loaded (rtc docs scripts). One
     marked (refused today) is understood, but no script can perform it.
 
     Example: rtc dictionary GRASP

@@ -49,6 +49,7 @@ COMMANDS = {
     "chaos": "chaos",
     "inject": "inject",
     "demo": "demo",
+    "docs": "docs",
 }
 EPILOG = 'First steps: rtc demo, or: rtc up -d; rtc do "STOW LEFT-ARM"; rtc halt; rtc down'
 

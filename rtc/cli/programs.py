@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ from rich.text import Text
 
 from rtc.cli.output import AsJson, RunDir, With, console, emit_json, errors, table, trouble
 from rtc.client.client import Client
-from rtc.programs.loader import changes, default, merge
+from rtc.programs.loader import GRAMMAR, PROGRAMS, changes, default, merge
 from rtc.programs.outcome_table import explained
 from rtc.programs.outcome_table import outcomes as rows_of
 from rtc.programs.sandbox import CheckRequest, in_a_process
@@ -30,6 +31,9 @@ def load(
     check: Annotated[bool, typer.Option("--check", help="Check the file; change nothing. Needs no cluster.")] = False,
     show: Annotated[bool, typer.Option("--list", help="List all programs and their changes.")] = False,
     reset: Annotated[str, typer.Option("--reset", metavar="KIND", help="Back to the default program.")] = "",
+    export: Annotated[
+        Path | None, typer.Option("--export", help="Copy the default programs to a new directory. Needs no cluster.")
+    ] = None,
     json: AsJson = False,
     run_dir: RunDir = None,
     key: With = None,
@@ -42,8 +46,11 @@ def load(
     Example:  rtc load my-grasp.yaml INTO elaborator
     Example:  rtc load my-grasp.yaml INTO elaborator --check
     Example:  rtc load --reset elaborator
+    Example:  rtc load --export programs
     """
-    if show:
+    if export is not None:
+        _export(export, json)
+    elif show:
         _list(json, run_dir, key)
     elif reset:
         with Client(run_dir, key=key) as rtc:
@@ -56,6 +63,23 @@ def load(
         wanted, path = _kind(kind), _readable(file)
         with Client(run_dir, key=key) as rtc:
             _loaded(rtc.load(wanted, path), path.name, json)
+
+
+def _export(directory: Path, json: bool) -> None:
+    """Copy the files of the default programs, one directory per kind, so that one can be changed and loaded."""
+    try:
+        shutil.copytree(PROGRAMS, directory, ignore=shutil.ignore_patterns("__pycache__"))
+        (directory / WorkerKind.PARSER.value).mkdir()
+        shutil.copy(GRAMMAR, directory / WorkerKind.PARSER.value)
+    except FileExistsError:
+        raise trouble(f"{directory} exists already; name a new directory", 2) from None
+    except OSError as error:
+        raise trouble(f"{directory} cannot be written: {error.strerror}", 1) from None
+    files = sorted(str(path.relative_to(directory)) for path in directory.rglob("*") if path.is_file())
+    if json:
+        emit_json({"directory": str(directory), "files": files})
+    else:
+        console.print(Text(f"{len(files)} files in {directory}; change one, then: rtc load FILE INTO KIND"))
 
 
 def _kind(word: str) -> WorkerKind:

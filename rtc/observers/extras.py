@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from importlib.metadata import PackageNotFoundError, requires
 from importlib.util import find_spec
 
 #: extra of pyproject.toml -> the modules that it must bring
@@ -18,8 +20,17 @@ def missing(purpose: str) -> str:
     absent = [name for name in EXTRAS[purpose] if not _found(name)]
     if not absent:
         return ""
-    extra = INSTALLED_BY[purpose]
-    return f"this needs {', '.join(absent)}; in the directory of the project: pip install -e '.[{extra}]'"
+    return f"this needs {', '.join(absent)}: pip install {' '.join(requirements(INSTALLED_BY[purpose]))}"
+
+
+def requirements(extra: str) -> list[str]:
+    """The names of the packages of an extra, for pip."""
+    try:
+        stated = requires("telerobot-rtc") or []
+    except PackageNotFoundError:
+        stated = []
+    wanted = [each for each in stated if re.search(rf"extra == .{extra}.", each)]
+    return [found[0] for each in wanted if (found := re.match(r"[\w.-]+", each))] or [f"telerobot-rtc[{extra}]"]
 
 
 def _found(module: str) -> bool:

@@ -183,7 +183,7 @@ def _not_for(program: ElaboratorProgram, verb: str, thing: parts.Object | None, 
             reason=RefusalReason.PROGRAM,
             message=f"the command-object table has no row for {verb} and {what}",
             where="command_object_table",
-            clears=f"load a row of command_object_table for verb {verb} (docs/scripts.md)",
+            clears=f"load a row of command_object_table for verb {verb} (rtc docs scripts)",
         )
     return Refusal(
         reason=RefusalReason.NO_SCRIPT,
